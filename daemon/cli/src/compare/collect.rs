@@ -82,7 +82,8 @@ pub(crate) fn collect(
     let is_compared = |index: usize| !exclusions.contains(index);
     let compared_runs = runs.iter().enumerate().filter(|(index, _)| is_compared(*index));
     compared_runs.filter_map(|(_, run)| incompleteness_note(run, &experiments)).for_each(print_to_stderr);
-    let order: Vec<usize> = declared_order(&runs).into_iter().filter(|index| is_compared(*index)).collect();
+    let order: Vec<usize> =
+        declared_order(&runs, &experiments).into_iter().filter(|index| is_compared(*index)).collect();
     let baseline_runs =
         (0..order.len()).filter(|index| baseline_indexes.contains(&order[*index])).collect::<Vec<_>>();
     if let Some(baseline) = baseline.filter(|_| baseline_runs.is_empty()) {

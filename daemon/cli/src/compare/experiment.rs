@@ -37,6 +37,7 @@ enum RecordError {
 #[derive(Deserialize)]
 pub(super) struct Experiment {
     format: u32,
+    pub(super) id: String,
     #[serde(default)]
     pub(super) name: String,
     /// Path of the experiment's file, as it was typed.
@@ -45,13 +46,19 @@ pub(super) struct Experiment {
     /// States of the runs, in their order.
     #[serde(default)]
     states: Vec<State>,
-    plan: Plan,
+    pub(super) plan: Plan,
 }
 
 #[derive(Deserialize)]
-struct Plan {
+pub(super) struct Plan {
+    pub(super) configurations: Vec<Configuration>,
     #[serde(default)]
     runs: Vec<Run>,
+}
+
+#[derive(Deserialize)]
+pub(super) struct Configuration {
+    pub(super) labels: Vec<(String, String)>,
 }
 
 #[derive(Deserialize)]
@@ -98,6 +105,12 @@ impl Experiments {
                 format!("cannot read {}: {reason}; the states of its runs are unknown", record.display())
             })
             .collect()
+    }
+
+    /// Returns the execution with this id to which results belong.
+    pub(super) fn execution(&self, results: &Path, id: &str) -> Option<&Experiment> {
+        let experiment_in = |folder: &PathBuf| self.0.get(folder)?.as_ref().ok();
+        ancestor_folders(results).iter().filter_map(experiment_in).find(|experiment| experiment.id == id)
     }
 
     /// Returns the run to which results belong, by their path.

@@ -6,16 +6,23 @@ use peernet_analysis::compare::compare_places;
 use peernet_analysis::loaded::Loaded;
 use peernet_stream::ExperimentPlace;
 
+use super::experiment::Experiments;
+
 /// Returns the indexes of the runs in the order of display. Runs of an experiment are in the [order of its file](compare_places), as on the
-/// dashboard.
+/// dashboard. Runs of an earlier version do not have the position of their configuration; it is taken from the record of the experiment, if
+/// that can be read.
 ///
 /// The runs of one experiment exchange positions among each other. All other results keep their positions.
-pub(super) fn declared_order(runs: &[Loaded]) -> Vec<usize> {
+pub(super) fn declared_order(runs: &[Loaded], experiments: &Experiments) -> Vec<usize> {
     let mut order: Vec<usize> = (0..runs.len()).collect();
-    let mut executions: HashMap<&str, Vec<(usize, &ExperimentPlace)>> = HashMap::new();
+    let mut executions: HashMap<&str, Vec<(usize, ExperimentPlace)>> = HashMap::new();
     for (index, run) in runs.iter().enumerate() {
         if let Some(place) = &run.record.experiment {
-            executions.entry(&place.id).or_default().push((index, place));
+            let position = place.position.or_else(|| recorded_position(run, place, experiments));
+            executions
+                .entry(&place.id)
+                .or_default()
+                .push((index, ExperimentPlace { position, ..place.clone() }));
         }
     }
     for places in executions.into_values() {
@@ -27,15 +34,30 @@ pub(super) fn declared_order(runs: &[Loaded]) -> Vec<usize> {
     order
 }
 
+/// Returns the position of a run's configuration in the record of its experiment.
+fn recorded_position(run: &Loaded, place: &ExperimentPlace, experiments: &Experiments) -> Option<u32> {
+    let configurations = &experiments.execution(&run.folder, &place.id)?.plan.configurations;
+    u32::try_from(configurations.iter().position(|one| one.labels == place.configuration)?).ok()
+}
+
 #[cfg(test)]
 mod tests {
     use peernet_analysis::record::RunRecord;
     use peernet_analysis::rows::Rows;
+    use serde_json::json;
 
     use super::*;
+    use crate::experiment::RECORD;
+
+    fn declared_order(runs: &[Loaded]) -> Vec<usize> {
+        super::declared_order(runs, &Experiments::find(runs.iter().map(|run| &*run.folder)))
+    }
 
     #[test]
     fn runs_have_order_of_file() {
+        let experiment = tempfile::tempdir().expect("a folder");
+        let folder = experiment.path().join("runs").join("1");
+        std::fs::create_dir_all(&folder).expect("made");
         let run = |place: Option<(&str, u32)>, position: Option<u32>| {
             let place = place.map(|(label, repeat)| ExperimentPlace {
                 name: "x".to_owned(),
@@ -45,7 +67,7 @@ mod tests {
                 position,
             });
             let record = RunRecord { experiment: place, ..RunRecord::default() };
-            Loaded { folder: "results".into(), record, rows: Rows::default() }
+            Loaded { folder: folder.clone(), record, rows: Rows::default() }
         };
         let runs = |a: Option<u32>, b: Option<u32>| {
             [
@@ -57,8 +79,13 @@ mod tests {
             ]
         };
         assert_eq!(declared_order(&runs(Some(1), Some(0))), [3, 1, 4, 2, 0]);
-        // An earlier version recorded no positions: labels have their natural order.
+        // An earlier version recorded no positions: labels have their natural order, or that of the record of the experiment.
         assert_eq!(declared_order(&runs(None, None)), [0, 1, 3, 4, 2]);
+        let configurations = ["b", "a"].map(|label| json!({ "labels": [["load", label]] }));
+        let record =
+            json!({ "format": 1, "id": "x1", "plan": { "configurations": configurations.as_slice() } });
+        std::fs::write(experiment.path().join(RECORD), record.to_string()).expect("written");
+        assert_eq!(declared_order(&runs(None, None)), [3, 1, 4, 2, 0]);
         assert!(declared_order(&[]).is_empty());
     }
 }

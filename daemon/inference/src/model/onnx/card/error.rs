@@ -64,6 +64,11 @@ pub(in crate::model::onnx) enum CardError {
         "preprocessing.std has {0}; a standard deviation is larger than 0, and 1.0 leaves the channel as it is"
     )]
     Deviation(f64),
+    /// `scale` is zero.
+    #[error(
+        "preprocessing.scale must not be 0; write the factor of each byte, such as 0.003921569 for 1/255"
+    )]
+    NoScale,
     /// The size after preprocessing depends on the picture.
     #[error("preprocessing.resize to the shortest side needs a crop after it")]
     NoCrop,

@@ -177,6 +177,7 @@ fn contradictory_keys_are_named() {
                 "applies to no input",
             ),
             ("mean = [1.0]", "mean = []", "mean has 0 numbers"),
+            ("scale = 0.5", "scale = 0.0", "preprocessing.scale must not be 0"),
             ("std = [2.0]", "std = [0.0]", "larger than 0"),
             ("std = [2.0]", "std = [-0.25]", "preprocessing.std has -0.25"),
             ("std = [2.0]", "", "preprocessing.std is missing"),
