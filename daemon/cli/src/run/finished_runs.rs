@@ -8,7 +8,7 @@ use peernet_analysis::loaded::RowsDamage;
 use peernet_analysis::record::{Counts, RunRecord};
 use peernet_results::{FolderError, ResultFolder};
 use peernet_sample::printable_line;
-use peernet_stream::EndReason;
+use peernet_stream::{EndReason, ExperimentPlace};
 
 use super::ExternalFiles;
 use super::folder::Folder;
@@ -102,6 +102,9 @@ fn mismatch(run_record: &RunRecord, record: &Record, run: &Run) -> Option<Mismat
     if run_record.counts == Counts::default() {
         return Some(Mismatch::NoIterations);
     }
-    let experiment_place = record.plan.experiment_place(run, &record.id);
-    (run_record.experiment.as_ref() != Some(&experiment_place)).then_some(Mismatch::OtherRun)
+    let planned = record.plan.experiment_place(run, &record.id);
+    // An earlier version recorded no position, and the labels identify the configuration.
+    let position = planned.position;
+    let recorded = run_record.experiment.clone().map(|place| ExperimentPlace { position, ..place });
+    (recorded != Some(planned)).then_some(Mismatch::OtherRun)
 }

@@ -99,6 +99,10 @@ fn incomplete_results_are_measured_again() {
     assert!(message().is_some_and(|why| why.contains("no data.csv")));
     data("iteration,sensing,outcome\n1,0.5,ok\n2,0.5,ok\n");
     assert_eq!(message(), None);
+    let mut earlier = whole.clone();
+    earlier["experiment"].as_object_mut().expect("a place").remove("position").expect("it is recorded");
+    says(&earlier);
+    assert_eq!(message(), None, "an earlier version recorded no position");
     says(&json!({ "format": 1 }));
     assert!(message().is_some_and(|why| why.ends_with("does not say that the run was finished")));
     let another = record.plan.experiment_place(&record.plan.runs[1], &record.id);
