@@ -7,7 +7,7 @@
   const fromHash = /^#t=(\d+)-(\d+)$/.exec(location.hash);
   if (fromHash) range = [Number(fromHash[1]), Number(fromHash[2])];
 
-  const moments = [...data.slow.map((point) => point[0]), ...data.borders, ...data.unanswered, ...(data.warm_up || [])];
+  const moments = [...data.slow.map((point) => point[0]), ...data.borders, ...data.unanswered, ...data.warm_up.flat()];
   const begin = Math.min(...data.points.map((point) => point[0]), ...moments);
   const end = Math.max(...data.points.map((point) => point[0] + size), ...moments);
   if (!Number.isFinite(begin)) return;
