@@ -10,8 +10,11 @@ use crate::text::width;
 const HALF_HEIGHT: f64 = 3.6;
 /// Distance from a point to its number, points.
 const GAP: f64 = RADIUS + 0.9;
-/// Minimum distance between two numbers, so that they are not read as one number; points.
-const MIN_DISTANCE: f64 = 2.1;
+/// Minimum distance between two numbers side by side, so that they are not read as one number; points. On the narrowest page, a number is
+/// almost twice as wide in relation to the plot.
+const MIN_DISTANCE: f64 = 4.5;
+/// Minimum distance between a number and another above it, points.
+const MIN_DISTANCE_ABOVE: f64 = 2.0;
 /// Two points at a smaller distance are neighbours: their numbers are on the sides away from each other. Points.
 const NEIGHBOUR_DISTANCE: f64 = 13.5;
 /// Height above the plot that numbers may use, next to the title of its axis, points.
@@ -62,7 +65,12 @@ pub(super) fn items(area: &Area, spots: &[Spot], title: &str) -> Vec<Item> {
         }
         let label = Label::new(share(middle.0, middle.1), number, TextStyle::MARK);
         items.push(Item::Text(label.anchored(Anchor::Middle)));
-        occupied.push([place[0] - MIN_DISTANCE, place[1], place[2] + MIN_DISTANCE, place[3]]);
+        occupied.push([
+            place[0] - MIN_DISTANCE,
+            place[1] - MIN_DISTANCE_ABOVE,
+            place[2] + MIN_DISTANCE,
+            place[3] + MIN_DISTANCE_ABOVE,
+        ]);
     }
     items
 }
