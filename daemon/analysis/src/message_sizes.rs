@@ -30,7 +30,7 @@ pub struct Message {
 pub struct MessageSketches<'a> {
     /// Sizes of the payloads, bytes.
     pub payload: &'a Summary,
-    /// Sizes of the metadata, bytes; `None` if there is none.
+    /// Sizes of the metadata, bytes; `None` if the messages have no metadata.
     pub metadata: Option<&'a Summary>,
     /// Known one-way delays, seconds; `None` if no delay is known.
     pub delay: Option<&'a Summary>,

@@ -107,7 +107,7 @@ fn omitted_stages(
     found.filter_map(Result::transpose).collect()
 }
 
-/// Returns the position of a column; `None` if there is none.
+/// Returns the position of a column; `None` if no column has that name.
 ///
 /// # Errors
 /// Returns the reason if several columns have the name.

@@ -1,4 +1,4 @@
-//! Termination of a run of ONNX Runtime whose result nobody waits for any more.
+//! Termination of a run of ONNX Runtime whose requests are all cancelled.
 
 use std::pin::Pin;
 use std::sync::Arc;
