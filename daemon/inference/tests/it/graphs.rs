@@ -219,6 +219,22 @@ fn card_that_does_not_fit_names_the_field() {
     }
 }
 
+/// A file of the ONNX format begins with the tag 8 and the version of the format.
+#[test]
+fn refusal_of_newer_format_names_supported_version() {
+    let folder = tempfile::tempdir().expect("can be made");
+    let source = models().join("policy");
+    let mut graph = fs::read(source.join("model.onnx")).expect("is written");
+    assert_eq!(graph[..2], [8, 8], "tag and version of the format");
+    graph[1] = 99;
+    fs::write(folder.path().join("model.onnx"), graph).expect("can be written");
+    fs::copy(source.join("model.toml"), folder.path().join("model.toml")).expect("can be copied");
+    let error = bank(&[&table("newer", folder.path())]).load(&slug("newer"), None).expect_err("is newer");
+    let text = error.to_string();
+    assert!(text.contains("Unsupported model IR version: 99, max supported IR version: "), "{text}");
+    assert!(text.contains("after `model.ir_version = ") && !text.contains("model.cc"), "{text}");
+}
+
 #[test]
 fn input_that_card_leaves_out_is_named() {
     let folder = tempfile::tempdir().expect("can be made");

@@ -3,12 +3,14 @@
 use std::collections::HashSet;
 use std::fmt;
 
-use peernet_logger::stage;
+use peernet_logger::{Name, stage};
 use serde::de::{Error, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// Largest number of columns.
 const MAX_COLUMNS: usize = 64;
+/// Stages that the pipeline measures anew: with their replayed latencies they would count twice.
+const TRANSPORT: [Name; 3] = [stage::UPLOAD, stage::QUEUE, stage::DOWNLOAD];
 
 /// Different columns of a `data.csv`, at least one; their sum in a row is one latency. Written as one name or a list of names.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -32,6 +34,14 @@ impl Columns {
         }
         if names.len() > MAX_COLUMNS {
             return Err(format!("{} columns are too many; at most {MAX_COLUMNS}", names.len()));
+        }
+        if let Some(transport) =
+            names.iter().find(|name| TRANSPORT.iter().any(|stage| stage.as_str() == name.as_str()))
+        {
+            return Err(format!(
+                "{transport} depends on the network and on the other users, and a remote pipeline with this model has its own; \
+                 name stages of the computation, such as inference"
+            ));
         }
         match names.iter().find(|name| !seen.insert(name.as_str())) {
             Some(twice) => Err(format!("the list contains {twice} twice")),
@@ -79,7 +89,7 @@ impl<'de> Visitor<'de> for OneOrSeveral {
     }
 
     fn visit_str<E: Error>(self, text: &str) -> Result<Columns, E> {
-        Ok(Columns(vec![text.to_owned()]))
+        Columns::new(vec![text.to_owned()]).map_err(E::custom)
     }
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Columns, A::Error> {
@@ -113,6 +123,8 @@ mod tests {
             (json!([]), "the list is empty"),
             (json!(["inference", "total", "inference"]), "the list contains inference twice"),
             (json!(many), "65 columns are too many; at most 64"),
+            (json!("upload"), "upload depends on the network"),
+            (json!(["inference", "queue"]), "queue depends on the network and on the other users"),
             (json!(7), "expected the name of a column or a list of names"),
         ] {
             let error = from_value::<Columns>(written).expect_err(reason).to_string();

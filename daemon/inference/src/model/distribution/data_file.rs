@@ -215,7 +215,7 @@ mod tests {
         let empty = recorded("preprocessing,inference\n,0.5\n0.5,\n", &["preprocessing", "inference"]);
         let reason = "no row with an answer has a number in each of the columns preprocessing + inference";
         assert!(empty.expect_err("no sum").contains(reason));
-        let too_long = recorded("inference,download\n50000,50000\n", &["inference", "download"]);
+        let too_long = recorded("inference,postprocessing\n50000,50000\n", &["inference", "postprocessing"]);
         assert!(too_long.expect_err("too long").contains("line 2: the sum of the columns, 100000"));
     }
 

@@ -16,16 +16,17 @@ const MAX_NAMED_RUNS: usize = 3;
 /// Returns the file that a path names: the file itself, or `data.csv` in a folder.
 ///
 /// # Errors
-/// If the folder is that of an experiment, which has several runs.
+/// If the folder is that of an experiment, which has several runs, or that of several users, who have a `data.csv` each.
 pub(super) fn data_file(path: &Path) -> Result<PathBuf, LoadError> {
     if !path.is_dir() {
         return Ok(path.to_owned());
     }
     let file = path.join(FILE_NAME);
-    if file.exists() || !path.join(EXPERIMENT_FILE).is_file() {
+    let is_experiment = path.join(EXPERIMENT_FILE).is_file();
+    let runs = if is_experiment { runs_of_experiment(path) } else { with_data(folders(path)) };
+    if file.exists() || !is_experiment && runs.is_empty() {
         return Ok(file);
     }
-    let runs = runs_of_experiment(path);
     let advice = match runs.get(..MAX_NAMED_RUNS) {
         _ if runs.is_empty() => "it has no finished run yet; name the folder of a run".to_owned(),
         Some(first) if runs.len() > MAX_NAMED_RUNS => {
@@ -33,24 +34,32 @@ pub(super) fn data_file(path: &Path) -> Result<PathBuf, LoadError> {
         }
         _ => format!("name one of its runs: {}", runs.join(", ")),
     };
+    let whole = if is_experiment { "an experiment" } else { "several runs, such as those of several users" };
     Err(LoadError::File {
         file: path.to_owned(),
-        reason: format!("it is the folder of an experiment, and data is one run; {advice}"),
+        reason: format!("it is the folder of {whole}, and data is one run; {advice}"),
     })
 }
 
 /// Returns the folders with a `data.csv` of an experiment, sorted. A run with several users has a folder for each.
 fn runs_of_experiment(path: &Path) -> Vec<String> {
-    // A folder that cannot be listed has no runs to name; the error about the path remains.
-    let folders = |path: &Path| -> Vec<PathBuf> {
-        fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path()).collect()
-    };
     let runs = folders(&path.join(RUNS_FOLDER));
-    let users = runs.iter().flat_map(|run| folders(run));
-    let all = runs.iter().cloned().chain(users).filter(|folder| folder.join(FILE_NAME).is_file());
-    let mut names: Vec<String> = all.map(|folder| folder.display().to_string()).collect();
+    let users = runs.iter().flat_map(|run| folders(run)).collect::<Vec<_>>();
+    with_data(runs.into_iter().chain(users))
+}
+
+/// Returns the names of those folders that have a `data.csv`, sorted.
+fn with_data(folders: impl IntoIterator<Item = PathBuf>) -> Vec<String> {
+    let finished = folders.into_iter().filter(|folder| folder.join(FILE_NAME).is_file());
+    let mut names: Vec<String> = finished.map(|folder| folder.display().to_string()).collect();
     names.sort();
     names
+}
+
+/// Returns what a folder contains.
+fn folders(path: &Path) -> Vec<PathBuf> {
+    // A folder that cannot be listed has no runs to name; the error about the path remains.
+    fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path()).collect()
 }
 
 #[cfg(test)]
@@ -76,5 +85,9 @@ mod tests {
         fs::write(path.join("runs/003-cloud-r1").join(FILE_NAME), "inference\n").expect("written");
         assert!(refused().contains(&format!("one of its 4 runs, such as {run}, ")), "{}", refused());
         assert!(!refused().contains("003-cloud-r1"), "{}", refused());
+        let users = path.join("runs/002-cloud-r1");
+        let text = data_file(&users).expect_err("several users").to_string();
+        let first = users.join("user-1").display().to_string();
+        assert!(text.contains("several users") && text.contains(&format!("its runs: {first}, ")), "{text}");
     }
 }

@@ -61,7 +61,7 @@ pub(super) fn session_error(plan: &Plan, error: &ort::Error) -> LoadError {
 }
 
 /// Returns the message of ONNX Runtime in one line, without the position in its source code, and with the next step
-/// if a library was not loaded.
+/// if a library was not loaded or the file has a newer format.
 fn reason(text: &str) -> String {
     // As in "…/info.cc:63 static … [ONNXRuntimeError] : 1 : FAIL : options.h:187 Parse Failed to parse …: Invalid
     // device ID: 7".
@@ -71,7 +71,14 @@ fn reason(text: &str) -> String {
         .filter(|(code, _)| code.parse::<u32>().is_ok())
         .map_or(message, |(_, it)| it);
     let line = message.split_whitespace().collect::<Vec<_>>().join(" ");
-    if line.contains("Failed to load library") {
+    // As in "…/model.cc:256 onnxruntime::Model::Model(…) Unsupported model IR version: 14, max supported IR version: 13".
+    let newer_format = line.find("Unsupported model IR version").map(|start| &line[start..]);
+    if let Some(refusal) = newer_format {
+        let supported = refusal.rsplit(' ').next().unwrap_or_default();
+        format!(
+            "{refusal}; save it with Python's onnx package after `model.ir_version = {supported}`, or install a newer ONNX Runtime"
+        )
+    } else if line.contains("Failed to load library") {
         format!("{line}; check that the device's own libraries, such as CUDA's, are in LD_LIBRARY_PATH")
     } else {
         line
