@@ -1,11 +1,17 @@
 //! Length of answers: the quantity that measures the length, whether the length varies, and how latency grows with the length.
 
+use peernet_statistics::number::count;
+
 use crate::fit::{Fit, Point, theil_sen};
 
 /// Column of the time that an answer takes.
 pub const LATENCY: &str = "inference";
 /// Column of the length of an answer where no tokens are counted.
 const ANSWER_BYTES: &str = "download-bytes";
+/// Node with the number of chunks of a language model's answer. It is recorded even if the server counts no tokens.
+const ANSWER_CHUNKS: &str = "output-chunks";
+/// What to do if a language model's server reports no numbers of tokens.
+pub const NO_USAGE: &str = "the server sent no `usage`; use --x output-chunks";
 /// Suffix of the names of quantities that count tokens.
 const TOKENS_SUFFIX: &str = "tokens";
 /// Words in the names of quantities that count the question and not the answer.
@@ -32,6 +38,13 @@ pub fn answer_tokens<'a>(names: impl Iterator<Item = &'a str>) -> Option<&'a str
     Some(answer_length(names)).filter(|name| is_tokens(name) && !counts_question(name))
 }
 
+/// Returns whether these quantities are those of a language model whose server reports no numbers of tokens: chunks of answers are counted,
+/// and tokens of answers are not. [`NO_USAGE`] says so.
+pub fn lacks_usage<'a>(names: impl Iterator<Item = &'a str> + Clone) -> bool {
+    let counts_chunks = |name: &str| name.rsplit('_').next() == Some(ANSWER_CHUNKS);
+    names.clone().any(counts_chunks) && answer_tokens(names).is_none()
+}
+
 /// Returns whether a length is counted in tokens; otherwise it is in bytes.
 pub fn is_tokens(name: &str) -> bool {
     name.ends_with(TOKENS_SUFFIX)
@@ -54,6 +67,20 @@ const MAX_ITERATIONS: usize = 1_000;
 /// If the interval of a slope is wider than this share of the slope, the slope is not reported as one number.
 const MAX_RELATIVE_WIDTH: f64 = 0.5;
 
+/// Reason why no line of latency over length is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum NoLine {
+    /// There are fewer answers than a line needs.
+    #[error("it needs {} answers, and there are {}", count(MIN_ITERATIONS as u64), count(*.0 as u64))]
+    Answers(usize),
+    /// Almost all answers have one length.
+    #[error("too few of the {} answers differ in length", count(*.0 as u64))]
+    Lengths(usize),
+    /// The interval of the slope contains zero.
+    #[error("the 95\u{202f}% interval of its slope over {} answers contains zero", count(*.0 as u64))]
+    Slope(usize),
+}
+
 /// Growth of latency with the length of answers: a line through single iterations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Growth {
@@ -66,14 +93,20 @@ pub struct Growth {
 impl Growth {
     /// Returns the line whose slope is the median of the slopes of all pairs of iterations, given as length and latency. This slope is
     /// robust against long tails of the latencies and any distribution of the lengths. If there are very many iterations, an evenly
-    /// spread part of them is used. `None` if there are too few.
-    pub fn from_iterations(iterations: &[(f64, f64)]) -> Option<Self> {
-        (iterations.len() >= MIN_ITERATIONS).then_some(())?;
+    /// spread part of them is used.
+    ///
+    /// # Errors
+    /// If there are too few iterations, or too few with different lengths.
+    pub fn from_iterations(iterations: &[(f64, f64)]) -> Result<Self, NoLine> {
+        if iterations.len() < MIN_ITERATIONS {
+            return Err(NoLine::Answers(iterations.len()));
+        }
         let step = iterations.len().div_ceil(MAX_ITERATIONS);
         let points: Vec<Point> =
             iterations.iter().step_by(step).map(|(x, y)| Point { x: *x, y: *y }).collect();
-        let fit = theil_sen(&points)?;
-        Some(Self { interval: fit.slope.interval?, fit })
+        theil_sen(&points)
+            .and_then(|fit| Some(Self { interval: fit.slope.interval?, fit }))
+            .ok_or(NoLine::Lengths(iterations.len()))
     }
 
     /// Returns whether the interval of the slope excludes zero.
@@ -86,9 +119,13 @@ impl Growth {
         self.interval.1 - self.interval.0 > MAX_RELATIVE_WIDTH * self.fit.slope.value.abs()
     }
 
-    /// Returns intercept and slope if the slope is significant.
-    pub fn line(&self) -> Option<(f64, f64)> {
-        self.is_significant().then_some((self.fit.intercept.value, self.fit.slope.value))
+    /// Returns intercept and slope.
+    ///
+    /// # Errors
+    /// If the slope is not significant.
+    pub fn line(&self) -> Result<(f64, f64), NoLine> {
+        let line = (self.fit.intercept.value, self.fit.slope.value);
+        self.is_significant().then_some(line).ok_or(NoLine::Slope(self.fit.points))
     }
 }
 
@@ -107,8 +144,21 @@ mod tests {
                 && !growing.is_imprecise()
                 && (growing.fit.slope.value - 0.5).abs() < 0.02
         );
-        assert_eq!(Growth::from_iterations(&iterations(0.0)).expect("enough").line(), None);
-        assert_eq!(Growth::from_iterations(&iterations(0.5)[..59]), None, "too few");
+        let line = |iterations: &[(f64, f64)]| Growth::from_iterations(iterations)?.line();
+        assert_eq!(line(&iterations(0.0)), Err(NoLine::Slope(200)));
+        assert_eq!(line(&iterations(0.5)[..59]), Err(NoLine::Answers(59)));
+        let one_length: Vec<(f64, f64)> = iterations(0.5).iter().map(|(_, y)| (7.0, *y)).collect();
+        assert_eq!(line(&one_length), Err(NoLine::Lengths(200)));
+        let text = NoLine::Answers(59).to_string();
+        assert_eq!(text, "it needs 60 answers, and there are 59");
+    }
+
+    #[test]
+    fn usage_is_lacking_if_only_chunks_are_counted() {
+        let lacks = |names: &[&'static str]| lacks_usage(names.iter().copied());
+        assert!(lacks(&["total", "output-chunks"]) && lacks(&["inference_output-chunks", "download-bytes"]));
+        assert!(!lacks(&["inference_output-chunks", "inference_output-tokens"]));
+        assert!(!lacks(&["total", "download-bytes"]), "no language model");
     }
 
     #[test]

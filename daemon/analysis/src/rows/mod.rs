@@ -166,6 +166,17 @@ impl Rows {
         &self.names
     }
 
+    /// Returns the columns that a user may mean by a name: the column with this name, or else all columns of nodes with this name, whose names
+    /// begin with those of their parents (`inference_output-chunks` for `output-chunks`).
+    pub fn columns_named(&self, name: &str) -> Vec<&str> {
+        let names = || self.names.iter().map(|column| &**column);
+        if let Some(exact) = names().find(|column| *column == name) {
+            return vec![exact];
+        }
+        let is_node = |column: &&str| column.strip_suffix(name).is_some_and(|parents| parents.ends_with('_'));
+        names().filter(is_node).collect()
+    }
+
     /// Returns the rows, in order.
     pub fn iter(&self) -> Iter<'_> {
         Iter { rows: self, indexes: 0..self.len() }

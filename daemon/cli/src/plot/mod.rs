@@ -29,11 +29,11 @@ pub(crate) struct Arguments {
     /// folder; figures of several runs in the folder on the command line, or in the current folder if several folders are given].
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Column of data.csv on the horizontal axis. For --kind length: the length [default: tokens, or download-bytes
-    /// without tokens]. For --kind histograms and --kind cumulative: the only column to draw.
+    /// Column of data.csv, or name of a node (output-chunks), on the horizontal axis. For --kind length: the length
+    /// [default: tokens, or download-bytes without tokens]. For --kind histograms and --kind cumulative: the only column to draw.
     #[arg(long, value_name = "COLUMN")]
     x: Option<String>,
-    /// Column of data.csv on the vertical axis, for --kind length and --kind paired: a latency [default: inference].
+    /// Column of data.csv, or name of a node, on the vertical axis, for --kind length and --kind paired: a latency [default: inference].
     #[arg(long, value_name = "COLUMN")]
     y: Option<String>,
 }

@@ -5,7 +5,9 @@ use super::columns::{count_note, heading, is_drawable, too_large_note, unit, wit
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Lengths, Unit};
-use peernet_analysis::answer_length::{Growth, LATENCY, answer_length, is_tokens, tokens_of_column, varies};
+use peernet_analysis::answer_length::{
+    Growth, LATENCY, NO_USAGE, answer_length, is_tokens, lacks_usage, tokens_of_column, varies,
+};
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{RowRef, Rows};
 
@@ -20,32 +22,39 @@ pub(super) fn drawings(
     rows: &Rows,
     columns: &Columns,
 ) -> Result<Vec<Drawing>, MissingData> {
-    let columns_with_values = rows.names().iter().filter(|name| rows.counted_values(name).next().is_some());
-    let x = columns
-        .x
-        .clone()
-        .unwrap_or_else(|| answer_length(columns_with_values.map(|name| &**name)).to_owned());
+    let columns_with_values = rows
+        .names()
+        .iter()
+        .map(|name| &**name)
+        .filter(|name| rows.counted_values(name).next().is_some())
+        .collect::<Vec<&str>>();
+    let x =
+        columns.x.clone().unwrap_or_else(|| answer_length(columns_with_values.iter().copied()).to_owned());
+    // Whoever names a column has decided on a length.
+    let lacks_usage = columns.x.is_none() && lacks_usage(columns_with_values.iter().copied());
+    let missing = |missing| if lacks_usage { MissingData::Usage { x: x.clone() } } else { missing };
     let y = columns.y.clone().unwrap_or_else(|| LATENCY.to_owned());
     let counted_rows = rows.iter().filter(|row| row.is_counted());
     let point = |row: RowRef<'_>| Some((row.value(&x)?, row.value(&y)?));
     let points: Vec<(f64, f64)> =
         counted_rows.filter_map(point).filter(|(x, y)| is_drawable(*x) && is_drawable(*y)).collect();
     if points.is_empty() {
-        return Err(MissingData::Columns { x, y });
+        return Err(missing(MissingData::Columns { x: x.clone(), y }));
     }
     let (shortest, longest) = points
         .iter()
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), (length, _)| (lo.min(*length), hi.max(*length)));
     if longest <= shortest {
-        return Err(MissingData::SameLength { x, length: shortest });
+        return Err(missing(MissingData::SameLength { x: x.clone(), length: shortest }));
     }
     if columns.x.is_none() && !varies(shortest, longest) {
-        return Err(MissingData::SimilarLength { x });
+        return Err(missing(MissingData::SimilarLength { x: x.clone() }));
     }
     let (x_unit, x_words) = match tokens_of_column(&x) {
         Some(tokens) => (Unit { title: heading(tokens), symbol: "".into(), per_si: 1.0 }, tokens),
         None => (unit(&record.units, &x, &heading(&x)), x.as_str()),
     };
+    let line = Growth::from_iterations(&points).and_then(|growth| growth.line());
     let lengths = Lengths {
         title: with_name(
             &format!("{} against {}", heading(&y), x_words.replace(['-', '_'], " ")),
@@ -56,8 +65,10 @@ pub(super) fn drawings(
         stage: y.clone(),
         notes: std::iter::once(count_note(&rows.iter(), points.len()))
             .chain(too_large_note(rows.iter(), &[x.as_str(), y.as_str()]))
+            .chain(line.err().map(|no_line| format!("no line: {no_line}")))
+            .chain(lacks_usage.then(|| NO_USAGE.to_owned()))
             .collect(),
-        line: Growth::from_iterations(&points).as_ref().and_then(Growth::line),
+        line: line.ok(),
         points,
     };
     Ok(vec![Drawing::new("length", AnyFigure::Lengths(lengths))])

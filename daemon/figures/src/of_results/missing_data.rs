@@ -4,6 +4,7 @@ use std::fmt;
 
 use crate::drawing::{MOST_GROUPS, MOST_SIDES};
 use peernet_analysis::accuracy::UnknownLabels;
+use peernet_analysis::answer_length::NO_USAGE;
 use peernet_analysis::quality::Quality;
 use peernet_statistics::number::counted;
 
@@ -29,6 +30,20 @@ pub enum MissingData {
         x: String,
         /// The column of the vertical axis.
         y: String,
+    },
+    /// Several columns belong to nodes with the name that was given.
+    #[error("the name {name} is that of several columns: {}; name one of them", .columns.join(", "))]
+    AmbiguousColumn {
+        /// The name that was given.
+        name: String,
+        /// The columns with this name.
+        columns: Vec<String>,
+    },
+    /// A language model's server reported no numbers of tokens, and the other measure of the length shows nothing.
+    #[error("the column {x} has no different lengths of answers: {NO_USAGE}")]
+    Usage {
+        /// The column of lengths.
+        x: String,
     },
     /// The length is the same in every iteration.
     #[error(

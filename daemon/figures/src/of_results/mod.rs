@@ -26,6 +26,7 @@ mod written_figures;
 pub use missing_data::MissingData;
 pub use written_figures::WrittenFigures;
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use peernet_analysis::WriteError;
@@ -115,13 +116,31 @@ impl Kind {
     }
 }
 
-/// Columns that the user chose. A kind uses its default for a column that is `None`.
+/// Columns that the user chose, by the name of the column or of its node ([`Rows::columns_named`]). A kind uses its default for a column
+/// that is `None`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Columns {
     /// Column of the horizontal axis: the column of a histogram or of a cumulative distribution, or the length of a response.
     pub x: Option<String>,
     /// Column of the vertical axis: a latency.
     pub y: Option<String>,
+}
+
+impl Columns {
+    /// Returns these columns by their names in `data.csv`. A name that no run has stays as it is, and the kind reports it.
+    fn resolve(&self, runs: &[Loaded]) -> Result<Self, MissingData> {
+        let resolve = |name: &Option<String>| {
+            let Some(name) = name else { return Ok(None) };
+            let columns: BTreeSet<&str> = runs.iter().flat_map(|run| run.rows.columns_named(name)).collect();
+            let mut columns: Vec<String> = columns.into_iter().map(str::to_owned).collect();
+            if columns.len() > 1 && !columns.contains(name) {
+                return Err(MissingData::AmbiguousColumn { name: name.clone(), columns });
+            }
+            // One run may have a column with just this name, and another run a longer one.
+            Ok(Some(if columns.len() == 1 { columns.swap_remove(0) } else { name.clone() }))
+        };
+        Ok(Self { x: resolve(&self.x)?, y: resolve(&self.y)? })
+    }
 }
 
 /// Error of a figure that was not drawn.
@@ -186,6 +205,8 @@ pub fn draw(
     folder: &Path,
 ) -> Result<WrittenFigures, PlotError> {
     let first = runs.first().ok_or(PlotError::Lacking(kind, MissingData::Runs))?;
+    let runs_drawn = if kind.is_of_one_run() { std::slice::from_ref(first) } else { runs };
+    let columns = &columns.resolve(runs_drawn).map_err(|missing| PlotError::Lacking(kind, missing))?;
     let drawings = match kind {
         Kind::Histograms => histograms::drawings(first, columns.x.as_deref()),
         Kind::Cumulative => cumulative::drawings(&first.record, &first.rows, columns.x.as_deref()),

@@ -59,6 +59,14 @@ async fn without_answers_of_different_length_there_is_no_panel() {
 }
 
 #[tokio::test]
+async fn panel_without_usage_has_remedy() {
+    let html = page_of(vec![talking(0, "output-chunks", &answered(80))]).await;
+    let panel = panel(&html);
+    assert!(panel.contains("the server sent no `usage`; use --x output-chunks with peernet plot"), "{panel}");
+    assert!(!panel.contains("<figure>"), "{panel}");
+}
+
+#[tokio::test]
 async fn configurations_beyond_six_are_named() {
     let html = page_of((0..9).map(|at| talking(at, "download-bytes", &answered(80))).collect()).await;
     let panel = panel(&html);

@@ -4,7 +4,9 @@ mod growth;
 #[cfg(test)]
 pub(crate) mod tests;
 
-use peernet_analysis::answer_length::{Growth, LATENCY, answer_length, is_tokens, varies};
+use peernet_analysis::answer_length::{
+    Growth, LATENCY, NO_USAGE, answer_length, is_tokens, lacks_usage, varies,
+};
 use peernet_figures::drawing::{BinnedAxis, Joint};
 use peernet_figures::look::stage;
 use peernet_figures::plot::Unit;
@@ -142,18 +144,42 @@ pub(crate) struct Lengths {
     pub rows: Vec<LengthRow>,
     /// Names of the configurations that are not drawn; `None` if all are drawn.
     pub others: Option<String>,
+    /// Sentence about the configurations whose servers reported no numbers of tokens; `None` if there are none.
+    pub without_usage: Option<String>,
     /// `true` if any plot has cells that count points.
     pub is_counted: bool,
 }
 
-/// Returns the configurations whose answers differ in length, on shared axes; `None` where there are none.
+/// Returns `A; B: the server sent no …`: the configurations with language models whose servers reported no numbers of tokens. `None` if there
+/// are none.
+fn without_usage(comparison: &Comparison) -> Option<String> {
+    let lacking = |one: &&Configuration| {
+        lacks_usage(one.stages.iter().map(|statistics: &StageStatistics| statistics.stage.as_str()))
+    };
+    let names: Vec<&str> =
+        comparison.configurations.iter().filter(lacking).map(|one| one.name.as_str()).collect();
+    (!names.is_empty()).then(|| {
+        format!("{}: {NO_USAGE} with peernet plot --kind length on the files of the runs.", names.join("; "))
+    })
+}
+
+/// Returns the configurations whose answers differ in length, on shared axes, and those whose lengths are not counted in tokens although they
+/// could be. `None` where there are neither.
 pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Lengths> {
     let mut varying = VaryingLengths::all(comparison);
     let not_drawn = varying.split_off(varying.len().min(MAX_CONFIGURATIONS));
-    let up = BinnedAxis::from_zero(
+    let without_usage = without_usage(comparison);
+    let Some(up) = BinnedAxis::from_zero(
         varying.iter().map(|varying_configuration| varying_configuration.latencies),
         Unit::symbol("ms", 1e3),
-    )?;
+    ) else {
+        return without_usage.map(|sentence| Lengths {
+            rows: Vec::new(),
+            others: None,
+            without_usage: Some(sentence),
+            is_counted: false,
+        });
+    };
     let row = |varying_configuration: &VaryingLengths<'_>| {
         let same_unit = || {
             varying
@@ -167,26 +193,29 @@ pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Le
         let sample = answers.iter().find(|sample| sample.name == varying_configuration.configuration.name);
         let sample = sample.cloned().unwrap_or_default();
         let growth = Growth::from_iterations(&sample.points);
-        let slope = growth.as_ref().map(|growth| sentence(growth, what, each));
+        let slope = match &growth {
+            Ok(growth) => sentence(growth, what, each),
+            Err(no_line) => format!("No line: {no_line}."),
+        };
         let medians = medians_sentence(varying_configuration);
         let joint = Joint {
             stage: stage(LATENCY),
             points: &sample.points,
             x: (&across, varying_configuration.lengths),
             y: (&up, varying_configuration.latencies),
-            line: growth.as_ref().and_then(Growth::line),
+            line: growth.ok().and_then(|growth| growth.line().ok()),
         };
         let label = format!(
             "{}: inference against the length of the answer. {medians}",
             varying_configuration.configuration.name
         );
-        let label = slope.iter().fold(label, |label, slope| format!("{label} {slope}"));
+        let label = format!("{label} {slope}");
         Some(LengthRow {
             name: varying_configuration.configuration.name.clone(),
             plot: Picture::of_plot(&joint.plot(), "joint", &label),
             is_counted: joint.has_cells(),
-            sentences: std::iter::once(medians)
-                .chain(slope)
+            sentences: [medians, slope]
+                .into_iter()
                 .chain([amount(varying_configuration, &sample)])
                 .chain(beyond(varying_configuration, (&across, &up)))
                 .collect(),
@@ -200,6 +229,7 @@ pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Le
     Some(Lengths {
         is_counted: rows.iter().any(|row| row.is_counted),
         others: (!others.is_empty()).then(|| others.join("; ")),
+        without_usage,
         rows,
     })
 }

@@ -1,5 +1,6 @@
 use std::sync::Arc;
 
+use peernet_analysis::answer_length::NoLine;
 use peernet_logger::{Name, stage};
 use peernet_statistics::SplitMix64;
 use peernet_store::{MergeableStatistics, QuantityStatistics};
@@ -116,18 +117,44 @@ fn sample_has_number_of_all_and_deleted_iterations() {
 fn too_few_or_flat_points_give_no_growth() {
     let sentence =
         |points: &[(f64, f64)]| Growth::from_iterations(points).map(|growth| sentence(&growth, "kB", 1e3));
-    assert_eq!(sentence(&answered(59)), None, "too few");
+    assert_eq!(sentence(&answered(59)), Err(NoLine::Answers(59)));
     let equal_lengths: Vec<(f64, f64)> =
         answered(60).iter().map(|(x, y)| (f64::from(*x > 30.0 && *x < 32.0), *y)).collect();
-    assert_eq!(sentence(&equal_lengths), None, "one other length tells nothing");
+    assert_eq!(sentence(&equal_lengths), Err(NoLine::Lengths(60)), "one other length tells nothing");
     let flat: Vec<(f64, f64)> =
         (0..400).map(|n| (f64::from(n % 97), 0.1 + 0.01 * (f64::from(n) * 1.7).sin())).collect();
     let text = sentence(&flat).expect("enough");
     assert!(text.starts_with("Whether longer answers take longer cannot be told: \u{2212}"), "{text}");
-    assert_eq!(Growth::from_iterations(&flat).and_then(|growth| growth.line()), None);
+    assert_eq!(Growth::from_iterations(&flat).and_then(|growth| growth.line()), Err(NoLine::Slope(400)));
     let falling: Vec<(f64, f64)> = answered(400).iter().map(|(x, y)| (320.0 - x, *y)).collect();
     let text = sentence(&falling).expect("enough");
     assert!(text.starts_with("Each further kB takes ") && text.contains("\u{202f}ms less (95"), "{text}");
+}
+
+#[test]
+fn missing_line_is_explained_with_numbers() {
+    let points = answered(37);
+    let one = comparison(vec![talking(0, "tokens", &points)]);
+    let found = lengths(&one, &with(points, true)).expect("lengths");
+    let sentences = &found.rows[0].sentences;
+    assert_eq!(sentences[1], "No line: it needs 60 answers, and there are 37.");
+    assert_eq!(sentences[2], "All 37 iterations.");
+}
+
+#[test]
+fn server_without_usage_is_named_with_remedy() {
+    let points = answered(80);
+    let chunks = talking(0, "output-chunks", &points);
+    let found = lengths(&comparison(vec![chunks]), &[]).expect("a sentence");
+    assert!(found.rows.is_empty());
+    assert_eq!(
+        found.without_usage.as_deref(),
+        Some(
+            "A: the server sent no `usage`; use --x output-chunks with peernet plot --kind length on the files of the runs."
+        )
+    );
+    let counted = comparison(vec![talking(0, "output-tokens", &points)]);
+    assert_eq!(lengths(&counted, &[]).expect("lengths").without_usage, None);
 }
 
 /// Uniform from 0 to 1, ends excluded.
