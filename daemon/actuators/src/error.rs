@@ -42,6 +42,9 @@ pub enum ActuatorError {
     /// The answer cannot be published on the topic.
     #[error(transparent)]
     Topic(#[from] TopicError),
+    /// Answers would not be published on the topic at present.
+    #[error("{0}")]
+    NotPublished(String),
     /// The answer is not text, and the topic carries only text.
     #[error("cannot publish an answer of the type {media} as text on topic {topic}; set type = \"{bytes}\"")]
     NotText {

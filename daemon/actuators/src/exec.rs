@@ -217,7 +217,9 @@ mod tests {
     fn missing_command_is_found_by_check() {
         let config = ExecConfig::new(CommandLine::Words(vec!["no-such-program-anywhere".to_owned()]));
         let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
-        let error = ActuatorConfig::Exec(config).check(&clock).expect_err("is not there").to_string();
+        let config = ActuatorConfig::Exec(config);
+        let error = config.check(&clock).expect_err("is not there").to_string();
         assert!(error.contains("no-such-program-anywhere"), "{error}");
+        assert_eq!(config.try_build(&clock).expect_err("is not there").to_string(), error, "in a trial, too");
     }
 }

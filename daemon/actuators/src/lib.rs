@@ -68,13 +68,13 @@ pub trait ActuatorKind {
     /// If its program cannot be started.
     fn build(&self, clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError>;
 
-    /// Creates what the actuator is and drops it again, without an action, to find errors of the user's code. Most kinds have nothing
-    /// that [`check`](Self::check) does not find.
+    /// Finds what would prevent actions now, as far as that is possible without acting: creates the user's object, connects to the
+    /// controller, or asks the ROS master, and ends again. May block for some seconds.
     ///
     /// # Errors
-    /// Those of [`build`](Self::build).
-    fn try_build(&self, _clock: &SharedClock) -> Result<(), ActuatorError> {
-        Ok(())
+    /// Those of [`check`](Self::check), and everything that would make each action fail now.
+    fn try_build(&self, clock: &SharedClock) -> Result<(), ActuatorError> {
+        self.check(clock)
     }
 
     /// Returns whether answers are acted on at all.
@@ -112,10 +112,10 @@ pub trait ActuatorKind {
         Ok(())
     }
 
-    /// Returns conditions that are not errors but prevent actions now, as texts. May ask other hosts for some
-    /// seconds.
-    fn remarks(&self) -> Vec<String> {
-        Vec::new()
+    /// Returns conditions that prevent actions now although [`check`](Self::check) finds no error, as texts. May ask other hosts for
+    /// some seconds. Runs no code of the user.
+    fn remarks(&self, clock: &SharedClock) -> Vec<String> {
+        self.try_build(clock).err().map(|error| error.to_string()).into_iter().collect()
     }
 }
 

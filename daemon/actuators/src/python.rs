@@ -26,6 +26,11 @@ impl ActuatorKind for PythonConfig {
         self.build(clock).map(drop)
     }
 
+    // Creating the object would run code of the user.
+    fn remarks(&self, _clock: &SharedClock) -> Vec<String> {
+        Vec::new()
+    }
+
     fn ends_episodes(&self) -> bool {
         true
     }

@@ -90,11 +90,11 @@ impl ActuatorKind for RosActuatorConfig {
         self.check_topic_and_type().map(drop)
     }
 
-    fn remarks(&self) -> Vec<String> {
-        let Ok((version, message_type)) = self.check_topic_and_type() else { return Vec::new() };
-        match check_topic_at_master(version, &self.topic, Some(&message_type), TopicAccess::Write) {
-            Ok(remark) => remark.into_iter().collect(),
-            Err(error) => vec![error.to_string()],
+    fn try_build(&self, _clock: &SharedClock) -> Result<(), ActuatorError> {
+        let (version, message_type) = self.check_topic_and_type()?;
+        match check_topic_at_master(version, &self.topic, Some(&message_type), TopicAccess::Write)? {
+            Some(reason) => Err(ActuatorError::NotPublished(reason)),
+            None => Ok(()),
         }
     }
 }

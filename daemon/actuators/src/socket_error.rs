@@ -14,6 +14,16 @@ pub enum SocketError {
         /// The configured timeout, milliseconds.
         timeout_ms: NonZeroU64,
     },
+    /// The host of the controller has no known address.
+    #[error(
+        "cannot resolve the host of the controller at {address}: {error}; correct the name in address, or write the IP address"
+    )]
+    Resolve {
+        /// Address of the controller.
+        address: String,
+        /// Error of the resolver.
+        error: io::Error,
+    },
     /// The controller cannot be connected to.
     #[error("cannot connect to the controller at {address}: {error}; is it running?")]
     Connect {

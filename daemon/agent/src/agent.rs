@@ -73,8 +73,9 @@ impl Agent {
     }
 
     /// Returns remarks about settings that are valid but may surprise, such as a limit that the warm-up uses up.
-    pub fn remarks(config: &AgentConfig) -> Vec<Problem> {
-        remarks(config)
+    /// Blocks for some seconds if sensors and actuators query other hosts; `clock` is the clock of their deadlines.
+    pub fn remarks(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
+        remarks(config, clock)
     }
 
     /// Starts the agent: opens its ports and starts its pipelines. `version` is the program's version as shown to

@@ -149,7 +149,7 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
 
 /// Returns remarks about valid settings that may have unexpected effects. May block for some seconds, because some
 /// sensors and actuators query other hosts.
-pub(crate) fn remarks(config: &AgentConfig) -> Vec<Problem> {
+pub(crate) fn remarks(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     let mut report = Report::default();
     // No error: the models of the folders may be missing now, and may never be requested.
     let folders = ModelFolders::new(config.bank.folders.iter().cloned());
@@ -171,7 +171,7 @@ pub(crate) fn remarks(config: &AgentConfig) -> Vec<Problem> {
         for remark in pipeline.sensor.iter().flat_map(SensorKind::remarks) {
             report.add(format!("pipeline[{index}].sensor"), remark);
         }
-        for remark in pipeline.actuator.remarks() {
+        for remark in pipeline.actuator.remarks(clock) {
             report.add(format!("pipeline[{index}].actuator"), remark);
         }
     }

@@ -65,7 +65,8 @@ impl Connection {
             _ => SocketError::Connect { address: address.to_string(), error },
         };
         let mut last = io::Error::new(ErrorKind::NotFound, "the host has no address");
-        for resolved in address.host_and_port.to_socket_addrs().map_err(failed)? {
+        let resolving = |error: io::Error| SocketError::Resolve { address: address.to_string(), error };
+        for resolved in address.host_and_port.to_socket_addrs().map_err(resolving)? {
             match open_channel(address.protocol, resolved, deadline) {
                 Ok(channel) => {
                     return Ok(Self { address: address.to_string(), channel, received: Vec::new() });

@@ -36,11 +36,17 @@ const fn one_second() -> NonZeroU64 {
     NonZeroU64::new(1000).expect("above 0")
 }
 
+impl SocketConfig {
+    fn unconnected(&self, clock: &SharedClock) -> Socket {
+        Socket { config: self.clone(), clock: SharedClock::clone(clock), connection: None }
+    }
+}
+
 impl ActuatorKind for SocketConfig {
     /// Connects now, so that the first action does not wait for it. If that fails, each action tries again.
     fn build(&self, clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError> {
         self.check(clock)?;
-        let mut socket = Socket { config: self.clone(), clock: SharedClock::clone(clock), connection: None };
+        let mut socket = self.unconnected(clock);
         match Connection::open(&self.address, &socket.deadline()) {
             Ok(connection) => socket.connection = Some(connection),
             Err(error) => {
@@ -48,6 +54,12 @@ impl ActuatorKind for SocketConfig {
             }
         }
         Ok(Box::new(socket))
+    }
+
+    /// Resolves the controller's host; over TCP it also connects, without a line, and closes the connection.
+    fn try_build(&self, clock: &SharedClock) -> Result<(), ActuatorError> {
+        self.check(clock)?;
+        Ok(Connection::open(&self.address, &self.unconnected(clock).deadline()).map(drop)?)
     }
 
     fn ends_episodes(&self) -> bool {

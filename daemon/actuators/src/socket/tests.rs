@@ -202,6 +202,34 @@ fn missing_controller_fails_each_action() {
 }
 
 #[test]
+fn trial_connects_without_acting() {
+    let (address, serving) = tcp_controller(1, |_, mut stream| {
+        let mut sent = Vec::new();
+        stream.read_to_end(&mut sent).expect("is closed");
+        assert_eq!(sent, b"", "no action");
+    });
+    let config = |address: &str| -> ActuatorConfig {
+        toml::from_str(&format!("kind = 'socket'\naddress = '{address}'")).expect("reads")
+    };
+    config(&address).try_build(&clock()).expect("the controller listens");
+    serving.join().expect("was connected to");
+    let closed = config(&address);
+    let error = closed.try_build(&clock()).expect_err("the port is closed").to_string();
+    assert!(error.starts_with(&format!("cannot connect to the controller at {address}: ")), "{error}");
+    assert_eq!(closed.remarks(&clock()), [error], "a check and a trial say the same");
+    closed.check(&clock()).expect("nothing contradicts itself");
+
+    let port = UdpSocket::bind("127.0.0.1:0").expect("there is a port").local_addr().expect("it has one");
+    config(&format!("udp://{port}")).try_build(&clock()).expect("a datagram could be sent");
+    let unknown = config("udp://no-such-host.invalid:9000");
+    let error = unknown.try_build(&clock()).expect_err("RFC 6761 reserves the name").to_string();
+    assert!(
+        error.contains("udp://no-such-host.invalid:9000") && error.contains("correct the name"),
+        "{error}"
+    );
+}
+
+#[test]
 fn timeout_above_a_day_is_refused() {
     let config = "kind = 'socket'\naddress = 'udp://arm:9000'\ntimeout_ms = 86400001";
     let config: ActuatorConfig = toml::from_str(config).expect("reads");

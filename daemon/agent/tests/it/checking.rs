@@ -206,7 +206,7 @@ fn actuator_of_sensor_alone_is_refused() {
         found[1].starts_with("pipeline[1].sensor: ") && found[1].contains("no-such-program"),
         "{found:#?}"
     );
-    let remarks: Vec<_> = Agent::remarks(&alone).iter().map(ToString::to_string).collect();
+    let remarks: Vec<_> = Agent::remarks(&alone, &clock("system")).iter().map(ToString::to_string).collect();
     assert_eq!(remarks.len(), 1, "{remarks:#?}");
     assert!(remarks[0].starts_with("pipeline[0].limit.total: all 5 iterations are warm-up"), "{remarks:#?}");
 }
@@ -217,7 +217,7 @@ fn missing_onnx_runtime_of_bank_is_remark() {
     let remarks = |bank: &str| -> Vec<String> {
         let text = format!("[agent]\nname = 'cloud'\n[onnxruntime]\nlibrary = '/nowhere/lib.so'\n{bank}");
         let config: peernet_agent::AgentConfig = toml::from_str(&text).expect("a configuration");
-        Agent::remarks(&config).iter().map(ToString::to_string).collect()
+        Agent::remarks(&config, &clock("system")).iter().map(ToString::to_string).collect()
     };
     let found = remarks(&format!("[bank]\nfolders = ['{models}']"));
     assert_eq!(found.len(), 1, "{found:#?}");

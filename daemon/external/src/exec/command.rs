@@ -6,6 +6,7 @@ use std::fmt;
 use std::num::NonZeroU64;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 
 use peernet_clock::Span;
 use serde::{Deserialize, Serialize};
@@ -15,7 +16,7 @@ use super::error::CommandError;
 use super::shell::{script, single_program, split};
 use super::{FingerprintKey, Role};
 use crate::digest;
-use crate::process::{MAX_TIMEOUT_MS, find_program, invalid_variable};
+use crate::process::{MAX_TIMEOUT_MS, find_program, invalid_variable, is_executable};
 
 /// Largest number of a command's files that are recorded as facts.
 const MAX_RECORDED_FILES: usize = 4;
@@ -91,8 +92,9 @@ impl ExecConfig {
             CommandLine::Shell(line) if line.trim().is_empty() => Err(CommandError::Empty),
             CommandLine::Shell(line) => match single_program(line) {
                 // A name without a slash may be a builtin command of the shell.
-                Some(program) if program.contains('/') => self.check_program(program),
-                _ => Ok(()),
+                Some(program) if self.is_shell_command(program) => Ok(()),
+                Some(program) => self.check_program(program),
+                None => Ok(()),
             },
             CommandLine::Words(words) => match words.first() {
                 None => Err(CommandError::Empty),
@@ -154,11 +156,29 @@ impl ExecConfig {
             .collect()
     }
 
-    /// Checks that a program exists.
+    /// Returns whether the shell itself has a command of this name, or finds it with the program's environment. Runs the shell only.
+    fn is_shell_command(&self, name: &str) -> bool {
+        let is_name = !name.contains('/') && find_program(OsStr::new(name)).is_none();
+        is_name
+            && Command::new("sh")
+                .args(["-c", "command -v \"$0\"", name])
+                .envs(&self.env)
+                .stdin(Stdio::null())
+                .stdout(Stdio::null())
+                .stderr(Stdio::null())
+                .status()
+                .is_ok_and(|status| status.success())
+    }
+
+    /// Checks that a program exists and can be executed.
     fn check_program(&self, program: &str) -> Result<(), CommandError> {
         if program.contains('/') {
             let path = self.folder.as_deref().unwrap_or(Path::new("")).join(program);
-            return if path.is_file() { Ok(()) } else { Err(CommandError::NoFile(path)) };
+            return match path.is_file() {
+                true if is_executable(&path) => Ok(()),
+                true => Err(CommandError::NotExecutable(path)),
+                false => Err(CommandError::NoFile(path)),
+            };
         }
         let program_in_path = find_program(OsStr::new(program)).map(drop);
         program_in_path.ok_or_else(|| CommandError::NotInPath(program.to_owned()))
@@ -317,6 +337,24 @@ mod tests {
     }
 
     #[test]
+    fn file_without_permission_to_execute_is_refused() {
+        let folder = tempfile::tempdir().expect("a folder");
+        std::fs::write(folder.path().join("act.sh"), "#!/bin/sh\n").expect("writable");
+        let check = |command: &str| {
+            let config = read(&format!("command = {command}\nfolder = {:?}", folder.path())).expect("reads");
+            config.check_for(Role::Actuator)
+        };
+        for command in ["['./act.sh']", "'./act.sh --fast'"] {
+            let error = check(command).expect_err("cannot be executed").to_string();
+            assert!(error.contains("act.sh is not executable; run chmod +x "), "{error}");
+        }
+        let permissions = std::fs::Permissions::from_mode(0o755);
+        std::fs::set_permissions(folder.path().join("act.sh"), permissions).expect("can be set");
+        assert_eq!(check("['./act.sh']"), Ok(()));
+        assert_eq!(check("'shift 1'"), Ok(()), "a builtin command of the shell");
+    }
+
+    #[test]
     fn unrunnable_command_is_found_by_check() {
         for (text, part) in [
             ("command = ''", "empty"),
@@ -324,6 +362,7 @@ mod tests {
             ("command = ['no-such-program-anywhere']", "PATH"),
             ("command = ['./no/such/program']", "./no/such/program"),
             ("command = './no/such/program --fast'", "no program ./no/such/program"),
+            ("command = 'no-such-program-anywhere --fast'", "PATH; install it"),
             ("command = 'x'\nfolder = '/no/such/folder'", "/no/such/folder"),
             ("command = 'x'\nenv = { 'a=b' = 'c' }", "a=b"),
             ("command = 'x'\ntimeout_ms = 86400001", "86400000"),

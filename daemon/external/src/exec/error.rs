@@ -104,10 +104,13 @@ pub enum CommandError {
         program: String,
     },
     /// The path of the program leads to no file.
-    #[error("there is no program {}", .0.display())]
+    #[error("there is no program {}; correct its path, which is relative to the key folder", .0.display())]
     NoFile(PathBuf),
+    /// The file of the program cannot be executed.
+    #[error("the program {path} is not executable; run chmod +x {path}", path = .0.display())]
+    NotExecutable(PathBuf),
     /// The program is not in the folders of `PATH`.
-    #[error("there is no program {0} in the folders of PATH")]
+    #[error("there is no program {0} in the folders of PATH; install it, or write its path")]
     NotInPath(String),
 }
 

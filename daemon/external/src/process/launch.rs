@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::env;
 use std::ffi::{OsStr, OsString};
 use std::fs::File;
+use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -83,11 +84,19 @@ pub(crate) fn invalid_variable(environment: &BTreeMap<String, String>) -> Option
     environment.iter().find(is_invalid).map(|(name, _)| name.as_str())
 }
 
-/// Returns the file of a program: `name` itself if it is a path, otherwise the first file of that name in the folders
-/// of `PATH`.
+/// Returns the file of a program: `name` itself if it is a path to a file, otherwise the first executable file of that name in the
+/// folders of `PATH`.
 pub fn find_program(name: &OsStr) -> Option<PathBuf> {
     if Path::new(name).components().count() > 1 {
         return Some(PathBuf::from(name)).filter(|path| path.is_file());
     }
-    env::split_paths(&env::var_os("PATH")?).map(|folder| folder.join(name)).find(|path| path.is_file())
+    env::split_paths(&env::var_os("PATH")?).map(|folder| folder.join(name)).find(|path| is_executable(path))
 }
+
+/// Returns whether a path leads to a file that anybody may execute.
+pub(crate) fn is_executable(path: &Path) -> bool {
+    path.metadata().is_ok_and(|file| file.is_file() && file.permissions().mode() & EXECUTE != 0)
+}
+
+/// Permission bits: owner, group or others may execute the file.
+const EXECUTE: u32 = 0o111;

@@ -18,8 +18,8 @@ mod spawner;
 mod stderr_log;
 
 pub use error::ProcessError;
-pub(crate) use launch::invalid_variable;
 pub use launch::{Launch, find_program};
+pub(crate) use launch::{invalid_variable, is_executable};
 pub use process_end::{Fault, ProcessEnd};
 pub use restart_backoff::RestartBackoff;
 pub use running::Process;

@@ -1,5 +1,6 @@
 //! The command `peernetd check`.
 
+use std::fmt::Display;
 use std::path::PathBuf;
 
 use peernet_agent::Agent;
@@ -18,8 +19,19 @@ pub(crate) fn check(files: &[PathBuf]) -> Exit {
                 for line in &configuration.deprecated {
                     print_to_stdout(format_args!("deprecated: {line}"));
                 }
-                for remark in configuration.agent.iter().flat_map(Agent::remarks) {
-                    print_to_stdout(format_args!("{}: note: {remark}", file.display()));
+                let note = |text: &dyn Display| {
+                    print_to_stdout(format_args!("{}: note: {text}", file.display()));
+                };
+                match configuration.clock() {
+                    Ok(clock) => {
+                        let agent = configuration.agent.iter();
+                        agent
+                            .flat_map(|agent| Agent::remarks(agent, &clock))
+                            .for_each(|remark| note(&remark));
+                    }
+                    Err(error) => {
+                        note(&format_args!("the other hosts were not asked: cannot read the clock: {error}"));
+                    }
                 }
             }
             Err(problems) => {

@@ -75,6 +75,12 @@ fn trial_finds_mistakes_of_python_objects() {
         &experiment.replace("arm::Motor", "arm::Moter"),
         &["the actuator cannot be created: ", "arm::Moter"],
     );
+    wrong(
+        &objects,
+        &experiment
+            .replace(without_actuator, "actuator = { kind = \"socket\", address = \"tcp://127.0.0.1:1\" }"),
+        &["the actuator cannot be created: ", "cannot connect to the controller at tcp://127.0.0.1:1"],
+    );
     let needs_action = "            return {\"position\": self.position}";
     wrong(
         &objects.replacen(needs_action, "            raise RuntimeError('no action yet')", 1),
