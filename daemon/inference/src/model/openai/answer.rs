@@ -138,7 +138,7 @@ impl StreamedAnswer {
             return Ok(());
         }
         self.event_count += 1;
-        let event: EventData = serde_json::from_str(data)
+        let event: EventData<'_> = serde_json::from_str(data)
             .map_err(|error| StreamError::Event { number: self.event_count, reason: error.to_string() })?;
         if let Some(error) = &event.error {
             return Err(StreamError::Server { after: self.chunk_count(), text: error_text(error) });

@@ -2,16 +2,20 @@
 //!
 //! Servers differ, so every field may be missing or null, and unknown fields are ignored.
 
+use std::collections::BTreeMap;
+
 use serde::Deserialize;
 use serde_json::Value;
+use serde_json::value::RawValue;
 
 /// Data of one event.
 #[derive(Debug, Default, Deserialize)]
-pub(super) struct EventData {
+pub(super) struct EventData<'a> {
     pub(super) choices: Option<Vec<Choice>>,
     /// Number of tokens of the whole answer in the last event; some servers send the number so far in each event.
-    // A count that cannot be read must not make the text of the answer unreadable.
-    pub(super) usage: Option<Value>,
+    // A count that cannot be read must not make the text of the answer unreadable. `Value` cannot hold 1e999.
+    #[serde(borrow)]
+    pub(super) usage: Option<&'a RawValue>,
     /// Error that ended the answer.
     pub(super) error: Option<Value>,
 }
@@ -36,6 +40,8 @@ pub(super) struct Delta {
     reasoning: Option<String>,
 }
 
+/// JSON of a missing value.
+const NULL: &str = "null";
 /// Largest number of tokens: floating-point numbers have all integers up to it.
 const MAX_TOKENS: u64 = 1 << 53;
 
@@ -69,16 +75,16 @@ impl Delta {
 impl Usage {
     /// Reads the object `usage`. A value that cannot be a number of tokens is left out; the first one is returned as text, such as
     /// `completion_tokens = -5`.
-    pub(super) fn read(usage: &Value) -> (Self, Option<String>) {
-        if !usage.is_object() {
+    pub(super) fn read(usage: &RawValue) -> (Self, Option<String>) {
+        let Some(table) = members(usage) else {
             return (Self::default(), Some(format!("usage = {usage}")));
-        }
+        };
         let mut defect = None;
         let mut count = |group: Option<&str>, name: &str| {
-            let table = group.map_or(Some(usage), |group| usage.get(group));
-            let value = table.and_then(|table| table.get(name)).filter(|value| !value.is_null())?;
-            let tokens = value.as_u64().filter(|tokens| *tokens <= MAX_TOKENS);
-            if tokens.is_none() {
+            let details = group.map(|group| table.get(group).and_then(|details| members(details)));
+            let value = details.as_ref().map_or(Some(&table), Option::as_ref)?.get(name)?.get();
+            let tokens = value.parse().ok().filter(|tokens| *tokens <= MAX_TOKENS);
+            if tokens.is_none() && value != NULL {
                 defect.get_or_insert_with(|| format!("{name} = {value}"));
             }
             tokens
@@ -102,6 +108,11 @@ impl Usage {
         }
         (read, defect)
     }
+}
+
+/// Returns the members of an object, unread; `None` if the value is no object.
+fn members(value: &RawValue) -> Option<BTreeMap<String, &RawValue>> {
+    serde_json::from_str(value.get()).ok()
 }
 
 /// Returns the text of a server's error: `message` of the object `error`, `error` itself, or the whole text.
@@ -168,7 +179,17 @@ mod tests {
                 Some("completion_tokens = 9007199254740993"),
             ),
             (r#"{"prompt_tokens":"12"}"#, Usage::default(), Some("prompt_tokens = \"12\"")),
-            (r#"{"completion_tokens":1e30}"#, Usage::default(), Some("completion_tokens = 1e+30")),
+            (r#"{"completion_tokens":1e30}"#, Usage::default(), Some("completion_tokens = 1e30")),
+            (
+                r#"{"prompt_tokens":12,"completion_tokens":1e999}"#,
+                Usage { completion_tokens: None, ..whole },
+                Some("completion_tokens = 1e999"),
+            ),
+            (
+                r#"{"prompt_tokens":1.5,"completion_tokens":5}"#,
+                Usage { prompt_tokens: None, ..whole },
+                Some("prompt_tokens = 1.5"),
+            ),
             ("[12]", Usage::default(), Some("usage = [12]")),
             (
                 r#"{"prompt_tokens":12,"completion_tokens":5,"completion_tokens_details":{"reasoning_tokens":99}}"#,
@@ -181,7 +202,7 @@ mod tests {
                 Some("cached_tokens = 13 of prompt_tokens = 12"),
             ),
         ] {
-            let read = Usage::read(&serde_json::from_str(usage).expect("is JSON"));
+            let read = Usage::read(serde_json::from_str(usage).expect("is JSON"));
             assert_eq!(read, (expected, defect.map(str::to_owned)), "{usage}");
         }
     }
@@ -193,8 +214,9 @@ mod tests {
             r#"{"choices":null,"usage":null}"#,
             r#"{"choices":[{"delta":{"content":null},"finish_reason":null}]}"#,
             r#"{"choices":[{}],"usage":{"prompt_tokens_details":null}}"#,
+            r#"{"choices":[{}],"usage":{"completion_tokens":1e999}}"#,
         ] {
-            serde_json::from_str::<EventData>(data).unwrap_or_else(|error| panic!("{data}: {error}"));
+            serde_json::from_str::<EventData<'_>>(data).unwrap_or_else(|error| panic!("{data}: {error}"));
         }
     }
 }
