@@ -7,6 +7,9 @@ use std::time::Duration;
 /// Bounded first-in first-out queue with several producers and consumers.
 ///
 /// At most `capacity` items wait. Each idle consumer allows one more item, because it takes the item at once.
+///
+/// An item is *unfinished* from [`push`](Self::push) until [`finish`](Self::finish). A consumer that collects items waits only while fewer
+/// items are unfinished than the producers had at once before: producers that wait for an answer add nothing.
 // Channels of the standard library and of tokio do not count idle consumers.
 pub(crate) struct Queue<T> {
     capacity: usize,
@@ -18,6 +21,10 @@ struct State<T> {
     waiting: VecDeque<T>,
     /// Number of items that idle consumers take as soon as the items arrive.
     idle: usize,
+    /// Number of items that were added and are not finished.
+    unfinished: usize,
+    /// Number of unfinished items at which a consumer waits for no further one: the largest number since a consumer last waited in vain.
+    expected: usize,
     closed: bool,
 }
 
@@ -30,7 +37,9 @@ pub(crate) enum Rejection {
 
 impl<T> Queue<T> {
     pub(crate) fn new(capacity: usize) -> Self {
-        let state = State { waiting: VecDeque::new(), idle: 0, closed: false };
+        // Nothing is known about the producers yet, so the first batch waits.
+        let expected = usize::MAX;
+        let state = State { waiting: VecDeque::new(), idle: 0, unfinished: 0, expected, closed: false };
         Self { capacity, state: Mutex::new(state), changed: Condvar::new() }
     }
 
@@ -65,9 +74,17 @@ impl<T> Queue<T> {
             return Err((item, Rejection::Full));
         }
         state.waiting.push_back(item);
+        state.unfinished += 1;
+        state.expected = state.expected.max(state.unfinished);
+        let is_last_expected = state.unfinished >= state.expected;
         // This comes before the notification, so that the woken consumer does not wait for the lock.
         drop(state);
-        self.changed.notify_one();
+        if is_last_expected {
+            // An idle consumer may take the item, and another one may collect a batch that need not wait any more.
+            self.changed.notify_all();
+        } else {
+            self.changed.notify_one();
+        }
         Ok(())
     }
 
@@ -77,7 +94,15 @@ impl<T> Queue<T> {
         let (removed, kept) =
             std::mem::take(&mut state.waiting).into_iter().partition(|item| is_removed(item));
         state.waiting = kept;
+        state.unfinished = state.unfinished.saturating_sub(removed.len());
         removed.into()
+    }
+
+    /// Counts items that were taken as finished. Call this before their producers learn the results: a producer that adds its next item
+    /// would otherwise count twice.
+    pub(crate) fn finish(&self, count: usize) {
+        let mut state = self.lock();
+        state.unfinished = state.unfinished.saturating_sub(count);
     }
 
     /// Waits for the next item; returns `None` once the queue is closed.
@@ -91,17 +116,22 @@ impl<T> Queue<T> {
         if state.closed { None } else { state.waiting.pop_front() }
     }
 
-    /// Adds waiting items to `items` until there are `size`. Waits at most `timeout` for more of them, and takes none if the queue
-    /// is closed.
+    /// Adds waiting items to `items` until there are `size`. Waits at most `timeout` for more of them, and only while more are expected.
+    /// Takes none if the queue is closed.
     pub(crate) fn pop_more(&self, items: &mut Vec<T>, size: usize, timeout: Duration) {
         let missing = size.saturating_sub(items.len());
         let mut state = self.lock();
         // This consumer takes all missing items as soon as they arrive, so the queue admits as many more items.
         state.idle += missing;
-        let is_short = |state: &mut State<T>| state.waiting.len() < missing && !state.closed;
+        let is_short = |state: &mut State<T>| {
+            state.waiting.len() < missing && state.unfinished < state.expected && !state.closed
+        };
         let waited = self.changed.wait_timeout_while(state, timeout, is_short);
-        let (mut state, _) = waited.unwrap_or_else(PoisonError::into_inner);
+        let (mut state, wait) = waited.unwrap_or_else(PoisonError::into_inner);
         state.idle -= missing;
+        if wait.timed_out() {
+            state.expected = state.unfinished;
+        }
         if state.closed {
             return;
         }
@@ -173,6 +203,39 @@ mod tests {
         let mut items = vec!['a'];
         queue.pop_more(&mut items, 3, hour);
         assert_eq!(items, ['a'], "a closed queue does not wait");
+    }
+
+    #[test]
+    fn batch_waits_only_while_more_items_are_expected() {
+        let (hour, moment) = (Duration::from_secs(3600), Duration::from_millis(1));
+        let queue = Queue::new(8);
+        let take = |timeout: Duration| {
+            let mut items = vec![queue.pop().expect("is open")];
+            queue.pop_more(&mut items, 4, timeout);
+            items
+        };
+        queue.push('a').expect("has room");
+        assert_eq!(take(moment), ['a'], "the first batch waits in vain");
+        queue.finish(1);
+        queue.push('a').expect("has room");
+        assert_eq!(take(hour), ['a'], "the only producer has its item in the batch");
+        queue.push('b').expect("has room");
+        assert_eq!(take(hour), ['b'], "`a` is computed by another worker");
+        queue.finish(2);
+        queue.push('b').expect("has room");
+        queue.push('a').expect("has room");
+        assert_eq!(take(hour), ['b', 'a'], "both producers have theirs");
+        queue.finish(2);
+        queue.push('a').expect("has room");
+        assert_eq!(take(moment), ['a'], "`b` was expected in vain");
+        queue.finish(1);
+        queue.push('a').expect("has room");
+        assert_eq!(take(hour), ['a'], "`b` is not expected any more");
+        queue.push('b').expect("has room");
+        assert_eq!(queue.remove(|item| *item == 'b'), ['b']);
+        queue.finish(1);
+        queue.push('a').expect("has room");
+        assert_eq!(take(moment), ['a'], "a removed item was unfinished before");
     }
 
     #[test]

@@ -31,7 +31,9 @@ impl WorkerSlot {
             if batching.is_on() {
                 queue.pop_more(&mut jobs, batching.max_size, batching.max_wait);
             }
-            for (reply, done) in self.compute(jobs, taken_at) {
+            let finished = self.compute(jobs, taken_at);
+            queue.finish(finished.len());
+            for (reply, done) in finished {
                 deliver(&self.name, reply, done);
             }
         }

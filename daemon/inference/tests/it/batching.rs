@@ -117,6 +117,20 @@ fn batch_starts_when_its_first_request_has_waited() {
 }
 
 #[test]
+fn only_user_waits_once_for_others() {
+    let bank = batching_bank("open-root", "{ max_size = 4, max_wait_ms = 1000 }");
+    let wait_s = || {
+        let done = run_all(&bank, "open-root", vec![awaited(row(&[4.0, 9.0, 16.0]))]).remove(0);
+        value(done, &["batch-wait"]).expect("is recorded")
+    };
+    assert!(wait_s() >= 1.0, "others may come");
+    for _ in 0..20 {
+        let seconds = wait_s();
+        assert!(seconds < 1.0, "nobody came: {seconds}");
+    }
+}
+
+#[test]
 fn failure_of_one_sample_leaves_the_others() {
     let bank = batching_bank("open-root", "{ max_size = 4, max_wait_ms = 60000 }");
     let requests = vec![
