@@ -43,6 +43,14 @@ pub trait ModelKind {
         SharedKeys::names()
     }
 
+    /// Returns the device of a model whose table does not name one.
+    fn default_device() -> &'static str
+    where
+        Self: Sized,
+    {
+        SharedKeys::DEFAULT_DEVICE
+    }
+
     /// Returns the keys whose values a run's description leaves out: they are recorded elsewhere in it, or reveal
     /// where files are on this host.
     fn unpublished_keys(&self) -> &'static [&'static str] {

@@ -20,7 +20,8 @@ pub struct SharedKeys {
     /// Name under which peers request the model.
     pub name: Slug,
     /// Device on which the model runs. For kind `onnx`: `cpu`, `cuda:0`, `tensorrt:0` or `openvino:CPU`; the whole
-    /// model runs there or is refused. Users' code finds it in the variable `PEERNET_DEVICE`. Default: `cpu`.
+    /// model runs there or is refused. Users' code finds it in the variable `PEERNET_DEVICE`. Default:
+    /// [`ModelKind::default_device`].
     #[serde(default = "default_device")]
     pub device: String,
     /// Number of worker threads, each of which computes one sample at a time; for users' code, number of processes.
@@ -33,7 +34,7 @@ pub struct SharedKeys {
 }
 
 fn default_device() -> String {
-    "cpu".to_owned()
+    SharedKeys::DEFAULT_DEVICE.to_owned()
 }
 
 const fn default_workers() -> NonZeroUsize {
@@ -45,6 +46,9 @@ const fn default_queue() -> NonZeroUsize {
 }
 
 impl SharedKeys {
+    /// Device of kinds that compute on this host.
+    pub(super) const DEFAULT_DEVICE: &str = "cpu";
+
     /// Returns the keys of a model with this name and otherwise the defaults.
     pub fn new(name: Slug) -> Self {
         Self { name, device: default_device(), workers: default_workers(), queue: default_queue() }
@@ -82,7 +86,9 @@ impl<'de, K: ModelKind + DeserializeOwned> Deserialize<'de> for ModelTable<K> {
         if let Some((key, _)) = kind_keys.iter().find(|(_, value)| value.is_null()) {
             return Err(de::Error::custom(format!("`{key}` is nan or inf; write a finite number")));
         }
-        let shared: Keys = K::shared_keys().iter().filter_map(|key| kind_keys.remove_entry(*key)).collect();
+        let mut shared: Keys =
+            K::shared_keys().iter().filter_map(|key| kind_keys.remove_entry(*key)).collect();
+        shared.entry("device").or_insert_with(|| K::default_device().into());
         let shared = serde_json::from_value(shared.into()).map_err(de::Error::custom)?;
         // For a kind without keys, serde reads `struct Name {}` from a map and `struct Name;` from null.
         let is_keyless = kind_keys.is_empty() && field_names::<K>().is_empty();

@@ -120,11 +120,11 @@ fn table_is_written_with_keys_in_order() {
         ),
         (
             "kind = 'distribution'\nname = 'm'\nseed = 2\n[histogram]\nedges_ms = [1.5, 2.0]\ncounts = [1]",
-            r#"{"kind":"distribution","name":"m","device":"cpu","workers":1,"queue":16,"seed":2,"histogram":{"counts":[1],"edges_ms":[1.5,2.0]}}"#,
+            r#"{"kind":"distribution","name":"m","device":"replayed","workers":1,"queue":16,"seed":2,"histogram":{"counts":[1],"edges_ms":[1.5,2.0]}}"#,
         ),
         (
             "kind = 'openai'\nname = 'm'\nurl = 'http://x'\nmodel = 'y'\nparameters = { seed = 1 }",
-            r#"{"kind":"openai","name":"m","device":"cpu","workers":1,"queue":16,"url":"http://x","model":"y","first_token_timeout_ms":60000,"token_timeout_ms":10000,"timeout_ms":600000,"parameters":{"seed":1}}"#,
+            r#"{"kind":"openai","name":"m","device":"server","workers":1,"queue":16,"url":"http://x","model":"y","first_token_timeout_ms":60000,"token_timeout_ms":10000,"timeout_ms":600000,"parameters":{"seed":1}}"#,
         ),
         (
             "kind = 'python'\nname = 'm'\nobject = 'a::b'\ntimeout_ms = 5",

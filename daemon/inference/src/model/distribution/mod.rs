@@ -68,6 +68,11 @@ pub struct DistributionConfig {
 }
 
 impl ModelKind for DistributionConfig {
+    /// The latencies are those of another machine.
+    fn default_device() -> &'static str {
+        "replayed"
+    }
+
     fn unpublished_keys(&self) -> &'static [&'static str] {
         &["data"]
     }

@@ -65,6 +65,11 @@ fn ten_minutes() -> NonZeroU64 {
 }
 
 impl ModelKind for OpenaiConfig {
+    /// The server computes, on a device that this host does not know.
+    fn default_device() -> &'static str {
+        "server"
+    }
+
     fn limits(&self) -> Vec<(&'static str, usize, usize)> {
         let limit = |key, value: NonZeroU64| {
             (key, usize::try_from(value.get()).unwrap_or(usize::MAX), MAX_TIMEOUT_MS)
