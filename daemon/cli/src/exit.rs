@@ -29,9 +29,21 @@ pub enum Exit {
     Interrupted = 130,
 }
 
-impl From<Exit> for ExitCode {
-    fn from(exit: Exit) -> Self {
-        Self::from(exit as u8)
+impl Exit {
+    /// Returns the exit code from `main`. If a thread still uses ONNX Runtime, such as one that opens a large model, the process ends here,
+    /// without the destructors of libraries, which would run under that thread. All output is written by then, because it is not buffered.
+    pub fn into_exit_code(self) -> ExitCode {
+        if peernet_inference::is_library_in_use() {
+            #[expect(
+                unsafe_code,
+                reason = "the standard library ends a process with the destructors of libraries only"
+            )]
+            // SAFETY: `_exit` has no requirements. Nothing of this process runs afterwards.
+            unsafe {
+                libc::_exit(i32::from(self as u8))
+            }
+        }
+        ExitCode::from(self as u8)
     }
 }
 

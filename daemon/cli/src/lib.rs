@@ -119,7 +119,7 @@ fn with_program(mut error: clap::Error) -> clap::Error {
 pub fn main() -> ExitCode {
     let line = match Cli::try_parse() {
         Ok(line) => line,
-        Err(error) => return output::report_parser_message(with_program(error)).into(),
+        Err(error) => return output::report_parser_message(with_program(error)).into_exit_code(),
     };
     let result = match line {
         Cli { command: Some(command), .. } => command.run(),
@@ -127,7 +127,7 @@ pub fn main() -> ExitCode {
         // The parser requires one of the two.
         Cli { .. } => Ok(()),
     };
-    output::report_result(result).into()
+    output::report_result(result).into_exit_code()
 }
 
 #[cfg(test)]

@@ -26,7 +26,7 @@ pub use error::{InferenceError, LibraryError, LoadError};
 pub use job::{FinishedJob, Job, RefusedJob, Reply};
 pub use loaded_models::LoadedModels;
 pub use locked_temp_dir::LockedTempDir;
-pub use model::onnx::{CardSummary, MODEL_HASH, OnnxRuntimeConfig, check_library};
+pub use model::onnx::{CardSummary, MODEL_HASH, OnnxRuntimeConfig, check_library, is_library_in_use};
 pub use model::{ModelConfig, SharedKeys};
 pub use pool::Pool;
 pub use process_memory::ProcessMemory;

@@ -21,7 +21,7 @@ use peernet_cli::output;
 pub fn main() -> ExitCode {
     let arguments = match Arguments::try_parse() {
         Ok(arguments) => arguments,
-        Err(error) => return output::report_parser_message(error).into(),
+        Err(error) => return output::report_parser_message(error).into_exit_code(),
     };
     // The umask must be set before threads start. Databases, spools and backups must not be readable by other users.
     peernet_permissions::create_without_others();
@@ -33,5 +33,5 @@ pub fn main() -> ExitCode {
         Command::ClearHostSecret { database, host } => commands::clear_secret(database, &host),
         Command::Doctor(arguments) => commands::doctor(arguments),
     };
-    output::with_output_errors(exit).into()
+    output::with_output_errors(exit).into_exit_code()
 }

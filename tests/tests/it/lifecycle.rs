@@ -2,7 +2,7 @@
 
 use std::os::unix::net::UnixDatagram;
 
-use peernet_tests::{LoopbackDeployment, Process, TEST_TIMEOUT, program};
+use peernet_tests::{LoopbackDeployment, Process, TEST_TIMEOUT, program, wait_until};
 use rustix::process::Signal;
 
 const AGENT: &str = r#"
@@ -108,6 +108,51 @@ fn second_signal_ends_daemon_immediately() {
     daemon.signal(Signal::INT);
     daemon.wait_for("ending at once");
     assert_eq!(daemon.wait_for_end().code(), 70);
+}
+
+/// Writes a model of 100,000 additions into a folder. ONNX Runtime opens it for half a minute, in a call that cannot be terminated.
+const LONG_CHAIN: &str = r#"
+import sys
+import numpy, onnx
+from onnx import helper, numpy_helper
+nodes = [helper.make_node("Add", [f"v{n}", "one"], [f"v{n + 1}"]) for n in range(100000)]
+value = lambda name: helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, [1])
+one = numpy_helper.from_array(numpy.ones(1, numpy.float32), "one")
+graph = helper.make_graph(nodes, "chain", [value("v0")], [value("v100000")], [one])
+model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
+onnx.save_model(model, sys.argv[1] + "/model.onnx")
+tensor = 'dtype = "float32"\nshape = [1]\n'
+card = f'name = "chain"\ntask = "tensors"\n[input]\nname = "v0"\n{tensor}[output]\nname = "v100000"\n{tensor}'
+open(sys.argv[1] + "/model.toml", "w").write(card)
+"#;
+
+#[test]
+fn stop_while_a_model_opens_is_clean() {
+    let deployment = LoopbackDeployment::new();
+    let [model, temporary] = ["chain", "tmp"].map(|name| deployment.folder().join(name));
+    [&model, &temporary].map(|folder| std::fs::create_dir(folder).expect("a folder"));
+    // Other interpreters than the system's do not find Debian's packages.
+    let python = std::env::var_os("PEERNET_PYTHON").unwrap_or_else(|| "/usr/bin/python3".into());
+    let written = std::process::Command::new(python).args(["-c", LONG_CHAIN]).arg(&model).status();
+    assert!(written.expect("Python is installed").success());
+    let library = peernet_tests::onnxruntime().join("libonnxruntime.so");
+    // With two workers, the temporary folder of the weights that they share shows that the model is being opened.
+    let table =
+        format!("kind = \"onnx\"\npath = \"chain\"\nworkers = 2\n[onnxruntime]\nlibrary = {library:?}");
+    let slow = AGENT.replace("kind = \"echo\"", &table);
+    deployment.write("edge.toml", &slow.replace("[agent]", "[agent]\nstop_timeout_ms = 100"));
+    let tmpdir = temporary.display().to_string();
+    let environment = [("TMPDIR", tmpdir.as_str())];
+    let daemon =
+        Process::start(&program("peernetd"), &["run", "edge.toml"], deployment.folder(), &environment);
+    let is_empty = || std::fs::read_dir(&temporary).is_ok_and(|mut entries| entries.next().is_none());
+    wait_until("the opening of the model", || (!is_empty()).then_some(()));
+    daemon.terminate();
+    let end = daemon.wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
+    let line = end.log.lines().find(|line| line.contains("its thread was abandoned")).expect("a warning");
+    assert!(line.contains("model=echo"), "{line}");
+    assert!(is_empty(), "the temporary folder is removed");
 }
 
 #[test]

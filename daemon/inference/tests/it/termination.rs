@@ -70,6 +70,7 @@ fn cancelled_request_ends_its_computation() {
 fn shutdown_ends_a_computation() {
     let bank = model("counter");
     let pool = loaded(&bank, "counter");
+    assert!(peernet_inference::is_library_in_use(), "the process must not unload the library");
     let endless = submit(&pool, ENDLESS, &CancellationToken::new());
     assert_eq!(bank.shutdown_within(LONG), [] as [peernet_logger::Slug; 0]);
     let stopped = Err(InferenceError::Stopped { model: "counter".to_owned() });

@@ -48,7 +48,8 @@ use super::{LoadContext, SharedKeys};
 use crate::{Batching, LoadError, Model, Worker};
 use card::Card;
 use device::Device;
-use library::Runtime;
+pub use library::is_library_in_use;
+use library::{LibraryUse, Runtime};
 use shared_model::SharedModel;
 use worker::OnnxWorker;
 
@@ -110,6 +111,7 @@ impl Onnx {
     /// Loads the part of the model that all workers share.
     fn load(config: &OnnxConfig, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Self, LoadError> {
         let (plan, runtime) = Self::plan(config, shared, context.runtime)?;
+        let _library_use = LibraryUse::begin();
         let (hash, card_hash) = (hash_model(&config.path)?, hash_card(&config.path)?);
         let shared = SharedModel::prepare(&plan, &runtime, context.temp_dirs)?;
         Ok(Self { plan: Arc::new(plan), hash, card_hash, runtime, shared, stop: context.stop.clone() })
@@ -162,8 +164,10 @@ impl Plan {
 
 impl Model for Onnx {
     fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError> {
+        let library_use = LibraryUse::begin();
         let session = session::open(&self.plan, &self.runtime, self.shared.as_ref())?;
-        Ok(Box::new(OnnxWorker::new_warmed_up(Arc::clone(&self.plan), session, self.stop.clone())?))
+        let plan = Arc::clone(&self.plan);
+        Ok(Box::new(OnnxWorker::new_warmed_up(plan, session, library_use, self.stop.clone())?))
     }
 
     fn batching(&self) -> Batching {

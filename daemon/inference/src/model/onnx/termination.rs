@@ -8,7 +8,8 @@ use ort::session::RunOptions;
 use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
 
 /// Options of one run, which is terminated as soon as all of its requests are cancelled, or the host stops.
-// A thread that still computes while the process exits uses the library after it was unloaded.
+// A thread that still computes must not keep the process from stopping in time. Opening a session cannot be terminated; `LibraryUse` is for
+// that.
 pub(super) struct TerminableRun {
     conditions: Arc<Conditions>,
     /// Futures that were polled once, so that each token wakes `conditions` when it is cancelled.

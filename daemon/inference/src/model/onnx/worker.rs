@@ -8,6 +8,7 @@ use peernet_sample::Sample;
 use tokio_util::sync::CancellationToken;
 
 use super::inputs::ModelInputs;
+use super::library::LibraryUse;
 use super::outputs::{OutputError, Outputs, Row};
 use super::picture::InputError;
 use super::termination::TerminableRun;
@@ -23,6 +24,8 @@ pub(super) struct OnnxWorker {
     inputs: ModelInputs,
     /// Cancelled when the host stops.
     stop: CancellationToken,
+    /// The last field, because it ends after the session is released.
+    _library_use: LibraryUse,
 }
 
 impl OnnxWorker {
@@ -32,13 +35,14 @@ impl OnnxWorker {
     pub(super) fn new_warmed_up(
         plan: Arc<Plan>,
         session: Session,
+        library_use: LibraryUse,
         stop: CancellationToken,
     ) -> Result<Self, LoadError> {
         let max_size = plan.batching.max_size;
         let inputs = ModelInputs::new(&plan.card.inputs, max_size, |input| {
             max_size > 1 && outlets::has_open_batch(input, session.inputs())
         });
-        let mut worker = Self { session, inputs, plan, stop };
+        let mut worker = Self { session, inputs, plan, stop, _library_use: library_use };
         let sizes = if max_size > 1 { &[1, max_size][..] } else { &[1] };
         sizes.iter().try_for_each(|size| worker.warm_up(*size)).map_err(|error| LoadError::Session {
             file: worker.plan.file.clone(),
@@ -78,7 +82,7 @@ impl OnnxWorker {
         recorders: &mut [&mut Recorder],
         cancellations: Vec<CancellationToken>,
     ) -> Result<Vec<Result<Sample, InferenceError>>, InferenceError> {
-        let Self { plan, session, inputs, stop } = self;
+        let Self { plan, session, inputs, stop, .. } = self;
         let failed = |reason: String| InferenceError::Failed { model: plan.name.to_string(), reason };
         let batch = recorders.len();
         let run = TerminableRun::new(cancellations, stop).map_err(|error| failed(error.to_string()))?;
