@@ -189,6 +189,18 @@ impl OneWayDelay {
         self.bounds.map(|bounds| (bounds.hi.seconds() - bounds.lo.seconds()) / 2.0)
     }
 
+    /// Returns the delay in seconds. `None` if the verdict says that the delay is not known, for example because a clock was stepped.
+    pub fn known_seconds(&self) -> Option<f64> {
+        let is_known = matches!(self.verdict, Verdict::Ok | Verdict::Limited | Verdict::Stale);
+        self.value.filter(|_| is_known).map(Span::seconds)
+    }
+
+    /// Returns the ends of the interval in seconds; `None` if the delay is not known or has no interval.
+    pub fn known_bounds(&self) -> Option<(f64, f64)> {
+        self.known_seconds()?;
+        self.bounds.map(|bounds| (bounds.lo.seconds(), bounds.hi.seconds()))
+    }
+
     /// Creates a delay between two hosts whose clocks were never related. It has the raw difference only.
     pub const fn unsynchronised(raw: Span) -> Self {
         Self { raw, value: None, bounds: None, source: DelaySource::None, verdict: Verdict::Unsynchronised }

@@ -51,7 +51,7 @@ mod tests {
             source: DelaySource::InBand,
             verdict: Verdict::Limited,
         };
-        Passage { payload_bytes, logger_bytes: 120, delay }
+        Passage { payload_bytes, metadata_bytes: 120, delay }
     }
 
     fn study() -> Study {

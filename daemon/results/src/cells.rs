@@ -4,8 +4,8 @@ use std::collections::HashSet;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
-use peernet_analysis::Passage;
 use peernet_analysis::rows::{Column, ColumnKind, FIXED_COLUMNS, Row, Rows};
+use peernet_clock::OneWayDelay;
 
 /// Columns of a `data.csv`: the fixed columns, then the columns of this run.
 #[derive(Clone, Debug)]
@@ -94,14 +94,13 @@ fn position_cell(row: &Row, name: &str) -> String {
 }
 
 fn delay_cell(row: &Row, name: &str) -> String {
-    let word = |passage: Option<&Passage>, name: fn(&Passage) -> &'static str| {
-        passage.map(name).unwrap_or_default().to_owned()
-    };
+    let verdict = |delay: Option<OneWayDelay>| delay.map_or("", |delay| delay.verdict.name()).to_owned();
+    let source = |delay: Option<OneWayDelay>| delay.map_or("", |delay| delay.source.name()).to_owned();
     match name {
-        "upload-verdict" => word(row.upload.as_ref(), |passage| passage.delay.verdict.name()),
-        "upload-source" => word(row.upload.as_ref(), |passage| passage.delay.source.name()),
-        "download-verdict" => word(row.download.as_ref(), |passage| passage.delay.verdict.name()),
-        "download-source" => word(row.download.as_ref(), |passage| passage.delay.source.name()),
+        "upload-verdict" => verdict(row.upload),
+        "upload-source" => source(row.upload),
+        "download-verdict" => verdict(row.download),
+        "download-source" => source(row.download),
         _ => number_cell(row.value(name)),
     }
 }

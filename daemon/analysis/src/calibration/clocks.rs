@@ -32,7 +32,7 @@ impl Clocks {
     pub(super) fn new(seconds: &[ClockSample], samples: &[Sample]) -> Self {
         let round_trips = seconds.iter().filter_map(|second| second.round_trip);
         let offset = |sample: &Sample| {
-            let up = sample.up.as_ref().filter(|up| up.seconds().is_some())?;
+            let up = sample.up.as_ref().filter(|up| up.delay.known_seconds().is_some())?;
             Some((up.delay.raw - up.delay.value?).seconds())
         };
         // Each clock relation counts its own restarts. When the peer comes back, a new relation starts at zero. Only increases are added up.

@@ -135,8 +135,8 @@ fn counted_passages(direction: Direction, samples: &[Sample]) -> Vec<(u64, &Pass
 /// Returns the summary of all messages with this payload; `None` if none of their delays is known.
 fn size_summary(payload_bytes: u64, passages: &[(u64, &Passage)]) -> Option<SizeSummary> {
     let message = |passage: &Passage| {
-        let delay = passage.seconds()?;
-        Some(Message { wire_bytes: passage.wire_bytes() as f64, delay, bounds: passage.bounds() })
+        let delay = passage.delay.known_seconds()?;
+        Some(Message { wire_bytes: passage.wire_bytes() as f64, delay, bounds: passage.delay.known_bounds() })
     };
     let with_payload = passages.iter().filter(|(payload, _)| *payload == payload_bytes);
     let messages: Vec<Message> = with_payload.filter_map(|(_, passage)| message(passage)).collect();
@@ -153,7 +153,7 @@ impl Fits {
         };
         let unweighted =
             |points: &[Point]| least_squares(&points.iter().copied().map(Weighted::from).collect::<Vec<_>>());
-        let samples = points(&Passage::seconds);
+        let samples = points(&|passage| passage.delay.known_seconds());
         Some(Self {
             medians: FitPair { least_squares: line_through_medians(sizes)?, theil_sen: theil_sen(&medians)? },
             samples: FitPair { least_squares: unweighted(&samples)?, theil_sen: theil_sen(&samples)? },

@@ -23,9 +23,9 @@ pub struct Sample {
     pub reason: Option<String>,
     /// Duration of the iteration, seconds.
     pub total: Option<f64>,
-    /// Message from edge to cloud; `None` when it was never sent or never judged.
+    /// Message from edge to cloud; `None` if it was never sent, or its delay was never judged.
     pub up: Option<Passage>,
-    /// Message from cloud to edge; `None` when it was never sent or never judged.
+    /// Message from cloud to edge; `None` if it was never sent, or its delay was never judged.
     pub down: Option<Passage>,
 }
 

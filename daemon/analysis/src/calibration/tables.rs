@@ -57,7 +57,7 @@ fn passage_cells(passage: &Passage) -> Vec<String> {
     let span = |span: Span| seconds(span.seconds());
     vec![
         passage.payload_bytes.to_string(),
-        passage.logger_bytes.to_string(),
+        passage.metadata_bytes.to_string(),
         span(delay.raw),
         cell(delay.value.map(span)),
         cell(delay.bounds.map(|bounds| span(bounds.lo))),

@@ -56,7 +56,7 @@ fn passage(link: Link, payload: u64, number: u64, sign: f64) -> Passage {
         source: link.source,
         verdict: link.verdict,
     };
-    Passage { payload_bytes: payload, logger_bytes: 120, delay }
+    Passage { payload_bytes: payload, metadata_bytes: 120, delay }
 }
 
 fn sweep(link: Link) -> Vec<Sample> {

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
+use peernet_clock::OneWayDelay;
 use serde::{Deserialize, Serialize};
 
-use crate::Passage;
 use crate::delays::median_width;
 use crate::rows::Rows;
 
@@ -53,28 +53,25 @@ impl Clocks {
     pub fn from_rows(rows: &Rows) -> Self {
         let counted = || rows.iter().filter(|row| row.is_counted());
         Self {
-            upload: ClockCounts::from_passages(counted().filter_map(|row| Some((row.at(), row.upload()?)))),
-            download: ClockCounts::from_passages(
-                counted().filter_map(|row| Some((row.at(), row.download()?))),
-            ),
+            upload: ClockCounts::from_delays(counted().filter_map(|row| Some((row.at(), row.upload()?)))),
+            download: ClockCounts::from_delays(counted().filter_map(|row| Some((row.at(), row.download()?)))),
         }
     }
 }
 
 impl ClockCounts {
-    fn from_passages(passages: impl Iterator<Item = (f64, Passage)>) -> Self {
+    fn from_delays(delays: impl Iterator<Item = (f64, OneWayDelay)>) -> Self {
         let (mut verdicts, mut sources) = (BTreeMap::new(), BTreeMap::new());
         let mut bounds: Vec<(f64, f64)> = Vec::new();
         let (mut first, mut last) = (None, None);
-        for (at, passage) in passages {
-            let delay = &passage.delay;
-            if let Some(offset) = offset(&passage) {
+        for (at, delay) in delays {
+            if let Some(offset) = offset(&delay) {
                 first.get_or_insert((at, offset));
                 last = Some((at, offset));
             }
             *verdicts.entry(delay.verdict.name()).or_default() += 1;
             *sources.entry(delay.source.name()).or_default() += 1;
-            bounds.extend(passage.bounds());
+            bounds.extend(delay.known_bounds());
         }
         let with_owned_names = |counts: BTreeMap<&str, u64>| {
             counts.into_iter().map(|(name, count)| (name.to_owned(), count)).collect()
@@ -92,9 +89,8 @@ impl ClockCounts {
 
 /// Returns the offset that was subtracted from the difference of the stamps, in seconds. A long delay means a small offset, so the upper
 /// bound of the delay gives the lower bound of the offset.
-fn offset(passage: &Passage) -> Option<Bounded> {
-    passage.seconds()?;
-    let delay = &passage.delay;
+fn offset(delay: &OneWayDelay) -> Option<Bounded> {
+    delay.known_seconds()?;
     let offset_for = |true_delay| (delay.raw - true_delay).seconds();
     let bounds = delay.bounds?;
     Some(Bounded { value: offset_for(delay.value?), lo: offset_for(bounds.hi), hi: offset_for(bounds.lo) })

@@ -122,8 +122,8 @@ impl Rows {
         }
         (builder.outcome, builder.warm_up) = (Some(row.outcome), row.warm_up);
         builder.reason.clone_from(&row.reason);
-        let verdicts = |passage: &crate::Passage| (passage.delay.verdict, passage.delay.source);
-        builder.verdicts = [&row.upload, &row.download].map(|passage| passage.as_ref().map(verdicts));
+        builder.verdicts =
+            [row.upload, row.download].map(|delay| delay.map(|delay| (delay.verdict, delay.source)));
         self.push_built(builder);
     }
 

@@ -2,12 +2,13 @@
 
 use std::borrow::Cow;
 
-use peernet_clock::Span;
+use peernet_clock::{Interval, OneWayDelay, Span};
+use peernet_logger::stage;
 use peernet_stream as stream;
 use serde::{Deserialize, Serialize};
 
 use super::columns;
-use crate::Passage;
+use crate::passage::judged_delay;
 
 /// Name of a column. The name of a standard column is not allocated.
 pub type Column = Cow<'static, str>;
@@ -32,10 +33,10 @@ pub struct Row {
     /// Columns and values of the measurements. The columns that every file has come first. No value is NaN; a bound of a throughput may be
     /// infinite.
     pub values: Vec<(Column, f64)>,
-    /// Message from edge to cloud; `None` when it was never sent or never judged.
-    pub upload: Option<Passage>,
-    /// Message from cloud to edge; `None` when it was never sent or never judged.
-    pub download: Option<Passage>,
+    /// Delay from edge to cloud; `None` if no message was sent, or its delay was never judged.
+    pub upload: Option<OneWayDelay>,
+    /// Delay from cloud to edge; `None` if no message was sent, or its delay was never judged.
+    pub download: Option<OneWayDelay>,
 }
 
 /// Outcome of an iteration.
@@ -100,29 +101,29 @@ impl Row {
             outcome: Outcome::from(&iteration.outcome),
             reason: iteration.outcome.reason().map(str::to_owned),
             values,
-            upload: Passage::up(tree),
-            download: Passage::down(tree),
+            upload: judged_delay(tree, &stage::UPLOAD),
+            download: judged_delay(tree, &stage::DOWNLOAD),
         }
     }
 
     /// Returns the number in a column of `data.csv`; `None` if the cell is empty or text, or there is no such column.
     pub fn value(&self, column: &str) -> Option<f64> {
-        let seconds = |passage: Option<&Passage>, span: fn(&Passage) -> Option<Span>| {
-            passage.and_then(span).map(Span::seconds)
+        let raw = |delay: Option<OneWayDelay>| delay.map(|delay| delay.raw.seconds());
+        let end = |delay: Option<OneWayDelay>, end: fn(Interval) -> Span| {
+            delay?.bounds.map(|bounds| end(bounds).seconds())
         };
-        let (up, down) = (self.upload.as_ref(), self.download.as_ref());
         match column {
             "iteration" => Some(self.iteration as f64),
             "at" => Some(self.at).filter(|at| *at != 0.0),
             "episode" => Some(f64::from(self.episode)),
             "step" => Some(f64::from(self.step)),
             "warm-up" => Some(f64::from(u8::from(self.warm_up))),
-            "upload-lo" => seconds(up, |passage| passage.delay.bounds.map(|bounds| bounds.lo)),
-            "upload-hi" => seconds(up, |passage| passage.delay.bounds.map(|bounds| bounds.hi)),
-            "upload-raw" => seconds(up, |passage| Some(passage.delay.raw)),
-            "download-lo" => seconds(down, |passage| passage.delay.bounds.map(|bounds| bounds.lo)),
-            "download-hi" => seconds(down, |passage| passage.delay.bounds.map(|bounds| bounds.hi)),
-            "download-raw" => seconds(down, |passage| Some(passage.delay.raw)),
+            "upload-lo" => end(self.upload, |bounds| bounds.lo),
+            "upload-hi" => end(self.upload, |bounds| bounds.hi),
+            "upload-raw" => raw(self.upload),
+            "download-lo" => end(self.download, |bounds| bounds.lo),
+            "download-hi" => end(self.download, |bounds| bounds.hi),
+            "download-raw" => raw(self.download),
             _ => self.values.iter().find(|(name, _)| name == column).map(|(_, value)| *value),
         }
     }

@@ -4,14 +4,11 @@ use peernet_clock::{Interval, OneWayDelay, Span, Verdict};
 
 use super::columns::{ColumnKind, FIXED_COLUMNS};
 use super::{Column, Outcome, Row, Rows, WARM_UP};
-use crate::Passage;
 
-/// Columns that the [`Passage`] of an upload is built from: delay, payload and metadata, then the properties of the delay.
-const UPLOAD: [&str; 6] =
-    ["upload", "upload-bytes", "upload-logger-bytes", "upload-raw", "upload-lo", "upload-hi"];
-/// Columns that the [`Passage`] of a download is built from, in the same order.
-const DOWNLOAD: [&str; 6] =
-    ["download", "download-bytes", "download-logger-bytes", "download-raw", "download-lo", "download-hi"];
+/// Columns of the numbers of an upload's delay: its value, then its other properties.
+const UPLOAD: [&str; 4] = ["upload", "upload-raw", "upload-lo", "upload-hi"];
+/// Columns of the numbers of a download's delay, in the same order.
+const DOWNLOAD: [&str; 4] = ["download", "download-raw", "download-lo", "download-hi"];
 
 /// Reference to a row of [`Rows`](super::Rows): the content of a [`Row`], without a copy.
 #[derive(Clone, Copy)]
@@ -92,14 +89,14 @@ impl<'a> RowRef<'a> {
             .filter_map(move |((name, numbers), _)| Some((name, numbers.get(index)?)))
     }
 
-    /// Returns the message from edge to cloud; `None` when it was never sent or never judged.
-    pub fn upload(&self) -> Option<Passage> {
-        self.passage(0, UPLOAD)
+    /// Returns the delay from edge to cloud; `None` if no message was sent, or its delay was never judged.
+    pub fn upload(&self) -> Option<OneWayDelay> {
+        self.delay(0, UPLOAD)
     }
 
-    /// Returns the message from cloud to edge; `None` when it was never sent or never judged.
-    pub fn download(&self) -> Option<Passage> {
-        self.passage(1, DOWNLOAD)
+    /// Returns the delay from cloud to edge; `None` if no message was sent, or its delay was never judged.
+    pub fn download(&self) -> Option<OneWayDelay> {
+        self.delay(1, DOWNLOAD)
     }
 
     /// Returns the verdicts on both delays, upload and download.
@@ -114,23 +111,19 @@ impl<'a> RowRef<'a> {
         [up || has_delay(UPLOAD[0]), down || has_delay(DOWNLOAD[0])]
     }
 
-    fn passage(&self, direction: usize, columns: [&str; 6]) -> Option<Passage> {
+    fn delay(&self, direction: usize, columns: [&str; 4]) -> Option<OneWayDelay> {
         let (verdict, source) = self.rows.verdicts[direction][self.index]?;
-        let [value, payload, metadata, raw, lo, hi] = columns.map(|column| self.value(column));
+        let [value, raw, lo, hi] = columns.map(|column| self.value(column));
         let bounds = lo
             .zip(hi)
             .filter(|(lo, hi)| lo <= hi)
             .map(|(lo, hi)| Interval { lo: Span::from_seconds_f64(lo), hi: Span::from_seconds_f64(hi) });
-        Some(Passage {
-            payload_bytes: payload? as u64,
-            logger_bytes: metadata? as u64,
-            delay: OneWayDelay {
-                raw: Span::from_seconds_f64(raw?),
-                value: value.map(Span::from_seconds_f64),
-                bounds,
-                source,
-                verdict,
-            },
+        Some(OneWayDelay {
+            raw: Span::from_seconds_f64(raw?),
+            value: value.map(Span::from_seconds_f64),
+            bounds,
+            source,
+            verdict,
         })
     }
 

@@ -7,7 +7,6 @@ use peernet_statistics::SplitMix64;
 
 use super::testing::{about, governor, quiet, rows};
 use super::*;
-use crate::Passage;
 use crate::rows::{Outcome, Row, Rows};
 
 fn judged(rows: &Rows) -> Report {
@@ -272,7 +271,7 @@ fn send(row: &mut Row, verdict: Verdict) {
         source: DelaySource::InBand,
         verdict,
     };
-    row.upload = Some(Passage { payload_bytes: 150_000, logger_bytes: 300, delay });
+    row.upload = Some(delay);
     let upload = known.then(|| ("upload".into(), value.seconds()));
     let sizes = [("upload-bytes".into(), 150_000.0), ("upload-logger-bytes".into(), 300.0)];
     row.values.extend(upload.into_iter().chain(sizes));

@@ -2,13 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use peernet_clock::Verdict;
+use peernet_clock::{OneWayDelay, Verdict};
 use peernet_logger::{Name, stage};
 use peernet_statistics::{Summary, TwoModes};
 use peernet_stream::{Condition, EndReason, FaultyHost};
 
 use super::{EndedEarly, Restarts, Starts, TimeSeries};
-use crate::Passage;
 use crate::accuracy::{Accuracy, UnknownLabels};
 use crate::actuator_results::ActuatorResults;
 use crate::answer_length::{answer_tokens, tokens_of_column};
@@ -25,8 +24,8 @@ pub const OVERRUN: &str = "overrun";
 /// Column of the overrun in `data.csv`.
 const OVERRUN_COLUMN: &str = "inference_overrun";
 
-/// Function that returns the message of a row in one direction.
-type PassageReader = fn(&RowRef<'_>) -> Option<Passage>;
+/// Function that returns the delay of a row's message in one direction.
+type DelayReader = fn(&RowRef<'_>) -> Option<OneWayDelay>;
 
 /// Values that the trust findings of a run are computed from. A value that is not known is `None` or empty.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -129,7 +128,7 @@ impl TrustInput {
         let count = |outcome: Outcome| {
             rows.iter().filter(|row| !row.warm_up() && row.outcome() == outcome).count() as u64
         };
-        let directions: [(Name, PassageReader); 2] =
+        let directions: [(Name, DelayReader); 2] =
             [(stage::UPLOAD, |row| row.upload()), (stage::DOWNLOAD, |row| row.download())];
         Self {
             conditions: conditions.to_vec(),
@@ -150,8 +149,8 @@ impl TrustInput {
             restarts: Restarts::from_rows(rows),
             clocks: directions
                 .into_iter()
-                .filter_map(|(name, passage)| {
-                    Clocks::from_passages(name.as_str(), counted().filter_map(|row| passage(&row)))
+                .filter_map(|(name, delay)| {
+                    Clocks::from_delays(name.as_str(), counted().filter_map(|row| delay(&row)))
                 })
                 .collect(),
             accuracy: Accuracy::by_column(rows),
@@ -210,21 +209,21 @@ impl Counts {
 }
 
 impl Clocks {
-    fn from_passages(stage: &str, passages: impl Iterator<Item = Passage>) -> Option<Self> {
+    fn from_delays(stage: &str, delays: impl Iterator<Item = OneWayDelay>) -> Option<Self> {
         let mut verdicts = BTreeMap::<usize, (Verdict, u64)>::new();
-        let (mut delays, mut bounds) = (Vec::new(), Vec::new());
-        for passage in passages {
-            let verdict = passage.delay.verdict;
+        let (mut known_delays, mut bounds) = (Vec::new(), Vec::new());
+        for delay in delays {
+            let verdict = delay.verdict;
             let order = Verdict::ALL.iter().position(|other| *other == verdict).unwrap_or(usize::MAX);
             verdicts.entry(order).or_insert((verdict, 0)).1 += 1;
-            delays.extend(passage.seconds());
-            bounds.extend(passage.bounds());
+            known_delays.extend(delay.known_seconds());
+            bounds.extend(delay.known_bounds());
         }
         let verdicts: Vec<(Verdict, u64)> = verdicts.into_values().collect();
         (!verdicts.is_empty()).then(|| Self {
             stage: stage.to_owned(),
             verdicts,
-            delay: delays.into_iter().collect::<SortedValues>().median(),
+            delay: known_delays.into_iter().collect::<SortedValues>().median(),
             half_width: median_width(bounds.into_iter()).map(|width| width / 2.0),
         })
     }

@@ -20,6 +20,7 @@ mod limits;
 mod maintaining;
 mod measured_time;
 mod migrating;
+mod observed_delays;
 mod one_value;
 mod ownership;
 mod pairs;

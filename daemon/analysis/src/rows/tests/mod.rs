@@ -15,7 +15,7 @@ fn rows_are_read_back_unchanged() {
     for (kept, row) in kept.iter().zip(&rows) {
         assert_eq!(kept.to_row(), *row);
         assert_eq!((kept.is_counted(), kept.value("upload-lo")), (row.is_counted(), row.value("upload-lo")));
-        assert_eq!(kept.verdicts()[1], row.download.map(|passage| passage.delay.verdict));
+        assert_eq!(kept.verdicts()[1], row.download.map(|delay| delay.verdict));
     }
     assert_eq!(kept.get(5).and_then(|row| row.reason()), Some("the connection broke, \"reset\""));
     assert!(kept.get(40).is_none() && kept.last().is_some_and(|row| row.iteration() == 40));

@@ -18,7 +18,7 @@ fn passage(payload_bytes: u64, delay_s: f64, has_bounds: bool) -> Passage {
         source: DelaySource::InBand,
         verdict: Verdict::Ok,
     };
-    Passage { payload_bytes, logger_bytes: 120, delay }
+    Passage { payload_bytes, metadata_bytes: 120, delay }
 }
 
 /// Asserts that both programs draw the same series and notes on rates for messages with these delays in seconds.
@@ -54,11 +54,11 @@ fn assert_equal_figures(
         outcome: Outcome::Ok,
         reason: None,
         values: vec![
-            ("upload".into(), passage.seconds().expect("known")),
+            ("upload".into(), passage.delay.known_seconds().expect("known")),
             ("upload-bytes".into(), passage.payload_bytes as f64),
-            ("upload-logger-bytes".into(), passage.logger_bytes as f64),
+            ("upload-logger-bytes".into(), passage.metadata_bytes as f64),
         ],
-        upload: Some(*passage),
+        upload: Some(passage.delay),
         download: None,
     };
     let record = RunRecord::default();

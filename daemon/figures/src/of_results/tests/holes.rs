@@ -1,9 +1,8 @@
 //! Tests of figures of runs with missing data.
 
-use peernet_clock::{DelaySource, OneWayDelay, Span, Verdict};
+use peernet_clock::{OneWayDelay, Span};
 
 use super::*;
-use peernet_analysis::Passage;
 
 #[test]
 fn accuracy_figure_notes_unknown_labels() {
@@ -33,17 +32,7 @@ fn accuracy_figure_notes_unknown_labels() {
 
 #[test]
 fn unknown_delays_do_not_shorten_bars() {
-    let unknown = Passage {
-        payload_bytes: 1,
-        logger_bytes: 1,
-        delay: OneWayDelay {
-            raw: Span::from_millis(3),
-            value: None,
-            bounds: None,
-            source: DelaySource::None,
-            verdict: Verdict::Unsynchronised,
-        },
-    };
+    let unknown = OneWayDelay::unsynchronised(Span::from_millis(3));
     let mut run = run(105, |_| vec![("sensing", 1.0), ("upload", 10.0), ("total", 11.0)]);
     run.rows.change(|row| {
         if row.iteration > 55 {

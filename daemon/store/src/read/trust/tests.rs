@@ -1,6 +1,5 @@
 //! Tests of the input of a run's judgement.
 
-use peernet_analysis::Passage;
 use peernet_analysis::record::{Counts as RecordedCounts, RunRecord};
 use peernet_analysis::rows::{LATENESS, Outcome, Row, RowRef, Rows};
 use peernet_analysis::trust::Report;
@@ -188,26 +187,25 @@ fn unknown_number_of_missing_events_is_not_reported() {
 fn row(iteration: u64) -> Row {
     let milliseconds = |value: f64| value / 1e3;
     let noise = (iteration % 7) as f64 / 10.0;
-    let passage = |value: f64| {
+    let delay = |value: f64| {
         let [lo, value, hi] =
             [value - 0.2, value, value + 0.2].map(|value| Span::from_seconds_f64(milliseconds(value)));
         let is_known = !iteration.is_multiple_of(5);
-        let delay = OneWayDelay {
+        OneWayDelay {
             raw: value,
             value: is_known.then_some(value),
             bounds: is_known.then_some(Interval { lo, hi }),
             source: DelaySource::InBand,
             verdict: if is_known { Verdict::Ok } else { Verdict::Unsynchronised },
-        };
-        Passage { payload_bytes: 1_000, logger_bytes: 100, delay }
+        }
     };
-    let (up, down) = (passage(6.0 + noise), passage(2.0 + noise));
-    let delays = [("upload", up), ("download", down)].map(|(name, one)| (name, one.seconds()));
+    let (up, down) = (delay(6.0 + noise), delay(2.0 + noise));
+    let delays = [("upload", up), ("download", down)].map(|(name, one)| (name, one.known_seconds()));
     let others = [
         ("sensing", Some(milliseconds(3.0))),
         ("inference", Some(milliseconds(9.0))),
         ("total", Some(milliseconds(22.0 + 3.0 * noise))),
-        ("unattributed", up.seconds().map(|_| milliseconds(2.0 + noise))),
+        ("unattributed", up.known_seconds().map(|_| milliseconds(2.0 + noise))),
         (LATENESS, Some(milliseconds(1.0 + noise))),
         ("restart", (iteration == 33).then_some(0.05)),
         ("inference_overrun", Some(milliseconds(noise))),
@@ -245,14 +243,14 @@ fn rows_and_roll_ups_give_same_findings() {
     let names = ["sensing", "upload", "inference", "download", "total", "unattributed", LATENESS, "restart"];
     let stages = names.into_iter().filter_map(|name| of_values(name, &mut rows.counted_values(name)));
     let overrun = of_values(OVERRUN, &mut rows.counted_values("inference_overrun"));
-    type ReadPassage = fn(&RowRef<'_>) -> Option<Passage>;
-    let directions: [(Name, ReadPassage); 2] =
+    type ReadDelay = fn(&RowRef<'_>) -> Option<OneWayDelay>;
+    let directions: [(Name, ReadDelay); 2] =
         [(stage::UPLOAD, |row| row.upload()), (stage::DOWNLOAD, |row| row.download())];
-    let bounds = directions.map(|(stage, passage)| {
-        let passages = || rows.iter().filter_map(|row| passage(&row));
+    let bounds = directions.map(|(stage, delay)| {
+        let delays = || rows.iter().filter_map(|row| delay(&row));
         let verdicts = [Verdict::Ok, Verdict::Unsynchronised]
-            .map(|verdict| (verdict, passages().filter(|one| one.delay.verdict == verdict).count() as u64));
-        let mut half_widths = passages().filter_map(|one| one.bounds()).map(|(lo, hi)| (hi - lo) / 2.0);
+            .map(|verdict| (verdict, delays().filter(|one| one.verdict == verdict).count() as u64));
+        let mut half_widths = delays().filter_map(|one| one.known_bounds()).map(|(lo, hi)| (hi - lo) / 2.0);
         let half_width = of_values(&stage, &mut half_widths).map(|one| one.figures);
         DelayAccuracy { stage, half_width, verdicts: verdicts.to_vec() }
     });

@@ -121,7 +121,10 @@ fn close(mut recorder: Recorder, pair: &Pair, ended: Stamp, transport: Option<Sp
 mod tests {
     use std::sync::Arc;
 
-    use peernet_clock::{Clock, ClockIdentity, ManualClock, WallTime};
+    use peernet_analysis::rows::{Row, Rows};
+    use peernet_clock::{Clock, ClockIdentity, Interval, ManualClock, Verdict, WallTime};
+    use peernet_logger::RunId;
+    use peernet_stream::{Iteration, Outcome};
 
     use super::*;
     use crate::pipeline::observe::arrivals::Arrival;
@@ -201,6 +204,35 @@ mod tests {
         let Measure::Transit(transit) = &upload.measure else { panic!("{upload:?}") };
         let raw = transit.received.expect("it arrived") - transit.sent;
         assert_eq!(raw, Span::from_millis(30) + BEHIND, "what was stamped stays as it was");
+    }
+
+    #[test]
+    fn rows_have_verdicts_of_observed_delays() {
+        let clock = clock();
+        let (pair, seen) = pair(&clock);
+        let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
+        let limited = |value: Span| OneWayDelay {
+            value: Some(value),
+            bounds: Some(Interval { lo: value - Span::from_millis(40), hi: value + Span::from_millis(2) }),
+            verdict: Verdict::Limited,
+            ..OneWayDelay::unsynchronised(value + BEHIND)
+        };
+        let delays = [Some(limited(Span::from_millis(30))), Some(limited(Span::from_millis(5)))];
+        let (host, peer) = (HostId::random(), HostId::random());
+        let (tree, _) = answered_by_peer((&shared, host), peer, &pair, &seen, |_, _| delays);
+        let iteration = Iteration {
+            run: RunId::random(),
+            number: 1,
+            episode: 0,
+            step: 0,
+            warm_up: false,
+            outcome: Outcome::Ok,
+            tree,
+        };
+        let rows = Rows::from_iter([Row::from_iteration(&iteration)]);
+        let row = rows.last().expect("one row");
+        assert_eq!([row.upload(), row.download()], delays);
+        assert_eq!((row.value("upload-lo"), row.value("upload-bytes")), (Some(-0.01), None));
     }
 
     #[test]
