@@ -4,10 +4,9 @@ use peernet_analysis::accuracy::{ACCURACIES, UNKNOWN_LABEL};
 use peernet_analysis::actuator_results::{ACTION_REPORTS, EPISODE_VALUES, SUPERSEDED};
 use peernet_analysis::deadline::DEADLINE_MISSED;
 use peernet_analysis::rows::SKIPPED_STARTS;
-use peernet_analysis::standstill::{RunExtent, standstill};
 use peernet_analysis::transfer::Transfer;
 use peernet_analysis::trust::Starts;
-use peernet_clock::{Span, Verdict, WallTime};
+use peernet_clock::{Verdict, WallTime};
 use peernet_figures::drawing::StageBar;
 use peernet_figures::scale::Scale;
 use peernet_logger::stage;
@@ -21,9 +20,9 @@ use serde::Serialize;
 
 use super::clocks;
 use super::data::{JsonBlock, RoundedNumber};
+use super::episodes;
 use super::speed::{self, NetworkDirection};
 use super::stack::Stack;
-use super::{episodes, runs};
 use crate::look;
 use crate::picture::Picture;
 use crate::view::units::shown_in;
@@ -113,34 +112,16 @@ impl StoredRun<'_> {
     /// Returns texts about the number of episodes, the iterations without an answer, and a standstill.
     pub(crate) fn time_remarks(&self) -> Vec<String> {
         let unanswered = episodes::unanswered(self.episodes, &self.run.summary);
-        let standstill = self
-            .standstill()
-            .map(|seconds| format!("nothing for {}: the clock was set, or it stood still", length(seconds)));
+        let standstill =
+            self.starts.times.standstill_s.map(|seconds| {
+                format!("nothing for {}: the clock was set, or it stood still", length(seconds))
+            });
         [episodes::summary(self.episodes), unanswered, standstill].into_iter().flatten().collect()
-    }
-
-    /// Returns the length of a standstill, seconds. `None` without a standstill, and if events of the run are missing.
-    pub(crate) fn standstill(&self) -> Option<f64> {
-        let summary = &self.run.summary;
-        let points = &self.series.stages.first()?.points;
-        if points.is_empty() || !self.run.gaps.is_empty() {
-            return None;
-        }
-        let run = RunExtent {
-            started: summary.started,
-            end: runs::end(summary)?,
-            iterations: summary.counts.total(),
-            slowest_s: summary.total.as_ref().map_or(0.0, |total| total.max),
-        };
-        let bucket = Span::from_seconds(self.series.bucket_s.into());
-        // The warm-up has no points, so all the time before the first point may be warm-up.
-        let buckets = points.iter().map(|point| (point.at, point.at + bucket));
-        standstill(&run, buckets.chain(self.episodes.unanswered_starts.iter().map(|at| (*at, *at))))
     }
 
     /// Returns the starts per second after the warm-up; `None` where the length of the run is unknown.
     pub(crate) fn rate(&self) -> Option<f64> {
-        self.starts.actual_hz().filter(|_| self.standstill().is_none())
+        self.starts.actual_hz()
     }
 
     /// Returns a scale that holds the slowest iteration.
@@ -285,48 +266,31 @@ impl StoredRun<'_> {
 
 #[cfg(test)]
 mod tests {
-    use peernet_store::{SeriesPoint, StageSeries};
+    use peernet_analysis::trust::StartTimes;
+    use peernet_clock::Span;
     use peernet_stream::PlacementKind;
 
     use super::*;
     use crate::view::compare::tests::run;
 
-    /// Returns a run of 895 iterations in an hour, with points at its first and last second.
-    fn run_with_pause() -> (RunDetail, Series) {
-        let mut summary = run(1, PlacementKind::Remote);
-        let after = |seconds: i64| summary.started + Span::from_seconds(seconds);
-        let point =
-            |seconds: i64| SeriesPoint { at: after(seconds), count: 1, mean: 0.1, p50: 0.1, p95: None };
-        let points = [0, 3_600].map(point).to_vec();
-        let stages = vec![StageSeries { stage: stage::TOTAL, unit: "s".to_owned(), points }];
-        (summary.ended, summary.last_iteration) = (Some(after(3_601)), Some(after(3_601)));
-        (summary.counts, summary.warm_up) = (Default::default(), 0);
-        summary.counts.ok = 895;
-        (RunDetail::from(summary), Series { bucket_s: 1, stages, gaps: Vec::new() })
-    }
-
     #[test]
     fn run_with_standstill_has_no_rate() {
-        let (run, series) = run_with_pause();
-        let starts = Starts { started: 15, missing: Some(0), seconds: Some(56.0), ..Starts::default() };
-        let statistics = RunStatistics::default();
-        let of = |episodes: &Episodes| {
+        let run = RunDetail::from(run(1, PlacementKind::Remote));
+        let (first, last) = (run.summary.started, run.summary.started + Span::from_seconds(56));
+        let rate_and_remark = |standstill_s: Option<f64>| {
+            let times = StartTimes { first: Some(first), last: Some(last), standstill_s };
             let stored = StoredRun {
                 run: &run,
-                statistics: &statistics,
-                series: &series,
+                statistics: &RunStatistics::default(),
+                series: &Series { bucket_s: 1, stages: Vec::new(), gaps: Vec::new() },
                 slowest: &[],
                 unanswered: &[],
-                episodes,
-                starts,
+                episodes: &Episodes::default(),
+                starts: Starts { started: 15, missing: Some(0), times, ..Starts::default() },
             };
-            let has_remark = stored.time_remarks().iter().any(|text| text.starts_with("nothing for "));
-            assert_eq!(has_remark, stored.standstill().is_some());
-            stored.rate()
+            (stored.rate(), stored.time_remarks().iter().any(|text| text.starts_with("nothing for ")))
         };
-        assert_eq!(of(&Episodes::default()), None);
-        let every_minute = (0..60).map(|minute| run.summary.started + Span::from_seconds(minute * 60));
-        let unanswered = Episodes { unanswered_starts: every_minute.collect(), ..Episodes::default() };
-        assert_eq!(of(&unanswered), Some(0.25), "nobody answered meanwhile");
+        assert_eq!(rate_and_remark(Some(3_600.0)), (None, true));
+        assert_eq!(rate_and_remark(None), (Some(0.25), false));
     }
 }

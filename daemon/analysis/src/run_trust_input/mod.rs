@@ -5,7 +5,7 @@ use serde::Deserialize;
 
 use crate::record::{Counts, RunRecord};
 use crate::rows::Rows;
-use crate::trust::{EndedEarly, Limits, Load, MissingEvents, Progress, Starts, TrustInput};
+use crate::trust::{EndedEarly, Limits, Load, MissingEvents, Progress, StartTimes, Starts, TrustInput};
 
 impl TrustInput {
     /// Collects the input from the rows of a run and its record: conditions of both hosts, the end of the run, and missing measurements.
@@ -17,10 +17,16 @@ impl TrustInput {
             reason: "measured, but this program was too busy to take them".to_owned(),
         };
         let from_rows = Self::from_rows(rows, &conditions);
+        let times = StartTimes::from_run(record, rows);
         Self {
-            starts: Starts { hz: load(record).hz, missing: Some(record.counts.unseen), ..from_rows.starts },
+            starts: Starts {
+                hz: load(record).hz,
+                missing: Some(record.counts.unseen),
+                times,
+                ..from_rows.starts
+            },
             missing: if unseen.count > 0 { vec![unseen] } else { Vec::new() },
-            ended_early: ended_early(record, rows),
+            ended_early: ended_early(record, rows, &times),
             ..from_rows
         }
         .with_end_reason(Some(&record.reason))
@@ -39,12 +45,12 @@ fn load(record: &RunRecord) -> Load {
 }
 
 /// Compares a run with its limits. Its iterations are its rows, and further iterations without a row, whose number is in the record.
-fn ended_early(record: &RunRecord, rows: &Rows) -> Option<EndedEarly> {
+fn ended_early(record: &RunRecord, rows: &Rows, times: &StartTimes) -> Option<EndedEarly> {
     let counts = Counts::from_rows(rows, record.counts.unseen);
     let progress = Progress {
         measured: counts.ok + counts.failed + counts.lost + counts.timeout + counts.unseen,
         warm_up: counts.warm_up,
-        seconds: Starts::from_rows(rows).seconds.unwrap_or(0.0),
+        seconds: times.seconds(),
     };
     EndedEarly::from_progress(&limits(record), &progress, &record.reason)
 }
@@ -52,7 +58,8 @@ fn ended_early(record: &RunRecord, rows: &Rows) -> Option<EndedEarly> {
 /// Describes the end of a run that was ended early or broke off: `was interrupted after 57 of 120 iterations`. `None` if the run
 /// was complete, if it ended by itself before its limit, or if its end is not known.
 pub(crate) fn early_end(record: &RunRecord, rows: &Rows) -> Option<String> {
-    match (record.reason.failure(), ended_early(record, rows)) {
+    let times = StartTimes::from_run(record, rows);
+    match (record.reason.failure(), ended_early(record, rows, &times)) {
         (Some(reason), Some(early)) => Some(format!("broke off {}: {reason}", early.progress_text())),
         (Some(reason), None) => Some(format!("broke off: {reason}")),
         (None, Some(early)) if early.interrupted => {

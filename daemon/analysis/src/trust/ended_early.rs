@@ -26,8 +26,8 @@ pub struct Progress {
     pub measured: u64,
     /// Number of iterations of the warm-up.
     pub warm_up: u64,
-    /// Time from the first iteration after the warm-up to the last iteration, seconds.
-    pub seconds: f64,
+    /// Time from the first to the last start after the warm-up, seconds; `None` if it is not known.
+    pub seconds: Option<f64>,
 }
 
 /// Progress of a run that ended before its limit.
@@ -57,13 +57,13 @@ impl EndedEarly {
     pub fn from_progress(limits: &Limits, progress: &Progress, reason: &EndReason) -> Option<Self> {
         let interrupted = *reason == EndReason::Stopped;
         let limits_and_reached = [
-            (limits.iterations, progress.measured as f64, Unit::Iterations),
-            (limits.total, (progress.measured + progress.warm_up) as f64, Unit::Iterations),
+            (limits.iterations, Some(progress.measured as f64), Unit::Iterations),
+            (limits.total, Some((progress.measured + progress.warm_up) as f64), Unit::Iterations),
             (limits.duration_s, progress.seconds, Unit::Seconds),
         ];
         let amounts = limits_and_reached.into_iter().filter_map(|(limit, reached, unit)| {
             let limit = limit.filter(|limit| *limit > 0.0)?;
-            Some(Self { reached, limit, unit, interrupted })
+            Some(Self { reached: reached?, limit, unit, interrupted })
         });
         // A run ends at the first limit that it reaches. The relevant limit is therefore the limit of which the run reached the largest share.
         let nearest = amounts.max_by(|a, b| a.share().total_cmp(&b.share()))?;
@@ -99,7 +99,7 @@ mod tests {
     #[test]
     fn finished_run_of_short_episodes_is_complete() {
         let limits = Limits { total: Some(900.0), episodes: Some(30.0), ..Limits::default() };
-        let progress = Progress { measured: 400, warm_up: 50, seconds: 9.0 };
+        let progress = Progress { measured: 400, warm_up: 50, seconds: Some(9.0) };
         assert_eq!(EndedEarly::from_progress(&limits, &progress, &EndReason::Finished), None);
         assert!(EndedEarly::from_progress(&limits, &progress, &EndReason::Stopped).is_some());
         let without_episodes = Limits { episodes: None, ..limits };

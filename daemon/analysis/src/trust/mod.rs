@@ -22,7 +22,7 @@ mod trust_input;
 
 pub use ended_early::{EndedEarly, Limits, Progress, Unit};
 pub use judge::NOTABLE_SHARE;
-pub use load::{Load, Starts};
+pub use load::{Load, StartTimes, Starts};
 pub use publication::publication_caveats;
 pub use restarts::Restarts;
 pub use time_series::{Beginning, Outliers, TimeSeries};

@@ -18,11 +18,7 @@ const MAX_WARM_UP: i64 = 10_000;
 
 pub(crate) async fn episodes(readers: &Readers, run: i64) -> Result<Episodes, StoreError> {
     let first = first_row(readers, run).await?;
-    let last: Option<Row> = sqlx::query_as(sql::LAST_ITERATION)
-        .bind(run)
-        .fetch_optional(&readers.pool())
-        .await
-        .map_err(readers.failed(WHAT))?;
+    let last = last_row(readers, run).await?;
     let Some((first, last)) = first.zip(last) else { return Ok(Episodes::default()) };
     let mut steps = steps(&last);
     let mut borders = Vec::new();
@@ -66,6 +62,32 @@ pub(super) async fn first_measured_start(
     }
     let end = measured_after(readers, run, &[first.number]).await?.into_iter().flatten().collect::<Vec<_>>();
     Ok(rows_by_number(readers, run, &end).await?.first().map(|row| wall(row.started_ns)))
+}
+
+/// Returns the start of the last iteration that is not warm-up. `None` if the run ended with more than [`MAX_WARM_UP`] iterations of warm-up.
+pub(super) async fn last_measured_start(readers: &Readers, run: i64) -> Result<Option<WallTime>, StoreError> {
+    let Some(last) = last_row(readers, run).await? else { return Ok(None) };
+    if !last.warm_up {
+        return Ok(Some(wall(last.started_ns)));
+    }
+    // Each episode begins with a warm-up, so a run can end in one.
+    let query =
+        sqlx::query_as(sql::LAST_MEASURED).bind(run).bind(last.number - MAX_WARM_UP).bind(last.number);
+    let row: Option<Row> = query.fetch_optional(&readers.pool()).await.map_err(readers.failed(WHAT))?;
+    Ok(row.map(|row| wall(row.started_ns)))
+}
+
+/// Returns the starts of unanswered iterations, as charts mark them.
+pub(super) async fn unanswered_starts(readers: &Readers, run: i64) -> Result<Vec<WallTime>, StoreError> {
+    let Some(last) = last_row(readers, run).await? else { return Ok(Vec::new()) };
+    let (rows, _) = unanswered(readers, run, last.number).await?;
+    Ok(rows.iter().map(|row| wall(row.started_ns)).collect())
+}
+
+/// Returns the stored iteration with the largest number.
+async fn last_row(readers: &Readers, run: i64) -> Result<Option<Row>, StoreError> {
+    let last = sqlx::query_as(sql::LAST_ITERATION).bind(run);
+    last.fetch_optional(&readers.pool()).await.map_err(readers.failed(WHAT))
 }
 
 /// Returns the first stored iteration.

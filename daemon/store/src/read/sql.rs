@@ -137,6 +137,9 @@ statements! {
     WARM_UP_ENDS = "SELECT (SELECT number FROM iteration \
                     WHERE run = ?1 AND number BETWEEN start.value AND start.value + ?3 AND +warm_up = 0 \
                     ORDER BY number LIMIT 1) FROM json_each(?2) AS start";
+    /// The last iteration that is not warm-up: ?1 run, ?2 and ?3 the first and the last number to look at.
+    LAST_MEASURED = concat!(iteration_columns!(),
+        "WHERE run = ?1 AND number BETWEEN ?2 AND ?3 AND +warm_up = 0 ORDER BY number DESC LIMIT 1");
     /// The first answered iteration after the warm-up: ?1 run, ?2 the last number to look at.
     FIRST_COUNTED = concat!(iteration_columns!(),
         "WHERE run = ?1 AND number BETWEEN 1 AND ?2 AND +warm_up = 0 AND +outcome = 0 ORDER BY number LIMIT 1");

@@ -2,17 +2,17 @@
 
 use peernet_analysis::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLabels};
 use peernet_analysis::stage_split::StageSplit;
+use peernet_analysis::standstill::{RunExtent, standstill};
 use peernet_analysis::trust::{
-    Clocks, Counts, EndedEarly, Limits, Load, MissingEvents, OVERRUN, Progress, Restarts, Starts, TimeSeries,
-    TrustInput, names_of_distributions,
+    Clocks, Counts, EndedEarly, Limits, Load, MissingEvents, OVERRUN, Progress, Restarts, StartTimes, Starts,
+    TimeSeries, TrustInput, names_of_distributions,
 };
-use peernet_clock::WallTime;
 use peernet_logger::stage;
 use peernet_statistics::TwoModes;
 use peernet_stream::EndReason;
 use serde::Deserialize;
 
-use super::episodes::first_measured_start;
+use super::episodes::{first_measured_start, last_measured_start, unanswered_starts};
 use super::statistics::{stage_buckets, statistics, whole_runs};
 use crate::error::StoreError;
 use crate::figures::DelayAccuracy;
@@ -25,14 +25,46 @@ const BUCKETS: usize = 120;
 pub(crate) async fn trust_input(readers: &Readers, run: &RunDetail) -> Result<TrustInput, StoreError> {
     let number = run.summary.number;
     let numbers = [number];
-    let (run_statistics, stages_over_time, first_start) = tokio::try_join!(
+    let (run_statistics, stages_over_time, first, last) = tokio::try_join!(
         statistics(readers, &numbers),
         stages_over_time(readers, number),
-        first_measured_start(readers, number)
+        first_measured_start(readers, number),
+        last_measured_start(readers, number)
     )?;
+    let standstill_s = standstill_length(readers, run, stages_over_time.first()).await?;
     let run_statistics = run_statistics.into_iter().next().unwrap_or_default();
-    let input = collect(run, first_start, &run_statistics, &stages_over_time);
+    let times = StartTimes { first, last, standstill_s };
+    let input = collect(run, times, &run_statistics, &stages_over_time);
     Ok(TrustInput { two_modes: two_modes(readers, number, &run_statistics).await?, ..input })
+}
+
+/// Returns the length of the standstill of a run, seconds. `buckets` are those of the total. `None` without a standstill, and if events of the
+/// run are missing.
+async fn standstill_length(
+    readers: &Readers,
+    run: &RunDetail,
+    buckets: Option<&StageBuckets>,
+) -> Result<Option<f64>, StoreError> {
+    let summary = &run.summary;
+    let Some((buckets, end)) = buckets.zip(summary.ended.or(summary.last_iteration)) else {
+        return Ok(None);
+    };
+    if !run.gaps.is_empty() {
+        return Ok(None);
+    }
+    let extent = RunExtent {
+        started: summary.started,
+        end,
+        iterations: summary.counts.total(),
+        slowest_s: summary.total.as_ref().map_or(0.0, |total| total.max),
+    };
+    // The warm-up has no buckets, so all the time before the first bucket may be warm-up.
+    let answered = || buckets.bucket_starts.iter().map(|start| (*start, *start + buckets.bucket_width));
+    if standstill(&extent, answered()).is_none() {
+        return Ok(None);
+    }
+    let unanswered = unanswered_starts(readers, summary.number).await?;
+    Ok(standstill(&extent, answered().chain(unanswered.into_iter().map(|start| (start, start)))))
 }
 
 /// Returns the distributions of a run that have two modes.
@@ -66,18 +98,15 @@ async fn stages_over_time(readers: &Readers, run: i64) -> Result<Vec<StageBucket
     Ok(stages)
 }
 
-/// Collects the values from which the trust findings of a run are computed. `first_start` is the start of the first iteration after the
-/// warm-up, `stages_over_time` the result of the function of that name.
+/// Collects the values from which the trust findings of a run are computed. `stages_over_time` is the result of the function of that name.
 fn collect(
     run: &RunDetail,
-    first_start: Option<WallTime>,
+    times: StartTimes,
     run_statistics: &RunStatistics,
     stages_over_time: &[StageBuckets],
 ) -> TrustInput {
     // `None` if the number of missing events is unknown. Then the progress of the run is unknown, too.
     let missing_events: Option<u64> = run.gaps.iter().map(|gap| (gap.count > 0).then_some(gap.count)).sum();
-    let measured_s =
-        first_start.zip(run.summary.last_iteration).map(|(first, last)| (last - first).seconds());
     let RunStatistics { stages: statistics, bounds, .. } = run_statistics;
     let counts = Counts {
         ok: run.summary.counts.ok,
@@ -103,11 +132,11 @@ fn collect(
         counts,
         open: run.summary.ended.is_none(),
         ended_early: configured
-            .and_then(|configured| ended_early(run, &counts, measured_s, missing_events?, configured.limit)),
+            .and_then(|configured| ended_early(run, &counts, &times, missing_events?, configured.limit)),
         starts: Starts {
             hz: configured.and_then(|configured| configured.load.hz),
             missing: missing_events,
-            seconds: measured_s,
+            times,
             ..Starts::from(&run.summary)
         },
         missing: run
@@ -169,12 +198,11 @@ impl From<&RunSummary> for Starts {
     }
 }
 
-/// Compares a run that has ended with the limits in its configuration. `measured_s` is the time from the first start after the warm-up to the
-/// last start, seconds; `None` if the beginning of the run is not stored.
+/// Compares a run that has ended with the limits in its configuration.
 fn ended_early(
     run: &RunDetail,
     counts: &Counts,
-    measured_s: Option<f64>,
+    times: &StartTimes,
     missing_events: u64,
     limit: Limits,
 ) -> Option<EndedEarly> {
@@ -184,9 +212,7 @@ fn ended_early(
         measured: counts.measured() + missing_events,
         warm_up: counts.warm_up,
         // A run whose beginning was deleted has lasted at least since its start.
-        seconds: measured_s
-            .or_else(|| Some((summary.last_iteration? - summary.started).seconds()))
-            .unwrap_or(0.0),
+        seconds: StartTimes { first: times.first.or(Some(summary.started)), ..*times }.seconds(),
     };
     EndedEarly::from_progress(&limit, &progress, summary.reason.as_ref().unwrap_or(&EndReason::Unknown))
 }

@@ -35,6 +35,7 @@ mod retention_size;
 mod rollups;
 mod simulation;
 mod skipped;
+mod start_times;
 mod storage_clock;
 mod together;
 mod whole;

@@ -1,7 +1,7 @@
 //! Experiments, and the values of runs over time that are needed to compare and judge runs.
 
 use peernet_analysis::run_selection::{Candidate, Repeat, RunState};
-use peernet_clock::WallTime;
+use peernet_clock::{Span, WallTime};
 use peernet_logger::Name;
 use peernet_statistics::Summary;
 use serde::Serialize;
@@ -50,6 +50,10 @@ pub struct StageBuckets {
     pub unit: String,
     /// Buckets that have samples, oldest first.
     pub buckets: Vec<Summary>,
+    /// Start of each bucket.
+    pub bucket_starts: Vec<WallTime>,
+    /// Width of a bucket.
+    pub bucket_width: Span,
 }
 
 /// The means of one node name over the time of a run.

@@ -4,6 +4,7 @@
 use std::collections::HashMap;
 
 use futures::TryStreamExt as _;
+use peernet_clock::{Span, WallTime};
 use peernet_logger::Name;
 use peernet_statistics::{BUCKET_WIDTHS_S, Summary};
 
@@ -119,10 +120,15 @@ pub(crate) async fn stage_buckets(
 ) -> Result<Vec<StageBuckets>, StoreError> {
     let widths = StoredWidths::read(readers, run).await?.choose(max_buckets);
     let lines = lines(readers, run, stages, widths).await?;
-    let stage_buckets = lines.into_iter().map(|line| StageBuckets {
-        buckets: line.buckets.into_iter().map(|(_, summary)| summary).collect(),
-        stage: line.stage,
-        unit: line.unit,
+    let stage_buckets = lines.into_iter().map(|line| {
+        let (starts_s, buckets): (Vec<_>, Vec<_>) = line.buckets.into_iter().unzip();
+        StageBuckets {
+            buckets,
+            bucket_starts: starts_s.into_iter().map(bucket_start).collect(),
+            bucket_width: Span::from_seconds(widths.0),
+            stage: line.stage,
+            unit: line.unit,
+        }
     });
     Ok(stage_buckets.filter(|stage| !stage.buckets.is_empty()).collect())
 }
@@ -190,10 +196,15 @@ impl NameIds {
     }
 }
 
+/// Returns the start of the bucket that begins at this second since the Unix epoch.
+fn bucket_start(second: i64) -> WallTime {
+    wall(second.saturating_mul(1_000_000_000))
+}
+
 /// Converts a bucket to a point; `None` if the bucket has no samples.
 fn point((start, summary): &(i64, Summary)) -> Option<SeriesPoint> {
     QuantityStatistics::from_summary(summary).map(|statistics| SeriesPoint {
-        at: wall(start.saturating_mul(1_000_000_000)),
+        at: bucket_start(*start),
         count: statistics.count,
         mean: statistics.mean,
         p50: statistics.p50,

@@ -55,8 +55,13 @@ fn node(name: &str, count: u64, mean: f64) -> StageStatistics {
     StageStatistics { stage, unit, is_stage: false, figures: statistics, share: None, bound: None }
 }
 
+/// Returns the times of a run without warm-up.
+fn times(run: &RunDetail) -> StartTimes {
+    StartTimes { first: Some(NOW), last: run.summary.last_iteration, standstill_s: None }
+}
+
 fn report(run: &RunDetail, stages: Vec<StageStatistics>) -> Report {
-    Report::new(&collect(run, Some(NOW), &RunStatistics { stages, ..RunStatistics::default() }, &[]))
+    Report::new(&collect(run, times(run), &RunStatistics { stages, ..RunStatistics::default() }, &[]))
 }
 
 /// A run of 300 iterations in 59 s.
@@ -120,7 +125,7 @@ fn replayed_latencies_and_overrun_are_collected() {
     let mut run = detail("", "finished");
     run.facts.push(("Replayed".to_owned(), "inference is drawn from x".to_owned()));
     let statistics = RunStatistics { stages: vec![node("overrun", 300, 0.002)], ..RunStatistics::default() };
-    let input = collect(&run, None, &statistics, &[]);
+    let input = collect(&run, StartTimes::default(), &statistics, &[]);
     assert_eq!((input.replayed.as_deref(), input.overrun), (Some("inference is drawn from x"), Some(0.002)));
 }
 
@@ -162,7 +167,7 @@ fn missing_events_count_in_rate_as_in_results() {
         if missing > 0 {
             run.gaps.push(GapRow { from: first, to: last, count: missing, reason: "full".to_owned() });
         }
-        let stored = collect(&run, Some(first), &RunStatistics::default(), &[]).starts;
+        let stored = collect(&run, times(&run), &RunStatistics::default(), &[]).starts;
         let of_files = TrustInput::from_run(&record(missing), &rows).starts;
         assert_eq!(stored.actual_hz(), of_files.actual_hz());
         assert_eq!(of_files.actual_hz(), Some((299 + missing) as f64 / 299.0));
@@ -259,7 +264,7 @@ fn rows_and_roll_ups_give_same_findings() {
         bounds: bounds.to_vec(),
         ..RunStatistics::default()
     };
-    let stored = collect(&detail("", "finished"), Some(NOW), &statistics, &[]);
+    let stored = collect(&detail("", "finished"), StartTimes::default(), &statistics, &[]);
     let near = |a: Option<f64>, b: Option<f64>| a.zip(b).is_some_and(|(a, b)| (a - b).abs() < 1e-9);
     assert!(
         near(input.split.unexplained(), stored.split.unexplained()),
