@@ -65,7 +65,8 @@ impl SensorStudy {
         periods.values().iter().for_each(|period| moments.record(*period));
         let jitter: SortedValues = periods.values().iter().map(|period| (period - median).abs()).collect();
         let gap = sample_times.windows(2).max_by(|a, b| length(a).total_cmp(&length(b)))?;
-        let sensing: SortedValues = measured().filter_map(|row| row.value("sensing")).collect();
+        // The duration of a failed attempt, such as a time limit, is no time until a sample was ready.
+        let sensing: SortedValues = rows.counted_values("sensing").collect();
         Some(Self {
             samples: sample_times.len() as u64,
             failed: measured().filter(|row| row.outcome() != Outcome::Ok).count() as u64,
@@ -181,6 +182,7 @@ fn dropped_samples(rows: &Rows) -> Option<u64> {
 mod tests {
     use super::*;
     use crate::rows::Row;
+    use crate::summary::Summary;
 
     /// Returns a sample every 20 ms, ready 5 ms after its request. Every fourth sample is 8 ms late.
     fn rows(count: u64) -> Vec<Row> {
@@ -226,7 +228,12 @@ mod tests {
     fn failed_sample_is_gap_without_period() {
         let mut rows = rows(20);
         rows[9].outcome = Outcome::Failed;
+        // The sensor failed after a time limit.
+        rows[9].values = vec![("sensing".into(), 1.0)];
+        let kept: Rows = rows.iter().cloned().collect();
         let study = study(rows).expect("samples");
+        let of_summary = Summary::from_rows(&kept).quantity("sensing").map(|sensing| sensing.median);
+        assert_eq!(of_summary, Some(study.sensing), "`summary.*` and pages count samples only");
         assert_eq!((study.failed, study.samples, study.longest_gap_at), (1, 16, 11));
         assert!(close(study.longest_gap, 0.04));
         assert!(study.jitter_p95.is_none(), "too few");
