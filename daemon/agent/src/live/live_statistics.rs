@@ -64,6 +64,11 @@ impl PipelineLiveState {
         self.lock().ring.record(unix_second, outcome, tree);
     }
 
+    /// Adds an iteration of the warm-up. It ended within the second `unix_second` (Unix time).
+    pub(crate) fn record_warm_up(&self, unix_second: i64, tree: &Tree) {
+        self.lock().ring.record_warm_up(unix_second, tree);
+    }
+
     fn live(&self) -> (PipelineLive, SentSeconds) {
         let fields = self.lock();
         let (seconds, sent_seconds) = fields.ring.changed_seconds();

@@ -9,7 +9,7 @@ use peernet_stream::{Outcome, OutcomeCounts, Second};
 pub(crate) const DEADLINE_MISSED: Name = Name::from_static("deadline-missed");
 
 /// Name of the value that is 1 if the episode that ended with an iteration was a success, else 0. It belongs to the episode,
-/// so it counts even if the last answer of the episode is lost.
+/// so it counts even if the last answer of the episode is lost, and if the episode ends within its warm-up.
 pub(crate) const EPISODE_SUCCESS: Name = Name::from_static("episode-success");
 /// Name of the return of the episode that ended with an iteration: the sum of its rewards. It counts as
 /// [`EPISODE_SUCCESS`] does.
@@ -61,11 +61,10 @@ impl SecondStatistics {
             if tree.find(&[DEADLINE_MISSED.as_str()]).is_some() {
                 self.values.find_or_add(0, &DEADLINE_MISSED);
             }
-            for name in [stage::SKIPPED_STARTS, EPISODE_SUCCESS, EPISODE_RETURN] {
-                if let Some(value) = tree.find(&[name.as_str()]).and_then(|(_, node)| node.measure.value()) {
-                    self.values.record(0, &name, value);
-                }
+            if let Some(value) = value_of(tree, &stage::SKIPPED_STARTS) {
+                self.values.record(0, &stage::SKIPPED_STARTS, value);
             }
+            self.record_episode_result(tree);
             return;
         }
         let mut hint = 0;
@@ -74,6 +73,15 @@ impl SecondStatistics {
                 hint = self.values.record(hint, &node.name, value);
             }
             self.record_delay(node);
+        }
+    }
+
+    /// Adds the result of the episode that ended with an iteration, if one did.
+    pub(super) fn record_episode_result(&mut self, tree: &Tree) {
+        for name in [EPISODE_SUCCESS, EPISODE_RETURN] {
+            if let Some(value) = value_of(tree, &name) {
+                self.values.record(0, &name, value);
+            }
         }
     }
 
@@ -106,6 +114,15 @@ impl SecondStatistics {
             verdicts: self.verdicts.clone(),
         }
     }
+}
+
+/// Returns whether an episode ended with an iteration.
+pub(super) fn has_episode_result(tree: &Tree) -> bool {
+    [EPISODE_SUCCESS, EPISODE_RETURN].iter().any(|name| value_of(tree, name).is_some())
+}
+
+fn value_of(tree: &Tree, name: &Name) -> Option<f64> {
+    tree.find(&[name.as_str()])?.1.measure.value()
 }
 
 /// Summaries by name, in the order in which the names first occurred.

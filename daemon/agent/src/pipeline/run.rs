@@ -154,8 +154,11 @@ impl Run {
         if let Some(deadline) = self.deadline {
             deadline::record_deadline(&mut tree, &outcome, deadline);
         }
-        // Warm-up iterations are stored, but left out of all statistics.
-        if !position.warm_up {
+        // Warm-up iterations are stored, but left out of statistics, except for the results of episodes: an episode that ends within its
+        // warm-up was a success or none, too.
+        if position.warm_up {
+            live_state.record_warm_up(ended.wall.unix_seconds(), &tree);
+        } else {
             live_state.record(ended.wall.unix_seconds(), &outcome, &tree);
         }
         let Position { number, episode, step, warm_up } = position;
