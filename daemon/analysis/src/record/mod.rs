@@ -210,6 +210,16 @@ impl Counts {
         }
         counts
     }
+
+    /// Returns the number of rows without the warm-up.
+    pub const fn measured(&self) -> u64 {
+        self.ok + self.unanswered()
+    }
+
+    /// Returns the number of rows without an answer, without the warm-up.
+    pub const fn unanswered(&self) -> u64 {
+        self.failed + self.lost + self.timeout
+    }
 }
 
 #[cfg(test)]

@@ -48,7 +48,7 @@ fn load(record: &RunRecord) -> Load {
 fn ended_early(record: &RunRecord, rows: &Rows, times: &StartTimes) -> Option<EndedEarly> {
     let counts = Counts::from_rows(rows, record.counts.unseen);
     let progress = Progress {
-        measured: counts.ok + counts.failed + counts.lost + counts.timeout + counts.unseen,
+        measured: counts.measured() + counts.unseen,
         warm_up: counts.warm_up,
         seconds: times.seconds(),
     };

@@ -2,6 +2,7 @@
 
 use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
+use peernet_analysis::record::Counts;
 use peernet_analysis::rows::{Outcome, Rows};
 use peernet_statistics::number::counted;
 use peernet_stream::EndReason;
@@ -47,36 +48,37 @@ impl AgentEnd {
                 if unseen == 1 { "1 iteration was".to_owned() } else { format!("{unseen} iterations were") },
                 has_or_have(unseen)
             )),
-            Self::Finished => {
-                let mut unanswered = rows.iter().filter(|row| row.outcome() != Outcome::Ok).peekable();
-                let first = unanswered.peek()?;
-                let reason = first.reason().map_or("no answer in time", without_repetition);
-                let text = format!(
-                    "iteration {} {}: {reason}",
-                    first.iteration(),
-                    match first.outcome() {
-                        Outcome::Timeout => "timed out",
-                        Outcome::Lost => "was lost",
-                        Outcome::Failed | Outcome::Ok => "failed",
-                    }
-                );
-                let all_are_actions = rows
-                    .iter()
-                    .filter(|row| row.outcome() != Outcome::Ok)
-                    .all(|row| row.reason().is_some_and(|reason| reason.starts_with(ACTUATOR_FAILED)));
-                let (unanswered, all) = (unanswered.count() as u64, counted(rows.len() as u64, "iteration"));
-                let verb = has_or_have(unanswered);
-                incomplete(if all_are_actions {
-                    format!(
-                        "{unanswered} of {all} {verb} an answer that the actuator failed to act on; {text}"
-                    )
-                } else {
-                    format!("{unanswered} of {all} {verb} no answer; {text}")
-                })
-            }
+            Self::Finished => incomplete(unanswered_text(rows)?),
             Self::OwnReason(never) => match *never {},
         }
     }
+}
+
+/// Returns a sentence on the iterations without an answer. Those of the warm-up, which statistics exclude, count only if all others have an
+/// answer. `None` if every iteration has one.
+fn unanswered_text(rows: &Rows) -> Option<String> {
+    let counts = Counts::from_rows(rows, 0);
+    let in_warm_up = counts.unanswered() == 0;
+    let unanswered = || rows.iter().filter(|row| row.warm_up() == in_warm_up && row.outcome() != Outcome::Ok);
+    let first = unanswered().next()?;
+    let reason = first.reason().map_or("no answer in time", without_repetition);
+    let outcome = match first.outcome() {
+        Outcome::Timeout => "timed out",
+        Outcome::Lost => "was lost",
+        Outcome::Failed | Outcome::Ok => "failed",
+    };
+    let are_actions =
+        unanswered().all(|row| row.reason().is_some_and(|reason| reason.starts_with(ACTUATOR_FAILED)));
+    let problem = if are_actions { "an answer that the actuator failed to act on" } else { "no answer" };
+    let (all, kind) =
+        if in_warm_up { (counts.warm_up, "warm-up iteration") } else { (counts.measured(), "iteration") };
+    let number = unanswered().count() as u64;
+    Some(format!(
+        "{number} of {} {} {problem}; iteration {} {outcome}: {reason}",
+        counted(all, kind),
+        has_or_have(number),
+        first.iteration()
+    ))
 }
 
 /// Separator between an exception and its traceback.
@@ -138,7 +140,13 @@ mod tests {
         assert_eq!(code(AgentEnd::Interrupted), Some(Exit::Interrupted));
         assert_eq!(code(AgentEnd::Failed("x".into())), Some(Exit::Incomplete));
 
-        let rows = [row(1, Outcome::Ok), row(2, Outcome::Lost), row(3, Outcome::Timeout)];
+        let warm_up = |iteration, outcome| Row { warm_up: true, ..row(iteration, outcome) };
+        let rows = [
+            warm_up(0, Outcome::Timeout),
+            row(1, Outcome::Ok),
+            row(2, Outcome::Lost),
+            row(3, Outcome::Timeout),
+        ];
         let partly_answered = Rows::from_iter(rows);
         let failure = AgentEnd::Finished.failure(&partly_answered, 0).expect("two have no answer");
         let text = "2 of 3 iterations have no answer; iteration 2 was lost: it went away";
@@ -147,6 +155,12 @@ mod tests {
         let lost = Rows::from_iter([row(1, Outcome::Lost)]);
         let failure = AgentEnd::Finished.failure(&lost, 0).expect("it has none").to_string();
         assert!(failure.starts_with("1 of 1 iteration has no answer; iteration 1 was lost"), "{failure}");
+
+        let first_is_late = [warm_up(1, Outcome::Timeout), warm_up(2, Outcome::Ok), row(3, Outcome::Ok)];
+        let failure =
+            AgentEnd::Finished.failure(&Rows::from_iter(first_is_late), 0).expect("one is unanswered");
+        let text = "1 of 2 warm-up iterations has no answer; iteration 1 timed out: no answer in time";
+        assert_eq!((failure.exit, failure.to_string().as_str()), (Exit::Incomplete, text));
 
         let unseen = AgentEnd::Finished.failure(&answered, 3).expect("three are missing");
         assert!(
