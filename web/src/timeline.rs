@@ -4,7 +4,7 @@
 //! follows from the one-way delay of the message that brought the iteration there, and has the uncertainty of that delay.
 
 use peernet_clock::{DelaySource, Span, Verdict};
-use peernet_logger::{HostIndex, Measure, Name, Node, NodeId, Transit, Tree};
+use peernet_logger::{CountedNodes, HostIndex, Measure, Name, Node, NodeId, Transit, Tree};
 use peernet_store::{IterationDetail, QuantityStatistics};
 
 /// A node with a duration, placed on the edge's time line. Times are in seconds.
@@ -18,7 +18,9 @@ pub(crate) struct PlacedNode {
     /// Duration; `None` if the node was never closed, or if its delay is unknown.
     pub length: Option<f64>,
     pub delay: Option<Delay>,
-    /// Median of this node over the run.
+    /// Whether the node is part of the statistics of its name. A stage inside another model is not.
+    pub is_counted: bool,
+    /// Median of the name over the run; `None` if the node is not the only one that counts for the name in this iteration.
     pub median: Option<f64>,
 }
 
@@ -66,6 +68,24 @@ pub(crate) struct Timeline {
     pub visits: Vec<Option<Visit>>,
     /// End of the last node.
     pub end: f64,
+}
+
+/// Statistics of a run by name, and the nodes of one of its iterations that they include.
+pub(crate) struct NodeStatistics<'a> {
+    pub counted_nodes: CountedNodes<'a>,
+    pub of_run: &'a [(Name, QuantityStatistics)],
+}
+
+impl<'a> NodeStatistics<'a> {
+    pub(crate) fn of(detail: &'a IterationDetail) -> Self {
+        Self { counted_nodes: detail.tree.counted_nodes(), of_run: &detail.run_figures }
+    }
+
+    /// Returns the median that a node's value is comparable with; `None` if statistics of the name omit the node or add others to it.
+    pub(crate) fn median(&self, id: NodeId, name: &Name) -> Option<f64> {
+        let (_, statistics) = self.of_run.iter().find(|(of_run, _)| of_run == name)?;
+        self.counted_nodes.is_counted_alone(id).then_some(statistics.p50)
+    }
 }
 
 fn transits(tree: &Tree) -> impl Iterator<Item = (&Node, &Transit)> {
@@ -123,7 +143,7 @@ impl Timeline {
         let visits: Vec<Option<Visit>> =
             (1..tree.anchors().len()).map(|index| visit(tree, index, detail.row.both_ways)).collect();
         let mut timeline = Self { nodes: Vec::new(), visits, end: detail.row.total.unwrap_or(0.0) };
-        timeline.add_children(tree, NodeId::ROOT, 0, &detail.run_figures);
+        timeline.add_children(tree, NodeId::ROOT, 0, &NodeStatistics::of(detail));
         timeline.sort();
         let ends = timeline.nodes.iter().filter_map(|node| Some(node.start? + node.length?));
         timeline.end = ends.fold(timeline.end, f64::max);
@@ -149,19 +169,19 @@ impl Timeline {
         tree: &Tree,
         parent: NodeId,
         depth: u8,
-        run_statistics: &[(Name, QuantityStatistics)],
+        statistics: &NodeStatistics<'_>,
     ) {
         for (id, node) in tree.children(parent) {
             let is_sum = matches!(node.name.as_str(), "total" | "stages-total" | "unattributed");
             if depth == 0 && is_sum {
                 continue;
             }
-            if let Some(placed) = self.position_node(node, depth, run_statistics) {
+            if let Some(placed) = self.position_node((id, node), depth, statistics) {
                 self.nodes.push(placed);
             }
             // An agent with bad intent may send a deep tree. The API returns the nodes that are too deep for the page.
             if depth < 6 {
-                self.add_children(tree, id, depth + 1, run_statistics);
+                self.add_children(tree, id, depth + 1, statistics);
             }
         }
     }
@@ -176,13 +196,11 @@ impl Timeline {
 
     fn position_node(
         &self,
-        node: &Node,
+        (id, node): (NodeId, &Node),
         depth: u8,
-        run_statistics: &[(Name, QuantityStatistics)],
+        statistics: &NodeStatistics<'_>,
     ) -> Option<PlacedNode> {
         let zero = self.zero(node.host);
-        let median =
-            run_statistics.iter().find(|(name, _)| *name == node.name).map(|(_, statistics)| statistics.p50);
         let start = zero.map(|zero| zero + node.start.seconds());
         let placed = PlacedNode {
             name: node.name.clone(),
@@ -191,7 +209,8 @@ impl Timeline {
             start,
             length: None,
             delay: None,
-            median,
+            is_counted: statistics.counted_nodes.is_counted(id),
+            median: statistics.median(id, &node.name),
         };
         match &node.measure {
             Measure::Timer(length) => Some(PlacedNode { length: length.map(Span::seconds), ..placed }),

@@ -145,6 +145,22 @@ impl CountedNodes<'_> {
         self.values.get(name)
     }
 
+    /// Returns whether the value of a node is part of the statistics of its name.
+    pub fn is_counted(&self, id: NodeId) -> bool {
+        self.roles.get(id.index()).is_some_and(|role| *role != NodeRole::Nested)
+    }
+
+    /// Returns whether the statistics of a node's name have the node's own value: it counts, and is not a part of a sum.
+    pub fn is_counted_alone(&self, id: NodeId) -> bool {
+        match self.roles.get(id.index()) {
+            Some(role @ NodeRole::OfIteration(_)) => {
+                self.roles.iter().filter(|other| *other == role).count() == 1
+            }
+            Some(NodeRole::Other) => true,
+            Some(NodeRole::Nested) | None => false,
+        }
+    }
+
     /// Returns the nodes, each with the value that counts for it ([`IterationValues::counted`]).
     pub fn iter(&self) -> impl Iterator<Item = (NodeId, &Node, Option<f64>)> {
         let nodes = self.tree.iter().zip(&self.roles).filter(|(_, role)| **role != NodeRole::Nested);
@@ -199,6 +215,10 @@ mod tests {
             (13, "grasp", 2.0),
         ];
         assert_eq!(counted, expected);
+        let alone = (0..14).map(NodeId).filter(|id| counted_nodes.is_counted_alone(*id));
+        assert_eq!(alone.map(|id| id.0).collect::<Vec<_>>(), [0, 5, 12, 13]);
+        let omitted = (0..14).map(NodeId).filter(|id| !counted_nodes.is_counted(*id));
+        assert_eq!(omitted.map(|id| id.0).collect::<Vec<_>>(), [3, 6, 7]);
         let names = ["sensing", "capture", "inference", "preprocessing", "grasp"];
         assert_eq!(
             names.map(|name| counted_nodes.get(name)),

@@ -5,6 +5,7 @@ use peernet_logger::{Measure, Name, Node, NodeId};
 use peernet_statistics::number::{NONE, SPACE, bytes, figure, throughput, throughput_between, times};
 use peernet_store::{IterationDetail, QuantityStatistics};
 
+use crate::timeline::NodeStatistics;
 use crate::view::units::shown_in;
 
 /// One direction.
@@ -29,8 +30,9 @@ pub(crate) struct OtherMeasurement {
     pub median: String,
 }
 
+/// Returns the value of a size or throughput as statistics count it.
 fn value(detail: &IterationDetail, name: &str) -> Option<f64> {
-    detail.tree.nodes().iter().find(|node| node.name == *name).and_then(|node| node.measure.value())
+    detail.tree.counted_nodes().get(name)
 }
 
 fn run_statistics<'a>(
@@ -106,6 +108,7 @@ impl OtherMeasurement {
             !shown_elsewhere(node)
                 && matches!(node.measure, Measure::Value(..) | Measure::Custom(..) | Measure::TokenRate(_))
         });
+        let statistics = NodeStatistics::of(detail);
         let rows = nodes.map(|(id, node)| {
             let (unit, factor) = shown_in(node.measure.unit().symbol());
             let text =
@@ -115,9 +118,7 @@ impl OtherMeasurement {
                 kind: node.measure.kind().to_string(),
                 value: text(node.measure.value()),
                 unit,
-                median: text(
-                    run_statistics(&detail.run_figures, &node.name).map(|statistics| statistics.p50),
-                ),
+                median: text(statistics.median(id, &node.name)),
             }
         });
         rows.collect()

@@ -72,7 +72,7 @@ pub(crate) fn rows(
 ) -> Vec<Row> {
     let is_cause = |name: &str| detail.row.causes.iter().any(|cause| cause.name == *name);
     let row = |node: &PlacedNode| {
-        let strong = is_cause(node.name.as_str());
+        let strong = node.is_counted && is_cause(node.name.as_str());
         Row::of(node, hosts, strong, bars::row(node, timeline, scale, strong))
     };
     let is_late = |node: &&PlacedNode| node.depth == 0 && node.name == *look::LATENESS;
@@ -241,6 +241,7 @@ pub(crate) fn footnote(timeline: &Timeline, cloud: &str) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
+    use peernet_analysis::slowness::Cause;
     use peernet_clock::{DelaySource, OneWayDelay, Span, WallTime};
     use peernet_logger::{Measure, Name, NodeId, Transit, stage};
 
@@ -309,6 +310,48 @@ mod tests {
             rows[rows.len() - 3..].iter().map(|row| (row.name.as_str(), row.depth)).collect();
         assert_eq!(end, [("unattributed", 0), ("lateness", 1), ("total", 0)]);
         assert_eq!(rows.iter().filter(|row| row.name == look::LATENESS).count(), 1);
+    }
+
+    #[test]
+    fn only_nodes_that_statistics_count_are_compared() {
+        let mut detail = samples::iteration();
+        let tree = &mut detail.tree;
+        let mut add = |parent, name: Name, millis| {
+            tree.add(parent, name, Span::ZERO, Measure::Timer(Some(Span::from_millis(millis))))
+        };
+        let inference = add(NodeId::ROOT, stage::INFERENCE, 40);
+        let inner = add(inference, Name::from_static("inner-model"), 12);
+        add(inner, stage::INFERENCE, 10);
+        add(NodeId::ROOT, stage::SEND_QUEUE, 3);
+        add(NodeId::ROOT, stage::SEND_QUEUE, 2);
+        // In a run whose iterations are all like this one, each median is the value in `data.csv`.
+        let iteration = peernet_stream::Iteration {
+            run: peernet_logger::RunId::random(),
+            number: 1,
+            episode: 0,
+            step: 0,
+            warm_up: false,
+            outcome: peernet_stream::Outcome::Ok,
+            tree: detail.tree.clone(),
+        };
+        let file_row = peernet_analysis::rows::Row::from_iteration(&iteration);
+        let median_in_file = |name: &Name| file_row.value(name.as_str()).expect("a column");
+        assert_eq!([stage::INFERENCE, stage::SEND_QUEUE].map(|name| median_in_file(&name)), [0.04, 0.005]);
+        detail.run_figures.retain(|(name, _)| *name != stage::INFERENCE && *name != stage::SEND_QUEUE);
+        for name in [stage::INFERENCE, stage::SEND_QUEUE] {
+            let median = samples::figures(median_in_file(&name), 100);
+            detail.run_figures.push((name, median));
+        }
+        detail.row.causes = vec![Cause { name: stage::INFERENCE, value: 0.04, median: 0.03 }];
+        let timeline = Timeline::of(&detail);
+        let rows = rows(&detail, &timeline, &["cam-1".to_owned()], &Scale::up_to(100.0, 6));
+        let compared = |name: &str| {
+            let rows = rows.iter().filter(|row| row.name == name);
+            rows.map(|row| (row.value.clone(), row.median.clone(), row.strong)).collect::<Vec<_>>()
+        };
+        let row = |value: &str, median: &str, strong| (value.to_owned(), median.to_owned(), strong);
+        assert_eq!(compared("inference"), [row("40.00", "40.00", true), row("10.00", NONE, false)]);
+        assert_eq!(compared("send-queue"), [row("3.00", NONE, false), row("2.00", NONE, false)]);
     }
 
     #[test]
