@@ -5,6 +5,7 @@
 
 use peernet_clock::{DelaySource, Span, Verdict};
 use peernet_logger::{CountedNodes, HostIndex, Measure, Name, Node, NodeId, Transit, Tree};
+use peernet_statistics::number::StageColumn;
 use peernet_store::{IterationDetail, QuantityStatistics};
 
 /// A node with a duration, placed on the edge's time line. Times are in seconds.
@@ -164,13 +165,7 @@ impl Timeline {
         self.nodes = keyed.into_iter().map(|(_, node)| node).collect();
     }
 
-    fn add_children(
-        &mut self,
-        tree: &Tree,
-        parent: NodeId,
-        depth: u8,
-        statistics: &NodeStatistics<'_>,
-    ) {
+    fn add_children(&mut self, tree: &Tree, parent: NodeId, depth: u8, statistics: &NodeStatistics<'_>) {
         for (id, node) in tree.children(parent) {
             let is_sum = matches!(node.name.as_str(), "total" | "stages-total" | "unattributed");
             if depth == 0 && is_sum {
@@ -230,6 +225,11 @@ impl Timeline {
             }
             _ => None,
         }
+    }
+
+    /// Returns the format of tables of the nodes' durations.
+    pub(crate) fn column(&self) -> StageColumn {
+        StageColumn::for_total(Some(self.end))
     }
 
     /// Returns the stay on the other host if there is exactly one other host.

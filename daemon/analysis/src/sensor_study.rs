@@ -1,6 +1,6 @@
 //! Study of a sensor alone: its rate, its jitter, and its dropped samples.
 
-use peernet_statistics::number::{counted, fixed, milliseconds, significant};
+use peernet_statistics::number::{counted, fixed, milliseconds, percent, rate};
 use peernet_statistics::{MIN_VALUES_FOR_P95, Moments};
 
 use crate::order::SortedValues;
@@ -88,7 +88,7 @@ impl SensorStudy {
     pub fn sentences(&self) -> Vec<String> {
         let mut sentences = vec![format!(
             "The sensor ran at {} samples per second: one every {} ms{}, over {}.",
-            significant(self.rate),
+            rate(self.rate),
             milliseconds(self.period),
             self.period_std.map_or_else(String::new, |std| format!(" ± {} ms", milliseconds(std))),
             counted(self.samples, "sample"),
@@ -119,8 +119,8 @@ impl SensorStudy {
             }
             Some(0) => "It dropped no sample.".to_owned(),
             Some(dropped) => {
-                let share = dropped as f64 / (dropped + self.samples) as f64 * 100.0;
-                format!("It dropped {}, {} % of all.", counted(dropped, "sample"), significant(share))
+                let share = dropped as f64 / (dropped + self.samples) as f64;
+                format!("It dropped {}, {} % of all.", counted(dropped, "sample"), percent(share))
             }
         });
         if self.failed > 0 {
@@ -141,7 +141,7 @@ impl SensorStudy {
         let count = |value: u64| fixed(value as f64, 0);
         let rows = [
             ("samples", count(self.samples), ""),
-            ("rate", significant(self.rate), "/s"),
+            ("rate", rate(self.rate), "/s"),
             ("period, mean", milliseconds(self.period), "ms"),
             ("period, std", ms(self.period_std), "ms"),
             ("period, median", milliseconds(self.median), "ms"),

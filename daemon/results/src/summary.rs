@@ -10,7 +10,7 @@ use peernet_analysis::rows::{SKIPPED_STARTS, Units};
 use peernet_analysis::summary::{Quantity, Scale, Summary};
 use peernet_analysis::table::{Table, csv_text, decimals_of, interval};
 use peernet_analysis::trust::Starts;
-use peernet_statistics::number::{bound_ms, column_decimals, decimals, duration, fixed, percent};
+use peernet_statistics::number::{bound_ms, column_decimals, duration, fixed, percent};
 
 /// Text for an unknown value.
 const UNKNOWN: &str = "—";
@@ -136,7 +136,7 @@ fn cells(quantity: &Quantity, name: &str, units: &Units, digits: Digits) -> Vec<
     };
     vec![
         name.to_owned(),
-        unit_of(scale, unit).to_owned(),
+        scale.symbol(unit.unwrap_or_default()).to_owned(),
         fixed(quantity.count as f64, 0),
         mean,
         quantile_cell(Some(quantity.median)),
@@ -145,16 +145,6 @@ fn cells(quantity: &Quantity, name: &str, units: &Units, digits: Digits) -> Vec<
         quantile_cell(quantity.p99),
         quantile_cell(Some(quantity.max)),
     ]
-}
-
-/// Returns the unit in which the numbers of a quantity are shown.
-fn unit_of(scale: Scale, logged_unit: Option<&str>) -> &str {
-    match scale {
-        Scale::Milliseconds => "ms",
-        Scale::MegabytesPerSecond => "MB/s",
-        Scale::Bytes => "B",
-        Scale::AsMeasured => logged_unit.unwrap_or_default(),
-    }
 }
 
 /// Numbers of decimals for ms and for MB/s: the same in all rows, so that the numbers of a column can be compared.
@@ -184,13 +174,12 @@ impl Digits {
 
 /// Returns a function that formats the numbers of a row, all with the same number of decimals.
 fn number_format(scale: Scale, quantity: &Quantity, digits: Digits) -> impl Fn(f64) -> String {
-    let (factor, decimals) = match scale {
-        Scale::Milliseconds => (1e3, digits.milliseconds),
-        Scale::MegabytesPerSecond => (1.0 / 8e6, digits.megabytes_per_second),
-        Scale::Bytes => (1.0, 0),
-        Scale::AsMeasured => (1.0, decimals(quantity.median, 3)),
+    let decimals = match scale {
+        Scale::Milliseconds => digits.milliseconds,
+        Scale::MegabytesPerSecond => digits.megabytes_per_second,
+        Scale::Bytes | Scale::AsMeasured => scale.decimals(quantity.median),
     };
-    move |value| if value.is_infinite() { "∞".to_owned() } else { fixed(value * factor, decimals) }
+    move |value| if value.is_infinite() { "∞".to_owned() } else { fixed(value * scale.factor(), decimals) }
 }
 
 /// Returns the sentence about the outcomes of the iterations.

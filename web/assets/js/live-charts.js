@@ -213,10 +213,10 @@
       tooltip: PEER.tooltip((params) => {
         if (!PEER.isHovered(node) || !params.length) return "";
         const row = rows.reduce((best, other) => (Math.abs(other.at - params[0].axisValue) < Math.abs(best.at - params[0].axisValue) ? other : best), rows[0]);
-        const lines = shown.slice().reverse().filter((stage) => row.n > 0).map((stage) => ({ stage, name: stage, value: NUMBERS.figure(row.means[stage]) }));
+        const lines = shown.slice().reverse().filter((stage) => row.n > 0).map((stage) => ({ stage, name: stage, value: NUMBERS.milliseconds(row.means[stage]) }));
         const level = p95.find(([from, to]) => row.at >= from && row.at < to);
-        lines.push({ name: "total, mean", value: NUMBERS.figure(row.total), sum: true }, { name: card.p95.size ? `p95 of ${card.p95.size} s` : "p95", value: NUMBERS.figure(level?.[2]) });
-        if (card.remote) lines.push({ name: "up while sending, MB/s", value: NUMBERS.significant(row.up), sum: true }, { name: "down while sending, MB/s", value: NUMBERS.significant(row.down) });
+        lines.push({ name: "total, mean", value: NUMBERS.milliseconds(row.total), sum: true }, { name: card.p95.size ? `p95 of ${card.p95.size} s` : "p95", value: NUMBERS.milliseconds(level?.[2]) });
+        if (card.remote) lines.push({ name: "up while sending, MB/s", value: NUMBERS.throughput(row.up), sum: true }, { name: "down while sending, MB/s", value: NUMBERS.throughput(row.down) });
         return PEER.tip(PEER.clock(row.at - size * 500, true), size === 1 ? "ms, mean of 1 s" : `ms, mean of ${size} s`, lines);
       }),
       xAxis: [0, ...below.map((_, index) => index + 1)].map((grid) => PEER.timeAxis({ ...axes, gridIndex: grid, ...(grid < below.length ? { axisLabel: { show: false } } : {}), seconds, splitNumber: 4 })),

@@ -23,10 +23,10 @@ const NUMBERS = (() => {
 
   return {
     fixed,
-    // Three significant digits, however small.
-    significant: (value) => fixed(value, decimals(value, 3)),
-    // Three significant digits with at most two decimals, for sentences and drawings.
-    figure: (value) => fixed(value, Math.min(2, decimals(value, 3))),
+    // Milliseconds with three significant digits, at most to the nanosecond.
+    milliseconds: (value) => fixed(value, Math.abs(value) < 1e-6 ? 2 : Math.min(6, decimals(value, 3))),
+    // Megabytes per second with three significant digits, at most to the byte.
+    throughput: (value) => (value === 0 ? "0" : fixed(value, Math.min(6, decimals(value, 3)))),
     count: (value) => group(String(value)),
     // Label of an axis. Its value is round, so trailing zeros are removed.
     tick: (value) => {

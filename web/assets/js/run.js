@@ -45,8 +45,8 @@
         const at = params[0].axisValue;
         const bucket = data.points.find((one) => at >= one[0] && at < one[0] + size);
         const lines = [];
-        if (bucket) lines.push({ name: "median", value: NUMBERS.significant(bucket[1]) }, { name: "p95", value: NUMBERS.significant(bucket[2]) });
-        if (point) lines.push({ stage: point.data.stage, name: `iteration ${NUMBERS.count(point.data.number)}`, value: NUMBERS.significant(point.value[1]), sum: lines.length > 0 });
+        if (bucket) lines.push({ name: "median", value: NUMBERS.milliseconds(bucket[1]) }, { name: "p95", value: NUMBERS.milliseconds(bucket[2]) });
+        if (point) lines.push({ stage: point.data.stage, name: `iteration ${NUMBERS.count(point.data.number)}`, value: NUMBERS.milliseconds(point.value[1]), sum: lines.length > 0 });
         return lines.length ? PEER.tip(PEER.clock(bucket ? bucket[0] : at, true), `ms, ${data.bucket} s`, lines) : "";
       }),
       xAxis: PEER.timeAxis({ min: begin, max: end, seconds }),

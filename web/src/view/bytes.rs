@@ -1,12 +1,12 @@
 //! Sizes, throughputs and other quantities of one iteration.
 
+use peernet_analysis::summary::Scale;
 use peernet_clock::Verdict;
 use peernet_logger::{Measure, Name, Node, NodeId};
-use peernet_statistics::number::{NONE, SPACE, bytes, figure, throughput, throughput_between, times};
+use peernet_statistics::number::{NONE, SPACE, bytes, throughput, throughput_between, times};
 use peernet_store::{IterationDetail, QuantityStatistics};
 
 use crate::timeline::NodeStatistics;
-use crate::view::units::shown_in;
 
 /// One direction.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -110,14 +110,15 @@ impl OtherMeasurement {
         });
         let statistics = NodeStatistics::of(detail);
         let rows = nodes.map(|(id, node)| {
-            let (unit, factor) = shown_in(node.measure.unit().symbol());
+            let logged_unit = node.measure.unit();
+            let scale = Scale::for_unit(logged_unit.symbol());
             let text =
-                |value: Option<f64>| value.map_or_else(|| NONE.to_owned(), |value| figure(value * factor));
+                |value: Option<f64>| value.map_or_else(|| NONE.to_owned(), |value| scale.format(value));
             Self {
                 path: path(detail, id),
                 kind: node.measure.kind().to_string(),
                 value: text(node.measure.value()),
-                unit,
+                unit: scale.symbol(logged_unit.symbol()).to_owned(),
                 median: text(statistics.median(id, &node.name)),
             }
         });

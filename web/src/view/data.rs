@@ -2,7 +2,11 @@
 
 use std::fmt;
 
+use peernet_statistics::number::decimals;
 use serde::Serialize;
+
+/// Largest number of decimals of a number for a chart.
+const MAX_DECIMALS: usize = 9;
 
 /// JSON text for a `script` element, escaped so that it cannot close the element.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -35,14 +39,17 @@ impl fmt::Display for JsonBlock {
 
 impl askama::filters::HtmlSafe for JsonBlock {}
 
-/// A number for a chart. Its JSON form has three decimals, enough for a screen; a gap is `null`.
+/// A number for a chart. Its JSON form has three decimals, and at least four significant digits, because tooltips show three; a gap is `null`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct RoundedNumber(pub Option<f64>);
 
 impl Serialize for RoundedNumber {
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self.0.filter(|value| value.is_finite()) {
-            Some(value) => serializer.serialize_f64((value * 1e3).round() / 1e3),
+            Some(value) => {
+                let per_one = 10f64.powi(decimals(value, 4).clamp(3, MAX_DECIMALS) as i32);
+                serializer.serialize_f64((value * per_one).round() / per_one)
+            }
             None => serializer.serialize_none(),
         }
     }
@@ -65,5 +72,7 @@ mod tests {
     fn numbers_are_rounded_and_gaps_are_null() {
         let numbers = [RoundedNumber(Some(1.23456)), RoundedNumber(None), RoundedNumber(Some(f64::INFINITY))];
         assert_eq!(serde_json::to_string(&numbers).expect("serialises"), "[1.235,null,null]");
+        let short = [0.0, 0.018_312_3, -0.001_234_56, 1e-12].map(|value| RoundedNumber(Some(value)));
+        assert_eq!(serde_json::to_string(&short).expect("serialises"), "[0.0,0.01831,-0.001235,0.0]");
     }
 }

@@ -4,15 +4,14 @@ use peernet_analysis::accuracy::{ACCURACIES, UNKNOWN_LABEL};
 use peernet_analysis::actuator_results::{ACTION_REPORTS, EPISODE_VALUES, SUPERSEDED};
 use peernet_analysis::deadline::DEADLINE_MISSED;
 use peernet_analysis::rows::SKIPPED_STARTS;
+use peernet_analysis::summary::Scale;
 use peernet_analysis::transfer::Transfer;
 use peernet_analysis::trust::Starts;
 use peernet_clock::{Verdict, WallTime};
 use peernet_figures::drawing::StageBar;
-use peernet_figures::scale::Scale;
+use peernet_figures::scale::Scale as AxisScale;
 use peernet_logger::stage;
-use peernet_statistics::number::{
-    NONE, SPACE, count, difference_ms, figure, length, stage_ms, throughput, times, total_ms,
-};
+use peernet_statistics::number::{NONE, SPACE, StageColumn, count, fixed, length, throughput, times};
 use peernet_store::{
     DelayAccuracy, Episodes, IterationRow, RunDetail, RunStatistics, Series, StageStatistics,
 };
@@ -25,7 +24,6 @@ use super::speed::{self, NetworkDirection};
 use super::stack::Stack;
 use crate::look;
 use crate::picture::Picture;
-use crate::view::units::shown_in;
 use crate::zone::{Zone, ZonedTime};
 
 /// Maximum number of rows of the table of the slowest iterations.
@@ -125,19 +123,25 @@ impl StoredRun<'_> {
     }
 
     /// Returns a scale that holds the slowest iteration.
-    pub(crate) fn scale(&self) -> Scale {
-        Scale::up_to(self.slowest.first().and_then(|row| row.total).unwrap_or(0.0) * 1e3, 5)
+    pub(crate) fn scale(&self) -> AxisScale {
+        AxisScale::up_to(self.slowest.first().and_then(|row| row.total).unwrap_or(0.0) * 1e3, 5)
+    }
+
+    /// Returns the format of the run's tables of durations.
+    fn column(&self) -> StageColumn {
+        StageColumn::for_total(self.run.summary.total.as_ref().map(|total| total.mean))
     }
 
     /// Returns the time series of the total, bucket by bucket.
     pub(crate) fn buckets(&self, zone: Zone) -> Vec<Bucket> {
         let points = self.series.stages.iter().flat_map(|stage| &stage.points);
+        let column = self.column();
         let rows = points.map(|point| Bucket {
             at: zone.moment(point.at),
             count: count(point.count),
-            mean: stage_ms(point.mean),
-            p50: stage_ms(point.p50),
-            p95: point.p95.map_or_else(|| NONE.to_owned(), stage_ms),
+            mean: column.duration(point.mean),
+            p50: column.duration(point.p50),
+            p95: point.p95.map_or_else(|| NONE.to_owned(), |p95| column.duration(p95)),
         });
         rows.collect()
     }
@@ -156,10 +160,12 @@ impl StoredRun<'_> {
         let is_other = |stage: &&StageStatistics| stage.unit != "s" && !is_count(stage) && !is_ratio(stage);
         let other_stages = self.statistics.stages.iter().filter(is_other);
         let rows = other_stages.map(|stage| {
-            let (unit, factor) = shown_in(&stage.unit);
-            let statistics = &stage.figures;
-            let [mean, p50, max] =
-                [statistics.mean, statistics.p50, statistics.max].map(|value| figure(value * factor));
+            let (statistics, scale) = (&stage.figures, Scale::for_unit(&stage.unit));
+            // All numbers of a row have the same decimals, as in the summary of a result folder.
+            let decimals = scale.decimals(statistics.p50);
+            let [mean, p50, max] = [statistics.mean, statistics.p50, statistics.max]
+                .map(|value| fixed(value * scale.factor(), decimals));
+            let unit = scale.symbol(&stage.unit).to_owned();
             OtherStatistics { name: stage.stage.to_string(), mean, p50, max, unit }
         });
         rows.chain(self.transfer_rows()).collect()
@@ -211,7 +217,7 @@ impl StoredRun<'_> {
 
     /// Returns the slowest iterations, on one scale.
     pub(crate) fn slow_rows(&self, zone: Zone) -> Vec<SlowIteration> {
-        let scale = self.scale();
+        let (scale, column) = (self.scale(), self.column());
         let rows = self.slowest.iter().take(MAX_SLOWEST).map(|row| {
             let stack = Stack::of_iteration(row);
             let bar = StageBar { has_values: false, ..StageBar::new(&stack.parts, scale) };
@@ -219,10 +225,10 @@ impl StoredRun<'_> {
                 number: row.number,
                 label: count(row.number),
                 at: zone.moment(row.started),
-                total: row.total.map_or_else(|| NONE.to_owned(), total_ms),
+                total: row.total.map_or_else(|| NONE.to_owned(), |total| column.duration(total)),
                 factor: row.factor.map_or_else(|| NONE.to_owned(), times),
                 cause: row.causes.first().map(|cause| {
-                    let more = difference_ms(cause.excess());
+                    let more = column.difference(cause.excess());
                     let name = cause.name.to_string();
                     let look = look::class(&name);
                     (name, look, format!("{more}{SPACE}ms"))
@@ -265,32 +271,4 @@ impl StoredRun<'_> {
 }
 
 #[cfg(test)]
-mod tests {
-    use peernet_analysis::trust::StartTimes;
-    use peernet_clock::Span;
-    use peernet_stream::PlacementKind;
-
-    use super::*;
-    use crate::view::compare::tests::run;
-
-    #[test]
-    fn run_with_standstill_has_no_rate() {
-        let run = RunDetail::from(run(1, PlacementKind::Remote));
-        let (first, last) = (run.summary.started, run.summary.started + Span::from_seconds(56));
-        let rate_and_remark = |standstill_s: Option<f64>| {
-            let times = StartTimes { first: Some(first), last: Some(last), standstill_s };
-            let stored = StoredRun {
-                run: &run,
-                statistics: &RunStatistics::default(),
-                series: &Series { bucket_s: 1, stages: Vec::new(), gaps: Vec::new() },
-                slowest: &[],
-                unanswered: &[],
-                episodes: &Episodes::default(),
-                starts: Starts { started: 15, missing: Some(0), times, ..Starts::default() },
-            };
-            (stored.rate(), stored.time_remarks().iter().any(|text| text.starts_with("nothing for ")))
-        };
-        assert_eq!(rate_and_remark(Some(3_600.0)), (None, true));
-        assert_eq!(rate_and_remark(None), (Some(0.25), false));
-    }
-}
+mod tests;

@@ -3,7 +3,7 @@
 use peernet_aggregator::Window;
 use peernet_analysis::stage_split::share_of_total;
 use peernet_figures::drawing::{StagePart, share_bar};
-use peernet_statistics::number::{self, NONE, bound_ms, fixed, stage_ms};
+use peernet_statistics::number::{self, NONE, StageColumn, bound_ms};
 use peernet_store::{DelayAccuracy, QuantityStatistics, StageStatistics, rank};
 
 use super::chip::{Chip, Sign};
@@ -43,19 +43,20 @@ pub(crate) const TOO_FEW: &str = "too few iterations: p95 needs 60, p99 needs 30
 
 impl StageRow {
     fn new(
+        column: StageColumn,
         name: &str,
         statistics: Option<&QuantityStatistics>,
         bound: Option<&DelayAccuracy>,
         share: Option<f64>,
     ) -> Self {
         let text = |number_of: fn(&QuantityStatistics) -> Option<f64>| {
-            statistics.and_then(number_of).map_or_else(|| NONE.to_owned(), stage_ms)
+            statistics.and_then(number_of).map_or_else(|| NONE.to_owned(), |value| column.duration(value))
         };
         Self {
             look: look::class(name),
             depth: u8::from(matches!(name, "capture" | "transform" | look::LATENESS)),
             mean: text(|statistics| Some(statistics.mean)),
-            std: statistics.and_then(|statistics| statistics.std).map(|std| fixed(std * 1e3, 2)),
+            std: statistics.and_then(|statistics| statistics.std).map(|std| column.number(std)),
             p50: text(|statistics| Some(statistics.p50)),
             p95: text(|statistics| statistics.p95),
             p99: text(|statistics| statistics.p99),
@@ -76,12 +77,12 @@ impl StageRow {
     }
 
     /// Returns the row of the sum of both directions.
-    fn network(part: &StagePart, share: Option<f64>) -> Self {
+    fn network(column: StageColumn, part: &StagePart, share: Option<f64>) -> Self {
         let title = "free of any clock: the round trip less the time on the other host";
         Self {
-            mean: stage_ms(part.seconds),
+            mean: column.duration(part.seconds),
             bound: BoundCell { text: "exact".to_owned(), sign: None, title },
-            ..Self::new(&part.name, None, None, share)
+            ..Self::new(column, &part.name, None, None, share)
         }
     }
 
@@ -94,22 +95,25 @@ impl StageRow {
                 && stage.stage != "unattributed"
                 && stage.stage != look::LATENESS
         };
+        let stack = Stack::of_run(stages, bounds);
+        let column = StageColumn::for_total(stack.total.map(|total| total.mean));
         let mut rows: Vec<Self> = stages
             .iter()
             .filter(has_own_row)
-            .map(|stage| Self::new(&stage.stage, Some(&stage.figures), stage.bound.as_ref(), stage.share))
+            .map(|stage| {
+                Self::new(column, &stage.stage, Some(&stage.figures), stage.bound.as_ref(), stage.share)
+            })
             .collect();
         // A direction without a known delay has a bound but no statistics, so its row is inserted here.
         for bound in bounds.iter().filter(|bound| stages.iter().all(|stage| stage.stage != bound.stage)) {
             let index = rows.partition_point(|row| rank(&row.name) < rank(&bound.stage));
-            rows.insert(index, Self::new(&bound.stage, None, Some(bound), None));
+            rows.insert(index, Self::new(column, &bound.stage, None, Some(bound), None));
         }
-        let stack = Stack::of_run(stages, bounds);
         if let (Some(network), Some(total)) =
             (stack.parts.iter().find(|part| part.name == look::NETWORK), stack.total)
         {
             let index = rows.iter().position(|row| row.name == "actuation").unwrap_or(rows.len());
-            rows.insert(index, Self::network(network, Some(network.seconds / total.mean)));
+            rows.insert(index, Self::network(column, network, Some(network.seconds / total.mean)));
         }
         let has = |name: &str| stages.iter().any(|stage| stage.stage == *name);
         rows.extend(
@@ -117,6 +121,7 @@ impl StageRow {
                 |name| {
                     let stage = stages.iter().find(|stage| stage.stage == *name)?;
                     Some(Self::new(
+                        column,
                         name,
                         Some(&stage.figures),
                         None,
@@ -131,6 +136,7 @@ impl StageRow {
     /// Returns the rows of a live window.
     pub(crate) fn of_window(window: &Window) -> Vec<Self> {
         let stack = Stack::of_window(window);
+        let column = StageColumn::for_total(stack.total.map(|total| total.mean));
         let mean_of = |name: &str| window.value(name).map(|statistics| (statistics.count, statistics.mean));
         let share = |name: &str| share_of_total(name, DelayAccuracy::sent(&window.bounds), mean_of);
         let mut rows = Vec::new();
@@ -141,10 +147,10 @@ impl StageRow {
             let bound = window.bounds.iter().find(|bound| bound.stage == *name);
             let statistics = window.value(name);
             if statistics.is_some() || bound.is_some_and(|bound| !bound.verdicts.is_empty()) {
-                rows.push(Self::new(name, statistics, bound, share(name)));
+                rows.push(Self::new(column, name, statistics, bound, share(name)));
             }
             if let Some(network) = network.filter(|_| name == "download") {
-                rows.push(Self::network(network, share(look::NETWORK)));
+                rows.push(Self::network(column, network, share(look::NETWORK)));
             }
         }
         rows

@@ -6,8 +6,7 @@ use peernet_analysis::unaccounted_time::{NETWORK_AND_REST, UnaccountedTime};
 use peernet_figures::scale::Scale;
 use peernet_logger::stage;
 use peernet_statistics::number::{
-    EXACT, NONE, SPACE, difference_ms, ends_ms, fixed, interval_ms, shift_ms, signed_within_ms, stage_ms,
-    within_ms,
+    EXACT, NONE, SPACE, StageColumn, ends_ms, interval_ms, shift_ms, signed_within_ms, within_ms,
 };
 use peernet_store::IterationDetail;
 
@@ -70,10 +69,11 @@ pub(crate) fn rows(
     hosts: &[String],
     scale: &Scale,
 ) -> Vec<Row> {
+    let column = timeline.column();
     let is_cause = |name: &str| detail.row.causes.iter().any(|cause| cause.name == *name);
     let row = |node: &PlacedNode| {
         let strong = node.is_counted && is_cause(node.name.as_str());
-        Row::of(node, hosts, strong, bars::row(node, timeline, scale, strong))
+        Row::of(node, hosts, strong, bars::row(node, timeline, scale, strong), column)
     };
     let is_late = |node: &&PlacedNode| node.depth == 0 && node.name == *look::LATENESS;
     let mut rows: Vec<Row> = timeline.nodes.iter().filter(|node| !is_late(node)).map(row).collect();
@@ -87,19 +87,24 @@ pub(crate) fn rows(
         if let Some((name, seconds)) = unaccounted.network {
             let after = rows.iter().rposition(|row| row.class == "net").map_or(rows.len(), |last| last + 1);
             let usual = medians.both_ways().filter(|_| name == look::NETWORK);
-            let mut row = Row::sum(name, "network".to_owned(), seconds, usual, bars::blank(scale));
+            let mut row = Row::sum(name, "network".to_owned(), (seconds, usual), bars::blank(scale), column);
             row.strong = is_cause(name);
             rows.insert(after, row);
         }
         if let Some(rest) = unaccounted.unattributed {
             let median = medians.median(&stage::UNATTRIBUTED);
-            let mut row = Row::sum("unattributed", edge.clone(), rest, median, bars::blank(scale));
+            let mut row = Row::sum("unattributed", edge.clone(), (rest, median), bars::blank(scale), column);
             row.strong = is_cause("unattributed");
             rows.push(row);
         }
         rows.extend(late);
-        let mut total_row =
-            Row::sum("total", edge, total, medians.median(&stage::TOTAL), bars::total(total, scale));
+        let mut total_row = Row::sum(
+            "total",
+            edge,
+            (total, medians.median(&stage::TOTAL)),
+            bars::total(total, scale),
+            column,
+        );
         total_row.class = "total";
         rows.push(total_row);
     }
@@ -121,14 +126,15 @@ fn group(rows: &mut [Row]) {
 }
 
 impl Row {
-    fn of(node: &PlacedNode, hosts: &[String], strong: bool, bar: Picture) -> Self {
+    fn of(node: &PlacedNode, hosts: &[String], strong: bool, bar: Picture, column: StageColumn) -> Self {
         let (host, class) = match node.at {
             NodeLocation::Network => ("network".to_owned(), "net"),
             NodeLocation::Host(0) => (hosts.first().cloned().unwrap_or_default(), ""),
             NodeLocation::Host(index) => (dash(hosts.get(usize::from(index)).cloned()), "cloud"),
         };
         let bounds = node.delay.and_then(|delay| delay.bounds);
-        let difference = node.length.zip(node.median).map(|(length, median)| difference_ms(length - median));
+        let difference =
+            node.length.zip(node.median).map(|(length, median)| column.difference(length - median));
         Self {
             group: None,
             span: 1,
@@ -137,20 +143,27 @@ impl Row {
             look: look::class(&node.name),
             depth: node.depth,
             host,
-            value: dash(node.length.map(|length| digits(length, bounds))),
+            value: dash(node.length.map(|length| digits(length, bounds, column))),
             bound: bounds.map(|(lo, hi)| if lo == hi { EXACT.to_owned() } else { interval_ms(lo, hi) }),
             chip: node.delay.map(|delay| Chip::verdict(delay.verdict)),
             difference: dash(difference),
             strong,
             bar,
-            start: dash(node.start.map(|start| fixed(start * 1e3, 2))),
+            start: dash(node.start.map(|start| column.number(start))),
             lo: dash(bounds.map(|(lo, hi)| ends_ms(lo, hi)[0].clone())),
             hi: dash(bounds.map(|(lo, hi)| ends_ms(lo, hi)[1].clone())),
-            median: dash(node.median.map(stage_ms)),
+            median: dash(node.median.map(|median| column.duration(median))),
         }
     }
 
-    fn sum(name: &str, host: String, seconds: f64, median: Option<f64>, bar: Picture) -> Self {
+    /// Returns the row of a sum: its duration and the run's median, in seconds.
+    fn sum(
+        name: &str,
+        host: String,
+        (seconds, median): (f64, Option<f64>),
+        bar: Picture,
+        column: StageColumn,
+    ) -> Self {
         Self {
             group: None,
             span: 1,
@@ -159,27 +172,28 @@ impl Row {
             look: look::class(name),
             depth: 0,
             host,
-            value: stage_ms(seconds),
+            value: column.duration(seconds),
             bound: (name == look::NETWORK || name == NETWORK_AND_REST).then(|| EXACT.to_owned()),
             chip: None,
-            difference: dash(median.map(|median| difference_ms(seconds - median))),
+            difference: dash(median.map(|median| column.difference(seconds - median))),
             strong: false,
             bar,
             start: NONE.to_owned(),
             lo: NONE.to_owned(),
             hi: NONE.to_owned(),
-            median: dash(median.map(stage_ms)),
+            median: dash(median.map(|median| column.duration(median))),
         }
     }
 }
 
-/// Returns a delay in ms with the digits that its bounds support.
-fn digits(seconds: f64, bounds: Option<(f64, f64)>) -> String {
-    bounds.map_or_else(|| fixed(seconds * 1e3, 2), |bounds| within_ms(seconds, bounds))
+/// Returns a duration in ms: with the digits that its bounds support, or those of its column.
+fn digits(seconds: f64, bounds: Option<(f64, f64)>, column: StageColumn) -> String {
+    bounds.map_or_else(|| column.number(seconds), |bounds| within_ms(seconds, bounds))
 }
 
 /// Returns the computation of each one-way delay.
 pub(crate) fn delays(timeline: &Timeline, stored_delays: &[peernet_store::DelayRow]) -> Vec<DelayRow> {
+    let column = timeline.column();
     let nodes_with_delay = timeline.nodes.iter().filter_map(|node| Some((node, node.delay?)));
     let rows = nodes_with_delay.map(|(node, delay)| {
         let bounds = delay.bounds;
@@ -190,12 +204,12 @@ pub(crate) fn delays(timeline: &Timeline, stored_delays: &[peernet_store::DelayR
         };
         DelayRow {
             name: node.name.to_string(),
-            raw: digits(delay.raw, bounds),
+            raw: digits(delay.raw, bounds, column),
             offset: dash(delay.value.map(|value| match bounds {
                 Some(bounds) => signed_within_ms(value - delay.raw, bounds),
-                None => difference_ms(value - delay.raw),
+                None => column.difference(value - delay.raw),
             })),
-            value: dash(delay.value.map(|value| digits(value, bounds))),
+            value: dash(delay.value.map(|value| digits(value, bounds, column))),
             lo: dash(end(0)),
             hi: dash(end(1)),
             source: source_words(delay.source),
@@ -213,7 +227,8 @@ pub(crate) fn delays(timeline: &Timeline, stored_delays: &[peernet_store::DelayR
 /// Returns a sentence on the way of the iteration to the other host and back, for readers who do not see the picture.
 pub(crate) fn journey(timeline: &Timeline, edge: &str, cloud: &str) -> String {
     let Some(visit) = timeline.visit() else { return String::new() };
-    let at = |seconds: f64| format!("{}{SPACE}ms", stage_ms(seconds));
+    let column = timeline.column();
+    let at = |seconds: f64| format!("{}{SPACE}ms", column.duration(seconds));
     let back = visit.answer_times.map_or_else(
         || "no answer came back".to_owned(),
         |(_, back)| format!("the answer is back at {}", at(back)),
@@ -234,7 +249,7 @@ pub(crate) fn footnote(timeline: &Timeline, cloud: &str) -> Option<String> {
     }
     let shift = shift_ms(earlier, later);
     let sum = visit.network.map_or_else(String::new, |network| {
-        format!(", and so is upload + download = {}{SPACE}ms. Only its split between the two directions carries the bound", stage_ms(network))
+        format!(", and so is upload + download = {}{SPACE}ms. Only its split between the two directions carries the bound", timeline.column().duration(network))
     });
     Some(format!("The bars on {cloud} may shift together by {shift}{SPACE}ms; their lengths are exact{sum}."))
 }

@@ -1,6 +1,7 @@
 //! Scale in which the numbers of a column are shown.
 
 use peernet_logger::Unit;
+use peernet_statistics::number::{decimals, fixed, milliseconds, significant, throughput};
 
 /// Nodes whose values are times, wherever they are in the tree. Their columns are times in files of any program.
 const DURATION_COLUMNS: [&str; 19] = [
@@ -46,15 +47,56 @@ impl Scale {
     /// was logged with its values.
     pub fn for_column(column: &str, unit: Option<&str>) -> Self {
         let is_total = ["lateness", "total", "stages-total", "unattributed"].contains(&column);
-        let logged_in = |logged_unit: &Unit| unit == Some(logged_unit.symbol());
         match column {
             _ if is_total || DURATION_COLUMNS.contains(&node_name(column)) => Self::Milliseconds,
             "upload-throughput" | "download-throughput" => Self::MegabytesPerSecond,
             _ if column.ends_with("-bytes") => Self::Bytes,
-            _ if logged_in(&Unit::SECONDS) => Self::Milliseconds,
-            _ if logged_in(&Unit::BITS_PER_SECOND) => Self::MegabytesPerSecond,
-            _ if logged_in(&Unit::BYTES) => Self::Bytes,
+            _ => unit.map_or(Self::AsMeasured, Self::for_unit),
+        }
+    }
+
+    /// Returns the scale of numbers that were logged in this unit.
+    pub fn for_unit(unit: &str) -> Self {
+        let is = |logged_unit: &Unit| unit == logged_unit.symbol();
+        match unit {
+            _ if is(&Unit::SECONDS) => Self::Milliseconds,
+            _ if is(&Unit::BITS_PER_SECOND) => Self::MegabytesPerSecond,
+            _ if is(&Unit::BYTES) => Self::Bytes,
             _ => Self::AsMeasured,
+        }
+    }
+
+    /// Returns the symbol of the unit in which numbers are shown. Numbers as measured have the unit in which they were logged.
+    pub const fn symbol(self, logged_unit: &str) -> &str {
+        match self {
+            Self::Milliseconds => "ms",
+            Self::MegabytesPerSecond => "MB/s",
+            Self::Bytes => "B",
+            Self::AsMeasured => logged_unit,
+        }
+    }
+
+    /// Returns the factor from a value in SI units to the number that is shown.
+    pub const fn factor(self) -> f64 {
+        match self {
+            Self::Milliseconds => 1e3,
+            Self::MegabytesPerSecond => 1.0 / 8e6,
+            Self::Bytes | Self::AsMeasured => 1.0,
+        }
+    }
+
+    /// Returns the number of decimals in a row of numbers with this median: three significant digits of the median. Bytes are whole.
+    pub fn decimals(self, median: f64) -> usize {
+        if self == Self::Bytes { 0 } else { decimals(median * self.factor(), 3) }
+    }
+
+    /// Formats a single value without its unit: three significant digits, or whole bytes.
+    pub fn format(self, value: f64) -> String {
+        match self {
+            Self::Milliseconds => milliseconds(value),
+            Self::MegabytesPerSecond => throughput(value),
+            Self::Bytes => fixed(value, 0),
+            Self::AsMeasured => significant(value),
         }
     }
 }

@@ -5,7 +5,7 @@ use peernet_agent::RunningAgent;
 use peernet_clock::{MonoTime, SharedClock};
 use peernet_inference::LoadError;
 use peernet_logger::Slug;
-use peernet_statistics::number::counted;
+use peernet_statistics::number::{counted, rate};
 use peernet_stream::Event;
 use tokio::task::JoinHandle;
 
@@ -113,7 +113,7 @@ impl Serving {
     /// Describes the result.
     pub(super) fn summary(&self) -> String {
         let Self { answers, inference, .. } = self;
-        let rate = answers.rate().map_or_else(String::new, |rate| format!(", {rate:.1} /s"));
+        let rate = answers.rate().map_or_else(String::new, |hz| format!(", {} /s", rate(hz)));
         let count = counted(answers.answered, "answer");
         format!("{count}{}{}{rate}{inference}", answers.describe_errors(), answers.describe_missed())
     }
@@ -166,7 +166,7 @@ impl Serving {
             (Loading::NotStarted | Loading::InProgress(_), ..) => format!("loading {}", self.model),
             (Loading::Done, 0, 0) => "waiting for a client".to_owned(),
             (Loading::Done, sessions, answered) => {
-                let rate = self.answers.rate().map_or_else(String::new, |rate| format!(", {rate:.1} /s"));
+                let rate = self.answers.rate().map_or_else(String::new, |hz| format!(", {} /s", rate(hz)));
                 let clients = match sessions {
                     0 => "no client".to_owned(),
                     1 => "1 session".to_owned(),

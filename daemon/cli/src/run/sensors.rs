@@ -3,7 +3,7 @@
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::sensor_study::SensorStudy;
 use peernet_analysis::table::Table;
-use peernet_statistics::number::{fixed, milliseconds, significant};
+use peernet_statistics::number::{fixed, milliseconds, rate};
 
 use super::plan::{Plan, Run};
 
@@ -77,7 +77,7 @@ fn sensor_metrics(study: &SensorStudy) -> [String; 9] {
     let std = study.period_std.map_or_else(String::new, |std| format!(" ± {}", milliseconds(std)));
     [
         count(study.samples),
-        significant(study.rate),
+        rate(study.rate),
         format!("{}{std}", milliseconds(study.period)),
         milliseconds(study.jitter_median),
         study.jitter_p99.map_or_else(|| NO_VALUE.to_owned(), milliseconds),

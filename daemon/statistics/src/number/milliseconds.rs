@@ -44,7 +44,42 @@ pub fn short_duration(seconds: f64) -> Quantity {
 
 /// Formats a stage's duration for a table, in ms with two decimals; a value that would be rounded to zero is `<0.01`.
 pub fn stage_ms(seconds: f64) -> String {
-    measured(seconds * 1e3, 2)
+    StageColumn::default().duration(seconds)
+}
+
+/// Format of the durations of one table, in ms: two decimals, or as many as show three significant digits of a short total.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StageColumn {
+    decimals: usize,
+}
+
+impl Default for StageColumn {
+    fn default() -> Self {
+        Self { decimals: MIN_COLUMN_DECIMALS }
+    }
+}
+
+impl StageColumn {
+    /// Returns the format for a table whose total has this duration.
+    pub fn for_total(seconds: Option<f64>) -> Self {
+        let short = seconds.map(|seconds| seconds * 1e3).filter(|ms| ms.abs() < SHORT_DURATION_MS);
+        short.map_or_else(Self::default, |ms| Self { decimals: default_decimals(ms) })
+    }
+
+    /// Formats a duration; a value that would be rounded to zero is `<0.01`.
+    pub fn duration(self, seconds: f64) -> String {
+        measured(seconds * 1e3, self.decimals)
+    }
+
+    /// Formats a time, or a deviation, that may be zero or negative.
+    pub fn number(self, seconds: f64) -> String {
+        fixed(seconds * 1e3, self.decimals)
+    }
+
+    /// Formats a difference: `+0.03`, `−0.02`; zero has no sign.
+    pub fn difference(self, seconds: f64) -> String {
+        signed(seconds * 1e3, self.decimals)
+    }
 }
 
 /// Formats a total for a live page, in ms with one decimal.
@@ -54,7 +89,7 @@ pub fn total_ms(seconds: f64) -> String {
 
 /// Formats a difference of durations in ms: `+0.03`, `−0.02`; zero has no sign.
 pub fn difference_ms(seconds: f64) -> String {
-    signed(seconds * 1e3, 2)
+    StageColumn::default().difference(seconds)
 }
 
 /// Formats mean and deviation, or value and margin, in ms: `16.2` and `1.1`.

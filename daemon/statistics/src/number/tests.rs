@@ -18,8 +18,8 @@ fn shared_table_of_numbers_is_formatted_as_listed() {
             let (value, text) = (&case[0], case[1].as_str().expect("a text"));
             let written = match function.as_str() {
                 "fixed" => fixed(number(&value[0]), value[1].as_u64().expect("decimals") as usize),
-                "figure" => figure(number(value)),
-                "significant" => significant(number(value)),
+                "milliseconds" => milliseconds(number(value) / 1e3),
+                "throughput" => throughput(number(value) * 8e6),
                 "count" => count(value.as_u64().expect("a count")),
                 other => panic!("{other} is not known"),
             };
@@ -63,6 +63,17 @@ fn table_keeps_decimals_and_distinguishes_small_from_zero() {
     assert_eq!(stage_ms(0.0), "0");
     assert_eq!(stage_ms(0.000_004), "<0.01");
     assert_eq!(stage_ms(0.000_006), "0.01");
+    let column = StageColumn::for_total(Some(0.018_94));
+    assert_eq!([0.018_94, 4e-6].map(|it| column.duration(it)), ["18.94", "<0.01"]);
+    let short = StageColumn::for_total(Some(18.31e-6));
+    assert_eq!(
+        [18.31e-6, 4.2e-6, 0.0, 1e-8].map(|it| short.duration(it)),
+        ["0.0183", "0.0042", "0", "<0.0001"]
+    );
+    assert_eq!(
+        (short.difference(-2.06e-6).as_str(), short.number(0.0).as_str()),
+        ("\u{2212}0.0021", "0.0000")
+    );
     assert_eq!(total_ms(0.018_94), "18.9");
     assert_eq!(total_ms(0.000_04), "<0.1");
 }

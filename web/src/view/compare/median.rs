@@ -1,11 +1,10 @@
 //! The median of a quantity in one run, with its uncertainty by the hosts' clocks.
 
 use peernet_analysis::delays::ClockedSummaries;
+use peernet_analysis::summary::Scale;
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
-use peernet_statistics::number::{
-    SPACE, figure, interval_ms, milliseconds, throughput, throughput_between, within_ms,
-};
+use peernet_statistics::number::{SPACE, interval_ms, throughput_between, within_ms};
 use peernet_store::MergeableStatistics;
 
 use crate::view::chip::Chip;
@@ -81,11 +80,7 @@ fn with_unit(value: &str, unit: &str) -> String {
 
 /// Returns a value without its unit.
 fn without_unit(unit: &str, value: f64) -> String {
-    match unit {
-        "s" => milliseconds(value),
-        "bit/s" => throughput(value),
-        _ => figure(value * shown_in(unit).1),
-    }
+    Scale::for_unit(unit).format(value)
 }
 
 /// Formats both ends. A no-break space before the dash keeps the dash from beginning a line.

@@ -4,7 +4,6 @@ use peernet_figures::drawing::Orientation;
 use peernet_figures::look::{Style, stage};
 use peernet_figures::plot::{At, Item, Label};
 use peernet_figures::scale::Scale;
-use peernet_statistics::number::stage_ms;
 
 use crate::picture::Picture;
 use crate::timeline::{NodeLocation, PlacedNode, Timeline, Visit};
@@ -78,7 +77,11 @@ pub(super) fn row(node: &PlacedNode, timeline: &Timeline, scale: &Scale, tick: b
     if let Some(((start, length), median)) = node.start.zip(node.length).zip(node.median).filter(|_| tick) {
         let x = at(scale, start + median);
         items.push(Item::line(At::new(x, 0.08), At::new(x, 0.92), Style::of_page("medtick")));
-        let label = Label::new(At::new(x, 0.5), format!("median {}", stage_ms(median)), look.text());
+        let label = Label::new(
+            At::new(x, 0.5),
+            format!("median {}", timeline.column().duration(median)),
+            look.text(),
+        );
         items.push(Item::Text(label.shifted(0.5, 0.36).fits_within(at(scale, start + length) - x)));
     }
     // The uncertain end of a message is on the cloud: the arrival of an upload, the departure of a download. The whisker is drawn there.

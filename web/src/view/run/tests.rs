@@ -1,0 +1,126 @@
+use peernet_analysis::rows::{Outcome, Row, Rows};
+use peernet_analysis::summary::Summary;
+use peernet_analysis::trust::StartTimes;
+use peernet_clock::Span;
+use peernet_store::QuantityStatistics;
+use peernet_stream::PlacementKind;
+
+use super::*;
+use crate::view::compare::tests::run;
+
+#[test]
+fn run_with_standstill_has_no_rate() {
+    let run = RunDetail::from(run(1, PlacementKind::Remote));
+    let (first, last) = (run.summary.started, run.summary.started + Span::from_seconds(56));
+    let rate_and_remark = |standstill_s: Option<f64>| {
+        let times = StartTimes { first: Some(first), last: Some(last), standstill_s };
+        let stored = StoredRun {
+            run: &run,
+            statistics: &RunStatistics::default(),
+            series: &Series { bucket_s: 1, stages: Vec::new(), gaps: Vec::new() },
+            slowest: &[],
+            unanswered: &[],
+            episodes: &Episodes::default(),
+            starts: Starts { started: 15, missing: Some(0), times, ..Starts::default() },
+        };
+        (stored.rate(), stored.time_remarks().iter().any(|text| text.starts_with("nothing for ")))
+    };
+    assert_eq!(rate_and_remark(Some(3_600.0)), (None, true));
+    assert_eq!(rate_and_remark(None), (Some(0.25), false));
+}
+
+#[test]
+fn page_and_summary_show_equal_numbers() {
+    let row = |iteration: u64| Row {
+        iteration,
+        at: iteration as f64,
+        episode: 0,
+        step: 0,
+        warm_up: false,
+        outcome: Outcome::Ok,
+        reason: None,
+        values: vec![("download-bytes".into(), 44.0), ("grip-force".into(), 0.00123)],
+        upload: None,
+        download: None,
+    };
+    let summary = Summary::from_rows(&Rows::from_iter((1..=10).map(row)));
+    let statistics_of = |column: &str| {
+        let quantity = summary.quantity(column).expect("was measured");
+        QuantityStatistics {
+            count: quantity.count,
+            mean: quantity.mean,
+            std: quantity.std,
+            min: quantity.mean,
+            p50: quantity.median,
+            p95: None,
+            p99: None,
+            max: quantity.max,
+        }
+    };
+    let stage = |name: &'static str, unit: &str| StageStatistics {
+        stage: peernet_logger::Name::from_static(name),
+        unit: unit.to_owned(),
+        is_stage: false,
+        figures: statistics_of(name),
+        bound: None,
+        share: None,
+    };
+    let stages = vec![stage("download-bytes", "B"), stage("grip-force", "")];
+    let statistics = RunStatistics { stages, ..RunStatistics::default() };
+    let (run, series) = run_with_pause();
+    let stored = StoredRun {
+        run: &run,
+        statistics: &statistics,
+        series: &series,
+        slowest: &[],
+        unanswered: &[],
+        episodes: &Episodes::default(),
+        starts: Starts::default(),
+    };
+    let table = peernet_results::summary::markdown(&summary);
+    for (other, (name, expected)) in
+        stored.others().iter().zip([("Download Size", ["44", "B"]), ("grip-force", ["0.00123", ""])])
+    {
+        assert_eq!([other.p50.as_str(), other.unit.as_str()], expected);
+        let line = table.lines().find(|line| line.contains(name)).expect("a row of the summary");
+        let cells: Vec<&str> = line.split('|').map(str::trim).collect();
+        for number in [&other.mean, &other.p50, &other.max] {
+            assert!(cells.iter().any(|cell| cell.split(' ').next() == Some(number)), "{number} in {line}");
+        }
+        assert!(cells.contains(&other.unit.as_str()), "{line}");
+    }
+}
+
+#[test]
+fn tables_of_short_run_have_digits_of_its_total() {
+    let (mut run, mut series) = run_with_pause();
+    let total = 18.31e-6;
+    run.summary.total = Some(crate::tests::samples::figures(total, 895));
+    series.stages[0].points.iter_mut().for_each(|point| point.p50 = total);
+    let slow = IterationRow { total: Some(total), ..crate::tests::samples::iteration().row };
+    let statistics = RunStatistics::default();
+    let stored = StoredRun {
+        run: &run,
+        statistics: &statistics,
+        series: &series,
+        slowest: std::slice::from_ref(&slow),
+        unanswered: &[],
+        episodes: &Episodes::default(),
+        starts: Starts::default(),
+    };
+    let header = peernet_statistics::number::milliseconds(total);
+    let zone = Zone::default();
+    assert_eq!(header, "0.0183");
+    assert_eq!((&stored.buckets(zone)[0].p50, &stored.slow_rows(zone)[0].total), (&header, &header));
+    let stage = |mean| StageStatistics {
+        stage: stage::TOTAL,
+        unit: "s".to_owned(),
+        is_stage: false,
+        figures: crate::tests::samples::figures(mean, 895),
+        bound: None,
+        share: None,
+    };
+    assert_eq!(crate::view::stages::StageRow::of_run(&[stage(total)], &[])[0].mean, header);
+    let tooltip = serde_json::to_string(&RoundedNumber(Some(total * 1e3))).expect("serialises");
+    assert_eq!(tooltip, "0.01831");
+}
