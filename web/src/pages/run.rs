@@ -6,7 +6,7 @@ use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use axum::routing::get;
 use peernet_analysis::actuator_results::ActuatorResults;
-use peernet_analysis::trust::{Report, Starts};
+use peernet_analysis::trust::{MissingCount, Report, Starts};
 use peernet_figures::drawing::View;
 use peernet_logger::stage;
 use peernet_statistics::histogram::MAX_BINS;
@@ -282,7 +282,7 @@ fn assemble(
     let stack = Stack::of_run(stages, bounds);
     let total = summary.total.as_ref();
     let quantile = |value: Option<f64>| value.map_or_else(|| NONE.to_owned(), milliseconds);
-    let missing: u64 = run.gaps.iter().map(|gap| gap.count).sum();
+    let missing = MissingCount::from_gaps(run.gaps.iter().map(|gap| gap.count));
     let (zone, snapshot) = (app.zone, app.live_state());
     let link = link::of_placement(&snapshot, summary.host_name.as_str(), &summary.placement);
     let delay_notes = Note::delay_notes(summary.pipeline.as_str(), "", link.as_deref(), bounds, |name| {
@@ -311,7 +311,7 @@ fn assemble(
         ],
         iterations: (
             count(summary.counts.total()),
-            format!("{} warm-up left out, {} not recorded", count(summary.warm_up), count(missing)),
+            format!("{} warm-up left out, {} not recorded", count(summary.warm_up), missing.number()),
         ),
         lost: (
             format!(

@@ -2,6 +2,7 @@
 
 use peernet_aggregator::LiveState;
 use peernet_analysis::outcomes::unanswered_share;
+use peernet_analysis::trust::MissingCount;
 use peernet_clock::WallTime;
 use peernet_statistics::number::{NONE, count, length, milliseconds, percent};
 use peernet_store::{GapRow, RetentionConfig, RunSummary};
@@ -130,12 +131,9 @@ pub(crate) fn gap_notes(gaps: &[GapRow], zone: Zone) -> Vec<Note> {
         let gaps_of_reason = || gaps.iter().filter(|gap| gap.reason == reason);
         let (from, to) =
             (gaps_of_reason().map(|gap| gap.from).min()?, gaps_of_reason().map(|gap| gap.to).max()?);
-        let missing: u64 = gaps_of_reason().map(|gap| gap.count).sum();
-        let (subject, was) = match missing {
-            0 => ("An unknown number of events of this run".to_owned(), "were"),
-            1 => ("1 event of this run".to_owned(), "was"),
-            many => (format!("{} events of this run", count(many)), "were"),
-        };
+        let missing = MissingCount::from_gaps(gaps_of_reason().map(|gap| gap.count));
+        let was = if missing.known == 1 && !missing.is_incomplete { "was" } else { "were" };
+        let subject = format!("{} of this run", missing.subject());
         let [from, to] = [from, to].map(|at| zone.moment(at).clock());
         let gaps = counted(gaps_of_reason().count(), "gap", "gaps");
         Some(Note {
@@ -185,6 +183,7 @@ impl RunLine {
 
 #[cfg(test)]
 mod tests {
+    use peernet_analysis::trust::{MissingEvents, Report, TrustInput};
     use peernet_clock::Span;
 
     use super::*;
@@ -200,6 +199,15 @@ mod tests {
         };
         let gaps =
             [gap(60, 849, "no room"), gap(0, 40_000, "no room"), gap(30, 0, "batches 3 to 9 are missing")];
+        let unknown = [gap(0, 849, "no room"), gap(60, 0, "no room")];
+        let subject = "At least 849 events";
+        assert_eq!(gap_notes(&unknown, Zone::Utc)[0].subject, format!("{subject} of this run"));
+        let missing = unknown
+            .iter()
+            .map(|gap| MissingEvents { count: gap.count, reason: gap.reason.clone() })
+            .collect();
+        let report = Report::new(&TrustInput { missing, ..TrustInput::default() });
+        assert!(report.findings.iter().any(|finding| finding.text.starts_with(subject)), "{report:?}");
         let notes = gap_notes(&gaps, Zone::Utc);
         let texts: Vec<String> = notes.iter().map(|note| format!("{} {}", note.subject, note.text)).collect();
         assert_eq!(

@@ -10,6 +10,7 @@
 mod ended_early;
 mod judge;
 mod load;
+mod missing_count;
 mod publication;
 mod restarts;
 #[cfg(test)]
@@ -23,6 +24,7 @@ mod trust_input;
 pub use ended_early::{EndedEarly, Limits, Progress, Unit};
 pub use judge::NOTABLE_SHARE;
 pub use load::{Load, StartTimes, Starts};
+pub use missing_count::MissingCount;
 pub use publication::publication_caveats;
 pub use restarts::Restarts;
 pub use time_series::{Beginning, Outliers, TimeSeries};

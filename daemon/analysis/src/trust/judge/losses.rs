@@ -5,7 +5,7 @@ use peernet_statistics::number::{counted, fixed, rate};
 use peernet_stream::Grade;
 
 use super::{END, finding, iterations, percent, with_advice};
-use crate::trust::{Counts, EndedEarly, Finding, MissingEvents, Starts, TrustInput};
+use crate::trust::{Counts, EndedEarly, Finding, MissingCount, MissingEvents, Starts, TrustInput};
 
 /// The finding is doubtful if more than this share of the iterations has no answer, more than this share of the starts was skipped, or more than
 /// this share of the answers was superseded.
@@ -184,25 +184,18 @@ fn judge_missing_events(counts: &Counts, missing: &[MissingEvents]) -> Finding {
     if missing.is_empty() {
         return finding(about, Grade::Good, "No event was dropped.");
     }
-    let count: u64 = missing.iter().map(|gap| gap.count).sum();
-    let has_unknown_count = missing.iter().any(|gap| gap.count == 0);
+    let number = MissingCount::from_gaps(missing.iter().map(|gap| gap.count));
     let mut reasons: Vec<&str> = Vec::new();
     for gap in missing {
         if !reasons.contains(&gap.reason.as_str()) {
             reasons.push(&gap.reason);
         }
     }
-    let number = match (count, has_unknown_count) {
-        (0, _) => "An unknown number of events".to_owned(),
-        (1, false) => "1 event".to_owned(),
-        (n, false) => format!("{} events", fixed(n as f64, 0)),
-        (n, true) => format!("At least {} events", fixed(n as f64, 0)),
-    };
-    let expected = counts.measured() + counts.warm_up + count;
-    let share = count as f64 / expected.max(1) as f64;
-    let share_text = if has_unknown_count { String::new() } else { format!(" ({})", percent(share)) };
-    let text = format!("{number}{share_text} never reached the store: {}.", reasons.join("; "));
+    let expected = counts.measured() + counts.warm_up + number.known;
+    let share = number.known as f64 / expected.max(1) as f64;
+    let share_text = if number.is_incomplete { String::new() } else { format!(" ({})", percent(share)) };
+    let text = format!("{}{share_text} never reached the store: {}.", number.subject(), reasons.join("; "));
     let advice = "events are dropped under load: check that the disk, the spool and the program keep up, and repeat the run";
-    let grade = if has_unknown_count || share >= MAX_MISSING_SHARE { Grade::Bad } else { Grade::Doubtful };
+    let grade = if number.is_incomplete || share >= MAX_MISSING_SHARE { Grade::Bad } else { Grade::Doubtful };
     with_advice(finding(about, grade, text), advice)
 }

@@ -1,0 +1,60 @@
+//! Number of missing events in words.
+
+use peernet_statistics::number::{count, counted};
+
+/// Number of missing events of several gaps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MissingCount {
+    /// Number of missing events in the gaps whose number is known.
+    pub known: u64,
+    /// Whether a gap has an unknown number of missing events.
+    pub is_incomplete: bool,
+}
+
+impl MissingCount {
+    /// Adds the numbers of gaps. A gap with an unknown number has 0.
+    pub fn from_gaps(counts: impl Iterator<Item = u64>) -> Self {
+        let start = Self { known: 0, is_incomplete: false };
+        counts.fold(start, |sum, count| Self {
+            known: sum.known.saturating_add(count),
+            is_incomplete: sum.is_incomplete || count == 0,
+        })
+    }
+
+    /// Returns the number: `849`, `at least 849`, `an unknown number`.
+    pub fn number(self) -> String {
+        match (self.known, self.is_incomplete) {
+            (0, true) => "an unknown number".to_owned(),
+            (known, true) => format!("at least {}", count(known)),
+            (known, false) => count(known),
+        }
+    }
+
+    /// Returns the beginning of a sentence: `1 event`, `At least 849 events`, `An unknown number of events`.
+    pub fn subject(self) -> String {
+        match (self.known, self.is_incomplete) {
+            (0, true) => "An unknown number of events".to_owned(),
+            (known, true) => format!("At least {}", counted(known, "event")),
+            (known, false) => counted(known, "event"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gap_of_unknown_size_makes_number_lower_bound() {
+        let texts = |gaps: &[u64]| {
+            let missing = MissingCount::from_gaps(gaps.iter().copied());
+            (missing.number(), missing.subject())
+        };
+        let text = |number: &str, subject: &str| (number.to_owned(), subject.to_owned());
+        assert_eq!(texts(&[]), text("0", "0 events"));
+        assert_eq!(texts(&[1]), text("1", "1 event"));
+        assert_eq!(texts(&[849, 40_000]), text("40,849", "40,849 events"));
+        assert_eq!(texts(&[849, 0]), text("at least 849", "At least 849 events"));
+        assert_eq!(texts(&[0, 0]), text("an unknown number", "An unknown number of events"));
+    }
+}
