@@ -13,20 +13,19 @@ pub struct PlacedModel {
     pub device: String,
 }
 
-/// Models with the places at which they ran.
+/// Models that ran at several places, with these places.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ModelPlaces {
     /// Names of all places, the local ones first: the kind of placement, followed by the device if several places have this kind.
     pub places: Vec<String>,
     /// Each model with the indexes of its runs at each of the places.
     pub models: Vec<(String, Vec<Vec<usize>>)>,
-    /// Models that are left out, because they ran at one place only and other models ran at several.
+    /// Models that are left out, because they ran at one place only: nothing can be compared.
     pub at_one_place: Vec<String>,
 }
 
 impl ModelPlaces {
-    /// Groups runs by model and place. A model with a single place compares nothing, so such models are left out, unless no model ran at
-    /// several places.
+    /// Groups runs by model and place.
     pub fn new(runs: &[PlacedModel]) -> Self {
         let place_of = |run: &PlacedModel| {
             let kind = if run.kind.is_empty() { PlacementKind::Remote.name() } else { &run.kind };
@@ -53,15 +52,7 @@ impl ModelPlaces {
             if is_only_place(kind) || device.is_empty() { kind.clone() } else { format!("{kind}, {device}") }
         };
         let places = places.iter().map(name).collect();
-        if paired.is_empty() {
-            return Self { places, models: unpaired, at_one_place: Vec::new() };
-        }
         Self { places, models: paired, at_one_place: unpaired.into_iter().map(|(model, _)| model).collect() }
-    }
-
-    /// Returns whether a model ran at several places.
-    pub fn have_pair(&self) -> bool {
-        self.models.iter().any(ran_at_several_places)
     }
 }
 
@@ -95,14 +86,13 @@ mod tests {
         let found = ModelPlaces::new(&runs);
         assert_eq!(found.places, ["local", "remote, cpu", "remote, cuda:0"]);
         assert_eq!(found.models, [("s".to_owned(), vec![vec![1], vec![0, 3], vec![]])]);
-        assert!(found.have_pair() && found.at_one_place == ["m"], "{found:?}");
+        assert_eq!(found.at_one_place, ["m"]);
     }
 
     #[test]
-    fn models_at_one_place_each_are_all_shown() {
+    fn models_at_one_place_each_are_left_out() {
         let found = ModelPlaces::new(&[placed("s", "local", "cpu"), placed("m", "remote", "cpu")]);
-        assert_eq!(found.places, ["local", "remote"]);
-        assert!(found.models.len() == 2 && !found.have_pair() && found.at_one_place.is_empty(), "{found:?}");
+        assert!(found.models.is_empty() && found.at_one_place == ["s", "m"], "{found:?}");
         assert_eq!(ModelPlaces::new(&[]), ModelPlaces::default());
     }
 }

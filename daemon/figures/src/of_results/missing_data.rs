@@ -63,7 +63,7 @@ pub enum MissingData {
     },
     /// All runs with the column have the same placement.
     #[error(
-        "it needs the {column} of runs at two placements, such as a local and a remote run of the same model"
+        "it needs the {column} of one model at two placements, such as a local and a remote run of the same model"
     )]
     SecondPlace {
         /// The column to be compared.

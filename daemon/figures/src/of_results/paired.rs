@@ -11,7 +11,7 @@ use peernet_analysis::model_places::{ModelPlaces, PlacedModel};
 use peernet_analysis::order::SortedValues;
 use peernet_analysis::record::RunRecord;
 
-/// Returns the figure of the models, each at its placements. There must be at least two placements.
+/// Returns the figure of the models that ran at several placements. There must be such a model.
 pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Drawing>, MissingData> {
     let column = column.unwrap_or("inference");
     let runs_with_values: Vec<&Loaded> =
@@ -19,7 +19,7 @@ pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Draw
     let placed_models: Vec<PlacedModel> =
         runs_with_values.iter().map(|run| placed_model(&run.record)).collect();
     let ModelPlaces { places: sides, models, at_one_place } = ModelPlaces::new(&placed_models);
-    if sides.len() < 2 {
+    if models.is_empty() {
         return Err(MissingData::SecondPlace { column: column.to_owned() });
     }
     if sides.len() > MOST_SIDES || models.len() > MOST_GROUPS {

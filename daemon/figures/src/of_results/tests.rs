@@ -283,10 +283,11 @@ fn models_are_paired_by_placement() {
         [44, 44]
     );
     assert!(figure.groups[0].values[0].median() > figure.groups[0].values[1].median());
-    assert!(
-        paired::drawings(&runs[1..3], None)
-            .is_err_and(|missing| missing.to_string().contains("two placements"))
-    );
+    // Both at one place, and each at another.
+    for unpaired in [[runs[1].clone(), runs[2].clone()], [runs[0].clone(), runs[2].clone()]] {
+        let missing = paired::drawings(&unpaired, None).err().expect("no model ran at two places");
+        assert!(missing.to_string().contains("one model at two placements"), "{missing}");
+    }
     assert!(paired::drawings(&runs, Some("ipc")).is_err());
 }
 

@@ -136,7 +136,7 @@ pub(crate) fn pairs(comparison: &Comparison) -> (Vec<Pair>, Axes) {
         device: placement.device.clone().unwrap_or_default(),
     });
     let all = ModelPlaces::new(&placed.collect::<Vec<_>>());
-    let models = all.models.iter().filter(|_| all.have_pair());
+    let models = all.models.iter();
     let rows: Vec<(&String, Vec<PlaceValues<'_>>)> = models
         .map(|(model, places)| {
             let values = all.places.iter().zip(places).filter_map(|(place, indexes)| {
