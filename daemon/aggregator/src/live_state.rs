@@ -152,6 +152,15 @@ pub struct HostSnapshot {
     pub live_left_out: u64,
 }
 
+impl HostSnapshot {
+    /// Returns the number of the host's events that are missing in the database for ever.
+    pub fn missing_events(&self) -> u64 {
+        // Both numbers count the gaps that the agent reported. The aggregator also counts batches that it found missing, and the agent also counts
+        // events whose gap it has not sent yet.
+        self.accounting.dropped.max(self.stored.missing)
+    }
+}
+
 /// Load metrics of a host at one time.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct MetricsPoint {

@@ -72,6 +72,8 @@ struct Host {
     connected: bool,
     last_seen: Option<String>,
     now: Option<HostState>,
+    #[serde(default)]
+    stored: Stored,
     clock: Option<Clock>,
 }
 
@@ -85,6 +87,18 @@ struct HostState {
 struct Events {
     waiting: u64,
     dropped: u64,
+}
+
+#[derive(Debug, Default, Deserialize)]
+struct Stored {
+    missing: u64,
+}
+
+impl Host {
+    /// Returns the number of events that are missing in the database for ever, as the overview of the dashboard.
+    fn lost(&self) -> u64 {
+        self.now.as_ref().map_or(0, |now| now.events.dropped).max(self.stored.missing)
+    }
 }
 
 /// Length of the window that the table shows: long enough to be steady, short enough to be current.
@@ -189,7 +203,7 @@ fn host_row(host: &Host, faulty: &FaultyClocks) -> Vec<String> {
         with_clock_fault_mark(&state, faulty.contains_key(&host.name)),
         or_dash(now.and_then(|now| now.cpu).map(number::share)),
         or_dash(now.map(|now| now.events.waiting.to_string())),
-        or_dash(now.map(|now| now.events.dropped.to_string())),
+        host.lost().to_string(),
     ]
 }
 
@@ -217,6 +231,18 @@ mod tests {
     #[test]
     fn last_seen_time_is_shown_to_the_second() {
         assert_eq!(to_the_second("2026-11-20T22:41:07.123456789Z"), "2026-11-20T22:41:07Z");
+    }
+
+    #[test]
+    fn events_that_only_aggregator_found_missing_are_lost() {
+        let host = |dropped: u64, missing: u64| {
+            let host = json!({
+                "name": "edge", "connected": true, "last_seen": null, "clock": null,
+                "now": { "cpu": null, "events": { "waiting": 0, "dropped": dropped } }, "stored": { "missing": missing },
+            });
+            host_row(&serde_json::from_value(host).expect("as the API answers"), &FaultyClocks::default())
+        };
+        assert_eq!([host(0, 849), host(1_050, 50)].map(|row| row[4].clone()), ["849", "1050"]);
     }
 
     #[test]

@@ -174,8 +174,11 @@ fn remarks(host: &HostSnapshot) -> Vec<Remark> {
             }
         });
     }
-    if let Some(why) = loss_reasons(account) {
-        let text = format!("{} {why}; the gaps say which.", counted_events(account.dropped));
+    let missing = host.missing_events();
+    if missing > 0 {
+        // Batches that only the aggregator found missing were lost in another way, for example with a spool that was deleted.
+        let why = loss_reasons(account).filter(|_| account.dropped == missing).unwrap_or("missing");
+        let text = format!("{} {why}; the gaps say which.", counted_events(missing));
         remarks.push(Remark::new(Tone::Warn, "gap", "lost", text));
     }
     if account.compressed {
@@ -352,6 +355,11 @@ mod tests {
         assert_eq!(Events::of(&host).lost, Some(LOST));
         host.accounting.dropped = 0;
         assert_eq!((worst(&host), EventLine::new(&host).lost), (None, None));
+        host.stored.missing = 849;
+        assert_eq!(
+            worst(&host).expect("batches are missing").text,
+            "849 events missing; the gaps say which."
+        );
     }
 
     #[test]

@@ -94,7 +94,7 @@ fn host_notes(host: &HostSnapshot, now: WallTime, zone: Zone, warn: &WarnConfig)
         let seen = zone.moment(host.last_seen).clock();
         notes.push(note(Chip::new(Tone::Warn, "gap", "away"), format!("has not reported since {seen}.")));
     }
-    let missing = host.accounting.dropped.max(host.stored.missing);
+    let missing = host.missing_events();
     if let Some(trouble) = &host.accounting.trouble {
         let text = format!("cannot use its spool: {trouble}. Its events wait in memory.");
         notes.push(note(Chip::new(Tone::Bad, "failed", "spool fails"), text));
