@@ -1,4 +1,7 @@
-//! Periods of warm-up in a run.
+//! Periods of warm-up and beginnings of episodes in charts of a run.
+
+/// Maximum number of beginnings of episodes that a chart shows. More would cover everything else, so none is drawn.
+pub const MAX_EPISODE_BORDERS: u32 = 30;
 
 /// Returns the periods of consecutive iterations of warm-up, each with its beginning and end. An iteration is given by its position, such as its
 /// start, and whether it is warm-up; the iterations are in their order. A period ends at the next iteration that is not warm-up, or at the

@@ -1,5 +1,6 @@
 //! Episodes, warm-up and unanswered iterations for charts of a run over time.
 
+use peernet_analysis::warm_up::MAX_EPISODE_BORDERS;
 use peernet_clock::WallTime;
 
 /// Episodes, warm-up and iterations without an answer of a run. Times are on the edge's wall clock. They come from stored
@@ -25,8 +26,8 @@ pub struct Episodes {
 }
 
 impl Episodes {
-    /// Maximum number of episodes whose borders are shown. More borders would cover the chart.
-    pub const MAX_BORDERS: u32 = 30;
+    /// Maximum number of borders that are read, because a chart shows no more.
+    pub const MAX_BORDERS: u32 = MAX_EPISODE_BORDERS;
     /// Maximum number of unanswered iterations in a chart. More could not be distinguished.
     pub const MAX_UNANSWERED: usize = 300;
     /// Limit of the count of unanswered iterations, which bounds the time of the query in a run without any answer.

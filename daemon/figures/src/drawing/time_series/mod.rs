@@ -10,6 +10,7 @@ use crate::plot::{At, Axis, Figure, Item, Key, Path, Plot, Strip, Swatch, Unit};
 use crate::scale::Scale;
 use columns::{Column, columns};
 use peernet_analysis::order::SortedValues;
+use peernet_analysis::warm_up::MAX_EPISODE_BORDERS;
 
 /// Maximum number of columns of a line.
 const MAX_COLUMNS: usize = 290;
@@ -25,8 +26,6 @@ const MAX_MARKS: usize = 7;
 const SHIFTED_LINES: usize = 4;
 /// A line is interrupted between two values only if they are farther apart than this. Columns.
 const MIN_GAP_COLUMNS: f64 = 12.0;
-/// Maximum number of borders between episodes. More borders would hide everything else, so none is drawn.
-const MAX_BORDERS: usize = 30;
 /// Minimum width of a period of warm-up, points.
 const MIN_WARM_UP_WIDTH: f64 = 0.6;
 
@@ -95,7 +94,7 @@ impl TimeSeries {
     }
 
     fn has_borders(&self) -> bool {
-        !self.episodes.is_empty() && self.episodes.len() <= MAX_BORDERS
+        !self.episodes.is_empty() && self.episodes.len() <= MAX_EPISODE_BORDERS as usize
     }
 
     fn legend(&self) -> Vec<Key> {
