@@ -31,7 +31,7 @@ pub(super) fn rank_lines(comparison: &mut Comparison, runs: &[Loaded]) {
 pub fn differences_to_best(comparison: &Comparison) -> Option<CaptionedTable> {
     let best = comparison.best.filter(|_| comparison.lines.len() > 2)?;
     comparison.lines.iter().find(|line| line.difference_to_best.is_some())?;
-    let name = comparison.lines[best].name();
+    let name = comparison.lines[best].name.clone();
     Some(CaptionedTable {
         heading: printable_line(&format!(
             "Mean total ({}) against the smallest, {name}.",

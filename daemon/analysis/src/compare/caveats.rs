@@ -32,7 +32,7 @@ pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
     let reports =
         runs.iter().enumerate().filter_map(|(index, run)| Some((name(index), run.record.trust.as_ref()?)));
     let mut sentences = publication_caveats(reports);
-    sentences.extend(skipped_starts(lines.iter().map(|line| (line.name(), line.starts))));
+    sentences.extend(skipped_starts(lines.iter().map(|line| (line.name.clone(), line.starts))));
     sentences.extend(replayed(runs, lines));
     if !incomplete.is_empty() {
         sentences.push(format!("Incomplete results: {}.", incomplete.join("; ")));
@@ -74,7 +74,7 @@ pub fn skipped_starts(configurations: impl IntoIterator<Item = (String, Starts)>
 fn replayed(runs: &[Loaded], lines: &[Line]) -> Option<String> {
     let describe = |line: &Line| {
         let distribution = line.runs.iter().find_map(|run| replayed_latencies(&runs[*run].record.facts))?;
-        Some(with_name(&line.name(), distribution))
+        Some(with_name(&line.name, distribution))
     };
     let descriptions: Vec<String> = lines.iter().filter_map(describe).collect();
     (!descriptions.is_empty())
@@ -90,7 +90,7 @@ fn describe_missing_numbers(runs: &[Loaded], line: &Line) -> Vec<String> {
         (known_share >= MIN_KNOWN_SHARE || !["upload", "download"].contains(&name)).then_some(())?;
         let missing_count = rows().filter(|row| is_missing(*row, name)).count();
         let iterations = format!("{missing_count} of {}", counted(line.count, "iteration"));
-        (missing_count > 0).then(|| format!("{name} of {} {iterations}", line.name()))
+        (missing_count > 0).then(|| format!("{name} of {} {iterations}", line.name))
     };
     LATENCIES.into_iter().zip(&line.latencies).filter_map(describe).collect()
 }

@@ -1,6 +1,6 @@
 //! Choice of the differing facts that become columns, and sentences about the other differing facts.
 
-use super::labels::EMPTY_CELL;
+use super::labels::{EMPTY_CELL, readable_name};
 
 /// Maximum number of values of a fact without a column that are listed.
 const MAX_LISTED: usize = 4;
@@ -92,6 +92,13 @@ fn distinct_rows(columns: &[Column], configurations: usize) -> usize {
     rows.len()
 }
 
+/// Returns the name of a configuration from its labels in these columns; empty without a label.
+fn configuration_name(columns: &[Column], index: usize) -> String {
+    let pair = |column: &Column| (column.axis.clone(), column.labels[index].clone());
+    let (axes, labels): (Vec<String>, Vec<String>) = columns.iter().map(pair).unzip();
+    readable_name(&axes, &labels)
+}
+
 /// Returns sentences about the facts that differ but have no column.
 pub(super) fn sentences(columns: &[Column], rest: &[Column]) -> Vec<String> {
     // Texts of the facts whose values are listed, and names of the facts that are only named.
@@ -131,13 +138,10 @@ impl Column {
         let naming_column = columns.iter().find(|column| column.determines(self));
         for (index, label) in self.labels.iter().enumerate().filter(|(_, label)| *label != EMPTY_CELL) {
             let name = match naming_column {
-                Some(column) => column.labels[index].clone(),
-                None => {
-                    let labels = columns.iter().map(|column| column.labels[index].as_str());
-                    labels.filter(|label| *label != EMPTY_CELL).collect::<Vec<_>>().join(", ")
-                }
+                Some(column) => configuration_name(std::slice::from_ref(column), index),
+                None => configuration_name(columns, index),
             };
-            let name = if name == EMPTY_CELL { self.name_without_label(columns, index) } else { name };
+            let name = if name.is_empty() { self.name_without_label(columns, index) } else { name };
             match values.iter_mut().find(|(value, _)| value == label) {
                 Some((_, names)) if names.contains(&name) => {}
                 Some((_, names)) => names.push(name),
@@ -156,8 +160,7 @@ impl Column {
         let naming_column = columns.iter().find(|column| column.determines(self));
         let alone = naming_column
             .is_some_and(|column| column.labels.iter().filter(|label| *label == EMPTY_CELL).count() == 1);
-        let labels = columns.iter().map(|column| column.labels[index].as_str());
-        let name = labels.filter(|label| *label != EMPTY_CELL).collect::<Vec<_>>().join(", ");
+        let name = configuration_name(columns, index);
         if alone && !name.is_empty() { name } else { "the others".to_owned() }
     }
 

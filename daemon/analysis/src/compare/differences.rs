@@ -74,7 +74,7 @@ impl Differences {
         let name_and_runs = |index: usize| {
             let line = &comparison.lines[index];
             let runs: Vec<&Loaded> = line.runs.iter().map(|run| &runs[*run]).collect();
-            (line.name(), runs)
+            (line.name.clone(), runs)
         };
         let (baseline, other) = (name_and_runs(baseline), name_and_runs(other));
         Self::between_groups((baseline.0, &baseline.1), (other.0, &other.1), seed)

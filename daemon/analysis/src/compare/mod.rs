@@ -109,6 +109,8 @@ pub struct Comparison {
 pub struct Line {
     /// Labels that distinguish the line: as many as there are axes.
     pub labels: Vec<String>,
+    /// Name in sentences ([`readable_name`]), as on the page *Compare* and in figures; empty for a single line.
+    pub name: String,
     /// Indices of the results in this line.
     pub runs: Vec<usize>,
     /// Number of repeats. Results of edges that were measured at the same time belong to one repeat.
@@ -172,7 +174,8 @@ impl Comparison {
         let Configurations { axes, labels } = configurations;
         let total_column = TotalColumn::from_rows(runs.iter().flat_map(|run| &run.rows));
         let groups = group_by_labels(&labels).into_iter();
-        let mut lines: Vec<Line> = groups.map(|group| Line::new(labels[group[0]].clone(), group)).collect();
+        let mut lines: Vec<Line> =
+            groups.map(|group| Line::new(&axes, labels[group[0]].clone(), group)).collect();
         lines.iter_mut().for_each(|line| line.fill(runs, total_column.name()));
         let (ties, untested, unranked) = (Vec::new(), Vec::new(), Vec::new());
         let caveats = caveats::sentences(runs, &lines);
@@ -193,8 +196,9 @@ impl Comparison {
 }
 
 impl Line {
-    fn new(labels: Vec<String>, runs: Vec<usize>) -> Self {
+    fn new(axes: &[String], labels: Vec<String>, runs: Vec<usize>) -> Self {
         Self {
+            name: readable_name(axes, &labels),
             labels,
             runs,
             repeats: 1,

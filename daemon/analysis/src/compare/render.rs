@@ -185,7 +185,7 @@ impl Comparison {
     fn verdict(&self) -> Option<String> {
         let best = &self.lines[self.best?];
         let names = |lines: &[usize]| {
-            lines.iter().map(|line| self.lines[*line].name()).collect::<Vec<_>>().join("; ")
+            lines.iter().map(|line| self.lines[*line].name.as_str()).collect::<Vec<_>>().join("; ")
         };
         let others = self.lines.len() - 1 - self.unranked.len();
         let tested = others - self.untested.len();
@@ -208,7 +208,7 @@ impl Comparison {
                 .push(format!("not ranked, because the model computes nothing: {}", names(&self.unranked)));
         }
         let verdicts = clauses.join("; ");
-        Some(format!("Smallest mean total ({}): {}; {verdicts}.", self.total(), best.name()))
+        Some(format!("Smallest mean total ({}): {}; {verdicts}.", self.total(), best.name))
     }
 
     /// Returns the word for the column of totals that determines the best line: `measured` or `stages`.
@@ -221,16 +221,9 @@ impl Comparison {
 }
 
 impl Line {
-    /// Returns the labels of the line as one text.
-    pub fn name(&self) -> String {
-        let labels: Vec<&str> =
-            self.labels.iter().map(String::as_str).filter(|label| *label != EMPTY_CELL).collect();
-        labels.join(", ")
-    }
-
     /// Returns a text about the line after the name of the line.
     pub(super) fn with_name(&self, text: &str) -> String {
-        with_name(&self.name(), text)
+        with_name(&self.name, text)
     }
 
     /// Returns the text with the stages that have no column; `None` if they take no notable part of the sum of all stages.
@@ -259,7 +252,7 @@ impl Line {
         let with_unknown_label = self.unknown_labels.as_ref().map_or(0, |unknown| unknown.count);
         let unscored_text = |(name, accuracy): (&str, &Option<Accuracy>)| {
             let left_out = (*accuracy)?.unscored.saturating_sub(with_unknown_label);
-            let text = || format!("{name} of {}: {} of {}", self.name(), count(left_out), count(self.count));
+            let text = || format!("{name} of {}: {} of {}", self.name, count(left_out), count(self.count));
             (left_out > 0).then(text)
         };
         ACCURACIES.into_iter().zip(&self.accuracies).filter_map(unscored_text).collect()
@@ -269,7 +262,7 @@ impl Line {
     fn known_shares(&self) -> Vec<String> {
         let known_share = |name: &str| {
             let share = self.latency(name)?.count as f64 / self.count as f64;
-            (share < MIN_KNOWN_SHARE).then(|| format!("{name} of {}: {} %", self.name(), percent(share)))
+            (share < MIN_KNOWN_SHARE).then(|| format!("{name} of {}: {} %", self.name, percent(share)))
         };
         ["upload", "download"].into_iter().filter_map(known_share).collect()
     }

@@ -9,6 +9,7 @@ use crate::record::{HostRecord, ModelRecord, Placement, RunRecord};
 use crate::rows::{Outcome, Row, RowRef};
 
 mod defects;
+mod names;
 mod qualities;
 
 /// Returns a run in which every stage takes the given time within a microsecond, and the total 1 ms more; `None` for a stage that did not
@@ -158,7 +159,10 @@ fn only_repeats_are_pooled() {
     assert!((inference.mean - 0.011).abs() < 1e-9 && inference.count == 200, "{inference:?}");
     assert_eq!((comparison.best, comparison.ties.as_slice()), (Some(1), [].as_slice()));
     let text = comparison.text();
-    assert!(text.contains("Repeats are pooled; their mean totals: no, LAN: 17.5 – 19.5 ms."), "{text}");
+    assert!(
+        text.contains("Repeats are pooled; their mean totals: no resize, LAN: 17.5 – 19.5 ms."),
+        "{text}"
+    );
     let apart = Comparison::with_repeats(&runs, Repeats::Separate);
     assert_eq!(apart.axes, ["resize", "network", "repeat"]);
     assert_eq!(apart.lines.len(), 3);
@@ -171,7 +175,10 @@ fn equal_configurations_are_distinguished_by_folder() {
     };
     let comparison = Comparison::new(&[one("before/run-2", 7.0), one("after/run-2", 7.0)]);
     assert_eq!(comparison.axes, ["run"]);
-    assert_eq!(comparison.lines.iter().map(Line::name).collect::<Vec<_>>(), ["before/run-2", "after/run-2"]);
+    assert_eq!(
+        comparison.lines.iter().map(|line| line.name.as_str()).collect::<Vec<_>>(),
+        ["before/run-2", "after/run-2"]
+    );
     assert_eq!(
         (comparison.best, comparison.ties.as_slice()),
         (Some(0), [1].as_slice()),
@@ -188,7 +195,10 @@ fn executions_of_one_experiment_are_distinguished() {
     runs[1].record.experiment.as_mut().expect("placed").id = "b2".to_owned();
     let comparison = Comparison::new(&runs);
     assert_eq!(comparison.axes, ["model", "execution"]);
-    assert_eq!(comparison.lines.iter().map(Line::name).collect::<Vec<_>>(), ["s, a1", "s, b2"]);
+    assert_eq!(
+        comparison.lines.iter().map(|line| line.name.as_str()).collect::<Vec<_>>(),
+        ["s, a1", "s, b2"]
+    );
 }
 
 #[test]
@@ -267,7 +277,7 @@ fn chosen_repeat_has_separate_line() {
     let runs =
         [repeat_run("a", 0), repeat_run("a", 1), repeat_run("a", 2), repeat_run("b", 0), repeat_run("b", 1)];
     let comparison = Comparison::with_repeats(&runs, Repeats::PooledExcept(&[1]));
-    let lines: Vec<_> = comparison.lines.iter().map(|line| (line.name(), line.runs.clone())).collect();
+    let lines: Vec<_> = comparison.lines.iter().map(|line| (line.name.clone(), line.runs.clone())).collect();
     let expected = [("a, the other repeats", vec![0, 2]), ("a, repeat 2", vec![1]), ("b", vec![3, 4])];
     assert_eq!(lines, expected.map(|(name, runs)| (name.to_owned(), runs)));
     let edges = [edge("user-1", 0, "1/user-1"), edge("user-2", 0, "1/user-2"), edge("user-1", 1, "2/user-1")];
@@ -289,10 +299,10 @@ fn unknown_runs_are_named_after_files() {
     let comparison = Comparison::new(&runs);
     assert_eq!(comparison.axes[0], "run");
     assert!(comparison.lines.iter().all(|line| line.labels[0] != "—"), "{}", comparison.text());
-    assert_eq!(comparison.lines[1].name(), "theirs");
+    assert_eq!(comparison.lines[1].name, "theirs");
     assert!(comparison.text().contains(": theirs; the other line differs"), "{}", comparison.text());
     let alone = Comparison::new(&[published("theirs", run("x", stages))]);
-    assert_eq!((alone.axes[0].as_str(), alone.lines[0].name().as_str()), ("run", "theirs"));
+    assert_eq!((alone.axes[0].as_str(), alone.lines[0].name.as_str()), ("run", "theirs"));
 }
 
 #[test]
@@ -335,7 +345,7 @@ fn edges_of_one_run_are_not_repeats() {
         [vec![0, 1, 2, 3], vec![4]]
     );
     assert_eq!((mixed.lines[0].repeats, mixed.lines[0].edges), (2, 2));
-    assert!(mixed.lines.iter().all(|line| !line.name().is_empty()), "{}", mixed.text());
+    assert!(mixed.lines.iter().all(|line| !line.name.is_empty()), "{}", mixed.text());
 }
 
 #[test]
@@ -372,7 +382,7 @@ fn dissimilar_runs_have_fewest_distinguishing_columns() {
     });
     let comparison = Comparison::new(&alike);
     assert_eq!(
-        (comparison.axes.as_slice(), comparison.lines[1].name().as_str()),
+        (comparison.axes.as_slice(), comparison.lines[1].name.as_str()),
         (["run".to_owned()].as_slice(), "b")
     );
 }

@@ -1,6 +1,7 @@
 //! Curves of latency against the number of edges.
 
 use super::{Users, UsersLine};
+use crate::compare::readable_name;
 
 /// Curve of one configuration over the number of edges.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,13 +23,18 @@ impl<'a> Curve<'a> {
                 && lines.iter().any(|line| line.labels.get(*axis) != lines[0].labels.get(*axis))
         };
         let axes: Vec<usize> = (0..names.len()).filter(distinguishes_curves).collect();
-        let mut curves: Vec<Self> = Vec::new();
+        let names: Vec<String> = axes.iter().map(|axis| names[*axis].clone()).collect();
+        // Curves are told apart by their labels, because two labels may give one name: `no` and `none`.
+        let (mut keys, mut curves): (Vec<Vec<String>>, Vec<Self>) = (Vec::new(), Vec::new());
         for line in lines {
-            let labels = axes.iter().filter_map(|axis| line.labels.get(*axis)).map(String::as_str);
-            let name = labels.collect::<Vec<_>>().join(", ");
-            match curves.iter_mut().find(|curve| curve.name == name) {
-                Some(curve) => curve.points.push(line),
-                None => curves.push(Self { name, points: vec![line] }),
+            let labels: Vec<String> =
+                axes.iter().map(|axis| line.labels.get(*axis).cloned().unwrap_or_default()).collect();
+            match keys.iter().position(|key| *key == labels) {
+                Some(index) => curves[index].points.push(line),
+                None => {
+                    curves.push(Self { name: readable_name(&names, &labels), points: vec![line] });
+                    keys.push(labels);
+                }
             }
         }
         curves.iter_mut().for_each(|curve| curve.points.sort_by_key(|line| line.edges));

@@ -134,7 +134,7 @@ fn baseline_sentence(line: &Line) -> String {
         1 => "one run".to_owned(),
         repeats => format!("{}, pooled", counted(repeats as u64, "run")),
     };
-    format!("Baseline: {}: {runs}.", line.name())
+    format!("Baseline: {}: {runs}.", line.name)
 }
 
 /// Returns the reason why nothing can be compared with the baseline, if there is one.

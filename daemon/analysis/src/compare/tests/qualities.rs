@@ -127,7 +127,7 @@ fn accuracy_is_shown_beside_latency() {
     };
     runs[1].rows.change(broken);
     let comparison = Comparison::new(&runs);
-    let sentence = format!("excluded from the accuracy: top-1 of {}: 3 of 100.", comparison.lines[1].name());
+    let sentence = format!("excluded from the accuracy: top-1 of {}: 3 of 100.", comparison.lines[1].name);
     assert!(comparison.text().contains(&sentence), "{sentence} in {}", comparison.text());
     assert_eq!(comparison.lines[1].accuracy("top-1").map(|top| (top.count, top.unscored)), Some((97, 3)));
 }
