@@ -1,4 +1,4 @@
-//! Preview of the pages with an artificial factory: `cargo run -p peernet-web --example preview`.
+//! Preview of the pages with a simulated site: `cargo run -p peernet-web --example preview`.
 //!
 //! `--late` lets the hosts connect after ten seconds, `--empty` shows the pages before the first host has reported, `--many` uses thirty
 //! pipelines, `--grid` experiments of fifty configurations, of many users and with a repeated run, and long names, `--unrelated` clocks
@@ -6,16 +6,16 @@
 //! `--clock-fault` a camera with an injected clock fault, `--backlog` an agent with hours of backlog, one whose disk is full, and a run
 //! with gaps. The address is the first free argument, 127.0.0.1:8040 otherwise.
 
-#[path = "../tests/it/factory/mod.rs"]
-mod factory;
+#[path = "../tests/it/test_site/mod.rs"]
+mod test_site;
 
 use std::sync::Arc;
 use std::time::Duration;
 
-use factory::{Factory, Line};
 use peernet_aggregator::{Aggregator, AggregatorConfig};
 use peernet_clock::{ClockIdentity, SharedClock, Span, SystemClock};
 use peernet_web::{WebConfig, Zone};
+use test_site::{TestPipeline, TestSite};
 use tokio_util::sync::CancellationToken;
 
 #[tokio::main]
@@ -47,38 +47,38 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
 
     if !has("--empty") {
-        let mut lines = vec![Line::local(), Line::full(), Line::resized()];
+        let mut pipelines = vec![TestPipeline::local(), TestPipeline::full(), TestPipeline::resized()];
         if has("--unrelated") {
-            lines.push(Line { host: "cam-4", ..Line::unrelated() });
+            pipelines.push(TestPipeline { host: "cam-4", ..TestPipeline::unrelated() });
         }
         if has("--clock-fault") {
-            lines[2] = Line::with_clock_fault();
+            pipelines[2] = TestPipeline::with_clock_fault();
         }
         if has("--one-clock") {
-            lines.push(Line { host: "cam-5", ..Line::one_clock() });
+            pipelines.push(TestPipeline { host: "cam-5", ..TestPipeline::one_clock() });
         }
         if has("--talking") {
-            lines.push(Line { host: "cam-6", ..Line::talking() });
+            pipelines.push(TestPipeline { host: "cam-6", ..TestPipeline::talking() });
         }
         if has("--many") {
-            lines = (0..30)
-                .map(|index| Line {
+            pipelines = (0..30)
+                .map(|index| TestPipeline {
                     name: NAMES[index],
                     host: HOSTS[index],
                     hz: 5.0,
-                    ..lines[index % 3].clone()
+                    ..pipelines[index % 3].clone()
                 })
                 .collect();
         }
         let pause = Duration::from_secs(if has("--late") { 10 } else { 0 });
         if has("--grid") {
-            lines[0].name = "quality-control-of-the-welding-seam-with-a-name-of-63-characters";
-            lines[1].host = "camera-above-the-second-conveyor-belt-in-hall-seven-to-the-left";
+            pipelines[0].name = "quality-control-of-the-welding-seam-with-a-name-of-63-characters";
+            pipelines[1].host = "camera-above-the-second-conveyor-belt-in-hall-seven-to-the-left";
         }
         let (backlog, grid) = (has("--backlog"), has("--grid"));
         tokio::spawn(async move {
             tokio::time::sleep(pause).await;
-            produce(listening, clock, lines, backlog, grid).await;
+            produce(listening, clock, pipelines, backlog, grid).await;
         });
     }
     tokio::signal::ctrl_c().await?;
@@ -88,32 +88,38 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-async fn produce(address: String, clock: SharedClock, lines: Vec<Line>, backlog: bool, grid: bool) {
-    let mut factory = Factory::new(&address, clock.clone(), lines).await;
-    let many = factory.lines.len() > 5;
-    factory.report(clock.wall() - Span::from_seconds(590), clock.wall()).await;
-    factory.store_incidents().await;
-    factory.store_clocks(if many { 120 } else { 3_600 }).await;
-    factory.store_runs(if many { 200 } else { 6_000 }, true).await;
+async fn produce(
+    address: String,
+    clock: SharedClock,
+    pipelines: Vec<TestPipeline>,
+    backlog: bool,
+    grid: bool,
+) {
+    let mut site = TestSite::new(&address, clock.clone(), pipelines).await;
+    let many = site.pipelines.len() > 5;
+    site.report(clock.wall() - Span::from_seconds(590), clock.wall()).await;
+    site.store_incidents().await;
+    site.store_clocks(if many { 120 } else { 3_600 }).await;
+    site.store_runs(if many { 200 } else { 6_000 }, true).await;
     if backlog {
-        factory.store_gaps(2, 42).await;
+        site.store_gaps(2, 42).await;
     }
-    factory.store_experiment(600, 2).await;
-    factory.store_episodes(2_000, 250).await;
+    site.store_experiment(600, 2).await;
+    site.store_episodes(2_000, 250).await;
     let sizes = [30e3, 150e3, 400e3, 800e3].map(|bytes| (bytes, None));
-    factory.store_sizes(2.min(factory.lines.len() - 1), 300, &sizes).await;
+    site.store_sizes(2.min(site.pipelines.len() - 1), 300, &sizes).await;
     if grid {
-        factory.store_grid(100, 50).await;
-        factory.store_skipping(0, 600, 3).await;
-        factory.store_attempts(200, &["stopped", "finished"]).await;
-        factory.store_users(200, &[1, 2, 3]).await;
+        site.store_grid(100, 50).await;
+        site.store_skipping(0, 600, 3).await;
+        site.store_attempts(200, &["stopped", "finished"]).await;
+        site.store_users(200, &[1, 2, 3]).await;
     }
-    factory.store_runs(300, false).await;
-    factory.backlog = backlog.then(|| clock.wall());
+    site.store_runs(300, false).await;
+    site.backlog = backlog.then(|| clock.wall());
     let mut ticks = tokio::time::interval(Duration::from_millis(250));
     loop {
         ticks.tick().await;
-        factory.report(clock.wall() - Span::from_seconds(1), clock.wall()).await;
+        site.report(clock.wall() - Span::from_seconds(1), clock.wall()).await;
     }
 }
 

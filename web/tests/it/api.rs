@@ -6,8 +6,8 @@ use axum::body::Body;
 use axum::http::{Method, Request, StatusCode};
 use serde_json::{Value, json};
 
-use crate::factory::Line;
 use crate::test_dashboard::{ITERATIONS, TestDashboard};
+use crate::test_site::TestPipeline;
 
 /// Every route, with an address that exists when two lines are stored.
 const ROUTES: &[(&str, &str)] = &[
@@ -41,7 +41,8 @@ const CHANGES: [&str; 1] = ["/api/v1/runs/{run}/pin"];
 
 #[tokio::test]
 async fn openapi_describes_every_route() {
-    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
+    let (dashboard, _site) =
+        TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;
     let document = dashboard.get("/api/openapi.json").await.json();
     let paths = document["paths"].as_object().expect("paths");
     let described: BTreeSet<&str> = paths.keys().map(String::as_str).collect();
@@ -72,7 +73,8 @@ async fn openapi_describes_every_route() {
 
 #[tokio::test]
 async fn live_and_stored_figures_are_served() {
-    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
+    let (dashboard, _site) =
+        TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;
 
     let pipelines = dashboard.get("/api/v1/pipelines").await.json();
     let full = &pipelines["pipelines"][1];
@@ -139,7 +141,7 @@ async fn live_and_stored_figures_are_served() {
 
 #[tokio::test]
 async fn percentile_buckets_hold_sixty_iterations() {
-    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::full()]).await;
+    let (dashboard, _site) = TestDashboard::with_pipelines(vec![TestPipeline::full()]).await;
     let one = dashboard.get("/api/v1/pipelines/cam-2/offload-full").await.json();
     let over_time = &one["total_over_time"];
     assert_eq!(over_time["bucket_s"], 5, "150 iterations at 30 Hz; 2 s would hold 60 or 59: {over_time}");
@@ -163,7 +165,8 @@ async fn percentile_buckets_hold_sixty_iterations() {
 
 #[tokio::test]
 async fn speed_is_bytes_over_transfer_times() {
-    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
+    let (dashboard, _site) =
+        TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;
     let one = dashboard.get("/api/v1/pipelines/cam-2/offload-full").await.json();
     let minute = &one["windows"][2];
     let mean = |name: &str| {
@@ -189,7 +192,8 @@ async fn speed_is_bytes_over_transfer_times() {
 
 #[tokio::test]
 async fn pipeline_query_selects_window_and_stages() {
-    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
+    let (dashboard, _site) =
+        TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;
     let all = dashboard.get("/api/v1/pipelines").await;
     let few = dashboard.get("/api/v1/pipelines?window=10&stage=total,upload").await;
     assert!(few.text().len() * 3 < all.text().len(), "{} of {}", few.text().len(), all.text().len());
@@ -217,9 +221,9 @@ async fn pipeline_query_selects_window_and_stages() {
 
 #[tokio::test]
 async fn lists_are_paged_without_loss_or_repetition() {
-    let (dashboard, mut factory) = TestDashboard::with_pipelines(vec![Line::local()]).await;
+    let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
     for _ in 0..4 {
-        factory.store_runs(5, true).await;
+        site.store_runs(5, true).await;
     }
     let mut seen = Vec::new();
     let mut next = String::new();
@@ -254,7 +258,7 @@ async fn lists_are_paged_without_loss_or_repetition() {
 
 #[tokio::test]
 async fn export_has_one_row_per_iteration() {
-    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::full()]).await;
+    let (dashboard, _site) = TestDashboard::with_pipelines(vec![TestPipeline::full()]).await;
     let answer = dashboard.get("/api/v1/runs/1/export?format=csv").await;
     assert!(answer.header("content-type").starts_with("text/csv"));
     assert_eq!(answer.header("content-disposition"), "attachment; filename=\"offload-full-1.csv\"");
@@ -300,7 +304,7 @@ async fn export_has_one_row_per_iteration() {
 
 #[tokio::test]
 async fn direction_without_value_is_in_the_sum() {
-    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::unrelated()]).await;
+    let (dashboard, _site) = TestDashboard::with_pipelines(vec![TestPipeline::unrelated()]).await;
     let iteration = dashboard.get("/api/v1/runs/1/iterations/100").await.json();
     let number = |value: &Value| value.as_f64().expect("a number");
     let stages = iteration["stages"].as_array().expect("stages");
@@ -325,8 +329,8 @@ async fn direction_without_value_is_in_the_sum() {
 
 #[tokio::test]
 async fn runs_with_clock_fault_are_marked_in_lists() {
-    let (dashboard, _factory) =
-        TestDashboard::with_pipelines(vec![Line::local(), Line::with_clock_fault()]).await;
+    let (dashboard, _site) =
+        TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::with_clock_fault()]).await;
     let runs = dashboard.get("/api/v1/runs").await.json();
     let marks: Vec<&Value> =
         runs["runs"].as_array().expect("runs").iter().map(|run| &run["rehearsed"]).collect();
@@ -344,7 +348,7 @@ async fn runs_with_clock_fault_are_marked_in_lists() {
 
 #[tokio::test]
 async fn problem_details_name_the_parameter() {
-    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local()]).await;
+    let (dashboard, _site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
     for (address, status, word) in [
         ("/api/v1/runs?limit=0", 400, "limit"),
         ("/api/v1/runs?limit=many", 400, "limit: \"many\" is not a whole number from 1 to 1000"),
@@ -397,8 +401,8 @@ async fn problem_details_name_the_parameter() {
 
 #[tokio::test]
 async fn links_and_clocks_are_served() {
-    let (dashboard, _factory) =
-        TestDashboard::with_pipelines(vec![Line::local(), Line::with_clock_fault()]).await;
+    let (dashboard, _site) =
+        TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::with_clock_fault()]).await;
     let links = dashboard.get("/api/v1/links").await.json();
     let link = &links["links"][0];
     assert_eq!((&link["name"], &link["connected"]), (&json!("cam-3~rack-a"), &json!(true)));

@@ -7,12 +7,13 @@ use peernet_results::ResultFolder;
 use peernet_statistics::number::{mean_std_ms, measured, rate};
 use peernet_stream::ExperimentPlace;
 
-use crate::factory::Line;
 use crate::test_dashboard::TestDashboard;
+use crate::test_site::TestPipeline;
 
 #[tokio::test]
 async fn run_page_states_trust_and_reasons() {
-    let (dashboard, mut factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
+    let (dashboard, mut site) =
+        TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;
     let trust = dashboard.get("/api/v1/runs/1/trust").await.json();
     let about = |subject: &str| {
         let sentences = trust["sentences"].as_array().expect("sentences");
@@ -30,7 +31,7 @@ async fn run_page_states_trust_and_reasons() {
     let upload = dashboard.get("/api/v1/runs/2/trust").await;
     assert!(upload.text().contains("Of the delays of `upload`"), "{}", upload.text());
 
-    factory.store_gaps(0, 3).await;
+    site.store_gaps(0, 3).await;
     let trust = dashboard.get("/api/v1/runs/1/trust").await.json();
     assert_eq!(trust["verdict"], "no", "{trust}");
     let first = &trust["sentences"][0];
@@ -41,9 +42,9 @@ async fn run_page_states_trust_and_reasons() {
 
 #[tokio::test]
 async fn skipped_starts_before_unanswered_iterations_are_shown() {
-    let (dashboard, mut factory) = TestDashboard::with_pipelines(vec![Line::local()]).await;
+    let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
     // Twenty are of the warm-up, ten of the others had no answer.
-    factory.store_skipping(0, 120, 7).await;
+    site.store_skipping(0, 120, 7).await;
     assert_eq!(dashboard.get("/api/v1/runs/1").await.json()["skipped_starts"], 0);
     assert_eq!(dashboard.get("/api/v1/runs/2").await.json()["skipped_starts"], 70);
     let trust = dashboard.get("/api/v1/runs/2/trust").await.json();
@@ -79,8 +80,12 @@ fn distributions(page: &str) -> &str {
 
 #[tokio::test]
 async fn repeats_of_an_experiment_are_combined() {
-    let (dashboard, mut factory) =
-        TestDashboard::with_pipelines(vec![Line::local(), Line::full(), Line::resized()]).await;
+    let (dashboard, mut site) = TestDashboard::with_pipelines(vec![
+        TestPipeline::local(),
+        TestPipeline::full(),
+        TestPipeline::resized(),
+    ])
+    .await;
     assert_eq!(dashboard.get("/api/v1/experiments").await.json()["experiments"], serde_json::json!([]));
     assert!(dashboard.get("/compare").await.text().contains("No run of an experiment is stored yet"));
     assert!(
@@ -90,7 +95,7 @@ async fn repeats_of_an_experiment_are_combined() {
             .text()
             .contains("in its table <span class=\"mono\">[experiment]</span>")
     );
-    factory.store_experiment(200, 2).await;
+    site.store_experiment(200, 2).await;
 
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let experiment = &listed["experiments"][0];
@@ -142,7 +147,7 @@ async fn repeats_of_an_experiment_are_combined() {
     assert!(dashboard.get("/runs").await.text().contains(">pictures</a>"));
     assert!(dashboard.get("/compare").await.text().contains(">pictures</a>"));
 
-    factory.store_sizes(2, 100, &[600e3, 30e3, 2_000e3, 150e3].map(|bytes| (bytes, None))).await;
+    site.store_sizes(2, 100, &[600e3, 30e3, 2_000e3, 150e3].map(|bytes| (bytes, None))).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let page = dashboard.get(&format!("/compare?experiment={id}")).await;
@@ -154,7 +159,7 @@ async fn repeats_of_an_experiment_are_combined() {
     assert_eq!(sizes, ["30 kB", "150 kB", "600 kB", "2000 kB"], "by value, not by when they ran: {compared}");
     assert!(dashboard.get("/runs").await.text().contains("size = 2000 kB, repeat 1"));
 
-    factory.store_sizes(2, 100, &[(600e3, Some(1)), (30e3, Some(2)), (150e3, Some(0))]).await;
+    site.store_sizes(2, 100, &[(600e3, Some(1)), (30e3, Some(2)), (150e3, Some(0))]).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let compared = dashboard.get(&format!("/api/v1/compare?experiment={id}")).await.json();
@@ -165,16 +170,20 @@ async fn repeats_of_an_experiment_are_combined() {
 
 #[tokio::test]
 async fn many_users_count_as_one_configuration() {
-    let (dashboard, mut factory) =
-        TestDashboard::with_pipelines(vec![Line::local(), Line::full(), Line::resized()]).await;
-    factory.store_users(100, &[1, 3]).await;
+    let (dashboard, mut site) = TestDashboard::with_pipelines(vec![
+        TestPipeline::local(),
+        TestPipeline::full(),
+        TestPipeline::resized(),
+    ])
+    .await;
+    site.store_users(100, &[1, 3]).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let page = dashboard.get(&format!("/compare?experiment={id}")).await;
     assert!(page.text().contains("Latency against the number of users"), "{}", page.text());
     assert!(page.text().contains(">3</td>") && page.text().contains("at 3 users"), "{}", page.text());
 
-    factory.store_grid(30, 50).await;
+    site.store_grid(30, 50).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let page = dashboard.get(&format!("/compare?experiment={id}")).await;
@@ -189,9 +198,13 @@ async fn many_users_count_as_one_configuration() {
 
 #[tokio::test]
 async fn page_and_files_state_equal_rates_of_users() {
-    let (dashboard, mut factory) =
-        TestDashboard::with_pipelines(vec![Line::local(), Line::full(), Line::resized()]).await;
-    factory.store_users(400, &[1, 3]).await;
+    let (dashboard, mut site) = TestDashboard::with_pipelines(vec![
+        TestPipeline::local(),
+        TestPipeline::full(),
+        TestPipeline::resized(),
+    ])
+    .await;
+    site.store_users(400, &[1, 3]).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let compared = dashboard.get(&format!("/api/v1/compare?experiment={id}")).await.json();
@@ -236,7 +249,8 @@ async fn page_and_files_state_equal_rates_of_users() {
 
 #[tokio::test]
 async fn difference_of_two_runs_states_its_significance() {
-    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
+    let (dashboard, _site) =
+        TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;
     let compared = dashboard.get("/api/v1/compare?runs=1,2").await.json();
     let total = &compared["differences"][0];
     assert_eq!((&total["name"], &total["certain"]), (&"total".into(), &true.into()), "{compared}");
@@ -276,12 +290,13 @@ async fn difference_of_two_runs_states_its_significance() {
     assert!(api.text().contains(&format!("{known}, and optionally baseline\"")), "{}", api.text());
 }
 
-/// Counts and means are equal, deviations up to their last digits; quantiles are within the sketch's 1 %. The store has means of seconds,
-/// the file single iterations, so their batches begin at different times: the width of an interval from 30 batches varies by 13 %
-/// (standard deviation), and ends differ by less than half of it.
+/// Counts and means are equal, deviations up to their last digits; quantiles are within the sketch's 1 %. Intervals come from 30 batches of
+/// the run. The store has one mean for each second and the file has each iteration, so their batches begin at different times. The width of
+/// such an interval varies by 13 % (standard deviation); here each end differs by less than half of the width.
 #[tokio::test]
 async fn run_files_and_store_give_same_comparison() {
-    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
+    let (dashboard, _site) =
+        TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;
     let folder = tempfile::tempdir().expect("a temporary folder");
     let mut runs = Vec::new();
     for run in [1, 2] {
@@ -326,8 +341,9 @@ async fn run_files_and_store_give_same_comparison() {
 
 #[tokio::test]
 async fn repeated_run_after_interruption_counts_once() {
-    let (dashboard, mut factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
-    factory.store_attempts(100, &["stopped", "finished"]).await;
+    let (dashboard, mut site) =
+        TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;
+    site.store_attempts(100, &["stopped", "finished"]).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let (id, first) =
         (listed["experiments"][0]["id"].as_str().expect("an id"), &listed["experiments"][0]["oldest"]);
@@ -355,7 +371,7 @@ async fn repeated_run_after_interruption_counts_once() {
         "{doubts:?}"
     );
 
-    factory.store_attempts(50, &["stopped"]).await;
+    site.store_attempts(50, &["stopped"]).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let page = dashboard.get(&format!("/compare?experiment={id}")).await;

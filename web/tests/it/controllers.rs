@@ -5,8 +5,8 @@ use std::process::{Command, Stdio};
 
 use serde_json::{Value, json};
 
-use crate::factory::Line;
 use crate::test_dashboard::TestDashboard;
+use crate::test_site::TestPipeline;
 
 /// Reads lines of an answer and two pipelines each, and decides.
 const DRIVER: &str = r#"
@@ -21,7 +21,8 @@ print(decide(ask()))
 
 #[tokio::test]
 async fn documented_controller_decides_by_known_values() {
-    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
+    let (dashboard, _site) =
+        TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;
     let mut answer = dashboard.get("/api/v1/pipelines?window=10&stage=total").await.json();
     for pipeline in answer["pipelines"].as_array_mut().expect("pipelines") {
         // However long this machine took to come here.

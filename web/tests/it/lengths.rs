@@ -1,7 +1,7 @@
 //! Response length against latency, over stored data.
 
-use crate::factory::Line;
 use crate::test_dashboard::TestDashboard;
+use crate::test_site::TestPipeline;
 
 const HEADING: &str = "Response length against latency</h2>";
 
@@ -19,7 +19,8 @@ fn exported(csv: &str) -> Vec<(String, String)> {
 
 #[tokio::test]
 async fn lengths_of_answers_match_data_file() {
-    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::talking(), Line::full()]).await;
+    let (dashboard, _site) =
+        TestDashboard::with_pipelines(vec![TestPipeline::talking(), TestPipeline::full()]).await;
     let rows = exported(dashboard.get("/api/v1/runs/1/export").await.text());
     assert!(rows.len() > 300 && rows.len() < 400, "{}", rows.len());
     let pairs = dashboard.aggregator.store().value_pairs(1, ["download-bytes", "inference"], 1_000).await;
@@ -39,8 +40,8 @@ async fn lengths_of_answers_match_data_file() {
 
 #[tokio::test]
 async fn long_run_is_drawn_as_sample() {
-    let (dashboard, mut factory) = TestDashboard::with_pipelines(vec![Line::talking()]).await;
-    factory.store_experiment(900, 2).await;
+    let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::talking()]).await;
+    site.store_experiment(900, 2).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let page = dashboard.get(&format!("/compare?experiment={id}")).await;

@@ -3,7 +3,6 @@
 mod api;
 mod comparing;
 mod controllers;
-mod factory;
 mod lengths;
 mod metrics;
 mod over_time;
@@ -13,3 +12,4 @@ mod serving;
 mod storing;
 mod stream;
 mod test_dashboard;
+mod test_site;

@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use peernet_clock::Span;
 
-use crate::factory::Line;
 use crate::test_dashboard::TestDashboard;
+use crate::test_site::TestPipeline;
 
 /// Lines of one metric.
 #[derive(Debug, Default, PartialEq)]
@@ -98,8 +98,12 @@ fn read(text: &str) -> BTreeMap<String, Family> {
 
 #[tokio::test]
 async fn metric_lines_are_valid_and_counters_grow() {
-    let (dashboard, mut factory) =
-        TestDashboard::with_pipelines(vec![Line::local(), Line::full(), Line::unrelated()]).await;
+    let (dashboard, mut site) = TestDashboard::with_pipelines(vec![
+        TestPipeline::local(),
+        TestPipeline::full(),
+        TestPipeline::unrelated(),
+    ])
+    .await;
     let answer = dashboard.get("/metrics").await;
     assert_eq!(answer.header("content-type"), "application/openmetrics-text; version=1.0.0; charset=utf-8");
     let first = read(answer.text());
@@ -146,9 +150,9 @@ async fn metric_lines_are_valid_and_counters_grow() {
         "a delay that is not known is no figure"
     );
 
-    factory.store_runs(50, true).await;
+    site.store_runs(50, true).await;
     let now = dashboard.clock.wall();
-    factory.report(now, now + Span::from_seconds(1)).await;
+    site.report(now, now + Span::from_seconds(1)).await;
     let stored = value(&first, "peernet_aggregator_stored_nodes_total");
     dashboard
         .wait_until(|picture| {
@@ -173,7 +177,7 @@ async fn metric_lines_are_valid_and_counters_grow() {
 
 #[tokio::test]
 async fn documented_metrics_are_the_served_ones() {
-    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::full()]).await;
+    let (dashboard, _site) = TestDashboard::with_pipelines(vec![TestPipeline::full()]).await;
     let served = read(dashboard.get("/metrics").await.text());
     let document = include_str!("../../../docs/metrics.md");
     let document = document.split("## Worth an alert").next().expect("the tables");

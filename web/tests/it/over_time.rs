@@ -1,7 +1,7 @@
 //! Runs over time with their episodes, over stored data.
 
-use crate::factory::Line;
 use crate::test_dashboard::TestDashboard;
+use crate::test_site::TestPipeline;
 
 /// Returns attribute `d` of the first SVG path with this class.
 fn path<'a>(html: &'a str, class: &str) -> &'a str {
@@ -11,8 +11,9 @@ fn path<'a>(html: &'a str, class: &str) -> &'a str {
 
 #[tokio::test]
 async fn runs_with_episodes_are_drawn_over_time() {
-    let (dashboard, mut factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
-    factory.store_episodes(400, 100).await;
+    let (dashboard, mut site) =
+        TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;
+    site.store_episodes(400, 100).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let (id, first) = (&listed["experiments"][0]["id"], &listed["experiments"][0]["oldest"]);
     let page = dashboard.get(&format!("/compare?experiment={}", id.as_str().expect("an id"))).await;
@@ -39,7 +40,8 @@ async fn runs_with_episodes_are_drawn_over_time() {
 
 #[tokio::test]
 async fn run_without_episodes_mentions_none() {
-    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
+    let (dashboard, _site) =
+        TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;
     let page = dashboard.get("/compare?runs=1,2").await;
     let panel = page.text().split("id=\"cc-h\"").nth(1).expect("a panel");
     let panel = panel.split("</section>").next().expect("its end");

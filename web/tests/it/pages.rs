@@ -2,13 +2,17 @@
 
 use axum::http::StatusCode;
 
-use crate::factory::Line;
 use crate::test_dashboard::TestDashboard;
+use crate::test_site::TestPipeline;
 
 #[tokio::test]
 async fn every_page_is_complete_without_script() {
-    let (dashboard, _factory) =
-        TestDashboard::with_pipelines(vec![Line::local(), Line::full(), Line::resized()]).await;
+    let (dashboard, _site) = TestDashboard::with_pipelines(vec![
+        TestPipeline::local(),
+        TestPipeline::full(),
+        TestPipeline::resized(),
+    ])
+    .await;
     let slowest = dashboard.get("/api/v1/runs/3/iterations?order=slowest&limit=1").await.json();
     let slowest = format!("/runs/3/iterations/{}", slowest["iterations"][0]["number"]);
     let pages = [
@@ -78,7 +82,7 @@ async fn empty_aggregator_shows_how_to_start_an_edge() {
 
 #[tokio::test]
 async fn unrelated_clocks_show_dashes_and_exact_sum() {
-    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::unrelated()]).await;
+    let (dashboard, _site) = TestDashboard::with_pipelines(vec![TestPipeline::unrelated()]).await;
     let run = dashboard.get("/runs/1").await;
     assert!(run.text().contains("unsynchronised"), "{}", run.text());
     assert!(run.text().contains(">up + down </tspan>"), "{}", run.text());
@@ -115,9 +119,9 @@ async fn missing_page_is_an_error_page() {
 
 #[tokio::test]
 async fn unrecorded_events_are_shown_with_reason() {
-    let (dashboard, mut factory) = TestDashboard::with_pipelines(vec![Line::local()]).await;
+    let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
     assert!(!dashboard.get("/runs/1").await.text().contains("of this run were not recorded"));
-    factory.store_gaps(0, 3).await;
+    site.store_gaps(0, 3).await;
     let page = dashboard.get("/runs/1").await;
     let said = "2,922 events of this run were not recorded: no room in the agent&#39;s spool (from ";
     assert!(page.text().contains(said) && page.text().contains(", in 3 gaps)."), "{}", page.text());
@@ -125,14 +129,14 @@ async fn unrecorded_events_are_shown_with_reason() {
 
 #[tokio::test]
 async fn run_is_running_while_its_host_reports_it() {
-    let (dashboard, mut factory) = TestDashboard::with_pipelines(vec![Line::local()]).await;
-    factory.store_runs(30, false).await;
+    let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
+    site.store_runs(30, false).await;
     for current in [Some(2), None] {
         if current.is_none() {
-            factory.lines[0].run = None;
+            site.pipelines[0].run = None;
         }
         let now = dashboard.clock.wall();
-        factory.report(now, now).await;
+        site.report(now, now).await;
         dashboard.wait_until(|picture| picture.pipelines[0].run_number == current).await;
         let page = dashboard.get("/runs/2").await;
         assert_eq!(page.text().contains("still running"), current.is_some(), "{}", page.text());
@@ -144,11 +148,11 @@ async fn run_is_running_while_its_host_reports_it() {
 #[tokio::test]
 async fn links_of_all_networks_are_listed() {
     let lines = vec![
-        Line::with_clock_fault(),
-        Line { host: "cam-4", ..Line::unrelated() },
-        Line { host: "cam-5", ..Line::one_clock() },
+        TestPipeline::with_clock_fault(),
+        TestPipeline { host: "cam-4", ..TestPipeline::unrelated() },
+        TestPipeline { host: "cam-5", ..TestPipeline::one_clock() },
     ];
-    let (dashboard, _factory) = TestDashboard::with_pipelines(lines).await;
+    let (dashboard, _site) = TestDashboard::with_pipelines(lines).await;
     for (path, text) in [
         (
             "/links",

@@ -7,8 +7,8 @@ use serde_json::json;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, SqliteConnection};
 
-use crate::factory::{Factory, Line};
 use crate::test_dashboard::TestDashboard;
+use crate::test_site::{TestPipeline, TestSite};
 
 /// Advances the storage clock, by which retention computes ages, by nine days.
 async fn age_stored_data(database: &mut SqliteConnection) {
@@ -19,9 +19,10 @@ async fn age_stored_data(database: &mut SqliteConnection) {
 #[tokio::test]
 async fn deleted_data_is_named_and_remaining_data_shown() {
     let dashboard = TestDashboard::empty().await;
-    let mut factory = Factory::new(&dashboard.listening, dashboard.clock.clone(), vec![Line::local()]).await;
-    factory.store_runs(200, true).await;
-    factory.store_runs(100, true).await;
+    let mut site =
+        TestSite::new(&dashboard.listening, dashboard.clock.clone(), vec![TestPipeline::local()]).await;
+    site.store_runs(200, true).await;
+    site.store_runs(100, true).await;
     let pinned = dashboard.aggregator.pin(2, true).await.expect("the database can be written");
     assert!(pinned, "run 2 is there");
 

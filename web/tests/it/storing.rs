@@ -7,8 +7,8 @@ use serde_json::{Value, json};
 use sqlx::ConnectOptions;
 use sqlx::sqlite::SqliteConnectOptions;
 
-use crate::factory::Line;
 use crate::test_dashboard::{Answer, TestDashboard};
+use crate::test_site::TestPipeline;
 
 /// Waits until the readiness of the aggregator is `ready`.
 async fn wait_until_ready_is(dashboard: &TestDashboard, ready: bool) {
@@ -58,7 +58,7 @@ async fn missing_database_is_reported_until_it_returns() {
 
 #[tokio::test]
 async fn damaged_database_errors_match_readiness() {
-    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local()]).await;
+    let (dashboard, _site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
     let options = SqliteConnectOptions::new().filename(dashboard.database());
     let mut connection = options.connect().await.expect("opens");
     // From then on the file itself is read.
@@ -83,8 +83,9 @@ async fn damaged_database_errors_match_readiness() {
 }
 
 #[tokio::test]
-async fn both_accounts_agree_at_rest() {
-    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
+async fn agent_and_aggregator_counts_agree_when_idle() {
+    let (dashboard, _site) =
+        TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;
     let picture = dashboard
         .wait_until(|picture| {
             let rests = |host: &peernet_aggregator::HostSnapshot| {
@@ -125,7 +126,7 @@ async fn pin(dashboard: &TestDashboard, method: Method, run: &str, site: Option<
 
 #[tokio::test]
 async fn pinned_run_is_marked_until_it_is_unpinned() {
-    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local()]).await;
+    let (dashboard, _site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
     let pinned = async || dashboard.get("/api/v1/runs/1").await.json()["pinned"].clone();
     assert_eq!(pinned().await, json!(false));
     let page = dashboard.get("/runs/1").await;
@@ -157,7 +158,7 @@ async fn pinned_run_is_marked_until_it_is_unpinned() {
 
 #[tokio::test]
 async fn run_is_pinned_only_by_requests_of_the_same_origin() {
-    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local()]).await;
+    let (dashboard, _site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
     for site in ["cross-site", "same-site"] {
         let answer = pin(&dashboard, Method::PUT, "1", Some(site)).await;
         assert_eq!(answer.status, StatusCode::FORBIDDEN, "{site}");
@@ -169,7 +170,7 @@ async fn run_is_pinned_only_by_requests_of_the_same_origin() {
 
 #[tokio::test]
 async fn pin_of_unknown_run_is_refused() {
-    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local()]).await;
+    let (dashboard, _site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
     for (run, status) in [("77", StatusCode::NOT_FOUND), ("one", StatusCode::BAD_REQUEST)] {
         for method in [Method::PUT, Method::DELETE] {
             let answer = pin(&dashboard, method, run, None).await;

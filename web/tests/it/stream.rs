@@ -6,8 +6,8 @@ use futures::StreamExt;
 use peernet_clock::Span;
 use serde_json::Value;
 
-use crate::factory::Line;
 use crate::test_dashboard::TestDashboard;
+use crate::test_site::TestPipeline;
 
 /// Reads events from a body as they come.
 struct Events {
@@ -58,7 +58,8 @@ impl Events {
 
 #[tokio::test]
 async fn figures_arrive_as_they_are_reported() {
-    let (dashboard, mut factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
+    let (dashboard, mut site) =
+        TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;
     let mut events = Events::subscribe(&dashboard, "picture,overview").await;
     let status = events.wait_until("status").await;
     assert_eq!((&status["connected"], &status["hosts"]), (&Value::from(3), &Value::from(3)));
@@ -74,20 +75,20 @@ async fn figures_arrive_as_they_are_reported() {
     };
     let before = newest(&first);
     let now = dashboard.clock.wall() + Span::from_seconds(2);
-    factory.report(now, now).await;
+    site.report(now, now).await;
     while newest(&events.wait_until("picture").await) <= before {}
 }
 
 #[tokio::test]
 async fn slow_listener_gets_newest_snapshot_only() {
-    let (dashboard, mut factory) = TestDashboard::with_pipelines(vec![Line::local()]).await;
+    let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
     let mut events = Events::subscribe(&dashboard, "picture").await;
     let first = events.wait_until("picture").await;
     // Many pictures are made while the listener does not read.
     let mut live = dashboard.aggregator.live();
     for _ in 0..8 {
         live.mark_unchanged();
-        factory.report(dashboard.clock.wall(), dashboard.clock.wall()).await;
+        site.report(dashboard.clock.wall(), dashboard.clock.wall()).await;
         live.changed().await.expect("the aggregator runs");
     }
     let newest = live.borrow_and_update().at;
@@ -105,7 +106,7 @@ async fn slow_listener_gets_newest_snapshot_only() {
 
 #[tokio::test]
 async fn pipeline_and_host_pages_are_updated_live() {
-    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::full()]).await;
+    let (dashboard, _site) = TestDashboard::with_pipelines(vec![TestPipeline::full()]).await;
     for (topic, part) in [
         ("pipeline/cam-2/offload-full/10", "title"),
         ("host/cam-2", "title"),
@@ -121,7 +122,7 @@ async fn pipeline_and_host_pages_are_updated_live() {
 
 #[tokio::test]
 async fn unchanged_part_is_not_sent_again() {
-    let (dashboard, mut factory) = TestDashboard::with_pipelines(vec![Line::full()]).await;
+    let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::full()]).await;
     let mut events = Events::subscribe(&dashboard, "link/cam-2~rack-a/10min/removed").await;
     let ids = |page: &Value| -> Vec<String> {
         let parts = page["parts"].as_array().expect("parts").iter();
@@ -130,7 +131,7 @@ async fn unchanged_part_is_not_sent_again() {
     let first = ids(&events.wait_until("page").await);
     assert!(first.contains(&"chart".to_owned()) && first.contains(&"clocks".to_owned()), "{first:?}");
     let now = dashboard.clock.wall() + Span::from_seconds(4);
-    factory.report(now - Span::from_seconds(4), now).await;
+    site.report(now - Span::from_seconds(4), now).await;
     let next = loop {
         let next = ids(&events.wait_until("page").await);
         if next.contains(&"chart".to_owned()) {

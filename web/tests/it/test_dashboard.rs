@@ -1,4 +1,4 @@
-//! A real aggregator with its pages and API. The simulated factory sends it events through its socket.
+//! A real aggregator with its pages and API. The simulated site sends it events through its socket.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use peernet_web::{WebConfig, Zone};
 use tokio_util::sync::CancellationToken;
 use tower::ServiceExt;
 
-use crate::factory::{Factory, Line};
+use crate::test_site::{TestPipeline, TestSite};
 
 /// Iterations of each stored run.
 pub(crate) const ITERATIONS: u64 = 400;
@@ -69,16 +69,16 @@ impl TestDashboard {
         Self { aggregator, clock, stop, config, listening, router, _running: running, folder }
     }
 
-    /// Starts an aggregator with a stored run and live data of each line.
-    pub(crate) async fn with_pipelines(lines: Vec<Line>) -> (Self, Factory) {
+    /// Starts an aggregator with a stored run and live data of each pipeline.
+    pub(crate) async fn with_pipelines(pipelines: Vec<TestPipeline>) -> (Self, TestSite) {
         let dashboard = Self::empty().await;
-        let expected = lines.len();
-        let mut factory = Factory::new(&dashboard.listening, dashboard.clock.clone(), lines).await;
-        factory.store_runs(ITERATIONS, true).await;
-        factory.store_incidents().await;
-        factory.store_clocks(120).await;
+        let expected = pipelines.len();
+        let mut site = TestSite::new(&dashboard.listening, dashboard.clock.clone(), pipelines).await;
+        site.store_runs(ITERATIONS, true).await;
+        site.store_incidents().await;
+        site.store_clocks(120).await;
         let now = dashboard.clock.wall();
-        factory.report(now - Span::from_seconds(70), now).await;
+        site.report(now - Span::from_seconds(70), now).await;
         dashboard
             .wait_until(|snapshot| {
                 let full = |second: &[Arc<peernet_aggregator::LiveSecond>]| second.len() >= 30;
@@ -87,7 +87,7 @@ impl TestDashboard {
                     && snapshot.links.iter().all(|link| link.history.len() >= 70)
             })
             .await;
-        (dashboard, factory)
+        (dashboard, site)
     }
 
     /// Returns the database's file.

@@ -1,4 +1,4 @@
-//! Clock samples of a line: the edge's relation to the rack's clock, once a second.
+//! Clock samples of a pipeline: the edge's relation to the rack's clock, once a second.
 
 use peernet_clock::{
     ClockFaults, DelaySource, Discipline, Exchange, ExchangeCounts, Interval, Offset, RawTime, RelatedClocks,
@@ -12,7 +12,7 @@ use peernet_stream::{
     TransportRoundTrip,
 };
 
-use super::{Clocks, Line, slug};
+use super::{Clocks, TestPipeline, slug};
 
 /// The rack's wall clock minus a camera's, middle of the reported bounds.
 pub(super) const AHEAD: Span = Span::from_micros(1_204_180);
@@ -41,36 +41,37 @@ pub(super) fn host_clock(has_clock_fault: bool, since: WallTime) -> HostClock {
 }
 
 /// Returns the delays of data in one direction within a second.
-fn delays(line: &Line, name: &str, numbers: &mut SplitMix64) -> DelaySecond {
-    let mean = line.stages.iter().find(|(known, ..)| known == name).map_or(0.001, |(_, mean, _)| mean / 1e3);
+fn delays(pipeline: &TestPipeline, name: &str, numbers: &mut SplitMix64) -> DelaySecond {
+    let mean =
+        pipeline.stages.iter().find(|(known, ..)| known == name).map_or(0.001, |(_, mean, _)| mean / 1e3);
     let value = mean * (1.0 + 0.03 * numbers.normal());
-    let bound = match line.clocks {
+    let bound = match pipeline.clocks {
         Clocks::Within(bound) => bound,
         Clocks::Shared | Clocks::Unrelated => 0.0,
     };
-    let bits = if name == stage::UPLOAD.as_str() { line.bytes * 8.0 } else { 412.0 * 8.0 };
-    let known = line.clocks != Clocks::Unrelated;
+    let bits = if name == stage::UPLOAD.as_str() { pipeline.bytes * 8.0 } else { 412.0 * 8.0 };
+    let known = pipeline.clocks != Clocks::Unrelated;
     DelaySecond {
-        count: line.hz as u32,
+        count: pipeline.hz as u32,
         median: known.then(|| DelayPoint {
             value: seconds(value),
             bounds: Interval { lo: seconds((value - bound).max(0.0)), hi: seconds(value + bound) },
             bits_per_second: Some(bits / value),
         }),
-        verdict: Verdict::from_name(line.verdict(&name.to_owned().into())).expect("a verdict"),
+        verdict: Verdict::from_name(pipeline.verdict(&name.to_owned().into())).expect("a verdict"),
     }
 }
 
 /// Returns the clock sample at the end of a second; `ago` seconds before the newest one.
 pub(super) fn sample(
-    line: &Line,
+    pipeline: &TestPipeline,
     rack: HostId,
     at: WallTime,
     ago: i64,
     numbers: &mut SplitMix64,
 ) -> ClockSample {
     let at = WallTime::from_unix_nanos(at.unix_seconds() * 1_000_000_000);
-    let bound = match line.clocks {
+    let bound = match pipeline.clocks {
         Clocks::Within(bound) => Some(bound),
         Clocks::Shared => Some(0.0),
         Clocks::Unrelated => None,
@@ -78,7 +79,7 @@ pub(super) fn sample(
     // The network is slow for half a minute; a clock was stepped a minute ago.
     let slow = if (140..175).contains(&ago) { 1.9 } else { 1.0 };
     let (window, stepped) = if ago > 60 { (11, seconds(-0.0182)) } else { (12, Span::ZERO) };
-    let truth = if line.clocks == Clocks::Shared {
+    let truth = if pipeline.clocks == Clocks::Shared {
         Span::ZERO
     } else {
         AHEAD + stepped - seconds(SKEW_PPM * 1e-6 * ago as f64)
@@ -89,7 +90,7 @@ pub(super) fn sample(
         let estimate = truth + seconds(bound * 0.08 * numbers.normal());
         let bounds = Interval { lo: truth - seconds(half), hi: truth + seconds(half) };
         let claimed = Interval { lo: truth - seconds(0.0039), hi: truth + seconds(0.0037) };
-        let shared = line.clocks == Clocks::Shared;
+        let shared = pipeline.clocks == Clocks::Shared;
         Offset {
             at,
             estimate: if shared { Span::ZERO } else { estimate.clamp(bounds.lo, bounds.hi) },
@@ -134,13 +135,13 @@ pub(super) fn sample(
         lower: exchange,
         offset,
         probes: ProbeCounts { sent, answered: sent - lost, lost, refused: 0 },
-        exchanges: match line.clocks {
+        exchanges: match pipeline.clocks {
             Clocks::Unrelated => ExchangeCounts::default(),
             _ => ExchangeCounts { accepted: 61_207, impossible: 2, outliers: 5, stepped: 3, restarts: 1 },
         },
         round_trip: trip,
-        up: Some(delays(line, "upload", numbers)),
-        down: Some(delays(line, "download", numbers)),
+        up: Some(delays(pipeline, "upload", numbers)),
+        down: Some(delays(pipeline, "download", numbers)),
         network: NetworkName::default(),
         basis: bound.filter(|bound| *bound > 0.0).map(|_| EstimateBasis {
             clocks: RelatedClocks::Wall,
@@ -152,7 +153,7 @@ pub(super) fn sample(
     }
 }
 
-/// Returns the connection of a line: an upload of 10 MB a second since the Unix epoch.
+/// Returns the connection of a pipeline: an upload of 10 MB a second since the Unix epoch.
 fn connection(pipeline: &str, at: WallTime) -> Connection {
     let seconds = at.unix_seconds().unsigned_abs();
     let sent = DirectionStatistics {
@@ -199,9 +200,9 @@ fn connection(pipeline: &str, at: WallTime) -> Connection {
     }
 }
 
-/// Returns the link of a line, as its edge reports it.
-pub(super) fn live(line: &Line, latest_sample: ClockSample) -> LinkLive {
-    let probing = match line.clocks {
+/// Returns the link of a pipeline, as its edge reports it.
+pub(super) fn live(pipeline: &TestPipeline, latest_sample: ClockSample) -> LinkLive {
+    let probing = match pipeline.clocks {
         Clocks::Within(_) => Probing::On {
             address: "udp://192.0.2.5:8620".into(),
             rate_hz: 10.0,
@@ -210,17 +211,17 @@ pub(super) fn live(line: &Line, latest_sample: ClockSample) -> LinkLive {
         Clocks::Shared => Probing::Off("both hosts read one clock: nothing to find out".into()),
         Clocks::Unrelated => Probing::Unanswered { address: "udp://192.0.2.5:8620".into(), reason: None },
     };
-    let clock = host_clock(line.has_clock_fault, latest_sample.at);
+    let clock = host_clock(pipeline.has_clock_fault, latest_sample.at);
     LinkLive {
         peer: latest_sample.peer,
         peer_name: latest_sample.peer_name.clone(),
         networks: vec!["zmq-tcp".into()],
-        pipelines: vec![slug(line.name)],
-        same_clock: line.clocks == Clocks::Shared,
+        pipelines: vec![slug(pipeline.name)],
+        same_clock: pipeline.clocks == Clocks::Shared,
         probing,
         edge: Some(clock),
         cloud: Some(host_clock(false, latest_sample.at)),
-        connections: vec![connection(line.name, latest_sample.at)],
+        connections: vec![connection(pipeline.name, latest_sample.at)],
         reflector: None,
         latest_sample,
     }

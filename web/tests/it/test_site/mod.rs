@@ -1,16 +1,16 @@
-//! A simulated factory: agents of three cameras and of a rack that serves models. All data passes through the aggregator's socket, so
+//! A simulated site: agents of three cameras and of a rack that serves models. All data passes through the aggregator's socket, so
 //! that pages and API receive the same as in a real deployment.
 
 mod agent;
 mod backlog;
 mod clocks;
 mod episodes;
-mod line;
+mod pipeline;
 mod skipping;
 mod tree;
 
 pub(crate) use agent::Agent;
-pub(crate) use line::{Clocks, Line};
+pub(crate) use pipeline::{Clocks, TestPipeline};
 
 use peernet_clock::{ClockIdentity, SharedClock, Span, WallTime};
 use peernet_logger::{HostId, Name, RunId, stage};
@@ -22,12 +22,12 @@ use peernet_stream::{
 };
 
 /// The cameras' pipelines and the rack that serves two of them.
-pub(crate) struct Factory {
-    /// The lines, each on its own camera.
-    pub(crate) lines: Vec<Line>,
-    /// Agents of the cameras, in the order of the lines, and of the rack.
+pub(crate) struct TestSite {
+    /// The pipelines, each on its own camera.
+    pub(crate) pipelines: Vec<TestPipeline>,
+    /// Agents of the cameras, in the order of the pipelines, and of the rack.
     pub(crate) agents: Vec<Agent>,
-    /// Time since which the second line catches up with a day's backlog and the third has a failing spool.
+    /// Time since which the second pipeline catches up with a day's backlog and the third has a failing spool.
     pub(crate) backlog: Option<WallTime>,
     clock: SharedClock,
     numbers: SplitMix64,
@@ -57,34 +57,35 @@ pub(crate) fn host(name: &str, gpu: &str, clock: ClockIdentity) -> HostDescripti
     }
 }
 
-impl Factory {
+impl TestSite {
     /// Connects all agents to an aggregator.
-    pub(crate) async fn new(address: &str, clock: SharedClock, lines: Vec<Line>) -> Self {
+    pub(crate) async fn new(address: &str, clock: SharedClock, pipelines: Vec<TestPipeline>) -> Self {
         let mut agents = Vec::new();
-        for line in &lines {
-            let identity = ClockIdentity::new(line.host, "system");
-            agents
-                .push(Agent::new(host(line.host, "NVIDIA Jetson Orin NX", identity), address, &clock).await);
+        for pipeline in &pipelines {
+            let identity = ClockIdentity::new(pipeline.host, "system");
+            agents.push(
+                Agent::new(host(pipeline.host, "NVIDIA Jetson Orin NX", identity), address, &clock).await,
+            );
         }
         let rack = host("rack-a", "NVIDIA GeForce RTX 3090", clock.identity().clone());
         agents.push(Agent::new(rack, address, &clock).await);
         for agent in &mut agents {
             agent.wait_until_connected().await;
         }
-        Self { lines, agents, backlog: None, clock, numbers: SplitMix64::new(7) }
+        Self { pipelines, agents, backlog: None, clock, numbers: SplitMix64::new(7) }
     }
 
     fn rack_id(&self) -> HostId {
         self.agents.last().expect("there is a rack").id()
     }
 
-    /// Stores a run of each line with `iterations` iterations, the last of which ends now.
+    /// Stores a run of each pipeline with `iterations` iterations, the last of which ends now.
     pub(crate) async fn store_runs(&mut self, iterations: u64, ended: bool) -> Vec<RunId> {
         let mut runs = Vec::new();
-        for index in 0..self.lines.len() {
+        for index in 0..self.pipelines.len() {
             let run = RunId::random();
             let events = self.run(index, run, iterations, ended, None);
-            self.lines[index].run = Some(run);
+            self.pipelines[index].run = Some(run);
             self.agents[index].offer(events);
             self.agents[index].wait_until_stored().await;
             runs.push(run);
@@ -92,15 +93,15 @@ impl Factory {
         runs
     }
 
-    /// Stores an experiment with `repeats` runs of each line.
+    /// Stores an experiment with `repeats` runs of each pipeline.
     pub(crate) async fn store_experiment(&mut self, iterations: u64, repeats: u32) {
         let id = RunId::random().to_string();
         for repeat in 0..repeats {
-            for index in 0..self.lines.len() {
-                let line = &self.lines[index];
-                let place = if line.remote { "cloud" } else { "on board" };
+            for index in 0..self.pipelines.len() {
+                let pipeline = &self.pipelines[index];
+                let place = if pipeline.remote { "cloud" } else { "on board" };
                 let configuration = vec![
-                    ("picture".to_owned(), line.name.to_owned()),
+                    ("picture".to_owned(), pipeline.name.to_owned()),
                     ("where".to_owned(), place.to_owned()),
                 ];
                 let place = ExperimentPlace {
@@ -115,18 +116,18 @@ impl Factory {
         }
     }
 
-    /// Stores an experiment with a run of one line for each sample size and its position in the experiment's file. The upload time is
+    /// Stores an experiment with a run of one pipeline for each sample size and its position in the experiment's file. The upload time is
     /// proportional to the size.
     pub(crate) async fn store_sizes(&mut self, index: usize, iterations: u64, sizes: &[(f64, Option<u32>)]) {
-        let (id, usual) = (RunId::random().to_string(), self.lines[index].clone());
+        let (id, usual) = (RunId::random().to_string(), self.pipelines[index].clone());
         for (bytes, position) in sizes {
-            let line = &mut self.lines[index];
-            for (name, mean, _) in &mut line.stages {
+            let pipeline = &mut self.pipelines[index];
+            for (name, mean, _) in &mut pipeline.stages {
                 if *name == stage::UPLOAD {
-                    *mean *= bytes / line.bytes;
+                    *mean *= bytes / pipeline.bytes;
                 }
             }
-            line.bytes = *bytes;
+            pipeline.bytes = *bytes;
             let configuration = vec![("size".to_owned(), format!("{} kB", bytes / 1e3))];
             let place = ExperimentPlace {
                 name: "sizes".to_owned(),
@@ -137,26 +138,26 @@ impl Factory {
             };
             self.store_placed(index, iterations, place).await;
         }
-        self.lines[index] = usual;
+        self.pipelines[index] = usual;
     }
 
-    /// Stores an experiment with a configuration for each number of concurrent users. Users are the first lines; more users have a longer
+    /// Stores an experiment with a configuration for each number of concurrent users. Users are the first pipelines; more users have a longer
     /// queue.
     pub(crate) async fn store_users(&mut self, iterations: u64, numbers: &[usize]) {
-        let (id, usual) = (RunId::random().to_string(), self.lines.clone());
+        let (id, usual) = (RunId::random().to_string(), self.pipelines.clone());
         for users in numbers {
             for (index, known) in usual.iter().enumerate().take(*users) {
                 // All are alike, and wait for one another.
-                let line = Line::resized();
+                let pipeline = TestPipeline::resized();
                 let queue = |(name, mean, spread): &(Name, f64, f64)| {
                     let waits = if *name == stage::QUEUE { 3.5 * (*users as f64 - 1.0) } else { 0.0 };
                     (name.clone(), mean + waits, *spread)
                 };
-                self.lines[index] = Line {
-                    stages: line.stages.iter().map(queue).collect(),
+                self.pipelines[index] = TestPipeline {
+                    stages: pipeline.stages.iter().map(queue).collect(),
                     name: known.name,
                     host: known.host,
-                    ..line
+                    ..pipeline
                 };
                 let configuration = vec![("Users".to_owned(), users.to_string())];
                 let place = ExperimentPlace {
@@ -169,7 +170,7 @@ impl Factory {
                 self.store_placed(index, iterations, place).await;
             }
         }
-        self.lines = usual;
+        self.pipelines = usual;
     }
 
     /// Stores an experiment of many configurations with long labels, and one run of each.
@@ -192,11 +193,11 @@ impl Factory {
                 repeat: 0,
                 ..ExperimentPlace::default()
             };
-            self.store_placed(at % self.lines.len(), iterations, place).await;
+            self.store_placed(at % self.pipelines.len(), iterations, place).await;
         }
     }
 
-    /// Stores an experiment of one configuration on the first line, with one run for each end reason.
+    /// Stores an experiment of one configuration on the first pipeline, with one run for each end reason.
     pub(crate) async fn store_attempts(&mut self, iterations: u64, reasons: &[&str]) {
         let id = RunId::random().to_string();
         for reason in reasons {
@@ -234,19 +235,19 @@ impl Factory {
         experiment: Option<ExperimentPlace>,
     ) -> Vec<Event> {
         let (edge, rack) = (self.agents[index].id(), self.rack_id());
-        let line = &self.lines[index];
-        let step = Span::from_seconds_f64(1.0 / line.hz);
+        let pipeline = &self.pipelines[index];
+        let step = Span::from_seconds_f64(1.0 / pipeline.hz);
         let now = self.clock.wall();
-        let started = now - Span::from_seconds_f64(iterations as f64 / line.hz);
+        let started = now - Span::from_seconds_f64(iterations as f64 / pipeline.hz);
         let mut events = vec![Event::RunStarted(RunDescription {
             run,
-            pipeline: slug(line.name),
+            pipeline: slug(pipeline.name),
             started,
-            placement: line.placement(),
-            facts: line.facts(),
-            configuration: line.configuration(),
+            placement: pipeline.placement(),
+            facts: pipeline.facts(),
+            configuration: pipeline.configuration(),
             version: "0.1.0".into(),
-            conditions: conditions(line.host, experiment.is_some()),
+            conditions: conditions(pipeline.host, experiment.is_some()),
             experiment: experiment.map(Box::new),
         })];
         let mut at = started;
@@ -256,8 +257,8 @@ impl Factory {
                 n if n % 4_001 == 1_700 => Outcome::Timeout(String::new()),
                 _ => Outcome::Ok,
             };
-            let stages = line.draw(&mut self.numbers, number as f64 / iterations as f64);
-            let tree = tree::build_tree(line, &stages, (edge, rack), at, outcome == Outcome::Ok);
+            let stages = pipeline.draw(&mut self.numbers, number as f64 / iterations as f64);
+            let tree = tree::build_tree(pipeline, &stages, (edge, rack), at, outcome == Outcome::Ok);
             let warm_up = number <= 20;
             events.push(Event::Iteration(Iteration {
                 run,
@@ -279,11 +280,11 @@ impl Factory {
     /// Stores the clock samples of the edges for the last `seconds`.
     pub(crate) async fn store_clocks(&mut self, seconds: i64) {
         let (rack, now) = (self.rack_id(), self.clock.wall());
-        for index in (0..self.lines.len()).filter(|index| self.lines[*index].remote) {
-            let line = &self.lines[index];
+        for index in (0..self.pipelines.len()).filter(|index| self.pipelines[*index].remote) {
+            let pipeline = &self.pipelines[index];
             let samples = (0..seconds).rev().map(|ago| {
                 let at = now - Span::from_seconds(ago);
-                Event::Clock(Box::new(clocks::sample(line, rack, at, ago, &mut self.numbers)))
+                Event::Clock(Box::new(clocks::sample(pipeline, rack, at, ago, &mut self.numbers)))
             });
             let samples: Vec<Event> = samples.collect();
             self.agents[index].offer(samples);
@@ -300,8 +301,8 @@ impl Factory {
             (1, 95, IncidentKind::Disconnected, "lost rack-a: connection reset by peer"),
             (2, 60, IncidentKind::ClockStep, "the wall clock was stepped by +18.2 ms"),
         ];
-        for (line, ago, kind, text) in incidents {
-            let index = line % self.lines.len();
+        for (pipeline, ago, kind, text) in incidents {
+            let index = pipeline % self.pipelines.len();
             let at = now - Span::from_seconds(ago);
             let incident = Incident { at, kind, pipeline: None, run: None, peer: None, text: text.into() };
             self.agents[index].offer([Event::Incident(incident)]);
@@ -309,13 +310,13 @@ impl Factory {
         }
     }
 
-    /// Stores `count` gaps of the newest run of a line, ten seconds apart, 974 events in each.
+    /// Stores `count` gaps of the newest run of a pipeline, ten seconds apart, 974 events in each.
     pub(crate) async fn store_gaps(&mut self, index: usize, count: i64) {
-        let line = &self.lines[index];
+        let pipeline = &self.pipelines[index];
         let now = self.clock.wall();
         let gaps = (1..=count).rev().map(|ago| Gap {
-            pipeline: Some(slug(line.name)),
-            run: line.run,
+            pipeline: Some(slug(pipeline.name)),
+            run: pipeline.run,
             from: now - Span::from_seconds(10 * ago),
             to: now - Span::from_seconds(10 * ago - 3),
             count: 974,
@@ -325,26 +326,26 @@ impl Factory {
         self.agents[index].wait_until_stored().await;
     }
 
-    /// Reports the seconds from `from` to `to` of all lines; the last one may be under way.
+    /// Reports the seconds from `from` to `to` of all pipelines; the last one may be under way.
     pub(crate) async fn report(&mut self, from: WallTime, to: WallTime) {
         let seconds: Vec<i64> = (from.unix_seconds()..=to.unix_seconds()).collect();
         for chunk in seconds.chunks(20) {
-            for index in 0..self.lines.len() {
-                let line = &self.lines[index];
-                let seconds = chunk.iter().filter(|at| !line.is_silent(to.unix_seconds() - **at)).rev();
-                let seconds = seconds.map(|at| line.second(*at, to, &mut self.numbers)).collect();
+            for index in 0..self.pipelines.len() {
+                let pipeline = &self.pipelines[index];
+                let seconds = chunk.iter().filter(|at| !pipeline.is_silent(to.unix_seconds() - **at)).rev();
+                let seconds = seconds.map(|at| pipeline.second(*at, to, &mut self.numbers)).collect();
                 let pipeline = PipelineLive {
-                    pipeline: slug(line.name),
+                    pipeline: slug(pipeline.name),
                     state: PipelineState::Running,
-                    run: line.run,
-                    placement: line.placement(),
-                    load: format!("{} Hz", line.hz),
+                    run: pipeline.run,
+                    placement: pipeline.placement(),
+                    load: format!("{} Hz", pipeline.hz),
                     seconds,
                 };
                 let load = 0.3 + 0.1 * index as f64;
                 self.report_second(index, vec![pipeline], chunk.first().copied(), load, to).await;
                 // An update holds one second of a link: the other seconds are sent one after the other.
-                let others = if self.lines[index].remote { &chunk[1..] } else { &[] };
+                let others = if self.pipelines[index].remote { &chunk[1..] } else { &[] };
                 for at in others {
                     self.report_second(index, Vec::new(), Some(*at), load, to).await;
                 }
@@ -363,13 +364,13 @@ impl Factory {
         sent: WallTime,
     ) {
         let rack = self.rack_id();
-        let line = self.lines.get(index).filter(|line| line.remote);
-        let link = line.zip(second).map(|(line, second)| {
+        let pipeline = self.pipelines.get(index).filter(|pipeline| pipeline.remote);
+        let link = pipeline.zip(second).map(|(pipeline, second)| {
             let at = WallTime::from_unix_nanos(second * 1_000_000_000);
             let ago = sent.unix_seconds() - second;
-            clocks::live(line, clocks::sample(line, rack, at, ago, &mut self.numbers))
+            clocks::live(pipeline, clocks::sample(pipeline, rack, at, ago, &mut self.numbers))
         });
-        let has_clock_fault = self.lines.get(index).is_some_and(|line| line.has_clock_fault);
+        let has_clock_fault = self.pipelines.get(index).is_some_and(|pipeline| pipeline.has_clock_fault);
         let clock = clocks::host_clock(has_clock_fault, sent);
         let mut wobble = |size: f64| size * (1.0 + 0.1 * self.numbers.normal());
         let metrics = HostMetrics {

@@ -5,7 +5,7 @@ use peernet_logger::{
     Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Rate, Transit, Tree, Unit, stage,
 };
 
-use super::{Clocks, Line, clocks};
+use super::{Clocks, TestPipeline, clocks};
 
 struct Nodes(Vec<Node>);
 
@@ -17,8 +17,8 @@ impl Nodes {
 }
 
 /// Returns the reported delay whose true value is `delay`.
-fn judged_delay(line: &Line, name: &Name, delay: Span, raw: Span) -> OneWayDelay {
-    match line.clocks {
+fn judged_delay(pipeline: &TestPipeline, name: &Name, delay: Span, raw: Span) -> OneWayDelay {
+    match pipeline.clocks {
         Clocks::Shared => OneWayDelay::same_clock(delay),
         Clocks::Unrelated => OneWayDelay::unsynchronised(raw),
         Clocks::Within(bound) => {
@@ -28,28 +28,28 @@ fn judged_delay(line: &Line, name: &Name, delay: Span, raw: Span) -> OneWayDelay
                 value: Some(delay),
                 bounds: Some(Interval { lo: (delay - bound).max(Span::ZERO), hi: delay + bound }),
                 source: DelaySource::InBand,
-                verdict: Verdict::from_name(line.verdict(name)).expect("a verdict"),
+                verdict: Verdict::from_name(pipeline.verdict(name)).expect("a verdict"),
             }
         }
     }
 }
 
 /// Returns a pseudo-random length of the answer that depends only on `at`.
-fn answer_bytes(line: &Line, at: WallTime) -> f64 {
-    let (shortest, longest) = line.answer;
+fn answer_bytes(pipeline: &TestPipeline, at: WallTime) -> f64 {
+    let (shortest, longest) = pipeline.answer;
     let chance = at.unix_nanos().unsigned_abs().wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40;
     (shortest + (longest - shortest) * chance as f64 / f64::from(1 << 24)).round()
 }
 
 /// Returns the tree of an iteration that started at `at`. The rack's wall clock is 1.2 s ahead unless both read one clock.
 pub(super) fn build_tree(
-    line: &Line,
+    pipeline: &TestPipeline,
     stages: &[(Name, f64)],
     (edge, rack): (HostId, HostId),
     at: WallTime,
     answered: bool,
 ) -> Tree {
-    let ahead = if line.clocks == Clocks::Shared { Span::ZERO } else { clocks::AHEAD };
+    let ahead = if pipeline.clocks == Clocks::Shared { Span::ZERO } else { clocks::AHEAD };
     let span = |name: Name| {
         stages.iter().find(|(known, _)| *known == name).map(|(_, seconds)| Span::from_seconds_f64(*seconds))
     };
@@ -67,7 +67,7 @@ pub(super) fn build_tree(
         let length = Span::from_seconds_f64(*seconds);
         if *name == stage::UPLOAD {
             let received = at + now + length + ahead;
-            let delay = judged_delay(line, name, length, length + ahead);
+            let delay = judged_delay(pipeline, name, length, length + ahead);
             let transit = Transit {
                 sent: at + now,
                 received: answered.then_some(received),
@@ -83,7 +83,7 @@ pub(super) fn build_tree(
             host = 1;
         } else if *name == stage::DOWNLOAD {
             now += there;
-            let delay = judged_delay(line, name, length, Span::ZERO - ahead + length);
+            let delay = judged_delay(pipeline, name, length, Span::ZERO - ahead + length);
             let transit = Transit {
                 sent: at + now + ahead,
                 received: Some(at + now + length),
@@ -104,9 +104,9 @@ pub(super) fn build_tree(
             if host == 0 { now += length } else { there += length }
         }
     }
-    if answered && line.remote {
+    if answered && pipeline.remote {
         let mut sizes = |name: [Name; 3], bytes: f64, metadata: f64, delay: Option<Span>| {
-            let known = (line.clocks != Clocks::Unrelated).then_some(delay).flatten();
+            let known = (pipeline.clocks != Clocks::Unrelated).then_some(delay).flatten();
             let value = known.map(|delay| (bytes + metadata) * 8.0 / delay.seconds());
             let [size, logger, speed] = name;
             nodes.add(0, size, 0, now, Measure::Value(bytes, Unit::BYTES));
@@ -116,13 +116,13 @@ pub(super) fn build_tree(
         };
         sizes(
             [stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES, stage::UPLOAD_THROUGHPUT],
-            line.bytes,
+            pipeline.bytes,
             388.0,
             span(stage::UPLOAD),
         );
         sizes(
             [stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES, stage::DOWNLOAD_THROUGHPUT],
-            answer_bytes(line, at),
+            answer_bytes(pipeline, at),
             902.0,
             span(stage::DOWNLOAD),
         );

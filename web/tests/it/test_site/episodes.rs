@@ -3,15 +3,15 @@
 use peernet_logger::RunId;
 use peernet_stream::{Event, ExperimentPlace, Outcome};
 
-use super::Factory;
+use super::TestSite;
 
-impl Factory {
-    /// Stores an experiment with a run of each line, in episodes of `steps` steps: the first is warm-up, and every hundredth iteration
+impl TestSite {
+    /// Stores an experiment with a run of each pipeline, in episodes of `steps` steps: the first is warm-up, and every hundredth iteration
     /// has no answer.
     pub(crate) async fn store_episodes(&mut self, iterations: u64, steps: u32) {
         let id = RunId::random().to_string();
-        for index in 0..self.lines.len() {
-            let configuration = vec![("picture".to_owned(), self.lines[index].name.to_owned())];
+        for index in 0..self.pipelines.len() {
+            let configuration = vec![("picture".to_owned(), self.pipelines[index].name.to_owned())];
             let place = ExperimentPlace {
                 name: "tasks".to_owned(),
                 id: id.clone(),

@@ -4,10 +4,10 @@ use peernet_clock::Span;
 use peernet_logger::{Measure, NodeId, RunId, Unit};
 use peernet_stream::{Event, Outcome};
 
-use super::Factory;
+use super::TestSite;
 
-impl Factory {
-    /// Stores a run of a line: every tenth iteration gets no answer in time, and `skipped` starts before it are skipped.
+impl TestSite {
+    /// Stores a run of a pipeline: every tenth iteration gets no answer in time, and `skipped` starts before it are skipped.
     pub(crate) async fn store_skipping(&mut self, index: usize, iterations: u64, skipped: u32) {
         let mut events = self.run(index, RunId::random(), iterations, true, None);
         for event in &mut events {

@@ -5,7 +5,7 @@ use peernet_logger::{Name, RunId, stage};
 use peernet_statistics::{SplitMix64, Summary};
 use peernet_stream::{OutcomeCounts, Placement, PlacementKind, Second};
 
-/// Relation of the clocks of a line's two hosts.
+/// Relation of the clocks of a pipeline's two hosts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Clocks {
     /// Both hosts read one clock.
@@ -18,7 +18,7 @@ pub(crate) enum Clocks {
 
 /// A pipeline on a camera.
 #[derive(Clone, Debug)]
-pub(crate) struct Line {
+pub(crate) struct TestPipeline {
     /// The pipeline.
     pub(crate) name: &'static str,
     /// The camera.
@@ -41,8 +41,8 @@ pub(crate) struct Line {
     pub(crate) has_clock_fault: bool,
 }
 
-impl Line {
-    /// Returns a line that computes on board.
+impl TestPipeline {
+    /// Returns a pipeline that computes on board.
     pub(crate) fn local() -> Self {
         Self::new(
             "local",
@@ -54,7 +54,7 @@ impl Line {
         )
     }
 
-    /// Returns a line that sends the whole picture to the rack.
+    /// Returns a pipeline that sends the whole picture to the rack.
     pub(crate) fn full() -> Self {
         Self::new(
             "offload-full",
@@ -66,7 +66,7 @@ impl Line {
         )
     }
 
-    /// Returns a line that reduces the picture before it sends it.
+    /// Returns a pipeline that reduces the picture before it sends it.
     pub(crate) fn resized() -> Self {
         Self::new(
             "offload-resized",
