@@ -14,7 +14,7 @@ pub(super) fn rank_lines(comparison: &mut Comparison, runs: &[Loaded]) {
     let total = |line: &Line| {
         let totals = line.runs.iter().map(|run| values(&runs[*run].rows, comparison.total_column.name()));
         ConfigurationTotal {
-            computes: line.runs.iter().all(|run| model_computes(&runs[*run].record.facts)),
+            model_computes: line.runs.iter().all(|run| model_computes(&runs[*run].record.facts)),
             mean: MeanEstimate::from_values(&totals.collect::<Vec<_>>()),
         }
     };

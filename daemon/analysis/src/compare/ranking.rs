@@ -17,7 +17,7 @@ pub struct Ranking {
 #[derive(Clone, Debug, PartialEq)]
 pub struct ConfigurationTotal {
     /// `false` if the model of a run only returns its input: see [`model_computes`].
-    pub computes: bool,
+    pub model_computes: bool,
     /// Mean of the [`TotalColumn`](crate::total_column::TotalColumn) of all configurations; `None` without measurements.
     pub mean: Option<MeanEstimate>,
 }
@@ -26,9 +26,9 @@ impl Ranking {
     /// Ranks configurations by their means. Configurations whose model computes nothing are ranked only if all are of this kind. Returns
     /// `None` for fewer than two ranked configurations, and if none of them has a mean.
     pub fn new(configurations: &[ConfigurationTotal]) -> Option<Self> {
-        let any_computes = configurations.iter().any(|one| one.computes);
-        let (ranked, unranked): (Vec<usize>, Vec<usize>) =
-            (0..configurations.len()).partition(|index| configurations[*index].computes == any_computes);
+        let any_model_computes = configurations.iter().any(|one| one.model_computes);
+        let (ranked, unranked): (Vec<usize>, Vec<usize>) = (0..configurations.len())
+            .partition(|index| configurations[*index].model_computes == any_model_computes);
         (ranked.len() > 1).then_some(())?;
         let mean = |index: &usize| configurations[*index].mean.as_ref();
         let with_mean = ranked.iter().filter_map(|index| Some((*index, mean(index)?)));
@@ -77,11 +77,11 @@ mod tests {
     /// Returns the total of a model that computes: values that vary by one about a mean.
     fn total(mean: f64, count: usize) -> ConfigurationTotal {
         let values: Vec<f64> = (0..count).map(|n| mean + (n as f64).sin()).collect();
-        ConfigurationTotal { computes: true, mean: MeanEstimate::from_values(&[values]) }
+        ConfigurationTotal { model_computes: true, mean: MeanEstimate::from_values(&[values]) }
     }
 
     fn echo(mean: f64) -> ConfigurationTotal {
-        ConfigurationTotal { computes: false, ..total(mean, 300) }
+        ConfigurationTotal { model_computes: false, ..total(mean, 300) }
     }
 
     #[test]

@@ -46,7 +46,7 @@ impl LoadedModel {
         Ok(Self { pool, clock, host: HostId::random() })
     }
 
-    /// Returns the model.
+    /// Returns the pool that runs the model.
     pub(super) fn pool(&self) -> &Pool {
         &self.pool
     }

@@ -132,7 +132,7 @@ impl Style {
 
     /// Returns the style of a narrower rim, for lines over bars.
     pub fn rim() -> Self {
-        Self::line("cut", WHITE, 1.8)
+        Self::line("rim", WHITE, 1.8)
     }
 
     /// Returns the style of a whisker.

@@ -32,7 +32,8 @@ struct CompareQuery {
     /// once, one of its runs is compared. Repeats of a configuration are combined.
     #[allow(dead_code, reason = "describes the parameter")]
     experiment: Option<String>,
-    /// Number of a compared run, whose configuration is the baseline; unless given, the configuration with the lowest mean of `total` is.
+    /// Number of a compared run, whose configuration is the baseline. By default, the configuration with the lowest mean of `total` is the
+    /// baseline.
     #[allow(dead_code, reason = "describes the parameter")]
     #[param(value_type = Option<i64>)]
     baseline: Option<String>,

@@ -27,7 +27,7 @@ use utoipa::{IntoParams, OpenApi};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use self::schema::{PictureEvent, StatusEvent};
+use self::schema::{LiveStateEvent, StatusEvent};
 use crate::api::schema::PipelineList;
 use crate::connections::StreamSlots;
 use crate::error::{ProblemDetails, WebError};
@@ -67,7 +67,7 @@ fn describe_topics(document: &mut utoipa::openapi::OpenApi) {
 
 /// The schemas of the events, which no operation names as its answer.
 #[derive(OpenApi)]
-#[openapi(components(schemas(PictureEvent, StatusEvent)))]
+#[openapi(components(schemas(LiveStateEvent, StatusEvent)))]
 struct EventSchemas;
 
 /// Minimum time between two updates of a listener.
@@ -92,8 +92,8 @@ struct Query {
     // `describe_topics` describes this parameter, because the pages define the topics.
     topics: Option<String>,
     /// Id of the last event of an earlier stream, like the header `Last-Event-ID`, which a script cannot set on a new `EventSource`.
-    /// The first `picture` then holds the seconds since that event and five more, at most 600, and only five if there are too many
-    /// pipelines. All other parts are sent as they are now.
+    /// The first `picture` then has an entry for each second since that event, and for the five seconds before it. It has at most 600
+    /// entries for each pipeline, and only the newest five if there are too many pipelines. All other parts are sent as they are now.
     #[param(pattern = "^-?[0-9]+$")]
     last_event_id: Option<String>,
 }
@@ -270,7 +270,10 @@ impl Listener {
         let mut texts = vec![("status", serde_json::to_string(&StatusEvent::new(snapshot, &readiness)))];
         for (index, topic) in self.topics.iter().enumerate() {
             let Topic::Page(page) = topic else {
-                texts.push((Topic::LIVE_STATE, serde_json::to_string(&PictureEvent::new(snapshot, seconds))));
+                texts.push((
+                    Topic::LIVE_STATE,
+                    serde_json::to_string(&LiveStateEvent::new(snapshot, seconds)),
+                ));
                 continue;
             };
             match page.update(&self.app, snapshot).await {

@@ -10,7 +10,8 @@ use crate::view::storing;
 
 /// `event: picture`: the live figures.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
-pub(crate) struct PictureEvent {
+#[schema(as = PictureEvent)]
+pub(crate) struct LiveStateEvent {
     #[serde(flatten)]
     pub pipelines: PipelineList,
     /// Current state of each host.
@@ -28,7 +29,7 @@ pub(crate) struct HostNow {
     pub gpu: Option<f64>,
 }
 
-impl PictureEvent {
+impl LiveStateEvent {
     /// Converts a snapshot of the live state, with the last `seconds` seconds of each pipeline.
     pub(crate) fn new(snapshot: &LiveState, seconds: usize) -> Self {
         let hosts = snapshot.hosts.iter().map(|host| HostNow {

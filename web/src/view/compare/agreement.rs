@@ -54,7 +54,7 @@ fn stored((index, run): (usize, &Loaded)) -> Configuration {
     summary.counts = OutcomeCounts { ok: counted(run).len() as u64, ..OutcomeCounts::default() };
     let name = char::from(b'A' + index as u8).to_string();
     let values = vec![name.clone(), String::new()];
-    Configuration { name, values, runs: vec![summary], stages, bounds, mergeable, computes: true }
+    Configuration { name, values, runs: vec![summary], stages, bounds, mergeable, model_computes: true }
 }
 
 /// Returns the comparison of the stored runs, and their means over time.

@@ -82,7 +82,7 @@ impl Differences {
         let total = |(one, estimates): (&Configuration, &Vec<Option<MeanEstimate>>)| {
             let mean = names.iter().zip(estimates).find(|(name, _)| **name == *total_column.name());
             ConfigurationTotal {
-                computes: one.computes,
+                model_computes: one.model_computes,
                 mean: mean.and_then(|(_, estimate)| estimate.clone()),
             }
         };

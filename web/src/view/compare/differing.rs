@@ -10,14 +10,14 @@ use peernet_stream::PlacementKind;
 /// Settings that distinguish runs.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct DifferingSettings {
-    /// Names of the settings that become columns.
+    /// Names of the settings that identify a configuration.
     pub(super) axes: Vec<String>,
-    /// The value of each run on each axis.
-    pub(super) values: Vec<Vec<String>>,
+    /// For each run its value on each axis.
+    pub(super) axis_values: Vec<Vec<String>>,
     /// Further settings that differ, and declared settings of an experiment that are equal for all runs. Each has a value per run.
-    pub(super) settings: Vec<Column>,
-    /// Names of further settings that differ but are too long for a table, such as hashes, paths and lists.
-    pub(super) long_settings: Vec<String>,
+    pub(super) other_settings: Vec<Column>,
+    /// Names of further settings that differ, but whose values are too long for a table, such as hashes, paths and lists.
+    pub(super) names_of_long_settings: Vec<String>,
 }
 
 impl DifferingSettings {
@@ -39,14 +39,14 @@ impl DifferingSettings {
     }
 
     fn from_columns(runs: usize, ChosenColumns { columns, rest }: ChosenColumns) -> Self {
-        let (long_settings, settings): (Vec<Column>, Vec<Column>) =
+        let (long_settings, other_settings): (Vec<Column>, Vec<Column>) =
             rest.into_iter().partition(Column::is_opaque);
         let row = |run: usize| columns.iter().map(|column| column.labels[run].clone()).collect();
         Self {
-            values: (0..runs).map(row).collect(),
+            axis_values: (0..runs).map(row).collect(),
             axes: columns.iter().map(|column| column.axis.clone()).collect(),
-            settings,
-            long_settings: long_settings.into_iter().map(|column| column.axis).collect(),
+            other_settings,
+            names_of_long_settings: long_settings.into_iter().map(|column| column.axis).collect(),
         }
     }
 }
@@ -94,8 +94,8 @@ mod tests {
         };
         let settings = DifferingSettings::of_runs(&[run(0, "closed", &long), run(1, "20 Hz", "none")]);
         assert_eq!(settings.axes, ["Load"]);
-        assert_eq!(settings.values, [["closed"], ["20 Hz"]]);
-        assert_eq!(settings.long_settings, ["Model files", "Model libraries"]);
+        assert_eq!(settings.axis_values, [["closed"], ["20 Hz"]]);
+        assert_eq!(settings.names_of_long_settings, ["Model files", "Model libraries"]);
     }
 
     /// Returns the columns of a page and of `peernet compare` for two runs.
@@ -118,7 +118,7 @@ mod tests {
             rows: Rows::default(),
         });
         let of_table = Configurations::from_runs(&loaded);
-        [(of_page.axes, of_page.values), (of_table.axes, of_table.labels)]
+        [(of_page.axes, of_page.axis_values), (of_table.axes, of_table.labels)]
     }
 
     #[test]
@@ -149,6 +149,6 @@ mod tests {
         let settings = DifferingSettings::of_runs(&[run(1, "closed"), run(2, "20 Hz")]);
         assert_eq!(settings.axes, ["Load"]);
         let labels = ["closed", "20 Hz"].map(str::to_owned).to_vec();
-        assert_eq!(settings.settings, [Column { axis: "Threads".to_owned(), labels }]);
+        assert_eq!(settings.other_settings, [Column { axis: "Threads".to_owned(), labels }]);
     }
 }

@@ -72,8 +72,8 @@ impl CompareSelection {
 /// Loads a comparison: the statistics of all runs, from their roll-ups.
 ///
 /// The sketches of all runs are in memory at the same time. A sketch takes eight bytes for each step of 2 % from the smallest to the largest
-/// value. This is 3 kB if the two values differ by a factor of a thousand. The maximum number of runs with 30 names each takes 17 MB, and
-/// the configurations at most as much again. A sketch has a maximum size, so the worst case is ten times these 17 MB.
+/// value. This is 3 kB if the two values differ by a factor of a thousand. The maximum number of runs with 30 stages and other quantities
+/// each takes 17 MB, and the configurations at most as much again. A sketch has a maximum size, so the worst case is ten times these 17 MB.
 ///
 /// # Errors
 /// Returns an error when a run or the experiment is not stored, or the store cannot be read.
@@ -109,12 +109,13 @@ pub(crate) async fn load_comparison(
     let numbers: Vec<i64> = details.iter().map(|detail| detail.summary.number).collect();
     let statistics = store.statistics(&numbers).await?;
     let trust_by_run = trust_reports(store, &numbers).await?;
-    let computing = ComputingPlacements::load(store, &details).await?;
-    let DifferingSettings { axes, values, settings, long_settings } = if experiment.is_some() {
-        DifferingSettings::of_experiment(&details)
-    } else {
-        DifferingSettings::of_runs(&details)
-    };
+    let computing_placements = ComputingPlacements::load(store, &details).await?;
+    let DifferingSettings { axes, axis_values, other_settings, names_of_long_settings } =
+        if experiment.is_some() {
+            DifferingSettings::of_experiment(&details)
+        } else {
+            DifferingSettings::of_runs(&details)
+        };
     let statistics_by_run: HashMap<i64, Arc<MergeableStatistics>> = numbers
         .iter()
         .zip(&statistics)
@@ -122,7 +123,7 @@ pub(crate) async fn load_comparison(
         .collect();
     // Runs that are chosen one by one are separate configurations, even with equal labels.
     let run_groups = match experiment {
-        Some(_) => group_by_labels(&values),
+        Some(_) => group_by_labels(&axis_values),
         None => (0..details.len()).map(|run| vec![run]).collect(),
     };
     // Each run is moved into its group, because statistics are large.
@@ -130,8 +131,8 @@ pub(crate) async fn load_comparison(
         details.into_iter().map(|detail| detail.summary).zip(statistics).map(Some).collect();
     let group = |group: Vec<usize>| {
         let (runs, statistics) = group.iter().filter_map(|run| loaded[*run].take()).unzip();
-        let settings = settings.iter().map(|column| column.labels[group[0]].clone()).collect();
-        Group { values: values[group[0]].clone(), settings, runs, statistics }
+        let settings = other_settings.iter().map(|column| column.labels[group[0]].clone()).collect();
+        Group { values: axis_values[group[0]].clone(), settings, runs, statistics }
     };
     let mut groups: Vec<Group> = run_groups.into_iter().map(group).collect();
     if experiment.is_some() {
@@ -142,22 +143,30 @@ pub(crate) async fn load_comparison(
         name: column.axis.clone(),
         values: groups.iter().map(|group| group.settings[index].clone()).collect(),
     };
-    let settings = settings.iter().enumerate().map(setting).collect();
+    let settings = other_settings.iter().enumerate().map(setting).collect();
     let names = configuration_names(
         &axes,
         groups.iter().map(|group| (group.values.as_slice(), group.runs.as_slice())),
     );
     let configurations = groups.into_iter().zip(names).map(|(group, name)| {
         let RunStatistics { stages, bounds, mergeable } = RunStatistics::merged(&group.statistics);
-        let computes = group.runs.iter().all(|run| computing.computes(run));
-        Configuration { name, values: group.values, runs: group.runs, stages, bounds, mergeable, computes }
+        let model_computes = group.runs.iter().all(|run| computing_placements.model_computes(run));
+        Configuration {
+            name,
+            values: group.values,
+            runs: group.runs,
+            stages,
+            bounds,
+            mergeable,
+            model_computes,
+        }
     });
     let configurations: Vec<Configuration> = configurations.collect();
     Ok(Comparison {
         experiment,
         axes,
         settings,
-        long_settings,
+        long_settings: names_of_long_settings,
         total_column: total_column(&configurations),
         configurations,
         statistics_by_run,
@@ -179,14 +188,15 @@ async fn trust_reports(store: &Store, runs: &[i64]) -> Result<HashMap<i64, Repor
 
 /// Splits the runs of an experiment into compared runs, in their order, and excluded runs.
 fn select_runs(runs: Vec<RunSummary>) -> (Vec<RunSummary>, Vec<ExcludedRun>) {
-    let excluded = exclusions(&runs.iter().map(Candidate::from).collect::<Vec<_>>());
+    let exclusion_by_run = exclusions(&runs.iter().map(Candidate::from).collect::<Vec<_>>());
     let name = |index: usize| format!("#{}", runs[index].number);
     let left_out = |(run, why): (&RunSummary, &Option<_>)| {
         let why: &Exclusion = why.as_ref()?;
         Some(ExcludedRun { run: run.number, why: why.describe(name) })
     };
-    let left_out = runs.iter().zip(&excluded).filter_map(left_out).collect();
-    let selected = runs.into_iter().zip(excluded).filter(|(_, why)| why.is_none()).map(|(run, _)| run);
+    let left_out = runs.iter().zip(&exclusion_by_run).filter_map(left_out).collect();
+    let selected =
+        runs.into_iter().zip(exclusion_by_run).filter(|(_, why)| why.is_none()).map(|(run, _)| run);
     (selected.collect(), left_out)
 }
 
@@ -211,9 +221,9 @@ impl ComputingPlacements {
     }
 
     /// Returns whether the model of a run computes. An unknown placement counts as computing.
-    fn computes(&self, run: &RunSummary) -> bool {
+    fn model_computes(&self, run: &RunSummary) -> bool {
         let entry = self.0.iter().find(|(placement, _)| *placement == run.placement);
-        entry.is_none_or(|(_, computes)| *computes)
+        entry.is_none_or(|(_, model_computes)| *model_computes)
     }
 }
 

@@ -116,7 +116,7 @@ pub(crate) struct Configuration {
     /// All stored statistics of its runs together.
     pub mergeable: Arc<MergeableStatistics>,
     /// `false` if its model is an echo model.
-    pub computes: bool,
+    pub model_computes: bool,
 }
 
 impl Configuration {

@@ -62,7 +62,7 @@ pub(crate) fn configuration(at: usize, kind: PlacementKind, scale: f64, bytes: f
     let values = vec![format!("{} kB", bytes / 1e3), HOSTILE.to_owned()];
     let (mergeable, runs) = (mergeable(&stages), vec![run(at as i64 + 1, kind)]);
     let name = char::from(b'A' + at as u8).to_string();
-    Configuration { name, values, runs, stages, bounds, mergeable, computes: true }
+    Configuration { name, values, runs, stages, bounds, mergeable, model_computes: true }
 }
 
 pub(crate) fn comparison(configurations: Vec<Configuration>) -> Comparison {
@@ -240,7 +240,7 @@ fn title_without_ranking_names_no_fastest() {
 #[test]
 fn configuration_that_computes_nothing_is_not_ranked() {
     let mut all = scaled(&[2.0, 1.0, 3.0]);
-    all.configurations[1].computes = false;
+    all.configurations[1].model_computes = false;
     let text = |all: &Comparison| title_of(all, &totals(all, 20), 0);
     assert!(text(&all).starts_with("A is the fastest"), "{}", text(&all));
     let found = Differences::of(&all, &totals(&all, 20), 0);
@@ -249,7 +249,7 @@ fn configuration_that_computes_nothing_is_not_ranked() {
         Some(true),
         "it is compared all the same"
     );
-    all.configurations.iter_mut().for_each(|one| one.computes = false);
+    all.configurations.iter_mut().for_each(|one| one.model_computes = false);
     assert!(text(&all).starts_with("B is the fastest"), "where none computes all are ranked: {}", text(&all));
 }
 

@@ -139,7 +139,7 @@ pub(crate) fn users(comparison: &Comparison, measured: &MeasuredUsers) -> Option
     let method = match measured.resolution_s {
         0 => "Counted while all users of a repeat were measuring.".to_owned(),
         width_s => format!(
-            "Counted in the whole buckets of {} in which all users of a repeat were measuring, because finer statistics are deleted.",
+            "Only complete intervals of {} during which all users of a repeat were measuring are counted: finer statistics were deleted.",
             length(f64::from(width_s))
         ),
     };

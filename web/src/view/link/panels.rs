@@ -150,7 +150,13 @@ pub(crate) fn reflector(subject: &Subject<'_>) -> Pairs {
         |words| format!("{words}: its wall clock minus {}'s", subject.edge),
     );
     pairs.push(("Offset", words));
-    pairs.push(("Tied to", format!("its clock is not proven to be {}'s: no delay uses it", subject.cloud)));
+    pairs.push((
+        "Tied to",
+        format!(
+            "it is not proven that it has the same clock as {}, so no delay is computed with it",
+            subject.cloud
+        ),
+    ));
     pairs
 }
 

@@ -115,8 +115,8 @@ fn interval_of_median_is_drawn_as_band() {
     assert!(!rects(&items, "bin f-upload").is_empty());
 }
 
-/// Tokens from 50 on and the seconds they take.
-fn talk(count: u32) -> Vec<(f64, f64)> {
+/// Returns answers of a language model: tokens, from 50 on, and the seconds that they take.
+fn answer_lengths(count: u32) -> Vec<(f64, f64)> {
     (0..count).map(|n| (f64::from(50 + n % 300), 1e-3 * f64::from(100 + n % 300))).collect()
 }
 
@@ -130,11 +130,11 @@ fn joint(points: &[(f64, f64)], line: Option<(f64, f64)>) -> (Plot, bool, u64) {
 
 #[test]
 fn joint_plot_has_points_and_both_distributions() {
-    let (plot, has_cells, _) = joint(&talk(300), Some((0.05, 1e-3)));
+    let (plot, has_cells, _) = joint(&answer_lengths(300), Some((0.05, 1e-3)));
     let html = page::plot(&plot, "joint", "A");
     let dots = html.split("class=\"dots d-inference\" d=\"").nth(1).and_then(|rest| rest.split('"').next());
     let dots = dots.expect("dots");
-    // 50 of 400 tokens and 100 of 450 ms.
+    // The first point has 50 tokens on an axis to 400, and 100 ms on an axis to 450; the width is 1,000, the height too, from the top.
     assert!(dots.starts_with("M125 800L") && dots.matches('M').count() == 300 && !has_cells, "{dots}");
     assert!(html.contains("<path class=\"fit\"") && !html.contains("class=\"halo\""), "{html}");
     for strip in [plot.top_strip, plot.right_strip] {
@@ -146,7 +146,7 @@ fn joint_plot_has_points_and_both_distributions() {
 #[test]
 fn line_ends_where_it_leaves_the_plot() {
     // The longest answer of 349 tokens took 399 ms; the line says 748 ms.
-    let (plot, ..) = joint(&talk(300), Some((0.05, 2e-3)));
+    let (plot, ..) = joint(&answer_lengths(300), Some((0.05, 2e-3)));
     let html = page::plot(&plot, "joint", "A");
     let line = html.split("<path class=\"fit\" d=\"").nth(1).and_then(|rest| rest.split('"').next());
     let pieces = line.expect("a line").matches('L').count();
@@ -155,10 +155,10 @@ fn line_ends_where_it_leaves_the_plot() {
 
 #[test]
 fn many_points_become_cells_and_stragglers_are_counted() {
-    let (plot, has_cells, _) = joint(&talk(500), Some((0.05, 1e-3)));
+    let (plot, has_cells, _) = joint(&answer_lengths(500), Some((0.05, 1e-3)));
     let html = page::plot(&plot, "joint", "A");
     assert!(has_cells && html.contains("fill-opacity") && html.contains("class=\"halo\""), "{html}");
-    let mut points = talk(300);
+    let mut points = answer_lengths(300);
     points.push((60.0, 30.0));
     let (plot, _, beyond) = joint(&points, None);
     let html = page::plot(&plot, "joint", "A");
