@@ -155,9 +155,9 @@ async fn metric_lines_are_valid_and_counters_grow() {
     site.report(now, now + Span::from_seconds(1)).await;
     let stored = value(&first, "peernet_aggregator_stored_nodes_total");
     dashboard
-        .wait_until(|picture| {
-            picture.totals.stored.nodes as f64 > stored
-                && picture.hosts.iter().all(|host| host.accounting.stored == host.stored.events)
+        .wait_until(|live_state| {
+            live_state.totals.stored.nodes as f64 > stored
+                && live_state.hosts.iter().all(|host| host.accounting.stored == host.stored.events)
         })
         .await;
     let second = read(dashboard.get("/metrics").await.text());

@@ -137,7 +137,7 @@ async fn run_is_running_while_its_host_reports_it() {
         }
         let now = dashboard.clock.wall();
         site.report(now, now).await;
-        dashboard.wait_until(|picture| picture.pipelines[0].run_number == current).await;
+        dashboard.wait_until(|live_state| live_state.pipelines[0].run_number == current).await;
         let page = dashboard.get("/runs/2").await;
         assert_eq!(page.text().contains("still running"), current.is_some(), "{}", page.text());
         assert_eq!(page.text().contains("no end was reported; last iteration on"), current.is_none());

@@ -86,15 +86,15 @@ async fn damaged_database_errors_match_readiness() {
 async fn agent_and_aggregator_counts_agree_when_idle() {
     let (dashboard, _site) =
         TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;
-    let picture = dashboard
-        .wait_until(|picture| {
+    let live_state = dashboard
+        .wait_until(|live_state| {
             let rests = |host: &peernet_aggregator::HostSnapshot| {
                 host.accounting.waiting == 0 && host.accounting.stored == host.stored.events
             };
-            picture.hosts.iter().all(|host| rests(host)) && picture.totals.stored.events > 0
+            live_state.hosts.iter().all(|host| rests(host)) && live_state.totals.stored.events > 0
         })
         .await;
-    for host in &picture.hosts {
+    for host in &live_state.hosts {
         let account = &host.accounting;
         assert_eq!(account.produced, account.stored + account.waiting + account.dropped, "{account:?}");
         assert_eq!((account.spooled, account.sent), (account.stored, account.stored), "{account:?}");
@@ -111,7 +111,7 @@ async fn agent_and_aggregator_counts_agree_when_idle() {
         assert_eq!((&events["trouble"], &host["now"]["catching_up"]), (&Value::Null, &Value::Null));
         all += number(&host["stored"]["events"]);
     }
-    assert_eq!(all, picture.totals.stored.events);
+    assert_eq!(all, live_state.totals.stored.events);
     let page = dashboard.get("/hosts/cam-2").await;
     assert!(page.text().contains("produced = acknowledged + waiting + lost"), "{}", page.text());
 }

@@ -70,8 +70,8 @@ async fn figures_arrive_as_they_are_reported() {
     assert!(page["title"].as_str().expect("a title").starts_with("2 pipelines running"));
     assert_eq!(page["parts"][1][0], "now");
 
-    let newest = |picture: &Value| {
-        picture["pipelines"][0]["seconds"].as_array().and_then(|all| all.last()?["at"].as_i64())
+    let newest = |event: &Value| {
+        event["pipelines"][0]["seconds"].as_array().and_then(|all| all.last()?["at"].as_i64())
     };
     let before = newest(&first);
     let now = dashboard.clock.wall() + Span::from_seconds(2);
@@ -84,7 +84,7 @@ async fn slow_listener_gets_newest_snapshot_only() {
     let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
     let mut events = Events::subscribe(&dashboard, "picture").await;
     let first = events.wait_until("picture").await;
-    // Many pictures are made while the listener does not read.
+    // Many snapshots are made while the listener does not read.
     let mut live = dashboard.aggregator.live();
     for _ in 0..8 {
         live.mark_unchanged();
@@ -93,8 +93,8 @@ async fn slow_listener_gets_newest_snapshot_only() {
     }
     let newest = live.borrow_and_update().at;
     let second = events.wait_until("picture").await;
-    let at = |picture: &Value| {
-        let text = picture["at"].as_str().expect("a time").to_owned();
+    let at = |event: &Value| {
+        let text = event["at"].as_str().expect("a time").to_owned();
         chrono::DateTime::parse_from_rfc3339(&text)
             .expect("RFC 3339")
             .timestamp_nanos_opt()
