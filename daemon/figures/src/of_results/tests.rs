@@ -285,7 +285,7 @@ fn models_are_paired_by_placement() {
     assert!(figure.groups[0].values[0].median() > figure.groups[0].values[1].median());
     // Both at one place, and each at another.
     for unpaired in [[runs[1].clone(), runs[2].clone()], [runs[0].clone(), runs[2].clone()]] {
-        let missing = paired::drawings(&unpaired, None).err().expect("no model ran at two places");
+        let missing = paired::drawings(&unpaired, None).expect_err("no model ran at two places");
         assert!(missing.to_string().contains("one model at two placements"), "{missing}");
     }
     assert!(paired::drawings(&runs, Some("ipc")).is_err());
