@@ -6,7 +6,7 @@
 use peernet_statistics::{Sketch, Summary};
 use serde::Serialize;
 
-use crate::delays::{ClockedSummaries, median_bounds};
+use crate::delays::{ClockedSummaries, IntervalMethod, median_bounds};
 use crate::fit::{Fit, Point, Weighted, least_squares};
 use crate::order::{SortedValues, Z95, ranks_around_median};
 
@@ -36,6 +36,8 @@ pub struct MessageSketches<'a> {
     pub delay: Option<&'a Summary>,
     /// Half the widths of the clock bounds of the delays, seconds; `None` if no delay has bounds.
     pub half_width: Option<&'a Summary>,
+    /// Lower and upper ends of the clock bounds of the delays, seconds; `None` if they are not stored.
+    pub ends: Option<&'a [Summary; 2]>,
 }
 
 /// Summary of the messages of one size. Seconds, bytes, bits per second.
@@ -58,6 +60,9 @@ pub struct SizeSummary {
     pub tails: Option<(f64, f64)>,
     /// Median of the lower clock bounds and median of the upper clock bounds; `None` unless every delay has bounds.
     pub bounds: Option<(f64, f64)>,
+    /// How `bounds` were computed.
+    #[serde(skip)]
+    pub bounds_method: IntervalMethod,
     /// Size divided by the median delay; `None` if the median delay is not above zero.
     pub throughput: Option<f64>,
     /// Size divided by the upper bound of the delay, and size divided by the lower bound. The second value is `None` if the lower bound is zero.
@@ -81,6 +86,7 @@ impl SizeSummary {
             median_error: delays.median_error(),
             tails: delays.tails(),
             bounds,
+            bounds_method: IntervalMethod::Ends,
             throughput: None,
             throughput_bounds: None,
         };
@@ -98,6 +104,10 @@ impl SizeSummary {
                 .for_each(|(all, one)| one.iter().for_each(|one| all.merge(one)));
         }
         let [payload, metadata, delay, half_width] = merged;
+        let mut ends: [Summary; 2] = Default::default();
+        for stored in runs.iter().filter_map(|run| run.ends) {
+            ends.iter_mut().zip(stored).for_each(|(all, one)| all.merge(one));
+        }
         let median = delay.quantile(0.5)?;
         let relative_error = Sketch::RELATIVE_ERROR;
         let median_error = ranks_around_median(delay.count()).and_then(|[lower, upper]| {
@@ -106,7 +116,13 @@ impl SizeSummary {
             // Standard deviation of a uniform distribution between the ends of the error.
             Some(of_sample.hypot(relative_error * median / 3.0_f64.sqrt()))
         });
-        let clocked = ClockedSummaries { values: &delay, delays: &delay, half_widths: &half_width };
+        let clocked = ClockedSummaries {
+            values: &delay,
+            ends: Some(&ends),
+            delays: &delay,
+            half_widths: Some(&half_width),
+        };
+        let interval = clocked.interval_of_median_delay();
         let size = Self {
             payload_bytes,
             wire_bytes: payload.quantile(0.5)? + metadata.quantile(0.5).unwrap_or_default(),
@@ -115,7 +131,8 @@ impl SizeSummary {
             relative_error,
             median_error,
             tails: delay.tails(),
-            bounds: clocked.interval_of_median_delay(),
+            bounds: interval.map(|interval| interval.ends()),
+            bounds_method: interval.map_or(IntervalMethod::Ends, |interval| interval.method),
             throughput: None,
             throughput_bounds: None,
         };
@@ -176,8 +193,10 @@ mod tests {
     #[test]
     fn sketches_give_size_within_their_error() {
         let delays = (0..200).map(|number| 4e-3 + f64::from(number * 37 % 200) * 1e-5);
+        // The delays are not in the middle of their bounds, which are not equally wide.
+        let bounds = |delay: f64| (delay - 0.1e-3, delay + 0.2 * (delay - 3.9e-3) + 0.4e-3);
         let messages: Vec<Message> =
-            delays.map(|delay| message(1_120.0, delay, Some((delay - 0.4e-3, delay + 0.4e-3)))).collect();
+            delays.map(|delay| message(1_120.0, delay, Some(bounds(delay)))).collect();
         let exact = SizeSummary::new(1_000, &messages).expect("messages");
         let summary = |values: &dyn Fn(&Message) -> f64| {
             let mut all = Summary::default();
@@ -185,12 +204,15 @@ mod tests {
             all
         };
         let [payload, metadata] = [1_000.0, 120.0].map(|size| summary(&|_| size));
-        let (delay, half_width) = (summary(&|one| one.delay), summary(&|_| 0.4e-3));
+        let end = |of: fn((f64, f64)) -> f64| summary(&|one| of(one.bounds.expect("has bounds")));
+        let (delay, half_width) = (summary(&|one| one.delay), end(|(lo, hi)| (hi - lo) / 2.0));
+        let ends = [end(|(lo, _)| lo), end(|(_, hi)| hi)];
         let run = MessageSketches {
             payload: &payload,
             metadata: Some(&metadata),
             delay: Some(&delay),
             half_width: Some(&half_width),
+            ends: Some(&ends),
         };
         let stored = SizeSummary::from_sketches(1_000, &[run]).expect("delays");
         assert_eq!((stored.count, stored.wire_bytes, stored.relative_error), (200, 1_120.0, 0.01));
@@ -204,9 +226,14 @@ mod tests {
         let error = |size: &SizeSummary| size.median_error.expect("enough");
         assert!(error(&stored) >= 0.01 * stored.median / 2.0 && error(&stored) < 3.0 * error(&exact));
         // Some delays have no bounds.
-        let unbounded = MessageSketches { half_width: None, ..run };
+        let unbounded = MessageSketches { half_width: None, ends: None, ..run };
         let two = SizeSummary::from_sketches(1_000, &[run, unbounded]).expect("delays");
         assert_eq!((two.count, two.bounds), (400, None));
+        // An earlier version stored one of the runs.
+        let earlier = MessageSketches { ends: None, ..run };
+        let methods = [vec![run], vec![run, earlier]]
+            .map(|runs| SizeSummary::from_sketches(1_000, &runs).expect("delays").bounds_method);
+        assert_eq!(methods, [IntervalMethod::Ends, IntervalMethod::HalfWidths]);
         assert_eq!(SizeSummary::from_sketches(1_000, &[MessageSketches { delay: None, ..run }]), None);
     }
 

@@ -165,7 +165,9 @@ impl DirectionSizes {
             let runs = counted(self.runs_with_several_sizes, "run");
             format!("{runs} with several sizes of {name}: one point each, at the median size")
         });
-        [unknown_delays, negative_delays, several_sizes].into_iter().flatten()
+        let remark = self.sizes.iter().find_map(|size| size.bounds_method.remark());
+        let remark = remark.map(|remark| format!("clock bounds of {name}: {remark}"));
+        [unknown_delays, negative_delays, several_sizes, remark].into_iter().flatten()
     }
 }
 

@@ -50,13 +50,6 @@ impl Transfer {
     }
 }
 
-/// Returns the lowest and the highest speed for a delay with an interval of `half_width` to both sides. The highest speed is `None` if the
-/// delay may be zero.
-pub fn speed_between(speed: f64, delay: f64, half_width: f64) -> (f64, Option<f64>) {
-    let bytes = speed * delay;
-    (bytes / (delay + half_width), (half_width < delay).then(|| bytes / (delay - half_width)))
-}
-
 /// Sums of both directions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Transfers {
@@ -100,12 +93,6 @@ mod tests {
         assert!((speed - 34.63).abs() < 0.01, "{speed} MB/s; the mean of the ratios is 1,017");
         assert!((up.traffic(10.0).expect("ten seconds") / 8e6 - 0.0124).abs() < 1e-9);
         assert_eq!((down, up.traffic(0.0)), (None, None));
-    }
-
-    #[test]
-    fn speed_is_unbounded_if_delay_may_be_zero() {
-        assert_eq!(speed_between(8e6, 0.004, 0.001), (6.4e6, Some(8e6 * 0.004 / 0.003)));
-        assert_eq!(speed_between(8e6, 0.004, 0.004), (4e6, None));
     }
 
     #[test]

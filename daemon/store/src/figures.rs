@@ -1,5 +1,6 @@
 //! Statistics of a summary, without quantiles for which it has too few values.
 
+use peernet_analysis::delays::{ClockInterval, CountedAverage, DelayAverages};
 use peernet_analysis::slowness::Medians;
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
@@ -43,6 +44,11 @@ impl QuantityStatistics {
             max: moments.max,
         })
     }
+
+    /// Returns the statistics of the lower and of the upper ends of intervals; `None` if there are none.
+    pub fn from_ends([lower, upper]: &[Summary; 2]) -> Option<[Self; 2]> {
+        Some([Self::from_summary(lower)?, Self::from_summary(upper)?])
+    }
 }
 
 /// Returns the medians of a run's statistics.
@@ -57,6 +63,8 @@ pub struct DelayAccuracy {
     pub stage: Name,
     /// Half the width of the interval that contains the delay, seconds; `None` when no delay had one.
     pub half_width: Option<QuantityStatistics>,
+    /// Lower ends and upper ends of the intervals of the delays that have a value, seconds; `None` if an earlier version recorded the delays.
+    pub ends: Option<[QuantityStatistics; 2]>,
     /// Number of delays per verdict, in the order of [`Verdict::ALL`]; verdicts without delays are omitted.
     pub verdicts: Vec<(Verdict, u64)>,
 }
@@ -73,6 +81,33 @@ impl DelayAccuracy {
     /// Returns the median of half the widths of the intervals, seconds; `None` when no delay had an interval.
     pub fn median_half_width(&self) -> Option<f64> {
         self.half_width.map(|width| width.p50)
+    }
+
+    /// Returns the interval of the median of these delays, whose statistics are `delay`. `None` unless every delay has an interval.
+    pub fn interval_of_median(&self, delay: &QuantityStatistics) -> Option<ClockInterval> {
+        self.interval(delay, |statistics| statistics.p50)
+    }
+
+    /// Returns the interval of the mean of these delays, whose statistics are `delay`. `None` unless every delay has an interval.
+    pub fn interval_of_mean(&self, delay: &QuantityStatistics) -> Option<ClockInterval> {
+        self.interval(delay, |statistics| statistics.mean)
+    }
+
+    fn interval(
+        &self,
+        delay: &QuantityStatistics,
+        average: fn(&QuantityStatistics) -> f64,
+    ) -> Option<ClockInterval> {
+        let counted = |statistics: &QuantityStatistics| CountedAverage {
+            count: statistics.count,
+            value: average(statistics),
+        };
+        let averages = DelayAverages {
+            delay: counted(delay),
+            ends: self.ends.as_ref().map(|ends| ends.each_ref().map(counted)),
+            half_width: self.half_width.as_ref().map(counted),
+        };
+        averages.interval()
     }
 }
 

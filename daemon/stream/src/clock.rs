@@ -101,7 +101,8 @@ impl Serialize for ClockSample {
 pub struct DelaySecond {
     /// Number of delays that were judged.
     pub count: u32,
-    /// Median of the delays that have a value, with the bounds of the median delay; `None` if no delay has a value.
+    /// Median of the delays that have a value, with the medians of their lower and of their upper bounds; `None` if no delay has a value. Agents before
+    /// 0.3.0 send the bounds of the median delay.
     pub median: Option<DelayPoint>,
     /// Worst verdict that applies to at least a twentieth of the judged delays.
     pub verdict: Verdict,

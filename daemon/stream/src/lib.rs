@@ -77,6 +77,7 @@ pub use hello::{AGENT_STREAM_VERSIONS, Hello, HelloExtension, STREAM_VERSIONS, S
 pub use host::{Hardware, HostDescription, HostMetrics, ModelMetrics};
 pub use live::{
     Accounting, LiveUpdate, OutcomeCounts, PipelineLive, PipelineState, Placement, PlacementKind, Second,
+    end_names,
 };
 pub use message::{Batch, BatchHead, MAX_IN_FLIGHT_BATCHES, Proof, ToAgent, ToAggregator, batch_weight};
 pub use network_name::NetworkName;

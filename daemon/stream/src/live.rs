@@ -150,10 +150,21 @@ pub struct Second {
     /// Summaries by name of the node in SI units: the stages, `total`, `unattributed`, throughputs and sizes. A throughput's
     /// summary is over the throughputs of single iterations. Failed iterations and warm-up are not included.
     pub values: Vec<(Name, Summary)>,
-    /// Half-widths of the clock bounds of `upload` and `download` in seconds.
+    /// Half-widths of the clock bounds of `upload` and `download` in seconds; and the bounds themselves, named by [`end_names`], which agents of
+    /// earlier versions do not report.
     pub bounds: Vec<(Name, Summary)>,
     /// Verdicts of the one-way delays: node, name of the verdict, count.
     pub verdicts: Vec<(Name, Name, u64)>,
+}
+
+/// Returns the names under which [`Second::bounds`] has the lower and the upper bounds of a delay, as the columns of `data.csv`. `None` for
+/// names that are no delays of a message.
+pub fn end_names(stage: &str) -> Option<[Name; 2]> {
+    match stage {
+        "upload" => Some([Name::from_static("upload-lo"), Name::from_static("upload-hi")]),
+        "download" => Some([Name::from_static("download-lo"), Name::from_static("download-hi")]),
+        _ => None,
+    }
 }
 
 /// Numbers of iterations by outcome.

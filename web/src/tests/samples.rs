@@ -89,6 +89,9 @@ fn transfers(messages: u64, upload: Option<f64>) -> Transfers {
     })
 }
 
+/// Half the width of the clock bounds, seconds.
+const HALF_WIDTH: f64 = 0.00065;
+
 /// Returns a window whose means are `scale` times the usual values.
 pub(crate) fn window(seconds: u32, hz: f64, scale: f64, verdict: Verdict) -> Window {
     let ok = (f64::from(seconds) * hz) as u64;
@@ -100,10 +103,15 @@ pub(crate) fn window(seconds: u32, hz: f64, scale: f64, verdict: Verdict) -> Win
     if known && ok > 0 {
         values.push((stage::UPLOAD_THROUGHPUT, figures(1.9e8 / scale, ok)));
     }
-    let bounds = [stage::UPLOAD, stage::DOWNLOAD].map(|stage| DelayAccuracy {
-        stage,
-        half_width: known.then(|| figures(0.00065, ok.max(1))),
-        verdicts: vec![(verdict, ok)],
+    let bounds = [stage::UPLOAD, stage::DOWNLOAD].map(|stage| {
+        let delay = values.iter().find(|(name, _)| *name == stage).map(|(_, delay)| delay.mean);
+        DelayAccuracy {
+            half_width: known.then(|| figures(HALF_WIDTH, ok.max(1))),
+            ends: delay
+                .map(|delay| [delay - HALF_WIDTH, delay + HALF_WIDTH].map(|end| figures(end, ok.max(1)))),
+            verdicts: vec![(verdict, ok)],
+            stage,
+        }
     });
     Window {
         seconds,

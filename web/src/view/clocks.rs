@@ -87,7 +87,7 @@ mod tests {
     use super::*;
 
     fn bound(verdicts: &[(Verdict, u64)]) -> DelayAccuracy {
-        DelayAccuracy { stage: stage::UPLOAD, half_width: None, verdicts: verdicts.to_vec() }
+        DelayAccuracy { stage: stage::UPLOAD, half_width: None, ends: None, verdicts: verdicts.to_vec() }
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Notes on things that need attention, in sentences.
 
-use peernet_analysis::delays::interval_of_median;
+use peernet_analysis::delays::ClockInterval;
 use peernet_clock::Verdict;
 use peernet_logger::Name;
 use peernet_statistics::number::{self, duration, interval_ms};
@@ -43,14 +43,16 @@ pub(crate) fn delay_notes(
     }
     let sentences = not_ok.into_iter().map(|(bound, verdict)| {
         let name = &bound.stage;
-        let text = match (verdict, delay_of(name), bound.half_width) {
-            (Verdict::Limited, Some(delay), Some(width)) => {
-                let (lo, hi) = interval_of_median(delay.p50, width.p50);
+        let interval = |delay: QuantityStatistics| Some((delay, bound.interval_of_median(&delay)?));
+        let text = match (verdict, delay_of(name).and_then(interval), bound.half_width) {
+            (Verdict::Limited, Some((delay, ClockInterval { lo, hi, method })), Some(width)) => {
+                let remark = method.remark().map(|remark| format!(" ({remark})"));
                 format!(
-                    "has a {name} of {} with a clock bound of {}: read it as {}\u{202f}ms.",
+                    "has a {name} of {} with a clock bound of {}: read it as {}\u{202f}ms{}.",
                     duration(delay.p50),
                     number::bound(width.p50),
-                    interval_ms(lo, hi)
+                    interval_ms(lo, hi),
+                    remark.unwrap_or_default()
                 )
             }
             _ => format!("has a {name} that cannot be trusted: {}.", clocks::meaning(verdict)),

@@ -12,9 +12,7 @@ use peernet_figures::drawing::StageBar;
 use peernet_figures::scale::Scale as AxisScale;
 use peernet_logger::stage;
 use peernet_statistics::number::{NONE, SPACE, StageColumn, count, fixed, length, throughput, times};
-use peernet_store::{
-    DelayAccuracy, Episodes, IterationRow, RunDetail, RunStatistics, Series, StageStatistics,
-};
+use peernet_store::{Episodes, IterationRow, RunDetail, RunStatistics, Series, StageStatistics};
 use serde::Serialize;
 
 use super::clocks;
@@ -203,8 +201,7 @@ impl StoredRun<'_> {
             None | Some(Verdict::Ok) => Some(throughput(speed)),
             Some(Verdict::Limited) => {
                 let delay = self.statistics.stages.iter().find(|stage| stage.stage == *direction.delay());
-                let half = bound.and_then(DelayAccuracy::median_half_width);
-                speed::interval(speed, delay.map(|stage| stage.figures.mean), half)
+                speed::interval(speed, &delay?.figures, bound?)
             }
             Some(_) => None,
         }

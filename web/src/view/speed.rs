@@ -5,10 +5,11 @@
 use std::sync::Arc;
 
 use peernet_aggregator::{LiveSecond, Window};
-use peernet_analysis::transfer::{Transfer, Transfers, speed_between};
+use peernet_analysis::delays::ClockInterval;
+use peernet_analysis::transfer::{Transfer, Transfers};
 use peernet_clock::Verdict;
 use peernet_statistics::number::{NONE, throughput, throughput_between};
-use peernet_store::DelayAccuracy;
+use peernet_store::{DelayAccuracy, QuantityStatistics};
 use peernet_stream::PlacementKind;
 
 use super::clocks;
@@ -85,10 +86,9 @@ pub(crate) fn cell(kind: PlacementKind, window: &Window, direction: NetworkDirec
         (None, None) => Cell::none("the sizes or the delays are not known"),
         (Some(why), speed) => {
             let bound = window.bounds.iter().find(|bound| bound.stage == *direction.delay());
-            let half = bound.and_then(DelayAccuracy::median_half_width);
-            let delay = window.value(direction.delay()).map(|statistics| statistics.mean);
             let limited = bound.and_then(clocks::verdict) == Some(Verdict::Limited);
-            match speed.filter(|_| limited).and_then(|speed| interval(speed, delay, half)) {
+            let delay = window.value(direction.delay());
+            match speed.filter(|_| limited).and_then(|speed| interval(speed, delay?, bound?)) {
                 Some(text) => Cell { text, title: Some(why.to_owned()) },
                 None => Cell::none(why),
             }
@@ -115,14 +115,18 @@ pub(crate) fn direction_traffic(window: &Window, direction: NetworkDirection) ->
     direction.of(&window.transfers)?.traffic(window.covered_s)
 }
 
-/// Returns the interval of a throughput in MB/s, from the mean delay and half the width of its bounds. `None` if one of them is unknown.
-pub(crate) fn interval(rate: f64, delay: Option<f64>, half: Option<f64>) -> Option<String> {
-    let (delay, half) = delay.zip(half)?;
-    Some(throughput_between(speed_between(rate, delay, half)))
+/// Returns the interval of a speed while sending in MB/s, from the statistics of the delays. `None` if a delay has no interval.
+pub(crate) fn interval(speed: f64, delay: &QuantityStatistics, accuracy: &DelayAccuracy) -> Option<String> {
+    let interval = accuracy.interval_of_mean(delay)?;
+    let ClockInterval { lo, hi, method } = interval.of_speed(speed, delay.mean);
+    let text = throughput_between((lo, Some(hi)));
+    Some(method.remark().map_or_else(|| text.clone(), |remark| format!("{text} ({remark})")))
 }
 
 #[cfg(test)]
 mod tests {
+    use peernet_logger::Name;
+
     use super::*;
     use crate::tests::samples;
 
@@ -149,6 +153,16 @@ mod tests {
         assert_eq!(text(Verdict::Ok), "23.8");
         assert_eq!(text(Verdict::Limited), "21.5 – 26.5");
         assert_eq!(text(Verdict::Inconsistent), "—");
-        assert_eq!(interval(8e6, Some(0.001), Some(0.002)).expect("bounded"), "≥ 0.333");
+        let of = |seconds: f64| samples::figures(seconds, 9);
+        let accuracy = |ends: Option<[f64; 2]>| DelayAccuracy {
+            stage: Name::from("upload"),
+            half_width: Some(of(0.002)),
+            ends: ends.map(|ends| ends.map(of)),
+            verdicts: Vec::new(),
+        };
+        let interval = |ends| interval(8e6, &of(0.001), &accuracy(ends)).expect("bounded");
+        assert_eq!(interval(Some([0.0005, 0.002])), "0.50 – 2.00");
+        assert_eq!(interval(Some([0.0, 0.004])), "≥ 0.250");
+        assert_eq!(interval(None), "≥ 0.333 (from half widths)");
     }
 }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use peernet_clock::{Direction, Exchange, OneWayDelay, Span, Verdict, WallTime};
+use peernet_clock::{Direction, Exchange, Interval, OneWayDelay, Span, Verdict, WallTime};
 use peernet_stream::{DelayPoint, DelaySecond, NetworkName, ProbeCounts, RoundTrip};
 
 use super::downsampled::DownsampledValues;
@@ -146,13 +146,20 @@ impl Delays {
     fn summary(&self) -> Option<DelaySecond> {
         let counts = Verdict::ALL.iter().zip(&self.verdicts);
         let verdict = Verdict::prevailing(counts.map(|(verdict, count)| (*verdict, u64::from(*count))))?;
-        Some(DelaySecond { count: self.count(), median: self.points.median(|point| point.value), verdict })
+        Some(DelaySecond { count: self.count(), median: self.median(), verdict })
+    }
+
+    /// Returns the median delay. Its bounds are the medians of all lower and of all upper bounds, between which the median of the true delays lies.
+    fn median(&self) -> Option<DelayPoint> {
+        let lo = self.points.median(|point| point.bounds.lo)?.bounds.lo;
+        let hi = self.points.median(|point| point.bounds.hi)?.bounds.hi;
+        Some(DelayPoint { bounds: Interval { lo, hi }, ..self.points.median(|point| point.value)? })
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use peernet_clock::{Interval, RawTime};
+    use peernet_clock::RawTime;
 
     use super::*;
 

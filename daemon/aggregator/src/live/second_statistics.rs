@@ -7,7 +7,7 @@ use peernet_analysis::transfer::Transfers;
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
 use peernet_statistics::{Merge, Summary};
-use peernet_stream::{OutcomeCounts, Second};
+use peernet_stream::{OutcomeCounts, Second, end_names};
 
 use super::MAX_NAMES;
 use crate::live_state::{LiveSecond, Window};
@@ -19,7 +19,7 @@ pub(super) struct SecondStatistics {
     counts: OutcomeCounts,
     /// Summaries by node name.
     values: Vec<(Name, Summary)>,
-    /// Half-widths of the clock bounds by stage.
+    /// Half-widths of the clock bounds by stage, and the bounds by the names of [`end_names`].
     bounds: Vec<(Name, Summary)>,
     /// Number of iterations by stage and clock verdict.
     verdicts: Vec<(Name, Verdict, u64)>,
@@ -113,9 +113,12 @@ impl SecondStatistics {
         [stage::UPLOAD, stage::DOWNLOAD]
             .into_iter()
             .filter_map(|stage| {
-                let half_width = self.bounds.iter().find(|(name, _)| *name == stage);
-                let half_width =
-                    half_width.and_then(|(_, summary)| QuantityStatistics::from_summary(summary));
+                let statistics = |wanted: &Name| {
+                    let (_, summary) = self.bounds.iter().find(|(name, _)| name == wanted)?;
+                    QuantityStatistics::from_summary(summary)
+                };
+                let half_width = statistics(&stage);
+                let ends = end_names(&stage).and_then(|[lo, hi]| Some([statistics(&lo)?, statistics(&hi)?]));
                 let mut verdicts: Vec<(Verdict, u64)> = Vec::new();
                 for verdict in Verdict::ALL {
                     let has_verdict =
@@ -128,6 +131,7 @@ impl SecondStatistics {
                 (half_width.is_some() || !verdicts.is_empty()).then_some(DelayAccuracy {
                     stage,
                     half_width,
+                    ends,
                     verdicts,
                 })
             })

@@ -66,7 +66,7 @@ async fn rebuild_run(connection: &mut SqliteConnection, run: i64) -> Result<(), 
         let rows: Vec<RollupRow> =
             sqlx::query_as(TENS).bind(run).bind(first).bind(from).fetch_all(&mut *connection).await?;
         for row in rows {
-            rollups.merge(run, row.name, row.quantity(), row.bucket_s, &row.summary()?);
+            rollups.merge(run, row.name, row.quantity()?, row.bucket_s, &row.summary()?);
         }
         rollups.write(connection).await?;
     }

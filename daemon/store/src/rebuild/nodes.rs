@@ -64,6 +64,10 @@ impl PageStatistics {
             };
             if let Some(value) = values.counted(NodeId(row.node), role, row.value) {
                 record(Quantity::Value, value);
+                if let (Some(lo), Some(hi)) = (row.lo, row.hi) {
+                    record(Quantity::LowerEnd, lo);
+                    record(Quantity::UpperEnd, hi);
+                }
             }
             if let Some(verdict) = row.verdict.filter(|_| role != NodeRole::Nested) {
                 *self.verdicts.entry((row.name, verdict)).or_default() += 1;

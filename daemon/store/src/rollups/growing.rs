@@ -74,7 +74,7 @@ impl GrowingBuckets {
         missing_buckets.dedup();
         if !missing_buckets.is_empty() {
             for row in table::read_buckets(connection, self.run, width_s, &missing_buckets).await? {
-                let (bucket_s, series, packed) = row.into_parts();
+                let (bucket_s, series, packed) = row.into_parts()?;
                 width.buckets.entry(bucket_s).or_default().push((series, packed));
             }
         }

@@ -40,6 +40,36 @@ pub(crate) enum Quantity {
     Value = 0,
     /// Half the width of the bounds of the node's value.
     HalfWidth = 1,
+    /// Lower end of the bounds of the node's value.
+    LowerEnd = 2,
+    /// Upper end of the bounds of the node's value. An infinite end has no place in a summary, so that a throughput may have fewer upper ends
+    /// than lower ends.
+    UpperEnd = 3,
+}
+
+impl Quantity {
+    /// Number of quantities.
+    pub(crate) const COUNT: usize = 4;
+
+    /// Returns the quantity with a number of the table `quantity`.
+    pub(crate) const fn from_number(number: i64) -> Option<Self> {
+        match number {
+            0 => Some(Self::Value),
+            1 => Some(Self::HalfWidth),
+            2 => Some(Self::LowerEnd),
+            3 => Some(Self::UpperEnd),
+            _ => None,
+        }
+    }
+
+    /// Returns whether buckets of this width have the quantity.
+    const fn is_kept(self, width_s: i64) -> bool {
+        match self {
+            Self::Value | Self::HalfWidth => true,
+            // Only medians over whole runs have an interval, and each further row costs time in every commit.
+            Self::LowerEnd | Self::UpperEnd => width_s == WHOLE_RUN,
+        }
+    }
 }
 
 /// Name and quantity whose values have one summary within a bucket.
@@ -152,7 +182,9 @@ impl Rollups {
                 run_additions.iter().map(|(_, addition)| addition.clone()).collect();
             for width_s in WIDTHS_S.into_iter().chain([WHOLE_RUN]) {
                 additions = merge_into_width(&additions, width_s);
-                let is_covered = |(_, bucket_s, _): &&Addition| self.scope.covers(width_s, *bucket_s);
+                let is_covered = |((_, quantity), bucket_s, _): &&Addition| {
+                    quantity.is_kept(width_s) && self.scope.covers(width_s, *bucket_s)
+                };
                 let covered: Vec<Addition> = additions.iter().filter(is_covered).cloned().collect();
                 growing.add(connection, width_s, &covered, &mut rows).await?;
             }

@@ -54,8 +54,13 @@ impl RollupRow {
         (self.run, self.resolution_s, self.bucket_s, self.name, self.quantity)
     }
 
-    pub(crate) const fn quantity(&self) -> Quantity {
-        if self.quantity == 0 { Quantity::Value } else { Quantity::HalfWidth }
+    /// Returns the quantity.
+    ///
+    /// # Errors
+    /// If the number is in no version's table `quantity`.
+    pub(crate) fn quantity(&self) -> Result<Quantity, sqlx::Error> {
+        let unknown = || sqlx::Error::Decode(format!("quantity {} of a roll-up", self.quantity).into());
+        Quantity::from_number(self.quantity).ok_or_else(unknown)
     }
 
     const fn moments(&self) -> Moments {
@@ -63,10 +68,10 @@ impl RollupRow {
         Moments { count: count.unsigned_abs(), mean, m2, min, max }
     }
 
-    pub(super) fn into_parts(self) -> (i64, Series, PackedSummary) {
-        let series = (self.name, self.quantity());
+    pub(super) fn into_parts(self) -> Result<(i64, Series, PackedSummary), sqlx::Error> {
+        let series = (self.name, self.quantity()?);
         let moments = self.moments();
-        (self.bucket_s, series, PackedSummary { moments, sketch: self.sketch })
+        Ok((self.bucket_s, series, PackedSummary { moments, sketch: self.sketch }))
     }
 
     /// Returns the summary of the row.

@@ -16,6 +16,7 @@ mod foreign_log;
 #[path = "../../../aggregator/tests/it/generate.rs"]
 #[expect(unreachable_pub, reason = "shared with the integration tests and the benchmark")]
 mod generate;
+mod interval_ends;
 mod limits;
 mod maintaining;
 mod measured_time;

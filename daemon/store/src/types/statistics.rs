@@ -74,6 +74,8 @@ impl From<MergeableStatistics> for RunStatistics {
 pub struct MergeableStatistics {
     values: HashMap<Name, NameSummary>,
     half_widths: HashMap<Name, Summary>,
+    /// Lower ends and upper ends of the intervals.
+    ends: HashMap<Name, [Summary; 2]>,
     verdicts: HashMap<Name, Vec<(Verdict, u64)>>,
 }
 
@@ -105,6 +107,12 @@ impl MergeableStatistics {
         self.half_widths.get(name)
     }
 
+    /// Returns the lower ends and the upper ends, in the SI unit, of the intervals of a delay or throughput. Infinite ends are left out. `None`
+    /// if no value has an interval, or if an earlier version stored the values.
+    pub fn ends(&self, name: &str) -> Option<&[Summary; 2]> {
+        self.ends.get(name)
+    }
+
     /// Adds values of a node name. If nodes with this name have several kinds of measure, their values are merged.
     pub fn add(&mut self, name: Name, unit: &str, values: &Summary) {
         self.values.entry(name).or_insert_with(|| NameSummary::with_unit(unit)).summary.merge(values);
@@ -113,6 +121,13 @@ impl MergeableStatistics {
     /// Adds half the widths, in seconds, of the intervals that contain the delays of one direction.
     pub fn add_half_widths(&mut self, stage: Name, widths: &Summary) {
         self.half_widths.entry(stage).or_default().merge(widths);
+    }
+
+    /// Adds lower ends and upper ends, in the SI unit, of the intervals of a delay or throughput.
+    pub fn add_ends(&mut self, name: Name, [lower, upper]: [&Summary; 2]) {
+        let ends = self.ends.entry(name).or_default();
+        ends[0].merge(lower);
+        ends[1].merge(upper);
     }
 
     /// Adds `count` delays of one direction with this verdict.
@@ -131,6 +146,9 @@ impl MergeableStatistics {
         }
         for (stage, widths) in &other.half_widths {
             self.add_half_widths(stage.clone(), widths);
+        }
+        for (name, [lower, upper]) in &other.ends {
+            self.add_ends(name.clone(), [lower, upper]);
         }
         for (stage, verdicts) in &other.verdicts {
             verdicts.iter().for_each(|(verdict, count)| self.add_verdicts(stage.clone(), *verdict, *count));
@@ -175,6 +193,7 @@ impl MergeableStatistics {
             DelayAccuracy {
                 stage: stage.clone(),
                 half_width: half_width.and_then(QuantityStatistics::from_summary),
+                ends: self.ends.get(stage).and_then(QuantityStatistics::from_ends),
                 verdicts,
             }
         })

@@ -1,6 +1,6 @@
 //! The median of a quantity in one run, with its uncertainty by the hosts' clocks.
 
-use peernet_analysis::delays::ClockedSummaries;
+use peernet_analysis::delays::{ClockInterval, ClockedSummaries};
 use peernet_analysis::summary::Scale;
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
@@ -39,39 +39,39 @@ impl Median {
         let verdict = bound.as_ref().and_then(clocks::verdict).filter(|verdict| *verdict != Verdict::Ok);
         let ends = delay.and_then(|delay| interval(mergeable, name, delay));
         let shown = shown_in(unit);
+        let remark = ends.and_then(|ends| ends.method.remark()).map(|remark| format!(" ({remark})"));
+        let remark = remark.unwrap_or_default();
         let text = match (ends, verdict) {
             (None, _) => format!("median {}", with_unit(&without_unit(unit, value), &shown.0)),
             (Some(ends), None) => {
-                let value = if unit == "s" {
-                    within_ms(value, with_infinite_end(ends))
-                } else {
-                    without_unit(unit, value)
-                };
-                format!("median {}, by the clocks {}", with_unit(&value, &shown.0), between(unit, ends))
+                let value =
+                    if unit == "s" { within_ms(value, ends.ends()) } else { without_unit(unit, value) };
+                let value = with_unit(&value, &shown.0);
+                format!("median {value}, by the clocks {}{remark}", between(unit, ends))
             }
             (Some(ends), Some(_)) => {
-                format!("median by the clocks {}", with_unit(&between(unit, ends), &shown.0))
+                format!("median by the clocks {}{remark}", with_unit(&between(unit, ends), &shown.0))
             }
         };
-        Some(Self { text, within: ends.map(with_infinite_end), doubt: verdict.map(Chip::verdict) })
+        let within = ends.map(|ends| ends.ends());
+        Some(Self { text, within, doubt: verdict.map(Chip::verdict) })
     }
 }
 
 /// Returns the interval of the median by the clock bounds of the delay; `None` if it is not known or has no width.
-fn interval(mergeable: &MergeableStatistics, name: &str, delay: &Name) -> Option<(f64, Option<f64>)> {
-    let values = mergeable.summary(name)?;
-    let (delays, half_widths) = (mergeable.summary(delay)?, mergeable.half_widths(delay)?);
-    let clocked = ClockedSummaries { values, delays, half_widths };
-    let ends = if delay == name {
-        clocked.interval_of_median_delay().map(|(lo, hi)| (lo, Some(hi)))
+fn interval(mergeable: &MergeableStatistics, name: &str, delay: &Name) -> Option<ClockInterval> {
+    let clocked = ClockedSummaries {
+        values: mergeable.summary(name)?,
+        ends: mergeable.ends(name),
+        delays: mergeable.summary(delay)?,
+        half_widths: mergeable.half_widths(delay),
+    };
+    let interval = if delay == name {
+        clocked.interval_of_median_delay()
     } else {
         clocked.interval_of_median_throughput()
     };
-    ends.filter(|(lo, hi)| *hi != Some(*lo))
-}
-
-fn with_infinite_end((lo, hi): (f64, Option<f64>)) -> (f64, f64) {
-    (lo, hi.unwrap_or(f64::INFINITY))
+    interval.filter(|interval| interval.hi > interval.lo)
 }
 
 fn with_unit(value: &str, unit: &str) -> String {
@@ -84,9 +84,8 @@ fn without_unit(unit: &str, value: f64) -> String {
 }
 
 /// Formats both ends. A no-break space before the dash keeps the dash from beginning a line.
-fn between(unit: &str, ends: (f64, Option<f64>)) -> String {
-    let (lo, hi) = with_infinite_end(ends);
-    let text = if unit == "bit/s" { throughput_between(ends) } else { interval_ms(lo, hi) };
+fn between(unit: &str, ClockInterval { lo, hi, .. }: ClockInterval) -> String {
+    let text = if unit == "bit/s" { throughput_between((lo, Some(hi))) } else { interval_ms(lo, hi) };
     text.replace(" –", "\u{a0}–")
 }
 
@@ -96,7 +95,7 @@ mod tests {
 
     use super::*;
 
-    fn mergeable(half_ms: f64, verdict: Verdict) -> MergeableStatistics {
+    fn mergeable(half_ms: f64, verdict: Verdict, has_ends: bool) -> MergeableStatistics {
         let of = |value: f64| {
             let mut all = Summary::default();
             (0..100).for_each(|_| all.record(value));
@@ -107,6 +106,12 @@ mod tests {
         mergeable.add(stage::UPLOAD_THROUGHPUT, "bit/s", &of(2e8));
         mergeable.add(stage::SENSING, "s", &of(0.000_126));
         mergeable.add_half_widths(stage::UPLOAD, &of(half_ms / 1e3));
+        if has_ends {
+            let (lo, hi) = ((0.006 - half_ms / 1e3).max(0.0), 0.006 + half_ms / 1e3);
+            mergeable.add_ends(stage::UPLOAD, [&of(lo), &of(hi)]);
+            let rate = |seconds: f64| of(if seconds > 0.0 { 1.2e6 / seconds } else { f64::INFINITY });
+            mergeable.add_ends(stage::UPLOAD_THROUGHPUT, [&rate(hi), &rate(lo)]);
+        }
         mergeable.add_verdicts(stage::UPLOAD, verdict, 100);
         mergeable
     }
@@ -118,7 +123,7 @@ mod tests {
 
     #[test]
     fn median_delay_has_interval_by_clock_bounds() {
-        let statistics = mergeable(0.5, Verdict::Ok);
+        let statistics = mergeable(0.5, Verdict::Ok, true);
         assert_eq!(
             median_text(&statistics, &stage::UPLOAD, "s"),
             ("median 6.00 ms, by the clocks 5.50 – 6.50".to_owned(), false)
@@ -127,13 +132,28 @@ mod tests {
         assert_eq!(text, "median 25.0 MB/s, by the clocks 23.1 – 27.3");
         assert_eq!(median_text(&statistics, &stage::SENSING, "s"), ("median 0.126 ms".to_owned(), false));
         assert_eq!(Median::of(&statistics, "queue", "s"), None);
-        let exact = mergeable(0.0, Verdict::Ok);
+        let exact = mergeable(0.0, Verdict::Ok, true);
         assert_eq!(median_text(&exact, &stage::UPLOAD, "s"), ("median 6.00 ms".to_owned(), false));
     }
 
     #[test]
+    fn interval_from_half_widths_names_its_method() {
+        // An earlier version stored the run.
+        let statistics = mergeable(0.5, Verdict::Ok, false);
+        assert_eq!(
+            median_text(&statistics, &stage::UPLOAD, "s").0,
+            "median 6.00 ms, by the clocks 5.50 – 6.50 (from half widths)"
+        );
+        let (text, _) = median_text(&statistics, &stage::UPLOAD_THROUGHPUT, "bit/s");
+        assert_eq!(text, "median 25.0 MB/s, by the clocks 23.1 – 27.3 (from half widths)");
+        let wide = mergeable(8.0, Verdict::Limited, false);
+        let (text, _) = median_text(&wide, &stage::UPLOAD, "s");
+        assert_eq!(text, "median by the clocks 0.0 – 14.0 ms (from half widths)");
+    }
+
+    #[test]
     fn limited_delay_is_interval_with_verdict() {
-        let wide = mergeable(8.0, Verdict::Limited);
+        let wide = mergeable(8.0, Verdict::Limited, true);
         assert_eq!(
             median_text(&wide, &stage::UPLOAD, "s"),
             ("median by the clocks 0.0 – 14.0 ms".to_owned(), true)

@@ -73,6 +73,7 @@ fn sketches<'a>(comparison: &'a Comparison, run: i64, name: &str) -> Option<Mess
         metadata: statistics.summary(&format!("{name}-logger-bytes")),
         delay: statistics.summary(name),
         half_width: statistics.half_widths(name),
+        ends: statistics.ends(name),
     })
 }
 

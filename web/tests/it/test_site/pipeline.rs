@@ -3,7 +3,7 @@
 use peernet_clock::WallTime;
 use peernet_logger::{Name, RunId, stage};
 use peernet_statistics::{SplitMix64, Summary};
-use peernet_stream::{OutcomeCounts, Placement, PlacementKind, Second};
+use peernet_stream::{OutcomeCounts, Placement, PlacementKind, Second, end_names};
 
 /// Relation of the clocks of a pipeline's two hosts.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -197,7 +197,12 @@ impl TestPipeline {
             });
             values[at].1.record(value);
         };
+        let half_width = match self.clocks {
+            Clocks::Within(bound) => bound,
+            Clocks::Shared | Clocks::Unrelated => 0.0,
+        };
         let mut half_widths = Summary::default();
+        let mut ends: Vec<(Name, Summary)> = Vec::new();
         // `draw` sees ten minutes as one run, so that each ten minutes contain its slow part.
         let when = (at % 600) as f64 / 600.0;
         for _ in 0..ok {
@@ -214,6 +219,15 @@ impl TestPipeline {
                 } else if name == stage::DOWNLOAD && self.name == "offload-full" {
                     record(stage::DOWNLOAD_THROUGHPUT, 412.0 * 8.0 / value);
                 }
+                if let Some(names) = end_names(&name) {
+                    for (name, end) in names.into_iter().zip([value - half_width, value + half_width]) {
+                        let at = ends.iter().position(|(known, _)| *known == name).unwrap_or_else(|| {
+                            ends.push((name, Summary::default()));
+                            ends.len() - 1
+                        });
+                        ends[at].1.record(end.max(0.0));
+                    }
+                }
                 record(name, value);
             }
             record(stage::TOTAL, sum + rest);
@@ -222,10 +236,7 @@ impl TestPipeline {
             if self.remote {
                 record(stage::UPLOAD_BYTES, self.bytes);
                 record(stage::DOWNLOAD_BYTES, 412.0);
-                half_widths.record(match self.clocks {
-                    Clocks::Within(bound) => bound,
-                    Clocks::Shared | Clocks::Unrelated => 0.0,
-                });
+                half_widths.record(half_width);
             }
         }
         let directions = if self.remote { vec![stage::UPLOAD, stage::DOWNLOAD] } else { Vec::new() };
@@ -236,7 +247,7 @@ impl TestPipeline {
         Second {
             at,
             counts: OutcomeCounts { ok, failed: 0, lost: u64::from(ok > 0 && at % 97 == 0), timeout: 0 },
-            bounds: bounds.collect(),
+            bounds: bounds.chain(ends).collect(),
             verdicts: verdicts.collect(),
             values,
         }

@@ -5,11 +5,13 @@ use std::collections::HashMap;
 use futures::TryStreamExt as _;
 use peernet_clock::Verdict;
 use peernet_logger::Name;
+use peernet_statistics::Summary;
 
 use super::super::{corrupt_data, count, sql};
 use super::{RollupRow, WHAT, json_array};
 use crate::error::StoreError;
 use crate::readers::Readers;
+use crate::rollups::Quantity;
 use crate::types::{MergeableStatistics, RunStatistics};
 
 pub(crate) async fn statistics(readers: &Readers, runs: &[i64]) -> Result<Vec<RunStatistics>, StoreError> {
@@ -20,9 +22,12 @@ pub(crate) async fn statistics(readers: &Readers, runs: &[i64]) -> Result<Vec<Ru
     while let Some(row) = rows.try_next().await.map_err(readers.failed(WHAT))? {
         let summary = row.summary()?;
         let (statistics, name) = (by_run.entry(row.run).or_default(), Name::from(row.text));
-        match row.quantity {
-            0 => statistics.add(name, &row.unit, &summary),
-            _ => statistics.add_half_widths(name, &summary),
+        match Quantity::from_number(row.quantity) {
+            Some(Quantity::Value) => statistics.add(name, &row.unit, &summary),
+            Some(Quantity::HalfWidth) => statistics.add_half_widths(name, &summary),
+            Some(Quantity::LowerEnd) => statistics.add_ends(name, [&summary, &Summary::default()]),
+            Some(Quantity::UpperEnd) => statistics.add_ends(name, [&Summary::default(), &summary]),
+            None => return Err(corrupt_data(WHAT, format_args!("quantity {}", row.quantity))),
         }
     }
     // Returns the connection to the pool, so that the next query does not need a second one.

@@ -257,7 +257,7 @@ fn rows_and_roll_ups_give_same_findings() {
             .map(|verdict| (verdict, delays().filter(|one| one.verdict == verdict).count() as u64));
         let mut half_widths = delays().filter_map(|one| one.known_bounds()).map(|(lo, hi)| (hi - lo) / 2.0);
         let half_width = of_values(&stage, &mut half_widths).map(|one| one.figures);
-        DelayAccuracy { stage, half_width, verdicts: verdicts.to_vec() }
+        DelayAccuracy { stage, half_width, ends: None, verdicts: verdicts.to_vec() }
     });
     let statistics = RunStatistics {
         stages: stages.chain(overrun).collect(),

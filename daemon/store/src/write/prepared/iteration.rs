@@ -53,6 +53,10 @@ impl BatchBuilder {
                 && (is_in_statistics || EPISODE_VALUES.contains(&node.name.as_str()))
             {
                 self.summaries.record(run, name, Quantity::Value, second_s, value);
+                if is_in_statistics && let Some((lo, hi)) = bounds(&node.measure) {
+                    self.summaries.record(run, name, Quantity::LowerEnd, second_s, lo);
+                    self.summaries.record(run, name, Quantity::UpperEnd, second_s, hi);
+                }
             }
             if let (true, Measure::Transit(transit)) = (is_in_statistics, &node.measure)
                 && let Some(delay) = transit.delay

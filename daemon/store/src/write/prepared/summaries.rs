@@ -27,7 +27,7 @@ pub(super) struct Summaries {
     positions: HashMap<(u32, u32, Quantity, i64), usize>,
     /// Position in `list` of the summary to which a value was added last, by name and quantity. The next value mostly belongs to the
     /// same run and second.
-    last_positions: Vec<[usize; 2]>,
+    last_positions: Vec<[usize; Quantity::COUNT]>,
 }
 
 impl Summaries {
@@ -37,7 +37,7 @@ impl Summaries {
             return;
         }
         if self.last_positions.len() <= name as usize {
-            self.last_positions.resize(name as usize + 1, [usize::MAX; 2]);
+            self.last_positions.resize(name as usize + 1, [usize::MAX; Quantity::COUNT]);
         }
         let last_position = &mut self.last_positions[name as usize][quantity as usize];
         if let Some(part) = self.list.get_mut(*last_position)
