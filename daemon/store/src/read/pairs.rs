@@ -33,24 +33,26 @@ struct Row {
 #[derive(Default)]
 struct Values {
     of_iteration: IterationValues,
-    /// Value of the first node of each further name.
-    first: Vec<(String, Option<f64>)>,
+    /// Sum of the values of each further name.
+    others: Vec<(String, f64)>,
 }
 
 impl Values {
     /// Adds a node. Nodes are added in the order of their tree.
     fn add(&mut self, Row { node, parent, name, value, .. }: Row) {
         let role = self.of_iteration.add(NodeId(node), parent.map(NodeId), &name, value);
-        if role == NodeRole::Other && self.first.iter().all(|(other, _)| *other != name) {
-            self.first.push((name, value));
+        let (NodeRole::Other, Some(value)) = (role, value) else { return };
+        match self.others.iter_mut().find(|(other, _)| *other == name) {
+            Some((_, sum)) => *sum += value,
+            None => self.others.push((name, value)),
         }
     }
 
-    /// Returns the value that a row of `data.csv` has. For a name that a user defined it is the value of the first node, because each
-    /// further node has its own column.
+    /// Returns the value of the iteration: the sum of all nodes that count for the name. Pages group nodes by name, so nodes that a user logged
+    /// under one name at several places are one quantity here; `data.csv` has a column for each of them.
     fn get(&self, name: &str) -> Option<f64> {
-        let first = || self.first.iter().find(|(other, _)| other == name)?.1;
-        self.of_iteration.get(name).or_else(first)
+        let other = || Some(self.others.iter().find(|(other, _)| other == name)?.1);
+        self.of_iteration.get(name).or_else(other)
     }
 }
 

@@ -102,7 +102,7 @@ async fn values_outside_statistics_are_not_sampled() {
 }
 
 #[tokio::test]
-async fn nodes_of_one_name_are_combined_as_in_results() {
+async fn nodes_of_one_name_are_summed() {
     let mut test_store = TestStore::new().await;
     let run = test_store.run_with_answers(1..=1).await;
     let mut repeated_nodes = test_store.iteration_with_answer(run, 2);
@@ -129,8 +129,8 @@ async fn nodes_of_one_name_are_combined_as_in_results() {
     assert_eq!(test_store.pairs("download-bytes", 9).await.points, [(10.0, 1.0), (25.0, 3.0)], "sums");
     assert_eq!(
         test_store.pairs("completion-tokens", 9).await.points,
-        [(2.0, 1.0), (4.0, 3.0)],
-        "the value of the first node"
+        [(2.0, 1.0), (4.0 + 77.0 + 99.0, 3.0)],
+        "pages group nodes by name"
     );
 }
 
