@@ -62,10 +62,13 @@ impl MeanEstimate {
         Self::from_series(runs.iter().map(Vec::as_slice))
     }
 
-    /// Returns the estimate from the buckets of each run, in order of time. A bucket is the count and the mean of its values. `None` without
-    /// values.
-    pub fn from_buckets(runs: &[Vec<(u64, f64)>]) -> Option<Self> {
-        Self::from_series(runs.iter().map(Vec::as_slice))
+    /// Returns the estimate of a mean that is known over all values, with the precision by the stored buckets of each run that has values, in order
+    /// of time. A bucket is the count and the mean of its values. The buckets may be a part of the values, because retention deletes them before
+    /// the mean. If all buckets of a run are deleted, the precision is unknown.
+    pub fn from_buckets(mean: f64, runs: &[Vec<(u64, f64)>]) -> Self {
+        let is_deleted = runs.iter().any(|run| run.as_slice().total_count() == 0);
+        let estimate = Self::from_series(runs.iter().map(Vec::as_slice)).filter(|_| !is_deleted);
+        Self { mean, batches: estimate.map_or_else(Vec::new, |estimate| estimate.batches) }
     }
 
     fn from_series<'a, S: Series + ?Sized + 'a>(runs: impl Iterator<Item = &'a S> + Clone) -> Option<Self> {
@@ -172,7 +175,10 @@ mod tests {
             values.chunks(25).map(|bucket| (bucket.len() as u64, mean(bucket))).collect::<Vec<_>>()
         });
         let of_buckets = |buckets: &Vec<(u64, f64)>| {
-            MeanEstimate::from_buckets(std::slice::from_ref(buckets)).expect("values")
+            let (count, sum) = buckets
+                .iter()
+                .fold((0, 0.0), |(count, sum), (of, mean)| (count + of, sum + *of as f64 * mean));
+            MeanEstimate::from_buckets(sum / count as f64, std::slice::from_ref(buckets))
         };
         let exact = Difference::between_means(&mean_estimate(&runs[..1]), &mean_estimate(&runs[1..]));
         let stored = Difference::between_means(&of_buckets(&buckets[0]), &of_buckets(&buckets[1]));
@@ -196,9 +202,26 @@ mod tests {
             "a run without values says nothing"
         );
         assert_eq!(MeanEstimate::from_values(&[Vec::new()]), None);
-        let few_buckets = MeanEstimate::from_buckets(&[vec![(100, 1.0); 4]]).expect("values");
+        let few_buckets = MeanEstimate::from_buckets(1.0, &[vec![(100, 1.0); 4]]);
         assert_eq!((few_buckets.batches(), few_buckets.mean()), (4, 1.0));
         assert_eq!(Difference::between_means(&few_buckets, &few_buckets).interval, None);
+    }
+
+    #[test]
+    fn difference_of_means_survives_deleted_buckets() {
+        let buckets = |mean: f64| (0..10).map(|index| (10, mean + f64::from(index % 3))).collect::<Vec<_>>();
+        // The deleted first half of the second run was faster than the rest.
+        let (first, second) = (
+            MeanEstimate::from_buckets(16.0, &[buckets(15.0)]),
+            MeanEstimate::from_buckets(20.0, &[buckets(22.0)]),
+        );
+        let found = Difference::between_means(&first, &second);
+        let (lo, hi) = found.interval.expect("enough buckets");
+        assert_eq!(found.value, 4.0);
+        assert!(((lo + hi) / 2.0 - 4.0).abs() < 1e-9);
+        let without_buckets = MeanEstimate::from_buckets(20.0, &[buckets(22.0), Vec::new()]);
+        let found = Difference::between_means(&first, &without_buckets);
+        assert_eq!((found.value, found.interval), (4.0, None));
     }
 
     #[test]

@@ -61,7 +61,8 @@ async fn two_configurations_have_a_difference_with_its_interval() {
 async fn several_configurations_have_a_table_bars_and_a_plot() {
     let many = (0..8).map(|at| configuration(at, Remote, 1.0 + at as f64 * 0.3, 1e3 * (at + 1) as f64));
     let html = page_of(many.collect(), false).await;
-    let stacked = html.split("How the total spreads").next().expect("what stands before");
+    let before_spread = html.split("How the total spreads").next().expect("what stands before");
+    let stacked = before_spread.split("id=\"differences\"").next().expect("what stands before");
     assert_eq!(stacked.matches("class=\"bar\"").count() - 1, 8);
     let latency = panel(&html, "cl-h");
     assert!(latency.contains("upload: ") && latency.contains(" ms + size ÷ ("), "{latency}");
@@ -69,7 +70,9 @@ async fn several_configurations_have_a_table_bars_and_a_plot() {
     assert_eq!(latency.matches("class=\"g-upload bar\"").count(), 8, "5th to 95th percentile: {latency}");
     assert!(latency.contains("point: median") && latency.contains("messages of 8 runs, pooled"), "{latency}");
     assert!(latency.contains("messages of each size: 300"), "{latency}");
-    assert!(!html.contains("id=\"cd-h\""));
+    // Statistics over time are deleted: there are differences without intervals.
+    let differences = panel(&html, "cd-h");
+    assert!(differences.contains("an interval needs at least"), "{differences}");
 }
 
 #[tokio::test]

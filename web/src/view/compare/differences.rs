@@ -6,7 +6,7 @@ use futures::{StreamExt, TryStreamExt};
 use peernet_analysis::compare::{ConfigurationTotal, Difference, MeanEstimate, Ranking};
 use peernet_analysis::total_column::TotalColumn;
 use peernet_logger::{Name, stage};
-use peernet_store::{StageMeans, Store};
+use peernet_store::{RunSummary, StageMeans, Store};
 
 use super::{Comparison, Configuration};
 use crate::error::WebError;
@@ -72,9 +72,10 @@ impl Differences {
         let names = compared_stages();
         let all = &comparison.configurations;
         let estimate = |one: &Configuration, name: &Name| {
-            let runs: Vec<Vec<(u64, f64)>> =
-                one.runs.iter().map(|run| buckets(means, run.number, name)).collect();
-            MeanEstimate::from_buckets(&runs)
+            // A run without values says nothing; a run with values has no buckets if they are deleted.
+            let has_values = |run: &&RunSummary| comparison.summary(run.number, name).is_some();
+            let runs = one.runs.iter().filter(has_values).map(|run| buckets(means, run.number, name));
+            Some(MeanEstimate::from_buckets(one.figures(name)?.mean, &runs.collect::<Vec<_>>()))
         };
         let estimates: Vec<Vec<Option<MeanEstimate>>> =
             all.iter().map(|one| names.iter().map(|name| estimate(one, name)).collect()).collect();

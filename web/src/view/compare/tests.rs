@@ -216,7 +216,8 @@ fn title_says_which_is_fastest_by_how_much() {
     let text = title(&two, &found);
     assert!(text.starts_with("B is the fastest: 16.0\u{202f}ms, 8.0"), "{text}");
     assert!(text.contains(" less than A (95\u{202f}%: "), "{text}");
-    assert_eq!(found.others[0].1[1].mean_difference, None, "nothing is known of the course of the stages");
+    let of_stages = found.others[0].1[1].mean_difference.expect("both means are known");
+    assert_eq!(of_stages.interval, None, "nothing is known of the course of the stages");
 
     let three = scaled(&[2.0, 1.0, 3.0]);
     let text = |baseline| title_of(&three, &totals(&three, 20), baseline);
@@ -287,7 +288,28 @@ fn best_configuration_is_the_baseline_unless_one_is_chosen() {
     let three = scaled(&[2.0, 1.0, 3.0]);
     let baseline = |chosen: Option<usize>| Differences::of(&three, &totals(&three, 20), chosen).baseline;
     assert_eq!([baseline(None), baseline(Some(0)), baseline(Some(2))], [1, 0, 2]);
-    assert_eq!(Differences::of(&three, &RunMeans::new(), None).baseline, 0, "none is the best");
+    let without_buckets = Differences::of(&three, &RunMeans::new(), None);
+    assert_eq!(without_buckets.baseline, 1, "means of whole runs rank without statistics over time");
+}
+
+#[test]
+fn difference_is_that_of_shown_means_after_deletion() {
+    let two = scaled(&[1.0, 2.0]);
+    let mut means = totals(&two, 20);
+    let complete = Differences::of(&two, &means, 0);
+    // The rest of a run was slower than its deleted half.
+    for stage in means.get_mut(&2).expect("is compared") {
+        stage.buckets.drain(..10);
+        stage.buckets.iter_mut().for_each(|bucket| bucket.mean += 0.004);
+    }
+    let remaining = Differences::of(&two, &means, 0);
+    for found in [&complete, &remaining, &Differences::of(&two, &RunMeans::new(), 0)] {
+        let total = found.total(1).expect("compared");
+        let (first, second) = (total.means.0.expect("measured"), total.means.1.expect("measured"));
+        assert_eq!(total.mean_difference.expect("both are known").value, second - first);
+        assert_eq!(found.ranking.as_ref().map(|ranking| ranking.best), Some(0));
+    }
+    assert!(remaining.total(1).and_then(|total| total.mean_difference?.interval).is_some());
 }
 
 #[test]
