@@ -175,7 +175,9 @@ fn delays_without_value_are_counted_and_not_averaged() {
     let second = &ring.changed_seconds().0[0];
     assert_eq!(second.counts.ok, 3);
     assert_eq!((second.values[0].1.count(), second.values[0].1.moments.mean), (1, 0.004));
-    assert_eq!((second.bounds[0].1.count(), second.bounds[0].1.moments.max), (1, 0.0));
+    let bounds = second.bounds.iter().map(|(name, of)| (name.as_str(), of.count(), of.moments.max));
+    let expected = [("upload", 1, 0.0), ("upload-lo", 1, 0.004), ("upload-hi", 1, 0.004)];
+    assert_eq!(bounds.collect::<Vec<_>>(), expected);
     let verdicts = ["ok", "inconsistent", "stepped"].map(|verdict| ("upload".into(), verdict.into(), 1));
     assert_eq!(second.verdicts, verdicts);
 }

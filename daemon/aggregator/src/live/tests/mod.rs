@@ -2,6 +2,7 @@
 //! data.
 
 mod durable;
+mod interval_ends;
 mod leaving;
 mod links;
 mod over_time;
