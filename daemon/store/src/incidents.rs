@@ -88,7 +88,7 @@ impl PendingIncidents {
 
     fn add_step(&mut self, step: Option<String>, now: Stamp) {
         if let Some(text) = step {
-            tracing::warn!("{text}; the step causes no deletion of data; correct the clock");
+            tracing::warn!("{text}; no data is deleted early because of this step; correct the clock");
             self.add(AggregatorIncidentKind::ClockStep, now.wall, text);
         }
     }

@@ -139,7 +139,7 @@ async fn writer_continues_after_sqlite_rollback() {
     // A full disk has the same effect.
     let full =
         "CREATE TRIGGER full BEFORE INSERT ON connection_sample BEGIN SELECT RAISE(ROLLBACK, 'undone'); END";
-    let mut other = test_store.other().await;
+    let mut other = test_store.second_connection().await;
     sqlx::raw_sql(full).execute(&mut other).await.expect("makes the trigger");
     test_store.writer.store_connections(&samples).await.expect_err("it is undone");
     sqlx::raw_sql("DROP TRIGGER full").execute(&mut other).await.expect("removes it");

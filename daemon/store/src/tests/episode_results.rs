@@ -53,7 +53,7 @@ async fn episodes_count_whatever_their_last_iteration_was() {
     let listed = test_store.store.runs(&crate::types::RunFilter::default()).await.expect("answers");
     assert_eq!(listed[1].actuator, found, "as in the list");
 
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
     assert_eq!(results(&test_store, 1).await, found, "from the nodes");
 }

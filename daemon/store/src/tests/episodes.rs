@@ -137,7 +137,7 @@ async fn deleted_iterations_have_no_border() {
     .await;
     let episodes = test_store.store.episodes(1).await.expect("answers");
     assert_eq!((episodes.unanswered_starts, episodes.unanswered_count), (start_times([4, 70]), 2));
-    let mut other = test_store.other().await;
+    let mut other = test_store.second_connection().await;
     sqlx::query("DELETE FROM iteration WHERE run = 1 AND number <= 40")
         .execute(&mut other)
         .await
@@ -178,7 +178,7 @@ async fn episodes_of_different_lengths_have_borders() {
         (episodes.count, episodes.steps, episodes.borders),
         (6, None, start_times([8, 11, 23, 28, 29]))
     );
-    let mut other = test_store.other().await;
+    let mut other = test_store.second_connection().await;
     sqlx::query("DELETE FROM iteration WHERE run = 1 AND number <= 9")
         .execute(&mut other)
         .await
@@ -231,7 +231,7 @@ async fn sample_of_unanswered_iterations_covers_whole_run() {
 async fn unanswered_iterations_are_counted_up_to_limit() {
     let mut test_store = TestStore::new().await;
     store_run(&mut test_store, 1, |_| true).await;
-    let mut other = test_store.other().await;
+    let mut other = test_store.second_connection().await;
     let columns = sqlx::query_scalar::<_, String>("SELECT name FROM pragma_table_info('iteration')");
     let columns = columns.fetch_all(&mut other).await.expect("the columns");
     let values = columns.iter().map(|name| match name.as_str() {

@@ -55,7 +55,7 @@ fn copy_as_killed(test_store: &TestStore) -> (TempDir, PathBuf) {
 
 async fn checkpoint(test_store: &TestStore) {
     sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)")
-        .execute(&mut test_store.other().await)
+        .execute(&mut test_store.second_connection().await)
         .await
         .expect("carries over");
 }

@@ -132,7 +132,7 @@ async fn median_of_stored_run_has_interval_of_files() {
     assert!(narrow == 0 && whole >= 6, "{narrow} {whole}");
 
     // As an earlier version stored it, and after `peernetd rebuild-rollups`.
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     sqlx::query("DELETE FROM rollup WHERE quantity > 1").execute(&mut connection).await.expect("deletes");
     let earlier = test_store.store.statistics_of(1).await.expect("answers");
     let method = interval(&earlier.mergeable, &stage::UPLOAD, &stage::UPLOAD).expect("half widths").method;

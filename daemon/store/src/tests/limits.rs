@@ -62,7 +62,7 @@ async fn log_is_emptied_after_last_reader() {
     let mut test_store = TestStore::new().await;
     let log = test_store.path.with_extension("sqlite-wal");
     let bytes = || std::fs::metadata(&log).expect("the log exists").len();
-    let mut reader = test_store.other().await;
+    let mut reader = test_store.second_connection().await;
     sqlx::raw_sql("BEGIN; SELECT count(*) FROM host").execute(&mut reader).await.expect("reads");
     test_store.run_of(200).await;
     let grown = bytes();

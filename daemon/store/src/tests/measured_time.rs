@@ -93,7 +93,7 @@ async fn run_without_answer_measured_at_no_time() {
 async fn resolution_is_that_of_remaining_buckets() {
     let (test_store, _) = two_runs().await;
     let exact = measured_time(&test_store, 1).await.expect("measured");
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     let mut retention = Retention::new(short_retention());
     work_off(&mut retention, &mut connection, day(9.0)).await;
     let coarse = measured_time(&test_store, 1).await.expect("hours are never deleted");

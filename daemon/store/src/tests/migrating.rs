@@ -98,7 +98,7 @@ async fn database_without_experiments_is_migrated_unchanged() {
         test_store.store.run(1).await.expect("answers"),
         test_store.store.statistics_of(1).await.expect("answers").stages,
     );
-    let original_rollups = table(&mut test_store.other().await).await;
+    let original_rollups = table(&mut test_store.second_connection().await).await;
     let path = as_of_version(&test_store, 5).await;
     let mut connection = reopen(&mut test_store, &path).await;
     let migrated = (
@@ -137,7 +137,7 @@ async fn database_with_coarse_statistics_is_migrated_unchanged() {
         let expected = page_content(&test_store).await;
         let links = test_store.store.links().await.expect("answers");
         let recomputed = test_store.store.recompute(1).await.expect("answers").expect("exists");
-        let original_rollups = table(&mut test_store.other().await).await;
+        let original_rollups = table(&mut test_store.second_connection().await).await;
         let path = as_of_version(&test_store, version).await;
 
         let mut connection = reopen(&mut test_store, &path).await;

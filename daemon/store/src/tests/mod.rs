@@ -137,7 +137,7 @@ impl TestStore {
     }
 
     /// Opens a connection of another program that may write.
-    async fn other(&self) -> SqliteConnection {
+    async fn second_connection(&self) -> SqliteConnection {
         database::write_options(&self.path).connect().await.expect("opens")
     }
 

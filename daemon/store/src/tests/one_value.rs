@@ -86,7 +86,7 @@ async fn stage_of_several_nodes_has_values_of_results() {
         }
     }
 
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     sqlx::query("DELETE FROM rollup").execute(&mut connection).await.expect("deletes");
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
     let rebuilt = test_store.store.statistics_of(1).await.expect("answers");

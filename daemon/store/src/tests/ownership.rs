@@ -96,7 +96,7 @@ async fn secret_is_stored_once_and_cleared_by_another_connection() {
         greeting.secret = Some(secret.clone());
         test_store.commit(&[Work::Hello(greeting)]).await;
     }
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     let known_hosts = read_host_secrets(&mut connection).await.expect("reads");
     assert_eq!(
         known_hosts,
@@ -130,10 +130,10 @@ async fn hosts_named_only_by_others_are_unknown() {
         assert!(test_store.commit(&[work]).await.quarantined.is_empty());
     }
     assert_eq!(test_store.count("SELECT count(*) FROM host WHERE name IS NULL").await, 5);
-    let known_hosts = read_host_secrets(&mut test_store.other().await).await.expect("reads");
+    let known_hosts = read_host_secrets(&mut test_store.second_connection().await).await.expect("reads");
     let known_hosts: Vec<HostId> = known_hosts.into_iter().map(|(host, _)| host).collect();
     assert_eq!(known_hosts, [test_store.edge], "only known hosts count against max_hosts");
-    let counts = read_host_counts(&mut test_store.other().await, 10).await.expect("reads");
+    let counts = read_host_counts(&mut test_store.second_connection().await, 10).await.expect("reads");
     let counted_hosts: Vec<HostId> = counts.into_iter().map(|(host, _)| host).collect();
     assert_eq!(counted_hosts, [test_store.edge, test_store.cloud], "no page waits for the others");
 }

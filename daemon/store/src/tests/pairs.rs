@@ -137,7 +137,7 @@ async fn nodes_of_one_name_are_summed() {
 #[tokio::test]
 async fn deleted_iterations_are_not_sampled() {
     let (test_store, _) = two_runs().await;
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     let mut retention = Retention::new(short_retention());
     work_off(&mut retention, &mut connection, day(0.0)).await;
     let before = test_store.pairs("upload-bytes", 20).await;

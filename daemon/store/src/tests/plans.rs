@@ -180,7 +180,7 @@ async fn rank_and_neighbours_are_read_from_index_alone() {
 
 /// Instructions of SQLite's machine that a query about a run takes.
 async fn instructions(test_store: &TestStore, statement: &'static str, numbers: &[i64]) -> u64 {
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     let counted = Arc::new(AtomicU64::new(0));
     let counter = Arc::clone(&counted);
     let count = move || {

@@ -196,7 +196,7 @@ async fn slowest_iterations_come_first_with_causes() {
     assert_eq!((first.slower, first.faster), (None, Some(numbers[1])));
     assert_eq!((tenth.slower, tenth.faster), (Some(numbers[8]), Some(totals[10].1)));
     // Iterations with equal totals have a defined order, too.
-    let mut other = test_store.other().await;
+    let mut other = test_store.second_connection().await;
     sqlx::query("UPDATE iteration SET total = 9 WHERE number IN (?1, ?2, ?3)")
         .bind(numbers[3].cast_signed())
         .bind(numbers[5].cast_signed())

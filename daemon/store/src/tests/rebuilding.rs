@@ -62,7 +62,7 @@ async fn store_with_random_arrivals(seed: u64) -> TestStore {
 async fn rebuilt_statistics_equal_incremental_statistics() {
     for seed in 1..=4 {
         let test_store = store_with_random_arrivals(seed).await;
-        let mut connection = test_store.other().await;
+        let mut connection = test_store.second_connection().await;
         let verdicts = "SELECT run, name, verdict, count FROM verdict_count ORDER BY run, name, verdict";
         let verdict_counts: Vec<(i64, i64, i64, i64)> =
             sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");
@@ -97,7 +97,7 @@ async fn rebuilt_statistics_equal_incremental_statistics() {
 #[tokio::test]
 async fn rebuild_of_one_run_changes_no_other() {
     let test_store = store_with_random_arrivals(9).await;
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     let incremental = table(&mut connection).await;
     sqlx::query("DELETE FROM rollup").execute(&mut connection).await.expect("empties");
     let rebuilt = rebuild(&mut connection, Some(2), |_| {}).await.expect("rebuilds");
@@ -126,7 +126,7 @@ async fn extreme_values_are_stored_outside_statistics() {
     let range = statistics.iter().find(|statistics| statistics.stage == *"range").expect("known");
     assert_eq!((range.figures.count, range.figures.mean, range.figures.max), (2, 2.0, 3.0));
 
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     let incremental = table(&mut connection).await;
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
     assert_same(&incremental, &table(&mut connection).await);
@@ -137,7 +137,7 @@ async fn extreme_values_are_stored_outside_statistics() {
 async fn invalid_statistics_do_not_block_writer_and_are_rebuilt() {
     let mut test_store = TestStore::new().await;
     let run = test_store.run_of(60).await;
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     sqlx::query("UPDATE rollup SET mean = ?1, m2 = ?2, min = ?3, max = ?1 WHERE quantity = 0")
         .bind(f64::MAX)
         .bind(f64::INFINITY)

@@ -158,7 +158,7 @@ async fn long_run_is_judged_in_pages() {
 }
 
 #[tokio::test]
-async fn single_clock_or_missing_samples_change_nothing() {
+async fn recomputing_with_one_clock_or_without_samples_changes_nothing() {
     let mut test_store = TestStore::new().await;
     test_store.run_of(30).await;
     let recomputed = recompute(&test_store).await;
@@ -168,7 +168,10 @@ async fn single_clock_or_missing_samples_change_nothing() {
     let mut test_store = TestStore::new().await;
     simulate(&mut test_store, (5, 20, 0), |_, _| {}).await;
     assert!(recompute(&test_store).await.samples > 0);
-    sqlx::raw_sql("DELETE FROM clock_sample").execute(&mut test_store.other().await).await.expect("deletes");
+    sqlx::raw_sql("DELETE FROM clock_sample")
+        .execute(&mut test_store.second_connection().await)
+        .await
+        .expect("deletes");
     let recomputed = recompute(&test_store).await;
     assert_eq!(recomputed.samples, 0);
     assert!(recomputed.stages.iter().all(|stage| stage.before == stage.after));
@@ -301,7 +304,7 @@ async fn only_link_over_network_of_run_is_used() {
     simulate(&mut test_store, SECONDS, |_, _| {}).await;
     assert_eq!(recompute(&test_store).await.samples, 125);
     let change_network = "UPDATE link SET network = 'zmq-udp'";
-    sqlx::query(change_network).execute(&mut test_store.other().await).await.expect("changes");
+    sqlx::query(change_network).execute(&mut test_store.second_connection().await).await.expect("changes");
     let recomputed = recompute(&test_store).await;
     assert_eq!(recomputed.samples, 0);
     for RecomputedStage { before, after, .. } in recomputed.stages {

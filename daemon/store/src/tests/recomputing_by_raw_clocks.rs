@@ -125,7 +125,7 @@ async fn windows_of_other_clocks_or_starts_are_not_used() {
         let mut test_store = TestStore::new().await;
         simulate_by(&mut test_store, RelatedClocks::Raw, (5, 20, 0), slow_first_seconds).await;
         assert!(recompute(&test_store).await.samples > 0);
-        sqlx::raw_sql(other).execute(&mut test_store.other().await).await.expect("changes");
+        sqlx::raw_sql(other).execute(&mut test_store.second_connection().await).await.expect("changes");
         let recomputed = recompute(&test_store).await;
         assert_eq!(recomputed.samples, 0, "{other}");
         assert!(recomputed.stages.iter().all(|stage| stage.before == stage.after), "{other}");
@@ -161,7 +161,10 @@ async fn each_delay_states_assumptions_of_its_bounds() {
         // One sample without authentication counts for its whole window.
         let clear_authentication =
             "UPDATE clock_window SET probes_authenticated = 0 WHERE probes_authenticated = 1";
-        sqlx::raw_sql(clear_authentication).execute(&mut test_store.other().await).await.expect("changes");
+        sqlx::raw_sql(clear_authentication)
+            .execute(&mut test_store.second_connection().await)
+            .await
+            .expect("changes");
         let assumptions = test_store.store.link_assumptions(&key).await.expect("answers").expect("stored");
         assert_eq!(assumptions.probes_authenticated, expected.probes_authenticated.map(|_| false));
     }

@@ -26,7 +26,7 @@ async fn database_is_whole_after_repair_of_any_page() {
     let mut test_store = TestStore::new().await;
     test_store.run_of(60).await;
     test_store.run_of(60).await;
-    let mut other = test_store.other().await;
+    let mut other = test_store.second_connection().await;
     sqlx::query("UPDATE storage_clock SET elapsed_ns = 123456789").execute(&mut other).await.expect("sets");
     // A connection that is only dropped closes later, and keeps the others from carrying the write-ahead log over into the file.
     other.close().await.expect("closes");

@@ -83,7 +83,7 @@ pub(super) async fn work_off(
 
 /// Stores events at a time of the storage clock. Events that arrived an hour earlier are a separate arrival by then.
 pub(super) async fn arrive(test_store: &mut TestStore, events: Vec<Event>, at: WallTime) {
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     work_off(&mut Retention::new(unlimited_retention()), &mut connection, at).await;
     let work = test_store.batch(events);
     test_store.commit(&[work]).await;
@@ -96,7 +96,7 @@ pub(super) async fn two_runs() -> (TestStore, [RunId; 2]) {
     let run_starts = runs.into_iter().zip(["line", "arm"]);
     let run_starts = run_starts.map(|(run, name)| generate::run_started(run, name, day(0.0))).collect();
     arrive(&mut test_store, run_starts, day(0.0)).await;
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     assert!(pin(&mut connection, 2, true).await.expect("pins"));
     assert!(!pin(&mut connection, 3, true).await.expect("looks"));
     for first in (1..=288).step_by(ARRIVAL_ITERATIONS as usize) {
@@ -131,7 +131,7 @@ pub(super) fn short_retention() -> RetentionConfig {
 #[tokio::test]
 async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
     let (test_store, _) = two_runs().await;
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     let before = table(&mut connection).await;
     let stages = test_store.store.statistics_of(1).await.expect("answers").stages;
     let mut retention = Retention::new(short_retention());
@@ -204,7 +204,7 @@ async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
 #[tokio::test]
 async fn deletions_are_one_incident_with_counts() {
     let (test_store, _) = two_runs().await;
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     let seconds = "SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 1";
     let before = test_store.count(seconds).await;
     let mut retention =
@@ -250,7 +250,7 @@ async fn jump_of_robot_clock_deletes_nothing_early() {
             let iteration = generate::iteration_at(run, number, test_store.hosts(), started, &mut random);
             arrive(&mut test_store, vec![Event::Iteration(iteration)], arrived).await;
         }
-        let mut connection = test_store.other().await;
+        let mut connection = test_store.second_connection().await;
         let config =
             RetentionConfig { nodes_days: 3, seconds_days: 3, ten_seconds_days: 3, ..unlimited_retention() };
         let mut retention = Retention::new(config);
@@ -277,7 +277,7 @@ async fn jump_of_robot_clock_deletes_nothing_early() {
 #[tokio::test]
 async fn step_is_bounded_and_idle_step_writes_nothing() {
     let (test_store, _) = two_runs().await;
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     let mut retention = Retention::new(short_retention());
     let rows = "SELECT (SELECT count(*) FROM node) + (SELECT count(*) FROM rollup)";
     let mut remaining = test_store.count(rows).await;
@@ -290,7 +290,7 @@ async fn step_is_bounded_and_idle_step_writes_nothing() {
     }
     assert!(steps > 40, "{steps}");
     // SQLite reports to each connection whether others have written.
-    let mut observer = test_store.other().await;
+    let mut observer = test_store.second_connection().await;
     let mut version = async || -> i64 {
         sqlx::query_scalar("PRAGMA data_version").fetch_one(&mut observer).await.expect("tells")
     };
@@ -314,7 +314,7 @@ async fn late_arrivals_are_kept_for_their_period() {
     events.extend(iterations(&test_store, run, 1..=288));
     events.push(Event::RunEnded(RunEnded { run, ended: day(4.0), reason: EndReason::Stopped }));
     arrive(&mut test_store, events, day(100.0)).await;
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     let mut retention = Retention::new(short_retention());
     work_off(&mut retention, &mut connection, day(100.9)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 288 * 21);
@@ -350,7 +350,7 @@ async fn late_arrivals_are_kept_for_their_period() {
 #[tokio::test]
 async fn rebuilt_statistics_are_deleted_after_their_period() {
     let (test_store, _) = two_runs().await;
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     let seconds = "SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 1";
     let before = test_store.count(seconds).await;
     let mut retention = Retention::new(RetentionConfig { seconds_days: 1, ..unlimited_retention() });
@@ -370,7 +370,7 @@ async fn rebuilt_statistics_are_deleted_after_their_period() {
 #[tokio::test]
 async fn unpinned_run_is_kept_for_whole_period() {
     let (test_store, _) = two_runs().await;
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     // Pinned without the store, as with the sqlite3 shell.
     sqlx::query("UPDATE run SET pinned = 1 WHERE number = 1").execute(&mut connection).await.expect("pins");
     let mut retention = Retention::new(short_retention());
@@ -399,7 +399,7 @@ async fn clock_samples_are_deleted_except_for_pinned_runs() {
         }
         assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 5 * 50);
     }
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     // One connection for each clock sample.
     sqlx::query(
         "INSERT INTO connection_sample (link, at_ns, pipeline, sent_bytes, sent_messages, received_bytes, \

@@ -22,7 +22,7 @@ fn retention_with_size_limit(size_limit_bytes: u64) -> Retention {
 #[tokio::test]
 async fn oldest_unpinned_rows_are_deleted_above_limit() {
     let (mut test_store, [run, _]) = two_runs().await;
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     let used_bytes = test_store.count(USED).await.unsigned_abs();
     let limit = used_bytes - used_bytes / 20;
     let mut retention = retention_with_size_limit(limit);
@@ -126,7 +126,7 @@ async fn overlapping_runs_are_trimmed_in_turns() {
     // One run that continues, two runs that ended meanwhile, and one run that began late.
     let runs = [("line", 0..20, 3), ("arm", 0..5, 4), ("belt", 5..15, 2), ("cell", 16..20, 2)];
     store_concurrent_runs(&mut test_store, &runs, 20).await;
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     let mut retention = retention_with_size_limit(1);
     // Data that arrives within an hour is deleted together, and a bucket as a whole.
     let tolerance_s = |kind: i64| 2 * 3_600 + 60 + kind;
@@ -160,7 +160,7 @@ async fn rows_from_future_are_deleted_too() {
         }));
         arrive(&mut test_store, events, at(0.0)).await;
     }
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     work_off(&mut retention_with_size_limit(1), &mut connection, at(0.0)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM node").await, 0);
     assert_eq!(test_store.count("SELECT count(*) FROM rollup WHERE resolution_s IN (1, 10, 60)").await, 0);

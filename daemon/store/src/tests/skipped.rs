@@ -66,7 +66,7 @@ async fn rebuild_counts_skipped_starts_again() {
     let mut test_store = TestStore::new().await;
     test_store.run_that_skips().await;
     test_store.run_of(5).await;
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     sqlx::query("UPDATE run SET skipped_starts = 7").execute(&mut connection).await.expect("spoils");
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
     assert_eq!(test_store.skipped_starts().await, [SKIPPED, 0]);
@@ -93,6 +93,6 @@ async fn invalid_counts_of_skipped_starts_are_limited() {
         assert!(committed.quarantined.is_empty(), "{skipped}: {:?}", committed.quarantined);
     }
     assert_eq!(test_store.skipped_starts().await, [1 << 53]);
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
 }

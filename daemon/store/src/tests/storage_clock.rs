@@ -93,7 +93,7 @@ async fn step_of_wall_clock_is_incident_of_aggregator() {
 async fn incident_waits_until_database_is_writable() {
     let mut test_store = TestStore::new().await;
     let mut pending = PendingIncidents::new(STAMP);
-    let mut other = test_store.other().await;
+    let mut other = test_store.second_connection().await;
     sqlx::raw_sql("BEGIN IMMEDIATE").execute(&mut other).await.expect("locks");
     pending.add(AggregatorIncidentKind::Storage, NOW, "it refused".to_owned());
     test_store.writer.store_clock_readings(stamp_after(1), &mut pending).await.expect_err("locked");
@@ -111,7 +111,7 @@ async fn incident_waits_until_database_is_writable() {
 async fn newest_ten_thousand_aggregator_incidents_stay() {
     let mut test_store = TestStore::new().await;
     let mut pending = PendingIncidents::new(STAMP);
-    let mut other = test_store.other().await;
+    let mut other = test_store.second_connection().await;
     sqlx::raw_sql(
         "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 10010) \
          INSERT INTO incident (host, at_ns, kind, text) SELECT NULL, i, 'storage', 'old' FROM n; \

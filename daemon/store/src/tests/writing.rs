@@ -148,7 +148,7 @@ async fn iterations_repeated_in_another_stream_are_left_out() {
         test_store.count("SELECT (SELECT count(*) FROM gap) + (SELECT count(*) FROM quarantine)").await,
         0
     );
-    let mut connection = test_store.other().await;
+    let mut connection = test_store.second_connection().await;
     let verdicts = "SELECT run, name, verdict, count FROM verdict_count ORDER BY run, name, verdict";
     let verdict_counts: Vec<(i64, i64, i64, i64)> =
         sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");

@@ -3,8 +3,8 @@
 use peernet_analysis::warm_up::MAX_EPISODE_BORDERS;
 use peernet_clock::WallTime;
 
-/// Episodes, warm-up and iterations without an answer of a run. Times are on the edge's wall clock. They come from stored
-/// iterations, so there are no times of deleted or lost iterations.
+/// Episodes, warm-up and iterations without an answer of a run. Times are on the edge's wall clock. Iterations that retention deleted, or that
+/// never reached the store, have no times.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Episodes {
     /// Start of the first iteration, if it is still stored.

@@ -121,7 +121,7 @@ fn bind_node(
     to.add(row.node)?;
     to.add(row.parent)?;
     to.add(batch.names[row.name as usize])?;
-    to.add(row.host)?;
+    to.add(row.anchor)?;
     to.add(row.start_ns)?;
     to.add(row.value)?;
     to.add(row.lo)?;
@@ -150,11 +150,11 @@ fn bind_transit(
     to.add(row.node)?;
     to.add(row.sent_ns)?;
     to.add(row.received_ns)?;
-    to.add(row.raw_ns)?;
+    to.add(row.stamp_difference_ns)?;
     to.add(row.source)?;
     to.add(row.verdict)?;
-    to.add(row.raw_stamps.map(|(sent, _)| sent))?;
-    to.add(row.raw_stamps.map(|(_, received)| received))
+    to.add(row.free_running_stamps.map(|(sent, _)| sent))?;
+    to.add(row.free_running_stamps.map(|(_, received)| received))
 }
 
 /// The rows of one table in all batches, one batch after the other.

@@ -30,7 +30,7 @@ const WHAT: &str = "clock samples";
 const MAX_POINTS: u32 = 10_000;
 
 #[derive(FromRow)]
-struct Link {
+struct StoredLink {
     edge: String,
     edge_name: Option<String>,
     cloud: String,
@@ -80,7 +80,7 @@ struct Row {
 
 pub(crate) async fn links(readers: &Readers) -> Result<Vec<LinkRow>, StoreError> {
     const WHAT: &str = "links";
-    let rows: Vec<Link> =
+    let rows: Vec<StoredLink> =
         sqlx::query_as(sql::LINKS).fetch_all(&readers.pool()).await.map_err(readers.failed(WHAT))?;
     let mut links = Vec::with_capacity(rows.len());
     for row in rows {
@@ -154,8 +154,8 @@ pub(crate) async fn series(
 fn bucket_ranges(first: i64, last: i64, width: u32) -> Result<String, StoreError> {
     let nanos = i64::from(width) * 1_000_000_000;
     let mut from = first;
-    let ranges = (index(first, width)..=index(last, width)).map(|index| {
-        let through = index.saturating_add(1).saturating_mul(nanos).min(last);
+    let ranges = (bucket_number_of(first, width)..=bucket_number_of(last, width)).map(|number| {
+        let through = number.saturating_add(1).saturating_mul(nanos).min(last);
         [std::mem::replace(&mut from, through.saturating_add(1)), through]
     });
     let ranges: Vec<[i64; 2]> = ranges.collect();
@@ -177,7 +177,7 @@ impl Points {
         if self.repeats.is_superseded(row.window, row.at_ns) {
             return Ok(());
         }
-        let number = index(row.at_ns, self.width);
+        let number = bucket_number_of(row.at_ns, self.width);
         if self.bucket.as_ref().is_some_and(|bucket| bucket.number() != number) {
             self.finish();
         }
@@ -200,20 +200,20 @@ fn width(first: i64, last: i64, max_points: u32) -> u32 {
     let [.., day] = BUCKET_WIDTHS_S;
     let wider_widths = successors(day.checked_mul(2), |width| width.checked_mul(2));
     let fits = |width: &u32| {
-        u64::try_from(index(last, *width) - index(first, *width))
+        u64::try_from(bucket_number_of(last, *width) - bucket_number_of(first, *width))
             .is_ok_and(|difference| difference < u64::from(max_points))
     };
     let mut widths = BUCKET_WIDTHS_S.into_iter().chain(wider_widths.clone());
     widths.find(fits).or_else(|| wider_widths.last()).unwrap_or(day)
 }
 
-/// Returns the number of the bucket of a second. `at_ns` is the end of the second.
-fn index(at_ns: i64, width: u32) -> i64 {
+/// Returns the number of the bucket that contains a second, counted from 1970. `at_ns` is the end of the second.
+fn bucket_number_of(at_ns: i64, width: u32) -> i64 {
     bucket_number(wall(at_ns), width)
 }
 
 impl Row {
-    /// Returns the second without its offset.
+    /// Returns the point of this row, without its offset.
     fn point_without_offset(&self) -> Result<ClockPoint, StoreError> {
         Ok(ClockPoint {
             at: wall(self.at_ns),

@@ -18,11 +18,11 @@ pub(crate) async fn stage_means(
     stages: &[Name],
     max_buckets: usize,
 ) -> Result<Vec<StageMeans>, StoreError> {
-    let (width_s, stored_s) = StoredWidths::read(readers, run).await?.choose(max_buckets);
+    let (width_s, stored_width_s) = StoredWidths::read(readers, run).await?.choose(max_buckets);
     let name_ids = NameIds::read(readers, stages).await?;
     let rows: Vec<Row> = sqlx::query_as(sql::SUMS_OVER_TIME)
         .bind(run)
-        .bind(stored_s)
+        .bind(stored_width_s)
         .bind(name_ids.ids()?)
         .bind(width_s)
         .fetch_all(&readers.pool())

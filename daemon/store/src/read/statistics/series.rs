@@ -25,9 +25,9 @@ pub(crate) async fn series(
     max_points: usize,
 ) -> Result<Series, StoreError> {
     let stored = StoredWidths::read(readers, run).await?;
-    let (width_s, stored_s) = stored.choose(max_points);
+    let (width_s, stored_width_s) = stored.choose(max_points);
     let bucket_s = u32::try_from(width_s).unwrap_or(u32::MAX);
-    let stages = points(readers, run, stages, (width_s, stored_s)).await?;
+    let stages = points(readers, run, stages, (width_s, stored_width_s)).await?;
     Ok(Series { bucket_s, stages, gaps: runs::gaps(readers, run).await? })
 }
 
@@ -102,11 +102,11 @@ async fn points(
     stages: &[Name],
     widths: (i64, i64),
 ) -> Result<Vec<StageSeries>, StoreError> {
-    let lines = lines(readers, run, stages, widths).await?;
-    let series = lines.into_iter().map(|line| StageSeries {
-        points: line.buckets.iter().filter_map(point).collect(),
-        stage: line.stage,
-        unit: line.unit,
+    let builders = series_builders(readers, run, stages, widths).await?;
+    let series = builders.into_iter().map(|builder| StageSeries {
+        points: builder.buckets.iter().filter_map(point).collect(),
+        stage: builder.stage,
+        unit: builder.unit,
     });
     Ok(series.filter(|series| !series.points.is_empty()).collect())
 }
@@ -119,48 +119,48 @@ pub(crate) async fn stage_buckets(
     max_buckets: usize,
 ) -> Result<Vec<StageBuckets>, StoreError> {
     let widths = StoredWidths::read(readers, run).await?.choose(max_buckets);
-    let lines = lines(readers, run, stages, widths).await?;
-    let stage_buckets = lines.into_iter().map(|line| {
-        let (starts_s, buckets): (Vec<_>, Vec<_>) = line.buckets.into_iter().unzip();
+    let builders = series_builders(readers, run, stages, widths).await?;
+    let stage_buckets = builders.into_iter().map(|builder| {
+        let (starts_s, buckets): (Vec<_>, Vec<_>) = builder.buckets.into_iter().unzip();
         StageBuckets {
             buckets,
             bucket_starts: starts_s.into_iter().map(bucket_start).collect(),
             bucket_width: Span::from_seconds(widths.0),
-            stage: line.stage,
-            unit: line.unit,
+            stage: builder.stage,
+            unit: builder.unit,
         }
     });
     Ok(stage_buckets.filter(|stage| !stage.buckets.is_empty()).collect())
 }
 
-/// Returns a line for each name, in the order of `stages`.
-async fn lines(
+/// Returns a series builder for each stage, in the order of `stages`.
+async fn series_builders(
     readers: &Readers,
     run: i64,
     stages: &[Name],
-    (width_s, stored_s): (i64, i64),
+    (width_s, stored_width_s): (i64, i64),
 ) -> Result<Vec<SeriesBuilder>, StoreError> {
     let name_ids = NameIds::read(readers, stages).await?;
-    let line = |(index, stage): (usize, &Name)| SeriesBuilder {
+    let builder = |(index, stage): (usize, &Name)| SeriesBuilder {
         stage: stage.clone(),
         unit: name_ids.units[index].clone(),
         width_s,
         buckets: Vec::new(),
     };
-    let mut lines: Vec<SeriesBuilder> = stages.iter().enumerate().map(line).collect();
+    let mut builders: Vec<SeriesBuilder> = stages.iter().enumerate().map(builder).collect();
     let pool = readers.pool();
     let mut rows = sqlx::query_as::<_, RollupRow>(sql::ROLLUPS_OVER_TIME)
         .bind(run)
-        .bind(stored_s)
+        .bind(stored_width_s)
         .bind(name_ids.ids()?)
         .fetch(&pool);
     while let Some(row) = rows.try_next().await.map_err(readers.failed(WHAT))? {
-        let line = name_ids.indexes.get(&row.name).and_then(|index| lines.get_mut(*index));
-        if let Some(line) = line {
-            line.add(&row)?;
+        let builder = name_ids.indexes.get(&row.name).and_then(|index| builders.get_mut(*index));
+        if let Some(builder) = builder {
+            builder.add(&row)?;
         }
     }
-    Ok(lines)
+    Ok(builders)
 }
 
 /// Ids and units of names in the database.
@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn points_use_coarsest_buckets_that_divide_them() {
+    fn coarsest_stored_width_that_divides_points_is_chosen() {
         for (length_s, points, choice) in [
             (100, 240, (1, 1)),
             (241, 240, (2, 1)),
@@ -265,8 +265,8 @@ mod tests {
             assert_eq!(stored(length_s, &[]).choose(points), choice, "{length_s} s in {points} points");
         }
         // This also holds for the longest possible time, after an error of a clock.
-        let (width_s, stored_s) = stored(i64::MAX / 1_000_000_000, &[]).choose(240);
-        assert!(i64::MAX / 1_000_000_000 / width_s < 240 && width_s % stored_s == 0);
+        let (width_s, stored_width_s) = stored(i64::MAX / 1_000_000_000, &[]).choose(240);
+        assert!(i64::MAX / 1_000_000_000 / width_s < 240 && width_s % stored_width_s == 0);
     }
 
     #[test]

@@ -36,7 +36,7 @@ impl BatchBuilder {
                 node: id.0,
                 parent: node.parent.map(|NodeId(parent)| parent),
                 name: self.names.position(id.index(), &node.name, &node.measure),
-                host: node.host.0,
+                anchor: node.host.0,
                 start_ns: node.start.nanos(),
                 value: node.measure.value().unwrap_or(f64::NAN),
                 lo,
@@ -159,10 +159,10 @@ fn transit_row(iteration: u32, id: NodeId, transit: &Transit) -> TransitRow {
         node: id.0,
         sent_ns: transit.sent.unix_nanos(),
         received_ns: transit.received.map(WallTime::unix_nanos),
-        raw_ns: delay.map(|delay| delay.raw.nanos()),
+        stamp_difference_ns: delay.map(|delay| delay.raw.nanos()),
         source: delay.and_then(|delay| position(DelaySource::ALL, delay.source)),
         verdict: delay.and_then(|delay| position(Verdict::ALL, delay.verdict)),
-        raw_stamps: transit.raw_stamps.map(|stamps| (stamps.sent.nanos(), stamps.received.nanos())),
+        free_running_stamps: transit.raw_stamps.map(|stamps| (stamps.sent.nanos(), stamps.received.nanos())),
     }
 }
 

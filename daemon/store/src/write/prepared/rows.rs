@@ -25,7 +25,8 @@ pub(in crate::write) struct NodeRow {
     pub(in crate::write) parent: Option<u32>,
     /// Position in the batch's names.
     pub(in crate::write) name: u32,
-    pub(in crate::write) host: u8,
+    /// Position in the iteration's anchors: that of the node's host.
+    pub(in crate::write) anchor: u8,
     pub(in crate::write) start_ns: i64,
     pub(in crate::write) value: f64,
     pub(in crate::write) lo: f64,
@@ -49,10 +50,10 @@ pub(in crate::write) struct TransitRow {
     pub(in crate::write) node: u32,
     pub(in crate::write) sent_ns: i64,
     pub(in crate::write) received_ns: Option<i64>,
-    /// Difference of the hosts' wall clocks; `None` if the delay was not judged.
-    pub(in crate::write) raw_ns: Option<i64>,
+    /// Receive stamp minus send stamp, each on its own host's clock; `None` if the delay was not judged.
+    pub(in crate::write) stamp_difference_ns: Option<i64>,
     pub(in crate::write) source: Option<u8>,
     pub(in crate::write) verdict: Option<u8>,
     /// Stamps of the free-running clocks: sent, received.
-    pub(in crate::write) raw_stamps: Option<(i64, i64)>,
+    pub(in crate::write) free_running_stamps: Option<(i64, i64)>,
 }
