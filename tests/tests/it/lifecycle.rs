@@ -130,7 +130,9 @@ open(sys.argv[1] + "/model.toml", "w").write(card)
 fn stop_while_a_model_opens_is_clean() {
     let deployment = LoopbackDeployment::new();
     let [model, temporary] = ["chain", "tmp"].map(|name| deployment.folder().join(name));
-    [&model, &temporary].map(|folder| std::fs::create_dir(folder).expect("a folder"));
+    for folder in [&model, &temporary] {
+        std::fs::create_dir(folder).expect("a folder");
+    }
     // Other interpreters than the system's do not find Debian's packages.
     let python = std::env::var_os("PEERNET_PYTHON").unwrap_or_else(|| "/usr/bin/python3".into());
     let written = std::process::Command::new(python).args(["-c", LONG_CHAIN]).arg(&model).status();

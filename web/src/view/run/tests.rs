@@ -2,11 +2,24 @@ use peernet_analysis::rows::{Outcome, Row, Rows};
 use peernet_analysis::summary::Summary;
 use peernet_analysis::trust::StartTimes;
 use peernet_clock::Span;
-use peernet_store::QuantityStatistics;
+use peernet_store::{QuantityStatistics, SeriesPoint, StageSeries};
 use peernet_stream::PlacementKind;
 
 use super::*;
 use crate::view::compare::tests::run;
+
+/// Returns a run of 895 iterations in an hour, with points at its first and last second.
+fn run_of_an_hour() -> (RunDetail, Series) {
+    let mut summary = run(1, PlacementKind::Remote);
+    let after = |seconds: i64| summary.started + Span::from_seconds(seconds);
+    let point = |seconds: i64| SeriesPoint { at: after(seconds), count: 1, mean: 0.1, p50: 0.1, p95: None };
+    let points = [0, 3_600].map(point).to_vec();
+    let stages = vec![StageSeries { stage: stage::TOTAL, unit: "s".to_owned(), points }];
+    (summary.ended, summary.last_iteration) = (Some(after(3_601)), Some(after(3_601)));
+    (summary.counts, summary.warm_up) = (Default::default(), 0);
+    summary.counts.ok = 895;
+    (RunDetail::from(summary), Series { bucket_s: 1, stages, gaps: Vec::new() })
+}
 
 #[test]
 fn run_with_standstill_has_no_rate() {
@@ -67,7 +80,7 @@ fn page_and_summary_show_equal_numbers() {
     };
     let stages = vec![stage("download-bytes", "B"), stage("grip-force", "")];
     let statistics = RunStatistics { stages, ..RunStatistics::default() };
-    let (run, series) = run_with_pause();
+    let (run, series) = run_of_an_hour();
     let stored = StoredRun {
         run: &run,
         statistics: &statistics,
@@ -93,7 +106,7 @@ fn page_and_summary_show_equal_numbers() {
 
 #[test]
 fn tables_of_short_run_have_digits_of_its_total() {
-    let (mut run, mut series) = run_with_pause();
+    let (mut run, mut series) = run_of_an_hour();
     let total = 18.31e-6;
     run.summary.total = Some(crate::tests::samples::figures(total, 895));
     series.stages[0].points.iter_mut().for_each(|point| point.p50 = total);
