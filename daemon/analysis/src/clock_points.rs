@@ -13,7 +13,7 @@ use crate::delays::{DelaySummary, merged_round_trip};
 pub struct ClockPoint {
     /// End of the second (or of the bucket), on the edge's wall clock.
     pub at: WallTime,
-    /// Number of the window; changes when a clock was stepped.
+    /// Number of the period between two steps of a clock, in which one relation of the clocks holds.
     pub window: u64,
     /// The cloud's clock minus the edge's clock, with bounds; `None` while unknown. In a bucket, the offset with the widest bounds.
     pub offset: Option<Offset>,
@@ -25,20 +25,20 @@ pub struct ClockPoint {
     pub up: Option<DelaySecond>,
     /// Delays of data, cloud to edge.
     pub down: Option<DelaySecond>,
-    /// The related clocks.
+    /// Kind of the two related clocks: wall clocks, or free-running clocks.
     pub clocks: RelatedClocks,
     /// Lowest and highest rate between the related clocks that the exchanges allow, parts per million. In a bucket, the newest rates.
     pub proven_skew_ppm: Option<(f64, f64)>,
-    /// Age of the oldest exchange that is used, if it is older than the configured window. In a bucket, the greatest age.
+    /// Age of the oldest exchange that is used, if it is greater than `[clock] window_s`. In a bucket, the greatest age.
     pub grown_window: Option<Span>,
 }
 
 /// Points of one bucket, summed up in order of time.
 #[derive(Clone, Debug, Default)]
 pub struct ClockBucket {
-    /// Time and window of the newest point.
+    /// Time of the newest point, and number of its period between two steps of a clock.
     newest: Option<(WallTime, u64)>,
-    /// Offset with the widest bounds in the newest window; of equal widths, the newest.
+    /// Offset with the widest bounds in the newest such period; of equal widths, the newest.
     widest: Option<Offset>,
     probes: ProbeCounts,
     round_trips: Vec<RoundTrip>,
@@ -50,16 +50,16 @@ pub struct ClockBucket {
 }
 
 impl ClockBucket {
-    /// Adds a point. Its `offset` is ignored: `offset` returns it, and is called only if the offset is used, because building it from a stored
-    /// row takes most of the time. `width` is the width of its bounds, `None` without an offset.
+    /// Adds a point. `point.offset` is ignored; `load_offset` returns the offset of the point, and is called only if the bucket needs it, because
+    /// building an offset from a stored row takes most of the time. `width` is the width of the offset's bounds, `None` without an offset.
     ///
     /// # Errors
-    /// The error of `offset`.
+    /// The error of `load_offset`.
     pub fn add_with<E>(
         &mut self,
         point: &ClockPoint,
         width: Option<Span>,
-        offset: impl FnOnce() -> Result<Option<Offset>, E>,
+        load_offset: impl FnOnce() -> Result<Option<Offset>, E>,
     ) -> Result<(), E> {
         if self.newest.is_some_and(|(_, previous)| previous != point.window) {
             // Values from before a step of a clock do not apply after it.
@@ -67,7 +67,7 @@ impl ClockBucket {
         }
         if let Some(width) = width
             && self.widest.as_ref().is_none_or(|widest| widest.bounds.width() <= width)
-            && let Some(offset) = offset()?
+            && let Some(offset) = load_offset()?
         {
             self.widest = Some(offset);
         }
@@ -97,8 +97,8 @@ impl ClockBucket {
             offset: self.widest,
             probes: self.probes,
             round_trip: merged_round_trip(self.round_trips),
-            up: self.up.second(),
-            down: self.down.second(),
+            up: self.up.to_delay_second(),
+            down: self.down.to_delay_second(),
             clocks: self.clocks?,
             proven_skew_ppm: self.proven_skew_ppm,
             grown_window: self.grown_window,

@@ -68,8 +68,8 @@ impl DelaySummary {
         Verdict::prevailing(self.verdicts.iter().copied())
     }
 
-    /// Returns all seconds as one; `None` if no delay was judged.
-    pub fn second(&self) -> Option<DelaySecond> {
+    /// Returns all seconds as if they were one; `None` if no delay was judged.
+    pub fn to_delay_second(&self) -> Option<DelaySecond> {
         let count = u32::try_from(self.count).unwrap_or(u32::MAX);
         Some(DelaySecond { count, median: self.median(), verdict: self.verdict()? })
     }
@@ -124,8 +124,8 @@ mod tests {
         assert_eq!((sum.count(), sum.median().map(|point| point.value)), (16, Some(Span::from_millis(3))));
         let negative: DelaySummary =
             [second(9, Some(-2), Verdict::Ok), second(1, None, Verdict::Ok)].iter().collect();
-        assert_eq!(negative.second().expect("judged").median, None);
-        assert_eq!(DelaySummary::default().second(), None);
+        assert_eq!(negative.to_delay_second().expect("judged").median, None);
+        assert_eq!(DelaySummary::default().to_delay_second(), None);
     }
 
     #[test]

@@ -82,7 +82,7 @@ impl Ring {
             .filter(|second| second.version > second.sent_version)
             .take(MAX_SENT_SECONDS);
         let (seconds, sent) =
-            changed_seconds.map(|second| (second.second(), (second.at, second.version))).unzip();
+            changed_seconds.map(|second| (second.to_message(), (second.at, second.version))).unzip();
         (seconds, SentSeconds(sent))
     }
 

@@ -112,7 +112,7 @@ impl SecondStatistics {
     }
 
     /// Returns the second in the form in which it is sent.
-    pub(super) fn second(&self) -> Second {
+    pub(super) fn to_message(&self) -> Second {
         Second {
             at: self.at,
             counts: self.counts,

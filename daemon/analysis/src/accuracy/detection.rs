@@ -52,8 +52,8 @@ struct FoundObject {
 
 impl PictureObjects {
     /// Reads the objects from a sample's label and the answer to it, JSON with `detections`. Boxes are fractions of the picture, because
-    /// the labelled picture may have been resized before it reached the model. Classes are in the form in which labels are compared.
-    /// Returns `None` if one of the two is something else.
+    /// the labelled picture may have been resized before it reached the model. The names of classes are normalised, as labels are before they are
+    /// compared. Returns `None` if the label or the answer does not have this form.
     pub fn read(label: &str, answer: &[u8]) -> Option<Self> {
         let label = ObjectsLabel::parse(label)?;
         let answer: Answer = serde_json::from_slice(answer).ok()?;
@@ -80,8 +80,8 @@ pub struct DetectionScores {
     pub mean_iou: Option<f64>,
     /// Number of labelled objects.
     pub labelled: u64,
-    /// Number of labelled objects that were found.
-    pub found: u64,
+    /// Number of labelled objects that were found. Found boxes without a labelled object at their place do not count.
+    pub matched: u64,
 }
 
 impl DetectionScores {
@@ -98,10 +98,10 @@ impl DetectionScores {
             precisions += average_precision(pictures, class, &mut overlaps);
         }
         let map_50 = if classes.is_empty() { 1.0 } else { precisions / classes.len() as f64 };
-        let found = overlaps.len() as u64;
-        let mean_iou = (found > 0).then(|| overlaps.iter().sum::<f64>() / found as f64);
+        let matched = overlaps.len() as u64;
+        let mean_iou = (matched > 0).then(|| overlaps.iter().sum::<f64>() / matched as f64);
         let labelled = pictures.iter().map(|picture| picture.labelled.len() as u64).sum();
-        Self { map_50, mean_iou, labelled, found }
+        Self { map_50, mean_iou, labelled, matched }
     }
 }
 
@@ -118,30 +118,31 @@ fn average_precision(pictures: &[PictureObjects], class: &str, overlaps: &mut Ve
     found.sort_by(|(.., a), (.., b)| b.total_cmp(a));
     // Each labelled object is found once; a second box at its place is wrong.
     let mut taken: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
-    let mut is_right = Vec::with_capacity(found.len());
+    let mut are_right = Vec::with_capacity(found.len());
     for (picture, object, _) in found {
         let taken = taken.entry(picture).or_default();
         let candidates = pictures[picture].labelled.iter().enumerate();
         let candidates = candidates.filter(|(at, other)| other.class == class && !taken.contains(at));
         let overlap = candidates.map(|(at, other)| (at, iou(other.edges, object.edges)));
         let best = overlap.max_by(|(_, a), (_, b)| a.total_cmp(b)).filter(|(_, iou)| *iou >= MATCHING_IOU);
-        is_right.push(best.is_some());
+        are_right.push(best.is_some());
         if let Some((at, overlap)) = best {
             taken.insert(at);
             overlaps.push(overlap);
         }
     }
-    area_under_curve(&is_right, labelled)
+    area_under_curve(&are_right, labelled)
 }
 
-/// Returns the area under the curve of precision over recall; `is_right` is in the order of the scores.
-fn area_under_curve(is_right: &[bool], labelled: usize) -> f64 {
+/// Returns the area under the curve of precision over recall. `are_right` says of each found box, best score first, whether
+/// it is at the place of a labelled object.
+fn area_under_curve(are_right: &[bool], labelled: usize) -> f64 {
     if labelled == 0 {
         return 0.0;
     }
     let mut right = 0_usize;
     let mut precisions = Vec::new();
-    for (index, is_right) in is_right.iter().enumerate() {
+    for (index, is_right) in are_right.iter().enumerate() {
         if *is_right {
             right += 1;
             precisions.push(right as f64 / (index + 1) as f64);
@@ -198,7 +199,7 @@ mod tests {
     fn exact_boxes_have_full_precision() {
         let all = picture(&[("a", 0.0), ("b", 50.0)], &[("b", 50.0, 0.4), ("a", 0.0, 0.9)]);
         let scores = DetectionScores::of(&[all]);
-        assert_eq!(scores, DetectionScores { map_50: 1.0, mean_iou: Some(1.0), labelled: 2, found: 2 });
+        assert_eq!(scores, DetectionScores { map_50: 1.0, mean_iou: Some(1.0), labelled: 2, matched: 2 });
     }
 
     #[test]
@@ -225,14 +226,14 @@ mod tests {
         // Precisions 1/1 and 2/3 of two objects.
         let scores = DetectionScores::of(&[twice]);
         assert!((scores.map_50 - (1.0 + 2.0 / 3.0) / 2.0).abs() < 1e-12, "{scores:?}");
-        assert_eq!((scores.labelled, scores.found), (2, 2));
+        assert_eq!((scores.labelled, scores.matched), (2, 2));
     }
 
     #[test]
     fn place_or_class_that_is_wrong_is_not_found() {
         for (found, iou) in [(("a", 20.0, 0.9), None), (("b", 0.0, 0.9), None), (("a", 4.0, 0.9), None)] {
             let scores = DetectionScores::of(&[picture(&[("a", 0.0)], &[found])]);
-            assert_eq!((scores.map_50, scores.mean_iou, scores.found), (0.0, iou, 0), "{found:?}");
+            assert_eq!((scores.map_50, scores.mean_iou, scores.matched), (0.0, iou, 0), "{found:?}");
         }
         let near = DetectionScores::of(&[picture(&[("a", 0.0)], &[("a", 2.5, 0.9)])]);
         assert_eq!((near.map_50, near.mean_iou), (1.0, Some(0.6)));
@@ -255,7 +256,7 @@ mod tests {
             let scores = DetectionScores::of(&[picture(&labelled, &found)]);
             prop_assert!((0.0..=1.0).contains(&scores.map_50));
             prop_assert!(scores.mean_iou.is_none_or(|iou| (MATCHING_IOU..=1.0).contains(&iou)));
-            prop_assert!(scores.found <= scores.labelled);
+            prop_assert!(scores.matched <= scores.labelled);
         }
     }
 }

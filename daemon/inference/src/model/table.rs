@@ -10,7 +10,7 @@ use serde_json::{Map, Value};
 
 use super::ModelKind;
 
-/// Keys with their values.
+/// Entries of a table: keys with their values.
 pub type Keys = Map<String, Value>;
 
 /// Keys that several kinds of model share. A kind lists the keys that it has ([`ModelKind::shared_keys`]); the other keys have their
@@ -74,25 +74,24 @@ pub struct ModelTable<K> {
 
 impl<'de, K: ModelKind + DeserializeOwned> Deserialize<'de> for ModelTable<K> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let mut kind_keys = Keys::deserialize(deserializer)?;
+        let mut entries = Keys::deserialize(deserializer)?;
         let known_keys = [K::shared_keys(), field_names::<K>()].concat();
-        if let Some(key) = kind_keys.keys().find(|key| !known_keys.contains(&key.as_str())) {
+        if let Some(key) = entries.keys().find(|key| !known_keys.contains(&key.as_str())) {
             return Err(de::Error::custom(format!(
                 "unknown field `{key}`, expected {}",
                 one_of(&known_keys)
             )));
         }
         // TOML has NaN and infinity, JSON has not, so they were read as null.
-        if let Some((key, _)) = kind_keys.iter().find(|(_, value)| value.is_null()) {
+        if let Some((key, _)) = entries.iter().find(|(_, value)| value.is_null()) {
             return Err(de::Error::custom(format!("`{key}` is nan or inf; write a finite number")));
         }
-        let mut shared: Keys =
-            K::shared_keys().iter().filter_map(|key| kind_keys.remove_entry(*key)).collect();
+        let mut shared: Keys = K::shared_keys().iter().filter_map(|key| entries.remove_entry(*key)).collect();
         shared.entry("device").or_insert_with(|| K::default_device().into());
         let shared = serde_json::from_value(shared.into()).map_err(de::Error::custom)?;
-        // For a kind without keys, serde reads `struct Name {}` from a map and `struct Name;` from null.
-        let is_keyless = kind_keys.is_empty() && field_names::<K>().is_empty();
-        let read = serde_json::from_value(kind_keys.into());
+        // What is left are the keys of the kind. For a kind without keys, serde reads `struct Name {}` from a map and `struct Name;` from null.
+        let is_keyless = entries.is_empty() && field_names::<K>().is_empty();
+        let read = serde_json::from_value(entries.into());
         let kind_keys = if is_keyless { read.or_else(|_| serde_json::from_value(Value::Null)) } else { read };
         Ok(Self { shared, kind_keys: kind_keys.map_err(de::Error::custom)? })
     }

@@ -214,7 +214,7 @@ fn repeated_seconds_of_wall_clock_are_not_summed() {
     ring.record(4999, &Outcome::Ok, &tree(1));
     assert_eq!(ring.seconds.len(), 11, "two that ended at nearly the same time");
     let counts_by_second = |ring: &Ring| {
-        ring.seconds.iter().map(|second| (second.at, second.second().counts.ok)).collect::<Vec<_>>()
+        ring.seconds.iter().map(|second| (second.at, second.to_message().counts.ok)).collect::<Vec<_>>()
     };
     ring.record(4995, &Outcome::Ok, &tree(1));
     ring.record(4996, &Outcome::Ok, &tree(1));
