@@ -57,6 +57,7 @@ impl Line {
     /// Fits a line by the Theil–Sen estimator, which a few outliers do not affect. With too few points the line is horizontal.
     fn through(estimates: &[(WallTime, f64)]) -> Option<Self> {
         let middle = estimates.get(estimates.len() / 2)?.0;
+        // Counted from the middle, because a slope times the seconds since 1970 would leave few digits for the level.
         let points: Vec<Point> =
             estimates.iter().map(|(at, value)| Point { x: (*at - middle).seconds(), y: *value }).collect();
         let horizontal =

@@ -58,6 +58,7 @@ pub fn group_by_link<'a, T>(
     let places: Vec<Option<&ExperimentPlace>> = runs.iter().map(|(_, place, _)| *place).collect();
     let mut links: Vec<(Link, Vec<T>)> = Vec::new();
     for (mut link, place, run) in runs {
+        // Two runs at one place of an experiment ran at the same time: they are its users.
         let has_several_users =
             place.is_some() && places.iter().filter(|other| **other == place).take(2).count() > 1;
         if has_several_users && let Some(name) = name_without_number(&link.hosts[0]) {
@@ -127,6 +128,7 @@ impl DirectionSizes {
         for run in runs {
             let Some(payload) = run.payload.quantile(0.5).filter(|bytes| *bytes > 0.0) else { continue };
             unknown_delays += run.payload.count().saturating_sub(delays(&run));
+            // A sketch does not say which delay belongs to which payload.
             runs_with_several_sizes += u64::from(run.payload.moments.max > run.payload.moments.min);
             by_payload.entry(payload as u64).or_default().push(run);
         }
@@ -180,6 +182,7 @@ fn merge_sizes<T>(by_payload: BTreeMap<u64, Vec<T>>, count: impl Fn(&T) -> u64) 
     let mut merged: Vec<(u64, Vec<T>)> = Vec::new();
     let (mut messages_before, mut last_part) = (0, None);
     for (payload, items) in by_payload {
+        // A size belongs to the part in which its first message is.
         let part = messages_before * MAX_SIZES as u64 / total;
         messages_before += messages(&items);
         match merged.last_mut() {

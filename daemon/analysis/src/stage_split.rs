@@ -47,6 +47,7 @@ impl StageSplit {
         let Some((iterations, total)) = mean_of(&stage::TOTAL) else { return Self::default() };
         let mean = |name: &Name| {
             let (count, mean) = mean_of(name)?;
+            // A message with an unknown delay has no value, but it took time.
             let sent_count = match name {
                 name if *name == stage::UPLOAD => sent[0],
                 name if *name == stage::DOWNLOAD => sent[1],

@@ -88,6 +88,7 @@ pub enum PlacementConfig {
     /// A model of a peer, over a network.
     Remote(Box<RemoteConfig>),
     /// No model: only the sensor and its transforms run, without answers. `actuator` has no effect then.
+    // serde refuses unknown keys of a variant with braces, and ignores those of a variant without fields.
     None {},
     /// A running ROS system that is only observed.
     Observe(ObserveConfig),
@@ -129,6 +130,7 @@ impl PlacementConfig {
 #[serde(tag = "mode", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum LoadConfig {
     /// Each iteration starts after the previous one was answered.
+    // With braces for the same reason as `PlacementConfig::None`.
     Closed {},
     /// Iterations start at a fixed rate, whether or not earlier ones are complete. Latency counts from the intended
     /// start.

@@ -325,6 +325,7 @@ impl LinkClockState {
         let restarts_before = self.relation.counts().restarts;
         let result = update(&mut self.relation);
         let has_new_edge_epoch = self.edge.begin_epoch(edge);
+        // An epoch that is not known changes nothing: 0 is never a new one.
         let has_new_cloud_epoch = self.cloud.begin_epoch(cloud.unwrap_or(0));
         let is_restarted = self.relation.counts().restarts > restarts_before;
         if is_restarted {

@@ -61,6 +61,7 @@ impl Second {
 
     /// Returns whether there were neither probes nor exchanges nor delays.
     pub(super) fn is_empty(&self) -> bool {
+        // The first exchange sets both bounds.
         self.upper.is_none() && self.probes == ProbeCounts::default() && self.delays.is_empty()
     }
 

@@ -183,6 +183,7 @@ impl Throughput {
         let (first, last) = (sizes.first()?, sizes.last()?);
         let bytes = last.wire_bytes - first.wire_bytes;
         let lines = first.bounds.zip(last.bounds).map(|((first_lo, first_hi), (last_lo, last_hi))| {
+            // The flattest line goes from the highest possible first delay to the lowest possible last one.
             ((last_lo - first_hi) / bytes, (last_hi - first_lo) / bytes)
         });
         Some(Self { bounds: lines.and_then(rate_range), ..Self::from_slope(slope)? })

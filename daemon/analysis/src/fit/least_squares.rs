@@ -31,6 +31,7 @@ pub fn least_squares(points: &[Weighted]) -> Option<Fit> {
         |term: &dyn Fn(&Weighted) -> f64| points.iter().map(|point| point.weight * term(point)).sum::<f64>();
     let total_weight = sum(&|_| 1.0);
     let (mean_x, mean_y) = (sum(&|w| w.point.x) / total_weight, sum(&|w| w.point.y) / total_weight);
+    // Deviations from the means keep digits that differences of sums of squares would lose.
     let sum_xx = sum(&|w| (w.point.x - mean_x).powi(2));
     let slope = sum(&|w| (w.point.x - mean_x) * (w.point.y - mean_y)) / sum_xx;
     let intercept = mean_y - slope * mean_x;

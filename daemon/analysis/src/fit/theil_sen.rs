@@ -99,6 +99,7 @@ impl Pairs {
     fn count_not_above(&self, slope: f64) -> u64 {
         let residuals =
             |(x, group): &(f64, Vec<f64>)| group.iter().map(|y| y - slope * x).collect::<Vec<_>>();
+        // Each group begins as one run, so pairs of equal x, which have no slope, are not counted.
         let mut runs: Vec<Vec<f64>> = self.groups.iter().map(residuals).collect();
         let mut count = 0;
         while runs.len() > 1 {

@@ -69,6 +69,7 @@ impl ClockCounts {
                 first.get_or_insert((at, offset));
                 last = Some((at, offset));
             }
+            // Delays without a value count, too: they are what the reader must know about.
             *verdicts.entry(delay.verdict.name()).or_default() += 1;
             *sources.entry(delay.source.name()).or_default() += 1;
             bounds.extend(delay.known_bounds());

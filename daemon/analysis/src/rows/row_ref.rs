@@ -116,6 +116,7 @@ impl<'a> RowRef<'a> {
         let [value, raw, lo, hi] = columns.map(|column| self.value(column));
         let bounds = lo
             .zip(hi)
+            // Files can be edited by hand, and an interval must not be empty.
             .filter(|(lo, hi)| lo <= hi)
             .map(|(lo, hi)| Interval { lo: Span::from_seconds_f64(lo), hi: Span::from_seconds_f64(hi) });
         Some(OneWayDelay {

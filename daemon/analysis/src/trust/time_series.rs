@@ -102,6 +102,7 @@ impl TimeSeries {
             influence: outlier_values.map(|value| value - median).sum::<f64>() / count as f64,
         };
         let mean = finite().sum::<f64>() / count as f64;
+        // Values are copied only if some are not finite, because a long run has millions.
         let over_time = if count == values.len() as u64 {
             Self::over_time(values)
         } else {
@@ -181,6 +182,7 @@ fn merged(summaries: &[Summary]) -> Summary {
 
 /// Returns the value above which a value is an outlier, from the median and the median absolute deviation.
 fn outlier_limit(median: f64, deviation: f64) -> f64 {
+    // If half of the values are equal, the MAD is 0, and without a minimum every larger value would be an outlier.
     median + OUTLIER_DEVIATIONS * (MAD_TO_STD * deviation).max(MIN_RELATIVE_DEVIATION * median.abs())
 }
 

@@ -76,6 +76,7 @@ fn correlation(residuals: &[f64], bias: f64) -> f64 {
 }
 
 fn sign(difference: f64) -> f64 {
+    // Not `signum`, which is 1 for zero: equal values are neither a rise nor a fall.
     if difference > 0.0 {
         1.0
     } else if difference < 0.0 {

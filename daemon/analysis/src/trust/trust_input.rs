@@ -214,6 +214,7 @@ impl Clocks {
         let (mut known_delays, mut bounds) = (Vec::new(), Vec::new());
         for delay in delays {
             let verdict = delay.verdict;
+            // The order in which the store numbers verdicts, so that both sources list them alike.
             let order = Verdict::ALL.iter().position(|other| *other == verdict).unwrap_or(usize::MAX);
             verdicts.entry(order).or_insert((verdict, 0)).1 += 1;
             known_delays.extend(delay.known_seconds());

@@ -94,6 +94,7 @@ impl WithMedian for Summary {
 /// For a rate, the starts must be as many as the periods within the time. A start at the end of the time is therefore not counted.
 pub fn common_time<T: PartialOrd + Copy>(edges: impl IntoIterator<Item = Option<(T, T)>>) -> Option<(T, T)> {
     let edges: Vec<(T, T)> = edges.into_iter().collect::<Option<_>>()?;
+    // `T` may be a floating-point number, which has no `Ord::max`.
     let later = |a: T, b: T| if b > a { b } else { a };
     let earlier = |a: T, b: T| if b < a { b } else { a };
     let common = edges.into_iter().reduce(|a, b| (later(a.0, b.0), earlier(a.1, b.1)))?;
@@ -198,6 +199,7 @@ impl UsersLine {
         Self {
             labels,
             edges,
+            // Edges of one repeat share the cloud, so their rates are added up; repeats are averaged.
             rate: mean(rates.iter().map(|rates| rates.iter().sum())),
             fairness: mean(rates.iter().filter_map(|rates| jain_index(rates))),
             shares: shares.concat(),

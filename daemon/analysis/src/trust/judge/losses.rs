@@ -193,9 +193,11 @@ fn judge_missing_events(counts: &Counts, missing: &[MissingEvents]) -> Finding {
     }
     let expected = counts.measured() + counts.warm_up + number.known;
     let share = number.known as f64 / expected.max(1) as f64;
+    // The share of an unknown number would be too small.
     let share_text = if number.is_incomplete { String::new() } else { format!(" ({})", percent(share)) };
     let text = format!("{}{share_text} never reached the store: {}.", number.subject(), reasons.join("; "));
     let advice = "events are dropped under load: check that the disk, the spool and the program keep up, and repeat the run";
+    // A gap of unknown size may be most of the run.
     let grade = if number.is_incomplete || share >= MAX_MISSING_SHARE { Grade::Bad } else { Grade::Doubtful };
     with_advice(finding(about, grade, text), advice)
 }

@@ -87,6 +87,7 @@ impl Geometry {
         let mut offset = (0.0, 0.0);
         if let Some(resize) = self.resize {
             let (width, height, scaling) = target(resize, original);
+            // A picture that has the size already is not copied.
             if (width, height) != original {
                 self.resizer.resize(picture, width, height, scaling, &mut self.resized)?;
                 picture = &self.resized;
@@ -105,6 +106,7 @@ impl Geometry {
             crop(picture, rectangle, &mut self.cropped)?;
             picture = &self.cropped;
             self.last = LastStep::Crop;
+            // The crop moves the origin of the input into the picture.
             offset.0 -= rectangle.x.unwrap_or_default() as f32;
             offset.1 -= rectangle.y.unwrap_or_default() as f32;
         }
@@ -113,6 +115,7 @@ impl Geometry {
             return Err(InputError::Size { actual, expected });
         }
         let ratio = |resized: u32, original: u32| resized as f32 / original as f32;
+        // The sides were rounded, so the factors follow from them and not from the configuration.
         let scale = (ratio(resized.0, original.0), ratio(resized.1, original.1));
         Ok(PictureTransform { picture: original, input: expected, scale, offset })
     }
@@ -143,6 +146,7 @@ fn target(resize: Resize, (width, height): (u32, u32)) -> (u32, u32, Scaling) {
     match resize {
         Resize::Exact { width, height, filter, antialias } => (width, height, Scaling { filter, antialias }),
         Resize::Shortest { size, filter, antialias } => {
+            // The product of two sides can exceed 32 bits.
             let (width, height) = (u64::from(width), u64::from(height));
             let shortest = width.min(height).max(1);
             let scaled = |side: u64| u32::try_from(side * u64::from(size) / shortest).unwrap_or(u32::MAX);

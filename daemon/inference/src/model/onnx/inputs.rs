@@ -57,6 +57,7 @@ impl ModelInputs {
         for (index, (result, sample)) in results.iter_mut().zip(samples).enumerate() {
             if result.is_ok() {
                 *result = self.fill_row(row, sample, index);
+                // Otherwise the next sample overwrites the row, so that the rows of a run have no hole.
                 row += usize::from(result.is_ok());
             }
         }
@@ -110,6 +111,7 @@ impl ModelInputs {
                 Some(preprocessor) => preprocessor.normalise(&mut buffer.numbers, range).map(Some),
                 None => buffer.fill_from_array(range, part).map(|()| None),
             };
+            // With one input it is clear which part is meant.
             let transform = filled.map_err(|error| match count {
                 1 => error,
                 _ => {
@@ -156,6 +158,7 @@ impl InputBuffer {
 
     /// Returns whether the input has a row for each sample of a batch.
     fn is_batched(&self) -> bool {
+        // With a largest batch of 1, the shape of the card needs no change.
         self.numbers.len() > self.input.count()
     }
 

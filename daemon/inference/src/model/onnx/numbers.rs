@@ -97,6 +97,7 @@ macro_rules! integers {
     ($($integer:ty: $to_f32:expr),*) => {$(
         impl Element for $integer {
             fn from_f32(number: f32) -> Self {
+                // `as` limits a number to the range of the type.
                 number.round() as Self
             }
 
@@ -112,6 +113,7 @@ macro_rules! integers {
     )*};
 }
 
+// Integers of more than 24 bits have no lossless conversion: `as` takes the nearest float.
 integers!(
     i8: f32::from,
     i16: f32::from,
@@ -225,6 +227,7 @@ fn fill<T: Element>(elements: &mut [T], values: &[f64]) {
 }
 
 fn copy<T, const BYTES: usize>(elements: &mut [T], bytes: &[u8], from_bytes: impl Fn([u8; BYTES]) -> T) {
+    // The caller has compared the number of bytes with the shape, so there is no remainder.
     let (chunks, _) = bytes.as_chunks();
     for (element, chunk) in elements.iter_mut().zip(chunks) {
         *element = from_bytes(*chunk);

@@ -106,13 +106,17 @@ fn check_detection(
     let (one, four, labels) = (Some(1), Some(4), task.labels.len());
     match &task.outputs {
         DetectionOutputs::Yolov5 { name, .. } => {
+            // Each candidate has four coordinates, an objectness, and a score for each class.
             with_labels(labels, check(name, Elements::Floats, &[&[one, None, Some(5 + labels)]]))
         }
         DetectionOutputs::Yolov8 { name, .. } => {
+            // No objectness, and candidates are columns.
             with_labels(labels, check(name, Elements::Floats, &[&[one, Some(4 + labels), None]]))
         }
+        // Four coordinates, the score and the number of the class: the number of labels does not show in the shape.
         DetectionOutputs::Yolov10 { name } => check(name, Elements::Floats, &[&[one, None, Some(6)]]),
         DetectionOutputs::Detr { scores, boxes, is_softmax } => {
+            // With softmax, the last logit means "no object".
             let logits = Some(labels + usize::from(*is_softmax));
             with_labels(labels, check(scores, Elements::Floats, &[&[one, None, logits]]))?;
             check(boxes, Elements::Floats, &[&[one, None, four]])

@@ -96,6 +96,7 @@ impl PeerStamps {
 
     /// Queries the peer for the stamps of a pair. Returns the pair if too many wait, or if the task has ended.
     pub(super) fn query(&mut self, key: i64, pair: Pair) -> Result<(), Box<Pair>> {
+        // The task takes pairs out of the channel while they wait, so the capacity of the channel does not bound their number.
         let Some(queries) = self.queries.as_ref().filter(|_| self.waiting < MAX_PENDING) else {
             return Err(Box::new(pair));
         };

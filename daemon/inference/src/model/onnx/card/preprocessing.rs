@@ -18,6 +18,7 @@ pub(in crate::model::onnx) enum Layout {
 impl Layout {
     /// Returns channels, height and width of a shape; `None` if it has fewer than three lengths.
     pub(in crate::model::onnx) fn dimensions(self, shape: &[usize]) -> Option<(usize, usize, usize)> {
+        // A dimension before these three is the batch.
         let [.., a, b, c] = *shape else { return None };
         Some(match self {
             Self::Nchw => (a, b, c),
@@ -192,11 +193,14 @@ impl Preprocessing {
     /// Checks that the steps produce a picture of `wanted` width and height, pixels.
     pub(super) fn check_size(&self, wanted: (usize, usize)) -> Result<(), CardError> {
         let made = match (self.resize, self.crop) {
+            // The crop is the last step that changes the size, so it decides alone.
             (_, Some(CentreCrop { width, height, .. }))
             | (Some(Resize::Exact { width, height, .. } | Resize::Letterbox { width, height, .. }), None) => {
                 (width, height)
             }
+            // The longer side depends on the picture, so the size is not fixed without a crop.
             (Some(Resize::Shortest { .. }), None) => return Err(CardError::NoCrop),
+            // The size of each picture is compared with the input when it arrives.
             (None, None) => return Ok(()),
         };
         if (made.0 as usize, made.1 as usize) == wanted {

@@ -100,6 +100,7 @@ impl<'a> Candidates<'a> {
         }
         for (at, (class, score)) in best.into_iter().enumerate() {
             let numbers = [0, 1, 2, 3].map(|row| boxes[row * count + at]);
+            // The activation keeps the order of scores, so it is computed for the best class only.
             self.add(class, activated(activation, score), numbers);
         }
         Ok(())
@@ -139,6 +140,7 @@ impl<'a> Candidates<'a> {
         for (row, numbers) in scores.chunks_exact(logits).zip(boxes.chunks_exact(4)) {
             let numbers = first_four(numbers);
             if is_softmax {
+                // "No object" is no class, but has its share of the softmax.
                 let (class, score) = best(&row[..labels]);
                 self.add(class, softmax(row, score), numbers);
             } else {
@@ -235,6 +237,7 @@ fn best(scores: &[f32]) -> (usize, f32) {
 
 /// Returns the softmax of one of the logits.
 fn softmax(logits: &[f32], logit: f32) -> f32 {
+    // Without the greatest logit, which cancels out, `exp` could be infinite.
     let (_, greatest) = best(logits);
     let sum: f32 = logits.iter().map(|other| (other - greatest).exp()).sum();
     (logit - greatest).exp() / sum
