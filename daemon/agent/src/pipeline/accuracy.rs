@@ -66,6 +66,7 @@ pub(super) fn record_accuracy(log: &mut Recorder, label: &str, answer: &Sample) 
     let is_best = matches_label(&best);
     log.record_value(TOP_1, as_number(is_best), Unit::NONE);
     if let Some(top) = top {
+        // A list in another order must not make `top-5` lower than `top-1`.
         let is_in_top = is_best || top.iter().take(TOP_5_CLASSES).any(|class| matches_label(&class.label));
         log.record_value(TOP_5, as_number(is_in_top), Unit::NONE);
     }

@@ -70,6 +70,7 @@ fn add_totals(
 fn stages_total(tree: &Tree, transport: Option<Span>) -> Option<Span> {
     let mut sum = Span::ZERO;
     let mut transit_sum = Some(Span::ZERO);
+    // Deeper nodes with the name of a stage, such as those of a model inside another, are parts of a stage.
     for (_, node) in tree.children(NodeId::ROOT).filter(|(_, node)| stage::ORDER.contains(&node.name)) {
         match &node.measure {
             Measure::Timer(Some(span)) => sum += *span,

@@ -49,6 +49,7 @@ impl Schedule {
             LoadConfig::Poisson { hz, seed } => {
                 let mut random = SplitMix64::new(seed);
                 let mean = 1e9 / hz;
+                // In a Poisson process the time to the first start is an interval like the others.
                 StartPlan::Poisson { at: now + random_interval(mean, &mut random), mean, random }
             }
         };
