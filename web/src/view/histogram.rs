@@ -1,12 +1,10 @@
 //! Distribution of one quantity of a run.
 
-use peernet_analysis::summary::Scale;
 use peernet_figures::drawing::{Distribution, View};
 use peernet_figures::look::stage;
-use peernet_figures::plot::Unit;
-use peernet_statistics::number::SPACE;
 use peernet_store::Histogram;
 
+use super::units::axis_unit;
 use crate::picture::Picture;
 
 /// Width of the plot on the narrowest phones, in ems of its labels.
@@ -14,9 +12,8 @@ const NARROWEST_EMS: f64 = 19.6;
 
 /// Draws a distribution with lines at its quantiles.
 pub(crate) fn histogram(stored: &Histogram, view: View, is_logarithmic: bool) -> Picture {
-    let scale = Scale::for_unit(&stored.unit);
-    let symbol = scale.symbol(&stored.unit);
     let end = stored.edges.last().copied().unwrap_or_default();
+    let unit = axis_unit(&stored.unit, end);
     let statistics = &stored.figures;
     let quantiles = [("median", Some(statistics.p50)), ("p95", statistics.p95), ("p99", statistics.p99)];
     let quantiles: Vec<(&str, f64)> = quantiles
@@ -24,8 +21,7 @@ pub(crate) fn histogram(stored: &Histogram, view: View, is_logarithmic: bool) ->
         .filter_map(|(name, value)| Some((name, value?)))
         .filter(|(_, value)| *value <= end)
         .collect();
-    let quantile_texts =
-        quantiles.iter().map(|(name, value)| format!("{name} {}{SPACE}{symbol}", scale.format(*value)));
+    let quantile_texts = quantiles.iter().map(|(name, value)| format!("{name} {}", unit.words(*value, 0.0)));
     let label =
         format!("Distribution of {}: {}", stored.stage, quantile_texts.collect::<Vec<_>>().join(", "));
     let distribution = Distribution {
@@ -33,7 +29,7 @@ pub(crate) fn histogram(stored: &Histogram, view: View, is_logarithmic: bool) ->
         counts: stored.counts.clone(),
         beyond: (stored.below, stored.beyond),
         quantiles,
-        unit: Unit::symbol(symbol, scale.factor()),
+        unit,
         stage: stage(stored.stage.trim_end_matches("-throughput")),
         view,
         is_logarithmic,

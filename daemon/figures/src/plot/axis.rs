@@ -37,10 +37,11 @@ impl Unit {
     }
 
     /// Returns a value in SI units as text: `5.66 ms`. The number has three significant digits. It has more decimals if values that are
-    /// `spread` apart would otherwise differ by less than two digits; 0 for no such values.
+    /// `spread` apart would otherwise differ by less than two digits; 0 for no such values. Bytes are whole.
     pub fn words(&self, value: f64, spread: f64) -> String {
         let spread_decimals = if spread > 0.0 { decimals(spread * self.per_si, 2) } else { 0 };
-        let number = fixed(value * self.per_si, decimals(value * self.per_si, 3).max(spread_decimals));
+        let decimals = decimals(value * self.per_si, 3).max(spread_decimals);
+        let number = fixed(value * self.per_si, if self.symbol == "B" { 0 } else { decimals });
         if self.symbol.is_empty() { number } else { format!("{number} {}", self.symbol) }
     }
 
