@@ -4,8 +4,9 @@
 
 use peernet_clock::{MonoTime, Span};
 
-use super::event_data::{Choice, EventData, Usage, error_text};
-use super::event_stream::{EventStream, EventTooLong};
+use super::event_data::{Choice, EventData, Usage, error_text_of_body};
+use super::event_stream::{Event, EventStream};
+use super::stream_error::StreamError;
 
 /// Largest text of an answer, bytes.
 const MAX_TEXT_BYTES: usize = 1 << 20;
@@ -16,43 +17,6 @@ const MAX_STREAM_BYTES: usize = 256 << 20;
 const MAX_CHUNKS: usize = 1 << 20;
 /// Data of the event that ends the stream.
 const DONE: &str = "[DONE]";
-
-/// Reason why a stream is not a complete answer.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub(super) enum StreamError {
-    /// The data of an event is not JSON, or not of the expected form.
-    #[error("event {number} of its answer cannot be read: {reason}")]
-    Event { number: u64, reason: String },
-    /// An event is too long.
-    #[error("its server sent an event longer than 1 MiB; check that url is the server's chat API")]
-    EventTooLong,
-    /// The server reported an error in the stream.
-    #[error("its server ended the answer after {}: {text}", chunks(*.after))]
-    Server { after: u64, text: String },
-    /// The answer ended without text, reasoning and a finish reason.
-    #[error("its server ended its answer without text")]
-    WithoutText,
-    /// The bytes are no stream of events.
-    #[error("its answer of {0} bytes is no event stream")]
-    NoEvents(usize),
-    /// The stream ended without a reason.
-    #[error("its server closed the connection after {} without ending the answer", chunks(*.0))]
-    EndedEarly(u64),
-    /// The answer is too long.
-    #[error("its answer is longer than {0}; set max_tokens in parameters")]
-    TooLong(&'static str),
-}
-
-impl From<EventTooLong> for StreamError {
-    fn from(_: EventTooLong) -> Self {
-        Self::EventTooLong
-    }
-}
-
-/// Returns the number of chunks with its noun.
-pub(super) fn chunks(count: u64) -> String {
-    format!("{count} chunk{}", if count == 1 { "" } else { "s" })
-}
 
 /// Answer of a language model as far as it has arrived.
 #[derive(Debug)]
@@ -75,6 +39,8 @@ pub(super) struct StreamedAnswer {
     pub(super) usage_defect: Option<String>,
     /// Reason why the answer ended, such as `stop` or `length`.
     pub(super) finish_reason: Option<String>,
+    /// Index of the first other choice that had text.
+    other_choice: Option<String>,
     is_done: bool,
     events: EventStream,
     /// Number of events with data so far, chunks or not; without the one that ends the stream.
@@ -95,6 +61,7 @@ impl StreamedAnswer {
             usage: None,
             usage_defect: None,
             finish_reason: None,
+            other_choice: None,
             is_done: false,
             events: EventStream::default(),
             event_count: 0,
@@ -118,7 +85,7 @@ impl StreamedAnswer {
         }
         // Taken out, because the closure borrows the rest of the answer.
         let mut events = std::mem::take(&mut self.events);
-        let result = events.receive(bytes, |data| self.receive_event(at, data, &mut receive_text));
+        let result = events.receive(bytes, |event| self.receive_event(at, &event, &mut receive_text));
         self.events = events;
         result
     }
@@ -126,9 +93,10 @@ impl StreamedAnswer {
     fn receive_event(
         &mut self,
         at: MonoTime,
-        data: &str,
+        event: &Event<'_>,
         receive_text: &mut impl FnMut(&str),
     ) -> Result<(), StreamError> {
+        let data = event.data;
         // Servers may send empty events to keep the connection open.
         if self.is_done || data.trim().is_empty() {
             return Ok(());
@@ -138,20 +106,32 @@ impl StreamedAnswer {
             return Ok(());
         }
         self.event_count += 1;
+        if event.is_error {
+            return Err(self.server_error(error_text_of_body(data.as_bytes())));
+        }
         let event: EventData<'_> = serde_json::from_str(data)
             .map_err(|error| StreamError::Event { number: self.event_count, reason: error.to_string() })?;
-        if let Some(error) = &event.error {
-            return Err(StreamError::Server { after: self.chunk_count(), text: error_text(error) });
+        if event.is_error() {
+            return Err(self.server_error(error_text_of_body(data.as_bytes())));
         }
         if let Some(usage) = &event.usage {
             let (usage, defect) = Usage::read(usage);
             self.usage = Some(usage);
             self.usage_defect = self.usage_defect.take().or(defect);
         }
-        match event.choices.into_iter().flatten().find(Choice::is_first) {
+        let (first, others): (Vec<_>, Vec<_>) =
+            event.choices.into_iter().flatten().partition(Choice::is_first);
+        if self.other_choice.is_none() {
+            self.other_choice = others.iter().find(|choice| choice.has_text()).map(Choice::index_text);
+        }
+        match first.into_iter().next() {
             Some(choice) => self.receive_choice(at, choice, receive_text),
             None => Ok(()),
         }
+    }
+
+    const fn server_error(&self, text: String) -> StreamError {
+        StreamError::Server { after: self.chunk_count(), text }
     }
 
     fn receive_choice(
@@ -160,6 +140,13 @@ impl StreamedAnswer {
         choice: Choice,
         receive_text: &mut impl FnMut(&str),
     ) -> Result<(), StreamError> {
+        if let Some(text) = choice.error_text() {
+            return Err(self.server_error(text));
+        }
+        // A server that streams may repeat the whole answer in its last event.
+        if let Some(field) = choice.field_of_whole_text().filter(|_| self.chunk_times.is_empty()) {
+            return Err(StreamError::NoDelta { number: self.event_count, field });
+        }
         let delta = choice.delta.unwrap_or_default();
         let has_reasoning = delta.has_reasoning();
         // The first event often has a role and no text, so it is not a chunk.
@@ -198,6 +185,8 @@ impl StreamedAnswer {
     pub(super) fn end(&self) -> Result<(), StreamError> {
         if self.finish_reason.is_some() || (self.is_done && self.chunk_count() > 0) {
             Ok(())
+        } else if let Some(index) = self.other_choice.as_ref().filter(|_| self.chunk_times.is_empty()) {
+            Err(StreamError::OtherChoice(index.clone()))
         } else if self.is_done {
             Err(StreamError::WithoutText)
         } else if self.byte_count > 0 && !self.events.has_field() {

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use peernet_sample::printable_line;
 
-use super::answer::{StreamError, chunks};
+use super::stream_error::{StreamError, chunks};
 
 /// Maximum length of a server's text in a message, characters.
 const MAX_TEXT_CHARS: usize = 500;
@@ -91,6 +91,8 @@ impl RequestError {
             | Self::Encoded(_)
             | Self::Stream(
                 StreamError::Event { .. }
+                | StreamError::NoDelta { .. }
+                | StreamError::OtherChoice(_)
                 | StreamError::NoEvents(_)
                 | StreamError::EventTooLong
                 | StreamError::TooLong(_),
@@ -115,7 +117,11 @@ impl RequestError {
             | Self::Encoded(text)
             | Self::Tls { reason: text, .. }
             | Self::Connection { reason: text, .. }
-            | Self::Stream(StreamError::Server { text, .. } | StreamError::Event { reason: text, .. }) => {
+            | Self::Stream(
+                StreamError::Server { text, .. }
+                | StreamError::Event { reason: text, .. }
+                | StreamError::OtherChoice(text),
+            ) => {
                 clean(text);
             }
             Self::FirstToken(_)
@@ -125,6 +131,7 @@ impl RequestError {
             | Self::Stream(
                 StreamError::EndedEarly(_)
                 | StreamError::WithoutText
+                | StreamError::NoDelta { .. }
                 | StreamError::NoEvents(_)
                 | StreamError::EventTooLong
                 | StreamError::TooLong(_),
@@ -177,9 +184,10 @@ const fn stream_remedy(error: &StreamError) -> &'static str {
         StreamError::Server { .. } | StreamError::EndedEarly(_) | StreamError::WithoutText => {
             "; the server's log says why"
         }
-        StreamError::Event { .. } | StreamError::NoEvents(_) => {
-            "; url must name a server with the OpenAI API"
-        }
+        StreamError::Event { .. }
+        | StreamError::NoDelta { .. }
+        | StreamError::OtherChoice(_)
+        | StreamError::NoEvents(_) => "; url must name a server with the OpenAI API",
         StreamError::EventTooLong | StreamError::TooLong(_) => "",
     }
 }

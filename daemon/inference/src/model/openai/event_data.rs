@@ -5,6 +5,7 @@
 use std::collections::BTreeMap;
 
 use serde::Deserialize;
+use serde::de::IgnoredAny;
 use serde_json::Value;
 use serde_json::value::RawValue;
 
@@ -17,7 +18,13 @@ pub(super) struct EventData<'a> {
     #[serde(borrow)]
     pub(super) usage: Option<&'a RawValue>,
     /// Error that ended the answer.
-    pub(super) error: Option<Value>,
+    error: Option<IgnoredAny>,
+    /// Kind of the object: `chat.completion.chunk`, or `error`.
+    object: Option<Value>,
+    /// Text of an error without the object `error`.
+    message: Option<Value>,
+    /// The same under the name that FastAPI uses.
+    detail: Option<IgnoredAny>,
 }
 
 /// Part of one answer; a request asks for one answer only.
@@ -27,6 +34,12 @@ pub(super) struct Choice {
     index: Option<Value>,
     pub(super) delta: Option<Delta>,
     pub(super) finish_reason: Option<String>,
+    /// Error that ended the answer.
+    error: Option<Value>,
+    /// Whole answer of a server that does not stream.
+    message: Option<Value>,
+    /// Text of the API for completions without chat.
+    text: Option<Value>,
 }
 
 /// Text of one or more tokens.
@@ -40,6 +53,8 @@ pub(super) struct Delta {
     reasoning: Option<String>,
 }
 
+/// Finish reason of an answer that an error ended.
+const FAILED: &str = "error";
 /// JSON of a missing value.
 const NULL: &str = "null";
 /// Largest number of tokens: floating-point numbers have all integers up to it.
@@ -58,10 +73,56 @@ pub(super) struct Usage {
     pub(super) reasoning_tokens: Option<u64>,
 }
 
+impl EventData<'_> {
+    /// Returns whether the event reports an error instead of a part of the answer. vLLM and FastAPI do so without the object `error`.
+    pub(super) fn is_error(&self) -> bool {
+        let is_error_object = self.object.as_ref().is_some_and(|object| object == "error");
+        let has_error_text = self.message.as_ref().is_some_and(Value::is_string) || self.detail.is_some();
+        self.error.is_some() || is_error_object || (self.choices.is_none() && has_error_text)
+    }
+}
+
 impl Choice {
     /// Returns whether it belongs to the answer that the request asks for.
     pub(super) fn is_first(&self) -> bool {
-        self.index.as_ref().is_none_or(|index| index.as_f64() == Some(0.0))
+        self.index.as_ref().is_none_or(|index| {
+            let number = index.as_f64().or_else(|| index.as_str()?.trim().parse().ok());
+            number == Some(0.0)
+        })
+    }
+
+    /// Returns the number of the answer as the server wrote it.
+    pub(super) fn index_text(&self) -> String {
+        self.index.as_ref().map_or_else(|| "0".to_owned(), Value::to_string)
+    }
+
+    /// Returns whether it has text of the answer or of the reasoning.
+    pub(super) fn has_text(&self) -> bool {
+        self.delta.as_ref().is_some_and(|delta| {
+            delta.has_reasoning() || delta.content.as_ref().is_some_and(|content| !content.is_empty())
+        })
+    }
+
+    /// Returns the text of the error that ended this answer; `None` without an error.
+    pub(super) fn error_text(&self) -> Option<String> {
+        let has_failed = self.finish_reason.as_deref() == Some(FAILED);
+        self.error
+            .as_ref()
+            .map(error_text)
+            .or_else(|| has_failed.then(|| format!("finish_reason is {FAILED}")))
+    }
+
+    /// Returns the name of the field that has text although there is no `delta`.
+    pub(super) fn field_of_whole_text(&self) -> Option<&'static str> {
+        let has_text =
+            |value: Option<&Value>| value.and_then(Value::as_str).is_some_and(|text| !text.is_empty());
+        if self.delta.is_some() {
+            None
+        } else if has_text(self.message.as_ref().and_then(|message| message.get("content"))) {
+            Some("message")
+        } else {
+            has_text(self.text.as_ref()).then_some("text")
+        }
     }
 }
 
@@ -115,19 +176,19 @@ fn members(value: &RawValue) -> Option<BTreeMap<String, &RawValue>> {
     serde_json::from_str(value.get()).ok()
 }
 
-/// Returns the text of a server's error: `message` of the object `error`, `error` itself, or the whole text.
-pub(super) fn error_text(error: &Value) -> String {
-    let message = |error: &Value| error.get("message").and_then(Value::as_str).map(str::to_owned);
+/// Returns the text of a server's error: `message` or `detail` of the object `error`, `error` itself, or the whole text.
+fn error_text(error: &Value) -> String {
+    let text = |name| error.get(name).and_then(Value::as_str);
     match error {
         Value::String(text) => text.clone(),
-        error => message(error).unwrap_or_else(|| error.to_string()),
+        error => text("message").or_else(|| text("detail")).map_or_else(|| error.to_string(), str::to_owned),
     }
 }
 
 /// Returns the text of a server's error from the body of its answer.
 pub(super) fn error_text_of_body(body: &[u8]) -> String {
     match serde_json::from_slice::<Value>(body) {
-        Ok(json) => error_text(json.get("error").unwrap_or(&json)),
+        Ok(json) => error_text(json.get("error").filter(|error| !error.is_null()).unwrap_or(&json)),
         Err(_) => String::from_utf8_lossy(body).trim().to_owned(),
     }
 }
@@ -145,7 +206,8 @@ mod tests {
             ),
             (r#"{"error":"model 'x' not found"}"#, "model 'x' not found"),
             (r#"{"object":"error","message":"too long"}"#, "too long"),
-            (r#"{"detail":"no"}"#, r#"{"detail":"no"}"#),
+            (r#"{"detail":"no"}"#, "no"),
+            (r#"{"detail":[{"msg":"no"}]}"#, r#"{"detail":[{"msg":"no"}]}"#),
             ("Internal Server Error\n", "Internal Server Error"),
             ("", ""),
         ] {

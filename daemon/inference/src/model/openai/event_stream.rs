@@ -8,13 +8,15 @@ const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 
 /// Parser of one stream, which takes bytes in pieces of any length.
 ///
-/// Only the data of events is used; the fields `event`, `id` and `retry` and comments are ignored.
+/// Only the data of events is used, and whether they report an error; the fields `id` and `retry` and comments are ignored.
 #[derive(Debug, Default)]
 pub(super) struct EventStream {
     /// Bytes of the line that has no end yet.
     line: Vec<u8>,
     /// Lines of the event's data, each with a line feed.
     data: Vec<u8>,
+    /// Whether the event's name is `error`, or its data is in a field of that name.
+    is_error: bool,
     /// Whether the last byte was a carriage return, so a line feed after it ends no further line.
     ends_with_return: bool,
     /// Whether the first line has ended.
@@ -25,6 +27,17 @@ pub(super) struct EventStream {
 
 /// Names of the standard's fields; a comment has an empty name.
 const FIELDS: [&[u8]; 5] = [b"", b"data", b"event", b"id", b"retry"];
+
+/// An event of the stream.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Event<'a> {
+    pub(super) data: &'a str,
+    /// Whether the server marks its data as an error.
+    pub(super) is_error: bool,
+}
+
+/// Name of events that report an error. llama.cpp writes their data into a field of this name, which the standard does not have.
+const ERROR: &[u8] = b"error";
 
 /// Error: an event is longer than 1 MiB.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,7 +52,7 @@ impl EventStream {
     pub(super) fn receive<E: From<EventTooLong>>(
         &mut self,
         mut bytes: &[u8],
-        mut receive_event: impl FnMut(&str) -> Result<(), E>,
+        mut receive_event: impl FnMut(Event<'_>) -> Result<(), E>,
     ) -> Result<(), E> {
         if bytes.is_empty() {
             return Ok(());
@@ -52,8 +65,8 @@ impl EventStream {
             let is_pair = bytes[end..].starts_with(b"\r\n");
             self.ends_with_return = bytes[end..] == *b"\r";
             bytes = &bytes[end + 1 + usize::from(is_pair)..];
-            if let Some(data) = self.end_line()? {
-                receive_event(&String::from_utf8_lossy(&data))?;
+            if let Some((data, is_error)) = self.end_line()? {
+                receive_event(Event { data: &String::from_utf8_lossy(&data), is_error })?;
             }
         }
         Ok(self.extend_line(bytes)?)
@@ -73,8 +86,8 @@ impl EventStream {
         Ok(())
     }
 
-    /// Ends a line; returns the data of the event if the line is empty and ends one.
-    fn end_line(&mut self) -> Result<Option<Vec<u8>>, EventTooLong> {
+    /// Ends a line; returns the data of the event, and whether it is an error, if the line is empty and ends one.
+    fn end_line(&mut self) -> Result<Option<(Vec<u8>, bool)>, EventTooLong> {
         let is_first = !std::mem::replace(&mut self.has_line, true);
         let mut line = &self.line[..];
         if is_first {
@@ -83,17 +96,22 @@ impl EventStream {
         if line.is_empty() {
             self.line.clear();
             let mut data = std::mem::take(&mut self.data);
+            let is_error = std::mem::take(&mut self.is_error);
             // The standard removes the last line feed, and dispatches no event without data.
-            return Ok(data.pop().map(|_| data));
+            return Ok(data.pop().map(|_| (data, is_error)));
         }
         self.has_field |= is_field(line);
         let (name, value) = match line.iter().position(|byte| *byte == b':') {
             Some(colon) => (&line[..colon], &line[colon + 1..]),
             None => (line, &line[line.len()..]),
         };
-        if name == b"data" {
-            // The standard removes one space after the colon, not all of them.
-            let value = value.strip_prefix(b" ").unwrap_or(value);
+        // The standard removes one space after the colon, not all of them.
+        let value = value.strip_prefix(b" ").unwrap_or(value);
+        if name == b"event" {
+            self.is_error = value == ERROR;
+        }
+        self.is_error |= name == ERROR;
+        if name == b"data" || name == ERROR {
             if self.data.len() + value.len() > MAX_EVENT_BYTES {
                 return Err(EventTooLong);
             }
@@ -121,8 +139,8 @@ mod tests {
         let mut stream = EventStream::default();
         let mut found = Vec::new();
         for piece in pieces {
-            stream.receive(piece, |data| {
-                found.push(data.to_owned());
+            stream.receive(piece, |event| {
+                found.push(format!("{}{}", if event.is_error { "error " } else { "" }, event.data));
                 Ok::<(), EventTooLong>(())
             })?;
         }
@@ -134,6 +152,12 @@ mod tests {
         let stream = b"\xef\xbb\xbfdata: first\n\n: a comment\nevent: x\nid: 3\ndata:second\ndata:  third\n\nretry: 9\n\n\
                        data\n\ndatas: no\n\ndata: unfinished\n";
         assert_eq!(events(&[stream]).expect("short"), ["first", "second\n third", ""]);
+    }
+
+    #[test]
+    fn events_of_errors_are_marked() {
+        let stream = b"event: error\ndata: a\n\ndata: b\n\nerror: c\n\nevent: error\nevent: x\ndata: d\n\nevent: error\n\ndata: e\n\n";
+        assert_eq!(events(&[stream]).expect("short"), ["error a", "b", "error c", "d", "e"]);
     }
 
     #[test]

@@ -18,6 +18,7 @@ mod nodes;
 mod request;
 mod server;
 mod status_error;
+mod stream_error;
 mod time_limits;
 mod worker;
 

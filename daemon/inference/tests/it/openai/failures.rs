@@ -7,7 +7,7 @@ use peernet_inference::{InferenceError, LoadError};
 use super::*;
 
 /// Returns the reason for which a request fails, and the tree of the iteration.
-fn failure(script: Vec<Step>, more: &str) -> (String, Tree) {
+pub(super) fn failure(script: Vec<Step>, more: &str) -> (String, Tree) {
     let finished = ask(script, more);
     let reason = match finished.result {
         Err(error @ InferenceError::Server { .. }) => {

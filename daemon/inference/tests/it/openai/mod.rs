@@ -2,6 +2,7 @@
 
 mod failures;
 mod scripted_server;
+mod stream_errors;
 mod tls;
 
 use peernet_inference::FinishedJob;

@@ -1,0 +1,48 @@
+//! Reasons why a stream is not a complete answer.
+
+use super::event_stream::EventTooLong;
+
+/// Reason why a stream is not a complete answer.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(super) enum StreamError {
+    /// The data of an event is not JSON, or not of the expected form.
+    #[error("event {number} of its answer cannot be read: {reason}")]
+    Event { number: u64, reason: String },
+    /// An event is too long.
+    #[error("its server sent an event longer than 1 MiB; check that url is the server's chat API")]
+    EventTooLong,
+    /// The server reported an error in the stream.
+    #[error("its server ended the answer after {}: {text}", chunks(*.after))]
+    Server { after: u64, text: String },
+    /// The answer has text, but not in the form of a stream.
+    #[error(
+        "event {number} of its answer has text in `{field}` and no `delta`: the server does not stream its answer as chat"
+    )]
+    NoDelta { number: u64, field: &'static str },
+    /// All text belongs to another choice than the first.
+    #[error("its answer has text only in a choice with the index {0}, and the answer has the index 0")]
+    OtherChoice(String),
+    /// The answer ended without text, reasoning and a finish reason.
+    #[error("its server ended its answer without text")]
+    WithoutText,
+    /// The bytes are no stream of events.
+    #[error("its answer of {0} bytes is no event stream")]
+    NoEvents(usize),
+    /// The stream ended without a reason.
+    #[error("its server closed the connection after {} without ending the answer", chunks(*.0))]
+    EndedEarly(u64),
+    /// The answer is too long.
+    #[error("its answer is longer than {0}; set max_tokens in parameters")]
+    TooLong(&'static str),
+}
+
+impl From<EventTooLong> for StreamError {
+    fn from(_: EventTooLong) -> Self {
+        Self::EventTooLong
+    }
+}
+
+/// Returns the number of chunks with its noun.
+pub(super) fn chunks(count: u64) -> String {
+    format!("{count} chunk{}", if count == 1 { "" } else { "s" })
+}
