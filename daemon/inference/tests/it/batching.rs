@@ -143,7 +143,7 @@ fn failure_of_one_sample_leaves_the_others() {
     assert_eq!(numbers(&finished[0]), [2.0, 3.0, 4.0]);
     let errors: Vec<_> = finished[1..].iter().map(|done| done.result.clone().expect_err("fails")).collect();
     assert!(
-        errors[0].to_string().contains("its array is f32 [1, 2], the model requires f32 [1, 3]"),
+        errors[0].to_string().contains("its array is float32 [1, 2], the model requires float32 [1, 3]"),
         "{}",
         errors[0]
     );

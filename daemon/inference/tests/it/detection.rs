@@ -100,7 +100,7 @@ fn class_without_label_fails_iteration() {
 #[test]
 fn impossible_numbers_of_detector_fail_iteration() {
     let error = answer("nms-infinite-score", vec![grey_picture()]).expect_err("infinite score");
-    assert!(error.to_string().contains("its output contains inf"), "{error}");
+    assert!(error.to_string().contains("its output \"scores\" contains inf"), "{error}");
     let error = answer("nms-fraction-of-rows", vec![grey_picture()]).expect_err("1.5 rows");
     assert!(error.to_string().contains("states 1.5 valid rows of 150"), "{error}");
 }

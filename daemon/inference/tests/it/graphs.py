@@ -274,10 +274,21 @@ def arrays(out):
         [value("continues", "bool", []), value("more", "int64", [1])],
     )
     loops = {"counter": ("x", []), "endless": ("most", [("most", np.array([1 << 60]))])}
+    constants = [("true", np.array(True)), ("zero", np.zeros(1, np.int64)), ("one", np.ones(1, np.int64))]
     for name, (runs, initialisers) in loops.items():
         node = helper.make_node("Loop", [runs, "true", "zero"], ["y"], body=body)
-        constants = [("true", np.array(True)), ("zero", np.zeros(1, np.int64)), ("one", np.ones(1, np.int64))]
         write(out, name, card, [node], [value("x", "int64", [1])], [value("y", "int64", [1])], constants + initialisers)
+
+    # As many runs as the largest number of a batch says. The answer is the number of the sample.
+    nodes = [
+        helper.make_node("ReduceMax", ["x"], ["runs"], keepdims=0),
+        helper.make_node("Loop", ["runs", "true", "zero"], ["sum"], body=body),
+        helper.make_node("Min", ["x", "sum"], ["y"]),
+    ]
+    card = card.replace("shape = [1]", "shape = [1, 1]")
+    shape = ["batch", 1]
+    inputs, outputs = [value("x", "int64", shape)], [value("y", "int64", shape)]
+    write(out, "open-counter", card, nodes, inputs, outputs, constants)
 
     card = f'task = "tensors"\n{picture_input()}{PREPROCESSING}'
     card += f'[output]\nname = "y"\ndtype = "float32"\nshape = [1, 3, {INPUT[1]}, {INPUT[0]}]\n'
@@ -313,6 +324,26 @@ def others(out):
     card = f'task = "embedding"\n{picture_input()}{plain}[output]\nname = "y"\nnormalise = true\n'
     node = helper.make_node("ReduceMean", ["image"], ["y"], axes=[2, 3], keepdims=0)
     write(out, "embedding", card, [node], [value("image", "float32", shape)], [value("y", "float32", [1, 3])])
+
+    # Constant outputs that no answer can be made of, or that no card of their task fits.
+    classes = '[output]\nname = "y"\nlabels = ["red", "green", "blue"]\nactivation = "softmax"\n'
+    vector = '[output]\nname = "y"\nnormalise = true\n'
+    one = np.ones((1, 3), np.float32)
+    for name, task, output, numbers in [
+        ("classes-nan", "classification", classes, one * np.nan),
+        ("classes-infinite", "classification", classes, one * np.inf),
+        ("classes-bool", "classification", classes, one > 0),
+        ("classes-rank-3", "classification", classes, one[..., None]),
+        ("classes-two-rows", "classification", classes, np.ones((2, 3), np.float32)),
+        ("classes-four", "classification", classes, np.ones((1, 4), np.float32)),
+        ("embedding-infinite", "embedding", vector, one * np.inf),
+        ("embedding-zero", "embedding", vector, one * 0),
+    ]:
+        card = f'task = "{task}"\n{picture_input()}{plain}{output}'
+        node = helper.make_node("Identity", ["constant"], ["y"])
+        dtype = "bool" if numbers.dtype == bool else "float32"
+        outputs = [value("y", dtype, numbers.shape)]
+        write(out, name, card, [node], [value("image", "float32", shape)], outputs, [("constant", numbers)])
 
 
 def main():

@@ -112,7 +112,7 @@ fn policy_gets_picture_state_and_constant() {
 
     let error = run(&pool, sample(vec![front(), state(&[1.0])])).result.expect_err("is too short");
     assert!(matches!(error, InferenceError::Input { .. }), "{error}");
-    assert!(error.to_string().contains("part 2 for input \"state\": its array is f32 [1, 1]"), "{error}");
+    assert!(error.to_string().contains("part 2 for input \"state\": its array is float32 [1, 1]"), "{error}");
     let error = run(&pool, sample(vec![front()])).result.expect_err("lacks a part").to_string();
     assert!(error.contains("it has 1 part, the model takes 2: front, state"), "{error}");
 }
@@ -189,14 +189,24 @@ fn card_that_does_not_fit_names_the_field() {
             "name = \"states\"",
             "its card names the input \"states\", but it has \"front\", \"state\", \"offset\"",
         ),
-        ("policy", "dtype = \"uint8\"", "dtype = \"int8\"", "its input \"front\" is Tensor<u8>"),
+        (
+            "policy",
+            "dtype = \"uint8\"",
+            "dtype = \"int8\"",
+            "its input \"front\" is uint8 of shape [1, 2, 2, 3], its card says int8 of shape",
+        ),
         (
             "policy",
             "shape = [1, 2]\n[[input]]",
             "shape = [1, 3]\n[[input]]",
             "its card says float32 of shape [1, 3]",
         ),
-        ("policy", "dtype = \"bool\"", "dtype = \"uint8\"", "its output \"done\" is Tensor<bool>"),
+        (
+            "policy",
+            "dtype = \"bool\"",
+            "dtype = \"uint8\"",
+            "its output \"done\" is bool of shape [1, 2], its card says uint8 of shape",
+        ),
         (
             "yolov8",
             "[\"bolt\", \"nut\", \"washer\"]",

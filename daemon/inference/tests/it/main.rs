@@ -10,6 +10,7 @@ mod exec;
 mod folders;
 mod graphs;
 mod listener;
+mod odd_outputs;
 mod openai;
 mod process;
 mod python;

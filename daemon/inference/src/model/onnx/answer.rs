@@ -69,10 +69,13 @@ fn embedding(task: &Embedding, output: &Output<'_>) -> Result<Part, OutputError>
     let numbers = output.numbers()?;
     // Summed up as 64-bit floats, so that no square overflows.
     let norm = numbers.iter().map(|number| f64::from(*number).powi(2)).sum::<f64>().sqrt();
-    let divisor = match task.normalise {
-        true if norm > 0.0 && norm.is_finite() => norm,
-        true => return Err(OutputError::NoDirection(output.name.to_owned())),
-        false => 1.0,
+    let infinite = numbers.iter().find(|number| number.is_infinite());
+    let name = || output.name.to_owned();
+    let divisor = match (task.normalise, infinite) {
+        (false, _) => 1.0,
+        (true, Some(number)) => return Err(OutputError::NotFinite { name: name(), number: *number }),
+        (true, None) if norm > 0.0 => norm,
+        (true, None) => return Err(OutputError::NoDirection(name())),
     };
     let bytes = numbers.iter().flat_map(|number| ((f64::from(*number) / divisor) as f32).to_le_bytes());
     let shape = vec![u32::try_from(length).unwrap_or(u32::MAX)];

@@ -27,7 +27,7 @@ struct RankedLabel<'a> {
 /// If a number is not finite, because such an output has no order.
 pub(super) fn classify(output: &Classification, numbers: &mut [f32]) -> Result<Vec<u8>, OutputError> {
     if let Some(number) = numbers.iter().find(|number| !number.is_finite()) {
-        return Err(OutputError::NotFinite(*number));
+        return Err(OutputError::NotFinite { name: output.name.clone(), number: *number });
     }
     activate(output.activation, numbers);
     let ranked = output.labels.iter().zip(numbers.iter());

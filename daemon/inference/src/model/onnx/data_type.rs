@@ -46,6 +46,11 @@ impl DataType {
         NAMES.iter().find(|names| names.3 == onnx).map(|names| names.0)
     }
 
+    /// Returns the type that descriptions of samples name; `None` if no card can name it.
+    pub(super) fn from_element(element: ElementType) -> Option<Self> {
+        NAMES.iter().find(|names| names.2 == element).map(|names| names.0)
+    }
+
     /// Returns the type's name in descriptions of samples.
     pub(super) fn element(self) -> ElementType {
         self.names().2
@@ -76,6 +81,7 @@ mod tests {
         for (index, (data_type, name, element, onnx)) in NAMES.into_iter().enumerate() {
             assert_eq!((data_type as usize, data_type.to_string().as_str()), (index, name));
             assert_eq!((DataType::from_onnx(onnx), data_type.element()), (Some(data_type), element));
+            assert_eq!(DataType::from_element(element), Some(data_type));
             let read: DataType = serde_json::from_value(name.into()).expect("is a name of a card");
             assert_eq!(read, data_type);
         }

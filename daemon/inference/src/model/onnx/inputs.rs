@@ -4,10 +4,11 @@ use std::borrow::Cow;
 use std::ops::Range;
 
 use ort::session::SessionInputValue;
-use peernet_sample::{Description, MediaType, Part, Sample};
+use peernet_sample::{Description, ElementType, MediaType, Part, Sample};
 use rayon::prelude::*;
 
 use super::card::{Input, Source};
+use super::data_type::DataType;
 use super::geometry::PictureTransform;
 use super::numbers::Numbers;
 use super::picture::{InputError, PicturePreprocessor};
@@ -198,16 +199,19 @@ fn is_file(part: &Part) -> bool {
     matches!(part.description.media, MediaType::Jpeg | MediaType::Png)
 }
 
-/// Returns type and shape of an array: `f32 [1, 7]`.
+/// Returns type and shape of an array in the words of cards: `float32 [1, 7]`.
 fn text(Description { shape, element, .. }: &Description) -> String {
-    let element = element.map_or_else(String::new, |element| format!("{element:?} ").to_lowercase());
-    format!("{element}{shape:?}")
+    let name = |element: &ElementType| match DataType::from_element(*element) {
+        Some(data_type) => format!("{data_type} "),
+        None => format!("{element:?} ").to_lowercase(),
+    };
+    format!("{}{shape:?}", element.as_ref().map_or_else(String::new, name))
 }
 
 #[cfg(test)]
 mod tests {
     use peernet_imaging::{Encoding, Picture, encode};
-    use peernet_sample::{ElementType, PixelFormat};
+    use peernet_sample::PixelFormat;
 
     use super::super::card::Card;
     use super::super::card::tests::{POLICY, changed};
@@ -267,7 +271,7 @@ mod tests {
             (refusal(&|parts| parts.clear()), "it has no payload"),
             (
                 refusal(&other(array(ElementType::F32, &[2], vec![0; 8]))),
-                "part 2 for input \"state\": its array is f32 [2], the model requires f64 [2]",
+                "part 2 for input \"state\": its array is float32 [2], the model requires float64 [2]",
             ),
             (
                 refusal(&other(array(ElementType::F64, &[2], vec![0; 8]))),

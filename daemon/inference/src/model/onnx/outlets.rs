@@ -1,6 +1,6 @@
 //! Comparison of a card with the names, types and shapes that the model declares for its inputs and outputs.
 
-use ort::value::{Outlet, TensorElementType};
+use ort::value::{Outlet, TensorElementType, ValueType};
 
 use super::card::{Card, Detection, DetectionOutputs, Input, Source, Task};
 use super::data_type::DataType;
@@ -77,19 +77,16 @@ fn check_outputs(task: &Task, outlets: &[Outlet]) -> Result<(), MismatchError> {
     // The batch of 1 may be left out where the rest is unambiguous.
     let one = Some(1);
     match task {
-        Task::Classification(task) => {
-            let classes = Some(task.labels.len());
-            with_labels(
-                task.labels.len(),
-                check(&task.name, Elements::Floats, &[&[one, classes], &[classes]]),
-            )
-        }
+        Task::Classification(task) => with_labels(task.labels.len(), |classes| {
+            check(&task.name, Elements::Floats, &[&[one, classes], &[classes]])
+        }),
         Task::Detection(task) => check_detection(task, &check),
         Task::Segmentation(task) => {
-            let scores = [one, Some(task.labels.len()), None, None];
             // A float is a score; whether a shape fits the type is checked with the first run.
-            let shapes: [&[Length]; 3] = [&scores, &[one, None, None], &[one, one, None, None]];
-            with_labels(task.labels.len(), check(&task.name, Elements::Any, &shapes))
+            with_labels(task.labels.len(), |classes| {
+                let scores = [one, classes, None, None];
+                check(&task.name, Elements::Any, &[&scores, &[one, None, None], &[one, one, None, None]])
+            })
         }
         Task::Embedding(task) => check(&task.name, Elements::Floats, &[&[one, None], &[None]]),
         Task::Tensors(tensors) => tensors.iter().try_for_each(|tensor| {
@@ -105,20 +102,22 @@ fn check_detection(
 ) -> Result<(), MismatchError> {
     let (one, four, labels) = (Some(1), Some(4), task.labels.len());
     match &task.outputs {
-        DetectionOutputs::Yolov5 { name, .. } => {
-            // Each candidate has four coordinates, an objectness, and a score for each class.
-            with_labels(labels, check(name, Elements::Floats, &[&[one, None, Some(5 + labels)]]))
-        }
-        DetectionOutputs::Yolov8 { name, .. } => {
-            // No objectness, and candidates are columns.
-            with_labels(labels, check(name, Elements::Floats, &[&[one, Some(4 + labels), None]]))
-        }
+        // Each candidate has four coordinates, an objectness, and a score for each class.
+        DetectionOutputs::Yolov5 { name, .. } => with_labels(labels, |classes| {
+            check(name, Elements::Floats, &[&[one, None, classes.map(|classes| 5 + classes)]])
+        }),
+        // No objectness, and candidates are columns.
+        DetectionOutputs::Yolov8 { name, .. } => with_labels(labels, |classes| {
+            check(name, Elements::Floats, &[&[one, classes.map(|classes| 4 + classes), None]])
+        }),
         // Four coordinates, the score and the number of the class: the number of labels does not show in the shape.
         DetectionOutputs::Yolov10 { name } => check(name, Elements::Floats, &[&[one, None, Some(6)]]),
         DetectionOutputs::Detr { scores, boxes, is_softmax } => {
-            // With softmax, the last logit means "no object".
-            let logits = Some(labels + usize::from(*is_softmax));
-            with_labels(labels, check(scores, Elements::Floats, &[&[one, None, logits]]))?;
+            with_labels(labels, |classes| {
+                // With softmax, the last logit means "no object".
+                let logits = classes.map(|classes| classes + usize::from(*is_softmax));
+                check(scores, Elements::Floats, &[&[one, None, logits]])
+            })?;
             check(boxes, Elements::Floats, &[&[one, None, four]])
         }
         DetectionOutputs::Nms { boxes, scores, classes, count } => {
@@ -133,10 +132,14 @@ fn check_detection(
     }
 }
 
-/// Adds the number of labels to the form that an output must have, because the card has labels and no shape.
-fn with_labels(labels: usize, result: Result<(), MismatchError>) -> Result<(), MismatchError> {
-    result.map_err(|mismatch| match mismatch {
-        MismatchError::Form { what, name, actual, expected } => {
+/// Checks an output with a length that the number of labels gives. If only this length does not fit, the error names `labels`, because
+/// the card has labels and no shape.
+fn with_labels(
+    labels: usize,
+    check: impl Fn(Length) -> Result<(), MismatchError>,
+) -> Result<(), MismatchError> {
+    check(Some(labels)).map_err(|mismatch| match mismatch {
+        MismatchError::Form { what, name, actual, expected } if check(None).is_ok() => {
             let expected = format!("{expected}, because `labels` has {labels}; write a label for each class");
             MismatchError::Form { what, name, actual, expected }
         }
@@ -170,7 +173,17 @@ fn check_outlet(
     }
     let shapes: Vec<String> = shapes.iter().map(|shape| text(shape)).collect();
     let expected = format!("{} of shape {}", elements.text(), shapes.join(" or "));
-    Err(MismatchError::Form { what, name, actual: dtype.to_string(), expected })
+    Err(MismatchError::Form { what, name, actual: form(dtype), expected })
+}
+
+/// Returns type and shape of an input or output in the words of cards: `float32 of shape [1, 3, n, n]`.
+fn form(dtype: &ValueType) -> String {
+    let (Some(onnx), Some(shape)) = (dtype.tensor_type(), dtype.tensor_shape()) else {
+        return dtype.to_string();
+    };
+    let elements = DataType::from_onnx(onnx).map_or_else(|| onnx.to_string(), |known| known.to_string());
+    let shape: Vec<Length> = shape.iter().map(|length| usize::try_from(*length).ok()).collect();
+    format!("{elements} of shape {}", text(&shape))
 }
 
 /// Returns whether a declared shape fits; the model leaves a length of -1 open.

@@ -25,8 +25,8 @@ pub(super) enum OutputError {
     #[error("its output {name:?} has the shape {actual:?}, {expected} is required")]
     Shape { name: String, actual: Vec<usize>, expected: String },
     /// The output contains a number that is not finite.
-    #[error("its output contains {0}")]
-    NotFinite(f32),
+    #[error("its output {name:?} contains {number}")]
+    NotFinite { name: String, number: f32 },
     /// The output contains NaN.
     #[error("its output {0:?} contains NaN")]
     NotANumber(String),

@@ -76,6 +76,14 @@ pub(in crate::model::onnx) enum BoxUnit {
 }
 
 impl DetectionOutputs {
+    /// Returns the name of the output with the scores.
+    pub(in crate::model::onnx) fn scores(&self) -> &str {
+        match self {
+            Self::Yolov5 { name, .. } | Self::Yolov8 { name, .. } | Self::Yolov10 { name } => name,
+            Self::Detr { scores, .. } | Self::Nms { scores, .. } => scores,
+        }
+    }
+
     /// Returns the name of the layout in cards.
     pub(in crate::model::onnx) const fn layout(&self) -> &'static str {
         match self {

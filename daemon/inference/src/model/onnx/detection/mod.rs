@@ -44,7 +44,8 @@ pub(super) fn detect(
 ) -> Result<Vec<u8>, OutputError> {
     let mut candidates = Candidates::read(detection, outputs, transform.input)?;
     if let Some(candidate) = candidates.iter().find(|candidate| !candidate.score.is_finite()) {
-        return Err(OutputError::NotFinite(candidate.score));
+        let name = detection.outputs.scores().to_owned();
+        return Err(OutputError::NotFinite { name, number: candidate.score });
     }
     keep_best(&mut candidates, detection.iou_threshold, detection.max_detections);
     let objects = candidates.iter().filter_map(|candidate| {

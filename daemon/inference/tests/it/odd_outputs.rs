@@ -1,0 +1,32 @@
+//! Outputs of which no answer can be made.
+
+use super::graphs::{answer, grey_picture, model};
+use super::slug;
+
+#[test]
+fn output_that_is_not_finite_is_named() {
+    for (name, reason) in [
+        ("classes-nan", "its output \"y\" contains NaN"),
+        ("classes-infinite", "its output \"y\" contains inf"),
+        ("embedding-infinite", "its output \"y\" contains inf"),
+        ("embedding-zero", "its output \"y\" has the length 0, so it cannot be normalised"),
+        ("nms-infinite-score", "its output \"scores\" contains inf"),
+    ] {
+        let error = answer(name, vec![grey_picture()]).expect_err(name);
+        assert_eq!(error.to_string(), format!("model {name} failed: {reason}"));
+    }
+}
+
+#[test]
+fn labels_are_named_only_if_their_number_does_not_fit() {
+    let says = "its card says float32, float16 or float64 of shape [1, 3] or [3]";
+    for (name, form, remedy) in [
+        ("classes-bool", "bool of shape [1, 3]", ""),
+        ("classes-rank-3", "float32 of shape [1, 3, 1]", ""),
+        ("classes-two-rows", "float32 of shape [2, 3]", ""),
+        ("classes-four", "float32 of shape [1, 4]", ", because `labels` has 3; write a label for each class"),
+    ] {
+        let error = model(name).load(&slug(name), None).expect_err(name).to_string();
+        assert!(error.ends_with(&format!("its output \"y\" is {form}, {says}{remedy}")), "{error}");
+    }
+}
