@@ -21,9 +21,8 @@ def load_object(module, path, method):
     user_object = sys.modules[module]
     for name in path.split(".") if path else ():
         if not hasattr(user_object, name):
-            names = getattr(user_object, "__dict__", ())
-            public = [attribute for attribute in names if not attribute.startswith("_")]
-            raise UnsupportedValue("%s has no %s; it has %s" % (module, path, ", ".join(public[:20]) or "nothing"))
+            names = defined_names(user_object, module)
+            raise UnsupportedValue("%s has no %s; it defines %s" % (module, path, ", ".join(names[:20]) or "nothing"))
         user_object = getattr(user_object, name)
     what = "%s %s" % (kind_of(user_object), "%s::%s" % (module, path) if path else module)
     if inspect.isclass(user_object):
@@ -31,6 +30,15 @@ def load_object(module, path, method):
     if not callable(getattr(user_object, method, None)):
         raise UnsupportedValue("the %s has no %s(%s)" % (what, method, ARGUMENTS[method]))
     return user_object, what
+
+
+def defined_names(user_object, module):
+    """The public classes, functions and objects of a module or class, without those that the module imports from elsewhere."""
+    def is_own(value):
+        # An object has the value of its class; modules and plain values have none.
+        return (str(getattr(value, "__module__", "")) + ".").startswith(module + ".")
+    names = getattr(user_object, "__dict__", {})
+    return [name for name, value in names.items() if not name.startswith("_") and is_own(value)]
 
 
 def kind_of(user_object):

@@ -79,6 +79,10 @@ fn missing_and_broken_files_are_named() {
     let missing = bank(&["name = \"qc\"\nkind = \"onnx\"\npath = \"/nowhere\""]);
     let error = refused(&missing, "qc", None).to_string();
     assert!(error.contains("/nowhere/model.toml"), "{error}");
+    assert!(
+        error.ends_with("write a card for the model (docs/models.md), or correct the path of its folder"),
+        "{error}"
+    );
 
     let card = fs::read_to_string(demo().join("model.toml")).expect("is committed");
     let (_folder, bank) = changed(b"this is no model", &card);

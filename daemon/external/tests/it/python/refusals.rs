@@ -8,6 +8,8 @@ use peernet_external::python::{PythonObject, Role};
 use super::{Module, clock};
 
 const SOURCE: &str = "
+import json
+from collections import OrderedDict
 class Model:
     def infer(self, x): return x
 class Broken:
@@ -27,7 +29,11 @@ fn message(object: &str, role: Role) -> String {
 fn start_error_names_missing_part() {
     for (object, role, parts) in [
         ("nowhere::Model", Role::Model, &["no Python module nowhere", "nowhere.py", "folder"][..]),
-        ("own::Nothing", Role::Model, &["own has no Nothing", "Model", "instance"]),
+        (
+            "own::Nothing",
+            Role::Model,
+            &["own has no Nothing; it defines Model, Broken, Needs, detect, instance"],
+        ),
         ("own::Model", Role::Sensor, &["class own::Model has no sample()"]),
         ("own::detect", Role::Model, &["function own::detect has no infer(x)"]),
         ("own", Role::Model, &["module own has no infer(x)"]),

@@ -1,7 +1,7 @@
 //! Defects of cards.
 
 use super::super::data_type::DataType;
-use super::preprocessing::Colour;
+use super::preprocessing::{Colour, Layout};
 
 /// Defect in the text of a card.
 #[derive(Debug, thiserror::Error)]
@@ -27,8 +27,18 @@ pub(in crate::model::onnx) enum CardError {
     #[error("input.shape has a batch of {0}; the batch must be 1")]
     Batch(usize),
     /// The number of channels contradicts the colours.
-    #[error("input.shape has {channels} channels, {colour:?} has {expected}")]
-    Channels { channels: usize, colour: Colour, expected: usize },
+    #[error(
+        "input.shape has {channels} channels with layout = \"{layout}\", but colour = \"{colour}\" has {expected}{}",
+        other_layout(*.layout, *.fits_other)
+    )]
+    Channels {
+        channels: usize,
+        layout: Layout,
+        colour: Colour,
+        expected: usize,
+        /// Whether the shape has the expected channels with the other layout.
+        fits_other: bool,
+    },
     /// Pixels are not truth values.
     #[error("input {0:?} is a picture of dtype bool; a picture has numbers")]
     PictureType(String),
@@ -72,6 +82,12 @@ pub(in crate::model::onnx) enum CardError {
     /// The size after preprocessing depends on the picture.
     #[error("preprocessing.resize to the shortest side needs a crop after it")]
     NoCrop,
+    /// The crop is larger than the picture after resizing; width and height, pixels.
+    #[error(
+        "preprocessing.crop cuts out {} × {} pixels, but preprocessing.resize makes {made} pixels; write a larger size for resize",
+        .crop.0, .crop.1
+    )]
+    Crop { crop: (u32, u32), made: String },
     /// The size after preprocessing differs from the size of the input; each is width and height, pixels.
     #[error("preprocessing makes {} × {} pixels, input.shape requires {} × {}", .made.0, .made.1, .wanted.0, .wanted.1)]
     Size { made: (u32, u32), wanted: (usize, usize) },
@@ -107,4 +123,9 @@ pub(in crate::model::onnx) enum CardError {
     /// The task has no output.
     #[error("it has no [[output]]")]
     NoOutput,
+}
+
+/// Asks for the other layout if the shape fits it.
+fn other_layout(layout: Layout, fits: bool) -> String {
+    if fits { format!("; is layout = \"{}\" meant?", layout.other()) } else { String::new() }
 }

@@ -134,7 +134,9 @@ impl PictureSource {
         }
         let expected = colour.channels();
         if channels != expected {
-            return Err(CardError::Channels { channels, colour, expected });
+            let other = layout.other().dimensions(shape);
+            let fits_other = other.is_some_and(|(channels, ..)| channels == expected);
+            return Err(CardError::Channels { channels, layout, colour, expected, fits_other });
         }
         let normalisation = preprocessing.normalisation(channels, !data_type.is_float())?;
         preprocessing.check_size((width, height))?;

@@ -111,7 +111,12 @@ impl Card {
     /// Reads and checks a card.
     pub(super) fn read(file: &Path) -> Result<Self, LoadError> {
         let wrong = |reason: String| LoadError::File { file: file.to_owned(), reason };
-        let text = text(file).map_err(|error| wrong(error.to_string()))?;
+        let text = text(file).map_err(|error| match error.kind() {
+            io::ErrorKind::NotFound => wrong(format!(
+                "{error}; write a card for the model (docs/models.md), or correct the path of its folder"
+            )),
+            _ => wrong(error.to_string()),
+        })?;
         Self::parse(&text).map_err(|error| wrong(error.to_string()))
     }
 

@@ -16,6 +16,14 @@ pub(in crate::model::onnx) enum Layout {
 }
 
 impl Layout {
+    /// Returns the other layout.
+    pub(super) const fn other(self) -> Self {
+        match self {
+            Self::Nchw => Self::Nhwc,
+            Self::Nhwc => Self::Nchw,
+        }
+    }
+
     /// Returns channels, height and width of a shape; `None` if it has fewer than three lengths.
     pub(in crate::model::onnx) fn dimensions(self, shape: &[usize]) -> Option<(usize, usize, usize)> {
         // A dimension before these three is the batch.
@@ -51,6 +59,16 @@ impl Colour {
             Self::Rgb | Self::Bgr => 3,
             Self::Grey => 1,
         }
+    }
+}
+
+impl fmt::Display for Colour {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Rgb => "rgb",
+            Self::Bgr => "bgr",
+            Self::Grey => "grey",
+        })
     }
 }
 
@@ -192,6 +210,20 @@ const fn default_fill() -> u8 {
 impl Preprocessing {
     /// Checks that the steps produce a picture of `wanted` width and height, pixels.
     pub(super) fn check_size(&self, wanted: (usize, usize)) -> Result<(), CardError> {
+        if let (Some(resize), Some(CentreCrop { width, height, .. })) = (self.resize, self.crop) {
+            // The picture may be wide or high, so one side of a crop may be longer than the shorter side of the picture.
+            let (fits, made) = match resize {
+                Resize::Shortest { size, .. } => {
+                    (width.min(height) <= size, format!("a shorter side of {size}"))
+                }
+                Resize::Exact { width: w, height: h, .. } | Resize::Letterbox { width: w, height: h, .. } => {
+                    (width <= w && height <= h, format!("{w} × {h}"))
+                }
+            };
+            if !fits {
+                return Err(CardError::Crop { crop: (width, height), made });
+            }
+        }
         let made = match (self.resize, self.crop) {
             // The crop is the last step that changes the size, so it decides alone.
             (_, Some(CentreCrop { width, height, .. }))

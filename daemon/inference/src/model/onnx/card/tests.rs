@@ -164,7 +164,16 @@ fn contradictory_keys_are_named() {
         &[
             ("shape = [1, 1, 1, 2]", "shape = [2, 1, 1, 2]", "batch of 2"),
             ("shape = [1, 1, 1, 2]", "shape = [1, 2]", "has 2 lengths"),
-            ("colour = \"grey\"", "colour = \"rgb\"", "1 channels"),
+            (
+                "colour = \"grey\"",
+                "colour = \"rgb\"",
+                "1 channels with layout = \"nchw\", but colour = \"rgb\" has 3",
+            ),
+            (
+                "shape = [1, 1, 1, 2]\ncolour = \"grey\"",
+                "shape = [1, 32, 32, 3]\ncolour = \"rgb\"",
+                "32 channels with layout = \"nchw\", but colour = \"rgb\" has 3; is layout = \"nhwc\" meant?",
+            ),
             ("colour = \"grey\"", "", "its colour is missing"),
             (
                 "colour = \"grey\"\n[preprocessing]",
@@ -185,6 +194,16 @@ fn contradictory_keys_are_named() {
             ("width = 2,", "width = 3,", "3 × 1 pixels"),
             ("mode = \"exact\", width = 2, height = 1", "mode = \"shortest\", size = 2", "needs a crop"),
             ("mode = \"exact\", width = 2", "mode = \"letterbox\", width = 4", "4 × 1 pixels"),
+            (
+                "mode = \"exact\", width = 2, height = 1 }",
+                "mode = \"shortest\", size = 1 }\ncrop = { width = 2, height = 2 }",
+                "crop cuts out 2 × 2 pixels, but preprocessing.resize makes a shorter side of 1 pixels; write a larger size",
+            ),
+            (
+                "width = 2, height = 1 }",
+                "width = 2, height = 1 }\ncrop = { width = 2, height = 2 }",
+                "crop cuts out 2 × 2 pixels, but preprocessing.resize makes 2 × 1 pixels",
+            ),
             ("labels = [\"a\", \"b\"]", "labels = []", "at least one label"),
             ("labels = [\"a\", \"b\"]", "labels = [\"a\", \"b\", \"a\"]", "has \"a\" twice"),
             ("labels = [", "top_k = 3\nlabels = [", "write top_k = 2"),
