@@ -9,6 +9,7 @@ mod unloaded_model;
 
 pub use config::BankConfig;
 pub use folders::{DEFAULT_MODEL_FOLDER, ModelFolders, ModelOnDisk};
+pub use load_watch::LOAD_LOG_TARGET;
 pub use unloaded_model::{UnloadReason, UnloadedModel};
 
 use std::collections::HashSet;

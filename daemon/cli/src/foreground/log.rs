@@ -10,6 +10,7 @@ use crate::exit::{Exit, Failure};
 use crate::log::{Line, VARIABLE};
 use crate::output::print_to_stdout;
 use peernet_agent::REMARK_LOG_TARGET;
+use peernet_inference::bank::LOAD_LOG_TARGET;
 use tracing::field::{Field, Visit};
 use tracing::{Event, Subscriber};
 use tracing_subscriber::filter::EnvFilter;
@@ -32,14 +33,20 @@ pub(crate) enum LogDestination {
     Parent,
 }
 
-/// Installs the log. Unless `PEERNET_LOG` sets another level, the log contains only output of users' code and remarks on connections.
+/// Log targets of warnings that every user sees.
+const WARNING_TARGETS: [&str; 2] = [REMARK_LOG_TARGET, LOAD_LOG_TARGET];
+
+/// Installs the log. Unless `PEERNET_LOG` sets another level, the log contains only output of users' code, remarks on connections, and models
+/// that load for long.
 ///
 /// # Errors
 /// When the variable does not contain a valid level (78).
 pub(crate) fn start_log(destination: LogDestination) -> Result<(), Failure> {
     let configuration_failure = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
     let level = std::env::var(VARIABLE).unwrap_or_else(|_| {
-        format!("off,{}=info,{}=info,{REMARK_LOG_TARGET}=warn", USER_CODE_TARGETS[0], USER_CODE_TARGETS[1])
+        let user_code = USER_CODE_TARGETS.map(|target| format!(",{target}=info")).concat();
+        let warnings = WARNING_TARGETS.map(|target| format!(",{target}=warn")).concat();
+        format!("off{user_code}{warnings}")
     });
     let filter = EnvFilter::try_new(&level).map_err(|error| {
         configuration_failure(anyhow::anyhow!(
@@ -78,7 +85,7 @@ impl Write for LogWriter {
     }
 }
 
-/// Formatter: `model my_model-Net: the line` for users' code, `warning: the text` for remarks, the log's form for the rest.
+/// Formatter: `model my_model-Net: the line` for users' code, `warning: the text` for warnings, the log's form for the rest.
 struct LogFormat {
     other: Line,
 }
@@ -95,12 +102,13 @@ where
         event: &Event<'_>,
     ) -> fmt::Result {
         let target = event.metadata().target();
-        if target != REMARK_LOG_TARGET && !USER_CODE_TARGETS.contains(&target) {
+        let is_warning = WARNING_TARGETS.contains(&target);
+        if !is_warning && !USER_CODE_TARGETS.contains(&target) {
             return self.other.format_event(context, writer, event);
         }
         let mut message = LogMessage::default();
         event.record(&mut message);
-        if target == REMARK_LOG_TARGET {
+        if is_warning {
             return writeln!(writer, "warning: {}", message.line);
         }
         writeln!(writer, "{}: {}", message.name, message.line)

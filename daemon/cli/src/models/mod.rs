@@ -11,6 +11,7 @@ mod tally;
 use std::path::PathBuf;
 
 use crate::exit::{Exit, Failure};
+use crate::foreground::{LogDestination, start_log};
 use anyhow::anyhow;
 use peernet_inference::bank::{ModelFolders, ModelOnDisk};
 use peernet_inference::{CardSummary, LoadError};
@@ -42,8 +43,15 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     match &arguments.command {
         Command::List(arguments) => list::run(arguments),
         Command::Show(arguments) => show::run(arguments),
-        Command::Check(arguments) => check::run(arguments),
-        Command::Bench(arguments) => bench::run(arguments),
+        // These two load a model, which may take long.
+        Command::Check(arguments) => {
+            start_log(LogDestination::StandardError)?;
+            check::run(arguments)
+        }
+        Command::Bench(arguments) => {
+            start_log(LogDestination::StandardError)?;
+            bench::run(arguments)
+        }
     }
 }
 

@@ -9,6 +9,9 @@ use peernet_logger::Slug;
 /// Time after which the first line is logged. Each further line follows after twice the time.
 const FIRST_REPORT: Duration = Duration::from_secs(30);
 
+/// Log target of the lines. Programs that show no log show these.
+pub const LOAD_LOG_TARGET: &str = "peernet_inference::loading";
+
 /// Logs that a model is still loading, until this is dropped.
 // The first run of a model may never end, and building an engine for a GPU may take many minutes.
 pub(super) struct LoadWatch {
@@ -29,8 +32,9 @@ impl LoadWatch {
                 elapsed_s += next.as_secs();
                 next *= 2;
                 tracing::warn!(
-                    %model, %device, elapsed_s,
-                    "the model is still loading: its files are read, or its first computation has not ended"
+                    target: LOAD_LOG_TARGET,
+                    "model {model} is still loading on {device} after {elapsed_s} s: its files are read, or its first computation has not \
+                     ended"
                 );
             }
         };
