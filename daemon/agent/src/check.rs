@@ -156,7 +156,7 @@ pub(crate) fn remarks(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem>
     let offers_folders = || folders.list().iter().any(|model| model.card.is_ok());
     if !config.bank.devices.is_empty()
         && offers_folders()
-        && let Err(error) = check_library(&config.onnxruntime)
+        && let Err(error) = check_library(&config.onnxruntime, clock)
     {
         report.add("onnxruntime", format!("the models of [bank] cannot be loaded: {error}"));
     }

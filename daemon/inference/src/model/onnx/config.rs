@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
+use peernet_clock::SharedClock;
 use serde::{Deserialize, Serialize};
 
 use super::Onnx;
@@ -89,7 +90,7 @@ impl ModelKind for OnnxConfig {
 
     fn check(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<(), LoadError> {
         self.check_batch(shared)?;
-        Onnx::check(self, shared, context.runtime)
+        Onnx::check(self, shared, context)
     }
 
     fn load(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
@@ -112,8 +113,8 @@ impl ModelConfig {
 ///
 /// # Errors
 /// If the library cannot be found or used.
-pub fn check_library(config: &OnnxRuntimeConfig) -> Result<(), LibraryError> {
-    Runtime::get(config).map(drop)
+pub fn check_library(config: &OnnxRuntimeConfig, clock: &SharedClock) -> Result<(), LibraryError> {
+    Runtime::get(config, clock).map(drop)
 }
 
 /// The table `[onnxruntime]`: the library that runs the models of kind `onnx`.

@@ -8,8 +8,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use ort::LoadDynamicError;
 use ort::environment::Environment;
 use ort::logging::LogLevel;
+use peernet_clock::SharedClock;
 
 use super::OnnxRuntimeConfig;
+use super::library_log::LibraryLog;
 use super::search::{Candidate, SearchSettings};
 use crate::LibraryError;
 
@@ -49,8 +51,8 @@ pub fn is_library_in_use() -> bool {
 static LOADED: Mutex<Option<Arc<Runtime>>> = Mutex::new(None);
 
 impl Runtime {
-    /// Returns the library that the search finds; loads it on the first call.
-    pub(super) fn get(config: &OnnxRuntimeConfig) -> Result<Arc<Self>, LibraryError> {
+    /// Returns the library that the search finds; loads it on the first call. `clock` limits the rate of its messages.
+    pub(super) fn get(config: &OnnxRuntimeConfig, clock: &SharedClock) -> Result<Arc<Self>, LibraryError> {
         let search_settings = SearchSettings::from_environment(config.library.as_deref());
         // The lock is held while the library loads, so that it is loaded once.
         let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
@@ -64,8 +66,8 @@ impl Runtime {
             };
         }
         let runtime = match found {
-            Some(candidate) => Self::load(&candidate)?,
-            None => Self::load_from_system(&mut searched)?,
+            Some(candidate) => Self::load(&candidate, clock)?,
+            None => Self::load_from_system(&mut searched, clock)?,
         };
         let runtime = Arc::new(runtime);
         *loaded = Some(Arc::clone(&runtime));
@@ -91,10 +93,12 @@ impl Runtime {
     }
 
     /// Loads the library by the names that the system's loader knows, with and without the version of its interface.
-    fn load_from_system(searched: &mut Vec<String>) -> Result<Self, LibraryError> {
+    fn load_from_system(searched: &mut Vec<String>, clock: &SharedClock) -> Result<Self, LibraryError> {
         for name in ["libonnxruntime.so.1", "libonnxruntime.so"] {
             match ort::init_from(name) {
-                Ok(builder) => return Self::from_builder(builder, name.into(), "the system's library path"),
+                Ok(builder) => {
+                    return Self::from_builder(builder, name.into(), "the system's library path", clock);
+                }
                 Err(LoadDynamicError::Dlopen { .. }) => {
                     searched.push(format!("{name} in the system's library path: none"));
                 }
@@ -111,23 +115,26 @@ impl Runtime {
         Err(LibraryError::NotFound { searched: std::mem::take(searched) })
     }
 
-    fn load(candidate: &Candidate) -> Result<Self, LibraryError> {
+    fn load(candidate: &Candidate, clock: &SharedClock) -> Result<Self, LibraryError> {
         let Candidate { path, origin } = candidate;
         let builder = ort::init_from(path).map_err(|error| LibraryError::Unusable {
             library: path.clone(),
             origin,
             reason: reason(&error),
         })?;
-        Self::from_builder(builder, path.clone(), origin)
+        Self::from_builder(builder, path.clone(), origin, clock)
     }
 
     fn from_builder(
         builder: ort::environment::EnvironmentBuilder,
         library: PathBuf,
         origin: &'static str,
+        clock: &SharedClock,
     ) -> Result<Self, LibraryError> {
         // To create the environment already sends an event; both programs therefore set
         // `ORT_DISABLE_TELEMETRY` as well.
+        let log = LibraryLog::new(clock);
+        let log = move |level, _: &str, _: &str, place: &str, message: &str| log.log(level, place, message);
         let environment =
             builder.with_name("peernet").with_telemetry(false).with_logger(Arc::new(log)).build().map_err(
                 |error| LibraryError::Unusable {
@@ -139,15 +146,6 @@ impl Runtime {
         environment.set_log_level(LogLevel::Warning);
         tracing::debug!(library = %library.display(), origin, "ONNX Runtime loaded");
         Ok(Self { environment, library })
-    }
-}
-
-/// Passes the library's messages on to this program's log.
-fn log(level: LogLevel, _category: &str, _id: &str, place: &str, message: &str) {
-    match level {
-        LogLevel::Verbose | LogLevel::Info => tracing::debug!(place, "onnxruntime: {message}"),
-        LogLevel::Warning => tracing::warn!(place, "onnxruntime: {message}"),
-        LogLevel::Error | LogLevel::Fatal => tracing::error!(place, "onnxruntime: {message}"),
     }
 }
 

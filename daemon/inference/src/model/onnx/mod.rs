@@ -16,6 +16,7 @@ mod example;
 mod geometry;
 mod inputs;
 mod library;
+mod library_log;
 mod model_files;
 mod numbers;
 mod outlets;
@@ -104,13 +105,13 @@ struct Plan {
 
 impl Onnx {
     /// Checks everything that can be checked without loading the model: the device, the files, the card, the library.
-    fn check(config: &OnnxConfig, shared: &SharedKeys, runtime: &OnnxRuntimeConfig) -> Result<(), LoadError> {
-        Self::plan(config, shared, runtime).map(drop)
+    fn check(config: &OnnxConfig, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<(), LoadError> {
+        Self::plan(config, shared, context).map(drop)
     }
 
     /// Loads the part of the model that all workers share.
     fn load(config: &OnnxConfig, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Self, LoadError> {
-        let (plan, runtime) = Self::plan(config, shared, context.runtime)?;
+        let (plan, runtime) = Self::plan(config, shared, context)?;
         let _library_use = LibraryUse::begin();
         let (hash, card_hash) = (hash_model(&config.path)?, hash_card(&config.path)?);
         let shared = SharedModel::prepare(&plan, &runtime, context.temp_dirs)?;
@@ -120,13 +121,13 @@ impl Onnx {
     fn plan(
         config: &OnnxConfig,
         shared: &SharedKeys,
-        runtime: &OnnxRuntimeConfig,
+        context: &LoadContext<'_>,
     ) -> Result<(Plan, Arc<Runtime>), LoadError> {
         let device: Device = shared.device.parse()?;
         let card = Card::read(&config.path.join(CARD))?;
         model_files(&config.path)?;
         let file = config.path.join(MODEL);
-        let runtime = Runtime::get(runtime)?;
+        let runtime = Runtime::get(context.runtime, context.clock)?;
         device.check(&shared.name, runtime.library())?;
         let plan = Plan {
             name: shared.name.clone(),
