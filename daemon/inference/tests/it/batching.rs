@@ -1,17 +1,18 @@
 //! Tests of batches: several requests in one run of an ONNX model.
 
 use std::sync::Arc;
-use std::sync::mpsc::sync_channel;
+use std::sync::mpsc::{RecvTimeoutError, sync_channel};
 use std::time::Duration;
 
 use peernet_inference::{
     Bank, Cancelled, FinishedJob, InferenceError, Job, LoadError, Requester, UncancelledRequester,
 };
-use peernet_logger::{HostId, Recorder};
+use peernet_logger::{HostId, Recorder, Tree};
 use peernet_sample::{ElementType, Part, Sample};
 use tokio_util::sync::CancellationToken;
 
 use super::graphs::{array, bytes, floats, models, pixels, table};
+use super::termination::CancellableRequester;
 use super::{bank, clock, loaded, slug};
 
 /// Requester that does not wait for an answer any more.
@@ -162,15 +163,61 @@ fn indices(numbers: [i64; 3]) -> Vec<Part> {
 fn run_that_library_refuses_is_repeated_for_each_sample() {
     let bank = batching_bank("table", "{ max_size = 3, max_wait_ms = 60000 }");
     let requests = [[1, 2, 3], [4, 5_000, 6], [7, 8, 9]].map(|numbers| awaited(indices(numbers)));
-    let mut finished = run_all(&bank, "table", requests.into());
+    let finished = run_all(&bank, "table", requests.into());
     assert_eq!(numbers(&finished[0]), [1.0, 4.0, 9.0]);
     assert_eq!(numbers(&finished[2]), [49.0, 64.0, 81.0]);
     let error = finished[1].result.clone().expect_err("has no such index").to_string();
     assert!(error.contains("5000"), "{error}");
-    // The refused run took time of this iteration, too.
-    let tree = finished.remove(0).recorder.finish();
-    let runs = tree.nodes().iter().filter(|node| node.name == "inference").count();
-    assert_eq!(runs, 2, "{tree:?}");
+    let trees: Vec<Tree> = finished.into_iter().map(|done| done.recorder.finish()).collect();
+    for tree in &trees {
+        // The refused run took time of this iteration, too, but only the run that answered has a size.
+        assert_eq!(values(tree, "inference").len(), 2, "{tree:?}");
+        assert_eq!(values(tree, "batch-size"), [1.0], "{tree:?}");
+        assert_eq!(values(tree, "batch-wait").len(), 3, "{tree:?}");
+    }
+    // The first sample waits for the others after its own run, and the last one before.
+    let (first, last) = (values(&trees[0], "batch-wait"), values(&trees[2], "batch-wait"));
+    assert!(first[2] >= values(&trees[2], "inference")[1], "{trees:?}");
+    assert!(last[1] >= values(&trees[0], "inference")[1], "{trees:?}");
+}
+
+/// Returns the values of all nodes of a name, in their order.
+fn values(tree: &Tree, name: &str) -> Vec<f64> {
+    tree.nodes().iter().filter(|node| node.name == name).filter_map(|node| node.measure.value()).collect()
+}
+
+/// A batch of a sample that never ends, of two that do, and of others whose requesters give up one after the other.
+#[test]
+fn cancelled_request_does_not_hold_up_its_batch() {
+    const ENDLESS: i64 = 1 << 60;
+    let count = |runs: i64| vec![array(ElementType::I64, &[1, 1], runs.to_le_bytes().to_vec())];
+    let mut tokens: Vec<CancellationToken> = (0..8).map(|_| CancellationToken::new()).collect();
+    let requester =
+        |token: &CancellationToken| Arc::new(CancellableRequester(token.clone())) as Arc<dyn Requester>;
+    let mut requests = vec![(count(ENDLESS), requester(&tokens[0]))];
+    requests.extend([awaited(count(5)), awaited(count(7))]);
+    requests.extend(tokens[1..].iter().map(|token| (count(1), requester(token))));
+    let batch = format!("{{ max_size = {}, max_wait_ms = 60000 }}", requests.len());
+    let bank = batching_bank("open-counter", &batch);
+    let (end, ended) = sync_channel::<()>(0);
+    let canceller = std::thread::spawn(move || {
+        // The first cancellation may come before the run is overdue; a later one then ends it.
+        while ended.recv_timeout(Duration::from_millis(500)) == Err(RecvTimeoutError::Timeout) {
+            if !tokens.is_empty() {
+                tokens.remove(0).cancel();
+            }
+        }
+    });
+    let finished = run_all(&bank, "open-counter", requests);
+    drop(end);
+    canceller.join().expect("does not panic");
+    assert_eq!(finished[0].result, Err(InferenceError::Cancelled { model: "open-counter".to_owned() }));
+    for (done, expected) in finished[1..3].iter().zip([5_i64, 7]) {
+        let answer = done.result.as_ref().unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(answer.parts[0].bytes[..], expected.to_le_bytes());
+    }
+    let awaited = finished.last().expect("has the last token");
+    assert!(awaited.result.is_ok(), "the batch ended before all others gave up: {:?}", awaited.result);
 }
 
 #[test]

@@ -19,7 +19,7 @@ const LONG: Duration = Duration::from_secs(60);
 
 /// Requester with a token that the test cancels.
 #[derive(Default)]
-struct CancellableRequester(CancellationToken);
+pub(super) struct CancellableRequester(pub(super) CancellationToken);
 
 impl Requester for CancellableRequester {
     fn send_part(&self, _part: Sample) -> Result<(), Cancelled> {

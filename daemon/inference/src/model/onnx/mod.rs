@@ -41,6 +41,7 @@ use std::collections::HashSet;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use peernet_clock::SharedClock;
 use peernet_logger::Slug;
 use peernet_sample::{MaskLabel, ObjectsLabel, list_examples, normalized_label};
 use tokio_util::sync::CancellationToken;
@@ -87,6 +88,7 @@ struct Onnx {
     shared: Option<SharedModel>,
     /// Cancelled when the host stops; terminates running computations.
     stop: CancellationToken,
+    clock: SharedClock,
 }
 
 /// Settings of a model that are known before a session is opened.
@@ -115,7 +117,8 @@ impl Onnx {
         let _library_use = LibraryUse::begin();
         let (hash, card_hash) = (hash_model(&config.path)?, hash_card(&config.path)?);
         let shared = SharedModel::prepare(&plan, &runtime, context.temp_dirs)?;
-        Ok(Self { plan: Arc::new(plan), hash, card_hash, runtime, shared, stop: context.stop.clone() })
+        let (stop, clock) = (context.stop.clone(), Arc::clone(context.clock));
+        Ok(Self { plan: Arc::new(plan), hash, card_hash, runtime, shared, stop, clock })
     }
 
     fn plan(
@@ -168,7 +171,8 @@ impl Model for Onnx {
         let library_use = LibraryUse::begin();
         let session = session::open(&self.plan, &self.runtime, self.shared.as_ref())?;
         let plan = Arc::clone(&self.plan);
-        Ok(Box::new(OnnxWorker::new_warmed_up(plan, session, library_use, self.stop.clone())?))
+        let (stop, clock) = (self.stop.clone(), Arc::clone(&self.clock));
+        Ok(Box::new(OnnxWorker::new_warmed_up(plan, session, library_use, stop, clock)?))
     }
 
     fn batching(&self) -> Batching {

@@ -1,13 +1,15 @@
-//! Termination of a run of ONNX Runtime whose requests are all cancelled.
+//! Termination of a run of ONNX Runtime whose requests are cancelled.
 
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Wake, Waker};
 
 use ort::session::RunOptions;
+use peernet_clock::{MonoTime, SharedClock};
 use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
 
-/// Options of one run, which is terminated as soon as all of its requests are cancelled, or the host stops.
+/// Options of one run, which is terminated as soon as all of its requests are cancelled, one of them is cancelled although the run is overdue,
+/// or the host stops.
 // A thread that still computes must not keep the process from stopping in time. Opening a session cannot be terminated; `LibraryUse` is for
 // that.
 pub(super) struct TerminableRun {
@@ -22,17 +24,28 @@ struct Conditions {
     /// Cancellations of the requests; without requests only a stop terminates the run.
     requests: Vec<CancellationToken>,
     stop: CancellationToken,
+    clock: SharedClock,
+    /// Time from which one cancelled request terminates the run of all.
+    // Before it, the run probably ends soon, and computing the other requests again would take longer.
+    overdue_at: MonoTime,
 }
 
 impl TerminableRun {
-    /// Creates the options of a run for these requests; `stop` is cancelled when the host stops.
-    pub(super) fn new(requests: Vec<CancellationToken>, stop: &CancellationToken) -> ort::Result<Self> {
-        let conditions = Arc::new(Conditions { options: RunOptions::new()?, requests, stop: stop.clone() });
+    /// Creates the options of a run for these requests; `stop` is cancelled when the host stops. From `overdue_at` on, one cancelled request
+    /// terminates the run.
+    pub(super) fn new(
+        requests: Vec<CancellationToken>,
+        stop: &CancellationToken,
+        clock: &SharedClock,
+        overdue_at: MonoTime,
+    ) -> ort::Result<Self> {
+        let (options, stop_token, clock) = (RunOptions::new()?, stop.clone(), Arc::clone(clock));
+        let conditions = Arc::new(Conditions { options, requests, stop: stop_token, clock, overdue_at });
         let waker = Waker::from(Arc::clone(&conditions));
         let subscribe = |token: &CancellationToken| {
             let mut cancelled = Box::pin(token.clone().cancelled_owned());
             if cancelled.as_mut().poll(&mut Context::from_waker(&waker)).is_ready() {
-                conditions.terminate_if_unneeded();
+                conditions.terminate_if_met();
             }
             cancelled
         };
@@ -45,21 +58,24 @@ impl TerminableRun {
         &self.conditions.options
     }
 
-    /// Returns whether the run was or will be terminated, so that its error has no other cause.
-    pub(super) fn is_terminated(&self) -> bool {
-        self.conditions.are_met()
+    /// Returns whether all requests of the run are cancelled.
+    pub(super) fn is_unneeded(&self) -> bool {
+        self.conditions.is_unneeded()
     }
 }
 
 impl Conditions {
-    fn are_met(&self) -> bool {
-        let is_unneeded =
-            !self.requests.is_empty() && self.requests.iter().all(CancellationToken::is_cancelled);
-        is_unneeded || self.stop.is_cancelled()
+    fn is_unneeded(&self) -> bool {
+        !self.requests.is_empty() && self.requests.iter().all(CancellationToken::is_cancelled)
     }
 
-    fn terminate_if_unneeded(&self) {
-        if self.are_met()
+    /// Returns whether a request is cancelled that the run should have answered by now. Its sample may be the reason why the run does not end.
+    fn is_overdue(&self) -> bool {
+        self.requests.iter().any(CancellationToken::is_cancelled) && self.clock.mono() >= self.overdue_at
+    }
+
+    fn terminate_if_met(&self) {
+        if (self.is_unneeded() || self.is_overdue() || self.stop.is_cancelled())
             && let Err(error) = self.options.terminate()
         {
             tracing::warn!(%error, "cannot terminate a run of ONNX Runtime that nobody waits for; it goes on");
@@ -69,10 +85,10 @@ impl Conditions {
 
 impl Wake for Conditions {
     fn wake(self: Arc<Self>) {
-        self.terminate_if_unneeded();
+        self.terminate_if_met();
     }
 
     fn wake_by_ref(self: &Arc<Self>) {
-        self.terminate_if_unneeded();
+        self.terminate_if_met();
     }
 }

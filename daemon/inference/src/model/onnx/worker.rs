@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use ort::session::Session;
+use peernet_clock::{SharedClock, Span};
 use peernet_logger::{Name, Recorder, TimerGuard, Unit, stage};
 use peernet_sample::Sample;
 use tokio_util::sync::CancellationToken;
@@ -24,6 +25,9 @@ pub(super) struct OnnxWorker {
     inputs: ModelInputs,
     /// Cancelled when the host stops.
     stop: CancellationToken,
+    clock: SharedClock,
+    /// Duration of the longest run that ended by itself; those at loading are among them.
+    longest_run: Span,
     /// The last field, because it ends after the session is released.
     _library_use: LibraryUse,
 }
@@ -37,12 +41,14 @@ impl OnnxWorker {
         session: Session,
         library_use: LibraryUse,
         stop: CancellationToken,
+        clock: SharedClock,
     ) -> Result<Self, LoadError> {
         let max_size = plan.batching.max_size;
         let inputs = ModelInputs::new(&plan.card.inputs, max_size, |input| {
             max_size > 1 && outlets::has_open_batch(input, session.inputs())
         });
-        let mut worker = Self { session, inputs, plan, stop, _library_use: library_use };
+        let longest_run = Span::ZERO;
+        let mut worker = Self { session, inputs, plan, stop, clock, longest_run, _library_use: library_use };
         let sizes = if max_size > 1 { &[1, max_size][..] } else { &[1] };
         sizes.iter().try_for_each(|size| worker.warm_up(*size)).map_err(|error| LoadError::Session {
             file: worker.plan.file.clone(),
@@ -53,8 +59,10 @@ impl OnnxWorker {
     }
 
     fn warm_up(&mut self, batch: usize) -> Result<(), OutputError> {
-        let run = TerminableRun::new(Vec::new(), &self.stop)?;
+        let started_at = self.clock.mono();
+        let run = TerminableRun::new(Vec::new(), &self.stop, &self.clock, started_at)?;
         let outputs = self.session.run_with_options(self.inputs.values(batch)?, run.options())?;
+        self.longest_run = self.longest_run.max(self.clock.mono() - started_at);
         answer::check(&self.plan.card, &Outputs::new(&outputs, Row { index: batch - 1, batch }))
     }
 
@@ -75,34 +83,47 @@ impl OnnxWorker {
         self.inputs.fill(samples).into_iter().zip(samples).map(failed).collect()
     }
 
-    /// Computes the answers of the first rows, one for each recorder, unless all `cancellations` come first. The outer error is an error of
-    /// the whole run.
+    /// Computes the answers of the first rows, one for each recorder, unless the `cancellations` terminate the run. The outer error is an error
+    /// of the whole run.
     fn compute(
         &mut self,
         recorders: &mut [&mut Recorder],
         cancellations: Vec<CancellationToken>,
     ) -> Result<Vec<Result<Sample, InferenceError>>, InferenceError> {
-        let Self { plan, session, inputs, stop, .. } = self;
+        let Self { plan, session, inputs, stop, clock, longest_run, .. } = self;
         let failed = |reason: String| InferenceError::Failed { model: plan.name.to_string(), reason };
         let batch = recorders.len();
-        let run = TerminableRun::new(cancellations, stop).map_err(|error| failed(error.to_string()))?;
+        let started_at = clock.mono();
+        // Twice the longest run, because a run may share its processor with others now.
+        let overdue_at = started_at + *longest_run + *longest_run;
+        let run = TerminableRun::new(cancellations, stop, clock, overdue_at)
+            .map_err(|error| failed(error.to_string()))?;
         let outputs = {
             let mut stages = time_all(recorders, &stage::INFERENCE);
-            if plan.batching.is_on() {
-                for recorder in &mut stages {
-                    recorder.record_value(BATCH_SIZE, batch as f64, Unit::NONE);
-                }
-            }
             // The outputs are in the host's memory when the session returns: it waits for a GPU and copies its outputs. They stay where
             // the session wrote them until the answer is made. Binding outputs to reused buffers was measured and is not used: 0.73 ms
             // with and without it on the CPU, for an output of 2.8 MB.
             let values = inputs.values(batch).map_err(|error| failed(error.to_string()))?;
-            session.run_with_options(values, run.options()).map_err(|error| match run.is_terminated() {
-                true if stop.is_cancelled() => InferenceError::Stopped { model: plan.name.to_string() },
-                true => InferenceError::Cancelled { model: plan.name.to_string() },
-                false => failed(error.to_string()),
-            })?
+            let outputs = session.run_with_options(values, run.options()).map_err(|error| {
+                let model = plan.name.to_string();
+                if stop.is_cancelled() {
+                    InferenceError::Stopped { model }
+                } else if run.is_unneeded() {
+                    InferenceError::Cancelled { model }
+                } else {
+                    failed(error.to_string())
+                }
+            });
+            // The requests of a run that failed are computed again, each alone.
+            let is_repeated = batch > 1 && matches!(outputs, Err(InferenceError::Failed { .. }));
+            if plan.batching.is_on() && !is_repeated {
+                for recorder in &mut stages {
+                    recorder.record_value(BATCH_SIZE, batch as f64, Unit::NONE);
+                }
+            }
+            outputs?
         };
+        *longest_run = (*longest_run).max(clock.mono() - started_at);
         let _stages = time_all(recorders, &stage::POSTPROCESSING);
         let answer = |index: usize| {
             let outputs = Outputs::new(&outputs, Row { index, batch });
@@ -112,11 +133,11 @@ impl OnnxWorker {
         Ok((0..batch).map(answer).collect())
     }
 
-    /// Computes the answers of several requests in one run. If the library refuses the run, each request is computed alone, because the
-    /// sample of one of them may be the reason.
+    /// Computes the answers of several requests in one run. If the library refuses the run, or it is overdue when a request is cancelled, each
+    /// request is computed alone, because the sample of one of them may be the reason.
     fn compute_together(&mut self, requests: &mut [Request<'_>]) -> Vec<Result<Sample, InferenceError>> {
         let samples: Vec<&Sample> = requests.iter().map(|request| request.sample).collect();
-        let cancellations: Vec<_> = requests.iter().map(|request| request.requester.cancellation()).collect();
+        let tokens: Vec<_> = requests.iter().map(|request| request.requester.cancellation()).collect();
         let mut recorders: Vec<&mut Recorder> =
             requests.iter_mut().map(|request| &mut *request.recorder).collect();
         let prepared = {
@@ -128,15 +149,15 @@ impl OnnxWorker {
             .zip(&prepared)
             .filter_map(|(recorder, result)| result.is_ok().then_some(recorder))
             .collect();
+        let cancellations = tokens
+            .into_iter()
+            .zip(&prepared)
+            .filter_map(|(token, result)| result.is_ok().then_some(token))
+            .collect();
         let count = ready.len();
         let computed = if count == 0 { Ok(Vec::new()) } else { self.compute(&mut ready, cancellations) };
         let mut answers = match computed {
-            Err(InferenceError::Failed { .. }) if count > 1 => {
-                return requests
-                    .iter_mut()
-                    .flat_map(|request| self.compute_together(std::slice::from_mut(request)))
-                    .collect();
-            }
+            Err(InferenceError::Failed { .. }) if count > 1 => return self.compute_one_by_one(requests),
             Err(error) => vec![Err(error); count].into_iter(),
             Ok(answers) => answers.into_iter(),
         };
@@ -144,6 +165,27 @@ impl OnnxWorker {
             .into_iter()
             .map(|result| result.and_then(|()| answers.next().unwrap_or_else(|| Err(self.no_answer()))))
             .collect()
+    }
+
+    /// Computes each request alone after the run of all has failed. While the others are computed, a request is in the stage `batch-wait`.
+    fn compute_one_by_one(&mut self, requests: &mut [Request<'_>]) -> Vec<Result<Sample, InferenceError>> {
+        let started_at = self.clock.mono();
+        let mut results = Vec::with_capacity(requests.len());
+        let mut computed_at = Vec::with_capacity(requests.len());
+        for request in requests.iter_mut() {
+            request.recorder.record_timer(stage::BATCH_WAIT, started_at, self.clock.mono());
+            if request.requester.cancellation().is_cancelled() {
+                results.push(Err(InferenceError::Cancelled { model: self.plan.name.to_string() }));
+            } else {
+                results.extend(self.compute_together(std::slice::from_mut(request)));
+            }
+            computed_at.push(self.clock.mono());
+        }
+        let ended_at = self.clock.mono();
+        for (request, computed_at) in requests.iter_mut().zip(computed_at) {
+            request.recorder.record_timer(stage::BATCH_WAIT, computed_at, ended_at);
+        }
+        results
     }
 }
 
