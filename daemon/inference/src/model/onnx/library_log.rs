@@ -74,7 +74,9 @@ mod tests {
     fn refused_samples_make_one_line_per_minute() {
         let log = log();
         let refusal = |index: i64| {
-            format!("Non-zero status code returned while running Gather node. Name:'' Status Message: idx={index}")
+            format!(
+                "Non-zero status code returned while running Gather node. Name:'' Status Message: idx={index}"
+            )
         };
         let logged = |index: i64, now| log.times_to_log(LogLevel::Error, (PLACE, &refusal(index)), now);
         assert_eq!(logged(5_000, at(0)), Some(1));
