@@ -21,6 +21,9 @@ pub const EPISODE_VALUES: [&str; 2] = [EPISODE_SUCCESS, EPISODE_RETURN];
 /// Reports of the actuator after each action. Their means over all actions say little; [`EPISODE_VALUES`] has the results of whole episodes.
 pub const ACTION_REPORTS: [&str; 2] = ["success", "episode-ended"];
 
+/// Text between two different numbers of episodes.
+pub const EPISODES_SEPARATOR: &str = " and ";
+
 /// Results of the actuator of one or several runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
@@ -98,6 +101,16 @@ impl ActuatorResults {
         }
     }
 
+    /// Returns the number of episodes with a result; if it differs between success and return, both numbers. `None` without episodes.
+    pub fn episodes(&self) -> Option<String> {
+        let counts =
+            [self.success.map(|found| found.episodes), self.episode_return.map(|found| found.episodes)];
+        let mut counts: Vec<u64> = counts.into_iter().flatten().collect();
+        counts.dedup();
+        let texts: Vec<String> = counts.into_iter().map(|count| fixed(count as f64, 0)).collect();
+        (!texts.is_empty()).then(|| texts.join(EPISODES_SEPARATOR))
+    }
+
     /// Returns sentences about the results; `answered` is the number of counted iterations.
     pub fn sentences(&self, answered: u64) -> Vec<String> {
         let superseded = (self.superseded > 0).then(|| {
@@ -165,6 +178,11 @@ mod tests {
         let success = found.success.expect("is reported");
         assert_eq!((found.superseded, success.rate, success.episodes), (1, 0.5, 2));
         let returns = found.episode_return.expect("is reported");
+        assert_eq!(found.episodes().as_deref(), Some("2"));
+        let other = found.success.map(|success| SuccessRate { episodes: 1, ..success });
+        let with_other = ActuatorResults { success: other, ..found };
+        assert_eq!(with_other.episodes().as_deref(), Some("1 and 2"));
+        assert_eq!(ActuatorResults::default().episodes(), None);
         assert_eq!((returns.mean, returns.episodes), (2.0, 2));
         assert_eq!(
             found.sentences(1_000),

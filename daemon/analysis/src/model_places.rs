@@ -16,7 +16,7 @@ pub struct PlacedModel {
 /// Models that ran at several places, with these places.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ModelPlaces {
-    /// Names of all places, the local ones first: the kind of placement, followed by the device if several places have this kind.
+    /// Names of all places, the local ones first: the kind of placement in a word, followed by the device if several places have this kind.
     pub places: Vec<String>,
     /// Each model with the indexes of its runs at each of the places.
     pub models: Vec<(String, Vec<Vec<usize>>)>,
@@ -49,11 +49,21 @@ impl ModelPlaces {
         let (paired, unpaired): (Vec<_>, Vec<_>) = models.into_iter().partition(ran_at_several_places);
         let is_only_place = |kind: &str| places.iter().filter(|(other, _)| other == kind).count() == 1;
         let name = |(kind, device): &(String, String)| {
-            if is_only_place(kind) || device.is_empty() { kind.clone() } else { format!("{kind}, {device}") }
+            let place = place_word(kind);
+            if is_only_place(kind) || device.is_empty() {
+                place.to_owned()
+            } else {
+                format!("{place}, {device}")
+            }
         };
         let places = places.iter().map(name).collect();
         Self { places, models: paired, at_one_place: unpaired.into_iter().map(|(model, _)| model).collect() }
     }
+}
+
+/// Returns the word for a kind of placement in tables and figures: `cloud` for `remote`, like the labels of experiments.
+pub fn place_word(kind: &str) -> &str {
+    if kind == PlacementKind::Remote.name() { "cloud" } else { kind }
 }
 
 fn ran_at_several_places((_, runs): &(String, Vec<Vec<usize>>)) -> bool {
@@ -84,7 +94,7 @@ mod tests {
             placed("s", "", "cpu"),
         ];
         let found = ModelPlaces::new(&runs);
-        assert_eq!(found.places, ["local", "remote, cpu", "remote, cuda:0"]);
+        assert_eq!(found.places, ["local", "cloud, cpu", "cloud, cuda:0"]);
         assert_eq!(found.models, [("s".to_owned(), vec![vec![1], vec![0, 3], vec![]])]);
         assert_eq!(found.at_one_place, ["m"]);
     }
@@ -92,6 +102,7 @@ mod tests {
     #[test]
     fn models_at_one_place_each_are_left_out() {
         let found = ModelPlaces::new(&[placed("s", "local", "cpu"), placed("m", "remote", "cpu")]);
+        assert_eq!(found.places, ["local", "cloud"]);
         assert!(found.models.is_empty() && found.at_one_place == ["s", "m"], "{found:?}");
         assert_eq!(ModelPlaces::new(&[]), ModelPlaces::default());
     }

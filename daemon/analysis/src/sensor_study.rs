@@ -157,7 +157,7 @@ impl SensorStudy {
             header: ["quantity", "value", "unit"].map(str::to_owned).into(),
             labels: 1,
             rows: rows.map(|(name, value, unit)| vec![name.to_owned(), value, unit.to_owned()]).into(),
-            marked: Vec::new(),
+            marked: None,
         }
     }
 }

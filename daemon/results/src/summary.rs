@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use peernet_analysis::accuracy::{ACCURACIES, UNKNOWN_LABEL};
 use peernet_analysis::actuator_results::{ACTION_REPORTS, EPISODE_SUCCESS, SUPERSEDED};
+use peernet_analysis::compare::replayed_configurations;
 use peernet_analysis::deadline::DEADLINE_MISSED;
 use peernet_analysis::record::{ClockCounts, Counts};
 use peernet_analysis::rows::{SKIPPED_STARTS, Units};
@@ -94,7 +95,7 @@ fn table(summary: &Summary) -> Table {
             .chain(rest)
             .map(|(quantity, name)| cells(quantity, name, &summary.units, digits))
             .collect(),
-        marked: Vec::new(),
+        marked: None,
     }
 }
 
@@ -104,7 +105,9 @@ fn sentences(summary: &Summary) -> String {
     let needs_explanation = summary.quantities.iter().any(has_uncertain_bounds);
     let bounds = if needs_explanation { "Clock bounds contain the median of the true values." } else { "" };
     let unknown_labels = summary.unknown_labels.as_ref().map(|labels| labels.sentence(summary.counts.ok));
+    let replayed = replayed_configurations([(String::new(), summary.replayed.as_deref())]);
     let parts = [
+        replayed.unwrap_or_default(),
         outcomes(&summary.counts),
         deadline(summary),
         summary.actuator.sentences(summary.counts.ok).join("\n"),

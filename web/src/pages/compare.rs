@@ -15,7 +15,7 @@ use super::shell::Shell;
 use super::{Page, page};
 use crate::parameters::Parameters;
 use crate::state::App;
-use crate::view::chip::{Chip, Tone};
+use crate::view::chip::Chip;
 use crate::view::compare::{
     Address, Axes, BoxRow, CompareSelection, Comparison, Configuration, DifferenceRow, Differences,
     Distributions, ExcludedRun, Lengths, MAX_EXPERIMENT_RUNS, OverTime, Pair, PairwiseRow, PayloadPlots,
@@ -55,8 +55,8 @@ struct Compare {
     truncated_to: Option<u32>,
     left_out: Vec<ExcludedRun>,
     table: Table,
-    /// Caveats about the means.
-    doubts: Option<(Chip, String)>,
+    /// Caveats about the means, each with its chip.
+    doubts: Vec<(Chip, String)>,
     /// Names of further differences, which the table does not show.
     long_settings: String,
     /// Remarks on samples without a score.
@@ -179,9 +179,7 @@ fn assemble(
         truncated_to: comparison.is_truncated.then_some(MAX_EXPERIMENT_RUNS),
         left_out: comparison.left_out.clone(),
         table: Table::of(comparison, &differences),
-        doubts: Some(caveats(comparison).join(" "))
-            .filter(|sentences| !sentences.is_empty())
-            .map(|sentences| (Chip::new(Tone::Warn, "remark", "caveat"), sentences)),
+        doubts: caveats(comparison),
         long_settings: comparison.long_settings.join(", "),
         unknown: unknown_labels(comparison),
         total: comparison.total_column.title().to_lowercase(),

@@ -295,8 +295,9 @@ fn assemble(
         facts: facts(run, zone),
         clock_fault: summary.has_clock_fault.then_some(clock_fault::CHIP),
         pinned: summary.pinned,
-        notes: runs::gap_notes(&run.gaps, zone)
+        notes: Note::replayed(&run.facts)
             .into_iter()
+            .chain(runs::gap_notes(&run.gaps, zone))
             .chain(runs::deleted_iterations_note(summary, app.aggregator.retention()))
             .chain(delay_notes)
             .collect(),

@@ -1,13 +1,17 @@
 //! Notes on things that need attention, in sentences.
 
 use peernet_analysis::delays::ClockInterval;
+use peernet_analysis::trust::replayed_latencies;
 use peernet_clock::Verdict;
 use peernet_logger::Name;
 use peernet_statistics::number::{self, duration, interval_ms};
 use peernet_store::{DelayAccuracy, QuantityStatistics};
 
-use super::chip::Chip;
+use super::chip::{Chip, Tone};
 use super::clocks;
+
+/// Chip of latencies that are drawn from a distribution.
+pub(crate) const REPLAYED: Chip = Chip::new(Tone::Warn, "remark", "replayed");
 
 /// A note.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -63,6 +67,18 @@ pub(crate) fn delay_notes(
 }
 
 impl Note {
+    /// Returns the note on a run whose latencies are drawn from a distribution; `None` if they are measured.
+    pub(crate) fn replayed(facts: &[(String, String)]) -> Option<Self> {
+        let distribution = replayed_latencies(facts)?;
+        Some(Self {
+            chip: REPLAYED,
+            subject: "The latencies of the model".to_owned(),
+            href: String::new(),
+            text: format!("are replayed, not measured: {distribution}."),
+            link: None,
+        })
+    }
+
     /// Returns the remarks on delays as notes of a page.
     pub(crate) fn delay_notes(
         subject: &str,
@@ -79,5 +95,19 @@ impl Note {
             link: link.map(str::to_owned),
         });
         notes.collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn replayed_run_has_a_note() {
+        let fact = |name: &str| (name.to_owned(), "inference is drawn from x".to_owned());
+        let note = Note::replayed(&[fact("Replayed")]).expect("is replayed");
+        assert_eq!((note.chip, note.subject.as_str()), (REPLAYED, "The latencies of the model"));
+        assert_eq!(note.text, "are replayed, not measured: inference is drawn from x.");
+        assert_eq!(Note::replayed(&[fact("Model")]), None);
     }
 }

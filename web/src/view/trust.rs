@@ -48,7 +48,7 @@ impl From<&Report> for Trust {
 }
 
 /// Returns the chip of a grade.
-const fn chip(grade: Grade) -> Chip {
+pub(crate) const fn chip(grade: Grade) -> Chip {
     match grade {
         Grade::Good => Chip::new(Tone::Ok, "ok", "good"),
         Grade::Unknown => Chip::new(Tone::Quiet, "unknown", "not known"),

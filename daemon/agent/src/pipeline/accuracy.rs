@@ -26,7 +26,7 @@ const TOP_5_CLASSES: usize = 5;
 #[derive(Debug, Deserialize)]
 struct Classification {
     label: String,
-    /// Classes, best first; without them only `top-1` is recorded.
+    /// Classes, best first; with fewer than five only `top-1` is recorded.
     top: Option<Vec<Class>>,
 }
 
@@ -65,7 +65,8 @@ pub(super) fn record_accuracy(log: &mut Recorder, label: &str, answer: &Sample) 
     let matches_label = |class: &str| normalized_label(class) == label;
     let is_best = matches_label(&best);
     log.record_value(TOP_1, as_number(is_best), Unit::NONE);
-    if let Some(top) = top {
+    // Of a model with fewer classes each answer would be among the best five, which says nothing about the model.
+    if let Some(top) = top.filter(|top| top.len() >= TOP_5_CLASSES) {
         // A list in another order must not make `top-5` lower than `top-1`.
         let is_in_top = is_best || top.iter().take(TOP_5_CLASSES).any(|class| matches_label(&class.label));
         log.record_value(TOP_5, as_number(is_in_top), Unit::NONE);
@@ -237,14 +238,16 @@ mod tests {
 
     #[test]
     fn folder_spelling_does_not_matter() {
-        let answer = r#"{"label":"golden retriever","top":[]}"#;
-        assert_eq!(judged("Golden_Retriever", answer), (Some(1.0), Some(1.0)));
-        assert_eq!(judged("golden", answer), (Some(0.0), Some(0.0)));
+        let answer = r#"{"label":"golden retriever"}"#;
+        assert_eq!(judged("Golden_Retriever", answer), (Some(1.0), None));
+        assert_eq!(judged("golden", answer), (Some(0.0), None));
     }
 
     #[test]
-    fn answer_without_ranking_has_no_top_five_score() {
+    fn answer_with_fewer_than_five_classes_has_no_top_five_score() {
         assert_eq!(judged("a", r#"{"label":"a"}"#), (Some(1.0), None));
+        let top = ["a", "b", "c", "d"].map(|class| format!(r#"{{"label":"{class}","score":0.1}}"#)).join(",");
+        assert_eq!(judged("b", &format!(r#"{{"label":"a","top":[{top}]}}"#)), (Some(0.0), None));
         for answer in [r#"{"boxes":[]}"#, "{", "[]", r#"{"label":3}"#] {
             assert_eq!(judged("a", answer), (None, None), "{answer}");
         }

@@ -59,7 +59,7 @@ fn differences_table(comparison: &Comparison) -> Table {
         let mean = mean.unwrap_or_else(|| EMPTY_CELL.to_owned());
         line.labels.iter().cloned().chain([mean]).chain(with_interval(difference, decimals)).collect()
     });
-    Table { header, labels: axes.len(), rows: rows.collect(), marked: Vec::new() }
+    Table { header, labels: axes.len(), rows: rows.collect(), marked: None }
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@ use super::render::with_name;
 use super::{LATENCIES, Line, MIN_KNOWN_SHARE};
 use crate::loaded::Loaded;
 use crate::rows::RowRef;
-use crate::trust::{Starts, publication_caveats, replayed_latencies};
+use crate::trust::{Starts, publication_caveats};
 
 /// Returns sentences about runs that cannot be published as they are, skipped starts, incomplete folders, and numbers that are missing without a reason.
 pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
@@ -31,9 +31,10 @@ pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
     };
     let reports =
         runs.iter().enumerate().filter_map(|(index, run)| Some((name(index), run.record.trust.as_ref()?)));
-    let mut sentences = publication_caveats(reports);
+    let mut sentences: Vec<String> = publication_caveats(reports).into_iter().map(|(_, text)| text).collect();
     sentences.extend(skipped_starts(lines.iter().map(|line| (line.name.clone(), line.starts))));
-    sentences.extend(replayed(runs, lines));
+    sentences
+        .extend(replayed_configurations(lines.iter().map(|line| (line.name.clone(), line.replayed.as_deref()))));
     if !incomplete.is_empty() {
         sentences.push(format!("Incomplete results: {}.", incomplete.join("; ")));
     }
@@ -70,13 +71,13 @@ pub fn skipped_starts(configurations: impl IntoIterator<Item = (String, Starts)>
     })
 }
 
-/// Returns a sentence about configurations whose latencies are drawn from a distribution.
-fn replayed(runs: &[Loaded], lines: &[Line]) -> Option<String> {
-    let describe = |line: &Line| {
-        let distribution = line.runs.iter().find_map(|run| replayed_latencies(&runs[*run].record.facts))?;
-        Some(with_name(&line.name, distribution))
-    };
-    let descriptions: Vec<String> = lines.iter().filter_map(describe).collect();
+/// Returns a sentence about the configurations whose latencies are drawn from a distribution. Each configuration is given by its name and its
+/// [distribution](crate::trust::replayed_latencies). The name of a single configuration may be empty. `None` if no latency is drawn.
+pub fn replayed_configurations<'a>(
+    configurations: impl IntoIterator<Item = (String, Option<&'a str>)>,
+) -> Option<String> {
+    let describe = |(name, distribution): (String, Option<&str>)| Some(with_name(&name, distribution?));
+    let descriptions: Vec<String> = configurations.into_iter().filter_map(describe).collect();
     (!descriptions.is_empty())
         .then(|| format!("Replayed latencies, not measured: {}.", descriptions.join("; ")))
 }
@@ -114,6 +115,7 @@ fn is_missing(row: RowRef<'_>, name: &str) -> bool {
 mod tests {
     use super::super::tests::paper;
     use crate::compare::{Comparison, is_compared};
+    use crate::loaded::Loaded;
     use crate::trust::{Publish, Report, TrustInput};
 
     #[test]
@@ -154,6 +156,12 @@ mod tests {
             "{text}"
         );
         assert!(!Comparison::new(&paper()).text().contains("Replayed"));
+        let marks = |runs: &[Loaded]| {
+            let csv = Comparison::new(runs).csv();
+            csv.lines().map(|line| line.rsplit(',').next().unwrap_or_default().to_owned()).collect::<Vec<_>>()
+        };
+        assert_eq!(marks(&runs), ["replayed", "0", "1", "0"]);
+        assert_eq!(marks(&paper()), ["replayed", "0", "0", "0"]);
     }
 
     #[test]

@@ -40,6 +40,7 @@ impl Comparison {
                 .iter()
                 .flat_map(|score| ["", "-lo", "-hi", "-count"].map(|end| format!("{}{end}", score.name()))),
         );
+        header.push("replayed".to_owned());
         let row = |(index, line): (usize, &Line)| {
             let flag = |value: bool| u8::from(value).to_string();
             let number = |number: Option<f64>| number.map(|number| number.to_string()).unwrap_or_default();
@@ -87,6 +88,7 @@ impl Comparison {
                 });
                 numbers.map_or([None; 4], |numbers| numbers.map(Some)).map(number)
             }));
+            cells.push(flag(line.replayed.is_some()));
             cells
         };
         let rows: Vec<Vec<String>> = self.lines.iter().enumerate().map(row).collect();

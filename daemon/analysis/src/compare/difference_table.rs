@@ -73,7 +73,7 @@ impl Differences {
             "95 % confidence",
             "clocks",
         ];
-        Table { header: header.map(str::to_owned).to_vec(), labels: 1, rows: self.rows(), marked: Vec::new() }
+        Table { header: header.map(str::to_owned).to_vec(), labels: 1, rows: self.rows(), marked: None }
     }
 
     /// Returns a row for each stage. All numbers of a column have the same number of decimals.

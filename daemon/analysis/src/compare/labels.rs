@@ -3,6 +3,7 @@
 use peernet_stream::ExperimentPlace;
 
 use super::columns::Column;
+use crate::model_places::place_word;
 
 /// Cell of a run that does not have the fact of the column.
 pub(super) const EMPTY_CELL: &str = "—";
@@ -82,7 +83,7 @@ impl RunFacts<'_> {
         let mut pairs = vec![
             pair("model", self.model),
             pair("device", self.device),
-            pair("where", Some(self.placement)),
+            pair("where", Some(place_word(self.placement))),
             pair("network", self.network),
             pair("edge", Some(self.edge)),
             pair("cloud", self.cloud),

@@ -27,7 +27,7 @@ mod render;
 mod testing;
 
 pub use best::differences_to_best;
-pub use caveats::skipped_starts;
+pub use caveats::{replayed_configurations, skipped_starts};
 pub use columns::{ChosenColumns, Column, choose_columns};
 pub use configuration::{Configurations, group_by_labels};
 pub use difference::{Difference, MIN_BATCHES, MIN_VALUES, MeanEstimate};
@@ -47,7 +47,7 @@ use crate::loaded::{Loaded, unknown_labels};
 use crate::quality::{Quality, QualityEstimate};
 use crate::rows::{Rows, SKIPPED_STARTS};
 use crate::total_column::TotalColumn;
-use crate::trust::Starts;
+use crate::trust::{Starts, replayed_latencies};
 use labels::EMPTY_CELL;
 
 /// Latency columns of the paper's table; the last two are the sum of all stages, which the paper calls Total, and the measured total.
@@ -119,7 +119,7 @@ pub struct Line {
     pub edges: usize,
     /// Number of counted iterations: neither warm-up nor without an answer.
     pub count: u64,
-    /// Number of iterations without an answer, without the warm-up.
+    /// Number of iterations without an answer or with one that the actuator failed to act on, without the warm-up.
     pub unanswered: u64,
     /// Number of counted and unanswered iterations that missed their deadline; `None` without a deadline.
     pub misses: Option<Misses>,
@@ -127,6 +127,8 @@ pub struct Line {
     pub actuator: ActuatorResults,
     /// Numbers of actual and of skipped starts of an open loop. The rates are `None`.
     pub starts: Starts,
+    /// Distribution that the latencies of the model are drawn from; `None` if all of them are measured.
+    pub replayed: Option<String>,
     /// Latencies in the order of [`LATENCIES`]; `None` if no counted iteration has the latency.
     pub latencies: [Option<Latency>; LATENCIES.len()],
     /// Stages without a latency in [`LATENCIES`] that take a notable part of the sum of all stages: name, and mean over all counted
@@ -208,6 +210,7 @@ impl Line {
             misses: None,
             actuator: ActuatorResults::default(),
             starts: Starts::default(),
+            replayed: None,
             latencies: [None; LATENCIES.len()],
             hidden_stages: Vec::new(),
             first_token: None,
@@ -243,6 +246,8 @@ impl Line {
         self.edges = repeats.iter().map(|(_, edges)| *edges).max().unwrap_or(1);
         let runs_of_line = || self.runs.iter().map(|run| &runs[*run]);
         let rows = || runs_of_line().flat_map(|run| &run.rows);
+        let replayed = runs_of_line().find_map(|run| replayed_latencies(&run.record.facts));
+        self.replayed = replayed.map(str::to_owned);
         self.misses = Misses::from_rows(rows());
         self.actuator = ActuatorResults::from_rows(rows());
         self.accuracies = ACCURACIES.map(|column| Accuracy::from_rows(rows(), column));

@@ -6,6 +6,7 @@ use peernet_statistics::number::{column_decimals, decimals, fixed, percent, rang
 use super::difference_table::{MAX_MS_DECIMALS, in_milliseconds};
 use super::{Comparison, EMPTY_CELL, LATENCIES, Latency, Line, MIN_KNOWN_SHARE, MIN_VALUES, SCORES};
 use crate::accuracy::{ACCURACIES, Accuracy};
+use crate::actuator_results::EPISODES_SEPARATOR;
 use crate::deadline::Misses;
 use crate::table::{Table, interval};
 use crate::total_column::TotalColumn;
@@ -18,17 +19,17 @@ const SCORE_HEADINGS: [&str; SCORES.len()] = ["mAP@0.5 (%)", "mean IoU (%)"];
 impl Comparison {
     /// Returns the text for a terminal.
     pub fn text(&self) -> String {
-        format!("{}\n\n{}", self.table().text(), self.notes().join("\n"))
+        format!("{}\n\n{}", self.table().text(), self.notes("*").join("\n"))
     }
 
     /// Returns Markdown.
     pub fn markdown(&self) -> String {
-        format!("{}\n{}\n", self.table().markdown(), self.notes().join("\n"))
+        format!("{}\n{}\n", self.table().markdown(), self.notes("Bold").join("\n"))
     }
 
     /// Returns LaTeX, with booktabs.
     pub fn latex(&self) -> String {
-        self.table().latex(&self.notes().join(" "))
+        self.table().latex(&self.notes("Bold").join(" "))
     }
 
     fn table(&self) -> Table {
@@ -39,13 +40,17 @@ impl Comparison {
         columns.add_if(|line| line.repeats > 1, "runs", |line| Some(count(line.repeats as u64)));
         columns.add_if(|line| line.edges > 1, "edges", |line| Some(count(line.edges as u64)));
         columns.add("count", |line| Some(count(line.count)));
-        columns.add_if(|line| line.unanswered > 0, "unanswered", |line| Some(count(line.unanswered)));
+        columns.add_if(|line| line.unanswered > 0, "failed", |line| Some(count(line.unanswered)));
         columns.add_if(
             |line| line.misses.is_some(),
             "missed (%)",
             |line| line.misses.and_then(Misses::rate).map(percent),
         );
+        let mut best_cell = None;
         for (index, heading) in HEADINGS.into_iter().enumerate() {
+            if LATENCIES[index] == self.total_column.name() {
+                best_cell = self.best.map(|row| (row, columns.columns.len()));
+            }
             let decimals = self.decimals(|line| line.latencies[index]);
             columns.add(heading, |line| Some(cell(line.latencies[index]?, decimals)));
         }
@@ -68,6 +73,11 @@ impl Comparison {
             "superseded",
             |line| Some(count(line.actuator.superseded)),
         );
+        columns.add_if(
+            |line| line.actuator.episodes().is_some(),
+            "episodes",
+            |line| line.actuator.episodes(),
+        );
         columns.add_known("success (%)", |line| {
             let success = line.actuator.success?;
             Some(share_text(success.rate, success.interval))
@@ -76,7 +86,7 @@ impl Comparison {
         let (header, cells): (Vec<String>, Vec<Vec<String>>) = columns.columns.into_iter().unzip();
         let row = |index: usize| cells.iter().map(|column| column[index].clone()).collect();
         let rows = (0..self.lines.len()).map(row).collect();
-        Table { header, labels: self.axes.len(), rows, marked: self.best.into_iter().collect() }
+        Table { header, labels: self.axes.len(), rows, marked: best_cell }
     }
 
     /// Returns the number of decimals of a latency, which is the same for all rows, so that the numbers are easy to compare.
@@ -85,25 +95,38 @@ impl Comparison {
         latencies.map(|latency| column_decimals(latency.std)).max().unwrap_or_default()
     }
 
-    /// Returns the notes below the table: the meaning of its numbers, and what the table does not show.
-    fn notes(&self) -> Vec<String> {
-        let mut notes = vec![
+    /// Returns the notes below the table: the meaning of its numbers, and what the table does not show. `mark` is how the smallest mean total
+    /// is marked.
+    fn notes(&self, mark: &str) -> Vec<String> {
+        let mut notes: Vec<String> =
+            self.best.map(|_| format!("{mark}: smallest mean total.")).into_iter().collect();
+        notes.push(
             "Latencies: mean ± standard deviation in ms over all counted iterations. Total (stages) is the sum of all \
              stages, including stages without a column; the paper calls it Total."
                 .to_owned(),
-        ];
+        );
         let hidden: Vec<String> = self.lines.iter().filter_map(Line::hidden_stages_text).collect();
         if !hidden.is_empty() {
             notes.push(format!("Stages without a column, means in ms: {}.", hidden.join("; ")));
+        }
+        if self.lines.iter().any(|line| line.unanswered > 0) {
+            let text = "Failed: iterations after the warm-up without an answer, or with one that the actuator failed to act on.";
+            notes.push(text.to_owned());
         }
         if self.lines.iter().any(|line| line.first_token.is_some()) {
             let text = "First token: from the request to a language model until the first token of its answer, a part of inference.";
             notes.push(text.to_owned());
         }
-        if self.lines.iter().any(|line| line.accuracies.iter().any(Option::is_some)) {
-            let text = "Top-1 and Top-5: right answers in %, with the 95 % confidence interval (Wilson), which assumes that the \
-                        iterations are independent.";
-            notes.push(text.to_owned());
+        let is_known =
+            |(index, _): &(usize, &str)| self.lines.iter().any(|line| line.accuracies[*index].is_some());
+        let accuracies = ["Top-1", "Top-5"].into_iter().enumerate().filter(is_known);
+        let accuracies: Vec<&str> = accuracies.map(|(_, name)| name).collect();
+        if !accuracies.is_empty() {
+            notes.push(format!(
+                "{}: right answers in %, with the 95 % confidence interval (Wilson), which assumes that the iterations are \
+                 independent.",
+                accuracies.join(" and ")
+            ));
         }
         if self.lines.iter().any(|line| line.scores.iter().any(Option::is_some)) {
             let text = "mAP@0.5 and mean IoU: mean over all pictures in %, with its 95 % confidence interval, which assumes that the \
@@ -155,6 +178,9 @@ impl Comparison {
             any(|line| line.actuator.superseded > 0).then_some(
                 "Superseded: answers that were not acted on, because a newer answer had been acted on or the episode had ended.",
             ),
+            any(|line| line.actuator.episodes().is_some_and(|text| text.contains(EPISODES_SEPARATOR))).then_some(
+                "Episodes: the number with a success or failure, and the number with rewards.",
+            ),
             any(|line| line.actuator.success.is_some()).then_some(
                 "Success: episodes that were a success in %, with the 95 % confidence interval (Wilson), which assumes that the \
                  episodes are independent.",
@@ -198,8 +224,11 @@ impl Comparison {
             clauses.push(format!("{subject} differs from it with 95 % confidence"));
         }
         if !self.untested.is_empty() {
+            // Each edge has its own results, so that it counts alone.
+            let lines = self.untested.iter().map(|line| &self.lines[*line]).chain([best]);
+            let each = if lines.into_iter().any(|line| line.edges > 1) { "edge in each run" } else { "run" };
             clauses.push(format!(
-                "too few iterations to tell whether it differs from {} ({MIN_VALUES} of each run are needed)",
+                "too few iterations to tell whether it differs from {} ({MIN_VALUES} of each {each} are needed)",
                 names(&self.untested)
             ));
         }

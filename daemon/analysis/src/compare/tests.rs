@@ -92,14 +92,16 @@ fn comparison_gives_table_of_paper() {
     assert_eq!(
         comparison.text(),
         "\
-device  network  count  unanswered        sensing          upload       inference       download   total (stages)  total (measured)
-orin    —          100           1  0.710 ± 0.001               —  18.550 ± 0.001              —   19.260 ± 0.002    20.260 ± 0.002 *
-cuda:0  lan        100           1  0.760 ± 0.001  17.530 ± 0.001   3.730 ± 0.001  0.370 ± 0.001   22.390 ± 0.004    23.390 ± 0.004
-cuda:0  can        100           1  0.810 ± 0.001  98.280 ± 0.001   3.730 ± 0.001  1.730 ± 0.001  104.550 ± 0.004   105.550 ± 0.004
+device  network  count  failed        sensing          upload       inference       download   total (stages)  total (measured)
+orin    —          100       1  0.710 ± 0.001               —  18.550 ± 0.001              —   19.260 ± 0.002    20.260 ± 0.002 *
+cuda:0  lan        100       1  0.760 ± 0.001  17.530 ± 0.001   3.730 ± 0.001  0.370 ± 0.001   22.390 ± 0.004    23.390 ± 0.004
+cuda:0  can        100       1  0.810 ± 0.001  98.280 ± 0.001   3.730 ± 0.001  1.730 ± 0.001  104.550 ± 0.004   105.550 ± 0.004
 
+*: smallest mean total.
 Latencies: mean ± standard deviation in ms over all counted iterations. Total (stages) is the sum of all stages, including stages without a column; the paper calls it Total.
+Failed: iterations after the warm-up without an answer, or with one that the actuator failed to act on.
 Smallest mean total (measured): orin; every other line differs from it with 95 % confidence.
-They also differ in where: local (orin), remote (cuda:0)."
+They also differ in where: local (orin), cloud (cuda:0)."
     );
 }
 
@@ -123,11 +125,15 @@ fn stages_without_column_are_listed_below_table() {
 fn every_format_has_every_line() {
     let comparison = Comparison::new(&paper());
     let markdown = comparison.markdown();
-    assert!(markdown.starts_with("| device | network | count | unanswered | sensing |"), "{markdown}");
-    assert!(markdown.contains("| **orin** | **—** | **100** |"), "{markdown}");
+    assert!(markdown.starts_with("| device | network | count | failed | sensing |"), "{markdown}");
+    assert!(markdown.contains("| orin | — | 100 |"), "{markdown}");
+    assert!(markdown.contains(" | 19.260 ± 0.002 | **20.260 ± 0.002** |\n"), "{markdown}");
+    assert!(markdown.contains("\nBold: smallest mean total.\n"), "{markdown}");
     let latex = comparison.latex();
     assert!(latex.contains("cuda:0 & can & 100 & 1 & 0.810 $\\pm$ 0.001 & 98.280 $\\pm$ 0.001 &"), "{latex}");
     assert!(latex.contains("\\begin{tabular}{llrrrrrrrr}") && latex.contains("95 \\% confidence"), "{latex}");
+    assert_eq!(latex.matches("\\textbf").count(), 1, "{latex}");
+    assert!(latex.contains("& \\textbf{20.260 $\\pm$ 0.002} \\\\"), "{latex}");
     let csv = comparison.csv();
     assert_eq!(csv.lines().count(), 4);
     assert!(
@@ -317,6 +323,9 @@ fn untested_line_is_reported() {
         "{text}"
     );
     assert!(!text.contains("cannot be distinguished") && !text.contains("other differs"), "{text}");
+    let mut several = comparison.clone();
+    several.lines[1].edges = 2;
+    assert!(several.text().contains("(30 of each edge in each run are needed)"), "{}", several.text());
     assert!(comparison.csv().lines().nth(2).is_some_and(|line| line.starts_with("cuda:0,lan,1,24,1,0,,")));
 }
 
@@ -366,7 +375,7 @@ fn dissimilar_runs_have_fewest_distinguishing_columns() {
     assert_eq!(
         comparison.other_differences,
         [
-            "They also differ in device: cpu (s), cuda:0 (m; l); where: local (s), remote (m; l); network: lan (m; l).",
+            "They also differ in device: cpu (s), cuda:0 (m; l); where: local (s), cloud (m; l); network: lan (m; l).",
             "Further differences, recorded in their run.json: Model SHA-256, ONNX Runtime.",
         ]
     );

@@ -13,7 +13,7 @@ use crate::delays::median_bounds;
 use crate::order::SortedValues;
 use crate::record::{Clocks, Counts, RunRecord};
 use crate::rows::{Column, ColumnKind, FIXED_COLUMNS, Rows, Units};
-use crate::trust::Starts;
+use crate::trust::{Starts, replayed_latencies};
 
 /// Summary of the columns of a run, without warm-up and iterations without an answer.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,6 +32,8 @@ pub struct Summary {
     pub actuator: ActuatorResults,
     /// Numbers of actual and of skipped starts of an open loop.
     pub starts: Starts,
+    /// Distribution that the latencies of the model are drawn from; `None` if they are measured.
+    pub replayed: Option<String>,
     /// Quality of the delays.
     pub clocks: Clocks,
     /// Samples whose label is not a class of the model. Their answers are neither right nor wrong.
@@ -93,6 +95,7 @@ impl Summary {
             misses: Misses::from_rows(rows),
             actuator: ActuatorResults::from_rows(rows),
             starts: Starts::from_rows(rows),
+            replayed: None,
             clocks: Clocks::from_rows(rows),
             unknown_labels: UnknownLabels::from_rows(rows, &[]),
             units: Units::default(),
@@ -100,13 +103,14 @@ impl Summary {
     }
 
     /// Adds facts from the record of the run: the title, the deadline, the units of further columns, the number of iterations that have no
-    /// row, and examples of labels and classes.
+    /// row, replayed latencies, and examples of labels and classes.
     #[must_use]
     pub fn with_record(mut self, record: &RunRecord) -> Self {
         self.title.clone_from(&record.title);
         self.units.clone_from(&record.units);
         self.counts.unseen = record.counts.unseen;
         self.deadline_s = record.deadline_s;
+        self.replayed = replayed_latencies(&record.facts).map(str::to_owned);
         self.unknown_labels =
             self.unknown_labels.and_then(|unknown| UnknownLabels::new(unknown.count, &record.facts));
         self

@@ -46,16 +46,18 @@ const RESIZE_TO_PAGE: &str = "\\resizebox{\\ifdim\\width>\\linewidth \\linewidth
 pub(super) fn table(table: &Table, caption: &str) -> String {
     let columns: String =
         (0..table.header.len()).map(|column| if column < table.labels { 'l' } else { 'r' }).collect();
-    let line = |cells: &[String], bold: bool| {
-        let cell = |cell: &String| match escape(cell) {
-            cell if bold && !cell.is_empty() => format!("\\textbf{{{cell}}}"),
-            cell => cell,
+    let line = |cells: &[String], bold_column: Option<usize>| {
+        let cell = |(column, cell): (usize, &String)| {
+            let is_bold = bold_column == Some(column);
+            if is_bold { format!("\\textbf{{{}}}", escape(cell)) } else { escape(cell) }
         };
-        format!("{} \\\\\n", cells.iter().map(cell).collect::<Vec<_>>().join(" & "))
+        format!("{} \\\\\n", cells.iter().enumerate().map(cell).collect::<Vec<_>>().join(" & "))
     };
+    let marked_column =
+        |row: usize| table.marked.filter(|(marked, _)| *marked == row).map(|(_, column)| column);
     let rows = table.rows.iter().enumerate();
-    let rows: String = rows.map(|(row, cells)| line(cells, table.marked.contains(&row))).collect();
-    let (header, caption) = (line(&table.header, false), escape(caption));
+    let rows: String = rows.map(|(row, cells)| line(cells, marked_column(row))).collect();
+    let (header, caption) = (line(&table.header, None), escape(caption));
     let fonts = fonts([&header, &rows, &caption].into_iter().flat_map(|text| text.chars()));
     format!(
         "% needs \\usepackage{{booktabs,graphicx}}\n{fonts}\\begin{{table*}}\n\\centering\n\\setlength{{\\tabcolsep}}{{4pt}}\n{RESIZE_TO_PAGE}\n\
@@ -176,7 +178,7 @@ mod tests {
             header: vec!["model".to_owned(), "ms".to_owned()],
             labels: 1,
             rows: rows.iter().map(|row| row.map(str::to_owned).to_vec()).collect(),
-            marked: vec![0],
+            marked: Some((0, 1)),
         }
     }
 
@@ -186,7 +188,7 @@ mod tests {
             rows(&[["a_1", "1.0 ± 0.1"], ["b", "2.0"]]).latex("Two & more"),
             "% needs \\usepackage{booktabs,graphicx}\n\\begin{table*}\n\\centering\n\\setlength{\\tabcolsep}{4pt}\n\
              \\resizebox{\\ifdim\\width>\\linewidth \\linewidth\\else\\width\\fi}{!}{%\n\
-             \\begin{tabular}{lr}\n\\toprule\nmodel & ms \\\\\n\\midrule\n\\textbf{a\\_1} & \\textbf{1.0 $\\pm$ 0.1} \\\\\n\
+             \\begin{tabular}{lr}\n\\toprule\nmodel & ms \\\\\n\\midrule\na\\_1 & \\textbf{1.0 $\\pm$ 0.1} \\\\\n\
              b & 2.0 \\\\\n\\bottomrule\n\\end{tabular}}\n\\caption{Two \\& more}\n\\end{table*}\n"
         );
     }

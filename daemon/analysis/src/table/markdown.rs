@@ -13,12 +13,11 @@ pub(super) fn table(table: &Table) -> String {
             .collect(),
     );
     for (row, cells) in table.rows.iter().enumerate() {
-        let bold = table.marked.contains(&row);
-        let cell = |cell: &String| match escape(cell) {
-            cell if bold && !cell.is_empty() => format!("**{cell}**"),
-            cell => cell,
+        let cell = |(column, cell): (usize, &String)| {
+            let is_marked = table.marked == Some((row, column));
+            if is_marked { format!("**{}**", escape(cell)) } else { escape(cell) }
         };
-        text += &line(cells.iter().map(cell).collect());
+        text += &line(cells.iter().enumerate().map(cell).collect());
     }
     text
 }
@@ -45,9 +44,9 @@ mod tests {
             header: vec!["a|b".to_owned(), "n".to_owned()],
             labels: 1,
             rows: vec![vec!["x_y".to_owned(), "1.0".to_owned()], vec!["*\nz".to_owned(), String::new()]],
-            marked: vec![0],
+            marked: Some((0, 1)),
         };
-        let expected = "| a\\|b | n |\n| --- | ---: |\n| **x\\_y** | **1.0** |\n| \\* z |  |\n";
+        let expected = "| a\\|b | n |\n| --- | ---: |\n| x\\_y | **1.0** |\n| \\* z |  |\n";
         assert_eq!(table.markdown(), expected);
     }
 }

@@ -42,22 +42,22 @@ pub struct Table {
     pub labels: usize,
     /// Rows with as many cells as the header.
     pub rows: Vec<Vec<String>>,
-    /// Indexes of the rows that are marked, such as the best.
-    pub marked: Vec<usize>,
+    /// Marked cell, such as the smallest mean: indexes of its row and its column.
+    pub marked: Option<(usize, usize)>,
 }
 
 impl Table {
-    /// Returns the text for a terminal: columns as wide as their longest cell; marked rows end with an asterisk.
+    /// Returns the text for a terminal: columns as wide as their longest cell; an asterisk follows the marked cell.
     pub fn text(&self) -> String {
         text::table(self)
     }
 
-    /// Returns Markdown as GitHub and most other programs read it; marked rows are bold.
+    /// Returns Markdown as GitHub and most other programs read it; the marked cell is bold.
     pub fn markdown(&self) -> String {
         markdown::table(self)
     }
 
-    /// Returns LaTeX for the package `booktabs`, with everything escaped; marked rows are bold.
+    /// Returns LaTeX for the package `booktabs`, with everything escaped; the marked cell is bold.
     pub fn latex(&self, caption: &str) -> String {
         latex::table(self, caption)
     }

@@ -10,17 +10,13 @@ pub fn text(header: &[&str], rows: &[Vec<String>]) -> String {
 }
 
 pub(super) fn table(table: &Table) -> String {
-    let mark = |(row, cells): (usize, &Vec<String>)| {
-        let mut cells = cells.clone();
-        if let (true, Some(last)) = (!table.marked.is_empty(), cells.last_mut()) {
-            last.push_str(if table.marked.contains(&row) { " *" } else { "  " });
+    let (mut header, mut rows) = (table.header.clone(), table.rows.clone());
+    if let Some((marked_row, column)) = table.marked {
+        // The other cells of the column end with blanks, so that the numbers stay aligned.
+        header[column].push_str("  ");
+        for (row, cells) in rows.iter_mut().enumerate() {
+            cells[column].push_str(if row == marked_row { " *" } else { "  " });
         }
-        cells
-    };
-    let rows: Vec<Vec<String>> = table.rows.iter().enumerate().map(mark).collect();
-    let mut header = table.header.clone();
-    if let (true, Some(last)) = (!table.marked.is_empty(), header.last_mut()) {
-        last.push_str("  ");
     }
     lines(&header, &rows, table.labels)
 }
@@ -59,18 +55,16 @@ mod tests {
     }
 
     #[test]
-    fn labels_are_left_aligned_and_marks_keep_alignment() {
-        let cells = |cells: [&str; 3]| cells.map(str::to_owned).to_vec();
+    fn labels_are_left_aligned_and_mark_keeps_alignment() {
+        let cells = |cells: [&str; 4]| cells.map(str::to_owned).to_vec();
         let table = Table {
-            header: cells(["model", "network", "total"]),
+            header: cells(["model", "network", "total", "success"]),
             labels: 2,
-            rows: vec![cells(["s", "LAN", "9.50"]), cells(["medium", "5G", "100.25"])],
-            marked: vec![0],
+            rows: vec![cells(["s", "LAN", "9.50", "0.0"]), cells(["medium", "5G", "100.25", "50.0"])],
+            marked: Some((0, 2)),
         };
-        assert_eq!(
-            table.text(),
-            "model   network   total\ns       LAN        9.50 *\nmedium  5G       100.25"
-        );
+        let expected = "model   network   total    success\ns       LAN        9.50 *      0.0\nmedium  5G       100.25       50.0";
+        assert_eq!(table.text(), expected);
     }
 
     #[test]

@@ -9,10 +9,10 @@ use super::{Publish, Report};
 /// Largest number of runs that a sentence names.
 const MAX_NAMED_RUNS: usize = 8;
 
-/// Returns a sentence about the runs that cannot be published, and one about those that can only be published with caveats. Each run is
-/// given by its name and its report; edges that measured at the same time have the name of their run, which is as good as the worst of them.
+/// Returns a sentence about the runs that cannot be published, and one about those that can only be published with caveats, each with the
+/// grade of its findings. Each run is given by its name and its report; edges that measured at the same time have the name of their run, which is as good as the worst of them.
 /// Empty if all of them can be published as they are.
-pub fn publication_caveats<'a>(runs: impl IntoIterator<Item = (String, &'a Report)>) -> Vec<String> {
+pub fn publication_caveats<'a>(runs: impl IntoIterator<Item = (String, &'a Report)>) -> Vec<(Grade, String)> {
     let mut reports: Vec<(String, &Report)> = Vec::new();
     for (name, report) in runs {
         match reports.iter_mut().find(|(other, _)| *other == name) {
@@ -36,10 +36,11 @@ pub fn publication_caveats<'a>(runs: impl IntoIterator<Item = (String, &'a Repor
             (1, 1) => "The run".to_owned(),
             (count, all) => format!("{count} of {all} runs"),
         };
-        Some(format!(
+        let text = format!(
             "{count} {meaning}: {}; the trust report of each run has the reasons and the advice.",
             names.join(", ")
-        ))
+        );
+        Some((grade, text))
     };
     let sentences = [
         sentence(Publish::No, Grade::Bad, "cannot be published"),
@@ -90,20 +91,24 @@ mod tests {
         assert_eq!(
             sentences,
             [
-                format!("1 of 3 runs cannot be published: #2 (end, clocks){ending}"),
-                format!("1 of 3 runs can be published only with caveats: #3 (trend){ending}"),
+                (Grade::Bad, format!("1 of 3 runs cannot be published: #2 (end, clocks){ending}")),
+                (
+                    Grade::Doubtful,
+                    format!("1 of 3 runs can be published only with caveats: #3 (trend){ending}")
+                ),
             ]
         );
         assert!(publication_caveats([("#1".to_owned(), &good)]).is_empty());
         // Two edges of one run.
         let edges = publication_caveats([("001".to_owned(), &good), ("001".to_owned(), &bad)]);
-        assert_eq!(edges, [format!("The run cannot be published: 001 (end, clocks){ending}")]);
+        let text = format!("The run cannot be published: 001 (end, clocks){ending}");
+        assert_eq!(edges, [(Grade::Bad, text)]);
     }
 
     #[test]
     fn many_unpublishable_runs_are_counted() {
         let bad = report(Publish::No, &[("end", Grade::Bad)]);
         let sentences = publication_caveats((0..20).map(|run| (format!("#{run}"), &bad)));
-        assert!(sentences[0].contains("#7 (end), and 12 more;"), "{sentences:?}");
+        assert!(sentences[0].1.contains("#7 (end), and 12 more;"), "{sentences:?}");
     }
 }

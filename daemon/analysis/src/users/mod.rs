@@ -16,6 +16,7 @@ use peernet_statistics::Summary;
 
 use crate::loaded::Loaded;
 use crate::order::SortedValues;
+use crate::trust::replayed_latencies;
 
 /// Returns Jain's index of fairness, (Σx)² / (n Σx²). It is 1/n if one of n users gets everything, and 1 if all get the same. `None` if all
 /// shares are 0 (Jain, Chiu and Hawe 1984, *A Quantitative Measure of Fairness and Discrimination for Resource Allocation in Shared
@@ -50,6 +51,8 @@ pub struct UsersLine {
     pub shares: Vec<EdgeShare>,
     /// The totals of all edges.
     pub totals: Totals,
+    /// Distribution that the latencies of the model are drawn from; `None` if all of them are measured.
+    pub replayed: Option<String>,
 }
 
 /// Measurements of the edges of one repeat of a configuration from the time in which all of them were measuring. `T` holds the totals of an edge.
@@ -170,14 +173,17 @@ impl Users {
                     edges.flat_map(|edge| edge.totals.values()).copied().collect()
                 }
             };
-            UsersLine::new(labels, groups[0].len(), &repeats, Totals::from_values(&totals))
+            let runs = groups.iter().flat_map(|edges| edges.iter());
+            let replayed = runs.into_iter().find_map(|edge| replayed_latencies(&edge.record.facts));
+            let line = UsersLine::new(labels, groups[0].len(), &repeats, Totals::from_values(&totals));
+            UsersLine { replayed: replayed.map(str::to_owned), ..line }
         };
         Some(Self { axes, lines: configurations.into_iter().map(line).collect() })
     }
 }
 
 impl UsersLine {
-    /// Returns the line of a configuration with `edges` edges, from its repeats.
+    /// Returns the line of a configuration with `edges` edges, from its repeats. No latencies are replayed.
     pub fn new<T: WithMedian>(
         labels: Vec<String>,
         edges: usize,
@@ -204,6 +210,7 @@ impl UsersLine {
             fairness: mean(rates.iter().filter_map(|rates| jain_index(rates))),
             shares: shares.concat(),
             totals,
+            replayed: None,
         }
     }
 

@@ -3,35 +3,36 @@
 use peernet_statistics::number::{fixed, milliseconds, rate};
 
 use super::{Users, UsersLine};
+use crate::compare::replayed_configurations;
 use crate::table::{Table, csv_text};
 
 /// Cell of an unknown value.
 pub(super) const EMPTY_CELL: &str = "—";
-/// Note below the tables.
+/// First note below the tables.
 const NOTE: &str = "Of several edges, the time counts in which all were measuring. Fairness is Jain's index of the edges' rates: 1 when all \
                     are served alike, 1/n when one of n gets everything.";
 
 impl Users {
     /// Returns the text for a terminal.
     pub fn text(&self) -> String {
-        format!("{}\n\n{NOTE}", self.table().text())
+        format!("{}\n\n{}", self.table().text(), self.notes().join("\n"))
     }
 
     /// Returns Markdown.
     pub fn markdown(&self) -> String {
-        format!("{}\n{NOTE}\n", self.table().markdown())
+        format!("{}\n{}\n", self.table().markdown(), self.notes().join("\n"))
     }
 
     /// Returns LaTeX, with booktabs.
     pub fn latex(&self) -> String {
-        self.table().latex(NOTE)
+        self.table().latex(&self.notes().join(" "))
     }
 
     /// Returns CSV for programs: seconds and answers per second, with all digits.
     pub fn csv(&self) -> String {
         let mut header: Vec<&str> = self.axes.iter().map(String::as_str).collect();
         header.extend(["edges", "rate", "rate-least", "rate-most", "fairness", "count"]);
-        header.extend(["total-mean", "total-p50", "total-p95", "total-p99"]);
+        header.extend(["total-mean", "total-p50", "total-p95", "total-p99", "replayed"]);
         let number = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
         let row = |line: &UsersLine| {
             let mut cells = line.labels.clone();
@@ -40,9 +41,20 @@ impl Users {
             cells.extend([line.rate, least, most, line.fairness].map(number));
             cells.push(line.totals.count.to_string());
             cells.extend(latencies(line).map(number));
+            cells.push(u8::from(line.replayed.is_some()).to_string());
             cells
         };
         csv_text(&header, &self.lines.iter().map(row).collect::<Vec<_>>())
+    }
+
+    /// Returns the notes below the table.
+    fn notes(&self) -> Vec<String> {
+        let name = |line: &UsersLine| {
+            let labels = line.labels.iter().map(String::as_str).filter(|label| *label != EMPTY_CELL);
+            labels.collect::<Vec<_>>().join(", ")
+        };
+        let lines = self.lines.iter().map(|line| (name(line), line.replayed.as_deref()));
+        std::iter::once(NOTE.to_owned()).chain(replayed_configurations(lines)).collect()
     }
 
     fn table(&self) -> Table {
@@ -65,7 +77,7 @@ impl Users {
             cells.extend(latencies(line).map(|value| cell(value, milliseconds)));
             cells
         };
-        Table { header, labels, rows: self.lines.iter().map(row).collect(), marked: Vec::new() }
+        Table { header, labels, rows: self.lines.iter().map(row).collect(), marked: None }
     }
 }
 

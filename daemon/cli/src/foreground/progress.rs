@@ -34,6 +34,8 @@ pub(crate) struct Progress {
     has_trouble: bool,
     /// Reason of trouble that was printed last.
     last_reason: Option<String>,
+    /// `true` if the line that is printed once was printed.
+    has_printed_once: bool,
 }
 
 enum DisplayKind {
@@ -56,7 +58,7 @@ impl Progress {
                 DisplayKind::Bar(bar)
             }
         };
-        Self { display, printed_at: now, has_trouble: false, last_reason: None }
+        Self { display, printed_at: now, has_trouble: false, last_reason: None, has_printed_once: false }
     }
 
     /// Shows the text and the share (0 to 1) that `state` returns. If there is `trouble`, it replaces the text.
@@ -92,6 +94,13 @@ impl Progress {
         match &self.display {
             DisplayKind::Bar(bar) => bar.suspend(|| print_to_stderr(text)),
             DisplayKind::Lines | DisplayKind::Nothing => print_to_stderr(text),
+        }
+    }
+
+    /// Prints a line that stays visible, unless this function has printed a line before.
+    pub(crate) fn print_once(&mut self, text: impl Display) {
+        if !std::mem::replace(&mut self.has_printed_once, true) {
+            self.print_line(text);
         }
     }
 

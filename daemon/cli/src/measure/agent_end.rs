@@ -48,37 +48,40 @@ impl AgentEnd {
                 if unseen == 1 { "1 iteration was".to_owned() } else { format!("{unseen} iterations were") },
                 has_or_have(unseen)
             )),
-            Self::Finished => incomplete(unanswered_text(rows)?),
+            Self::Finished => incomplete(failed_text(rows)?),
             Self::OwnReason(never) => match *never {},
         }
     }
 }
 
-/// Returns a sentence on the iterations without an answer. Those of the warm-up, which statistics exclude, count only if all others have an
-/// answer. `None` if every iteration has one.
-fn unanswered_text(rows: &Rows) -> Option<String> {
+/// Returns a sentence on the failed iterations: those without an answer, or with one that was not acted on. Those of the warm-up, which
+/// statistics exclude, count only if no other failed. `None` if none failed.
+fn failed_text(rows: &Rows) -> Option<String> {
     let counts = Counts::from_rows(rows, 0);
     let in_warm_up = counts.unanswered() == 0;
-    let unanswered = || rows.iter().filter(|row| row.warm_up() == in_warm_up && row.outcome() != Outcome::Ok);
-    let first = unanswered().next()?;
-    let reason = first.reason().map_or("no answer in time", without_repetition);
-    let outcome = match first.outcome() {
+    let failed = || rows.iter().filter(|row| row.warm_up() == in_warm_up && row.outcome() != Outcome::Ok);
+    let first = failed().next()?;
+    let are_actions = failed().all(|row| row.reason().is_some_and(|reason| reason.starts_with(ACTUATOR_FAILED)));
+    let cause = if are_actions { " (the actuator failed to act on the answer)" } else { "" };
+    let (all, kind) =
+        if in_warm_up { (counts.warm_up, "warm-up iteration") } else { (counts.measured(), "iteration") };
+    Some(format!(
+        "{} of {} failed{cause}; {}",
+        failed().count(),
+        counted(all, kind),
+        describe_failure(first.iteration(), first.outcome(), first.reason())
+    ))
+}
+
+/// Describes an iteration without an answer, or with one that was not acted on, with the reason: `iteration 3 was lost: …`.
+pub(super) fn describe_failure(iteration: u64, outcome: Outcome, reason: Option<&str>) -> String {
+    let reason = reason.map_or("no answer in time", without_repetition);
+    let ending = match outcome {
         Outcome::Timeout => "timed out",
         Outcome::Lost => "was lost",
         Outcome::Failed | Outcome::Ok => "failed",
     };
-    let are_actions =
-        unanswered().all(|row| row.reason().is_some_and(|reason| reason.starts_with(ACTUATOR_FAILED)));
-    let problem = if are_actions { "an answer that the actuator failed to act on" } else { "no answer" };
-    let (all, kind) =
-        if in_warm_up { (counts.warm_up, "warm-up iteration") } else { (counts.measured(), "iteration") };
-    let number = unanswered().count() as u64;
-    Some(format!(
-        "{number} of {} {} {problem}; iteration {} {outcome}: {reason}",
-        counted(all, kind),
-        has_or_have(number),
-        first.iteration()
-    ))
+    format!("iteration {iteration} {ending}: {reason}")
 }
 
 /// Separator between an exception and its traceback.
@@ -149,12 +152,12 @@ mod tests {
         ];
         let partly_answered = Rows::from_iter(rows);
         let failure = AgentEnd::Finished.failure(&partly_answered, 0).expect("two have no answer");
-        let text = "2 of 3 iterations have no answer; iteration 2 was lost: it went away";
+        let text = "2 of 3 iterations failed; iteration 2 was lost: it went away";
         assert_eq!((failure.exit, failure.to_string().as_str()), (Exit::Incomplete, text));
 
         let lost = Rows::from_iter([row(1, Outcome::Lost)]);
         let failure = AgentEnd::Finished.failure(&lost, 0).expect("it has none").to_string();
-        assert!(failure.starts_with("1 of 1 iteration has no answer; iteration 1 was lost"), "{failure}");
+        assert!(failure.starts_with("1 of 1 iteration failed; iteration 1 was lost"), "{failure}");
 
         let first_is_late = [warm_up(1, Outcome::Timeout), warm_up(2, Outcome::Ok), row(3, Outcome::Ok)];
         let failure =

@@ -15,6 +15,10 @@ pub(crate) struct ProgressReport {
     pub(crate) phase: Phase,
     /// Number of finished iterations.
     pub(crate) done: u64,
+    /// Number of finished iterations without an answer, or with one that the actuator failed to act on.
+    pub(crate) failed: u64,
+    /// The first of them with its reason, in a clause: `iteration 3 failed: …`.
+    pub(crate) first_failure: Option<String>,
     /// Total number of iterations; `None` if a time limits the run.
     #[serde(rename = "of")]
     pub(crate) iterations: Option<u64>,
@@ -31,7 +35,7 @@ pub(crate) struct ProgressReport {
 }
 
 impl fmt::Display for ProgressReport {
-    /// Writes the progress in words: `120 of 10005, 9.8 /s, total p50 101 ms, p99 104 ms, 17 min left`.
+    /// Writes the progress in words: `120 of 10005, 3 failed, 9.8 /s, total p50 101 ms, p99 104 ms, 17 min left`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.phase == Phase::Starting {
             return f.write_str("starting");
@@ -39,6 +43,9 @@ impl fmt::Display for ProgressReport {
         write!(f, "{}", self.done)?;
         if let Some(iterations) = self.iterations {
             write!(f, " of {iterations}")?;
+        }
+        if self.failed > 0 {
+            write!(f, ", {} failed", self.failed)?;
         }
         write!(f, ", {} /s", number::fixed(self.rate, 1))?;
         // There is no median during the warm-up.
@@ -83,6 +90,8 @@ mod tests {
         let report = ProgressReport {
             phase: Phase::Measuring,
             done: 120,
+            failed: 0,
+            first_failure: None,
             iterations: Some(10_005),
             rate: 9.81,
             p50: Some(0.1012),
@@ -91,6 +100,8 @@ mod tests {
             trouble: None,
         };
         assert_eq!(report.to_string(), "120 of 10005, 9.8 /s, total p50 101 ms, 17 min left");
+        let failing = ProgressReport { failed: 120, p50: None, ..report.clone() };
+        assert_eq!(failing.to_string(), "120 of 10005, 120 failed, 9.8 /s, 17 min left");
         let warming_up = ProgressReport { done: 3, p50: None, ..report };
         assert_eq!(warming_up.to_string(), "3 of 10005, 9.8 /s, 17 min left");
     }

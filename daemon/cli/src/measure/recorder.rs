@@ -12,6 +12,7 @@ use peernet_results::RowWriter;
 use peernet_statistics::Summary;
 use peernet_stream::{Event, HostClock, HostDescription, IncidentKind, PipelineState, RunDescription};
 
+use super::agent_end::describe_failure;
 use super::{Phase, ProgressDisplay, ProgressReport};
 use crate::foreground::{AgentEnd, PeerWait, PipelineActivity, RunObserver};
 
@@ -39,17 +40,34 @@ struct RunProgress {
     started_at: Option<MonoTime>,
     /// Number of finished iterations.
     done: u64,
+    /// Number of finished iterations that have no answer, or one that the actuator failed to act on.
+    failed: u64,
+    /// Description of the first of them.
+    first_failure: Option<String>,
     /// Totals of the iterations after the warm-up, seconds.
     totals: Summary,
 }
 
 impl RunProgress {
     fn new(limit: Limit, warm_up: u64) -> Self {
-        Self { limit, warm_up, started_at: None, done: 0, totals: Summary::default() }
+        Self {
+            limit,
+            warm_up,
+            started_at: None,
+            done: 0,
+            failed: 0,
+            first_failure: None,
+            totals: Summary::default(),
+        }
     }
 
     fn add(&mut self, row: &Row) {
         self.done += 1;
+        if row.outcome != Outcome::Ok {
+            self.failed += 1;
+            self.first_failure
+                .get_or_insert_with(|| describe_failure(row.iteration, row.outcome, row.reason.as_deref()));
+        }
         // A pipeline that only senses has no total.
         if let Some(total) = row.value("total").or(row.value("sensing")).filter(|_| row.is_counted()) {
             self.totals.record(total);
@@ -79,6 +97,8 @@ impl RunProgress {
         ProgressReport {
             phase,
             done,
+            failed: self.failed,
+            first_failure: self.first_failure.clone(),
             iterations,
             rate,
             p50: self.totals.quantile(0.5),

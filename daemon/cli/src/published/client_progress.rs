@@ -10,11 +10,12 @@ use crate::measure::{Phase, ProgressDisplay, ProgressReport};
 pub(crate) struct ClientProgress {
     clock: SharedClock,
     progress: Progress,
+    quiet: bool,
 }
 
 impl ClientProgress {
     pub(crate) fn new(quiet: bool, clock: SharedClock) -> Self {
-        Self { progress: Progress::new(quiet, clock.mono()), clock }
+        Self { progress: Progress::new(quiet, clock.mono()), quiet, clock }
     }
 }
 
@@ -28,6 +29,9 @@ impl ProgressDisplay for ClientProgress {
     }
 
     fn show(&mut self, report: &ProgressReport) {
+        if let Some(failure) = report.first_failure.as_ref().filter(|_| !self.quiet) {
+            self.progress.print_once(failure);
+        }
         if report.phase == Phase::Writing {
             self.progress.end();
             return;

@@ -55,6 +55,7 @@ impl Execution<'_> {
         self.record.start_run(run);
         self.folder.save(self.record)?;
         let mut progress = Progress::new(self.quiet, self.clock.mono());
+        let quiet = self.quiet;
         let orders = self.orders(run);
         let began = self.clock.mono();
         let name = format!(
@@ -77,6 +78,9 @@ impl Execution<'_> {
                 ChildEvent::ProgressReport(reports) => combine(reports),
             };
             let Some(report) = report else { return };
+            if let Some(failure) = report.first_failure.as_ref().filter(|_| !quiet) {
+                progress.print_once(format_args!("{name}: {failure}"));
+            }
             let done_part = report.iterations.map_or(0.0, |count| report.done as f64 / count.max(1) as f64);
             let left = report.left_s.zip(later_runs_s).map(|(run_s, later_s)| duration(run_s + later_s));
             let left = left.map_or_else(String::new, |left| format!(", {left} left in total"));
@@ -185,6 +189,11 @@ fn combine(reports: &[Option<ProgressReport>]) -> Option<ProgressReport> {
     Some(ProgressReport {
         phase: first.phase,
         done: all.iter().map(|report| report.done).sum(),
+        failed: all.iter().map(|report| report.failed).sum(),
+        first_failure: reports.iter().enumerate().find_map(|(user, report)| {
+            let failure = report.as_ref()?.first_failure.as_ref()?;
+            Some(format!("user {}: {failure}", user + 1))
+        }),
         iterations: all.iter().map(|report| report.iterations).sum(),
         rate: all.iter().map(|report| report.rate).sum(),
         p50: medians.median(),

@@ -351,7 +351,7 @@ fn verdict(record: &Record, selected_runs: &[Run], interrupted: bool) -> Result<
     } else if failed > 0 {
         clauses.push(format!("{} failed; the same command tries again", table::count(failed, "run")));
     } else if incomplete > 0 {
-        clauses.push(format!("{} with iterations that have no answer", table::count(incomplete, "run")));
+        clauses.push(format!("{} with failed iterations", table::count(incomplete, "run")));
     }
     if unwritten > 0 {
         clauses.push(format!(

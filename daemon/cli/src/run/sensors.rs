@@ -50,7 +50,7 @@ impl Sensors {
         };
         let unnumbered = sensor_only.iter().any(|(_, _, study)| study.dropped.is_none());
         Some(Self {
-            table: Table { header, labels, rows: sensor_only.iter().map(row).collect(), marked: Vec::new() },
+            table: Table { header, labels, rows: sensor_only.iter().map(row).collect(), marked: None },
             note: format!("{NOTE}{}", if unnumbered { UNNUMBERED } else { "" }),
             covers_all_runs: sensor_only.len() == edges.len(),
         })

@@ -44,7 +44,7 @@ pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
         cells.push(time_s.map_or_else(|| UNKNOWN.to_owned(), duration));
         cells
     });
-    Table { header, labels, rows: rows.collect(), marked: Vec::new() }.text()
+    Table { header, labels, rows: rows.collect(), marked: None }.text()
 }
 
 /// Describes the number of runs to do and their duration.

@@ -339,7 +339,7 @@ fn exit_code_reports_failed_and_incomplete_runs() {
     assert!(verdict(&record, &runs, false).is_ok());
     record.end_run(&runs[1], RunResult { exit: Some(75), ..ended(Stage::Finished) });
     let code = |record: &Record, interrupted| verdict(record, &runs, interrupted).expect_err("not well");
-    assert!(code(&record, false).to_string().contains("1 run with iterations that have no answer"));
+    assert!(code(&record, false).to_string().contains("1 run with failed iterations"));
     record.end_run(&runs[0], ended(Stage::Failed));
     let failed = code(&record, false);
     assert!(failed.exit == Exit::Incomplete && failed.to_string().contains("1 run failed"), "{failed}");
@@ -348,7 +348,7 @@ fn exit_code_reports_failed_and_incomplete_runs() {
     record.end_run(&runs[0], RunResult { exit: Some(73), ..ended(Stage::Finished) });
     let unwritten = code(&record, false);
     assert!(unwritten.exit == Exit::Unwritten, "{unwritten}");
-    for text in ["1 run with iterations that have no answer", "1 run without all figures", "peernet plot"] {
+    for text in ["1 run with failed iterations", "1 run without all figures", "peernet plot"] {
         assert!(unwritten.to_string().contains(text), "{unwritten}");
     }
 }

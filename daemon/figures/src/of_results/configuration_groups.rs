@@ -4,11 +4,13 @@ use peernet_analysis::compare::{Configurations, group_by_labels, readable_name};
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::rows::RowRef;
 
+use super::replayed::{is_replayed, marked};
+
 /// Runs by configuration; repeats of one configuration are pooled.
 pub(super) struct ConfigurationGroups<'a> {
     /// Names of the labels that distinguish the configurations.
     pub(super) axes: Vec<String>,
-    /// Label and runs of each configuration.
+    /// Label and runs of each configuration. The label of a configuration with replayed latencies is marked.
     pub(super) groups: Vec<(String, Vec<&'a Loaded>)>,
 }
 
@@ -16,7 +18,8 @@ impl<'a> ConfigurationGroups<'a> {
     pub(super) fn from_runs(runs: &'a [Loaded]) -> Self {
         let Configurations { axes, labels } = Configurations::from_runs(runs);
         let group = |indexes: Vec<usize>| {
-            let label = readable_name(&axes, &labels[indexes[0]]);
+            let is_replayed = indexes.iter().any(|index| is_replayed(&runs[*index].record));
+            let label = marked(&readable_name(&axes, &labels[indexes[0]]), is_replayed);
             (label, indexes.into_iter().map(|index| &runs[index]).collect())
         };
         let groups = group_by_labels(&labels).into_iter().map(group).collect();

@@ -3,6 +3,7 @@
 use super::columns::{count_note, heading, too_large_note, unit, values, with_name};
 use super::longest_stages::LongestStages;
 use super::missing_data::MissingData;
+use super::replayed::{has_model_latency, with_run};
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Cumulative, CumulativeCurve, Unit};
 use crate::look::{INK, Mark, Style, stage as look};
@@ -28,7 +29,11 @@ pub(super) fn drawings(
             return Err(MissingData::Column(column.to_owned()));
         }
         let figure = Cumulative {
-            title: with_name(&title, &record.title),
+            title: if has_model_latency(column) {
+                with_run(&title, record)
+            } else {
+                with_name(&title, &record.title)
+            },
             unit: unit(&record.units, column, &title),
             notes: notes(rows, &[column], &curve.values),
             curves: vec![curve],
@@ -45,7 +50,7 @@ pub(super) fn drawings(
         stages.longest.iter().enumerate().map(|(number, name)| curve(name, values(rows, name), number));
     let curves = std::iter::once(curve(total_column, total_values, 0)).chain(stage_curves).collect();
     let figure = Cumulative {
-        title: with_name("Cumulative distributions", &record.title),
+        title: with_run("Cumulative distributions", record),
         unit: Unit::milliseconds("Latency"),
         curves,
         notes,

@@ -3,6 +3,7 @@
 use super::Columns;
 use super::columns::{count_note, heading, is_drawable, too_large_note, unit, with_name};
 use super::missing_data::MissingData;
+use super::replayed::{has_model_latency, with_run};
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Lengths, Unit};
 use peernet_analysis::answer_length::{
@@ -55,11 +56,13 @@ pub(super) fn drawings(
         None => (unit(&record.units, &x, &heading(&x)), x.as_str()),
     };
     let line = Growth::from_iterations(&points).and_then(|growth| growth.line());
+    let title = format!("{} against {}", heading(&y), x_words.replace(['-', '_'], " "));
     let lengths = Lengths {
-        title: with_name(
-            &format!("{} against {}", heading(&y), x_words.replace(['-', '_'], " ")),
-            &record.title,
-        ),
+        title: if has_model_latency(&y) {
+            with_run(&title, record)
+        } else {
+            with_name(&title, &record.title)
+        },
         x: x_unit,
         y: unit(&record.units, &y, &heading(&y)),
         stage: y.clone(),

@@ -17,6 +17,7 @@ mod longest_stages;
 mod missing_data;
 mod paired;
 mod payload;
+mod replayed;
 mod series;
 mod stacked;
 mod totals;
@@ -171,7 +172,7 @@ pub fn of_run(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Vec<Path
     if length::has_tokens(rows) {
         drawings.extend(length::drawings(record, rows, &Columns::default()).unwrap_or_default());
     }
-    Ok(written_figures::write(&drawings, folder)?.files)
+    Ok(written_figures::write(&drawings, replayed::note_of_run(record).as_deref(), folder)?.files)
 }
 
 /// Draws the figures of several runs together: `stacked`, `totals` and `accuracy` of several configurations, `paired`, `payload-latency` and
@@ -220,7 +221,9 @@ pub fn draw(
         Kind::Users => users::drawings(runs),
     };
     let drawings = drawings.map_err(|missing| PlotError::Lacking(kind, missing))?;
-    Ok(written_figures::write(&drawings, folder)?)
+    let replayed =
+        if kind.is_of_one_run() { replayed::note_of_run(&first.record) } else { replayed::note(runs) };
+    Ok(written_figures::write(&drawings, replayed.as_deref(), folder)?)
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ use peernet_statistics::number::counted;
 
 use super::columns::{excluded_and_undrawn_note, heading, unit, values};
 use super::missing_data::MissingData;
+use super::replayed::{is_replayed, marked};
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Group, MOST_GROUPS, MOST_SIDES, Paired};
 use peernet_analysis::loaded::Loaded;
@@ -30,10 +31,21 @@ pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Draw
             runs.iter().flat_map(|run| values(&runs_with_values[*run].rows, column).values().to_vec());
         values.collect()
     };
+    let is_replayed = |run: &usize| is_replayed(&runs_with_values[*run].record);
+    let of_side = |side: usize| models.iter().flat_map(move |(_, places)| &places[side]);
+    // A side is marked if all its latencies are replayed, otherwise the models with replayed latencies.
+    let replayed_sides: Vec<bool> = (0..sides.len())
+        .map(|side| of_side(side).next().is_some() && of_side(side).all(is_replayed))
+        .collect();
     let group = |(name, runs): &(String, Vec<Vec<usize>>)| Group {
-        name: name.clone(),
+        name: marked(
+            name,
+            runs.iter().zip(&replayed_sides).any(|(runs, side)| !side && runs.iter().any(is_replayed)),
+        ),
         values: runs.iter().map(values_of).collect(),
     };
+    let sides =
+        sides.iter().zip(&replayed_sides).map(|(side, is_replayed)| marked(side, *is_replayed)).collect();
     let groups: Vec<Group> = models.iter().map(group).collect();
     let mut missing = Vec::new();
     if !at_one_place.is_empty() {

@@ -1,8 +1,9 @@
 //! Figure of a run over time.
 
-use super::columns::{count_note, is_drawable, too_large_note, with_name};
+use super::columns::{count_note, is_drawable, too_large_note};
 use super::longest_stages::LongestStages;
 use super::missing_data::MissingData;
+use super::replayed::with_run;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Line, TimeSeries, Unit};
 use peernet_analysis::record::RunRecord;
@@ -34,7 +35,7 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     let episode_start =
         |(previous, row): (RowRef<'_>, RowRef<'_>)| (previous.episode() != row.episode()).then(|| time(row));
     let time_series = TimeSeries {
-        title: with_name("Latency over time", &record.title),
+        title: with_run("Latency over time", record),
         x_is_iteration: x == ITERATION,
         x: x.to_owned(),
         unit: Unit::milliseconds("Latency"),

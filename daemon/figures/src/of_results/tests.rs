@@ -4,6 +4,7 @@ mod calibration;
 mod extremes;
 mod holes;
 mod missing;
+mod replayed;
 mod scores;
 
 use peernet_stream::ExperimentPlace;
@@ -276,7 +277,7 @@ fn models_are_paired_by_placement() {
     ];
     let drawings = paired::drawings(&runs, None).expect("there are pairs");
     let AnyFigure::Paired(figure) = &drawings[0].figure else { panic!("pairs") };
-    assert_eq!(figure.sides, ["local", "remote"]);
+    assert_eq!(figure.sides, ["local", "cloud"]);
     assert_eq!(figure.groups.iter().map(|group| group.name.as_str()).collect::<Vec<_>>(), ["s", "m"]);
     assert_eq!(
         figure.groups[1].values.iter().map(peernet_analysis::order::SortedValues::len).collect::<Vec<_>>(),

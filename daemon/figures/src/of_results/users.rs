@@ -4,6 +4,7 @@ use peernet_statistics::number::counted;
 
 use super::columns::{excluded_note, is_drawable};
 use super::missing_data::MissingData;
+use super::replayed::marked;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{MOST_CURVES, Sharing, SharingCurve, Unit};
 use peernet_analysis::loaded::Loaded;
@@ -33,12 +34,20 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
         let sharing = Sharing {
             title: "Latency against edges at once".to_owned(),
             unit: Unit::milliseconds("Total"),
-            curves: curves.iter().map(SharingCurve::new).collect(),
+            curves: curves.iter().map(curve).collect(),
             notes: notes.iter().chain(&missing).cloned().collect(),
         };
         Drawing::new(format!("users{suffix}"), AnyFigure::Sharing(sharing)).with_left_out(missing)
     });
     Ok(drawings.collect())
+}
+
+/// Returns a curve. Its name is marked if latencies of its points are replayed.
+fn curve(curve: &Curve<'_>) -> SharingCurve {
+    let is_replayed = curve.points.iter().any(|line| line.replayed.is_some());
+    // A single curve has no name in the legend.
+    let is_named = !curve.name.is_empty();
+    SharingCurve { name: marked(&curve.name, is_replayed && is_named), ..SharingCurve::new(curve) }
 }
 
 /// Returns a note on the points that curves lack, with their names if they are few; `None` if no point is missing.

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::replayed::has_model_latency;
 use crate::drawing::{
     Accuracy, Cumulative, Histogram, Lengths, Paired, Scaling, Sharing, Stacked, TimeSeries,
 };
@@ -52,6 +53,22 @@ impl Drawing {
         Self { missing, ..self }
     }
 
+    /// Returns whether the figure shows latencies of a model, or sums that contain them.
+    fn shows_model_latency(&self) -> bool {
+        match &self.figure {
+            AnyFigure::Histogram(histogram) => has_model_latency(&histogram.stage),
+            AnyFigure::Lengths(lengths) => has_model_latency(&lengths.stage),
+            // Upload and download are measured.
+            AnyFigure::Scaling(_) => false,
+            AnyFigure::TimeSeries(_)
+            | AnyFigure::Cumulative(_)
+            | AnyFigure::Stacked(_)
+            | AnyFigure::Paired(_)
+            | AnyFigure::Accuracy(_)
+            | AnyFigure::Sharing(_) => true,
+        }
+    }
+
     fn lay_out(&self) -> Figure {
         match &self.figure {
             AnyFigure::Histogram(figure) => figure.figure(),
@@ -67,13 +84,22 @@ impl Drawing {
     }
 }
 
-pub(super) fn write(drawings: &[Drawing], folder: &Path) -> Result<WrittenFigures, WriteError> {
+/// Writes figures into a folder. `replayed` is the note on latencies that are not measured; it is part of the text of each figure that shows
+/// such latencies.
+pub(super) fn write(
+    drawings: &[Drawing],
+    replayed: Option<&str>,
+    folder: &Path,
+) -> Result<WrittenFigures, WriteError> {
     if !drawings.is_empty() {
         std::fs::create_dir_all(folder).map_err(WriteError::at(folder))?;
     }
     let mut written = WrittenFigures::default();
     for drawing in drawings {
-        written.files.extend(export::write(&drawing.lay_out(), folder, &drawing.stem)?);
+        let mut figure = drawing.lay_out();
+        let replayed = replayed.filter(|_| drawing.shows_model_latency());
+        figure.notes.extend(replayed.map(str::to_owned));
+        written.files.extend(export::write(&figure, folder, &drawing.stem)?);
         written.missing.extend(drawing.missing.iter().map(|missing| format!("{}: {missing}", drawing.stem)));
     }
     Ok(written)

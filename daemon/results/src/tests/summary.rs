@@ -189,3 +189,17 @@ fn custom_nodes_keep_their_unit() {
     assert_eq!(line("tries"), ["tries", "2", "3.00", "±"]);
     assert_eq!(line("mixed"), ["mixed", "2", "5.00", "±"], "watts are not added to joules");
 }
+
+#[test]
+fn replayed_latencies_are_named_below_every_table() {
+    let rows = kept(&rows(20));
+    let facts = vec![("Replayed".to_owned(), "inference is drawn from x".to_owned())];
+    let record = RunRecord { facts, ..RunRecord::default() };
+    let note = "Replayed latencies, not measured: inference is drawn from x.";
+    let replayed = Summary::from_rows(&rows).with_record(&record);
+    let measured = Summary::from_rows(&rows).with_record(&RunRecord::default());
+    for form in [text, markdown, latex] {
+        assert!(form(&replayed).contains(note), "{}", form(&replayed));
+        assert!(!form(&measured).contains("eplayed"), "{}", form(&measured));
+    }
+}

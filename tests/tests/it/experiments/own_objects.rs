@@ -100,7 +100,11 @@ fn failed_action_is_named_as_such() {
         .replace("episodes = 5\nepisode_steps = 20", "iterations = 2\nwarm_up = { iterations = 0 }");
     let end = run(folder.path(), &objects, &experiment);
     assert_eq!(end.code(), 75, "{}", end.log);
-    let text = "have an answer that the actuator failed to act on; iteration 1 failed: the actuator failed: \
+    let text = "iterations failed (the actuator failed to act on the answer); iteration 1 failed: the actuator failed: \
                 RuntimeError: the brake is on";
     assert!(end.log.contains(text), "{}", end.log);
+    // The first reason is printed as soon as it is known, before the end of the run.
+    let early = "): iteration 1 failed: the actuator failed: RuntimeError: the brake is on";
+    assert_eq!(end.log.matches(early).count(), 1, "{}", end.log);
+    assert!(end.log.contains("1 run with failed iterations"), "{}", end.log);
 }

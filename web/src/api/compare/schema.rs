@@ -176,7 +176,7 @@ impl Comparison {
             baseline: (!comparison.configurations.is_empty())
                 .then(|| configuration_letter(differences.baseline)),
             differences: differences_to_baseline.collect(),
-            doubts: compare::caveats(comparison),
+            doubts: compare::caveats(comparison).into_iter().map(|(_, text)| text).collect(),
             left_out: comparison.left_out.iter().map(left_out).collect(),
             cut: comparison.is_truncated,
         }

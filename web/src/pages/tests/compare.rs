@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use peernet_analysis::deadline::Misses;
+use peernet_analysis::trust::{Report, TrustInput};
 use peernet_clock::Verdict;
 use peernet_logger::stage;
 use peernet_statistics::Summary;
@@ -151,7 +152,28 @@ async fn interval_that_cannot_be_known_is_explained() {
         html.contains("an interval needs at least 30 iterations of each run, in at least 5 stretches"),
         "{html}"
     );
-    assert!(html.contains("cannot be told") && html.contains("too little is known to tell more"), "{html}");
+    assert!(
+        html.contains("cannot be told")
+            && html.contains("too short for this page (needs 5\u{202f}s): peernet compare can tell"),
+        "{html}"
+    );
+}
+
+#[tokio::test]
+async fn verdict_and_replayed_latencies_have_chips_of_run_page() {
+    let mut two = comparison(vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)]);
+    let input = TrustInput { failure: Some("the cloud is gone".to_owned()), ..TrustInput::default() };
+    two.trust_by_run.insert(2, Report::new(&input));
+    two.replayed_by_run.insert(1, "inference is drawn from x".to_owned());
+    let (app, _folder) = samples::app().await;
+    let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
+    let html = rendered(shell, &two, &RunMeans::new(), (None, None)).expect("nothing asked for");
+    check(&html);
+    let notes = html.split("<ul class=\"notes\">").nth(1).and_then(|rest| rest.split("</ul>").next());
+    let lines: Vec<&str> = notes.expect("caveats").split("<li>").skip(1).collect();
+    assert!(lines[0].contains("\"chip bad\"") && lines[0].contains("cannot be published: #2 ("), "{lines:?}");
+    let text = "replayed</span><span>Replayed latencies, not measured: A: inference is drawn from x.";
+    assert!(lines[1].contains("\"chip warn\"") && lines[1].contains(text), "{lines:?}");
 }
 
 #[tokio::test]

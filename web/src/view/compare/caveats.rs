@@ -1,23 +1,31 @@
 //! Caveats about the means of stored runs, such as skipped starts, and the commands that compare runs by all their iterations.
 
 use peernet_analysis::accuracy::{UNKNOWN_LABEL, UnknownLabels};
-use peernet_analysis::compare::skipped_starts;
+use peernet_analysis::compare::{replayed_configurations, skipped_starts};
 use peernet_analysis::run_selection::RunState;
 use peernet_analysis::trust::publication_caveats;
 use peernet_statistics::number::count;
-use peernet_stream::OutcomeCounts;
+use peernet_stream::{Grade, OutcomeCounts};
 
 use super::Comparison;
+use crate::view::chip::Chip;
+use crate::view::notes::REPLAYED;
+use crate::view::trust::chip;
 
 /// Address of the dashboard in commands if the Host header of the request has characters that a shell could interpret.
 const DEFAULT_ADDRESS: &str = "127.0.0.1:8040";
 
-/// Returns the caveats: runs that cannot be published as they are, unfinished runs, skipped starts, and iterations without an answer.
-pub(crate) fn caveats(comparison: &Comparison) -> Vec<String> {
+/// Returns the caveats, each with its chip: runs that cannot be published as they are, replayed latencies, unfinished runs, skipped starts, and
+/// failed iterations.
+pub(crate) fn caveats(comparison: &Comparison) -> Vec<(Chip, String)> {
     let configurations = &comparison.configurations;
     let report = |run: i64| comparison.trust_by_run.get(&run);
     let reports = comparison.runs().filter_map(|run| Some((format!("#{}", run.number), report(run.number)?)));
-    let publication = publication_caveats(reports);
+    let publication = publication_caveats(reports).into_iter().map(|(grade, text)| (chip(grade), text));
+    let replayed = replayed_configurations(configurations.iter().map(|one| {
+        let distribution = one.runs.iter().find_map(|run| comparison.replayed_by_run.get(&run.number));
+        (one.name.clone(), distribution.map(String::as_str))
+    }));
     let unfinished: Vec<String> = comparison
         .runs()
         .map(|run| (run.number, RunState::from_end_reason(run.reason.as_ref())))
@@ -37,14 +45,16 @@ pub(crate) fn caveats(comparison: &Comparison) -> Vec<String> {
         let without_answer = all - answered;
         (without_answer > 0).then(|| {
             format!(
-                "{}: {} of {} iterations have no answer; the figures are those of the others.",
+                "{}: {} of {} iterations failed; the figures are those of the others.",
                 one.name,
                 count(without_answer),
                 count(all)
             )
         })
     });
-    publication.into_iter().chain(unfinished).chain(skipped).chain(unanswered).collect()
+    let others = unfinished.into_iter().chain(skipped).chain(unanswered);
+    let others = others.map(|text| (chip(Grade::Doubtful), text));
+    publication.chain(replayed.map(|text| (REPLAYED, text))).chain(others).collect()
 }
 
 /// Returns a sentence for each configuration with samples whose label is not a class of its model.
@@ -110,8 +120,8 @@ mod tests {
         assert!(caveats(&comparison(vec![one.clone()])).is_empty());
         let text = "Starts were skipped because the pipeline could not keep up; these latencies are not those of the \
                     configured rate: B: 73 of 200 starts (36 %).";
-        let unanswered = "B: 37 of 127 iterations have no answer; the figures are those of the others.";
-        assert_eq!(caveats(&comparison(vec![one, other])), [text, unanswered]);
+        let unanswered = "B: 37 of 127 iterations failed; the figures are those of the others.";
+        assert_eq!(texts(&comparison(vec![one, other])), [text, unanswered]);
     }
 
     #[test]
@@ -120,14 +130,29 @@ mod tests {
         let input = TrustInput { failure: Some("the cloud is gone".to_owned()), ..TrustInput::default() };
         two.trust_by_run.insert(2, Report::new(&input));
         let sentences = caveats(&two);
-        assert!(sentences[0].contains("cannot be published: #2 ("), "{sentences:?}");
+        assert!(sentences[0].1.contains("cannot be published: #2 ("), "{sentences:?}");
+        // The page of the run shows the same chip for the finding.
+        assert_eq!(sentences[0].0, chip(Grade::Bad));
+    }
+
+    #[test]
+    fn replayed_configurations_are_named() {
+        let mut two = comparison((0..2).map(|at| configuration(at, Local, 1.0, 1e3)).collect());
+        two.replayed_by_run.insert(2, "inference is drawn from x".to_owned());
+        let text = "Replayed latencies, not measured: B: inference is drawn from x.";
+        assert_eq!(caveats(&two), [(REPLAYED, text.to_owned())]);
+    }
+
+    /// Returns the sentences of the caveats.
+    fn texts(comparison: &Comparison) -> Vec<String> {
+        caveats(comparison).into_iter().map(|(_, text)| text).collect()
     }
 
     #[test]
     fn selected_run_without_end_is_a_caveat() {
         let mut one = configuration(0, Local, 1.0, 1e3);
         one.runs[0].reason = None;
-        let sentences = caveats(&comparison(vec![one, configuration(1, Local, 2.0, 1e3)]));
+        let sentences = texts(&comparison(vec![one, configuration(1, Local, 2.0, 1e3)]));
         let text =
             "Not measured to the end, but compared because you selected them: #1 (in progress or killed).";
         assert_eq!(sentences, [text]);

@@ -108,7 +108,7 @@ pub(crate) async fn load_comparison(
     };
     let numbers: Vec<i64> = details.iter().map(|detail| detail.summary.number).collect();
     let statistics = store.statistics(&numbers).await?;
-    let trust_by_run = trust_reports(store, &numbers).await?;
+    let (trust_by_run, replayed_by_run) = trust_reports(store, &numbers).await?;
     let computing_placements = ComputingPlacements::load(store, &details).await?;
     let DifferingSettings { axes, axis_values, other_settings, names_of_long_settings } =
         if experiment.is_some() {
@@ -171,19 +171,27 @@ pub(crate) async fn load_comparison(
         configurations,
         statistics_by_run,
         trust_by_run,
+        replayed_by_run,
         left_out,
         is_truncated,
     })
 }
 
-/// Judges whether each run can be published. A run that was deleted in the meantime has no report.
-async fn trust_reports(store: &Store, runs: &[i64]) -> Result<HashMap<i64, Report>, WebError> {
+/// Judges whether each run can be published. A run that was deleted in the meantime has no report. Also returns the distributions of the runs
+/// with replayed latencies.
+async fn trust_reports(
+    store: &Store,
+    runs: &[i64],
+) -> Result<(HashMap<i64, Report>, HashMap<i64, String>), WebError> {
     let judge = |run: i64| async move {
         let Some(detail) = store.run(run).await? else { return Ok::<_, WebError>(None) };
-        Ok(Some((run, Report::new(&store.trust_input(&detail).await?))))
+        let input = store.trust_input(&detail).await?;
+        Ok(Some((run, Report::new(&input), input.replayed)))
     };
-    let reports = futures::stream::iter(runs.iter().copied()).map(judge).buffered(CONCURRENT_READS);
-    reports.try_filter_map(|report| async move { Ok(report) }).try_collect().await
+    let judged = futures::stream::iter(runs.iter().copied()).map(judge).buffered(CONCURRENT_READS);
+    let judged: Vec<_> = judged.try_filter_map(|run| async move { Ok(run) }).try_collect().await?;
+    let replayed = judged.iter().filter_map(|(run, _, replayed)| Some((*run, replayed.clone()?))).collect();
+    Ok((judged.into_iter().map(|(run, report, _)| (run, report)).collect(), replayed))
 }
 
 /// Splits the runs of an experiment into compared runs, in their order, and excluded runs.

@@ -69,6 +69,8 @@ pub(crate) struct Comparison {
     pub statistics_by_run: HashMap<i64, Arc<MergeableStatistics>>,
     /// Report of each run on whether it can be published, by its number.
     pub trust_by_run: HashMap<i64, Report>,
+    /// Distribution from which the latencies of a run are drawn, by its number. Runs with measured latencies are absent.
+    pub replayed_by_run: HashMap<i64, String>,
     /// Excluded runs of the experiment, oldest first.
     pub left_out: Vec<ExcludedRun>,
     /// `true` if the experiment has more runs than are compared.

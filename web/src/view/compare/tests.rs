@@ -82,6 +82,7 @@ pub(crate) fn comparison(configurations: Vec<Configuration>) -> Comparison {
         configurations,
         statistics_by_run,
         trust_by_run: HashMap::new(),
+        replayed_by_run: HashMap::new(),
         left_out,
         is_truncated: false,
     }
@@ -232,9 +233,12 @@ fn title_without_ranking_names_no_fastest() {
     assert_eq!(text, "A and B, C and 1 more do not differ by more than chance");
     let short = scaled(&[1.0, 1.5, 2.0]);
     let text = title_of(&short, &totals(&short, 3), 0);
-    let known =
-        "A has the smallest mean of the 3 configurations, 16.0\u{202f}ms; too little is known to tell more";
+    let known = "A has the smallest mean of the 3 configurations, 16.0\u{202f}ms; too short for this page (needs 5\u{202f}s): peernet compare can tell";
     assert_eq!(text, known);
+    let mut few = scaled(&[1.0, 1.5, 2.0]);
+    few.configurations[1].runs[0].counts.ok = 29;
+    let text = title_of(&few, &totals(&few, 3), 0);
+    assert!(text.ends_with("; too little is known to tell more"), "the command cannot tell either: {text}");
     assert!(title_of(&comparison(Vec::new()), &RunMeans::new(), 0).contains("was finished yet"));
 }
 
@@ -330,7 +334,7 @@ fn models_in_both_places_are_paired() {
     let users = comparison(vec![configuration(0, PlacementKind::Local, 1.0, 1e3), many]);
     let (several_users, _) = super::pairs(&users);
     assert!(
-        several_users[0].places[1].place.starts_with("remote: user-1, user-2, user-10 → "),
+        several_users[0].places[1].place.starts_with("cloud: user-1, user-2, user-10 → "),
         "{}",
         several_users[0].places[1].place
     );

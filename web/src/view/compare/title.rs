@@ -1,6 +1,6 @@
 //! Title of a comparison: its finding in a sentence.
 
-use peernet_analysis::compare::{Difference, Ranking};
+use peernet_analysis::compare::{Difference, MIN_BATCHES, MIN_VALUES, Ranking};
 use peernet_statistics::number::{Estimate, SPACE, duration};
 
 use super::{Comparison, Configuration, Differences};
@@ -31,6 +31,9 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
         return format!("{} and {} do not differ by more than chance", best.name, names(all, &ties));
     }
     if !untested.is_empty() {
+        // With enough iterations only the buckets of whole seconds are too few. The command has single iterations.
+        let mut compared = untested.iter().chain([&ranking.best]).flat_map(|index| &all[*index].runs);
+        let is_too_short = compared.all(|run| run.counts.ok >= MIN_VALUES as u64);
         let statement = match ranking.differences.len() {
             1 => format!("{} has the smaller mean, {mean}", best.name),
             others => {
@@ -41,7 +44,17 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
             true => format!(" of {}", names(all, &untested)),
             false => String::new(),
         };
-        return format!("{statement}; too little is known{configurations} to tell more");
+        if !is_too_short {
+            return format!("{statement}; too little is known{configurations} to tell more");
+        }
+        let subject = match (configurations.strip_prefix(" of "), untested.as_slice()) {
+            (None, _) => String::new(),
+            (Some(names), [_]) => format!("{names} is "),
+            (Some(names), _) => format!("{names} are "),
+        };
+        return format!(
+            "{statement}; {subject}too short for this page (needs {MIN_BATCHES}{SPACE}s): peernet compare can tell"
+        );
     }
     let Some((index, difference)) = reference_configuration(ranking, differences.baseline) else {
         return format!("{} is the fastest: {mean}", best.name);

@@ -79,11 +79,22 @@ fn success_and_return_are_shown_beside_latency() {
     assert_eq!(success.rate, successes as f64 / episodes as f64);
     assert_eq!(comparison.lines[0].actuator, ActuatorResults::default());
     let text = comparison.text();
-    for part in
-        ["superseded", "success (%)", "return", "Success: episodes", "2.50 ± 0.00", "Superseded: answers"]
-    {
+    for part in [
+        "superseded",
+        "episodes",
+        "success (%)",
+        "return",
+        "Success: episodes",
+        "2.50 ± 0.00",
+        "Superseded: answers",
+    ] {
         assert!(text.contains(part), "{part}: {text}");
     }
+    // The mark of the smallest mean total marks no success and no return.
+    let marked = text.lines().find(|line| line.contains(" *")).expect("a marked line");
+    assert!(marked.contains("20.260 ± 0.002 *") && marked.ends_with('—'), "{marked}");
+    assert!(text.contains(&format!("  {episodes}  ")), "{text}");
+    assert!(!text.contains("Episodes: the number"), "both have the same number: {text}");
     let csv = comparison.csv();
     assert_eq!(column(&csv, "return-mean"), ["", "2.5", ""]);
     assert_eq!(column(&csv, "success-episodes")[1], episodes.to_string());
@@ -108,7 +119,11 @@ fn accuracy_is_shown_beside_latency() {
     assert_eq!(comparison.lines[0].accuracy("top-1"), None);
     let text = comparison.text();
     assert!(text.contains("Top-1 (%)") && text.contains("75.0 (65.7 – 82.5)"), "{text}");
-    assert!(text.contains("100.0 (96.3 – 100.0)") && text.contains("(Wilson)"), "{text}");
+    assert!(text.contains("100.0 (96.3 – 100.0)") && text.contains("\nTop-1 and Top-5: right"), "{text}");
+    let mut few_classes = runs.clone();
+    few_classes[1].rows.change(|row| row.values.retain(|(name, _)| name != "top-5"));
+    let without = Comparison::new(&few_classes).text();
+    assert!(without.contains("\nTop-1: right") && !without.contains("Top-5"), "{without}");
     let csv = comparison.csv();
     assert!(
         csv.lines().next().is_some_and(|line| line.contains(

@@ -1,0 +1,75 @@
+//! Tests of the marks of latencies that were drawn from a distribution.
+
+use super::*;
+
+/// Returns the run with latencies that were drawn.
+fn replayed(run: Loaded) -> Loaded {
+    let facts = vec![("Replayed".to_owned(), "inference is drawn from x".to_owned())];
+    Loaded { record: RunRecord { facts, ..run.record }, ..run }
+}
+
+fn with_total(model: &str, kind: &str, total: f64) -> Loaded {
+    Loaded { record: placed(model, kind, 1.0).record, ..run_with_total(total) }
+}
+
+/// Draws the figures of a kind and returns the image and the text of the file with this name.
+fn drawn(kind: Kind, runs: &[Loaded], stem: &str) -> [String; 2] {
+    let folder = tempfile::tempdir().expect("a folder");
+    draw(kind, runs, &Columns::default(), folder.path()).expect("drawn");
+    [".svg", "-caption.txt"]
+        .map(|end| std::fs::read_to_string(folder.path().join(format!("{stem}{end}"))).expect("written"))
+}
+
+#[test]
+fn replayed_configuration_is_marked_in_all_figures() {
+    let runs = [with_total("s", "local", 20.0), replayed(with_total("s", "remote", 4.0))];
+    for (kind, stem) in [(Kind::Stacked, "stacked"), (Kind::Totals, "totals"), (Kind::Accuracy, "accuracy")] {
+        let [svg, words] = drawn(kind, &runs, stem);
+        assert!(svg.contains("remote (replayed)<") && svg.contains("local<"), "{stem}: {svg}");
+        let note = "Replayed latencies, not measured: s, remote: inference is drawn from x.";
+        assert!(words.contains(note), "{stem}: {words}");
+        let [svg, words] =
+            drawn(kind, &[with_total("s", "local", 20.0), with_total("s", "remote", 4.0)], stem);
+        assert!(!svg.contains("eplayed") && !words.contains("eplayed"), "{stem}: {words}");
+    }
+}
+
+#[test]
+fn replayed_placement_or_model_is_marked_in_pairs() {
+    let one = placed;
+    let [svg, words] =
+        drawn(Kind::Paired, &[one("s", "local", 20.0), replayed(one("s", "remote", 4.0))], "paired");
+    assert!(svg.contains(">cloud (replayed)<") && !svg.contains("remote"), "{svg}");
+    assert!(words.contains("not measured: s, remote: inference is drawn from x."), "{words}");
+    let mixed = [
+        one("s", "local", 20.0),
+        replayed(one("s", "remote", 4.0)),
+        one("m", "local", 30.0),
+        one("m", "remote", 6.0),
+    ];
+    let drawings = paired::drawings(&mixed, None).expect("pairs");
+    let AnyFigure::Paired(figure) = &drawings[0].figure else { panic!("pairs") };
+    let names: Vec<&str> = figure.groups.iter().map(|group| group.name.as_str()).collect();
+    assert_eq!(
+        (figure.sides.as_slice(), names.as_slice()),
+        (["local", "cloud"].map(str::to_owned).as_slice(), ["s (replayed)", "m"].as_slice(),)
+    );
+}
+
+#[test]
+fn replayed_run_is_marked_where_model_latency_is_shown() {
+    let run =
+        replayed(run(60, |_| vec![("sensing", 1.0), ("upload", 2.0), ("inference", 5.0), ("total", 9.0)]));
+    let folder = tempfile::tempdir().expect("a folder");
+    of_run(&run.record, &run.rows, folder.path()).expect("written");
+    let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).expect("written");
+    let note = "Replayed latencies, not measured: inference is drawn from x.";
+    for stem in ["inference-time", "cumulative", "series"] {
+        assert!(read(&format!("{stem}.svg")).contains("robot → cloud (replayed)"), "{stem}");
+        assert!(read(&format!("{stem}-caption.txt")).contains(note), "{stem}");
+    }
+    for stem in ["sensing-time", "upload-time"] {
+        assert!(!read(&format!("{stem}.svg")).contains("replayed"), "{stem} is measured");
+        assert!(!read(&format!("{stem}-caption.txt")).contains(note), "{stem}");
+    }
+}
