@@ -43,11 +43,7 @@ const WARNING_TARGETS: [&str; 2] = [REMARK_LOG_TARGET, LOAD_LOG_TARGET];
 /// When the variable does not contain a valid level (78).
 pub(crate) fn start_log(destination: LogDestination) -> Result<(), Failure> {
     let configuration_failure = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
-    let level = std::env::var(VARIABLE).unwrap_or_else(|_| {
-        let user_code = USER_CODE_TARGETS.map(|target| format!(",{target}=info")).concat();
-        let warnings = WARNING_TARGETS.map(|target| format!(",{target}=warn")).concat();
-        format!("off{user_code}{warnings}")
-    });
+    let level = std::env::var(VARIABLE).unwrap_or_else(|_| default_level());
     let filter = EnvFilter::try_new(&level).map_err(|error| {
         configuration_failure(anyhow::anyhow!(
             "{level:?} (from {VARIABLE}) is not a log level: {error}; use error, warn, info, debug or trace"
@@ -60,6 +56,13 @@ pub(crate) fn start_log(destination: LogDestination) -> Result<(), Failure> {
     // Internal errors of the log would be printed to standard error without hiding the progress bar.
     let log = log.log_internal_errors(false).event_format(LogFormat { other: Line::default() }).finish();
     log.try_init().map_err(|error| configuration_failure(error.into()))
+}
+
+/// Returns the level of the log that the user sees without `PEERNET_LOG`.
+fn default_level() -> String {
+    let user_code = USER_CODE_TARGETS.map(|target| format!(",{target}=info")).concat();
+    let warnings = WARNING_TARGETS.map(|target| format!(",{target}=warn")).concat();
+    format!("off{user_code}{warnings}")
 }
 
 /// Writer of the log, which gets one whole line at a time.
@@ -134,5 +137,42 @@ impl Visit for LogMessage {
             // Writing to a string cannot fail.
             let _ = write!(self.line, "{value:?}");
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::{Arc, Mutex};
+
+    use super::*;
+
+    #[derive(Clone, Default)]
+    struct Lines(Arc<Mutex<Vec<u8>>>);
+
+    impl Write for Lines {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.0.lock().expect("not poisoned").write(bytes)
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn slow_loading_is_shown_without_the_log() {
+        let lines = Lines::default();
+        let writer = lines.clone();
+        let log = tracing_subscriber::fmt()
+            .with_env_filter(EnvFilter::new(default_level()))
+            .with_writer(move || writer.clone())
+            .event_format(LogFormat { other: Line::default() })
+            .finish();
+        tracing::subscriber::with_default(log, || {
+            tracing::warn!(target: LOAD_LOG_TARGET, "model net is still loading");
+            tracing::warn!("another line");
+        });
+        let shown = String::from_utf8(lines.0.lock().expect("not poisoned").clone()).expect("is text");
+        assert_eq!(shown, "warning: model net is still loading\n");
     }
 }
