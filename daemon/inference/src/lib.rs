@@ -30,7 +30,7 @@ pub use model::onnx::{CardSummary, MODEL_HASH, OnnxRuntimeConfig, check_library,
 pub use model::{ModelConfig, SharedKeys};
 pub use pool::Pool;
 pub use process_memory::ProcessMemory;
-pub use requester::{Cancelled, Requester, UncancelledRequester};
+pub use requester::{Cancelled, PartError, Requester, UncancelledRequester};
 
 use peernet_logger::Recorder;
 use peernet_sample::Sample;

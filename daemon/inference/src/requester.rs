@@ -5,16 +5,16 @@ use std::time::Duration;
 use peernet_sample::Sample;
 use tokio_util::sync::CancellationToken;
 
+use crate::InferenceError;
+
 /// Receiver of one answer. A model may send it partial answers before the answer is complete, and stops computing
 /// when the request is cancelled.
 pub trait Requester: Send + Sync {
-    /// Sends a partial answer. Waits while too many earlier ones are unread.
-    ///
-    /// The complete answer repeats the content of the partial ones. The content of a lost partial answer therefore only arrives later.
+    /// Sends a partial answer. Waits while too many earlier ones are unread or wait to be sent.
     ///
     /// # Errors
-    /// If the request was cancelled.
-    fn send_part(&self, part: Sample) -> Result<(), Cancelled>;
+    /// If the request was cancelled, or the partial answer cannot be sent. The model stops computing then.
+    fn send_part(&self, part: Sample) -> Result<(), PartError>;
 
     /// Returns the token that is cancelled when the time limit of the request passes or the other end is gone.
     fn cancellation(&self) -> CancellationToken;
@@ -31,12 +31,34 @@ pub trait Requester: Send + Sync {
 #[error("nobody waits for the answer any more: its time limit passed, or the other end is gone")]
 pub struct Cancelled;
 
+/// Reason why a partial answer was not sent.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum PartError {
+    /// The request was cancelled.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+    /// The requester cannot get it, for this reason.
+    #[error("{0}")]
+    Refused(String),
+}
+
+impl PartError {
+    /// Returns the failure of the request to `model`.
+    pub(crate) fn into_inference_error(self, model: &str) -> InferenceError {
+        let model = model.to_owned();
+        match self {
+            Self::Cancelled(Cancelled) => InferenceError::Cancelled { model },
+            Self::Refused(reason) => InferenceError::Failed { model, reason },
+        }
+    }
+}
+
 /// Requester that ignores partial answers and never cancels.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct UncancelledRequester;
 
 impl Requester for UncancelledRequester {
-    fn send_part(&self, _part: Sample) -> Result<(), Cancelled> {
+    fn send_part(&self, _part: Sample) -> Result<(), PartError> {
         Ok(())
     }
 

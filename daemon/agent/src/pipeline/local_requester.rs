@@ -3,7 +3,7 @@
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
-use peernet_inference::{Cancelled, Requester};
+use peernet_inference::{Cancelled, PartError, Requester};
 use peernet_sample::Sample;
 use tokio_util::sync::CancellationToken;
 
@@ -29,8 +29,8 @@ impl Drop for CancelOnDrop {
 }
 
 impl Requester for LocalRequester {
-    fn send_part(&self, _part: Sample) -> Result<(), Cancelled> {
-        if self.cancellation.is_cancelled() { Err(Cancelled) } else { Ok(()) }
+    fn send_part(&self, _part: Sample) -> Result<(), PartError> {
+        if self.cancellation.is_cancelled() { Err(Cancelled.into()) } else { Ok(()) }
     }
 
     fn cancellation(&self) -> CancellationToken {

@@ -3,9 +3,11 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use peernet_inference::{Bank, Cancelled, FinishedJob, Job, LoadError, Pool, Requester};
+use peernet_inference::{Bank, Cancelled, FinishedJob, Job, LoadError, PartError, Pool, Requester};
 use peernet_logger::Slug;
-use peernet_networks::{Failure, IncomingRequest, PartSender, RequestCancelled, SessionHello};
+use peernet_networks::{
+    self as networks, Failure, IncomingRequest, PartSender, RequestCancelled, SessionHello,
+};
 use peernet_sample::Sample;
 use tokio_util::sync::CancellationToken;
 
@@ -111,8 +113,11 @@ impl Service {
 struct PeerRequester(PartSender);
 
 impl Requester for PeerRequester {
-    fn send_part(&self, part: Sample) -> Result<(), Cancelled> {
-        self.0.send(&part).map_err(|RequestCancelled| Cancelled)
+    fn send_part(&self, part: Sample) -> Result<(), PartError> {
+        self.0.send(&part).map_err(|error| match error {
+            networks::PartError::Cancelled(RequestCancelled) => Cancelled.into(),
+            error => PartError::Refused(error.to_string()),
+        })
     }
 
     fn cancellation(&self) -> CancellationToken {

@@ -13,7 +13,7 @@ use peernet_logger::{Name, Recorder, Unit};
 use peernet_sample::Sample;
 
 use super::{Keys, LoadContext, ModelConfig, ModelKind, ModelTable, SharedKeys};
-use crate::{InferenceError, LoadError, Model, Requester, Worker};
+use crate::{Cancelled, InferenceError, LoadError, Model, PartError, Requester, Worker};
 
 /// Environment variable that contains the device.
 const DEVICE: &str = "PEERNET_DEVICE";
@@ -122,12 +122,16 @@ impl Worker for ExecWorker {
         requester: &dyn Requester,
     ) -> Result<Sample, InferenceError> {
         let failed = |reason| InferenceError::Failed { model: self.model.clone(), reason };
+        let mut unsent = None;
         let called = self.program.call_with_partial_answers(Request::Sample(sample), &mut |part| {
             let part = Sample { parts: vec![part], source: String::new(), label: None };
-            requester.send_part(part).is_ok()
+            unsent = requester.send_part(part).err();
+            unsent.is_none()
         });
         let program_call = called.map_err(|error| match error {
-            ProgramCallError::Cancelled => InferenceError::Cancelled { model: self.model.clone() },
+            ProgramCallError::Cancelled => {
+                unsent.unwrap_or(PartError::Cancelled(Cancelled)).into_inference_error(&self.model)
+            }
             error => failed(error.to_string()),
         })?;
         for stage in program_call.stages().map_err(|error| failed(error.to_string()))? {

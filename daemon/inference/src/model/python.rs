@@ -106,11 +106,11 @@ impl Worker for PythonWorker {
         recorder: &mut Recorder,
         requester: &dyn Requester,
     ) -> Result<Sample, InferenceError> {
-        let mut is_cancelled = false;
+        let mut unsent = None;
         let called = self.object.call_with_partial_answers(&sample.parts, &mut |parts| {
             let part = Sample { parts, source: String::new(), label: None };
-            is_cancelled = requester.send_part(part).is_err();
-            !is_cancelled
+            unsent = requester.send_part(part).err();
+            unsent.is_none()
         });
         let started_at = called.times.started_at;
         if let Some(from) = called.times.restarted_at {
@@ -128,8 +128,8 @@ impl Worker for PythonWorker {
             };
             recorder.record_timer(name, from, to);
         }
-        if is_cancelled {
-            return Err(InferenceError::Cancelled { model: self.model.clone() });
+        if let Some(error) = unsent {
+            return Err(error.into_inference_error(&self.model));
         }
         let failed = |reason| InferenceError::Failed { model: self.model.clone(), reason };
         let parts = called.result.map_err(|error| match error {

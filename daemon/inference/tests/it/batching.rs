@@ -5,7 +5,7 @@ use std::sync::mpsc::{RecvTimeoutError, sync_channel};
 use std::time::Duration;
 
 use peernet_inference::{
-    Bank, Cancelled, FinishedJob, InferenceError, Job, LoadError, Requester, UncancelledRequester,
+    Bank, Cancelled, FinishedJob, InferenceError, Job, LoadError, PartError, Requester, UncancelledRequester,
 };
 use peernet_logger::{HostId, Recorder, Tree};
 use peernet_sample::{ElementType, Part, Sample};
@@ -19,8 +19,8 @@ use super::{bank, clock, loaded, slug};
 struct CancelledRequester;
 
 impl Requester for CancelledRequester {
-    fn send_part(&self, _part: Sample) -> Result<(), Cancelled> {
-        Err(Cancelled)
+    fn send_part(&self, _part: Sample) -> Result<(), PartError> {
+        Err(Cancelled.into())
     }
 
     fn cancellation(&self) -> CancellationToken {

@@ -3,7 +3,7 @@
 use peernet_inference::{InferenceError, LoadError};
 use peernet_sample::{Description, MediaType, Sample};
 
-use super::listener::run_until_partial_answer;
+use super::listener::{REFUSED, run_until_partial_answer};
 use super::{bank, jpeg, loaded, run, slug};
 
 /// Program that answers with its input and its device, and reports durations if the sample asks for them.
@@ -116,4 +116,18 @@ fn partial_lines_are_partial_answers() {
         (Err(InferenceError::Cancelled { model: "p".to_owned() }), 2)
     );
     assert!(run(&pool, text("x")).result.is_ok(), "the program is started again");
+}
+
+#[test]
+fn refused_partial_answer_fails_request() {
+    let script = format!(
+        "while read -r word bytes media shape rest; do x=$(head -c \"$bytes\"); \
+         printf 'partial {} text/plain\\n{REFUSED}'; printf 'answer 4 text/plain\\ndone'; done",
+        REFUSED.len()
+    );
+    let bank = bank(&[&format!("name = 'p'\nkind = 'exec'\ncommand = {script:?}")]);
+    let (result, partial_answers) = run_until_partial_answer(&loaded(&bank, "p"), text("x"), 10);
+    let reason = "it is too large".to_owned();
+    assert_eq!(result, Err(InferenceError::Failed { model: "p".to_owned(), reason }));
+    assert!(partial_answers.is_empty());
 }

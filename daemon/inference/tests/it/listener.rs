@@ -4,12 +4,15 @@ use std::sync::mpsc::sync_channel;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use peernet_inference::{Cancelled, FinishedJob, InferenceError, Job, Pool, Requester};
+use peernet_inference::{Cancelled, FinishedJob, InferenceError, Job, PartError, Pool, Requester};
 use peernet_logger::{HostId, Recorder};
 use peernet_sample::Sample;
 use tokio_util::sync::CancellationToken;
 
 use super::clock;
+
+/// Beginning of a partial answer that the requester refuses.
+pub(super) const REFUSED: &str = "refused";
 
 /// Requester that keeps partial answers and cancels after some of them, or when its token is cancelled.
 struct Listener {
@@ -20,10 +23,13 @@ struct Listener {
 }
 
 impl Requester for Listener {
-    fn send_part(&self, part: Sample) -> Result<(), Cancelled> {
+    fn send_part(&self, part: Sample) -> Result<(), PartError> {
+        if part.parts[0].bytes.starts_with(REFUSED.as_bytes()) {
+            return Err(PartError::Refused("it is too large".to_owned()));
+        }
         let mut partial_answers = self.partial_answers.lock().expect("is not poisoned");
         partial_answers.push(part);
-        if partial_answers.len() < self.limit { Ok(()) } else { Err(Cancelled) }
+        if partial_answers.len() < self.limit { Ok(()) } else { Err(Cancelled.into()) }
     }
 
     fn cancellation(&self) -> CancellationToken {

@@ -139,6 +139,18 @@ fn generator_is_closed_when_nobody_waits() {
 }
 
 #[test]
+fn refused_partial_answer_fails_request_and_closes_generator() {
+    let folder = tempfile::tempdir().expect("can be made");
+    fs::write(folder.path().join("generators.py"), GENERATORS).expect("can be written");
+    let pool = loaded(&bank(&[&model(&folder, "generators::Words", "")]), "p");
+    let (result, partial_answers) = run_until_partial_answer(&pool, text("one refused three"), 10);
+    let reason = "it is too large".to_owned();
+    assert_eq!(result, Err(InferenceError::Failed { model: "p".to_owned(), reason }));
+    assert_eq!(partial_answers.len(), 1);
+    assert!(folder.path().join("closed").exists());
+}
+
+#[test]
 fn restart_of_worker_is_recorded() {
     let source = "
 import os, time

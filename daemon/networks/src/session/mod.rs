@@ -29,6 +29,6 @@ pub use completed_request::{AwaitedEvent, CompletedRequest, RequestError};
 pub use edge::{Session, StatisticsReader};
 pub use incoming::{Failure, Incoming, IncomingRequest, OpenRequest, Responder};
 pub use open::OpenError;
-pub use part_sender::PartSender;
+pub use part_sender::{PartError, PartSender};
 pub use parts::{FIRST_PART, FIRST_PART_DOWNLOAD, PARTS, PartHandler};
 pub use request_control::RequestCancelled;

@@ -10,6 +10,34 @@ use tokio_util::sync::CancellationToken;
 use super::cloud::ListenerState;
 use super::incoming::RequestKey;
 use super::request_control::{RequestCancelled, RequestControl};
+use crate::transport::SendFailure;
+
+/// Time after which a part is handed to a full send queue again.
+// The transports have no event for room in a queue. The window of unread parts is none either: a few large parts fill a
+// queue before the edge acknowledges any.
+pub(super) const FULL_QUEUE_RETRY: Duration = Duration::from_millis(5);
+
+/// Reason why a part of an answer was not sent. The answer without it would be incomplete.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum PartError {
+    /// The edge does not wait for the answer any more.
+    #[error(transparent)]
+    Cancelled(#[from] RequestCancelled),
+    /// The part is larger than the edge accepts.
+    #[error(
+        "a partial answer's {bytes} bytes are more than max_message_bytes of the edge's session, {max_bytes}: raise it there \
+         (peernet --client: --max-message-bytes), or send smaller partial answers"
+    )]
+    TooLarge {
+        /// Payload of the part. Bytes.
+        bytes: u64,
+        /// Largest message that the edge accepts. Bytes.
+        max_bytes: u64,
+    },
+    /// The part has no form in which it can be sent, or the network refused it.
+    #[error("a partial answer cannot be sent: {0}")]
+    Unsendable(String),
+}
 
 /// Sends parts of the answer to one request, from any thread. Reports whether the edge still waits for the answer.
 #[derive(Clone, Debug)]
@@ -30,20 +58,40 @@ impl PartSender {
         Self { key, received, control, shared }
     }
 
-    /// Sends a part of the answer. Waits while the edge has 64 unread parts. Does nothing if the edge does not know
-    /// partial replies, or if the part is larger than the edge accepts: the complete answer contains it.
+    /// Sends a part of the answer. Waits while the edge has 64 unread parts, and while the network's send queue is full.
+    /// Does nothing if the edge does not know partial replies.
     ///
     /// # Errors
-    /// If the edge does not wait for the answer any more.
-    pub fn send(&self, part: &Sample) -> Result<(), RequestCancelled> {
-        // Asked before the part gets a number: an edge without partial replies acknowledges none.
-        let Some(shared) = self.shared.upgrade() else { return Err(RequestCancelled) };
-        let Some(route) = shared.route_of_parts(self.key.session) else {
-            return if self.is_cancelled() { Err(RequestCancelled) } else { Ok(()) };
-        };
-        let number = self.control.next_part()?;
-        shared.send_part(&route, self.key, (number, self.received), part);
-        Ok(())
+    /// If the edge does not wait for the answer any more, or the part cannot be sent.
+    pub fn send(&self, part: &Sample) -> Result<(), PartError> {
+        let mut number = None;
+        loop {
+            // Not kept while waiting, so that the port can be closed.
+            let shared = self.shared.upgrade().ok_or(RequestCancelled)?;
+            // Asked before the part gets a number: an edge without partial replies acknowledges none.
+            let Some(route) = shared.route_of_parts(self.key.session) else {
+                return if self.is_cancelled() { Err(RequestCancelled.into()) } else { Ok(()) };
+            };
+            // A part with a number is sent: an edge never acknowledges a part that it does not get.
+            let number = match number {
+                Some(number) => number,
+                None => {
+                    let (bytes, max_bytes) = (part.payload_bytes(), route.max_message_bytes);
+                    if bytes > max_bytes {
+                        return Err(PartError::TooLarge { bytes, max_bytes });
+                    }
+                    drop(shared);
+                    number = Some(self.control.next_part()?);
+                    continue;
+                }
+            };
+            match shared.send_part(&route, self.key, (number, self.received), part) {
+                Ok(()) => return Ok(()),
+                Err(SendFailure::Gone(reason)) => return Err(PartError::Unsendable(reason)),
+                Err(SendFailure::Full) => drop(shared),
+            }
+            self.control.wait(FULL_QUEUE_RETRY)?;
+        }
     }
 
     /// Returns whether the edge does not wait for the answer any more: the request's time is over, or the session

@@ -27,6 +27,8 @@ struct ControlState {
     sent: u32,
     /// Number of parts that the edge has read.
     read: u32,
+    /// Number of unread parts that were lost on the way.
+    lost: u32,
     is_cancelled: bool,
 }
 
@@ -55,8 +57,27 @@ impl RequestControl {
     pub(crate) fn acknowledge(&self, end: u32) {
         let mut state = self.state();
         // A higher number would make the subtraction in `next_part` overflow.
-        state.read = state.read.max(end.min(state.sent));
+        let end = end.min(state.sent);
+        if end > state.read {
+            state.read = end;
+            // Most of them have lower numbers. The others would keep few places in the window, and only until the next
+            // acknowledgement.
+            state.lost = 0;
+        }
         self.changed.notify_all();
+    }
+
+    /// Notes that one of the unread parts was lost on the way, so that the edge does not acknowledge it. Ignored if no
+    /// part is unread.
+    pub(crate) fn note_lost_part(&self) {
+        let mut state = self.state();
+        state.lost = (state.lost + 1).min(state.sent - state.read);
+        self.changed.notify_all();
+    }
+
+    /// Returns whether parts of the answer were sent.
+    pub(crate) fn has_sent_parts(&self) -> bool {
+        self.state().sent > 0
     }
 
     /// Returns the number of the next part. Waits while [`MAX_UNREAD_PARTS`] parts are unread.
@@ -64,8 +85,9 @@ impl RequestControl {
     /// # Errors
     /// If the request is cancelled.
     pub(crate) fn next_part(&self) -> Result<u32, RequestCancelled> {
-        let is_full =
-            |state: &mut ControlState| !state.is_cancelled && state.sent - state.read >= MAX_UNREAD_PARTS;
+        let is_full = |state: &mut ControlState| {
+            !state.is_cancelled && state.sent - state.read - state.lost >= MAX_UNREAD_PARTS
+        };
         let mut state =
             self.changed.wait_while(self.state(), is_full).unwrap_or_else(PoisonError::into_inner);
         if state.is_cancelled {
@@ -122,6 +144,23 @@ mod tests {
         control.acknowledge(u32::MAX);
         assert_eq!(control.next_part(), Ok(MAX_UNREAD_PARTS));
         assert_eq!(control.state().read, MAX_UNREAD_PARTS);
+    }
+
+    #[test]
+    fn lost_parts_are_not_unread() {
+        let control = RequestControl::default();
+        control.note_lost_part();
+        // Nothing arrives any more, so nothing is acknowledged.
+        for number in 0..MAX_UNREAD_PARTS * 3 {
+            assert_eq!(control.next_part(), Ok(number));
+            control.note_lost_part();
+        }
+        for _ in 0..MAX_UNREAD_PARTS {
+            control.next_part().expect("the window is open");
+        }
+        control.acknowledge(MAX_UNREAD_PARTS * 4);
+        let state = control.state();
+        assert_eq!((state.read, state.lost), (state.sent, 0));
     }
 
     #[test]

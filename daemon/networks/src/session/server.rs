@@ -100,7 +100,7 @@ pub(crate) struct Route {
 #[derive(Debug)]
 pub(crate) enum FinishedRequest {
     /// The answer is sent to the edge.
-    Send(Route),
+    Send(Route, Arc<RequestControl>),
     /// The edge does not wait for the answer any more.
     Cancelled,
     /// The session is gone, or the request had its answer already.
@@ -381,7 +381,23 @@ impl Server {
         match entry.in_flight.0.remove(&request) {
             None => FinishedRequest::Unknown,
             Some(control) if control.is_cancelled() => FinishedRequest::Cancelled,
-            Some(_) => FinishedRequest::Send(entry.route()),
+            Some(control) => FinishedRequest::Send(entry.route(), control),
+        }
+    }
+
+    /// Makes a request in flight again whose answer the network did not accept yet. A cancellation reaches it then.
+    pub(crate) fn restore_request(&mut self, session: SessionId, request: u64, control: Arc<RequestControl>) {
+        if let Some(entry) = self.sessions.get_mut(&session) {
+            entry.in_flight.0.insert(request, control);
+        }
+    }
+
+    /// Notes that a message without a tag, which may be a part of an answer, was lost on a connection. It counts for each
+    /// request in flight there: the window of one that lost none gets one place larger until the next acknowledgement.
+    pub(crate) fn note_lost_part(&self, connection: ConnectionId) {
+        let sessions = self.connections.get(&connection).into_iter().flatten();
+        for entry in sessions.filter_map(|session| self.sessions.get(session)) {
+            entry.in_flight.0.values().for_each(|control| control.note_lost_part());
         }
     }
 

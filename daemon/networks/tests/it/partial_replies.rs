@@ -3,16 +3,21 @@
 use std::sync::{Arc, Mutex};
 
 use peernet_logger::{Measure, Tree};
-use peernet_networks::{FIRST_PART, FIRST_PART_DOWNLOAD, PARTS, PartHandler, RequestCancelled, RequestError};
+use peernet_networks::{
+    FIRST_PART, FIRST_PART_DOWNLOAD, IncomingRequest, PARTS, PartError, PartHandler, RequestCancelled,
+    RequestError, SessionSettings,
+};
 use peernet_stream::{Release, VersionRange};
 
 use crate::support::{
     Cloud, TIME_LIMIT, TestNetwork, clock, echo, over_every_network, recorder, request, sample, settings,
-    text, within,
+    text, unused_address, within,
 };
 
 over_every_network!(
     answer_arrives_in_parts_beyond_the_window,
+    parts_and_answer_wait_while_the_queue_is_full,
+    too_large_part_is_refused_with_key_and_size,
     edge_without_partial_replies_gets_the_whole_answer,
     end_of_session_cancels_a_waiting_model
 );
@@ -78,6 +83,53 @@ async fn answer_arrives_in_parts_beyond_the_window(network: TestNetwork) {
     assert!(transit.sent < last.sent, "the first part leaves before the whole answer");
 }
 
+async fn parts_and_answer_wait_while_the_queue_is_full(network: TestNetwork) {
+    // The queue of a connection has as many bytes as the largest message: one part fills it. Datagrams retransmit a part
+    // of this size.
+    let (large, settings) = ("x".repeat(60_000), SessionSettings { max_message_bytes: 65_536, ..settings() });
+    let mut cloud = Cloud::start_at(&unused_address(network), settings.clone()).await;
+    let (session, _) = cloud.session(settings).await;
+    let pending = tokio::spawn({
+        let session = session.clone();
+        async move { session.request_in_parts(recorder(), &sample("count"), TIME_LIMIT, None).await }
+    });
+    let IncomingRequest { parts, reply, recorder, .. } = cloud.next_request().await;
+    let sending = tokio::task::spawn_blocking({
+        let large = large.clone();
+        move || {
+            let sent = (0..MANY).try_for_each(|_| parts.send(&sample(&large)));
+            reply.send(recorder, Ok(sample(&large)));
+            sent
+        }
+    });
+    let sent = tokio::select! {
+        sent = within(sending) => sent.expect("no panic"),
+        arrived = cloud.next() => panic!("unexpected {arrived:?}"),
+    };
+    assert_eq!(sent, Ok(()));
+    let completed = within(pending).await.expect("no panic");
+    assert_eq!(completed.result.as_ref().map(|answer| text(answer) == large), Ok(true));
+    assert_eq!(seconds(completed.recorder.tree(), PARTS.as_str()), Some(MANY as f64));
+}
+
+async fn too_large_part_is_refused_with_key_and_size(network: TestNetwork) {
+    let mut cloud = Cloud::on_network(network).await;
+    let (session, _) = cloud.session(SessionSettings { max_message_bytes: 65_536, ..settings() }).await;
+    let pending = request(&session, "count", TIME_LIMIT);
+    let incoming = cloud.next_request().await;
+    // More than may be unread: a part that is not sent is not unread.
+    for _ in 0..MANY {
+        let refused = incoming.parts.send(&sample(&"x".repeat(65_537))).expect_err("is too large");
+        assert_eq!(refused, PartError::TooLarge { bytes: 65_537, max_bytes: 65_536 });
+        assert!(refused.to_string().contains("max_message_bytes"), "{refused}");
+    }
+    assert_eq!(incoming.parts.send(&sample("small")), Ok(()));
+    incoming.reply.send(incoming.recorder, Ok(sample("whole")));
+    let completed = within(pending).await.expect("no panic");
+    assert_eq!(completed.result.as_ref().map(text), Ok("whole"));
+    assert_eq!(seconds(completed.recorder.tree(), PARTS.as_str()), Some(1.0));
+}
+
 async fn edge_without_partial_replies_gets_the_whole_answer(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;
     let session = cloud.session_with_clock(clock(), VersionRange::new(4, 5, Release(0, 1, 0))).await;
@@ -106,5 +158,5 @@ async fn end_of_session_cancels_a_waiting_model(network: TestNetwork) {
     assert!(matches!(within(pending).await.expect("no panic").result, Err(RequestError::Lost(_))));
     assert!(cloud.next_closed().await.1, "with a goodbye");
     assert_eq!(within(waiting).await.expect("no panic"), Err(RequestCancelled));
-    assert_eq!(incoming.parts.send(&sample("late")), Err(RequestCancelled));
+    assert_eq!(incoming.parts.send(&sample("late")), Err(RequestCancelled.into()));
 }

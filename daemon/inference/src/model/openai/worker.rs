@@ -10,7 +10,7 @@ use tokio::runtime::Runtime;
 
 use super::answer::StreamedAnswer;
 use super::{Openai, nodes, request};
-use crate::{Cancelled, InferenceError, Requester, Worker};
+use crate::{InferenceError, Requester, Worker};
 
 /// Longest text of a wrong number of tokens in the log, characters.
 const MAX_DEFECT_CHARS: usize = 100;
@@ -55,14 +55,19 @@ impl Worker for OpenaiWorker {
         let mut inference = recorder.time(stage::INFERENCE);
         let mut answer = StreamedAnswer::new(clock.mono());
         let limits = config.time_limits();
+        // Also cancelled when a partial answer cannot be sent.
+        let cancellation = requester.cancellation().child_token();
+        let mut unsent = None;
         // While the requester has too many unread partial answers, this thread waits and reads nothing from the server.
         let send_text = |text: &str| {
-            if let Err(Cancelled) = requester.send_part(partial_answer(text)) {
-                tracing::debug!(model = name, "the request was cancelled; the rest of the text is not sent");
+            if unsent.is_none()
+                && let Err(error) = requester.send_part(partial_answer(text))
+            {
+                unsent = Some(error);
+                cancellation.cancel();
             }
         };
         let request = server.complete(body, &limits, clock, &mut answer, send_text);
-        let cancellation = requester.cancellation();
         // Dropping the request closes the connection, so that the server can stop computing.
         let result = self.runtime.block_on(cancellation.run_until_cancelled(request));
         // What is known of a failed answer is recorded, too.
@@ -77,6 +82,9 @@ impl Worker for OpenaiWorker {
                      answers are not logged"
                 );
             });
+        }
+        if let Some(error) = unsent {
+            return Err(error.into_inference_error(name));
         }
         let result = result.ok_or_else(|| InferenceError::Cancelled { model: name.clone() })?;
         result.map_err(|error| InferenceError::Server {

@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use bytes::Bytes;
-use peernet_clock::{Clock, MonoTime};
+use peernet_clock::{Clock, MonoTime, Span};
 use peernet_logger::Recorder;
 use peernet_sample::Sample;
 use tokio::sync::Notify;
@@ -41,7 +41,27 @@ impl AnswersBeingSent {
     }
 }
 
-/// Encodes an answer with the nodes that `recorder` recorded here. The departure is stamped last.
+/// Content of an answer, without the stamps of its departure.
+#[derive(Clone, Debug)]
+pub(super) struct AnswerContent {
+    outcome: Outcome,
+    payload: Vec<Bytes>,
+    /// Nodes that this host added to the tree.
+    delta: Option<Bytes>,
+    /// Offset of the monotonic clock's zero from this host's anchor in the tree.
+    clock_zero: Span,
+}
+
+impl AnswerContent {
+    /// Returns the content of an answer with the nodes that `recorder` recorded here.
+    pub(super) fn new(route: &Route, recorder: Option<Recorder>, result: Result<Sample, Failure>) -> Self {
+        let (outcome, payload) = encode_outcome(result, route.max_message_bytes);
+        let (delta, clock_zero) = encode_log_delta(recorder);
+        Self { outcome, payload, delta, clock_zero }
+    }
+}
+
+/// Encodes an answer. The departure is stamped last.
 ///
 /// # Errors
 /// If the header cannot be encoded.
@@ -49,11 +69,9 @@ pub(super) fn encode_answer(
     clock: &dyn Clock,
     route: &Route,
     key: RequestKey,
-    recorder: Option<Recorder>,
-    result: Result<Sample, Failure>,
+    content: AnswerContent,
 ) -> Result<Frames, HeaderError> {
-    let (outcome, payload) = encode_outcome(result, route.max_message_bytes);
-    let (delta, clock_zero) = encode_log_delta(recorder);
+    let AnswerContent { outcome, payload, delta, clock_zero } = content;
     let raw = route.version >= RAW_STAMPS_SINCE;
     let stamp = clock.stamp();
     // Read after the stamp: if this epoch equals that of the arrival, no step lies between the two stamps.
@@ -76,18 +94,13 @@ pub(super) fn encode_answer(
 /// Encodes a part of an answer with its number; the request was received at `received`. The departure is stamped last.
 ///
 /// # Errors
-/// If the part is larger than the edge accepts, or its header cannot be encoded.
+/// If its header cannot be encoded.
 pub(super) fn encode_part(
     clock: &dyn Clock,
-    route: &Route,
     key: RequestKey,
     (number, received): (u32, MonoTime),
     part: &Sample,
-) -> Result<Frames, UnsendablePart> {
-    let (bytes, max_bytes) = (part.payload_bytes(), route.max_message_bytes);
-    if bytes > max_bytes {
-        return Err(UnsendablePart::TooLarge { bytes, max_bytes });
-    }
+) -> Result<Frames, HeaderError> {
     let sample = SampleHeader::from_sample(part)?;
     let stamp = clock.stamp();
     let departure = Departure {
@@ -104,15 +117,6 @@ pub(super) fn encode_part(
     frames.extend([header.encode()?, Bytes::new()]);
     frames.extend(part.parts.iter().map(|part| part.bytes.clone()));
     Ok(frames)
-}
-
-/// Reason why a part of an answer cannot be sent.
-#[derive(Debug, thiserror::Error)]
-pub(super) enum UnsendablePart {
-    #[error("it has {bytes} bytes, more than the edge accepts ({max_bytes})")]
-    TooLarge { bytes: u64, max_bytes: u64 },
-    #[error(transparent)]
-    Header(#[from] HeaderError),
 }
 
 /// Returns the outcome and the payload that are sent for a result. An answer that is larger than the edge accepts
@@ -137,8 +141,8 @@ fn encode_outcome(result: Result<Sample, Failure>, max_message_bytes: u64) -> (O
 }
 
 /// Returns the wire form of the tree delta, and the offset of the monotonic clock's zero from this host's anchor.
-fn encode_log_delta(recorder: Option<Recorder>) -> (Option<Bytes>, peernet_clock::Span) {
-    let Some(recorder) = recorder else { return (None, peernet_clock::Span::ZERO) };
+fn encode_log_delta(recorder: Option<Recorder>) -> (Option<Bytes>, Span) {
+    let Some(recorder) = recorder else { return (None, Span::ZERO) };
     let clock_zero = recorder.offset(MonoTime::default());
     let delta = recorder.into_tree_delta().and_then(|delta| match encode_tree_delta(&delta) {
         Ok(wire) => Some(wire),

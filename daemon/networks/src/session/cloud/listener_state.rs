@@ -6,14 +6,16 @@ use peernet_clock::{LogThrottle, MonoTime, SharedClock};
 use peernet_logger::{HostId, Recorder};
 use peernet_sample::Sample;
 
-use super::answers::{AnswersBeingSent, encode_answer, encode_part};
+use super::answers::{AnswerContent, AnswersBeingSent, encode_answer, encode_part};
 use super::output::ListenerOutput;
 use crate::SessionSettings;
 use crate::message::{Header, PeerClock, SessionAccepted, SessionId, StatisticsReport};
 use crate::session::budget::RequestBudget;
 use crate::session::incoming::{Failure, RequestKey};
+use crate::session::part_sender::FULL_QUEUE_RETRY;
+use crate::session::request_control::RequestControl;
 use crate::session::server::{FinishedRequest, Route, Server};
-use crate::transport::{CloudSender, ConnectionId, Peer};
+use crate::transport::{CloudSender, ConnectionId, Peer, SendFailure};
 
 /// State that a listener shares with all answers in progress. Answers hold it weakly, so that the connections are
 /// closed when the listener is dropped.
@@ -90,7 +92,8 @@ impl ListenerState {
     }
 
     /// Sends an answer with the nodes that `recorder` recorded here. `recorder` is `None` if no model computed the answer; the
-    /// reply then has neither tree delta nor departure.
+    /// reply then has neither tree delta nor departure. Waits while the send queue is full with parts of the same answer;
+    /// never waits for other answers.
     pub(crate) fn answer(
         &self,
         key: RequestKey,
@@ -100,36 +103,50 @@ impl ListenerState {
         // The answer is counted before its request stops being in flight, so that `wait_until_idle` always sees one of them.
         // Otherwise the listener could close in between and send the goodbye before the answer.
         self.answers.count_while(|| {
-            let finished = self.lock_server().finish_request(key.session, key.request);
-            let route = match finished {
-                FinishedRequest::Send(route) => Some(route),
-                FinishedRequest::Cancelled => return,
-                FinishedRequest::Unknown => None,
-            };
-            let sent = route.as_ref().is_some_and(|route| self.send_answer(route, key, recorder, result));
-            if !sent {
-                self.output.counters.count_lost(1);
-                if let Some(route) = &route {
-                    route.counters.count_lost(1);
+            let Some((mut route, mut control)) = self.finish_request(key) else { return };
+            let mut content = AnswerContent::new(&route, recorder, result);
+            loop {
+                let retry = control.has_sent_parts().then(|| content.clone());
+                match (self.send_answer(&route, key, content), retry) {
+                    (Ok(()), _) => return,
+                    (Err(SendFailure::Full), Some(retry)) => content = retry,
+                    (Err(reason), _) => {
+                        tracing::debug!(%reason, "the network did not accept an answer; it is dropped");
+                        self.output.counters.count_lost(1);
+                        route.counters.count_lost(1);
+                        return;
+                    }
+                }
+                self.lock_server().restore_request(key.session, key.request, Arc::clone(&control));
+                // If the request is cancelled meanwhile, `finish_request` says so.
+                let _ = control.wait(FULL_QUEUE_RETRY);
+                match self.finish_request(key) {
+                    Some(finished) => (route, control) = finished,
+                    None => return,
                 }
             }
         });
     }
 
-    fn send_answer(
-        &self,
-        route: &Route,
-        key: RequestKey,
-        recorder: Option<Recorder>,
-        result: Result<Sample, Failure>,
-    ) -> bool {
-        match encode_answer(&*self.clock, route, key, recorder, result) {
-            Ok(frames) => self.output.send(&route.peer, frames, Some(key.request), Some(&route.counters)),
-            Err(error) => {
-                tracing::warn!(%error, "cannot encode an answer; it is dropped");
-                false
+    /// Ends a request. Returns the destination of its answer; `None` if the answer is not sent.
+    fn finish_request(&self, key: RequestKey) -> Option<(Route, Arc<RequestControl>)> {
+        let finished = self.lock_server().finish_request(key.session, key.request);
+        match finished {
+            FinishedRequest::Send(route, control) => Some((route, control)),
+            FinishedRequest::Cancelled => None,
+            FinishedRequest::Unknown => {
+                self.output.counters.count_lost(1);
+                None
             }
         }
+    }
+
+    fn send_answer(&self, route: &Route, key: RequestKey, content: AnswerContent) -> Result<(), SendFailure> {
+        let frames = encode_answer(&*self.clock, route, key, content).map_err(|error| {
+            tracing::warn!(%error, "cannot encode an answer; it is dropped");
+            SendFailure::Gone(error.to_string())
+        })?;
+        self.output.send(&route.peer, frames, Some(key.request), Some(&route.counters))
     }
 
     /// Returns the destination of the parts of an answer. `None` if the session is gone or knows no parts.
@@ -137,27 +154,34 @@ impl ListenerState {
         self.lock_server().route_of_parts(session)
     }
 
-    /// Sends a part of an answer with its number; the request was received at `received`. A part that cannot be sent is
-    /// dropped: the answer repeats its content.
+    /// Sends a part of an answer with its number; the request was received at `received`.
+    ///
+    /// # Errors
+    /// If the part cannot be encoded, or the network did not accept it.
     pub(crate) fn send_part(
         &self,
         route: &Route,
         key: RequestKey,
         (number, received): (u32, MonoTime),
         part: &Sample,
-    ) {
-        match encode_part(&*self.clock, route, key, (number, received), part) {
-            // The part has no tag: a lost part must not end its request.
-            Ok(frames) => drop(self.output.send(&route.peer, frames, None, Some(&route.counters))),
-            Err(error) => tracing::debug!(%error, "cannot send a part of an answer; it is dropped"),
-        }
+    ) -> Result<(), SendFailure> {
+        let frames = encode_part(&*self.clock, key, (number, received), part)
+            .map_err(|error| SendFailure::Gone(error.to_string()))?;
+        // The part has no tag: a lost part must not end its request.
+        self.output.send(&route.peer, frames, None, Some(&route.counters))
     }
 
     /// Sends a message without payload. Returns whether the transport accepted it.
     pub(super) fn send_message(&self, peer: &Peer, header: &Header) -> bool {
         let counters = self.lock_server().connection_counters(peer.connection);
         match header.encode() {
-            Ok(header) => self.output.send(peer, vec![header], None, counters.as_deref()),
+            Ok(header) => self
+                .output
+                .send(peer, vec![header], None, counters.as_deref())
+                .inspect_err(|reason| {
+                    tracing::debug!(%reason, "the network did not accept a message to an edge; it is dropped");
+                })
+                .is_ok(),
             Err(error) => {
                 tracing::warn!(%error, "cannot encode a message to an edge; it is dropped");
                 false

@@ -3,7 +3,7 @@
 use crate::session::completed_request::Sizes;
 use crate::session::server::Admission;
 use crate::statistics::{ConnectionStatistics, Counters};
-use crate::transport::{CloudSender, ConnectionId, Frames, Peer, SendOptions};
+use crate::transport::{CloudSender, ConnectionId, Frames, Peer, SendFailure, SendOptions};
 
 /// Sends to the edges of a port, and counts what was sent and received on all connections together.
 #[derive(Debug)]
@@ -35,26 +35,22 @@ impl ListenerOutput {
         session_counters.statistics(&self.sender.statistics(connection))
     }
 
-    /// Sends a message and counts it for the port and for its session. Returns whether the transport accepted it.
+    /// Sends a message and counts it for the port and for its session.
+    ///
+    /// # Errors
+    /// If the transport did not accept it.
     pub(super) fn send(
         &self,
         peer: &Peer,
         frames: Frames,
         tag: Option<u64>,
         session_counters: Option<&Counters>,
-    ) -> bool {
+    ) -> Result<(), SendFailure> {
         let bytes = Sizes::from_frames(&frames).total();
-        match self.sender.send(peer, frames, SendOptions { deadline: None, tag }) {
-            Ok(()) => {
-                for counters in [Some(&self.counters), session_counters].into_iter().flatten() {
-                    counters.count_sent(bytes);
-                }
-                true
-            }
-            Err(reason) => {
-                tracing::debug!(%reason, "the network did not accept a message to an edge; it is dropped");
-                false
-            }
+        self.sender.send(peer, frames, SendOptions { deadline: None, tag })?;
+        for counters in [Some(&self.counters), session_counters].into_iter().flatten() {
+            counters.count_sent(bytes);
         }
+        Ok(())
     }
 }

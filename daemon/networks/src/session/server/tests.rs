@@ -85,7 +85,7 @@ fn answer_is_routed_once_to_the_requesting_connection() {
         "in flight already"
     );
     let route = server.finish_request(session, 7);
-    let FinishedRequest::Send(route) = route else { panic!("{route:?}") };
+    let FinishedRequest::Send(route, _) = route else { panic!("{route:?}") };
     assert_eq!((route.peer.connection, route.max_message_bytes), (ConnectionId(5), 1_000));
     assert!(matches!(server.finish_request(session, 7), FinishedRequest::Unknown));
 }
@@ -320,7 +320,7 @@ proptest! {
                         (false, _) => "unknown",
                     };
                     let finished = match server.finish_request(session, number) {
-                        FinishedRequest::Send(_) => "send",
+                        FinishedRequest::Send(..) => "send",
                         FinishedRequest::Cancelled => "cancelled",
                         FinishedRequest::Unknown => "unknown",
                     };
