@@ -15,6 +15,9 @@ OR_PICKLE = "set pickle = true on both ends"
 MAX_LEAVES = 63
 # Limit of the total size of a value: 1 GiB.
 MAX_BYTES = 1 << 30
+# Texts of exceeded limits.
+TOO_MANY_LEAVES = "a value holds %d arrays, pictures or byte strings; at most %d can be transferred"
+TOO_MANY_BYTES = "a value has %d bytes; at most %d can be transferred"
 # Limit of one dimension of an array.
 MAX_LENGTH = (1 << 32) - 1
 
@@ -78,9 +81,15 @@ class Encoder:
             text = json.dumps(value, separators=(",", ":"), default=lambda scalar: scalar.item())
             return [part("json", text.encode())]
         if len(leaves) > MAX_LEAVES:
-            text = "a value holds %d arrays, pictures or byte strings; at most %d can be transferred"
-            raise UnsupportedValue(text % (len(leaves), MAX_LEAVES))
+            raise UnsupportedValue(TOO_MANY_LEAVES % (len(leaves), MAX_LEAVES))
         return [part({"other": TREE}, to_json(tree).encode())] + leaves
+
+    def leaf_count(self, parts):
+        """The number of arrays, pictures and byte strings among the parts of a value, which count in a list of such values. 0 if
+        a list may be pickled, because a pickle holds any number of them."""
+        if self.may_pickle:
+            return 0
+        return sum(description["media"] not in ("text", "json", {"other": TREE}) for description, _ in parts)
 
     def form(self, value):
         """The method that encodes a value as a single part; None if it has no such form."""

@@ -82,7 +82,7 @@ class Channel:
             parts = [(description, memoryview(data)) for description, data in parts]
             length = sum(data.nbytes for _, data in parts)
             if length > MAX_BYTES:
-                raise UnsupportedValue("a value has %d bytes; at most %d can be transferred" % (length, MAX_BYTES))
+                raise UnsupportedValue(TOO_MANY_BYTES % (length, MAX_BYTES))
             body["parts"] = heads = []
             end = 0
             for description, data in parts:

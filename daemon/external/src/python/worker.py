@@ -81,23 +81,58 @@ class Cancelled(Exception):
     """Ends a call whose answer nobody waits for any more."""
 
 
+# Appended to the reason why all that infer() yielded cannot be the whole answer.
+RETURN_IT = "; infer() yielded %d values and returned none, so they are the whole answer: return it"
+# Bytes that a value that infer() yields has at least, so that the number of values in memory is limited, too.
+MIN_YIELDED_BYTES = 64
+
+
+class Yielded:
+    """What infer() yielded, kept only while it can be the whole answer: infer() may yield without end, or return the answer."""
+
+    def __init__(self):
+        self.values = []
+        self.count = self.leaves = self.bytes = 0
+
+    def add(self, value, size):
+        """Adds a value that has this number of bytes, and of arrays, pictures and byte strings."""
+        self.count += 1
+        self.bytes += max(size[0], MIN_YIELDED_BYTES)
+        self.leaves += size[1]
+        if self.values is not None:
+            self.values.append(value)
+            if self.limit_text() is not None:
+                self.values = None
+
+    def limit_text(self):
+        """The limit that the values exceed as one answer; None if they exceed none."""
+        if self.leaves > MAX_LEAVES:
+            return TOO_MANY_LEAVES % (self.leaves, MAX_LEAVES)
+        return TOO_MANY_BYTES % (self.bytes, MAX_BYTES) if self.bytes > MAX_BYTES else None
+
+    def whole_answer(self):
+        """All values as one answer, and whether that is a list of them."""
+        if self.values is None:
+            raise UnsupportedValue(self.limit_text() + RETURN_IT % self.count)
+        if all(isinstance(value, str) for value in self.values):
+            return "".join(self.values), False
+        return self.values, True
+
+
 def streamed(generator, send_part):
     """Sends what infer() yields as parts of the answer. Returns the whole answer: what it returns, or else all that it yielded,
     and whether it is a list of what it yielded."""
-    yielded = []
+    yielded = Yielded()
     while True:
         try:
             part = next(generator)
         except StopIteration as end:
-            if end.value is not None:
-                return end.value, False
-            if all(isinstance(part, str) for part in yielded):
-                return "".join(yielded), False
-            return yielded, True
-        yielded.append(part)
-        if not send_part(part):
+            return (end.value, False) if end.value is not None else yielded.whole_answer()
+        size = send_part(part)
+        if size is None:
             generator.close()
             raise Cancelled("nobody waits for the answer any more")
+        yielded.add(part, size)
 
 
 class Sensor:
@@ -247,13 +282,15 @@ def answer(channel, request, role, encoder, decoder):
     stages, value = [], None
 
     def send_part(value):
-        """Sends a part of the answer. Returns whether somebody still waits for the answer."""
+        """Sends a part of the answer. Returns its size as Yielded.add() takes it; None if nobody waits for the answer."""
         wait_for_gpu()
-        channel.send(channel.frame("part", {"parts": []}, encoder.parts(value)))
+        parts = encoder.parts(value)
+        size = sum(memoryview(data).nbytes for _, data in parts), encoder.leaf_count(parts)
+        channel.send(channel.frame("part", {"parts": []}, parts))
         reply = channel.read()
         if reply is None:
             raise PipeClosed
-        return "proceed" in reply
+        return size if "proceed" in reply else None
 
     try:
         if "reset" in request:
@@ -268,7 +305,7 @@ def answer(channel, request, role, encoder, decoder):
     except UnsupportedValue as error:
         text = str(error)
         if value is not None and value is getattr(role, "yielded", None):
-            text += "; infer() yielded %d values and returned none, so they are the whole answer: return it" % len(value)
+            text += RETURN_IT % len(value)
         write_failure(channel, "refused", text, stages)
     except BaseException as error:
         if isinstance(error, StopIteration) and isinstance(role, Sensor) and "call" in request:

@@ -80,6 +80,13 @@ class Count:
 class Many:
     def infer(self, x):
         for part in range(64): yield b'part'
+class Endless:
+    def infer(self, x):
+        import resource
+        used = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (used + (256 << 20),) * 2)
+        for part in range(1000): yield bytes(1 << 20)
+        return 'the end'
 class Broken:
     def infer(self, x):
         yield 'a'
@@ -127,6 +134,15 @@ fn values_that_infer_yields_are_partial_answers() {
     let (result, partial_answers) = run_generator(&folder, "Broken", 10);
     assert!(result.expect_err("raises").to_string().contains("ValueError: lost the thread"));
     assert_eq!(partial_answers.len(), 1);
+}
+
+#[test]
+fn yielded_values_that_are_no_answer_are_not_kept() {
+    let folder = tempfile::tempdir().expect("can be made");
+    fs::write(folder.path().join("generators.py"), GENERATORS).expect("can be written");
+    let bank = bank(&[&model(&folder, "generators::Endless", "")]);
+    let answered = run(&loaded(&bank, "p"), text("one")).result;
+    assert_eq!(answered.expect("1 GiB is yielded and not kept").parts[0].bytes, "the end");
 }
 
 #[test]
