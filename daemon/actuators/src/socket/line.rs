@@ -1,8 +1,9 @@
 //! Lines to a controller. No I/O.
 
 use peernet_sample::{ElementType, MediaType, Part, Sample, escaped_line};
-use serde::Serialize;
-use serde_json::{Map, Value};
+use serde::de::Error as _;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use crate::{Action, Feedback, SocketError};
 
@@ -21,6 +22,17 @@ struct ActionLine<'a> {
     step: u32,
     source: &'a str,
     answer: Value,
+}
+
+/// A line of feedback. A key that is missing or `null` is not reported.
+// Read into a struct, so that a key that occurs twice is refused.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FeedbackLine {
+    iteration: Option<u64>,
+    episode_ended: Option<bool>,
+    success: Option<bool>,
+    reward: Option<f64>,
 }
 
 /// Returns the line for an action, with its line feed.
@@ -43,11 +55,12 @@ pub(super) fn encode(action: &Action<'_>) -> Result<Vec<u8>, SocketError> {
 
 /// Reads a line of feedback: the number of its iteration, if the line has one, and the feedback.
 pub(super) fn decode(line: &[u8]) -> Result<(Option<u64>, Feedback), serde_json::Error> {
-    let mut document: Option<Map<String, Value>> = serde_json::from_slice(line)?;
-    // Removed, because `Feedback` denies unknown keys.
-    let iteration = document.as_mut().and_then(|document| document.remove("iteration"));
-    let feedback = document.map(|document| serde_json::from_value(Value::Object(document))).transpose()?;
-    Ok((iteration.map(serde_json::from_value).transpose()?, feedback.unwrap_or_default()))
+    if line.trim_ascii_start().first().is_some_and(|byte| *byte != b'{') {
+        // Without this check a list would be read as the values of the keys in their order.
+        return Err(serde_json::Error::custom("it is not a JSON object"));
+    }
+    let FeedbackLine { iteration, episode_ended, success, reward } = serde_json::from_slice(line)?;
+    Ok((iteration, Feedback { episode_ended: episode_ended.unwrap_or(false), success, reward }))
 }
 
 /// Returns the beginning of a line, for messages.
@@ -199,10 +212,14 @@ mod tests {
         let read = |line: &str| decode(line.as_bytes()).map_err(|error| error.to_string());
         assert_eq!(read(r#"{"iteration": 7, "success": true}"#), Ok((Some(7), feedback)));
         assert_eq!(read(r#"{"success": true}"#), Ok((None, feedback)));
-        assert_eq!(read("null"), Ok((None, Feedback::default())));
-        for wrong in [r#"{"iteration": "7"}"#, r#"{"succes": true}"#, "[]", ""] {
+        let nothing = r#"{"iteration":null,"reward":null,"success":null,"episode_ended":null}"#;
+        assert_eq!(read(nothing), Ok((None, Feedback::default())));
+        assert_eq!(read("{}"), Ok((None, Feedback::default())));
+        for wrong in [r#"{"iteration": "7"}"#, r#"{"succes": true}"#, "null", "[]", "[7]", "3", "", "{} {}"] {
             assert!(read(wrong).is_err(), "{wrong}");
         }
+        let error = read(r#"{"reward":1,"reward":2}"#).expect_err("has two rewards");
+        assert!(error.contains("duplicate field `reward`"), "{error}");
     }
 
     #[test]

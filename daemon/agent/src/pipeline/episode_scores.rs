@@ -2,7 +2,7 @@
 
 use peernet_actuators::Feedback;
 use peernet_clock::Span;
-use peernet_logger::{Measure, NodeId, Tree, Unit};
+use peernet_logger::{Measure, NodeId, Slug, Tree, Unit};
 
 use crate::live::{EPISODE_RETURN, EPISODE_SUCCESS};
 
@@ -34,7 +34,8 @@ pub(super) struct EpisodeResult {
     /// Whether the episode was a success; `None` if the actuator reports none.
     pub(super) success: Option<bool>,
     /// Return of the episode: the sum of its rewards, without a discount (Sutton and Barto, *Reinforcement Learning*,
-    /// 2nd edition, section 3.3). `None` if the actuator reports no rewards.
+    /// 2nd edition, section 3.3). Infinite or NaN if the finite rewards have no finite sum. `None` if the actuator reports
+    /// no rewards.
     pub(super) total_reward: Option<f64>,
 }
 
@@ -60,21 +61,30 @@ impl EpisodeScores {
         let at = self.open.iter().position(|episode| episode.number == number)?;
         let OpenEpisode { is_counted, success, total_reward, .. } = self.open.remove(at);
         let success = self.reports_success.then(|| success.unwrap_or(false));
-        // Finite rewards may have an infinite sum, which no statistic accepts.
-        let total_reward = self.reports_reward.then_some(total_reward).filter(|total| total.is_finite());
+        let total_reward = self.reports_reward.then_some(total_reward);
         (is_counted && (success.is_some() || total_reward.is_some()))
             .then_some(EpisodeResult { success, total_reward })
     }
 }
 
 impl EpisodeResult {
+    /// Returns a remark if the rewards of episode `number` have no finite sum.
+    pub(super) fn remark(&self, pipeline: &Slug, number: u32) -> Option<String> {
+        let sum = self.total_reward.filter(|total| !total.is_finite())?;
+        Some(format!(
+            "pipeline {pipeline}: the rewards of episode {number} add up to {sum}, so it has no episode-return; make the actuator \
+             report smaller rewards"
+        ))
+    }
+
     /// Adds the result to the tree of the episode's last iteration, at the time `end` after the start of that iteration.
     pub(super) fn record(&self, tree: &mut Tree, end: Span) {
         let mut add = |name, value| tree.add(NodeId::ROOT, name, end, Measure::Value(value, Unit::NONE));
         if let Some(success) = self.success {
             add(EPISODE_SUCCESS, if success { 1.0 } else { 0.0 });
         }
-        if let Some(total_reward) = self.total_reward {
+        // No statistic accepts other numbers.
+        if let Some(total_reward) = self.total_reward.filter(|total| total.is_finite()) {
             add(EPISODE_RETURN, total_reward);
         }
     }
@@ -108,8 +118,11 @@ mod tests {
         assert_eq!(scores.close(1), nothing_reported);
         scores.begin(2, true);
         [1e308, 1e308].iter().for_each(|each| scores.add(2, &reward(*each)));
-        let without_return = Some(EpisodeResult { success: Some(false), total_reward: None });
-        assert_eq!(scores.close(2), without_return, "the sum is infinite");
+        let pipeline = "line".parse().expect("a name");
+        let infinite = scores.close(2).expect("has a success");
+        let remark = infinite.remark(&pipeline, 2).expect("the sum is infinite");
+        assert!(remark.contains("episode 2 add up to inf"), "{remark}");
+        assert_eq!(nothing_reported.and_then(|result| result.remark(&pipeline, 1)), None);
     }
 
     #[test]

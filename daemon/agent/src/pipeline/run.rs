@@ -12,6 +12,7 @@ use super::failure_log::FailureLog;
 use super::pipeline_loop::LoopEnd;
 use super::progress::{Position, Progress};
 use crate::config::PipelineConfig;
+use crate::incidents::remark;
 use crate::live::PipelineLiveState;
 
 const SECONDS_PER_DAY: i64 = 86_400;
@@ -127,7 +128,11 @@ impl Run {
             self.ended_episode = Some(episode);
         }
         let is_over = feedback.episode_ended || self.progress.has_left(episode) && !has_pending;
-        is_over.then(|| self.scores.close(episode)).flatten()
+        let result = is_over.then(|| self.scores.close(episode)).flatten()?;
+        if let Some(text) = result.remark(&self.pipeline, episode) {
+            remark(&text);
+        }
+        Some(result)
     }
 
     /// Returns the planned number of iterations of a run whose loop ended for `reason`. It is `None` if the run was
