@@ -211,6 +211,11 @@ impl Reader {
         Self::read_into(&self.fd, &mut self.buffer, wait)
     }
 
+    /// Waits until there is a byte that was not returned yet.
+    pub(super) fn wait_for_output(&mut self, wait: Wait<'_>) -> Result<(), PipeError> {
+        if self.buffered_bytes().is_empty() { self.read_more(wait) } else { Ok(()) }
+    }
+
     /// Returns the part of the next line that is available. Reads at most once, and only if the buffer is empty.
     pub(super) fn peek_line(&mut self, wait: Wait<'_>) -> &[u8] {
         if self.buffered_bytes().is_empty() {

@@ -122,6 +122,15 @@ impl Process {
         self.output.read_until(b'\n', max_length, wait).map_err(|error| self.convert_pipe_error(error))
     }
 
+    /// Waits until there is output that was not read yet.
+    ///
+    /// # Errors
+    /// If the process has ended, or writes nothing before the deadline.
+    pub fn wait_for_output(&mut self, deadline: MonoTime) -> Result<(), ProcessError> {
+        let wait = wait_until(&self.clock, self.pidfd.as_ref(), deadline);
+        self.output.wait_for_output(wait).map_err(|error| self.convert_pipe_error(error))
+    }
+
     /// Returns whether there is output that was not read yet.
     pub fn has_more(&self) -> bool {
         self.output.has_more()

@@ -14,6 +14,9 @@ use crate::process::{Launch, ProcessError, RestartBackoff};
 /// Time that a process has to end after it is no longer needed.
 const STOP_TIMEOUT: Span = Span::from_millis(1000);
 
+/// Time after which the log says that an object is still being created. Each further line follows after twice the time.
+const FIRST_REPORT: Span = Span::from_millis(30_000);
+
 /// Role of an object in a pipeline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -224,7 +227,18 @@ impl PythonObject {
             images: self.config.images,
             shared_memory: worker.shared_memory(),
         };
-        match worker.create_object(&settings, deadline) {
+        let (name, object) = (&self.launch.name, &self.config.object);
+        // Under the target of the output of users' code, which `peernet run` shows, too.
+        let mut report = |elapsed: Span| {
+            tracing::warn!(
+                target: "peernet_external::python",
+                name,
+                "{object} is not ready after {} s: its import or __init__ has not ended; it is killed after {} s (start_timeout_ms)",
+                elapsed.seconds(),
+                timeout.seconds()
+            );
+        };
+        match worker.create_object(&settings, deadline, (&self.clock, FIRST_REPORT), &mut report) {
             Ok((Reply::Ready(description), _)) => {
                 self.description = description;
                 Ok(worker)

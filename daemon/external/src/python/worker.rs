@@ -46,14 +46,27 @@ impl Worker {
         self.shared_memory.file().as_raw_fd()
     }
 
-    /// Sends the process its source and the settings of the object.
+    /// Sends the process its source and the settings of the object. Calls `report` with the elapsed time while the object is
+    /// not created: first after `report_after`, then each time after twice the time.
     pub(super) fn create_object(
         &mut self,
         settings: &Request<'_>,
         deadline: MonoTime,
+        (clock, report_after): (&SharedClock, Span),
+        report: &mut dyn FnMut(Span),
     ) -> Result<Answer, WorkerError> {
         let header = encode_request(settings)?;
         self.process.write(&[SOURCE.as_bytes(), &header], deadline)?;
+        let begun = clock.mono();
+        let mut elapsed = report_after;
+        while begun + elapsed < deadline {
+            match self.process.wait_for_output(begun + elapsed) {
+                Ok(()) => break,
+                Err(ProcessError::TimedOut) => report(elapsed),
+                Err(error) => return Err(error.into()),
+            }
+            elapsed = elapsed + elapsed;
+        }
         self.receive_reply(deadline)
     }
 
@@ -140,4 +153,49 @@ impl Worker {
 
 fn encode_request(request: &Request<'_>) -> Result<Vec<u8>, WorkerError> {
     Ok(frame::encode(request).map_err(FrameError::from)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+    use std::sync::Arc;
+
+    use peernet_clock::{ClockIdentity, SystemClock};
+
+    use super::super::{PythonConfig, Role, interpreter};
+    use super::*;
+
+    #[test]
+    fn slow_start_is_reported_until_object_is_created() {
+        let folder = tempfile::tempdir().expect("can be made");
+        // The object is created after the second report.
+        let source = "import os, time\nclass Slow:\n    def __init__(self):\n        while not os.path.exists('go'): \
+                      time.sleep(0.01)\n    def sample(self): return 1\n";
+        fs::write(folder.path().join("own.py"), source).expect("can be written");
+        let config =
+            PythonConfig { folder: Some(folder.path().to_owned()), ..PythonConfig::new("own::Slow") };
+        let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
+        let launch = interpreter::launch(&config, "sensor own::Slow".to_owned(), None).expect("has Python");
+        let mut worker = Worker::start(&launch, &clock).expect("starts");
+        let settings = Request::Start {
+            module: "own",
+            path: "Slow",
+            role: Role::Sensor,
+            pickle: false,
+            images: config.images,
+            shared_memory: worker.shared_memory(),
+        };
+        let mut reports = Vec::new();
+        let mut report = |elapsed: Span| {
+            reports.push(elapsed);
+            if reports.len() == 2 {
+                fs::write(folder.path().join("go"), "").expect("can be written");
+            }
+        };
+        let (first, deadline) = (Span::from_millis(200), clock.mono() + Span::from_millis(60_000));
+        let created = worker.create_object(&settings, deadline, (&clock, first), &mut report);
+        assert!(matches!(created, Ok((Reply::Ready(_), _))), "{created:?}");
+        assert_eq!(reports[..2], [first, first + first]);
+        worker.kill();
+    }
 }
