@@ -14,6 +14,7 @@ mod load;
 mod midnight;
 mod outage;
 mod outbox;
+mod partial_answers;
 mod remote;
 mod replayed;
 mod spool;
