@@ -33,8 +33,9 @@ pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
         runs.iter().enumerate().filter_map(|(index, run)| Some((name(index), run.record.trust.as_ref()?)));
     let mut sentences: Vec<String> = publication_caveats(reports).into_iter().map(|(_, text)| text).collect();
     sentences.extend(skipped_starts(lines.iter().map(|line| (line.name.clone(), line.starts))));
-    sentences
-        .extend(replayed_configurations(lines.iter().map(|line| (line.name.clone(), line.replayed.as_deref()))));
+    sentences.extend(replayed_configurations(
+        lines.iter().map(|line| (line.name.clone(), line.replayed.as_deref())),
+    ));
     if !incomplete.is_empty() {
         sentences.push(format!("Incomplete results: {}.", incomplete.join("; ")));
     }

@@ -61,7 +61,8 @@ fn failed_text(rows: &Rows) -> Option<String> {
     let in_warm_up = counts.unanswered() == 0;
     let failed = || rows.iter().filter(|row| row.warm_up() == in_warm_up && row.outcome() != Outcome::Ok);
     let first = failed().next()?;
-    let are_actions = failed().all(|row| row.reason().is_some_and(|reason| reason.starts_with(ACTUATOR_FAILED)));
+    let are_actions =
+        failed().all(|row| row.reason().is_some_and(|reason| reason.starts_with(ACTUATOR_FAILED)));
     let cause = if are_actions { " (the actuator failed to act on the answer)" } else { "" };
     let (all, kind) =
         if in_warm_up { (counts.warm_up, "warm-up iteration") } else { (counts.measured(), "iteration") };
