@@ -1,6 +1,8 @@
 //! Tests of answers that arrive in parts.
 
+use std::sync::mpsc::sync_channel;
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use peernet_logger::{Measure, Tree};
 use peernet_networks::{
@@ -110,6 +112,49 @@ async fn parts_and_answer_wait_while_the_queue_is_full(network: TestNetwork) {
     let completed = within(pending).await.expect("no panic");
     assert_eq!(completed.result.as_ref().map(|answer| text(answer) == large), Ok(true));
     assert_eq!(seconds(completed.recorder.tree(), PARTS.as_str()), Some(MANY as f64));
+}
+
+#[tokio::test]
+async fn parts_wait_while_the_edge_reads_nothing() {
+    const PARTS_SENT: usize = 100;
+    // The system's buffers have room for few parts, and the queue for one.
+    let (large, settings) =
+        ("x".repeat(1 << 20), SessionSettings { max_message_bytes: 2 << 20, ..settings() });
+    let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", settings.clone()).await;
+    let (session, _) = cloud.session(settings).await;
+    let (window, sent_window) = sync_channel::<()>(1);
+    let sent_window = Mutex::new(Some(sent_window));
+    // Runs where messages are received: after the first part nothing is read, unless the cloud gets rid of a window of parts.
+    let handler = PartHandler(Arc::new(move |_| {
+        if let Some(sent_window) = sent_window.lock().expect("no panic").take() {
+            let _ = sent_window.recv_timeout(Duration::from_millis(500));
+        }
+    }));
+    let pending = tokio::spawn({
+        let session = session.clone();
+        async move { session.request_in_parts(recorder(), &sample("count"), TIME_LIMIT, Some(handler)).await }
+    });
+    let IncomingRequest { parts, reply, recorder, .. } = cloud.next_request().await;
+    let sending = tokio::task::spawn_blocking(move || {
+        let result = (0..PARTS_SENT).try_for_each(|number| {
+            parts.send(&sample(&large))?;
+            if number == 60 {
+                // Nobody receives it if the parts have waited.
+                let _ = window.try_send(());
+            }
+            Ok::<_, PartError>(())
+        });
+        reply.send(recorder, Ok(sample("whole")));
+        result
+    });
+    let result = tokio::select! {
+        result = within(sending) => result.expect("no panic"),
+        arrived = cloud.next() => panic!("unexpected {arrived:?}"),
+    };
+    assert_eq!(result, Ok(()));
+    let completed = within(pending).await.expect("no panic");
+    assert_eq!(completed.result.as_ref().map(text), Ok("whole"));
+    assert_eq!(seconds(completed.recorder.tree(), PARTS.as_str()), Some(PARTS_SENT as f64));
 }
 
 async fn too_large_part_is_refused_with_key_and_size(network: TestNetwork) {
