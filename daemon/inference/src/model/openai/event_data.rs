@@ -17,8 +17,9 @@ pub(super) struct EventData<'a> {
     // A count that cannot be read must not make the text of the answer unreadable. `Value` cannot hold 1e999.
     #[serde(borrow)]
     pub(super) usage: Option<&'a RawValue>,
-    /// Error that ended the answer.
-    error: Option<IgnoredAny>,
+    /// Error that ended the answer; some servers send `false` in each event.
+    #[serde(borrow)]
+    error: Option<&'a RawValue>,
     /// Kind of the object: `chat.completion.chunk`, or `error`.
     object: Option<Value>,
     /// Text of an error without the object `error`.
@@ -78,7 +79,8 @@ impl EventData<'_> {
     pub(super) fn is_error(&self) -> bool {
         let is_error_object = self.object.as_ref().is_some_and(|object| object == "error");
         let has_error_text = self.message.as_ref().is_some_and(Value::is_string) || self.detail.is_some();
-        self.error.is_some() || is_error_object || (self.choices.is_none() && has_error_text)
+        let has_error = self.error.is_some_and(|error| error.get() != "false");
+        has_error || is_error_object || (self.choices.is_none() && has_error_text)
     }
 }
 
@@ -108,6 +110,7 @@ impl Choice {
         let has_failed = self.finish_reason.as_deref() == Some(FAILED);
         self.error
             .as_ref()
+            .filter(|error| **error != Value::Bool(false))
             .map(error_text)
             .or_else(|| has_failed.then(|| format!("finish_reason is {FAILED}")))
     }
@@ -266,6 +269,22 @@ mod tests {
         ] {
             let read = Usage::read(serde_json::from_str(usage).expect("is JSON"));
             assert_eq!(read, (expected, defect.map(str::to_owned)), "{usage}");
+        }
+    }
+
+    #[test]
+    fn error_of_false_is_no_error() {
+        let read = |data| serde_json::from_str::<EventData<'_>>(data).expect("is JSON");
+        for none in [r#"{"error":false,"choices":[{"error":false}]}"#, r#"{"error":null,"choices":[{}]}"#] {
+            let event = read(none);
+            assert!(!event.is_error(), "{none}");
+            let choices = event.choices.expect("is there");
+            assert!(choices.iter().all(|choice| choice.error_text().is_none()), "{none}");
+        }
+        for error in
+            [r#"{"error":"oom"}"#, r#"{"error":{"message":"oom"},"choices":[]}"#, r#"{"error":true}"#]
+        {
+            assert!(read(error).is_error(), "{error}");
         }
     }
 

@@ -1,0 +1,60 @@
+//! Tests of the figure of answer lengths.
+
+use super::*;
+use crate::of_results::length;
+
+#[test]
+fn length_is_counted_in_tokens_if_available() {
+    let talking =
+        run(60, |number| vec![("inference_tokens", number as f64), ("inference", number as f64 * 80.0)]);
+    let drawings =
+        length::drawings(&talking.record, &talking.rows, &Columns::default()).expect("there are lengths");
+    let AnyFigure::Lengths(figure) = &drawings[0].figure else { panic!("lengths") };
+    assert_eq!((figure.points.len(), figure.x.title.as_str()), (54, "Tokens"));
+    let note = "no line: it needs 60 answers, and there are 54";
+    assert!(figure.line.is_none() && figure.notes.iter().any(|text| text == note), "{:?}", figure.notes);
+    let constant = run(60, |_| vec![("download-bytes", 96.0), ("inference", 5.0)]);
+    let reason =
+        length::drawings(&constant.record, &constant.rows, &Columns::default()).expect_err("all alike");
+    assert!(reason.to_string().contains("--x"), "{reason}");
+    let close = run(60, |number| vec![("download-bytes", 96.0 + number as f64 % 3.0), ("inference", 5.0)]);
+    assert!(length::drawings(&close.record, &close.rows, &Columns::default()).is_err());
+    let asked = Columns { x: Some("download-bytes".to_owned()), y: None };
+    assert!(length::drawings(&close.record, &close.rows, &asked).is_ok(), "what was asked for is drawn");
+    let nothing = run(60, |_| vec![("download-bytes", 0.0), ("inference", 5.0)]);
+    for columns in [Columns::default(), asked] {
+        let reason =
+            length::drawings(&nothing.record, &nothing.rows, &columns).expect_err("a column of points");
+        assert!(reason.to_string().contains("download-bytes is 0 in every iteration"), "{reason}");
+    }
+}
+
+#[test]
+fn server_without_usage_is_named_with_option() {
+    let chunks = |number: u64| vec![("inference_output-chunks", number as f64), ("inference", number as f64)];
+    let local = run(200, chunks);
+    let folder = tempfile::tempdir().expect("a folder");
+    let drawn = |columns: &Columns| draw(Kind::Length, std::slice::from_ref(&local), columns, folder.path());
+    let hint = "the server sent no `usage`; use --x output-chunks";
+    let error = drawn(&Columns::default()).expect_err("no length").to_string();
+    assert!(error.ends_with(hint), "{error}");
+    let named = Columns { x: Some("output-chunks".to_owned()), y: None };
+    assert!(drawn(&named).is_ok(), "the name of the node, as in the documents");
+    let caption = std::fs::read_to_string(folder.path().join("length-caption.txt")).expect("a caption");
+    assert!(!caption.contains(hint), "{caption}");
+    let remote = run(200, |number| [chunks(number), vec![("download-bytes", number as f64)]].concat());
+    let drawings =
+        length::drawings(&remote.record, &remote.rows, &Columns::default()).expect("bytes of the answers");
+    let AnyFigure::Lengths(figure) = &drawings[0].figure else { panic!("lengths") };
+    assert!(figure.line.is_some() && figure.notes.iter().any(|text| text == hint), "{:?}", figure.notes);
+}
+
+#[test]
+fn name_of_several_columns_is_refused() {
+    let both = run(60, |number| vec![("a_tokens", number as f64), ("b_tokens", number as f64)]);
+    let columns = Columns { x: Some("tokens".to_owned()), y: None };
+    let folder = tempfile::tempdir().expect("a folder");
+    let error =
+        draw(Kind::Histograms, &[both], &columns, folder.path()).expect_err("two columns").to_string();
+    assert!(error.contains("several columns: a_tokens, b_tokens; name one of them"), "{error}");
+}
