@@ -9,7 +9,7 @@ use std::path::Path;
 /// The file is not removed. Otherwise two processes could lock two different files of the same name.
 #[derive(Debug)]
 pub(crate) struct FileLock {
-    _file: File,
+    file: File,
 }
 
 impl FileLock {
@@ -20,9 +20,35 @@ impl FileLock {
     pub(crate) fn try_acquire(path: &Path) -> io::Result<Option<Self>> {
         let file = File::options().create(true).append(true).open(path)?;
         match file.try_lock() {
-            Ok(()) => Ok(Some(Self { _file: file })),
+            Ok(()) => Ok(Some(Self { file })),
             Err(TryLockError::WouldBlock) => Ok(None),
             Err(TryLockError::Error(error)) => Err(error),
         }
+    }
+}
+
+impl Drop for FileLock {
+    fn drop(&mut self) {
+        // Closing the file would keep the lock while a child process has a copy of the descriptor: from its start until it runs its program.
+        if let Err(error) = self.file.unlock() {
+            tracing::warn!(%error, file = ?self.file, "cannot unlock a file; it stays locked until its last user closes it");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lock_ends_although_a_child_has_a_copy_of_the_descriptor() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("lock");
+        let lock = FileLock::try_acquire(&path).expect("can be opened").expect("is free");
+        let copy = lock.file.try_clone().expect("can be copied");
+        assert!(FileLock::try_acquire(&path).expect("can be opened").is_none());
+        drop(lock);
+        assert!(FileLock::try_acquire(&path).expect("can be opened").is_some());
+        drop(copy);
     }
 }

@@ -1,5 +1,7 @@
 //! Input of the trust report from a run's record and rows.
 
+mod start_times;
+
 use peernet_stream::Condition;
 use serde::Deserialize;
 

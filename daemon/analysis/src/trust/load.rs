@@ -1,14 +1,10 @@
 //! Starts of iterations in an open loop.
 
-use chrono::{DateTime, Utc};
 use peernet_clock::WallTime;
-use peernet_logger::stage;
 use peernet_statistics::number::{counted, fixed, percent};
 use serde::Deserialize;
 
-use crate::record::RunRecord;
-use crate::rows::{RowRef, Rows, SKIPPED_STARTS};
-use crate::standstill::{RunExtent, standstill};
+use crate::rows::{Rows, SKIPPED_STARTS};
 
 /// Configured rate of starts of a run: the `load` of its pipeline.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
@@ -87,88 +83,10 @@ impl Starts {
 }
 
 impl StartTimes {
-    /// Returns the times of these rows and their record.
-    pub fn from_run(record: &RunRecord, rows: &Rows) -> Self {
-        let start = |row: RowRef<'_>| WallTime::from_unix_nanos((row.at() * 1e9) as i64);
-        let started = || rows.iter().filter(|row| !row.warm_up() && row.at() > 0.0);
-        // Rows are in the order in which their iterations ended, so an earlier start can follow a later one.
-        let first = started().min_by_key(|row| row.iteration()).map(start);
-        let last = started().max_by_key(|row| row.iteration()).map(start);
-        let wall = |time: Option<DateTime<Utc>>| {
-            time.and_then(|time| time.timestamp_nanos_opt()).map(WallTime::from_unix_nanos)
-        };
-        let slowest_s = rows.counted_values(&stage::TOTAL).fold(0.0, f64::max);
-        let extent = wall(record.started).or(first).zip(wall(record.ended).or(last));
-        let extent = extent.map(|(started_at, end)| RunExtent {
-            started: started_at,
-            end,
-            iterations: started().count() as u64,
-            slowest_s,
-        });
-        // Missing iterations may have started meanwhile.
-        let extent = extent.filter(|_| record.counts.unseen == 0);
-        let busy = started().map(start).map(|at| (at, at));
-        Self { first, last, standstill_s: extent.and_then(|extent| standstill(&extent, busy)) }
-    }
-
     /// Returns the time from the first to the last start, seconds. `None` if it is not known: also with a standstill, and if the last start is
     /// before the first one, because the wall clock was set back.
     pub fn seconds(&self) -> Option<f64> {
         let seconds = (self.last? - self.first?).seconds();
         (self.standstill_s.is_none() && seconds >= 0.0).then_some(seconds)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::rows::{Outcome, Row};
-    use crate::testing::row_of_values;
-
-    /// Returns the record and the rows of a run with these starts, seconds after its begin, in the order of the end of their iterations.
-    fn run(starts: &[(u64, f64)]) -> (RunRecord, Rows) {
-        let row = |(iteration, at): &(u64, f64)| Row {
-            iteration: *iteration,
-            at: 1e9 + at,
-            ..row_of_values(Outcome::Ok, &[])
-        };
-        (RunRecord::default(), starts.iter().map(row).collect())
-    }
-
-    #[test]
-    fn start_rate_spans_first_to_last_number() {
-        let starts = |times: &[(u64, f64)], missing| {
-            let (record, rows) = run(times);
-            Starts { missing, times: StartTimes::from_run(&record, &rows), ..Starts::from_rows(&rows) }
-        };
-        let times = [(2, 10.5), (1, 10.0), (4, 12.0), (3, 11.5)];
-        assert_eq!(starts(&times, Some(0)).actual_hz(), Some(1.5));
-        assert_eq!(starts(&times, Some(2)).actual_hz(), Some(2.5), "missing iterations were started, too");
-        assert_eq!(starts(&times, None).actual_hz(), None);
-        assert_eq!([&[(1, 10.0)][..], &[]].map(|times| starts(times, Some(0)).actual_hz()), [None, None]);
-    }
-
-    #[test]
-    fn time_of_starts_is_unknown_after_clock_was_set() {
-        let times = |set_by_s: f64| {
-            let starts = (1..=1_000_u32).map(|number| {
-                let correct = f64::from(number) / 10.0;
-                (u64::from(number), if number > 500 { correct + set_by_s } else { correct })
-            });
-            let (record, rows) = run(&starts.collect::<Vec<_>>());
-            (StartTimes::from_run(&record, &rows), StartTimes::from_run(&unseen(record), &rows))
-        };
-        let unset = times(0.0).0;
-        assert!(unset.seconds().is_some_and(|seconds| (seconds - 99.9).abs() < 1e-6), "{unset:?}");
-        let (forward, with_missing) = times(3_600.0);
-        assert_eq!(forward.seconds(), None);
-        assert!(forward.standstill_s.is_some_and(|seconds| (seconds - 3_600.1).abs() < 1e-3), "{forward:?}");
-        assert_eq!(with_missing.standstill_s, None, "missing iterations may have started meanwhile");
-        assert_eq!(times(-3_600.0).0.seconds(), None);
-    }
-
-    fn unseen(mut record: RunRecord) -> RunRecord {
-        record.counts.unseen = 1;
-        record
     }
 }

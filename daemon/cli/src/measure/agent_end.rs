@@ -163,7 +163,7 @@ mod tests {
         let first_is_late = [warm_up(1, Outcome::Timeout), warm_up(2, Outcome::Ok), row(3, Outcome::Ok)];
         let failure =
             AgentEnd::Finished.failure(&Rows::from_iter(first_is_late), 0).expect("one is unanswered");
-        let text = "1 of 2 warm-up iterations has no answer; iteration 1 timed out: no answer in time";
+        let text = "1 of 2 warm-up iterations failed; iteration 1 timed out: no answer in time";
         assert_eq!((failure.exit, failure.to_string().as_str()), (Exit::Incomplete, text));
 
         let unseen = AgentEnd::Finished.failure(&answered, 3).expect("three are missing");
