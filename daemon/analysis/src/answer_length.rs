@@ -10,7 +10,7 @@ pub const LATENCY: &str = "inference";
 const ANSWER_BYTES: &str = "download-bytes";
 /// Node with the number of chunks of a language model's answer. It is recorded even if the server counts no tokens.
 const ANSWER_CHUNKS: &str = "output-chunks";
-/// What to do if a language model's server reports no numbers of tokens.
+/// Advice if a language model's server reports no numbers of tokens.
 pub const NO_USAGE: &str = "the server sent no `usage`; use --x output-chunks";
 /// Suffix of the names of quantities that count tokens.
 const TOKENS_SUFFIX: &str = "tokens";

@@ -29,7 +29,7 @@ impl CountedAverage {
     }
 }
 
-/// How the interval of a median or mean was computed from stored statistics.
+/// Method that computed the interval of a median or mean from stored statistics.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum IntervalMethod {
     /// From the lower and the upper ends of all intervals, as [`median_bounds`] from single values.
@@ -40,7 +40,7 @@ pub enum IntervalMethod {
 }
 
 impl IntervalMethod {
-    /// Returns the words that stand beside an interval whose ends may be off; `None` for the exact method.
+    /// Returns the remark that is shown with an interval whose ends are estimated; `None` for the exact method.
     pub const fn remark(self) -> Option<&'static str> {
         match self {
             Self::Ends => None,
@@ -56,7 +56,7 @@ pub struct ClockInterval {
     pub lo: f64,
     /// Upper end; infinite for a throughput whose delay may be zero.
     pub hi: f64,
-    /// How the ends were computed.
+    /// Method that computed the ends.
     pub method: IntervalMethod,
 }
 
@@ -87,11 +87,11 @@ impl ClockInterval {
 /// Medians, or means, of the stored statistics of delays, seconds.
 #[derive(Clone, Copy, Debug)]
 pub struct DelayAverages {
-    /// Of the delays.
+    /// Median or mean of the delays.
     pub delay: CountedAverage,
-    /// Of the lower and of the upper ends of their intervals; `None` if they are not stored.
+    /// Medians or means of the lower and of the upper ends of their intervals; `None` if the ends are not stored.
     pub ends: Option<[CountedAverage; 2]>,
-    /// Of half the widths of their intervals; `None` if no delay has an interval.
+    /// Median or mean of half the widths of their intervals; `None` if no delay has an interval.
     pub half_width: Option<CountedAverage>,
 }
 

@@ -18,7 +18,7 @@ fn output_that_is_not_finite_is_named() {
 }
 
 #[test]
-fn labels_are_named_only_if_their_number_does_not_fit() {
+fn labels_are_named_only_for_wrong_number() {
     let says = "its card says float32, float16 or float64 of shape [1, 3] or [3]";
     for (name, form, remedy) in [
         ("classes-bool", "bool of shape [1, 3]", ""),

@@ -101,7 +101,7 @@ fn negative_delays_have_interval_of_file() {
 }
 
 #[test]
-fn median_has_no_interval_unless_every_delay_has_bounds() {
+fn delay_without_bounds_leaves_median_without_interval() {
     assert_eq!(
         [median_bounds([Some((0.0, 1.0)), None].into_iter()), median_bounds(std::iter::empty())],
         [None, None]

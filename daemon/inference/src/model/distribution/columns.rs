@@ -9,7 +9,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// Largest number of columns.
 const MAX_COLUMNS: usize = 64;
-/// Stages that the pipeline measures anew: with their replayed latencies they would count twice.
+/// Stages that a remote pipeline measures itself: their replayed latencies would count twice.
 const TRANSPORT: [Name; 3] = [stage::UPLOAD, stage::QUEUE, stage::DOWNLOAD];
 
 /// Different columns of a `data.csv`, at least one; their sum in a row is one latency. Written as one name or a list of names.

@@ -147,7 +147,7 @@ fn with_labels(
     })
 }
 
-/// Checks that there is an input or output of that name, with such elements and one of the shapes.
+/// Checks that there is an input or output with this name, these elements and one of the shapes.
 fn check_outlet(
     what: &'static str,
     outlets: &[Outlet],
