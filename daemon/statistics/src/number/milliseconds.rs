@@ -87,11 +87,6 @@ pub fn total_ms(seconds: f64) -> String {
     measured(seconds * 1e3, 1)
 }
 
-/// Formats a difference of durations in ms: `+0.03`, `−0.02`; zero has no sign.
-pub fn difference_ms(seconds: f64) -> String {
-    StageColumn::default().difference(seconds)
-}
-
 /// Formats mean and deviation, or value and margin, in ms: `16.2` and `1.1`.
 ///
 /// Both end with the second significant digit of the deviation, at most at a tenth of a microsecond, or later if the mean

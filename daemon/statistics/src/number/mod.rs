@@ -17,8 +17,8 @@ pub use bounds::{bound, bound_ms, ends_ms, interval_ms, offset_ms, shift_ms, sig
 pub use estimate::Estimate;
 pub use length::{length, roughly};
 pub use milliseconds::{
-    StageColumn, column_decimals, difference_ms, duration, error_ms, mean_std, mean_std_ms, milliseconds,
-    range_ms, short_duration, stage_ms, total_ms, trip_ms,
+    StageColumn, column_decimals, duration, error_ms, mean_std, mean_std_ms, milliseconds, range_ms,
+    short_duration, stage_ms, total_ms, trip_ms,
 };
 pub use quantity::{
     Quantity, bytes, gigabytes, percent, rate, share, throughput, throughput_between, throughput_with, times,

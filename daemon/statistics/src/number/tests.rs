@@ -80,11 +80,12 @@ fn table_keeps_decimals_and_distinguishes_small_from_zero() {
 
 #[test]
 fn differences_carry_their_sign_and_zero_has_none() {
-    assert_eq!(difference_ms(0.000_03), "+0.03");
-    assert_eq!(difference_ms(-0.000_02), "\u{2212}0.02");
-    assert_eq!(difference_ms(0.000_002), "0.00");
-    assert_eq!(difference_ms(-0.000_002), "0.00");
-    assert_eq!(difference_ms(-1.204_18), "\u{2212}1,204.18");
+    let difference = |seconds| StageColumn::default().difference(seconds);
+    assert_eq!(difference(0.000_03), "+0.03");
+    assert_eq!(difference(-0.000_02), "\u{2212}0.02");
+    assert_eq!(difference(0.000_002), "0.00");
+    assert_eq!(difference(-0.000_002), "0.00");
+    assert_eq!(difference(-1.204_18), "\u{2212}1,204.18");
 }
 
 #[test]

@@ -243,11 +243,6 @@ impl Sending {
         self.host.id
     }
 
-    /// Returns the description of the host, for changes before the next connection.
-    pub const fn host_description_mut(&mut self) -> &mut HostDescription {
-        &mut self.host
-    }
-
     /// Records that the batches of the last [`Action::Append`] are in the spool.
     pub fn on_appended(&mut self, now: Stamp) -> Option<Notice> {
         if self.spooler.finish_append(now)? {
