@@ -64,34 +64,32 @@ impl PartSender {
     /// # Errors
     /// If the edge does not wait for the answer any more, or the part cannot be sent.
     pub fn send(&self, part: &Sample) -> Result<(), PartError> {
-        let mut number = None;
+        // Before the part gets a number: an edge never acknowledges a part that it does not get.
+        let Some(route) = self.listener()?.route_of_parts(self.key.session) else {
+            return if self.is_cancelled() { Err(RequestCancelled.into()) } else { Ok(()) };
+        };
+        let (bytes, max_bytes) = (part.payload_bytes(), route.max_message_bytes);
+        if bytes > max_bytes {
+            return Err(PartError::TooLarge { bytes, max_bytes });
+        }
+        let number = self.control.next_part()?;
         loop {
             // Not kept while waiting, so that the port can be closed.
-            let shared = self.shared.upgrade().ok_or(RequestCancelled)?;
-            // Asked before the part gets a number: an edge without partial replies acknowledges none.
-            let Some(route) = shared.route_of_parts(self.key.session) else {
-                return if self.is_cancelled() { Err(RequestCancelled.into()) } else { Ok(()) };
-            };
-            // A part with a number is sent: an edge never acknowledges a part that it does not get.
-            let number = match number {
-                Some(number) => number,
-                None => {
-                    let (bytes, max_bytes) = (part.payload_bytes(), route.max_message_bytes);
-                    if bytes > max_bytes {
-                        return Err(PartError::TooLarge { bytes, max_bytes });
-                    }
-                    drop(shared);
-                    number = Some(self.control.next_part()?);
-                    continue;
-                }
-            };
-            match shared.send_part(&route, self.key, (number, self.received), part) {
+            let listener = self.listener()?;
+            // Asked again after a wait: the edge may have moved to another address.
+            let route = listener.route_of_parts(self.key.session).ok_or(RequestCancelled)?;
+            match listener.send_part(&route, self.key, (number, self.received), part) {
                 Ok(()) => return Ok(()),
                 Err(SendFailure::Gone(reason)) => return Err(PartError::Unsendable(reason)),
-                Err(SendFailure::Full) => drop(shared),
+                Err(SendFailure::Full) => drop(listener),
             }
             self.control.wait(FULL_QUEUE_RETRY)?;
         }
+    }
+
+    /// Returns the listener of the edge's session.
+    fn listener(&self) -> Result<Arc<ListenerState>, RequestCancelled> {
+        self.shared.upgrade().ok_or(RequestCancelled)
     }
 
     /// Returns whether the edge does not wait for the answer any more: the request's time is over, or the session
