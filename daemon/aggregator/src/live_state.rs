@@ -238,9 +238,9 @@ pub struct Window {
     pub counts: OutcomeCounts,
     /// Iterations of any outcome per second.
     pub rate_hz: f64,
-    /// Fraction of iterations without an answer (failed, lost, timeout), 0 to 1; `None` if there were no iterations.
+    /// Fraction of failed iterations (outcome `failed`, `lost` or `timeout`), 0 to 1; `None` if there were no iterations.
     pub lost_fraction: Option<f64>,
-    /// Fraction of iterations that missed their deadline or have no answer, 0 to 1; `None` without a deadline or
+    /// Fraction of iterations that missed their deadline or failed, 0 to 1; `None` without a deadline or
     /// without iterations.
     pub miss_rate: Option<f64>,
     /// Figures by node name in SI units: the stages in order, totals, throughputs, sizes, then user-defined names.

@@ -4,14 +4,14 @@ use serde::{Deserialize, Serialize};
 
 use crate::rows::RowRef;
 
-/// Name of a node and of its column. The value is 1 if an iteration took longer than the deadline of its pipeline or has no answer, else 0.
+/// Name of a node and of its column. The value is 1 if an iteration took longer than the deadline of its pipeline or failed, else 0.
 /// Iterations of a pipeline without a deadline do not have the node.
 pub const DEADLINE_MISSED: &str = "deadline-missed";
 
 /// Number of iterations that missed their deadline, without the warm-up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Misses {
-    /// Number of iterations that took longer than the deadline or have no answer.
+    /// Number of iterations that took longer than the deadline or failed.
     pub missed: u64,
     /// Number of all iterations, without the warm-up.
     #[serde(rename = "of")]
@@ -19,10 +19,10 @@ pub struct Misses {
 }
 
 impl Misses {
-    /// Returns the misses of a run in which `late` of the `answered` iterations took longer than the deadline. All `unanswered` iterations
+    /// Returns the misses of a run in which `late` of the `successful` iterations took longer than the deadline. All `failed` iterations
     /// missed it too.
-    pub fn new(answered: u64, late: u64, unanswered: u64) -> Self {
-        Self { missed: late.min(answered) + unanswered, iterations: answered + unanswered }
+    pub fn new(successful: u64, late: u64, failed: u64) -> Self {
+        Self { missed: late.min(successful) + failed, iterations: successful + failed }
     }
 
     /// Returns the sum over several runs; `None` without runs.
@@ -34,18 +34,18 @@ impl Misses {
     /// Returns the misses in these rows; `None` if no row has a value in the column [`DEADLINE_MISSED`].
     pub fn from_rows<'a>(rows: impl IntoIterator<Item = RowRef<'a>>) -> Option<Self> {
         let mut has_deadline = false;
-        let (mut answered, mut late, mut unanswered) = (0, 0, 0);
+        let (mut successful, mut late, mut failed) = (0, 0, 0);
         for row in rows.into_iter().filter(|row| !row.warm_up()) {
             let missed = row.value(DEADLINE_MISSED);
             has_deadline |= missed.is_some();
             if row.is_counted() {
-                answered += 1;
+                successful += 1;
                 late += u64::from(missed == Some(1.0));
             } else {
-                unanswered += 1;
+                failed += 1;
             }
         }
-        has_deadline.then(|| Self::new(answered, late, unanswered))
+        has_deadline.then(|| Self::new(successful, late, failed))
     }
 
     /// Returns the miss rate: the share of iterations that missed their deadline, 0 to 1. `None` without iterations.
@@ -75,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn late_and_unanswered_rows_miss_deadline() {
+    fn late_and_failed_rows_miss_deadline() {
         let outcomes = [(Outcome::Ok, 1.0), (Outcome::Ok, 0.0), (Outcome::Ok, 1.0), (Outcome::Lost, 1.0)];
         let rows: Rows = (1..)
             .zip(outcomes)

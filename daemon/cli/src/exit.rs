@@ -21,7 +21,7 @@ pub enum Exit {
     Software = 70,
     /// Results cannot be written (73).
     Unwritten = 73,
-    /// The results are written, but some iterations have no answer or the peer went away during the run (75).
+    /// The results are written, but some iterations failed or the peer went away during the run (75).
     Incomplete = 75,
     /// The configuration is wrong: starting again will not help (78). systemd does not restart the service after it.
     Configuration = 78,

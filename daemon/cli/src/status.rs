@@ -136,7 +136,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
             &pipelines.iter().map(|one| pipeline_row(one, &faulty)).collect::<Vec<_>>(),
         ));
         print_to_stdout(format_args!(
-            "the last {WINDOW_S} s; missed: later than their deadline or without an answer; p50 and p95 are quantiles of the total, the stages are means"
+            "the last {WINDOW_S} s; missed: later than their deadline or failed; p50 and p95 are quantiles of the total, the stages are means"
         ));
         // Printed below the table: a reason is a sentence and would widen its column.
         for pipeline in &pipelines {

@@ -194,8 +194,8 @@ fn outcomes(counts: &Counts) -> String {
         (counts.warm_up, "warm-up, left out"),
         (counts.unseen, "measured but not recorded"),
     ];
-    let answered = std::iter::once((counts.ok, "answered"));
-    let outcomes = answered.chain(other_outcomes.into_iter().filter(|(count, _)| *count > 0));
+    let succeeded = std::iter::once((counts.ok, "succeeded"));
+    let outcomes = succeeded.chain(other_outcomes.into_iter().filter(|(count, _)| *count > 0));
     let texts: Vec<String> =
         outcomes.map(|(count, outcome)| format!("{} {outcome}", fixed(count as f64, 0))).collect();
     format!("Iterations: {}.", texts.join("; "))

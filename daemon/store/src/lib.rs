@@ -160,7 +160,7 @@ impl Store {
         read::statistics::series(&self.readers, run, stages, max_points).await
     }
 
-    /// Returns episodes, warm-up and unanswered iterations for charts of a run over time: at most a few hundred rows.
+    /// Returns episodes, warm-up and failed iterations for charts of a run over time: at most a few hundred rows.
     pub async fn episodes(&self, run: i64) -> Result<Episodes, StoreError> {
         read::episodes::episodes(&self.readers, run).await
     }
@@ -192,7 +192,7 @@ impl Store {
         read::pairs::value_pairs(&self.readers, run, names, max_pairs).await
     }
 
-    /// Returns the time in which a run measured; `None` without an answered iteration after the warm-up, and if too little is stored to say.
+    /// Returns the time in which a run measured; `None` without a successful iteration after the warm-up, and if too little is stored to say.
     pub async fn measured_time(&self, run: &RunSummary) -> Result<Option<MeasuredTime>, StoreError> {
         read::measured_time::measured_time(&self.readers, run).await
     }

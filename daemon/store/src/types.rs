@@ -204,13 +204,13 @@ pub struct IterationFilter {
     pub after: u64,
     /// Maximum number of iterations, 1 to 1,000.
     pub limit: u32,
-    /// `true` for iterations without an answer only: failed, lost, timeout.
-    pub without_answer: bool,
+    /// `true` for failed iterations only: those with the outcome `failed`, `lost` or `timeout`.
+    pub failed_only: bool,
 }
 
 impl Default for IterationFilter {
     fn default() -> Self {
-        Self { after: 0, limit: 100, without_answer: false }
+        Self { after: 0, limit: 100, failed_only: false }
     }
 }
 
@@ -227,7 +227,7 @@ pub struct IterationRow {
     pub warm_up: bool,
     /// `ok`, `failed`, `lost` or `timeout`.
     pub outcome: String,
-    /// Reason for which the iteration has no answer.
+    /// Reason for which the iteration failed.
     pub reason: Option<String>,
     /// Start of the iteration on the edge's wall clock.
     pub started: WallTime,

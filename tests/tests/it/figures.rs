@@ -65,7 +65,7 @@ fn plot_names_runs_without_answers() {
     std::fs::write(folder.join("data.csv"), rows).expect("written");
     let end = plot(&deployment, &["all", "--out", "figures"]);
     assert_eq!(end.code(), 0, "{}", end.log);
-    let message = "figures/silent: cannot draw series: no iteration was answered";
+    let message = "figures/silent: cannot draw series: no successful iteration";
     assert!(end.log.contains(message), "{}", end.log);
     assert_eq!(end.log.matches("cannot draw").count(), 1, "others never are: {}", end.log);
 }

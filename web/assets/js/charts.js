@@ -183,9 +183,9 @@ const PEER = (() => {
     };
   }
 
-  // Draws periods of warm-up as shades, borders of episodes as dashed lines, and iterations without an answer as crosses above the plot.
-  function parts({ borders, warmUp, unanswered }, [top, bottom]) {
-    const rows = warmUp.map((period) => [...period, "warm-up"]).concat(borders.map((at) => [at, at, "border"]), unanswered.map((at) => [at, at, "cross"]));
+  // Draws periods of warm-up as shades, borders of episodes as dashed lines, and failed iterations as crosses above the plot.
+  function parts({ borders, warmUp, failed }, [top, bottom]) {
+    const rows = warmUp.map((period) => [...period, "warm-up"]).concat(borders.map((at) => [at, at, "border"]), failed.map((at) => [at, at, "cross"]));
     const ink = css("--ink"), bad = css("--bad"), size = px(0.5) / 12;
     return {
       type: "custom", name: "parts", silent: true, z: 1, clip: false, tooltip: { show: false }, encode: { x: [0, 1] }, data: rows.map((row) => [row[0], row[1]]),

@@ -7,7 +7,7 @@
   const fromHash = /^#t=(\d+)-(\d+)$/.exec(location.hash);
   if (fromHash) range = [Number(fromHash[1]), Number(fromHash[2])];
 
-  const moments = [...data.slow.map((point) => point[0]), ...data.borders, ...data.unanswered, ...data.warm_up.flat()];
+  const moments = [...data.slow.map((point) => point[0]), ...data.borders, ...data.failed, ...data.warm_up.flat()];
   const begin = Math.min(...data.points.map((point) => point[0]), ...moments);
   const end = Math.max(...data.points.map((point) => point[0] + size), ...moments);
   if (!Number.isFinite(begin)) return;
@@ -58,7 +58,7 @@
           type: "scatter", symbolSize: PEER.px(0.4375), z: 5, cursor: "pointer", emphasis: { disabled: true },
           data: data.slow.map(([at, total, stage, number]) => ({ value: [at, total], stage, number, itemStyle: { color: stage === "total" || stage === "other" ? PEER.css("--line-strong") : PEER.edge(stage) } })),
         },
-        PEER.parts({ borders: data.borders, warmUp: data.warm_up, unanswered: data.unanswered }, [top, top + height]),
+        PEER.parts({ borders: data.borders, warmUp: data.warm_up, failed: data.failed }, [top, top + height]),
         PEER.marks([], gaps, [[top, top + height]], "not recorded"),
       ],
     };

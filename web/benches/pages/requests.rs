@@ -83,7 +83,7 @@ async fn addresses(router: &Router) -> Vec<(String, String)> {
             format!("/api/v1/runs/{run}/iterations?after={}", last.saturating_sub(100)),
         ),
         (
-            "API: 100 iterations without an answer",
+            "API: 100 failed iterations",
             format!("/api/v1/runs/{run}/iterations?after={middle}&unsuccessful=true"),
         ),
         ("API: 1,000 slowest iterations", format!("/api/v1/runs/{run}/iterations?order=slowest&limit=1000")),

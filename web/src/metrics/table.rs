@@ -114,7 +114,7 @@ pub(super) const METRICS: &[Metric] = &[
     metric((Gauge, "pipeline_running", "bool"), PIPELINE, "1 while the pipeline measures, else 0.", pipelines::write_running),
     metric((Gauge, "pipeline_window", "iterations"), OUTCOME, "Iterations within the window by outcome (ok, failed, lost, timeout), without warm-up.", pipelines::write_iterations),
     metric((Gauge, "pipeline_rate", "hertz"), WINDOW, "Iterations of any outcome per second, over the window.", pipelines::write_rate),
-    metric((Gauge, "pipeline_deadline_missed", "ratio"), WINDOW, "Share of iterations within the window that took longer than their deadline or have no answer, 0 to 1; absent without a deadline.", pipelines::write_missed),
+    metric((Gauge, "pipeline_deadline_missed", "ratio"), WINDOW, "Share of iterations within the window that took longer than their deadline or failed, 0 to 1; absent without a deadline.", pipelines::write_missed),
     metric((Gauge, "pipeline_superseded", "answers"), WINDOW, "Answers within the window that were not acted on, because the answer to a newer sample had been acted on or the episode had ended; absent if there are none.", pipelines::write_superseded),
     metric((Gauge, "pipeline_episode_success", "ratio"), WINDOW, "Share of the episodes that ended within the window that were a success, 0 to 1; absent if none ended or no success is reported.", pipelines::write_episode_success),
     metric((Gauge, "pipeline_stage", "seconds"), STAGE, "Quantiles of the standard stages, total and unattributed over 60 s; successful iterations only.", pipelines::write_stages),

@@ -218,7 +218,7 @@ fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
         name: "Missed deadline",
         number: percent(rate),
         unit: "%",
-        title: "share of iterations that took longer than the deadline or have no answer".to_owned(),
+        title: "share of iterations that took longer than the deadline or failed".to_owned(),
     });
     stats.into_iter().chain(missed).chain(accuracies).collect()
 }

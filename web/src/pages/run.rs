@@ -30,7 +30,7 @@ use crate::view::clocks::ClockCell;
 use crate::view::data::JsonBlock;
 use crate::view::histogram::histogram;
 use crate::view::notes::Note;
-use crate::view::run::{Bucket, OtherStatistics, SlowIteration, StoredRun, UnansweredRow};
+use crate::view::run::{Bucket, FailedRow, OtherStatistics, SlowIteration, StoredRun};
 use crate::view::runs::End;
 use crate::view::stack::Stack;
 use crate::view::stages::{StageRow, TOO_FEW, directions};
@@ -46,8 +46,8 @@ pub(super) const PAGE: PageKind =
 const MAX_POINTS: usize = 240;
 /// Number of slowest iterations that are drawn over time.
 const DRAWN_SLOWEST: u32 = 40;
-/// Maximum number of rows of the table of iterations without an answer.
-const MAX_UNANSWERED: u32 = 8;
+/// Maximum number of rows of the table of failed iterations.
+const MAX_FAILED: u32 = 8;
 
 /// Reason why a run has no rate.
 const NO_LENGTH: &str =
@@ -112,7 +112,7 @@ struct Run {
     distribution: Distribution,
     bucket: u32,
     buckets: Vec<Bucket>,
-    /// Texts about episodes, iterations without an answer, and a standstill.
+    /// Texts about episodes, failed iterations, and a standstill.
     time_remarks: Vec<String>,
     /// Kinds of marks that the chart over time has.
     marks: MarkKinds,
@@ -120,7 +120,7 @@ struct Run {
     has_p95: bool,
     axis: Picture,
     slowest: Vec<SlowIteration>,
-    unanswered: Vec<UnansweredRow>,
+    failed: Vec<FailedRow>,
     trust: Trust,
     experiment: Option<ExperimentPlace>,
     /// Label of each accuracy, its value in percent, and the interval of the value.
@@ -135,7 +135,7 @@ struct Run {
 struct MarkKinds {
     borders: bool,
     warm_up: bool,
-    unanswered: bool,
+    failed: bool,
 }
 
 /// The selected distribution and the links that select another.
@@ -160,13 +160,13 @@ async fn show(
     let run = run.ok_or_else(|| WebError::NotFound(format!("no run #{number} is stored")))?;
     let stage_name = query.stage.clone().unwrap_or_else(|| stage::TOTAL.to_string());
     let names = [stage::TOTAL];
-    let without_answer = IterationFilter { after: 0, limit: MAX_UNANSWERED, without_answer: true };
-    let (statistics, stored_histogram, series, slowest, unanswered, episodes, trust) = tokio::try_join!(
+    let failed_only = IterationFilter { after: 0, limit: MAX_FAILED, failed_only: true };
+    let (statistics, stored_histogram, series, slowest, failed, episodes, trust) = tokio::try_join!(
         store.statistics_of(number),
         store.histogram(number, &stage_name, MAX_BINS),
         store.series(number, &names, MAX_POINTS),
         store.slowest_iterations(number, DRAWN_SLOWEST),
-        store.iterations(number, &without_answer),
+        store.iterations(number, &failed_only),
         store.episodes(number),
         store.trust_input(&run),
     )?;
@@ -177,7 +177,7 @@ async fn show(
         statistics: &statistics,
         series: &series,
         slowest: &slowest,
-        unanswered: &unanswered,
+        failed: &failed,
         episodes: &episodes,
         starts: trust.starts,
     };
@@ -240,7 +240,7 @@ fn missed(run: &RunSummary) -> Option<(String, String)> {
     let (misses, deadline) = run.misses.zip(run.deadline_s)?;
     let rate = misses.rate().map_or_else(|| NONE.to_owned(), |rate| format!("{}{SPACE}%", percent(rate)));
     let words = format!(
-        "{} of {} later than {} or without an answer",
+        "{} of {} later than {} or failed",
         count(misses.missed),
         count(misses.iterations),
         duration(deadline)
@@ -339,11 +339,11 @@ fn assemble(
         marks: MarkKinds {
             borders: !episodes.borders.is_empty(),
             warm_up: !episodes.warm_up.is_empty(),
-            unanswered: !episodes.unanswered_starts.is_empty(),
+            failed: !episodes.failed_starts.is_empty(),
         },
         axis: Picture::milliseconds_axis(&stored.scale(), ""),
         slowest: stored.slow_rows(zone),
-        unanswered: stored.unanswered_rows(zone),
+        failed: stored.failed_rows(zone),
         trust: Trust::from(report),
         experiment: summary.experiment.clone(),
         accuracies: accuracies(stages),
@@ -385,7 +385,7 @@ mod tests {
         let run = RunSummary { deadline_s: Some(0.1), misses, ..run };
         let (rate, words) = missed(&run).expect("a deadline");
         assert_eq!(rate, "1.2\u{202f}%");
-        assert_eq!(words, "12 of 1,000 later than 100\u{202f}ms or without an answer");
+        assert_eq!(words, "12 of 1,000 later than 100\u{202f}ms or failed");
     }
 
     #[test]

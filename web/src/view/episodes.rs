@@ -17,19 +17,19 @@ pub(crate) fn summary(episodes: &Episodes) -> Option<String> {
     Some(if too_many { format!("{text}, too many to mark") } else { text })
 }
 
-/// Returns `3 without an answer`, or `995 without an answer, 300 marked` if not all have a mark. `None` if all iterations were answered.
-pub(crate) fn unanswered(episodes: &Episodes, run: &RunSummary) -> Option<String> {
-    let marked = episodes.unanswered_starts.len() as u64;
+/// Returns `3 failed`, or `995 failed, 300 marked` if not all have a mark. `None` if no iteration failed.
+pub(crate) fn failed(episodes: &Episodes, run: &RunSummary) -> Option<String> {
+    let marked = episodes.failed_starts.len() as u64;
     let counts = &run.counts;
     // The counts of a run do not include the warm-up, and the stored rows lack the iterations that retention deleted.
-    let all = (counts.failed + counts.lost + counts.timeout).max(episodes.unanswered_count);
-    let number = if episodes.unanswered_count > Episodes::MAX_COUNTED {
+    let all = (counts.failed + counts.lost + counts.timeout).max(episodes.failed_count);
+    let number = if episodes.failed_count > Episodes::MAX_COUNTED {
         format!("more than {}", count(Episodes::MAX_COUNTED))
     } else {
         count(all)
     };
     let rest = if all > marked { format!(", {} marked", count(marked)) } else { String::new() };
-    (all > 0).then(|| format!("{number} without an answer{rest}"))
+    (all > 0).then(|| format!("{number} failed{rest}"))
 }
 
 #[cfg(test)]
@@ -51,27 +51,19 @@ mod tests {
     }
 
     #[test]
-    fn unmarked_iterations_without_answer_are_counted() {
-        let text_of = |marked: usize, unanswered_count, lost| {
+    fn unmarked_failed_iterations_are_counted() {
+        let text_of = |marked: usize, failed_count, lost| {
             let marks = vec![samples::NOW; marked];
-            let episodes = Episodes { unanswered_starts: marks, unanswered_count, ..Episodes::default() };
+            let episodes = Episodes { failed_starts: marks, failed_count, ..Episodes::default() };
             let counts = OutcomeCounts { ok: 9, lost, ..OutcomeCounts::default() };
-            unanswered(&episodes, &RunSummary { counts, ..run(1, PlacementKind::Remote) })
+            failed(&episodes, &RunSummary { counts, ..run(1, PlacementKind::Remote) })
         };
         assert_eq!(text_of(0, 0, 0), None);
-        assert_eq!(text_of(3, 3, 3).as_deref(), Some("3 without an answer"));
-        assert_eq!(text_of(2, 2, 0).as_deref(), Some("2 without an answer"), "in the warm-up");
-        assert_eq!(
-            text_of(300, 995, 889).as_deref(),
-            Some("995 without an answer, 300 marked"),
-            "in the warm-up too"
-        );
-        assert_eq!(
-            text_of(290, 290, 5_000).as_deref(),
-            Some("5,000 without an answer, 290 marked"),
-            "deleted"
-        );
-        let many = "more than 10,000 without an answer, 300 marked";
+        assert_eq!(text_of(3, 3, 3).as_deref(), Some("3 failed"));
+        assert_eq!(text_of(2, 2, 0).as_deref(), Some("2 failed"), "in the warm-up");
+        assert_eq!(text_of(300, 995, 889).as_deref(), Some("995 failed, 300 marked"), "in the warm-up too");
+        assert_eq!(text_of(290, 290, 5_000).as_deref(), Some("5,000 failed, 290 marked"), "deleted");
+        let many = "more than 10,000 failed, 300 marked";
         assert_eq!(text_of(300, 10_001, 9_000).as_deref(), Some(many));
     }
 }

@@ -134,8 +134,7 @@ fn pipeline_notes(pipeline: &PipelineSnapshot, snapshot: &LiveState, warn: &Warn
     }
     let Some(window) = pipeline.window(60) else { return notes };
     if let Some(lost) = window.lost_fraction.filter(|lost| *lost > NOTABLE_SHARE) {
-        let text =
-            format!("had no answer for {}\u{202f}% of its iterations in the last minute.", percent(lost));
+        let text = format!("failed in {}\u{202f}% of the iterations of the last minute.", percent(lost));
         notes.push(note(Chip::new(Tone::Warn, "gap", "losses"), text));
     }
     notes.extend(warnings::pipeline_warnings(window, warn).into_iter().map(|(chip, text)| note(chip, text)));

@@ -32,8 +32,8 @@ pub(crate) struct StoredRun<'a> {
     pub statistics: &'a RunStatistics,
     pub series: &'a Series,
     pub slowest: &'a [IterationRow],
-    /// The first iterations without an answer.
-    pub unanswered: &'a [IterationRow],
+    /// The first failed iterations.
+    pub failed: &'a [IterationRow],
     pub episodes: &'a Episodes,
     pub starts: Starts,
 }
@@ -68,8 +68,8 @@ pub(crate) struct SlowIteration {
     pub bar: Picture,
 }
 
-/// A row of the iterations without an answer.
-pub(crate) struct UnansweredRow {
+/// A row of the failed iterations.
+pub(crate) struct FailedRow {
     pub number: u64,
     pub label: String,
     pub at: ZonedTime,
@@ -88,31 +88,31 @@ struct Data {
     /// Starts of episodes, without the first.
     borders: Vec<i64>,
     warm_up: Vec<(i64, i64)>,
-    /// Starts of iterations without an answer.
-    unanswered: Vec<i64>,
+    /// Starts of failed iterations.
+    failed: Vec<i64>,
 }
 
 impl StoredRun<'_> {
-    /// Returns rows of the first iterations without an answer, with the reasons.
-    pub(crate) fn unanswered_rows(&self, zone: Zone) -> Vec<UnansweredRow> {
-        let row = |row: &IterationRow| UnansweredRow {
+    /// Returns rows of the first failed iterations, with the reasons.
+    pub(crate) fn failed_rows(&self, zone: Zone) -> Vec<FailedRow> {
+        let row = |row: &IterationRow| FailedRow {
             number: row.number,
             label: count(row.number),
             at: zone.moment(row.started),
             outcome: row.outcome.clone(),
             reason: row.reason.clone().unwrap_or_else(|| NONE.to_owned()),
         };
-        self.unanswered.iter().map(row).collect()
+        self.failed.iter().map(row).collect()
     }
 
-    /// Returns texts about the number of episodes, the iterations without an answer, and a standstill.
+    /// Returns texts about the number of episodes, the failed iterations, and a standstill.
     pub(crate) fn time_remarks(&self) -> Vec<String> {
-        let unanswered = episodes::unanswered(self.episodes, &self.run.summary);
+        let failed = episodes::failed(self.episodes, &self.run.summary);
         let standstill =
             self.starts.times.standstill_s.map(|seconds| {
                 format!("nothing for {}: the clock was set, or it stood still", length(seconds))
             });
-        [episodes::summary(self.episodes), unanswered, standstill].into_iter().flatten().collect()
+        [episodes::summary(self.episodes), failed, standstill].into_iter().flatten().collect()
     }
 
     /// Returns the starts per second after the warm-up; `None` where the length of the run is unknown.
@@ -262,7 +262,7 @@ impl StoredRun<'_> {
             gaps: gaps.collect(),
             borders: all(&episodes.borders),
             warm_up: warm_up.map(|(from, until)| (milliseconds(*from), milliseconds(*until))).collect(),
-            unanswered: all(&episodes.unanswered_starts),
+            failed: all(&episodes.failed_starts),
         })
     }
 }

@@ -1,7 +1,7 @@
 //! Runs in a list.
 
 use peernet_aggregator::LiveState;
-use peernet_analysis::outcomes::unanswered_share;
+use peernet_analysis::outcomes::failed_share;
 use peernet_analysis::trust::MissingCount;
 use peernet_clock::WallTime;
 use peernet_statistics::number::{NONE, count, length, milliseconds, percent};
@@ -147,9 +147,9 @@ pub(crate) fn gap_notes(gaps: &[GapRow], zone: Zone) -> Vec<Note> {
     notes.collect()
 }
 
-/// Returns the share of iterations without an answer.
+/// Returns the share of failed iterations.
 pub(crate) fn lost_share(run: &RunSummary) -> Option<f64> {
-    unanswered_share(&run.counts)
+    failed_share(&run.counts)
 }
 
 /// Returns the end of the run, or the start of its last stored iteration if no end was reported.

@@ -41,9 +41,9 @@ async fn run_page_states_trust_and_reasons() {
 }
 
 #[tokio::test]
-async fn skipped_starts_before_unanswered_iterations_are_shown() {
+async fn skipped_starts_before_failed_iterations_are_shown() {
     let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
-    // Twenty are of the warm-up, ten of the others had no answer.
+    // Twenty are of the warm-up, ten of the others timed out.
     site.store_skipping(0, 120, 7).await;
     assert_eq!(dashboard.get("/api/v1/runs/1").await.json()["skipped_starts"], 0);
     assert_eq!(dashboard.get("/api/v1/runs/2").await.json()["skipped_starts"], 70);

@@ -22,7 +22,7 @@ async fn runs_with_episodes_are_drawn_over_time() {
     assert_eq!(panel.matches("<figure>").count(), 2, "{panel}");
     assert!(panel.contains(&format!("<a href=\"/runs/{first}#course\">#{first}</a>")), "{panel}");
     // Four in all, of which one is in the warm-up.
-    assert!(panel.contains("4 episodes of 100 steps, 4 without an answer, points of "), "{panel}");
+    assert!(panel.contains("4 episodes of 100 steps, 4 failed, points of "), "{panel}");
     assert_eq!(path(panel, "border").matches('M').count(), 3, "{panel}");
     assert_eq!(path(panel, "lost").matches('M').count(), 4, "{panel}");
     assert!(!path(panel, "median").is_empty() && panel.contains("class=\"f-inference\""), "{panel}");
@@ -30,11 +30,11 @@ async fn runs_with_episodes_are_drawn_over_time() {
 
     let run = dashboard.get(&format!("/runs/{first}")).await;
     assert!(run.text().contains("id=\"course\""), "{}", run.text());
-    assert!(run.text().contains("<span class=\"sub\">4 episodes of 100 steps, 4 without an answer</span>"));
+    assert!(run.text().contains("<span class=\"sub\">4 episodes of 100 steps, 4 failed</span>"));
     let data = run.text().split("id=\"data\">").nth(1).and_then(|rest| rest.split('<').next()).expect("data");
     let data: serde_json::Value = serde_json::from_str(data).expect("JSON");
     let length = |name: &str| data[name].as_array().map(Vec::len);
-    assert_eq!((length("borders"), length("unanswered"), length("warm_up")), (Some(3), Some(4), Some(1)));
+    assert_eq!((length("borders"), length("failed"), length("warm_up")), (Some(3), Some(4), Some(1)));
     assert_eq!(data["warm_up"][0][1], data["borders"][0], "the first episode is the warm-up: {data}");
 }
 
@@ -45,7 +45,7 @@ async fn run_without_episodes_mentions_none() {
     let page = dashboard.get("/compare?runs=1,2").await;
     let panel = page.text().split("id=\"cc-h\"").nth(1).expect("a panel");
     let panel = panel.split("</section>").next().expect("its end");
-    assert!(!panel.contains("episode") && !panel.contains("without an answer"), "{panel}");
+    assert!(!panel.contains("episode") && !panel.contains("failed"), "{panel}");
     assert_eq!(panel.matches("<figure>").count(), 2, "{panel}");
     assert!(!dashboard.get("/runs/1").await.text().contains("new episode"));
 }

@@ -40,7 +40,7 @@ pub struct PipelineConfig {
     #[serde(default = "default_timeout_ms")]
     pub timeout_ms: NonZeroU64,
     /// Deadline of an iteration, from its intended start to its end; milliseconds, up to `timeout_ms`. An iteration
-    /// that takes longer or has no answer missed its deadline. Default: no deadline.
+    /// that takes longer or fails missed its deadline. Default: no deadline.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deadline_ms: Option<NonZeroU64>,
     /// Iterations that are recorded but left out of statistics.

@@ -5,7 +5,7 @@ use peernet_logger::{Measure, Name, Node, Tree, stage};
 use peernet_statistics::Summary;
 use peernet_stream::{Outcome, OutcomeCounts, Second, end_names};
 
-/// Name of the value that is 1 if an iteration missed its deadline or has no answer, and 0 otherwise. Absent if the
+/// Name of the value that is 1 if an iteration missed its deadline or failed, and 0 otherwise. Absent if the
 /// pipeline has no deadline.
 pub(crate) const DEADLINE_MISSED: Name = Name::from_static("deadline-missed");
 

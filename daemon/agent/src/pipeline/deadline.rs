@@ -6,7 +6,7 @@ use peernet_stream::Outcome;
 
 use crate::live::DEADLINE_MISSED;
 
-/// Adds the value `deadline-missed`, 0 or 1, to a closed tree. An iteration without an answer misses every deadline.
+/// Adds the value `deadline-missed`, 0 or 1, to a closed tree. A failed iteration misses every deadline.
 pub(super) fn record_deadline(tree: &mut Tree, outcome: &Outcome, deadline: Span) {
     let total = tree.find(&[stage::TOTAL.as_str()]).and_then(|(_, node)| node.measure.value());
     let is_in_time = *outcome == Outcome::Ok && total.is_some_and(|total| total <= deadline.seconds());
@@ -34,7 +34,7 @@ mod tests {
     }
 
     #[test]
-    fn late_and_unanswered_iterations_miss_their_deadline() {
+    fn late_and_failed_iterations_miss_their_deadline() {
         assert_eq!(missed(100, &Outcome::Ok), Some(0.0));
         assert_eq!(missed(101, &Outcome::Ok), Some(1.0));
         assert_eq!(missed(20, &Outcome::Lost("cable".to_owned())), Some(1.0));

@@ -1,7 +1,7 @@
 //! The numbers of one second of one pipeline, and their merge into windows.
 
 use peernet_analysis::deadline::{DEADLINE_MISSED, Misses};
-use peernet_analysis::outcomes::unanswered_share;
+use peernet_analysis::outcomes::failed_share;
 use peernet_analysis::stage_split::StageSplit;
 use peernet_analysis::transfer::Transfers;
 use peernet_clock::Verdict;
@@ -100,7 +100,7 @@ impl SecondStatistics {
             covered_s,
             counts: self.counts,
             rate_hz: total as f64 / covered_s,
-            lost_fraction: unanswered_share(&self.counts),
+            lost_fraction: failed_share(&self.counts),
             miss_rate: misses.and_then(Misses::rate),
             values,
             transfers: self.transfers(),

@@ -14,7 +14,7 @@ const CLASSES_FACT: &str = "Classes";
 /// Number of iterations whose label is not a class of the model, with examples of labels and classes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UnknownLabels {
-    /// Number of these iterations, without warm-up and unanswered iterations; at least one.
+    /// Number of these iterations, without warm-up and failed iterations; at least one.
     pub count: u64,
     /// Text ` (labels: …; classes: …)`; empty if neither is known.
     examples: String,
@@ -35,7 +35,7 @@ impl UnknownLabels {
         (count > 0).then_some(Self { count, examples })
     }
 
-    /// Returns the unknown labels in these rows, without warm-up and unanswered iterations. `None` if there are none.
+    /// Returns the unknown labels in these rows, without warm-up and failed iterations. `None` if there are none.
     pub fn from_rows(rows: &Rows, facts: &[(String, String)]) -> Option<Self> {
         let count = rows.counted_values(UNKNOWN_LABEL).filter(|value| *value == 1.0).count() as u64;
         Self::new(count, facts)

@@ -46,7 +46,7 @@ impl Comparison {
             let number = |number: Option<f64>| number.map(|number| number.to_string()).unwrap_or_default();
             let label = |label: &String| if label == EMPTY_CELL { String::new() } else { label.clone() };
             let mut cells: Vec<String> = line.labels.iter().map(label).collect();
-            cells.extend([line.repeats as u64, line.count, line.unanswered].map(|count| count.to_string()));
+            cells.extend([line.repeats as u64, line.count, line.failed].map(|count| count.to_string()));
             let is_untested = self.untested.contains(&index);
             let tie = if is_untested || self.unranked.contains(&index) {
                 String::new()

@@ -117,11 +117,11 @@ pub struct Line {
     pub repeats: usize,
     /// Maximum number of edges that were measured at the same time.
     pub edges: usize,
-    /// Number of counted iterations: neither warm-up nor without an answer.
+    /// Number of counted iterations: neither warm-up nor failed.
     pub count: u64,
     /// Number of iterations without an answer or with one that the actuator failed to act on, without the warm-up.
-    pub unanswered: u64,
-    /// Number of counted and unanswered iterations that missed their deadline; `None` without a deadline.
+    pub failed: u64,
+    /// Number of counted and failed iterations that missed their deadline; `None` without a deadline.
     pub misses: Option<Misses>,
     /// Superseded answers, and success and return of the episodes.
     pub actuator: ActuatorResults,
@@ -206,7 +206,7 @@ impl Line {
             repeats: 1,
             edges: 1,
             count: 0,
-            unanswered: 0,
+            failed: 0,
             misses: None,
             actuator: ActuatorResults::default(),
             starts: Starts::default(),
@@ -228,7 +228,7 @@ impl Line {
         let mut repeats: Vec<(Option<u32>, usize)> = Vec::new();
         for Loaded { record, rows, .. } in self.runs.iter().map(|run| &runs[*run]) {
             self.count += rows.iter().filter(|row| row.is_counted()).count() as u64;
-            self.unanswered += rows.iter().filter(|row| !row.warm_up() && !row.is_counted()).count() as u64;
+            self.failed += rows.iter().filter(|row| !row.warm_up() && !row.is_counted()).count() as u64;
             let starts = Starts::from_rows(rows);
             self.starts.started += starts.started;
             self.starts.skipped += starts.skipped;

@@ -40,7 +40,7 @@ impl Comparison {
         columns.add_if(|line| line.repeats > 1, "runs", |line| Some(count(line.repeats as u64)));
         columns.add_if(|line| line.edges > 1, "edges", |line| Some(count(line.edges as u64)));
         columns.add("count", |line| Some(count(line.count)));
-        columns.add_if(|line| line.unanswered > 0, "failed", |line| Some(count(line.unanswered)));
+        columns.add_if(|line| line.failed > 0, "failed", |line| Some(count(line.failed)));
         columns.add_if(
             |line| line.misses.is_some(),
             "missed (%)",
@@ -109,7 +109,7 @@ impl Comparison {
         if !hidden.is_empty() {
             notes.push(format!("Stages without a column, means in ms: {}.", hidden.join("; ")));
         }
-        if self.lines.iter().any(|line| line.unanswered > 0) {
+        if self.lines.iter().any(|line| line.failed > 0) {
             let text = "Failed: iterations after the warm-up without an answer, or with one that the actuator failed to act on.";
             notes.push(text.to_owned());
         }
@@ -142,8 +142,7 @@ impl Comparison {
             ));
         }
         if self.lines.iter().any(|line| line.misses.is_some()) {
-            let text =
-                "Missed: the share of iterations that took longer than their deadline or have no answer.";
+            let text = "Missed: the share of iterations that took longer than their deadline or failed.";
             notes.push(text.to_owned());
         }
         notes.extend(self.unknown_labels());

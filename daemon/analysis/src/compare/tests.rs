@@ -220,14 +220,11 @@ fn sum_of_stages_ranks_runs_without_total() {
 }
 
 #[test]
-fn unanswered_run_is_never_the_best() {
+fn failed_run_is_never_the_best() {
     let mut runs = paper();
     runs[0].rows.change(|row| row.outcome = Outcome::Lost);
     let comparison = Comparison::new(&runs);
-    assert_eq!(
-        (comparison.best, comparison.lines[0].count, comparison.lines[0].unanswered),
-        (Some(1), 0, 101)
-    );
+    assert_eq!((comparison.best, comparison.lines[0].count, comparison.lines[0].failed), (Some(1), 0, 101));
 }
 
 #[test]

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::delays::median_width;
 use crate::rows::Rows;
 
-/// Quality of the delays of a run, without warm-up and unanswered iterations.
+/// Quality of the delays of a run, without warm-up and failed iterations.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Clocks {

@@ -175,9 +175,9 @@ pub struct ModelRecord {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Counts {
-    /// Number of answered iterations, the input of statistics.
+    /// Number of successful iterations, the input of statistics.
     pub ok: u64,
-    /// Number of iterations whose sample or model failed.
+    /// Number of iterations whose sample, model or actuator failed.
     pub failed: u64,
     /// Number of iterations whose connection broke.
     pub lost: u64,
@@ -213,11 +213,11 @@ impl Counts {
 
     /// Returns the number of rows without the warm-up.
     pub const fn measured(&self) -> u64 {
-        self.ok + self.unanswered()
+        self.ok + self.all_failed()
     }
 
-    /// Returns the number of rows without an answer, without the warm-up.
-    pub const fn unanswered(&self) -> u64 {
+    /// Returns the number of failed iterations, of any outcome but `ok`, without the warm-up.
+    pub const fn all_failed(&self) -> u64 {
         self.failed + self.lost + self.timeout
     }
 }

@@ -65,7 +65,7 @@ impl<'a> RowRef<'a> {
         self.rows.outcomes[self.index].0
     }
 
-    /// Returns whether statistics include the iteration: it was answered and is not warm-up.
+    /// Returns whether statistics include the iteration: it succeeded and is not warm-up.
     pub fn is_counted(&self) -> bool {
         self.outcome() == Outcome::Ok && !self.warm_up()
     }

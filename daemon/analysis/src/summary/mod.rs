@@ -15,7 +15,7 @@ use crate::record::{Clocks, Counts, RunRecord};
 use crate::rows::{Column, ColumnKind, FIXED_COLUMNS, Rows, Units};
 use crate::trust::{Starts, replayed_latencies};
 
-/// Summary of the columns of a run, without warm-up and iterations without an answer.
+/// Summary of the columns of a run, without warm-up and failed iterations.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Summary {
     /// Title for people.
@@ -73,7 +73,7 @@ impl Summary {
             FIXED_COLUMNS.get(*index).is_none_or(|(_, kind)| *kind == ColumnKind::Node) && !is_bound(name)
         });
         let quantity = |(_, name): (usize, &Column)| {
-            // This column includes unanswered iterations, so its mean is the miss rate.
+            // This column includes failed iterations, so its mean is the miss rate.
             if *name == DEADLINE_MISSED {
                 let without_warm_up = rows.iter().filter(|row| !row.warm_up());
                 return Quantity::from_values(

@@ -22,7 +22,7 @@ pub struct Limits {
 /// Part of a run that was measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
-    /// Number of iterations without the warm-up, answered or not. It includes measured iterations whose events were not received.
+    /// Number of iterations without the warm-up, successful or failed. It includes measured iterations whose events were not received.
     pub measured: u64,
     /// Number of iterations of the warm-up.
     pub warm_up: u64,
@@ -46,7 +46,7 @@ pub struct EndedEarly {
 /// Unit of a limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unit {
-    /// Iterations, answered or not.
+    /// Iterations, successful or failed.
     Iterations,
     /// Seconds of measuring.
     Seconds,

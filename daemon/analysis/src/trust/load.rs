@@ -25,7 +25,7 @@ pub struct Starts {
     pub missing: Option<u64>,
     /// Number of starts that were skipped because the pipeline was too far behind.
     pub skipped: u64,
-    /// Times of the starts, of answered and unanswered iterations.
+    /// Times of the starts, of successful and failed iterations.
     pub times: StartTimes,
 }
 

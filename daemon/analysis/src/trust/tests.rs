@@ -18,7 +18,7 @@ fn steady_run_can_be_published() {
     let report = judged(&rows(quiet(1005)));
     assert_eq!(report.verdict, Publish::Yes, "{}", report.text());
     assert!(report.text().starts_with("Can this run be published? Yes: no check"), "{}", report.text());
-    assert!(about(&report, "amount").1.contains("1,000 iterations were answered; 5 iterations of warm-up"));
+    assert!(about(&report, "amount").1.contains("1,000 iterations succeeded; 5 iterations of warm-up"));
 }
 
 #[test]
@@ -164,7 +164,7 @@ fn outliers_are_graded_by_share_of_mean() {
 }
 
 #[test]
-fn unanswered_iterations_are_counted_and_graded() {
+fn failed_iterations_are_counted_and_graded() {
     for (every, grade) in [(1_500, Grade::Good), (200, Grade::Doubtful), (5, Grade::Bad)] {
         let mut rows = rows(quiet(3005));
         rows.change(|row| {
@@ -174,6 +174,20 @@ fn unanswered_iterations_are_counted_and_graded() {
         });
         assert_eq!(about(&judged(&rows), "losses").0, grade, "one in {every}");
     }
+    let text_after = |outcomes: &[Outcome]| {
+        let mut rows = rows(quiet(105));
+        rows.change(|row| {
+            let failure = row.iteration.checked_sub(10).and_then(|index| outcomes.get(index as usize));
+            row.outcome = failure.copied().unwrap_or(row.outcome);
+        });
+        about(&judged(&rows), "losses").1.to_owned()
+    };
+    assert_eq!(text_after(&[]), "No iteration failed.");
+    // The actuator may have failed to act, so an iteration of the outcome `failed` may have an answer.
+    assert_eq!(
+        text_after(&[Outcome::Failed, Outcome::Lost, Outcome::Timeout]),
+        "3 of 100 iterations failed (3.0\u{202f}%): 1 with an error of sensor, model or actuator, 1 lost, 1 timed out."
+    );
 }
 
 #[test]

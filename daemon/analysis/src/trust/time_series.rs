@@ -21,7 +21,7 @@ const OUTLIER_DEVIATIONS: f64 = 3.5;
 /// Minimum deviation, as a share of the median: the resolution of the stored quantiles.
 const MIN_RELATIVE_DEVIATION: f64 = 0.01;
 
-/// Statistics of a duration over the time of a run, in seconds. Only answered iterations that are not warm-up are included.
+/// Statistics of a duration over the time of a run, in seconds. Only successful iterations that are not warm-up are included.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TimeSeries {
     /// Number of values.

@@ -79,9 +79,9 @@ pub fn replayed_latencies(facts: &[(String, String)]) -> Option<&str> {
 /// Number of iterations of a run by outcome. Only `warm_up` includes the warm-up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Number of iterations with an answer.
+    /// Number of successful iterations, the input of statistics.
     pub ok: u64,
-    /// Number of iterations whose sample or model failed.
+    /// Number of iterations whose sample, model or actuator failed.
     pub failed: u64,
     /// Number of iterations whose connection broke.
     pub lost: u64,
@@ -199,11 +199,11 @@ fn two_modes(rows: &Rows) -> Vec<(String, TwoModes)> {
 impl Counts {
     /// Returns the number of iterations without the warm-up.
     pub const fn measured(&self) -> u64 {
-        self.ok + self.unanswered()
+        self.ok + self.all_failed()
     }
 
-    /// Returns the number of iterations that have no answer.
-    pub const fn unanswered(&self) -> u64 {
+    /// Returns the number of failed iterations, of any outcome but `ok`, without the warm-up.
+    pub const fn all_failed(&self) -> u64 {
         self.failed + self.lost + self.timeout
     }
 }

@@ -58,7 +58,7 @@ impl AgentEnd {
 /// statistics exclude, count only if no other failed. `None` if none failed.
 fn failed_text(rows: &Rows) -> Option<String> {
     let counts = Counts::from_rows(rows, 0);
-    let in_warm_up = counts.unanswered() == 0;
+    let in_warm_up = counts.all_failed() == 0;
     let failed = || rows.iter().filter(|row| row.warm_up() == in_warm_up && row.outcome() != Outcome::Ok);
     let first = failed().next()?;
     let are_actions =
@@ -152,7 +152,7 @@ mod tests {
             row(3, Outcome::Timeout),
         ];
         let partly_answered = Rows::from_iter(rows);
-        let failure = AgentEnd::Finished.failure(&partly_answered, 0).expect("two have no answer");
+        let failure = AgentEnd::Finished.failure(&partly_answered, 0).expect("two failed");
         let text = "2 of 3 iterations failed; iteration 2 was lost: it went away";
         assert_eq!((failure.exit, failure.to_string().as_str()), (Exit::Incomplete, text));
 
@@ -161,8 +161,7 @@ mod tests {
         assert!(failure.starts_with("1 of 1 iteration failed; iteration 1 was lost"), "{failure}");
 
         let first_is_late = [warm_up(1, Outcome::Timeout), warm_up(2, Outcome::Ok), row(3, Outcome::Ok)];
-        let failure =
-            AgentEnd::Finished.failure(&Rows::from_iter(first_is_late), 0).expect("one is unanswered");
+        let failure = AgentEnd::Finished.failure(&Rows::from_iter(first_is_late), 0).expect("one failed");
         let text = "1 of 2 warm-up iterations failed; iteration 1 timed out: no answer in time";
         assert_eq!((failure.exit, failure.to_string().as_str()), (Exit::Incomplete, text));
 

@@ -24,7 +24,7 @@ pub(crate) struct Arguments {
 ///
 /// # Errors
 /// Those of [`measure`]. Also when the order cannot be read (66) or parsed (78), `PEERNET_LOG` is not a valid level (78), or iterations
-/// have no answer (75).
+/// failed (75).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     exit_with_parent();
     start_log(LogDestination::Parent)?;

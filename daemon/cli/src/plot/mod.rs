@@ -196,7 +196,7 @@ mod tests {
         assert_eq!(
             reasons(&lacking(&[runs, total.clone(), total])).as_deref(),
             Some(
-                "1 run: cannot draw length: there is no run; 2 runs: cannot draw length: no iteration was answered \
+                "1 run: cannot draw length: there is no run; 2 runs: cannot draw length: no successful iteration \
                  with a total that can be drawn"
             )
         );

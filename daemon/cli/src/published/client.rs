@@ -34,7 +34,7 @@ const DEFAULT_RESULTS_DIR: &str = "results";
 /// Measures and writes the results.
 ///
 /// # Errors
-/// Those of [`measure`]; when the data set does not exist (66); when some iterations have no answer (75) or the user ended it
+/// Those of [`measure`]; when the data set does not exist (66); when some iterations failed (75) or the user ended it
 /// early (130).
 pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failure> {
     let order = order(arguments, devices)?;

@@ -21,7 +21,7 @@ const UNITS: [(f64, f64, &str); 4] = [
 const SHORT: f64 = 0.02;
 /// Minimum width of a period of warm-up, as a share of the axis.
 const MIN_SHADE: f64 = 0.002;
-/// Marks of iterations without an answer become one mark if their distance is less than this share of the axis.
+/// Marks of failed iterations become one mark if their distance is less than this share of the axis.
 const MIN_MARK_DISTANCE: f64 = 0.005;
 
 /// Returns the position of a stage in a stack, counted from below.
@@ -63,8 +63,8 @@ pub struct StagesOverTime {
     pub borders: Vec<f64>,
     /// Periods of warm-up, each with its beginning and end.
     pub warm_up: Vec<(f64, f64)>,
-    /// Iterations without an answer.
-    pub unanswered: Vec<f64>,
+    /// Times of failed iterations.
+    pub failed: Vec<f64>,
     /// The 95th percentile of the whole run, seconds.
     pub p95: Option<f64>,
 }
@@ -158,12 +158,12 @@ impl StagesOverTime {
         for (path, class) in lines.into_iter().filter(|(path, _)| !path.is_empty()) {
             items.extend(["under", class].map(|class| Item::path(path.clone(), Style::of_page(class))));
         }
-        let mut unanswered: Vec<f64> = self.unanswered.iter().map(x_share).collect();
-        unanswered.sort_by(f64::total_cmp);
-        unanswered.dedup_by(|later, earlier| *later - *earlier < MIN_MARK_DISTANCE);
-        if !unanswered.is_empty() {
+        let mut failed: Vec<f64> = self.failed.iter().map(x_share).collect();
+        failed.sort_by(f64::total_cmp);
+        failed.dedup_by(|later, earlier| *later - *earlier < MIN_MARK_DISTANCE);
+        if !failed.is_empty() {
             let rail = Item::line(At::new(0.0, 1.0), At::new(1.0, 1.0), Style::rail());
-            let items = vec![rail, Item::path(ticks(unanswered), Style::lost())];
+            let items = vec![rail, Item::path(ticks(failed), Style::lost())];
             plot.top_strip = Some(Strip { items, size: 0.0 });
         }
         plot.items = items;
@@ -199,7 +199,7 @@ impl OverTimeAxes {
             (any(StagesOverTime::has_p95), line("p95"), "p95 of points with 60 iterations"),
             (any(|run| !run.borders.is_empty()), line("border"), "new episode"),
             (any(|run| !run.warm_up.is_empty()), Swatch::Area(Style::shade()), "warm-up"),
-            (any(|run| !run.unanswered.is_empty()), line("lost"), "no answer"),
+            (any(|run| !run.failed.is_empty()), line("lost"), "failed"),
         ];
         let shown = keys.into_iter().filter(|(is_shown, ..)| *is_shown);
         shown.map(|(_, swatch, text)| Key::new(swatch, text)).collect()

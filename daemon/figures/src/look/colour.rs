@@ -69,7 +69,7 @@ pub const LINE: Token = Token::new("line", 0xe3_e7ec, 0x25_2c35);
 pub const LINE_STRONG: Token = Token::new("line-strong", 0x8a_94a3, 0x5d_6877);
 /// Background of a figure.
 pub const SURFACE: Token = Token::new("surface", 0xff_ffff, 0x14_181e);
-/// Iterations without an answer, and errors.
+/// Failed iterations, and errors.
 pub const BAD: Token = Token::new("bad", 0x9b_1620, 0xff_9f98);
 
 /// Tokens that do not belong to a stage.

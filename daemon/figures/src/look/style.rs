@@ -160,7 +160,7 @@ impl Style {
         Self::area("warm-up", Fill::of(SHADE))
     }
 
-    /// Returns the style of a mark of an iteration without an answer.
+    /// Returns the style of a mark of a failed iteration.
     pub fn lost() -> Self {
         Self::line("lost", BAD.light, 0.9)
     }

@@ -18,7 +18,7 @@ pub(super) fn too_large_note<'a>(rows: impl Iterator<Item = RowRef<'a>>, columns
     })
 }
 
-/// Returns the numbers of a column that can be drawn, from the counted rows: neither warm-up nor without an answer.
+/// Returns the numbers of a column that can be drawn, from the counted rows: neither warm-up nor failed.
 pub(super) fn values(rows: &Rows, column: &str) -> SortedValues {
     rows.counted_values(column).filter(|value| is_drawable(*value)).collect()
 }
@@ -50,7 +50,7 @@ pub(super) fn heading(column: &str) -> String {
 }
 
 /// Returns the note on the number of values that are shown and the numbers of rows that are left out: `n = 10,000 · left out: 5 warm-up, 3
-/// without an answer`.
+/// failed`.
 pub(super) fn count_note<'a>(
     rows: &(impl Iterator<Item = RowRef<'a>> + Clone),
     shown_count: usize,
@@ -69,7 +69,7 @@ pub(super) fn excluded_and_undrawn_note<'a>(
     join_counts(excluded_rows(rows).into_iter().chain([undrawn]))
 }
 
-/// Returns the note on the rows that no figure shows: `left out: 5 warm-up, 3 without an answer`; `None` if there are none.
+/// Returns the note on the rows that no figure shows: `left out: 5 warm-up, 3 failed`; `None` if there are none.
 pub(super) fn excluded_note<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone)) -> Option<String> {
     join_counts(excluded_rows(rows))
 }
@@ -77,10 +77,7 @@ pub(super) fn excluded_note<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone
 /// Returns the numbers of rows that are not counted, each with the reason.
 fn excluded_rows<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone)) -> [(usize, &'static str); 2] {
     let count = |matches: &dyn Fn(&RowRef<'_>) -> bool| rows.clone().filter(|row| matches(row)).count();
-    [
-        (count(&|row| row.warm_up()), "warm-up"),
-        (count(&|row| !row.warm_up() && !row.is_counted()), "without an answer"),
-    ]
+    [(count(&|row| row.warm_up()), "warm-up"), (count(&|row| !row.warm_up() && !row.is_counted()), "failed")]
 }
 
 /// Returns the note on these numbers of rows that are left out, each with its reason. `None` if all numbers are 0.

@@ -27,7 +27,7 @@ impl<'a> ConfigurationGroups<'a> {
     }
 }
 
-/// Returns the counted rows of these runs: neither warm-up nor without an answer.
+/// Returns the counted rows of these runs: neither warm-up nor failed.
 pub(super) fn counted_rows<'a>(runs: &[&'a Loaded]) -> impl Iterator<Item = RowRef<'a>> {
     runs.iter().flat_map(|run| &run.rows).filter(|row| row.is_counted())
 }

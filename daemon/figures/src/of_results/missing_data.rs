@@ -14,11 +14,11 @@ pub enum MissingData {
     /// There are no runs.
     #[error("there is no run")]
     Runs,
-    /// No iteration is counted: each is warm-up or without an answer.
-    #[error("no iteration counts: all are warm-up or without an answer")]
+    /// No iteration is counted: each is warm-up or failed.
+    #[error("no iteration counts: all are warm-up or failed")]
     Iterations,
-    /// No answered iteration has a total that can be drawn.
-    #[error("no iteration was answered with a total that can be drawn")]
+    /// No successful iteration has a total that can be drawn.
+    #[error("no successful iteration has a total that can be drawn")]
     Total,
     /// The column has no number that can be drawn.
     #[error("no counted iteration has a number that can be drawn in the column {0}")]

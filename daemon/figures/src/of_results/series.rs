@@ -17,17 +17,17 @@ const ITERATION: &str = "Iteration";
 /// Returns the figure of the total and the stages over time.
 pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, MissingData> {
     let (x, time) = horizontal_axis(rows);
-    let answered = || rows.iter().filter(|row| row.outcome() == Outcome::Ok);
+    let successful = || rows.iter().filter(|row| row.outcome() == Outcome::Ok);
     let line = |column: &str| {
-        let values = answered().filter_map(|row| Some((time(row), row.value(column)?)));
+        let values = successful().filter_map(|row| Some((time(row), row.value(column)?)));
         Line {
             name: column.to_owned(),
             values: values.filter(|(at, value)| is_drawable(*at) && is_drawable(*value)).collect(),
         }
     };
     let total = Some(line(TotalColumn::from_rows(rows).name())).filter(|line| !line.values.is_empty());
-    let unanswered = rows.iter().filter(|row| row.outcome() != Outcome::Ok).map(&time);
-    let unanswered = unanswered.filter(|at| is_drawable(*at)).collect();
+    let failed = rows.iter().filter(|row| row.outcome() != Outcome::Ok).map(&time);
+    let failed = failed.filter(|at| is_drawable(*at)).collect();
     let Some(total) = total else {
         return Err(MissingData::Total);
     };
@@ -47,7 +47,7 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
         stages: stages.longest.iter().map(|name| line(name)).collect(),
         warm_up: warm_up_periods(rows.iter().map(|row| (time(row), row.warm_up()))),
         episodes: rows.iter().zip(rows.iter().skip(1)).filter_map(episode_start).collect(),
-        unanswered,
+        failed,
     };
     Ok(vec![Drawing::new("series", AnyFigure::TimeSeries(time_series))])
 }

@@ -102,7 +102,7 @@ fn run_has_the_six_published_histograms() {
         assert!(svg.contains(text), "{text}: {svg}");
     }
     let words = std::fs::read_to_string(folder.path().join("upload-time-caption.txt")).expect("read");
-    assert!(words.contains("n = 54 · left out: 5 warm-up, 1 without an answer"), "{words}");
+    assert!(words.contains("n = 54 · left out: 5 warm-up, 1 failed"), "{words}");
     assert!(std::fs::read_to_string(&files[21]).expect("read").contains("no values"));
     let timed = run_with_total(20.0);
     let files = of_run(&timed.record, &timed.rows, folder.path()).expect("written");
@@ -164,7 +164,7 @@ fn stages_add_up_to_the_total() {
     let sum: f64 = figure.bars[0].means.iter().sum();
     assert!((sum - 24e-3).abs() < 5e-4 && figure.bars[0].std.is_some_and(|std| std > 0.0), "{figure:?}");
     assert!(figure.notes[0].contains("model, where") && figure.notes[0].contains("measured total"));
-    assert_eq!(figure.notes[1..], ["n = 88 (44 each) · left out: 10 warm-up, 2 without an answer"]);
+    assert_eq!(figure.notes[1..], ["n = 88 (44 each) · left out: 10 warm-up, 2 failed"]);
     let nothing = [run(5, |_| vec![("sensing", 1.0)])];
     assert!(stacked::drawings(&nothing).is_err_and(|missing| missing.to_string().contains("warm-up")));
 }
@@ -212,7 +212,7 @@ fn accuracy_is_drawn_against_latency() {
         "{figure:?}"
     );
     let expected_notes =
-        ["left out: 15 warm-up, 3 without an answer", "left out: 1 configuration without scored samples"];
+        ["left out: 15 warm-up, 3 failed", "left out: 1 configuration without scored samples"];
     assert_eq!(figure.notes[1..], expected_notes);
     let mut broken = labelled("s", 20.0);
     broken.rows.change(|row| {
@@ -322,8 +322,7 @@ fn payloads_of_several_sizes_are_fitted() {
     );
     assert!(latency.title.starts_with("One-way delay against payload"));
     let missing = "not drawn: download, 8 B: the largest must be twice the smallest";
-    let expected_notes =
-        [missing, "left out: 5 warm-up, 1 without an answer", "messages of each size: 73 to 74"];
+    let expected_notes = [missing, "left out: 5 warm-up, 1 failed", "messages of each size: 73 to 74"];
     assert_eq!(latency.notes, expected_notes);
     assert_eq!(throughput.notes, latency.notes);
     assert_eq!((drawings[0].missing.as_slice(), drawings[1].missing.len()), (&[missing.to_owned()][..], 0));
@@ -337,7 +336,7 @@ fn payloads_of_several_sizes_are_fitted() {
     let expected_notes = [
         missing,
         "messages of 2 runs, pooled, that differ in model",
-        "left out: 10 warm-up, 2 without an answer",
+        "left out: 10 warm-up, 2 failed",
         "messages of each size: 146 to 148",
     ];
     assert_eq!(throughput.notes, expected_notes);
@@ -397,7 +396,7 @@ fn many_curves_are_several_pictures() {
 }
 
 #[test]
-fn series_has_totals_stages_warm_up_and_unanswered() {
+fn series_has_totals_stages_warm_up_and_failed_iterations() {
     let mut run = remote(60);
     run.rows.change(|row| {
         let total = (!row.values.is_empty()).then(|| ("total".into(), 20e-3));
@@ -411,7 +410,7 @@ fn series_has_totals_stages_warm_up_and_unanswered() {
         ["sensing", "upload", "inference", "download"]
     );
     let near = |value: f64, wanted: f64| (value - wanted).abs() < 1e-6;
-    assert!(near(time_series.unanswered[0], 0.6) && time_series.unanswered.len() == 1, "{time_series:?}");
+    assert!(near(time_series.failed[0], 0.6) && time_series.failed.len() == 1, "{time_series:?}");
     assert!(near(time_series.warm_up[0].0, 0.0) && near(time_series.warm_up[0].1, 0.5));
     assert!(near(time_series.episodes[0], 1.9) && time_series.episodes.len() == 3);
     assert!(time_series.notes[0].starts_with("n = 54 and 5 warm-up"), "{:?}", time_series.notes);
@@ -422,7 +421,7 @@ fn series_has_totals_stages_warm_up_and_unanswered() {
         panic!("a time series")
     };
     assert_eq!(
-        (time_series.x.as_str(), time_series.x_is_iteration, time_series.unanswered[0]),
+        (time_series.x.as_str(), time_series.x_is_iteration, time_series.failed[0]),
         ("Iteration", true, 7.0)
     );
     run.rows.change(|row| row.outcome = Outcome::Lost);

@@ -108,7 +108,7 @@ transform              ms        7          0.150 ± 0.000      0.150           
 unattributed           ms        7          0.025 ± 0.000      0.025                     —    —      0.025
 inference_pre                    7  0.0000300 ± 0.0000000  0.0000300                     —    —  0.0000300
 
-Iterations: 7 answered; 1 lost; 2 warm-up, left out.
+Iterations: 7 succeeded; 1 lost; 2 warm-up, left out.
 Clock verdicts: upload 7 ok (in-band, ±0.010 ms); download 7 ok (in-band, ±0.010 ms).
 Clock bounds contain the median of the true values.";
 
@@ -127,7 +127,7 @@ fn summary_has_metrics_of_the_paper() {
         latex.contains("Upload Latency & ms & 7 & 17.007 $\\pm$ 0.003 & 17.007 & 16.997 -- 17.017 &"),
         "{latex}"
     );
-    assert!(latex.contains("\\caption{robot\\_1. Iterations: 7 answered;"), "{latex}");
+    assert!(latex.contains("\\caption{robot\\_1. Iterations: 7 succeeded;"), "{latex}");
     let csv = csv(&summary);
     let mut lines = csv.lines();
     assert_eq!(lines.next(), Some("column,count,mean,std,median,median-lo,median-hi,p95,p99,max"));

@@ -1,4 +1,4 @@
-//! Episodes, warm-up and unanswered iterations of a run. They are computed from single rows of iterations, which are found by
+//! Episodes, warm-up and failed iterations of a run. They are computed from single rows of iterations, which are found by
 //! number. The number of rows that are read does not depend on the length of the run.
 
 use std::collections::HashMap;
@@ -36,7 +36,7 @@ pub(crate) async fn episodes(readers: &Readers, run: i64) -> Result<Episodes, St
         }
     }
     let warm_up = warm_up(readers, run, &first, &borders, &last).await?;
-    let (unanswered_starts, unanswered_count) = unanswered(readers, run, last.number).await?;
+    let (failed_starts, failed_count) = failed(readers, run, last.number).await?;
     let start_times = |rows: Vec<Row>| rows.iter().map(|row| wall(row.started_ns)).collect();
     Ok(Episodes {
         first: (first.number == 1).then(|| wall(first.started_ns)),
@@ -44,8 +44,8 @@ pub(crate) async fn episodes(readers: &Readers, run: i64) -> Result<Episodes, St
         steps: steps.and_then(|steps| u64::try_from(steps).ok()),
         borders: start_times(borders),
         warm_up,
-        unanswered_starts: start_times(unanswered_starts),
-        unanswered_count,
+        failed_starts: start_times(failed_starts),
+        failed_count,
     })
 }
 
@@ -77,10 +77,10 @@ pub(super) async fn last_measured_start(readers: &Readers, run: i64) -> Result<O
     Ok(row.map(|row| wall(row.started_ns)))
 }
 
-/// Returns the starts of unanswered iterations, as charts mark them.
-pub(super) async fn unanswered_starts(readers: &Readers, run: i64) -> Result<Vec<WallTime>, StoreError> {
+/// Returns the starts of failed iterations, as charts mark them.
+pub(super) async fn failed_starts(readers: &Readers, run: i64) -> Result<Vec<WallTime>, StoreError> {
     let Some(last) = last_row(readers, run).await? else { return Ok(Vec::new()) };
-    let (rows, _) = unanswered(readers, run, last.number).await?;
+    let (rows, _) = failed(readers, run, last.number).await?;
     Ok(rows.iter().map(|row| wall(row.started_ns)).collect())
 }
 
@@ -169,20 +169,20 @@ async fn measured_after(
         .map_err(readers.failed(WHAT))
 }
 
-/// Returns the unanswered iterations that charts mark, and the number of all unanswered iterations. The number is at most one more
+/// Returns the failed iterations that charts mark, and the number of all failed iterations. The number is at most one more
 /// than `MAX_COUNTED`, which then means "more than that".
-async fn unanswered(readers: &Readers, run: i64, last: i64) -> Result<(Vec<Row>, u64), StoreError> {
-    let max_marked = Episodes::MAX_UNANSWERED;
-    let unanswered: Vec<Row> = sqlx::query_as(sql::ITERATIONS_WITHOUT_ANSWER)
+async fn failed(readers: &Readers, run: i64, last: i64) -> Result<(Vec<Row>, u64), StoreError> {
+    let max_marked = Episodes::MAX_FAILED;
+    let failed: Vec<Row> = sqlx::query_as(sql::ITERATIONS_WITHOUT_ANSWER)
         .bind(run)
         .bind(0)
         .bind(i64::try_from(max_marked).map_or(i64::MAX, |max_marked| max_marked + 1))
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
-    let Some(first) = unanswered.first().filter(|_| unanswered.len() > max_marked) else {
-        let total = unanswered.len() as u64;
-        return Ok((unanswered, total));
+    let Some(first) = failed.first().filter(|_| failed.len() > max_marked) else {
+        let total = failed.len() as u64;
+        return Ok((failed, total));
     };
     let total: i64 = sqlx::query_scalar(sql::COUNT_WITHOUT_ANSWER)
         .bind(run)

@@ -92,7 +92,7 @@ pub(crate) async fn iterations(
     run: i64,
     filter: &IterationFilter,
 ) -> Result<Vec<IterationRow>, StoreError> {
-    let statement = if filter.without_answer { sql::ITERATIONS_WITHOUT_ANSWER } else { sql::ITERATIONS };
+    let statement = if filter.failed_only { sql::ITERATIONS_WITHOUT_ANSWER } else { sql::ITERATIONS };
     let rows: Vec<Row> = sqlx::query_as(statement)
         .bind(run)
         .bind(column(filter.after))

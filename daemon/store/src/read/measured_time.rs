@@ -13,7 +13,7 @@ use crate::rollups::{RollupRow, WIDTHS_S};
 use crate::types::{MeasuredTime, MeasuredWithin, RunSummary};
 
 const WHAT: &str = "measured times";
-/// Number of iterations at each end of a run among which the first and the last answered iteration is searched.
+/// Number of iterations at each end of a run among which the first and the last successful iteration is searched.
 const MAX_SEARCHED: i64 = 10_000;
 const SECOND_NS: i64 = 1_000_000_000;
 

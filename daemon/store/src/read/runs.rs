@@ -152,7 +152,7 @@ async fn actuator_results(
     Ok(numbers.iter().map(|number| (*number, results(number))).collect())
 }
 
-/// Returns the summaries of `DEADLINE_MISSED` for the runs with a deadline. Each answered iteration has a sample: 1 if its answer was
+/// Returns the summaries of `DEADLINE_MISSED` for the runs with a deadline. Each successful iteration has a sample: 1 if it was
 /// late, 0 otherwise.
 async fn late_answers(readers: &Readers, rows: &[RunRow]) -> Result<HashMap<i64, NameSummary>, StoreError> {
     let with_deadline = rows.iter().filter(|row| deadline_s(&row.configuration).is_some());
@@ -234,7 +234,7 @@ fn summary(
     // The sum of the samples, which are ones and zeros.
     let late =
         lateness.map_or(0.0, |samples| samples.summary.moments.mean * samples.summary.moments.count as f64);
-    let unanswered = count(row.failed) + count(row.lost) + count(row.timeout);
+    let failed = count(row.failed) + count(row.lost) + count(row.timeout);
     Ok(RunSummary {
         number: row.number,
         id: parse(WHAT, &row.uuid)?,
@@ -262,7 +262,7 @@ fn summary(
         warm_up: count(row.warm_up),
         skipped_starts: count(row.skipped_starts),
         deadline_s,
-        misses: deadline_s.map(|_| Misses::new(count(row.ok), late.round() as u64, unanswered)),
+        misses: deadline_s.map(|_| Misses::new(count(row.ok), late.round() as u64, failed)),
         actuator,
         total: total.and_then(NameSummary::statistics),
         has_clock_fault: facts(row)?.iter().any(|(fact, _)| FaultyHost::of_fact(fact).is_some()),

@@ -140,10 +140,10 @@ statements! {
     /// The last iteration that is not warm-up: ?1 run, ?2 and ?3 the first and the last number to look at.
     LAST_MEASURED = concat!(iteration_columns!(),
         "WHERE run = ?1 AND number BETWEEN ?2 AND ?3 AND +warm_up = 0 ORDER BY number DESC LIMIT 1");
-    /// The first answered iteration after the warm-up: ?1 run, ?2 the last number to look at.
+    /// The first successful iteration after the warm-up: ?1 run, ?2 the last number to look at.
     FIRST_COUNTED = concat!(iteration_columns!(),
         "WHERE run = ?1 AND number BETWEEN 1 AND ?2 AND +warm_up = 0 AND +outcome = 0 ORDER BY number LIMIT 1");
-    /// The last answered iteration after the warm-up: ?1 run, ?2 how many numbers to look at.
+    /// The last successful iteration after the warm-up: ?1 run, ?2 how many numbers to look at.
     LAST_COUNTED = concat!(iteration_columns!(),
         "WHERE run = ?1 AND number > (SELECT max(number) FROM iteration WHERE run = ?1 AND number > 0) - ?2 \
          AND +warm_up = 0 AND +outcome = 0 ORDER BY number DESC LIMIT 1");
@@ -158,12 +158,12 @@ statements! {
                           ORDER BY number LIMIT 1) < ?2, high, (low + high) / 2) \
                           FROM search WHERE high - low > 1) \
                           SELECT max(high) FROM search WHERE high - low <= 1";
-    /// Totals of the answered iterations after the warm-up: ?1 run, ?2 and ?3 first and last number.
+    /// Totals of the successful iterations after the warm-up: ?1 run, ?2 and ?3 first and last number.
     COUNTED_TOTALS = "SELECT total FROM iteration WHERE run = ?1 AND number BETWEEN ?2 AND ?3 AND +warm_up = 0 AND +outcome = 0";
-    /// Number of iterations without an answer, counted up to a limit: ?1 run, ?2 limit.
+    /// Number of failed iterations, counted up to a limit: ?1 run, ?2 limit.
     COUNT_WITHOUT_ANSWER = "SELECT count(*) FROM (SELECT 1 FROM iteration INDEXED BY iteration_without_answer \
                             WHERE run = ?1 AND number > 0 AND outcome <> 0 LIMIT ?2)";
-    /// The first number without an answer in each part of a run: ?1 run, ?2 the parts' first and last numbers, a JSON array
+    /// The first number of a failed iteration in each part of a run: ?1 run, ?2 the parts' first and last numbers, a JSON array
     /// of pairs.
     FIRST_WITHOUT_ANSWER = "SELECT (SELECT number FROM iteration INDEXED BY iteration_without_answer \
                             WHERE run = ?1 AND number BETWEEN part.value ->> 0 AND part.value ->> 1 AND outcome <> 0 \

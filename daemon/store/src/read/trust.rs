@@ -12,7 +12,7 @@ use peernet_statistics::TwoModes;
 use peernet_stream::EndReason;
 use serde::Deserialize;
 
-use super::episodes::{first_measured_start, last_measured_start, unanswered_starts};
+use super::episodes::{failed_starts, first_measured_start, last_measured_start};
 use super::statistics::{stage_buckets, statistics, whole_runs};
 use crate::error::StoreError;
 use crate::figures::DelayAccuracy;
@@ -63,8 +63,8 @@ async fn standstill_length(
     if standstill(&extent, answered()).is_none() {
         return Ok(None);
     }
-    let unanswered = unanswered_starts(readers, summary.number).await?;
-    Ok(standstill(&extent, answered().chain(unanswered.into_iter().map(|start| (start, start)))))
+    let failed = failed_starts(readers, summary.number).await?;
+    Ok(standstill(&extent, answered().chain(failed.into_iter().map(|start| (start, start)))))
 }
 
 /// Returns the distributions of a run that have two modes.

@@ -36,7 +36,7 @@ async fn store(test_store: &mut TestStore, configuration: &str, ends: &[(Outcome
 }
 
 #[tokio::test]
-async fn misses_are_late_and_unanswered_iterations() {
+async fn misses_are_late_and_failed_iterations() {
     let mut test_store = TestStore::new().await;
     let lost = || Outcome::Lost("gone".into());
     let ends = [

@@ -1,4 +1,4 @@
-//! Episodes of a run, its warm-up, and iterations without an answer.
+//! Episodes of a run, its warm-up, and failed iterations.
 
 use peernet_analysis::warm_up::warm_up_periods;
 use peernet_clock::WallTime;
@@ -53,8 +53,8 @@ async fn borders_are_at_starts_of_episodes() {
             (generate::at(61.0 * 0.2), generate::at(62.0 * 0.2)),
             (generate::at(91.0 * 0.2), generate::at(92.0 * 0.2)),
         ],
-        unanswered_starts: Vec::new(),
-        unanswered_count: 0,
+        failed_starts: Vec::new(),
+        failed_count: 0,
     };
     assert_eq!(episodes, expected);
     assert_eq!(
@@ -136,7 +136,7 @@ async fn deleted_iterations_have_no_border() {
     })
     .await;
     let episodes = test_store.store.episodes(1).await.expect("answers");
-    assert_eq!((episodes.unanswered_starts, episodes.unanswered_count), (start_times([4, 70]), 2));
+    assert_eq!((episodes.failed_starts, episodes.failed_count), (start_times([4, 70]), 2));
     let mut other = test_store.second_connection().await;
     sqlx::query("DELETE FROM iteration WHERE run = 1 AND number <= 40")
         .execute(&mut other)
@@ -145,7 +145,7 @@ async fn deleted_iterations_have_no_border() {
     let episodes = test_store.store.episodes(1).await.expect("answers");
     assert_eq!((episodes.count, episodes.steps, episodes.first), (4, Some(30), None));
     assert_eq!(
-        (episodes.borders, episodes.unanswered_starts, episodes.unanswered_count),
+        (episodes.borders, episodes.failed_starts, episodes.failed_count),
         (start_times([61, 91]), start_times([70]), 1)
     );
 }
@@ -207,7 +207,7 @@ async fn too_many_episodes_are_only_counted() {
 }
 
 #[tokio::test]
-async fn sample_of_unanswered_iterations_covers_whole_run() {
+async fn sample_of_failed_iterations_covers_whole_run() {
     let mut test_store = TestStore::new().await;
     // Every second one at first, then a single one at the end.
     store_run(&mut test_store, 2_000, |iteration| {
@@ -220,15 +220,15 @@ async fn sample_of_unanswered_iterations_covers_whole_run() {
     })
     .await;
     let episodes = test_store.store.episodes(1).await.expect("answers");
-    assert_eq!(episodes.unanswered_count, 601, "including the warm-up");
-    let shown = episodes.unanswered_starts;
-    assert!((150..=Episodes::MAX_UNANSWERED).contains(&shown.len()), "{}", shown.len());
+    assert_eq!(episodes.failed_count, 601, "including the warm-up");
+    let shown = episodes.failed_starts;
+    assert!((150..=Episodes::MAX_FAILED).contains(&shown.len()), "{}", shown.len());
     assert_eq!((shown[0], shown[shown.len() - 1]), (generate::at(0.4), generate::at(398.0)));
     assert!(shown.is_sorted());
 }
 
 #[tokio::test]
-async fn unanswered_iterations_are_counted_up_to_limit() {
+async fn failed_iterations_are_counted_up_to_limit() {
     let mut test_store = TestStore::new().await;
     store_run(&mut test_store, 1, |_| true).await;
     let mut other = test_store.second_connection().await;
@@ -247,6 +247,6 @@ async fn unanswered_iterations_are_counted_up_to_limit() {
     );
     sqlx::query(sqlx::AssertSqlSafe(insert_copies)).execute(&mut other).await.expect("inserts");
     let episodes = test_store.store.episodes(1).await.expect("answers");
-    assert_eq!(episodes.unanswered_count, Episodes::MAX_COUNTED + 1);
-    assert!(episodes.unanswered_starts.len() <= Episodes::MAX_UNANSWERED);
+    assert_eq!(episodes.failed_count, Episodes::MAX_COUNTED + 1);
+    assert!(episodes.failed_starts.len() <= Episodes::MAX_FAILED);
 }

@@ -126,12 +126,10 @@ async fn warm_up_and_failures_are_stored_outside_statistics() {
 
     let all = test_store.store.iterations(1, &IterationFilter::default()).await.expect("answers");
     assert_eq!(all.iter().map(|row| row.number).collect::<Vec<_>>(), [1, 2, 3, 4, 5, 6]);
-    let filter = IterationFilter { without_answer: true, after: 3, limit: 10 };
-    let rows_without_answer = test_store.store.iterations(1, &filter).await.expect("answers");
-    let failures: Vec<_> = rows_without_answer
-        .iter()
-        .map(|row| (row.number, row.outcome.as_str(), row.reason.as_deref()))
-        .collect();
+    let filter = IterationFilter { failed_only: true, after: 3, limit: 10 };
+    let failed_rows = test_store.store.iterations(1, &filter).await.expect("answers");
+    let failures: Vec<_> =
+        failed_rows.iter().map(|row| (row.number, row.outcome.as_str(), row.reason.as_deref())).collect();
     assert_eq!(
         failures,
         [(4, "timeout", Some("no answer within 5 s")), (5, "failed", Some("not a picture"))]

@@ -1,9 +1,9 @@
-//! Episodes, warm-up and unanswered iterations for charts of a run over time.
+//! Episodes, warm-up and failed iterations for charts of a run over time.
 
 use peernet_analysis::warm_up::MAX_EPISODE_BORDERS;
 use peernet_clock::WallTime;
 
-/// Episodes, warm-up and iterations without an answer of a run. Times are on the edge's wall clock. Iterations that retention deleted, or that
+/// Episodes, warm-up and failed iterations of a run. Times are on the edge's wall clock. Iterations that retention deleted, or that
 /// never reached the store, have no times.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Episodes {
@@ -18,18 +18,18 @@ pub struct Episodes {
     /// Periods of warm-up, at the start of the run and of each episode in `borders`: the start of the first iteration, and that of the next
     /// iteration that is not warm-up, or of the last iteration. Periods whose beginning or end is not stored are left out.
     pub warm_up: Vec<(WallTime, WallTime)>,
-    /// Starts of iterations without an answer, including the warm-up. If there are more than [`Episodes::MAX_UNANSWERED`], the
+    /// Starts of failed iterations, including the warm-up. If there are more than [`Episodes::MAX_FAILED`], the
     /// run is divided into this number of parts, and the list has the first such start of each part.
-    pub unanswered_starts: Vec<WallTime>,
-    /// Number of stored iterations without an answer. At most one more than [`Episodes::MAX_COUNTED`], which means "more than that".
-    pub unanswered_count: u64,
+    pub failed_starts: Vec<WallTime>,
+    /// Number of stored failed iterations. At most one more than [`Episodes::MAX_COUNTED`], which means "more than that".
+    pub failed_count: u64,
 }
 
 impl Episodes {
     /// Maximum number of borders that are read, because a chart shows no more.
     pub const MAX_BORDERS: u32 = MAX_EPISODE_BORDERS;
-    /// Maximum number of unanswered iterations in a chart. More could not be distinguished.
-    pub const MAX_UNANSWERED: usize = 300;
-    /// Limit of the count of unanswered iterations, which bounds the time of the query in a run without any answer.
+    /// Maximum number of failed iterations in a chart. More could not be distinguished.
+    pub const MAX_FAILED: usize = 300;
+    /// Limit of the count of failed iterations, which bounds the time of the query in a run in which every iteration failed.
     pub const MAX_COUNTED: u64 = 10_000;
 }

@@ -3,7 +3,7 @@
 use peernet_clock::WallTime;
 use peernet_statistics::Summary;
 
-/// Time in which a run measured: from its first answered iteration after the warm-up to its last, by the edge's wall clock.
+/// Time in which a run measured: from its first successful iteration after the warm-up to its last, by the edge's wall clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MeasuredTime {
     /// Start of the first of these iterations.
@@ -15,7 +15,7 @@ pub struct MeasuredTime {
     pub resolution_s: u32,
 }
 
-/// Iterations of a run that started within a time: only answered iterations after the warm-up.
+/// Iterations of a run that started within a time: only successful iterations after the warm-up.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MeasuredWithin {
     /// Number of the iterations.

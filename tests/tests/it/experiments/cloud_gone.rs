@@ -56,7 +56,7 @@ fn returning_cloud_loses_only_iterations_in_flight() {
     lab.kill_cloud();
     lab.start_cloud();
     let end = process.wait_for_end();
-    assert_eq!(end.code(), 75, "iterations without an answer are told: {}", end.log);
+    assert_eq!(end.code(), 75, "failed iterations are told: {}", end.log);
     assert_eq!(lab.results.states(), ["finished"; 3], "{}", end.log);
     let outcomes = column(&lab.results.file(&second, "data.csv"), "outcome");
     let unanswered = outcomes.iter().filter(|outcome| *outcome != "ok").count();

@@ -107,4 +107,11 @@ fn failed_action_is_named_as_such() {
     let early = "): iteration 1 failed: the actuator failed: RuntimeError: the brake is on";
     assert_eq!(end.log.matches(early).count(), 1, "{}", end.log);
     assert!(end.log.contains("1 run with failed iterations"), "{}", end.log);
+    // The answers exist, so the report on the run does not deny them.
+    let report = "2 of 2 iterations failed (100\u{202f}%): 2 with an error of sensor, model or actuator.";
+    let runs = fs::read_dir(folder.path().join("results/arm/runs")).expect("a folder of runs");
+    let records: Vec<String> = runs
+        .map(|run| fs::read_to_string(run.expect("a run").path().join("run.json")).expect("a record"))
+        .collect();
+    assert!(!records.is_empty() && records.iter().all(|record| record.contains(report)), "{records:?}");
 }

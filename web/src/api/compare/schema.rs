@@ -92,7 +92,7 @@ pub(crate) struct Configuration {
     pub skipped_starts: u64,
     /// Deadline of an iteration, seconds; null without a deadline, and if its runs have different deadlines.
     pub deadline_s: Option<f64>,
-    /// Share of iterations that took longer than the deadline or have no answer, 0 to 1, without warm-up; null without a deadline.
+    /// Share of iterations that took longer than the deadline or failed, 0 to 1, without warm-up; null without a deadline.
     pub miss_rate: Option<f64>,
     pub stages: Vec<ComparedStage>,
 }

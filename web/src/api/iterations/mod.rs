@@ -44,7 +44,7 @@ struct Query {
     /// Maximum number of iterations returned, 1 to 1,000; 100 unless given.
     #[param(value_type = Option<u32>, minimum = 1, maximum = 1_000, default = 100)]
     limit: Option<String>,
-    /// `true` to list only iterations without an answer: failed, lost, timeout.
+    /// `true` to list only failed iterations: those with the outcome `failed`, `lost` or `timeout`.
     unsuccessful: bool,
     /// `number` unless given; `slowest` cannot be combined with `after` or `unsuccessful`.
     #[param(inline)]
@@ -76,7 +76,7 @@ async fn list(
         }));
     }
     let after = query.after.unwrap_or(0).max(run.summary.nodes_from);
-    let filter = IterationFilter { after, limit, without_answer: query.unsuccessful };
+    let filter = IterationFilter { after, limit, failed_only: query.unsuccessful };
     let rows = app.store().iterations(number, &filter).await?;
     // Whether more rows follow a full page is not known: the next page may be empty.
     let next = rows.last().filter(|_| rows.len() == limit as usize).map(|row| row.number);

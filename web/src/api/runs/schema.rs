@@ -43,7 +43,7 @@ pub(crate) struct Run {
     pub skipped_starts: u64,
     /// Deadline of an iteration, seconds; null without a deadline.
     pub deadline_s: Option<f64>,
-    /// Share of iterations that took longer than the deadline or have no answer, 0 to 1, without warm-up; null without a deadline, and
+    /// Share of iterations that took longer than the deadline or failed, 0 to 1, without warm-up; null without a deadline, and
     /// before the first iteration.
     pub miss_rate: Option<f64>,
     /// Number of answers that were not acted on, because the answer to a newer sample had been acted on or the episode had ended.

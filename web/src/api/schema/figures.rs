@@ -60,7 +60,7 @@ impl From<&store::DelayAccuracy> for Bound {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Counts {
     pub ok: u64,
-    /// Number of iterations whose sample or model failed.
+    /// Number of iterations whose sample, model or actuator failed.
     pub failed: u64,
     /// Number of iterations whose connection broke.
     pub lost: u64,

@@ -85,9 +85,9 @@ pub(crate) struct Window {
     pub counts: Counts,
     /// Iterations of any outcome per second.
     pub rate_hz: f64,
-    /// Share of iterations without an answer, 0 to 1; null without iterations.
+    /// Share of failed iterations (outcome `failed`, `lost` or `timeout`), 0 to 1; null without iterations.
     pub lost_fraction: Option<f64>,
-    /// Share of iterations that took longer than the pipeline's deadline or have no answer, 0 to 1; null without a deadline or without
+    /// Share of iterations that took longer than the pipeline's deadline or failed, 0 to 1; null without a deadline or without
     /// iterations.
     pub miss_rate: Option<f64>,
     /// Statistics of single iterations. The mean of `upload-throughput` is a mean of ratios; use `transfers` for the speed over the

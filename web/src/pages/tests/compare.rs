@@ -214,9 +214,7 @@ async fn missed_deadlines_are_column_where_there_is_a_deadline() {
     (run.deadline_s, run.misses) = (Some(0.1), Some(Misses { missed: 3, iterations: 300 }));
     let html = page_of(two, false).await;
     assert!(
-        html.contains(
-            "title=\"3 of 300 iterations, longer than 100\u{202f}ms or without an answer\">1.0</span>"
-        ),
+        html.contains("title=\"3 of 300 iterations, longer than 100\u{202f}ms or failed\">1.0</span>"),
         "{html}"
     );
     assert!(html.contains("title=\"no deadline\""), "{html}");

@@ -31,7 +31,7 @@ async fn each_run_is_drawn_with_episodes_and_losses() {
     assert_eq!(panel.matches("<figure>").count(), 2, "{panel}");
     let [first, second] = [1, 2].map(|at| panel.split("<figure>").nth(at).expect("a picture").to_owned());
     assert!(first.contains("<b>A</b> <a href=\"/runs/1#course\">#1</a>"), "{first}");
-    assert!(first.contains("4 episodes of 900 steps, 3 without an answer, points of 1\u{202f}s<"), "{first}");
+    assert!(first.contains("4 episodes of 900 steps, 3 failed, points of 1\u{202f}s<"), "{first}");
     assert!(second.contains("4 episodes of 900 steps, points of") && !second.contains("class=\"lost\""));
     for picture in [&first, &second] {
         let path = |class: &str| picture.split(&format!("class=\"{class}\" d=\"")).nth(1).expect("a path");
@@ -43,7 +43,7 @@ async fn each_run_is_drawn_with_episodes_and_losses() {
     }
     assert!(panel.contains("to a little above the largest p95, over seconds since the first"), "{panel}");
     assert!(panel.contains("encode, ipc</li>"), "{panel}");
-    assert!(panel.contains("</svg>new episode</li>") && panel.contains("</svg>no answer</li>"), "{panel}");
+    assert!(panel.contains("</svg>new episode</li>") && panel.contains("</svg>failed</li>"), "{panel}");
     // All runs share the axes: a value half as large is drawn half as high.
     let values = |picture: &str| {
         let axis = picture.split("class=\"yaxis\"").nth(1).expect("an axis");
@@ -97,10 +97,10 @@ async fn runs_without_a_single_answer_are_named() {
     };
     let html = page(&all);
     check(&html);
-    let said = "No answered iteration after the warm-up: #3, #4, #5, #6, #7, #8, #9, #10 and 2 more.";
+    let said = "No successful iteration after the warm-up: #3, #4, #5, #6, #7, #8, #9, #10 and 2 more.";
     assert_eq!(html.matches(said).count(), 2, "over time and distributions: {html}");
     assert!(page(&all[..4]).contains("warm-up: #3, #4."));
-    assert!(!page(&all[..2]).contains("No answered iteration"));
+    assert!(!page(&all[..2]).contains("No successful iteration"));
 }
 
 #[tokio::test]

@@ -36,23 +36,23 @@ pub(crate) fn caveats(comparison: &Comparison) -> Vec<(Chip, String)> {
         format!("Not measured to the end, but compared because you selected them: {}.", unfinished.join(", "))
     });
     let skipped = skipped_starts(configurations.iter().map(|one| (one.name.clone(), one.starts())));
-    let unanswered = configurations.iter().filter_map(|one| {
+    let failed_texts = configurations.iter().filter_map(|one| {
         let counts = one.runs.iter().map(|run| run.counts);
-        let (answered, all) = counts.fold((0, 0), |(answered, all), counts| {
+        let (successful, all) = counts.fold((0, 0), |(successful, all), counts| {
             let OutcomeCounts { ok, failed, lost, timeout } = counts;
-            (answered + ok, all + ok + failed + lost + timeout)
+            (successful + ok, all + ok + failed + lost + timeout)
         });
-        let without_answer = all - answered;
-        (without_answer > 0).then(|| {
+        let failed_count = all - successful;
+        (failed_count > 0).then(|| {
             format!(
                 "{}: {} of {} iterations failed; the figures are those of the others.",
                 one.name,
-                count(without_answer),
+                count(failed_count),
                 count(all)
             )
         })
     });
-    let others = unfinished.into_iter().chain(skipped).chain(unanswered);
+    let others = unfinished.into_iter().chain(skipped).chain(failed_texts);
     let others = others.map(|text| (chip(Grade::Doubtful), text));
     publication.chain(replayed.map(|text| (REPLAYED, text))).chain(others).collect()
 }
@@ -120,8 +120,8 @@ mod tests {
         assert!(caveats(&comparison(vec![one.clone()])).is_empty());
         let text = "Starts were skipped because the pipeline could not keep up; these latencies are not those of the \
                     configured rate: B: 73 of 200 starts (36 %).";
-        let unanswered = "B: 37 of 127 iterations failed; the figures are those of the others.";
-        assert_eq!(texts(&comparison(vec![one, other])), [text, unanswered]);
+        let failed = "B: 37 of 127 iterations failed; the figures are those of the others.";
+        assert_eq!(texts(&comparison(vec![one, other])), [text, failed]);
     }
 
     #[test]

@@ -34,8 +34,8 @@ pub(super) fn choose_runs<'a, T>(
     (all.into_iter().map(|(.., run)| run).collect(), (with_data > MAX_DRAWN_RUNS).then_some(with_data))
 }
 
-/// Returns a sentence about the runs that cannot be drawn because none of their iterations was answered; `None` if there are no such runs.
-pub(super) fn without_answer(comparison: &Comparison) -> Option<String> {
+/// Returns a sentence about the runs that cannot be drawn because none of their iterations succeeded; `None` if there are no such runs.
+pub(super) fn without_success(comparison: &Comparison) -> Option<String> {
     let runs: Vec<&RunSummary> = comparison.runs().filter(|run| run.counts.ok == 0).collect();
     let numbers: Vec<String> =
         runs.iter().take(MAX_NAMED_RUNS).map(|run| format!("#{}", run.number)).collect();
@@ -44,5 +44,5 @@ pub(super) fn without_answer(comparison: &Comparison) -> Option<String> {
         more => format!(" and {} more", count(more as u64)),
     };
     (!runs.is_empty())
-        .then(|| format!("No answered iteration after the warm-up: {}{more}.", numbers.join(", ")))
+        .then(|| format!("No successful iteration after the warm-up: {}{more}.", numbers.join(", ")))
 }

@@ -9,7 +9,7 @@ use peernet_logger::{Name, stage};
 use peernet_statistics::number::count;
 
 use super::Comparison;
-use super::choice::{choose_runs, without_answer};
+use super::choice::{choose_runs, without_success};
 use super::median::{DELAY_OF_QUANTITY, Median};
 use crate::error::WebError;
 use crate::picture::Picture;
@@ -202,6 +202,6 @@ pub(crate) fn distributions(
         groups,
         choices,
         address: Address::of(comparison),
-        missing: without_answer(comparison),
+        missing: without_success(comparison),
     }))
 }

@@ -110,7 +110,7 @@ pub(crate) async fn answers(store: &Store, comparison: &Comparison) -> Result<Ve
             is_whole: true,
         };
         for run in &varying_configuration.configuration.runs {
-            // `value_pairs` also reads warm-up and iterations without an answer. If the answered iterations of all runs fit into the limit, a run
+            // `value_pairs` also reads warm-up and failed iterations. If the successful iterations of all runs fit into the limit, a run
             // is therefore read with the larger limit `MAX_READ`, so that it is read whole.
             let limit = if all_answered <= max_read {
                 MAX_READ

@@ -132,7 +132,7 @@ impl Configuration {
         self.mergeable.summary(name)
     }
 
-    /// Returns the number of answered iterations after the warm-up.
+    /// Returns the number of successful iterations after the warm-up.
     pub(crate) fn iterations(&self) -> u64 {
         self.runs.iter().map(|run| run.counts.ok).sum()
     }

@@ -84,7 +84,7 @@ pub(crate) fn stacks(comparison: &Comparison, best: Option<usize>) -> (Vec<Stack
     (pictures.iter().enumerate().map(row).collect(), Axes::of(&scale))
 }
 
-/// Returns the mean latency of a configuration with its parts; `None` without an answered iteration.
+/// Returns the mean latency of a configuration with its parts; `None` without a successful iteration.
 pub(super) fn latency_bar(comparison: &Comparison, one: &Configuration) -> Option<LatencyBar> {
     let latency_of = |name: &str| {
         let QuantityStatistics { count, mean, std, .. } = *one.figures(name)?;

@@ -15,7 +15,7 @@ use peernet_store::{
     DelayAccuracy, Episodes, MeanBucket, RunSummary, Series, SeriesPoint, StageMeans, Store,
 };
 
-use super::choice::{ChosenRun, choose_runs, without_answer};
+use super::choice::{ChosenRun, choose_runs, without_success};
 use super::differences::CONCURRENT_READS;
 use super::{Comparison, Configuration};
 use crate::error::WebError;
@@ -134,7 +134,7 @@ pub(crate) fn over_time(comparison: &Comparison, series_by_run: &TimeSeriesByRun
         let is_short = axes.is_short(data) || data.length < data.width * MIN_EXACT_POINTS;
         let short = is_short.then(|| length_text(run, episodes)).flatten();
         let width = Some(points_of(data.width));
-        let texts = [episodes::summary(episodes), episodes::unanswered(episodes, run), width, short, beyond];
+        let texts = [episodes::summary(episodes), episodes::failed(episodes, run), width, short, beyond];
         RunPicture {
             run: run.number,
             name: one.name.clone(),
@@ -147,7 +147,7 @@ pub(crate) fn over_time(comparison: &Comparison, series_by_run: &TimeSeriesByRun
         unit: axes.unit(),
         legend: Picture::of_legend(&OverTimeAxes::legend(&all), "key plain"),
         all_runs,
-        missing: without_answer(comparison),
+        missing: without_success(comparison),
     })
 }
 
@@ -217,7 +217,7 @@ fn data(
     } else {
         format!("medians from {} to {} over {}", duration(lo), duration(hi), length(length_s))
     };
-    let remarks = [episodes::summary(episodes), episodes::unanswered(episodes, run)].into_iter().flatten();
+    let remarks = [episodes::summary(episodes), episodes::failed(episodes, run)].into_iter().flatten();
     let parts: Vec<String> = [range].into_iter().chain(remarks).collect();
     let label = format!("Run {}, {name} over time: {}", run.number, parts.join("; "));
     let data = StagesOverTime {
@@ -231,12 +231,7 @@ fn data(
             .map(|(from, until)| (since(*from).max(0.0), since(*until)))
             .filter(|(from, until)| until > from)
             .collect(),
-        unanswered: episodes
-            .unanswered_starts
-            .iter()
-            .filter(|at| is_inside(at))
-            .map(|at| since(*at))
-            .collect(),
+        failed: episodes.failed_starts.iter().filter(|at| is_inside(at)).map(|at| since(*at)).collect(),
         p95: run.total.as_ref().and_then(|total| total.p95),
     };
     (label, data)

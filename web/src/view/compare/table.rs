@@ -147,11 +147,8 @@ fn missed(one: &Configuration) -> Cell {
         Some(deadline) => format!("longer than {}", duration(deadline)),
         None => "longer than the deadline of their run".to_owned(),
     };
-    let explanation = format!(
-        "{} of {} iterations, {deadline} or without an answer",
-        count(misses.missed),
-        count(misses.iterations)
-    );
+    let explanation =
+        format!("{} of {} iterations, {deadline} or failed", count(misses.missed), count(misses.iterations));
     Cell { text: percent(rate), title: Some(explanation) }
 }
 

@@ -133,15 +133,15 @@ pub(crate) fn run_time_series(comparison: &Comparison) -> TimeSeriesByRun {
         });
         let total =
             StageSeries { stage: stage::TOTAL, unit: "s".to_owned(), points: seconds().map(point).collect() };
-        let unanswered = if first == Some(run.number) { vec![31, 32, 50] } else { Vec::new() };
+        let failed = if first == Some(run.number) { vec![31, 32, 50] } else { Vec::new() };
         let episodes = Episodes {
             first: Some(moment(0)),
             count: 4,
             steps: Some(900),
             borders: [15, 30, 45].map(moment).to_vec(),
             warm_up: vec![(moment(0), moment(15)), (moment(30), moment(31))],
-            unanswered_count: unanswered.len() as u64,
-            unanswered_starts: unanswered.into_iter().map(moment).collect(),
+            failed_count: failed.len() as u64,
+            failed_starts: failed.into_iter().map(moment).collect(),
         };
         let series = Series { bucket_s: 1, stages: vec![total], gaps: Vec::new() };
         Some((run.number, RunTimeSeries { series, means: means.collect(), episodes }))

@@ -32,7 +32,7 @@ fn run_with_standstill_has_no_rate() {
             statistics: &RunStatistics::default(),
             series: &Series { bucket_s: 1, stages: Vec::new(), gaps: Vec::new() },
             slowest: &[],
-            unanswered: &[],
+            failed: &[],
             episodes: &Episodes::default(),
             starts: Starts { started: 15, missing: Some(0), times, ..Starts::default() },
         };
@@ -86,7 +86,7 @@ fn page_and_summary_show_equal_numbers() {
         statistics: &statistics,
         series: &series,
         slowest: &[],
-        unanswered: &[],
+        failed: &[],
         episodes: &Episodes::default(),
         starts: Starts::default(),
     };
@@ -117,7 +117,7 @@ fn tables_of_short_run_have_digits_of_its_total() {
         statistics: &statistics,
         series: &series,
         slowest: std::slice::from_ref(&slow),
-        unanswered: &[],
+        failed: &[],
         episodes: &Episodes::default(),
         starts: Starts::default(),
     };

@@ -3,7 +3,7 @@
 use super::*;
 
 #[test]
-fn miss_rate_is_shown_beside_unanswered() {
+fn miss_rate_is_shown_beside_failed() {
     let mut runs = paper();
     runs[1].rows.change(|row| {
         let is_late = row.outcome != Outcome::Ok || row.iteration % 10 == 0;

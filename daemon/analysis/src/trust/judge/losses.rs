@@ -1,4 +1,4 @@
-//! Judgement of missing measurements: unanswered iterations, skipped starts, superseded answers, missing events and an early end.
+//! Judgement of missing measurements: failed iterations, skipped starts, superseded answers, missing events and an early end.
 
 use peernet_statistics::MIN_VALUES_FOR_P95;
 use peernet_statistics::number::{counted, fixed, rate};
@@ -7,10 +7,10 @@ use peernet_stream::Grade;
 use super::{END, finding, iterations, percent, with_advice};
 use crate::trust::{Counts, EndedEarly, Finding, MissingCount, MissingEvents, Starts, TrustInput};
 
-/// The finding is doubtful if more than this share of the iterations has no answer, more than this share of the starts was skipped, or more than
+/// The finding is doubtful if more than this share of the iterations failed, more than this share of the starts was skipped, or more than
 /// this share of the answers was superseded.
 pub const NOTABLE_SHARE: f64 = 0.001;
-/// Above this share of unanswered iterations, of skipped starts, or of superseded answers, the latency of the answered iterations is misleading.
+/// Above this share of failed iterations, of skipped starts, or of superseded answers, the latency of the successful iterations is misleading.
 const MISLEADING_SHARE: f64 = 0.1;
 /// If at least this share of the events is missing, the received events do not represent the whole run.
 const MAX_MISSING_SHARE: f64 = 0.05;
@@ -21,7 +21,7 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     let TrustInput { counts, missing, .. } = input;
     let mut findings = vec![judge_amount(counts)];
     if counts.measured() > 0 {
-        findings.push(judge_unanswered(counts));
+        findings.push(judge_failed(counts));
         findings.extend(judge_skipped_starts(&input.starts));
         findings.extend(judge_superseded(input));
     }
@@ -78,43 +78,43 @@ fn judge_amount(counts: &Counts) -> Finding {
     };
     match counts.ok {
         0 => {
-            let finding = finding(about, Grade::Bad, format!("No iteration was answered; {warm_up}."));
+            let finding = finding(about, Grade::Bad, format!("No iteration succeeded; {warm_up}."));
             with_advice(finding, "find the reasons on the run's page or in the column `reason` of `data.csv`")
         }
         few @ ..MIN_VALUES_FOR_P95 => {
-            let verb = if few == 1 { "was" } else { "were" };
-            let text = format!(
-                "Only {} {verb} answered: too few for a 95th percentile; {warm_up}.",
-                iterations(few)
-            );
+            let text =
+                format!("Only {} succeeded: too few for a 95th percentile; {warm_up}.", iterations(few));
             with_advice(
                 finding(about, Grade::Doubtful, text),
                 format!("measure at least {MIN_VALUES_FOR_P95} iterations, better 1,000"),
             )
         }
-        ok => finding(about, Grade::Good, format!("{} were answered; {warm_up}.", iterations(ok))),
+        ok => finding(about, Grade::Good, format!("{} succeeded; {warm_up}.", iterations(ok))),
     }
 }
 
-fn judge_unanswered(counts: &Counts) -> Finding {
+fn judge_failed(counts: &Counts) -> Finding {
     let about = "losses";
-    let outcomes = [(counts.failed, "failed"), (counts.lost, "lost"), (counts.timeout, "timed out")];
+    let outcomes = [
+        (counts.failed, "with an error of sensor, model or actuator"),
+        (counts.lost, "lost"),
+        (counts.timeout, "timed out"),
+    ];
     let occurred = outcomes.iter().filter(|(count, _)| *count > 0);
     let outcome_texts: Vec<String> =
         occurred.map(|(count, outcome)| format!("{} {outcome}", fixed(*count as f64, 0))).collect();
-    let share = counts.unanswered() as f64 / counts.measured() as f64;
+    let share = counts.all_failed() as f64 / counts.measured() as f64;
     if outcome_texts.is_empty() {
-        return finding(about, Grade::Good, "Every iteration had an answer.");
+        return finding(about, Grade::Good, "No iteration failed.");
     }
     let text = format!(
-        "{} of {} had no answer ({}): {}.",
-        fixed(counts.unanswered() as f64, 0),
+        "{} of {} failed ({}): {}.",
+        fixed(counts.all_failed() as f64, 0),
         iterations(counts.measured()),
         percent(share),
         outcome_texts.join(", ")
     );
-    let advice = "the statistics cover only answered iterations, and unanswered ones are rarely fast: report their share \
-                  beside the latency";
+    let advice = "the statistics leave out failed iterations, which are rarely fast: report their share beside the latency";
     match share {
         share if share > MISLEADING_SHARE => {
             with_advice(finding(about, Grade::Bad, text), format!("{advice}; find out why there are so many"))

@@ -13,7 +13,7 @@ fn time_series(total: Vec<(f64, f64)>) -> TimeSeries {
         stages: vec![Line { name: "upload".to_owned(), values: half }],
         warm_up: vec![(0.0, 5.0)],
         episodes: vec![40.0, 70.0],
-        unanswered: vec![20.0, 55.0, 55.001],
+        failed: vec![20.0, 55.0, 55.001],
         notes: vec!["n = 9".to_owned()],
     }
 }
@@ -22,7 +22,7 @@ fn time_series(total: Vec<(f64, f64)>) -> TimeSeries {
 fn warm_up_episodes_and_losses_are_marked() {
     let figure = time_series((0..100).map(|i| (f64::from(i), 0.05 + f64::from(i % 3) * 1e-3)).collect());
     let svg = figure.svg();
-    for text in ["total (band: range)", "upload", "warm-up", "no answer (3)", "new episode", "Latency, ms"] {
+    for text in ["total (band: range)", "upload", "warm-up", "failed (3)", "new episode", "Latency, ms"] {
         assert!(has(&svg, text), "{text} in {:?}", texts(&svg));
     }
     // The key's, and the first five seconds of 99.
@@ -62,12 +62,8 @@ fn single_stall_does_not_hide_the_run() {
 fn lines_stop_where_nothing_was_measured() {
     let with_gap = |i: u32| f64::from(i) + if i < 500 { 0.0 } else { 3000.0 };
     let lines = |total: Vec<(f64, f64)>| {
-        let figure = TimeSeries {
-            stages: Vec::new(),
-            episodes: Vec::new(),
-            unanswered: Vec::new(),
-            ..time_series(total)
-        };
+        let figure =
+            TimeSeries { stages: Vec::new(), episodes: Vec::new(), failed: Vec::new(), ..time_series(total) };
         Elements::of(&figure.svg(), "path").with("fill-opacity", "0.25").0[0]["d"].matches('Z').count()
     };
     assert_eq!(lines((0..1000).map(|i| (f64::from(i), 0.05)).collect()), 1);
@@ -83,7 +79,7 @@ fn unusual_runs_give_valid_figure() {
         let figure = TimeSeries {
             warm_up: Vec::new(),
             episodes: Vec::new(),
-            unanswered: Vec::new(),
+            failed: Vec::new(),
             ..time_series(values.clone())
         };
         let svg = figure.svg();

@@ -102,7 +102,7 @@ fn weeks_and_nothing_have_axes_too() {
 #[test]
 fn overlapping_marks_are_merged() {
     let mut stages = run(vec![bucket(0.0, 0.01)]);
-    (stages.unanswered, stages.borders) = (vec![5.0, 1.0, 1.01, 1.02], vec![2.5, 5.0]);
+    (stages.failed, stages.borders) = (vec![5.0, 1.0, 1.01, 1.02], vec![2.5, 5.0]);
     let plot = drawn(&stages);
     let rail = plot.top_strip.as_ref().expect("a rail");
     assert_eq!(path(&rail.items, "lost").map(pieces), Some(2));

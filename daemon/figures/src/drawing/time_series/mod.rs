@@ -1,4 +1,4 @@
-//! Figure of a run over time: latency, with episodes, warm-up and iterations without an answer.
+//! Figure of a run over time: latency, with episodes, warm-up and failed iterations.
 
 mod columns;
 
@@ -14,7 +14,7 @@ use peernet_analysis::warm_up::MAX_EPISODE_BORDERS;
 
 /// Maximum number of columns of a line.
 const MAX_COLUMNS: usize = 290;
-/// Height of the rail that shows iterations without an answer, points.
+/// Height of the rail that shows failed iterations, points.
 const RAIL_HEIGHT: f64 = 6.0;
 /// Half the width of a cross on the rail, points.
 const CROSS_HALF_WIDTH: f64 = 1.7;
@@ -48,8 +48,8 @@ pub struct TimeSeries {
     pub warm_up: Vec<(f64, f64)>,
     /// Start times of all episodes except the first.
     pub episodes: Vec<f64>,
-    /// Times of iterations without an answer.
-    pub unanswered: Vec<f64>,
+    /// Times of failed iterations.
+    pub failed: Vec<f64>,
     /// Notes below the figure, such as what is left out.
     pub notes: Vec<String>,
 }
@@ -66,9 +66,8 @@ pub struct Line {
 impl TimeSeries {
     fn times(&self) -> Option<(f64, f64)> {
         let lines = self.stages.iter().chain([&self.total]);
-        let times = lines
-            .flat_map(|line| line.values.iter().map(|(at, _)| *at))
-            .chain(self.unanswered.iter().copied());
+        let times =
+            lines.flat_map(|line| line.values.iter().map(|(at, _)| *at)).chain(self.failed.iter().copied());
         times.filter(|at| at.is_finite()).fold(None, |range: Option<(f64, f64)>, at| {
             Some(range.map_or((at, at), |(lo, hi)| (lo.min(at), hi.max(at))))
         })
@@ -108,8 +107,8 @@ impl TimeSeries {
         if !self.warm_up.is_empty() {
             keys.push(Key::new(Swatch::Area(Style::shade()), "warm-up"));
         }
-        if !self.unanswered.is_empty() {
-            let text = format!("no answer ({})", fixed(self.unanswered.len() as f64, 0));
+        if !self.failed.is_empty() {
+            let text = format!("failed ({})", fixed(self.failed.len() as f64, 0));
             keys.push(Key::new(Swatch::Mark(Mark::Cross, Style::lost()), text));
         }
         if self.has_borders() {
@@ -199,15 +198,15 @@ impl TimeSeries {
         items
     }
 
-    /// Returns the strip above the plot with the iterations without an answer.
+    /// Returns the strip above the plot with the failed iterations.
     fn rail(&self, plot: &Plot) -> Option<Strip> {
-        if self.unanswered.is_empty() {
+        if self.failed.is_empty() {
             return None;
         }
         let mut items = vec![Item::line(At::new(0.0, 0.5), At::new(1.0, 0.5), Style::grid())];
-        // Iterations without an answer in the same column become one mark.
+        // Failed iterations in the same column become one mark.
         let column = |at: &f64| (plot.x.scale.at(*at) * MAX_COLUMNS as f64) as usize;
-        let mut columns: Vec<usize> = self.unanswered.iter().map(column).collect();
+        let mut columns: Vec<usize> = self.failed.iter().map(column).collect();
         columns.sort_unstable();
         columns.dedup();
         let cross = |column: usize| {

@@ -48,7 +48,7 @@ fn unknown_delays_do_not_shorten_bars() {
     assert!((figure.bars[0].total - 11e-3).abs() < 1e-9, "{figure:?}");
     assert_eq!(drawings[0].missing, ["left out: 1 configuration without a counted iteration"]);
     let expected_notes = [
-        "n = 99 · left out: 10 warm-up, 16 without an answer",
+        "n = 99 · left out: 10 warm-up, 16 failed",
         "left out of the means: unknown delays, 50 of upload",
         "left out: 1 configuration without a counted iteration",
     ];
@@ -67,7 +67,7 @@ fn negative_delays_are_noted() {
     assert_eq!(notes("sensing"), [""; 0], "one clock");
 }
 
-/// Returns a run without an answer.
+/// Returns a run in which every iteration failed.
 fn failed() -> Loaded {
     let mut failed = run(20, |_| vec![("sensing", 1.0)]);
     failed.rows.change(|row| row.outcome = Outcome::Failed);
