@@ -8,11 +8,11 @@ use crate::clock_points::ClockPoint;
 use crate::fit::{Point, theil_sen};
 use crate::order::SortedValues;
 
-/// Returns the estimate of an offset and half the width of its bounds, seconds. `None` if sources or exchanges contradict each other:
-/// such an offset has no value.
-pub fn estimate_and_half_width(offset: &Offset) -> Option<(f64, f64)> {
-    let half = offset.bounds.width().seconds() / 2.0;
-    (offset.verdict != Verdict::Inconsistent).then(|| (offset.estimate.seconds(), half))
+/// Returns the estimate of an offset and its largest error, seconds: the larger distance from the estimate to an end of the bounds, because
+/// the estimate is seldom in their middle. `None` if sources or exchanges contradict each other: such an offset has no value.
+pub fn estimate_and_max_error(offset: &Offset) -> Option<(f64, f64)> {
+    let [estimate, lo, hi] = [offset.estimate, offset.bounds.lo, offset.bounds.hi].map(|span| span.seconds());
+    (offset.verdict != Verdict::Inconsistent).then(|| (estimate, (hi - estimate).max(estimate - lo)))
 }
 
 /// Straight lines through the estimates: one line for each window. A new window begins after each clock step.
@@ -37,7 +37,7 @@ impl OffsetTrend {
         let mut windows: BTreeMap<u64, Vec<(WallTime, f64)>> = BTreeMap::new();
         for point in points {
             if let Some(offset) =
-                point.offset.as_ref().filter(|offset| estimate_and_half_width(offset).is_some())
+                point.offset.as_ref().filter(|offset| estimate_and_max_error(offset).is_some())
             {
                 windows.entry(point.window).or_default().push((offset.at, offset.estimate.seconds()));
             }

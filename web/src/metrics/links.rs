@@ -6,7 +6,7 @@ use peernet_stream::{Connection, ConnectionStatistics, DirectionStatistics, Prob
 
 use super::scrape::Scrape;
 use super::table::{Sample, Sink};
-use crate::view::link::estimate_and_half_width;
+use crate::view::link::estimate_and_max_error;
 
 /// Time over which probes are counted.
 const WINDOW: Span = Span::from_seconds(60);
@@ -27,8 +27,9 @@ pub(super) fn write_each(
 
 /// Returns half the width of the offset's interval; `None` if the sources contradict each other.
 pub(super) fn half_width(link: &LinkSnapshot) -> Option<Sample> {
-    let (_, half_width) = estimate_and_half_width(link.live.latest_sample.offset.as_ref()?)?;
-    Some(Sample::Value(half_width))
+    let offset = link.live.latest_sample.offset.as_ref()?;
+    estimate_and_max_error(offset)?;
+    Some(Sample::Value(offset.bounds.width().seconds() / 2.0))
 }
 
 /// Returns the share of probes that were lost.

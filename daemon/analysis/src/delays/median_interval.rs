@@ -61,6 +61,11 @@ pub struct ClockInterval {
 }
 
 impl ClockInterval {
+    /// Returns the interval of the median of single values ([`median_bounds`]); `None` unless every value has bounds.
+    pub fn of_median(bounds: impl Iterator<Item = Option<(f64, f64)>>) -> Option<Self> {
+        median_bounds(bounds).map(|(lo, hi)| Self { lo, hi, method: IntervalMethod::Ends })
+    }
+
     /// Returns both ends.
     pub const fn ends(&self) -> (f64, f64) {
         (self.lo, self.hi)

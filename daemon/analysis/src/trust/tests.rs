@@ -310,7 +310,7 @@ fn delay_verdicts_are_graded_per_direction() {
     let mut rows = rows(quiet(300));
     rows.change(|row| send(row, Verdict::Ok));
     let report = judged(&rows);
-    let text = "Of the delays of `upload`, ok 100\u{202f}%; the median of 6.00\u{202f}ms is known to ±0.65\u{202f}ms.";
+    let text = "Of the delays of `upload`, ok 100\u{202f}%; the median of 6.00\u{202f}ms lies between 5.35 and 6.65\u{202f}ms.";
     assert_eq!(about(&report, "clocks, upload"), (Grade::Good, text));
 }
 

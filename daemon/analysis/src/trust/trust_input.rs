@@ -11,7 +11,7 @@ use super::{EndedEarly, Restarts, Starts, TimeSeries};
 use crate::accuracy::{Accuracy, UnknownLabels};
 use crate::actuator_results::ActuatorResults;
 use crate::answer_length::{answer_tokens, tokens_of_column};
-use crate::delays::median_width;
+use crate::delays::ClockInterval;
 use crate::order::SortedValues;
 use crate::rows::{Outcome, RowRef, Rows};
 use crate::stage_split::StageSplit;
@@ -109,8 +109,8 @@ pub struct Clocks {
     pub verdicts: Vec<(Verdict, u64)>,
     /// Median delay, seconds.
     pub delay: Option<f64>,
-    /// Median of half the width of the bounds of a delay, seconds.
-    pub half_width: Option<f64>,
+    /// Interval of the median delay by the clock bounds, seconds; `None` unless every delay has bounds.
+    pub interval: Option<ClockInterval>,
 }
 
 impl TrustInput {
@@ -217,15 +217,17 @@ impl Clocks {
             // The order in which the store numbers verdicts, so that both sources list them alike.
             let order = Verdict::ALL.iter().position(|other| *other == verdict).unwrap_or(usize::MAX);
             verdicts.entry(order).or_insert((verdict, 0)).1 += 1;
-            known_delays.extend(delay.known_seconds());
-            bounds.extend(delay.known_bounds());
+            if let Some(seconds) = delay.known_seconds() {
+                known_delays.push(seconds);
+                bounds.push(delay.known_bounds());
+            }
         }
         let verdicts: Vec<(Verdict, u64)> = verdicts.into_values().collect();
         (!verdicts.is_empty()).then(|| Self {
             stage: stage.to_owned(),
             verdicts,
             delay: known_delays.into_iter().collect::<SortedValues>().median(),
-            half_width: median_width(bounds.into_iter()).map(|width| width / 2.0),
+            interval: ClockInterval::of_median(bounds.into_iter()),
         })
     }
 }

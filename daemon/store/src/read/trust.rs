@@ -160,11 +160,14 @@ fn collect(
             .collect(),
         clocks: bounds
             .iter()
-            .map(|bound| Clocks {
-                stage: bound.stage.to_string(),
-                verdicts: bound.verdicts.clone(),
-                delay: statistics_of(&bound.stage).map(|statistics| statistics.p50),
-                half_width: bound.half_width.map(|width| width.p50),
+            .map(|bound| {
+                let delay = statistics_of(&bound.stage);
+                Clocks {
+                    stage: bound.stage.to_string(),
+                    verdicts: bound.verdicts.clone(),
+                    delay: delay.as_ref().map(|statistics| statistics.p50),
+                    interval: delay.as_ref().and_then(|statistics| bound.interval_of_median(statistics)),
+                }
             })
             .collect(),
         stages,

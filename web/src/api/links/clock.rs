@@ -5,7 +5,7 @@ use peernet_stream::{self as stream, DelayPoint, DelaySecond, ProbeCounts};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use crate::view::link::estimate_and_half_width;
+use crate::view::link::estimate_and_max_error;
 
 /// Offset between the two related clocks at one time: cloud minus edge. `clocks` names the clocks.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -43,7 +43,7 @@ impl From<&Offset> for ClockOffset {
             lo_s: interval.lo.seconds(),
             hi_s: interval.hi.seconds(),
         });
-        let consistent = estimate_and_half_width(offset).is_some();
+        let consistent = estimate_and_max_error(offset).is_some();
         let value = |span: Span| consistent.then(|| span.seconds());
         Self {
             estimate_s: value(offset.estimate),

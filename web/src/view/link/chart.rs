@@ -15,7 +15,7 @@ use super::super::speed::NetworkDirection;
 use super::delays::{bounds, of_point};
 use super::time_series::LinkTimeSeries;
 use super::tracks::{Place, RailSign, Track, Tracks, span};
-use super::{Subject, estimate_and_half_width, offset};
+use super::{Subject, estimate_and_max_error, offset};
 use crate::picture::Picture;
 use crate::zone::Zone;
 
@@ -312,15 +312,15 @@ fn finding(subject: &Subject<'_>, plan: &Plan<'_>, incidents: usize) -> String {
             text.push_str(&format!(" Median {} {range}{worst}.", direction.delay()));
         }
     }
-    let widths: Vec<f64> = time_series
+    let max_errors: Vec<f64> = time_series
         .points
         .iter()
-        .filter_map(|point| estimate_and_half_width(point.offset.as_ref()?))
-        .map(|(_, half)| half)
+        .filter_map(|point| estimate_and_max_error(point.offset.as_ref()?))
+        .map(|(_, max_error)| max_error)
         .collect();
     if let (Some(least), Some(most), false) = (
-        widths.iter().copied().reduce(f64::min),
-        widths.iter().copied().reduce(f64::max),
+        max_errors.iter().copied().reduce(f64::min),
+        max_errors.iter().copied().reduce(f64::max),
         subject.same_clock(),
     ) {
         text.push_str(&format!(" The offset was known to {} to {}.", bound_ms(least), bound(most)));

@@ -32,10 +32,10 @@ pub(crate) fn title(subject: &Subject<'_>, zone: Zone) -> String {
     if subject.contradicts() {
         return format!("{route}: {CONTRADICTION}, so no one-way delay can be trusted");
     }
-    let (Some(half), Some(offset)) = (subject.bound(), subject.offset()) else {
+    let (Some(max_error), Some(offset)) = (subject.bound(), subject.offset()) else {
         return format!("{route}: {}, so one-way delays are not known", no_offset(subject));
     };
-    let bound = bound(half);
+    let bound = bound(max_error);
     match offset.verdict {
         Verdict::Stale if is_young(offset) => return format!("{route}: {TOO_YOUNG}"),
         Verdict::Stale => {

@@ -10,7 +10,7 @@ use super::super::chip::Chip;
 use super::super::clock_fault::{self, FaultyClocks};
 use super::super::now::Cell;
 use super::stats::ppm;
-use super::{CONTRADICTION, Subject, estimate_and_half_width, is_live, is_young, panels};
+use super::{CONTRADICTION, Subject, estimate_and_max_error, is_live, is_young, panels};
 use crate::zone::{Zone, ZonedTime};
 
 /// Current state of a link.
@@ -83,12 +83,14 @@ impl LinkLine {
             network: link.live.network().to_string(),
             bound: clock_cell(subject.bound().map(bound_ms)),
             offset: clock_cell(
-                offset.and_then(estimate_and_half_width).map(|(estimate, half)| offset_ms(estimate, half)),
+                offset
+                    .and_then(estimate_and_max_error)
+                    .map(|(estimate, max_error)| offset_ms(estimate, max_error)),
             ),
             drift: if is_same_clock {
                 clock_cell(None)
             } else {
-                let consistent = offset.filter(|offset| estimate_and_half_width(offset).is_some());
+                let consistent = offset.filter(|offset| estimate_and_max_error(offset).is_some());
                 let why = if subject.contradicts() { why } else { "too few exchanges yet" };
                 cell(consistent.and_then(|offset| offset.skew_ppm).map(ppm), why)
             },

@@ -18,7 +18,7 @@ pub(crate) mod traffic;
 use std::sync::Arc;
 
 use peernet_aggregator::{LinkSnapshot, LiveState};
-pub(crate) use peernet_analysis::offset_trend::estimate_and_half_width;
+pub(crate) use peernet_analysis::offset_trend::estimate_and_max_error;
 use peernet_clock::{Offset, RelatedClocks, Span, Verdict, WallTime};
 use peernet_store::{ClockPoint, DelayAssumptions, LinkKey, LinkRow};
 use peernet_stream::{NetworkName, Placement, PlacementKind};
@@ -230,12 +230,12 @@ impl<'a> Subject<'a> {
         })
     }
 
-    /// Returns half the width of the offset's bounds, seconds; `None` without bounds.
+    /// Returns the largest error of the offset's estimate, seconds; `None` without bounds.
     pub(crate) fn bound(&self) -> Option<f64> {
         if self.same_clock() {
             return Some(0.0);
         }
-        estimate_and_half_width(self.offset()?).map(|(_, half)| half)
+        estimate_and_max_error(self.offset()?).map(|(_, max_error)| max_error)
     }
 
     /// Returns the delays of messages in the last ten seconds. Delays from before the current clock relation was established are excluded, so

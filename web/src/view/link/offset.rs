@@ -8,7 +8,7 @@ use peernet_figures::scale::Scale;
 use peernet_store::ClockPoint;
 
 use super::chart::{OffsetView, Plan, beyond, distance_from_top, reach};
-use super::estimate_and_half_width;
+use super::estimate_and_max_error;
 use super::tracks::Track;
 
 /// An interval of another source extends the scale only up to this multiple of the band.
@@ -45,7 +45,7 @@ pub(super) fn track(cloud: &str, plan: &Plan<'_>, view: OffsetView) -> Track {
     };
     // If sources contradict each other, there is no band. The intervals of the other sources are drawn nevertheless.
     let offset =
-        |point: &ClockPoint| point.offset.clone().filter(|offset| estimate_and_half_width(offset).is_some());
+        |point: &ClockPoint| point.offset.clone().filter(|offset| estimate_and_max_error(offset).is_some());
     let band = |point: &ClockPoint| Some(ends(point, offset(point)?.bounds));
     let interval_by = |point: &ClockPoint, source: DelaySource| {
         let (_, interval) = point.offset.as_ref()?.sources.iter().find(|(other, _)| *other == source)?;

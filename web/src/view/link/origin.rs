@@ -1,12 +1,12 @@
-//! Origin of the bound of an offset, and advice to narrow it.
+//! Origin of the bounds of an offset, and advice to narrow it.
 
 use peernet_clock::{DelaySource, Discipline, Interval, Offset, RelatedClocks, Span};
-use peernet_statistics::number::{NONE, SPACE, bound, count, interval_ms, trip_ms};
+use peernet_statistics::number::{NONE, SPACE, count, interval_ms, trip_ms};
 use peernet_stream::{HostClock, Probing};
 
 use super::list::TOO_YOUNG;
 use super::time_series::LinkTimeSeries;
-use super::{Subject, estimate_and_half_width, is_young};
+use super::{Subject, estimate_and_max_error, is_young};
 
 /// The interval of the offset by one source.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -18,10 +18,10 @@ pub(crate) struct SourceRow {
     pub sum: bool,
 }
 
-/// The sources of a bound, the reasons for its width, and advice.
+/// The sources of the bounds of an offset, the reasons for their width, and advice.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Origin {
-    /// `Where ±0.65 ms comes from`.
+    /// `Where the bounds come from`.
     pub title: String,
     pub rows: Vec<SourceRow>,
     /// Sentences.
@@ -73,7 +73,7 @@ impl Origin {
             .map(|(name, interval)| row(source(*name, offset.exchanges), *interval, false))
             .collect();
         let has_several = offset.sources.len() > 1;
-        let Some((_, half)) = estimate_and_half_width(offset) else {
+        if estimate_and_max_error(offset).is_none() {
             // The hull of two intervals that exclude each other is not an interval of the offset.
             let name = if has_several { "no common interval" } else { "not to be trusted" };
             let none = || NONE.to_owned();
@@ -86,12 +86,12 @@ impl Origin {
                 hint_title: "To find out",
                 hints: vec![hint.to_owned()],
             };
-        };
+        }
         rows.extend(unused_claims(subject, offset));
         rows.push(row(if has_several { "intersection" } else { "used" }.to_owned(), offset.bounds, true));
-        let verb = if subject.connected { "comes" } else { "came" };
+        let verb = if subject.connected { "come" } else { "came" };
         Self {
-            title: format!("Where {} {verb} from", bound(half)),
+            title: format!("Where the bounds {verb} from"),
             rows,
             why: explain_bound(offset, time_series),
             hint_title: "To narrow it",
@@ -136,7 +136,7 @@ const CONTRADICTING_EXCHANGES: (&str, &str) = (
      max_drift_change_ppm_per_s) above what the clocks really do",
 );
 
-/// Returns the reasons for the width of the bound, in sentences.
+/// Returns the reasons for the width of the bounds, in sentences.
 fn explain_bound(offset: &Offset, time_series: &LinkTimeSeries) -> Vec<String> {
     let mut why = Vec::new();
     let half = offset.bounds.width().seconds() / 2.0;
@@ -147,16 +147,15 @@ fn explain_bound(offset: &Offset, time_series: &LinkTimeSeries) -> Vec<String> {
         let best = min / 2.0;
         let smallest = format!("The smallest probe round trip took {}{SPACE}ms", trip_ms(min));
         let general = "A round trip cannot tell how its time splits between the directions.".to_owned();
-        let best_words = bound(best);
         why.push(if half > best * 1.3 {
             format!(
-                "{general} {smallest}, so at best the offset is known to within half of it, {best_words}; since then the bound grows \
-                 with the drift that two clocks may have."
+                "{general} {smallest}, so at best the bounds of the offset are that far apart; since then they move apart with \
+                 the drift that two clocks may have."
             )
         } else if half < best * 0.7 {
-            format!("{general} {smallest}, which alone gives {best_words}; {}.", describe_narrowing(offset))
+            format!("{general} {smallest}, and so far apart are the bounds that it gives; {}.", describe_narrowing(offset))
         } else {
-            format!("{general} {smallest}, so the offset is known to within half of it, {best_words}.")
+            format!("{general} {smallest}, so the bounds of the offset are about that far apart.")
         });
     } else {
         why.push(

@@ -6,7 +6,7 @@ use peernet_stream::{HostClock, ProbeCounts, Probing};
 
 use super::super::{clock_fault, counted};
 use super::time_series::LinkTimeSeries;
-use super::{CONTRADICTION, Subject, estimate_and_half_width};
+use super::{CONTRADICTION, Subject, estimate_and_max_error};
 
 /// Pairs of a name and a text.
 pub(crate) type Pairs = Vec<(&'static str, String)>;
@@ -138,9 +138,9 @@ pub(crate) fn reflector(subject: &Subject<'_>) -> Pairs {
     if let Some(trip) = reflector.round_trip {
         pairs.push(("Round trip", format_round_trip(trip.min.seconds(), trip.median.seconds())));
     }
-    let offset = reflector.offset.as_ref().map(|offset| match estimate_and_half_width(offset) {
-        Some((estimate, half)) => {
-            let words = format!("{}{SPACE}ms, {}", offset_ms(estimate, half), bound(half));
+    let offset = reflector.offset.as_ref().map(|offset| match estimate_and_max_error(offset) {
+        Some((estimate, max_error)) => {
+            let words = format!("{}{SPACE}ms, {}", offset_ms(estimate, max_error), bound(max_error));
             if offset.verdict == Verdict::Stale { format!("{words}, stale") } else { words }
         }
         None => CONTRADICTION.to_owned(),

@@ -1,6 +1,6 @@
 //! The current numbers of a link.
 
-use peernet_clock::RelatedClocks;
+use peernet_clock::{RelatedClocks, Span};
 use peernet_statistics::number::{
     NONE, SPACE, bound, count, figure, fixed, length, offset_ms, percent, trip_ms,
 };
@@ -9,7 +9,7 @@ use super::super::chip::Chip;
 use super::super::speed::NetworkDirection;
 use super::list::no_offset;
 use super::time_series::LinkTimeSeries;
-use super::{CONTRADICTION, Subject, estimate_and_half_width};
+use super::{CONTRADICTION, Subject, estimate_and_max_error};
 
 /// A number with its name, its unit and a line of explanation.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -71,25 +71,27 @@ fn offset(subject: &Subject<'_>) -> Stat {
         RelatedClocks::Raw => "Offset of the free-running clocks",
         RelatedClocks::RawToWall => "Offset, free-running to wall clock",
     };
-    let Some((estimate, half)) = subject.offset().and_then(estimate_and_half_width) else {
+    let known = subject.offset().and_then(|offset| Some((offset.bounds, estimate_and_max_error(offset)?)));
+    let Some((bounds, (estimate, max_error))) = known else {
         return Stat::new(name, None, "ms", no_offset(subject).to_owned());
     };
     let suffix = if subject.connected { "" } else { ", when last reported" };
     if subject.clocks() != RelatedClocks::Wall {
         // Free-running clocks count from the start of their machines. Which of them is ahead says nothing about the time of day.
-        let line = format!("free-running clocks count from the machine's start, {}{suffix}", bound(half));
-        return Stat::new(name, Some(offset_ms(estimate, half)), "ms", line);
+        let line =
+            format!("free-running clocks count from the machine's start, {}{suffix}", bound(max_error));
+        return Stat::new(name, Some(offset_ms(estimate, max_error)), "ms", line);
     }
     // If zero lies within the bounds, neither clock is known to be ahead.
-    let comparison = if estimate.abs() <= half {
+    let comparison = if bounds.contains(Span::ZERO) {
         "neither clock is known to be ahead".to_owned()
     } else if estimate > 0.0 {
         format!("{} is ahead", subject.cloud)
     } else {
         format!("{} is behind", subject.cloud)
     };
-    let line = format!("{comparison}, {}{suffix}", bound(half));
-    Stat::new(name, Some(offset_ms(estimate, half)), "ms", line)
+    let line = format!("{comparison}, {}{suffix}", bound(max_error));
+    Stat::new(name, Some(offset_ms(estimate, max_error)), "ms", line)
 }
 
 /// Formats parts per million with a sign: `+12.4`.
@@ -99,7 +101,7 @@ pub(crate) fn ppm(value: f64) -> String {
 }
 
 fn drift(subject: &Subject<'_>) -> Stat {
-    let consistent = subject.offset().filter(|offset| estimate_and_half_width(offset).is_some());
+    let consistent = subject.offset().filter(|offset| estimate_and_max_error(offset).is_some());
     let skew = consistent.and_then(|offset| offset.skew_ppm);
     let absence_reason =
         || if subject.contradicts() { CONTRADICTION } else { "too few exchanges yet" }.to_owned();

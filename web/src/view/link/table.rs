@@ -7,7 +7,7 @@ use peernet_store::ClockPoint;
 use super::super::chip::Sign;
 use super::super::speed::NetworkDirection;
 use super::delays::Delays;
-use super::estimate_and_half_width;
+use super::estimate_and_max_error;
 use super::stats::ppm;
 use super::time_series::LinkTimeSeries;
 use crate::zone::{Zone, ZonedTime};
@@ -59,15 +59,16 @@ impl Row {
     fn of(point: &ClockPoint, zone: Zone) -> Self {
         let dash = || NONE.to_owned();
         let offset = point.offset.as_ref();
-        let estimate_and_half = offset.and_then(estimate_and_half_width);
+        let estimate_and_error = offset.and_then(estimate_and_max_error);
         let trip = point.round_trip;
         Self {
             at: zone.moment(point.at),
             up: Direction::of(&Delays::of(NetworkDirection::Up, [point])),
             down: Direction::of(&Delays::of(NetworkDirection::Down, [point])),
-            offset: estimate_and_half.map_or_else(dash, |(estimate, half)| offset_ms(estimate, half)),
-            bound: estimate_and_half.map_or_else(dash, |(_, half)| bound_ms(half)),
-            drift: estimate_and_half.and(offset).and_then(|offset| offset.skew_ppm).map_or_else(dash, ppm),
+            offset: estimate_and_error
+                .map_or_else(dash, |(estimate, max_error)| offset_ms(estimate, max_error)),
+            bound: estimate_and_error.map_or_else(dash, |(_, max_error)| bound_ms(max_error)),
+            drift: estimate_and_error.and(offset).and_then(|offset| offset.skew_ppm).map_or_else(dash, ppm),
             smallest: trip.map_or_else(dash, |trip| trip_ms(trip.min.seconds())),
             median: trip.map_or_else(dash, |trip| trip_ms(trip.median.seconds())),
             sent: count(point.probes.sent.into()),

@@ -1,10 +1,11 @@
 //! Judgement of the one-way delays. The total does not depend on them, because it is measured on the edge alone.
 
 use peernet_clock::Verdict;
-use peernet_statistics::number::{bound_ms, milliseconds};
+use peernet_statistics::number::{ends_ms, milliseconds, within_ms};
 use peernet_stream::Grade;
 
 use super::{finding, percent, with_advice};
+use crate::delays::ClockInterval;
 use crate::trust::{Clocks, Finding, TrustInput};
 
 /// If at least this share of the delays has no value, the grade is bad.
@@ -26,18 +27,25 @@ fn judge_direction(clocks: &Clocks) -> Option<Finding> {
         .filter(|(_, count)| *count > 0)
         .map(|(verdict, count)| format!("{verdict} {}", percent(*count as f64 / total as f64)))
         .collect();
-    let precision = match (clocks.delay, clocks.half_width) {
-        (Some(delay), Some(0.0)) => {
+    let precision = match (clocks.delay, clocks.interval) {
+        (Some(delay), Some(ClockInterval { lo, hi, .. })) if lo == hi => {
             format!("the median of {}\u{202f}ms is exact: both ends read one clock", milliseconds(delay))
         }
-        (Some(delay), Some(half_width)) => {
+        (Some(delay), Some(ClockInterval { lo, hi, method })) => {
+            let remark = method.remark().map_or_else(String::new, |remark| format!(" ({remark})"));
             format!(
-                "the median of {}\u{202f}ms is known to {}\u{202f}ms",
-                milliseconds(delay),
-                bound_ms(half_width)
+                "the median of {}\u{202f}ms lies between {}\u{202f}ms{remark}",
+                within_ms(delay, (lo, hi)),
+                ends_ms(lo, hi).join(" and ")
             )
         }
-        _ => "no delay has a value".to_owned(),
+        (Some(delay), None) => {
+            format!(
+                "the median of {}\u{202f}ms has no bounds, because some delays have none",
+                milliseconds(delay)
+            )
+        }
+        (None, _) => "no delay has a value".to_owned(),
     };
     let text = format!("Of the delays of `{stage}`, {}; {precision}.", verdict_shares.join(", "));
     let unusable_verdicts = [Verdict::Unsynchronised, Verdict::Stepped, Verdict::Inconsistent];

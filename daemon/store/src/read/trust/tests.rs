@@ -257,7 +257,11 @@ fn rows_and_roll_ups_give_same_findings() {
             .map(|verdict| (verdict, delays().filter(|one| one.verdict == verdict).count() as u64));
         let mut half_widths = delays().filter_map(|one| one.known_bounds()).map(|(lo, hi)| (hi - lo) / 2.0);
         let half_width = of_values(&stage, &mut half_widths).map(|one| one.figures);
-        DelayAccuracy { stage, half_width, ends: None, verdicts: verdicts.to_vec() }
+        let bounds = || delays().filter_map(|one| one.known_bounds());
+        let end = |values: &mut dyn Iterator<Item = f64>| of_values(&stage, values).map(|one| one.figures);
+        let ends = end(&mut bounds().map(|(lo, _)| lo)).zip(end(&mut bounds().map(|(_, hi)| hi)));
+        let ends = ends.map(|(lower, upper)| [lower, upper]);
+        DelayAccuracy { half_width, ends, verdicts: verdicts.to_vec(), stage }
     });
     let statistics = RunStatistics {
         stages: stages.chain(overrun).collect(),
@@ -280,8 +284,13 @@ fn rows_and_roll_ups_give_same_findings() {
         assert_eq!((&rows.stage, &rows.verdicts), (&stored.stage, &stored.verdicts));
         let within =
             |a: Option<f64>, b: Option<f64>| a.zip(b).is_some_and(|(a, b)| (a / b - 1.0).abs() < 0.011);
+        let [of_rows, of_store] =
+            [rows, stored].map(|clocks| clocks.interval.expect("every delay has bounds"));
         assert!(
-            within(rows.delay, stored.delay) && within(rows.half_width, stored.half_width),
+            within(rows.delay, stored.delay)
+                && within(Some(of_rows.lo), Some(of_store.lo))
+                && within(Some(of_rows.hi), Some(of_store.hi))
+                && of_rows.method == of_store.method,
             "{rows:?} {stored:?}"
         );
     }

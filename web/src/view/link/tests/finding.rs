@@ -20,6 +20,11 @@ fn title_says_whether_delays_can_be_trusted() {
         "cam-1 → rack-a: upload and download times can be trusted to ±0.050\u{202f}ms"
     );
     assert!(say(&link(Some(0.004), &[])).contains("read them as intervals"));
+    // The true offset may be farther from the estimate than half the width of its bounds.
+    let mut beside = link(Some(0.0005), &[]);
+    let offset = beside.live.latest_sample.offset.as_mut().expect("known");
+    offset.estimate = offset.bounds.lo + Span::from_micros(100);
+    assert!(say(&beside).contains(" can be trusted to ±0.90\u{202f}ms"), "{}", say(&beside));
     assert!(say(&link(None, &[])).contains("were never related"));
     let mut one = link(Some(0.0), &[]);
     one.live.same_clock = true;

@@ -30,6 +30,14 @@ fn offset_interval_with_zero_is_undecided() {
     let line = |name: &str| stats.iter().find(|stat| stat.name == name).expect("a figure").line.clone();
     assert_eq!(line("Clock offset"), "neither clock is known to be ahead, ±0.004\u{202f}ms");
     assert_eq!(line("Drift"), "both run alike");
+    // The estimate is seldom in the middle of its bounds: those of 5.6 ms are 5.5 and 6.5 ms.
+    let offset = level.live.latest_sample.offset.as_mut().expect("known");
+    let [lo, estimate, hi] = [5_500, 5_600, 6_500].map(Span::from_micros);
+    (offset.estimate, offset.bounds) = (estimate, Interval { lo, hi });
+    let stats = stats::all(&Subject::live(&level), &time_series(&level));
+    let stat = stats.iter().find(|stat| stat.name == "Clock offset").expect("a figure");
+    assert_eq!(stat.number, "+5.60");
+    assert!(stat.line.ends_with("is ahead, ±0.90\u{202f}ms"), "{}", stat.line);
 }
 
 #[test]
