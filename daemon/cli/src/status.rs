@@ -123,7 +123,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
             "where",
             "state",
             "rate /s",
-            "lost %",
+            "failed %",
             "missed %",
             "p50 ms",
             "p95 ms",

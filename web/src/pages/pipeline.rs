@@ -191,7 +191,7 @@ fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
         }
     };
     let traffic = speed::traffic(kind, window);
-    let lost = window.lost_fraction.map_or_else(|| NONE.to_owned(), percent);
+    let failed = window.lost_fraction.map_or_else(|| NONE.to_owned(), percent);
     let accuracies = look::ACCURACIES.into_iter().filter_map(|(name, label)| {
         let number = share(window.value(name)?.mean);
         let title = "accuracy: how often the model was right, where samples have labels".to_owned();
@@ -204,7 +204,12 @@ fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
         time("Max", |total| Some(total.max)),
         Stat { name: "Rate", number: rate(window.rate_hz), unit: "/s", title: String::new() },
         Stat { name: "Iterations", number: count(window.counts.total()), unit: "", title: String::new() },
-        Stat { name: "Lost", unit: if lost == NONE { "" } else { "%" }, number: lost, title: String::new() },
+        Stat {
+            name: "Failed",
+            unit: if failed == NONE { "" } else { "%" },
+            number: failed,
+            title: String::new(),
+        },
         speed("Speed up", NetworkDirection::Up),
         speed("Speed down", NetworkDirection::Down),
         Stat {
