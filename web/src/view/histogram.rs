@@ -1,7 +1,8 @@
 //! Distribution of one quantity of a run.
 
-use peernet_figures::drawing::{Distribution, View};
+use peernet_figures::drawing::{Counted, Distribution, View};
 use peernet_figures::look::stage;
+use peernet_logger::IterationValues;
 use peernet_store::Histogram;
 
 use super::units::axis_unit;
@@ -27,6 +28,11 @@ pub(crate) fn histogram(stored: &Histogram, view: View, is_logarithmic: bool) ->
     let distribution = Distribution {
         edges: stored.edges.clone(),
         counts: stored.counts.clone(),
+        counted: if IterationValues::has_one_value(&stored.stage) {
+            Counted::Iterations
+        } else {
+            Counted::Values
+        },
         beyond: (stored.below, stored.beyond),
         quantiles,
         unit,

@@ -99,7 +99,8 @@ impl StoredRun<'_> {
             number: row.number,
             label: count(row.number),
             at: zone.moment(row.started),
-            outcome: row.outcome.clone(),
+            // Statistics and counts exclude the warm-up.
+            outcome: if row.warm_up { format!("{}, warm-up", row.outcome) } else { row.outcome.clone() },
             reason: row.reason.clone().unwrap_or_else(|| NONE.to_owned()),
         };
         self.failed.iter().map(row).collect()

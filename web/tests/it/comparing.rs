@@ -2,6 +2,7 @@
 
 use axum::http::StatusCode;
 use peernet_analysis::compare::{Comparison, Differences};
+use peernet_analysis::trust::{Report, TrustInput};
 use peernet_analysis::users::Users;
 use peernet_results::ResultFolder;
 use peernet_statistics::number::{mean_std_ms, measured, rate};
@@ -57,6 +58,22 @@ async fn skipped_starts_before_failed_iterations_are_shown() {
     );
     let page = dashboard.get("/runs/2").await;
     assert!(page.text().contains("<dt>Skipped starts</dt><dd>70</dd>"), "{}", page.text());
+    // Of the first eight failed iterations, two belong to the warm-up, which no count includes.
+    let panel = page.text().split("Failed iterations</h2>").nth(1).expect("a panel");
+    let panel = panel.split("</section>").next().expect("its end");
+    let count_of = |cell: &str| panel.matches(&format!("<td>{cell}</td>")).count();
+    assert_eq!((count_of("timeout, warm-up"), count_of("timeout")), (2, 6), "{panel}");
+    let finding = sentences.iter().find(|sentence| sentence["about"] == "losses").expect("said");
+    let text = "10 of 100 iterations failed (10\u{202f}%): 10 timed out.";
+    assert_eq!(finding["text"], text);
+    // The same sentence follows from the file of the run.
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let file = folder.path().join("run.csv");
+    std::fs::write(&file, dashboard.get("/api/v1/runs/2/export").await.text()).expect("writable");
+    let rows = ResultFolder::open(&file).expect("a file of results").rows;
+    let report = Report::new(&TrustInput::from_rows(&rows, &[]));
+    let of_file = report.findings.iter().find(|finding| finding.about == "losses").expect("said");
+    assert_eq!(of_file.text, text);
 
     let compared = dashboard.get("/api/v1/compare?runs=1,2").await.json();
     let counts = |at: usize| {
@@ -70,6 +87,26 @@ async fn skipped_starts_before_failed_iterations_are_shown() {
     let page = dashboard.get("/compare?runs=1,2").await;
     assert!(page.text().contains(publication) && page.text().contains(skipped), "{}", page.text());
     assert_eq!(dashboard.get("/api/v1/compare?runs=1").await.json()["doubts"], serde_json::json!([]));
+}
+
+#[tokio::test]
+async fn values_of_repeated_nodes_are_not_called_iterations() {
+    let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
+    site.store_crops(0, 120).await;
+    let page = dashboard.get("/compare?runs=2&stage=crop").await;
+    assert!(page.text().contains("200 values, median "), "{}", page.text());
+    let page = dashboard.get("/compare?runs=2&stage=inference").await;
+    assert!(page.text().contains("100 iterations, median "), "{}", page.text());
+    let [crop, inference] = ["crop", "inference"].map(|name| format!("/runs/2?stage={name}"));
+    for (address, title) in [(crop, ">values<"), (inference, ">iterations<")] {
+        let page = dashboard.get(&address).await;
+        let panel = page.text().split("id=\"distribution\"").nth(1).expect("a panel");
+        let panel = panel.split("</section>").next().expect("its end");
+        assert!(panel.contains(title), "{panel}");
+    }
+    let exported = dashboard.get("/api/v1/runs/2/export").await;
+    let header = exported.text().lines().next().expect("a header").to_owned();
+    assert!(header.split(',').any(|column| column == "crop_2"), "files have a column for each: {header}");
 }
 
 /// Returns the panel of distributions.

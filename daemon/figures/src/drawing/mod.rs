@@ -27,7 +27,7 @@ pub use binned::BinnedAxis;
 pub(crate) use peernet_analysis::rows::is_plausible as is_drawable;
 
 pub use cumulative::{Cumulative, CumulativeCurve};
-pub use histogram::{Bins, Distribution, Histogram, View};
+pub use histogram::{Bins, Counted, Distribution, Histogram, View};
 pub use inline::{meter, share_bar, sparkline};
 pub use joint::Joint;
 pub use lengths::Lengths;

@@ -5,7 +5,8 @@ use peernet_analysis::figure_files::HISTOGRAMS;
 use peernet_figures::drawing::BinnedAxis;
 use peernet_figures::look;
 use peernet_figures::plot::Unit;
-use peernet_logger::{Name, stage};
+use peernet_logger::{IterationValues, Name, stage};
+use peernet_statistics::Summary;
 use peernet_statistics::number::count;
 
 use super::Comparison;
@@ -117,11 +118,7 @@ impl Quantity {
             let below = (below > 0).then(|| format!(", ←\u{a0}{}\u{a0}below", count(below)));
             let above = (above > 0).then(|| format!(", {}\u{a0}beyond\u{a0}→", count(above)));
             let beyond: String = below.into_iter().chain(above).collect();
-            let caption = format!(
-                "{}, {}{beyond}",
-                counted(samples.count() as usize, "iteration", "iterations"),
-                median.text
-            );
+            let caption = format!("{}, {}{beyond}", counted_values(name, samples), median.text);
             let label = format!("{} of run {}: {caption}", self.title, run.number);
             let name = one.name.clone();
             let items = axis.histogram(samples, &look, median.within);
@@ -156,6 +153,13 @@ impl Quantity {
         let runs = runs.count();
         (runs > 0).then(|| format!("The clocks do not determine it for {}.", counted(runs, "run", "runs")))
     }
+}
+
+/// Returns the number of values of a quantity: of iterations if each has one value at most.
+fn counted_values(name: &Name, values: &Summary) -> String {
+    let (one, many) =
+        if IterationValues::has_one_value(name) { ("iteration", "iterations") } else { ("value", "values") };
+    counted(values.count() as usize, one, many)
 }
 
 /// Returns the distributions of the selected quantity. Without a selection, returns the distributions of all quantities if there are at

@@ -10,6 +10,7 @@ use peernet_analysis::answer_length::{
 use peernet_figures::drawing::{BinnedAxis, Joint};
 use peernet_figures::look::stage;
 use peernet_figures::plot::Unit;
+use peernet_logger::IterationValues;
 use peernet_statistics::Summary;
 use peernet_statistics::number::{bytes, count, duration, fixed};
 use peernet_store::{RunSummary, StageStatistics, Store};
@@ -254,13 +255,15 @@ fn medians_sentence(varying_configuration: &VaryingLengths<'_>) -> String {
 /// Returns a sentence about the number of iterations that are drawn as points.
 fn amount(varying_configuration: &VaryingLengths<'_>, sample: &Answers) -> String {
     let points = sample.points.len() as u64;
-    let (all, answered) = (
-        varying_configuration.lengths.count().min(varying_configuration.latencies.count()),
-        varying_configuration.lengths.count().max(varying_configuration.latencies.count()),
-    );
-    let without_length = answered - all;
+    let [lengths, latencies] =
+        [varying_configuration.lengths, varying_configuration.latencies].map(Summary::count);
+    // Several nodes of one iteration may have the name of the length. Then the number of lengths says nothing about iterations.
+    let has_one_length = IterationValues::has_one_value(varying_configuration.length);
+    let iterations = if has_one_length { lengths.max(latencies) } else { latencies };
+    let all = lengths.min(latencies);
+    let without_length = iterations - all;
     let rest = if without_length > 0 {
-        format!(" {} of {} iterations have no such number.", count(without_length), count(answered))
+        format!(" {} of {} iterations have no such number.", count(without_length), count(iterations))
     } else {
         String::new()
     };

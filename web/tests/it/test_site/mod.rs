@@ -5,6 +5,7 @@ mod agent;
 mod backlog;
 mod clocks;
 mod episodes;
+mod objects;
 mod pipeline;
 mod skipping;
 mod tree;

@@ -27,6 +27,15 @@ pub enum View {
     Cumulative,
 }
 
+/// What the values of a distribution are counted as.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Counted {
+    /// Each iteration has one value at most.
+    Iterations,
+    /// An iteration may have several values.
+    Values,
+}
+
 /// Distribution with the number of samples in each bin, for pages and files. The counts come from a sketch or from [`Bins`](super::Bins).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Distribution {
@@ -34,6 +43,8 @@ pub struct Distribution {
     pub edges: Vec<f64>,
     /// Samples in each bin.
     pub counts: Vec<u64>,
+    /// What the samples are counted as.
+    pub counted: Counted,
     /// Number of samples below the first bin, and number of samples above the last bin.
     pub beyond: (u64, u64),
     /// Name and value, in SI units, of the quantiles that have a line: `median`, `p95`, `p99`.
@@ -80,6 +91,10 @@ impl Distribution {
     }
 
     fn count_axis(&self) -> Axis {
+        let (title, unit) = match self.counted {
+            Counted::Iterations => ("Iterations", "iterations"),
+            Counted::Values => ("Values", "values"),
+        };
         match self.view {
             View::Counts => {
                 let most = self.counts.iter().copied().max().unwrap_or_default() as f64;
@@ -89,9 +104,9 @@ impl Distribution {
                 } else {
                     Scale::from_zero((0.0, most))
                 };
-                Axis::new(scale.whole(), "Iterations", "iterations")
+                Axis::new(scale.whole(), title, unit)
             }
-            View::Cumulative => Axis::new(Scale::linear((0.0, 100.0)), "Iterations up to here, %", "%"),
+            View::Cumulative => Axis::new(Scale::linear((0.0, 100.0)), format!("{title} up to here, %"), "%"),
         }
     }
 

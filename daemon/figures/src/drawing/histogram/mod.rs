@@ -4,7 +4,7 @@ mod bins;
 mod distribution;
 
 pub use bins::Bins;
-pub use distribution::{Distribution, View};
+pub use distribution::{Counted, Distribution, View};
 
 pub(super) use bins::range;
 
@@ -46,6 +46,8 @@ impl Histogram {
         Distribution {
             edges: (0..=bins.counts.len()).map(|number| bins.edge(number)).collect(),
             counts: bins.counts.clone(),
+            // A column has one value in each iteration.
+            counted: Counted::Iterations,
             beyond: bins.beyond,
             quantiles: quantiles.into_iter().filter_map(|(name, value)| Some((name, value?))).collect(),
             unit: self.unit.clone(),

@@ -3,7 +3,7 @@
 use peernet_statistics::Summary;
 use peernet_statistics::histogram::{Binning, MAX_BINS};
 
-use super::super::{BinnedAxis, Distribution, Joint, Quartiles, View};
+use super::super::{BinnedAxis, Counted, Distribution, Joint, Quartiles, View};
 use crate::look::stage;
 use crate::plot::{Anchor, Item, Plot, Unit};
 use crate::scale::Scale;
@@ -198,6 +198,7 @@ fn distribution() -> Distribution {
     Distribution {
         edges: vec![0.0, 0.5, 1.0, 2.0],
         counts: vec![40, 900, 25],
+        counted: Counted::Iterations,
         beyond: (0, 35),
         quantiles: vec![("median", 0.8), ("p95", 1.03), ("p99", 2.5)],
         unit: Unit::symbol("ms", 1e3),
@@ -233,6 +234,12 @@ fn cumulative_bars_rise_to_share_within_bins() {
     let few = Distribution { counts: vec![1, 0, 0], beyond: (0, 0), ..distribution() };
     let labels: Vec<String> = few.plot().y.ticks(9).into_iter().map(|tick| tick.text).collect();
     assert_eq!(labels, ["0", "1"]);
+    let titles = [Counted::Iterations, Counted::Values].map(|counted| {
+        [View::Counts, View::Cumulative]
+            .map(|view| Distribution { counted, view, ..distribution() }.plot().y.title)
+    });
+    assert_eq!(titles[0], ["Iterations", "Iterations up to here, %"]);
+    assert_eq!(titles[1], ["Values", "Values up to here, %"]);
     let sum = heights(&Distribution { view: View::Cumulative, ..distribution() });
     assert!(sum.is_sorted() && (sum[2] - 0.965).abs() < 1e-9, "{sum:?}");
     let log = Distribution { counts: vec![1, 1_000, 0], is_logarithmic: true, ..distribution() };
