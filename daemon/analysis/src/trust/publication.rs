@@ -10,25 +10,25 @@ use super::{Publish, Report};
 const MAX_NAMED_RUNS: usize = 8;
 
 /// Returns a sentence about the runs that cannot be published, and one about those that can only be published with caveats, each with the
-/// grade of its findings. Each run is given by its name and its report; edges that measured at the same time have the name of their run, which is as good as the worst of them.
-/// Empty if all of them can be published as they are.
+/// grade of its findings. Each run is given by its name and its report. Edges that measured at the same time have the name of their run, which is
+/// as good as the worst of them and has the findings of all. Empty if all of them can be published as they are.
 pub fn publication_caveats<'a>(runs: impl IntoIterator<Item = (String, &'a Report)>) -> Vec<(Grade, String)> {
-    let mut reports: Vec<(String, &Report)> = Vec::new();
+    let mut reports_by_run: Vec<(String, Vec<&Report>)> = Vec::new();
     for (name, report) in runs {
-        match reports.iter_mut().find(|(other, _)| *other == name) {
-            Some((_, worst)) if report.verdict > worst.verdict => *worst = report,
-            Some(_) => {}
-            None => reports.push((name, report)),
+        match reports_by_run.iter_mut().find(|(other, _)| *other == name) {
+            Some((_, reports)) => reports.push(report),
+            None => reports_by_run.push((name, vec![report])),
         }
     }
-    let runs = reports;
+    let runs = reports_by_run;
     let sentence = |verdict: Publish, grade: Grade, meaning: &str| {
-        let of_verdict: Vec<&(String, &Report)> =
-            runs.iter().filter(|(_, report)| report.verdict == verdict).collect();
+        let worst = |reports: &[&Report]| reports.iter().map(|report| report.verdict).max();
+        let of_verdict: Vec<&(String, Vec<&Report>)> =
+            runs.iter().filter(|(_, reports)| worst(reports) == Some(verdict)).collect();
         (!of_verdict.is_empty()).then_some(())?;
         let named = of_verdict.iter().take(MAX_NAMED_RUNS);
         let mut names: Vec<String> =
-            named.map(|(name, report)| format!("{name} ({})", subjects(report, grade))).collect();
+            named.map(|(name, reports)| format!("{name} ({})", subjects(reports, grade))).collect();
         if of_verdict.len() > MAX_NAMED_RUNS {
             names.push(format!("and {} more", of_verdict.len() - MAX_NAMED_RUNS));
         }
@@ -49,10 +49,11 @@ pub fn publication_caveats<'a>(runs: impl IntoIterator<Item = (String, &'a Repor
     sentences.into_iter().flatten().collect()
 }
 
-/// Returns the subjects of the findings of a grade, each once, in the order of the report.
-fn subjects(report: &Report, grade: Grade) -> String {
+/// Returns the subjects of the findings of a grade, each once, in the order of the reports.
+fn subjects(reports: &[&Report], grade: Grade) -> String {
     let mut seen = BTreeSet::new();
-    let of_grade = report.findings.iter().filter(|finding| finding.grade == grade);
+    let of_grade =
+        reports.iter().flat_map(|report| &report.findings).filter(|finding| finding.grade == grade);
     let subjects = of_grade.map(|finding| finding.about.as_str()).filter(|about| seen.insert(*about));
     subjects.collect::<Vec<_>>().join(", ")
 }
@@ -99,9 +100,10 @@ mod tests {
             ]
         );
         assert!(publication_caveats([("#1".to_owned(), &good)]).is_empty());
-        // Two edges of one run.
-        let edges = publication_caveats([("001".to_owned(), &good), ("001".to_owned(), &bad)]);
-        let text = format!("The run cannot be published: 001 (end, clocks){ending}");
+        // Three edges of one run.
+        let fault = report(Publish::No, &[("clock fault", Grade::Bad), ("end", Grade::Bad)]);
+        let edges = publication_caveats([&good, &bad, &fault].map(|report| ("001".to_owned(), report)));
+        let text = format!("The run cannot be published: 001 (end, clocks, clock fault){ending}");
         assert_eq!(edges, [(Grade::Bad, text)]);
     }
 

@@ -95,7 +95,7 @@ fn failed_action_is_named_as_such() {
     let (objects, experiment) = documented();
     let act = "        self.arm.sendto(json.dumps(answer).encode(), ARM)";
     let objects = objects.replacen(act, "        raise RuntimeError('the brake is on')", 1);
-    // Failures are repeated after growing pauses.
+    // There is no limit of failures: the run ends at its limit of iterations, although every action fails.
     let experiment = experiment
         .replace("episodes = 5\nepisode_steps = 20", "iterations = 2\nwarm_up = { iterations = 0 }");
     let end = run(folder.path(), &objects, &experiment);

@@ -5,9 +5,10 @@ use peernet_analysis::compare::{replayed_configurations, skipped_starts};
 use peernet_analysis::run_selection::RunState;
 use peernet_analysis::trust::publication_caveats;
 use peernet_statistics::number::count;
+use peernet_store::RunSummary;
 use peernet_stream::{Grade, OutcomeCounts};
 
-use super::Comparison;
+use super::{Comparison, Configuration};
 use crate::view::chip::Chip;
 use crate::view::notes::REPLAYED;
 use crate::view::trust::chip;
@@ -20,7 +21,10 @@ const DEFAULT_ADDRESS: &str = "127.0.0.1:8040";
 pub(crate) fn caveats(comparison: &Comparison) -> Vec<(Chip, String)> {
     let configurations = &comparison.configurations;
     let report = |run: i64| comparison.trust_by_run.get(&run);
-    let reports = comparison.runs().filter_map(|run| Some((format!("#{}", run.number), report(run.number)?)));
+    let reports = configurations.iter().flat_map(|one| {
+        let named = one.runs.iter().filter_map(move |run| Some((run, report(run.number)?)));
+        named.map(|(run, report)| (name_with_other_edges(comparison, one, run), report))
+    });
     let publication = publication_caveats(reports).into_iter().map(|(grade, text)| (chip(grade), text));
     let replayed = replayed_configurations(configurations.iter().map(|one| {
         let distribution = one.runs.iter().find_map(|run| comparison.replayed_by_run.get(&run.number));
@@ -57,6 +61,18 @@ pub(crate) fn caveats(comparison: &Comparison) -> Vec<(Chip, String)> {
     publication.chain(replayed.map(|text| (REPLAYED, text))).chain(others).collect()
 }
 
+/// Returns the name of a run: `#11`, or `#11 + #12` if the stored runs of an experiment are those of edges that measured at the same time. They
+/// are one run in the tables of files.
+fn name_with_other_edges(comparison: &Comparison, one: &Configuration, run: &RunSummary) -> String {
+    let is_same = |other: &&RunSummary| {
+        let is_edge = comparison.experiment.is_some() && other.experiment == run.experiment;
+        other.number == run.number || is_edge
+    };
+    let numbers: Vec<String> =
+        one.runs.iter().filter(is_same).map(|other| format!("#{}", other.number)).collect();
+    numbers.join(" + ")
+}
+
 /// Returns a sentence for each configuration with samples whose label is not a class of its model.
 pub(crate) fn unknown_labels(comparison: &Comparison) -> Vec<String> {
     let sentences = comparison.configurations.iter().filter_map(|one| {
@@ -88,6 +104,7 @@ pub(crate) fn commands(comparison: &Comparison, host: &str) -> Option<String> {
 mod tests {
     use peernet_analysis::trust::{Report, TrustInput};
     use peernet_logger::Name;
+    use peernet_stream::ExperimentPlace;
     use peernet_stream::PlacementKind::Local;
 
     use super::super::tests::{comparison, configuration};
@@ -133,6 +150,23 @@ mod tests {
         assert!(sentences[0].1.contains("cannot be published: #2 ("), "{sentences:?}");
         // The page of the run shows the same chip for the finding.
         assert_eq!(sentences[0].0, chip(Grade::Bad));
+    }
+
+    #[test]
+    fn edges_of_one_run_are_one_caveat() {
+        let mut two = comparison((0..2).map(|at| configuration(at, Local, 1.0, 1e3)).collect());
+        for (one, number) in two.configurations.iter_mut().zip([11, 13]) {
+            let run =
+                RunSummary { number, experiment: Some(ExperimentPlace::default()), ..one.runs[0].clone() };
+            one.runs = vec![run.clone(), RunSummary { number: number + 1, ..run }];
+        }
+        let input = TrustInput { failure: Some("the cloud is gone".to_owned()), ..TrustInput::default() };
+        two.trust_by_run = [11, 12, 13, 14].map(|number| (number, Report::new(&input))).into();
+        two.experiment = Some(("users".to_owned(), "x".to_owned()));
+        let text = |two: &Comparison| caveats(two)[0].1.clone();
+        assert!(text(&two).starts_with("2 of 2 runs cannot be published: #11 + #12 ("), "{}", text(&two));
+        two.experiment = None;
+        assert!(text(&two).starts_with("4 of 4 runs cannot be published: #11 ("), "{}", text(&two));
     }
 
     #[test]
