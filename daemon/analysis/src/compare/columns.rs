@@ -31,17 +31,18 @@ pub struct ChosenColumns {
 /// configuration that has no label in the other chosen columns. Columns of hashes or paths are never chosen, because the names of folders,
 /// which people gave, are easier to read.
 pub fn choose_columns(candidates: Vec<Column>) -> ChosenColumns {
+    choose_further_columns(Vec::new(), candidates)
+}
+
+/// Chooses columns as [`choose_columns`] does, after columns that are chosen already.
+pub fn choose_further_columns(already_chosen: Vec<Column>, candidates: Vec<Column>) -> ChosenColumns {
     let Some(configurations) = candidates.first().map(|column| column.labels.len()) else {
-        return ChosenColumns { columns: candidates, rest: Vec::new() };
+        return ChosenColumns { columns: already_chosen, rest: Vec::new() };
     };
     let mut is_chosen = vec![false; candidates.len()];
     let chosen_columns = |is_chosen: &[bool]| -> Vec<Column> {
-        candidates
-            .iter()
-            .zip(is_chosen)
-            .filter(|(_, is_chosen)| **is_chosen)
-            .map(|(column, _)| column.clone())
-            .collect()
+        let chosen = candidates.iter().zip(is_chosen).filter(|(_, is_chosen)| **is_chosen);
+        already_chosen.iter().chain(chosen.map(|(column, _)| column)).cloned().collect()
     };
     for index in 0..candidates.len() {
         let rows_without = distinct_rows(&chosen_columns(&is_chosen), configurations);

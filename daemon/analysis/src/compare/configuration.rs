@@ -5,9 +5,7 @@ use std::path::PathBuf;
 use peernet_statistics::number::counted;
 
 use super::columns::{self, ChosenColumns, Column};
-use super::labels::{
-    EMPTY_CELL, RunFacts, declared_labels, differ, distinguishing_pairs, executions, tabulate,
-};
+use super::labels::{EMPTY_CELL, RunFacts, differ, distinguishing_pairs, experiment_columns, tabulate};
 use crate::loaded::Loaded;
 use crate::record::RunRecord;
 
@@ -47,27 +45,17 @@ impl Configurations {
 
     /// Returns the configurations, and sentences about the other differences between the runs.
     pub(super) fn with_other_differences(runs: &[Loaded]) -> (Self, Vec<String>) {
-        let declared: Vec<Vec<(String, String)>> =
-            runs.iter().map(|run| declared_labels(run.record.experiment.as_ref())).collect();
-        let names =
-            |labels: &Vec<(String, String)>| labels.iter().map(|(axis, _)| axis.clone()).collect::<Vec<_>>();
-        let same_axes = declared.windows(2).all(|pair| names(&pair[0]) == names(&pair[1]));
-        if same_axes && runs.iter().all(|run| run.record.experiment.is_some()) {
-            (Self::from_experiment_fields(runs, &declared), Vec::new())
-        } else {
-            Self::from_records(runs)
+        let places: Vec<_> = runs.iter().map(|run| run.record.experiment.as_ref()).collect();
+        match experiment_columns(&places) {
+            Some(columns) => (Self::from_experiment_columns(runs, columns), Vec::new()),
+            None => Self::from_records(runs),
         }
     }
 
-    fn from_experiment_fields(runs: &[Loaded], declared: &[Vec<(String, String)>]) -> Self {
+    fn from_experiment_columns(runs: &[Loaded], columns: Vec<Column>) -> Self {
         let mut configurations = Self { axes: Vec::new(), labels: vec![Vec::new(); runs.len()] };
-        for Column { axis, labels } in tabulate(declared) {
+        for Column { axis, labels } in columns {
             configurations.add(&axis, labels);
-        }
-        let places: Vec<_> = runs.iter().map(|run| run.record.experiment.as_ref()).collect();
-        let executions = executions(&places);
-        if differ(&executions) {
-            configurations.add("execution", executions);
         }
         if configurations.has_unrelated_duplicates(runs) {
             let groups = groups(runs);

@@ -10,9 +10,44 @@ pub(super) const EMPTY_CELL: &str = "—";
 /// Facts that follow from the model or the data set of a run, which have their own columns.
 const IMPLIED_FACTS: [&str; 6] = ["model", "device", "task", "input", "labels", "classes"];
 
+/// Returns the name of each configuration from its labels: those of the columns in which the configurations differ, or all labels if there is no
+/// difference. Configurations whose labels differ but would have one name, such as `no` and `none`, have the name of each axis before its label.
+pub fn readable_names<'a>(
+    axes: &[String],
+    configurations: impl IntoIterator<Item = &'a [String]>,
+) -> Vec<String> {
+    let all: Vec<&[String]> = configurations.into_iter().collect();
+    let differs = |axis: &usize| all.windows(2).any(|pair| pair[0].get(*axis) != pair[1].get(*axis));
+    let mut chosen: Vec<usize> = (0..axes.len()).filter(differs).collect();
+    if chosen.is_empty() {
+        chosen = (0..axes.len()).collect();
+    }
+    let axes: Vec<String> = chosen.iter().map(|axis| axes[*axis].clone()).collect();
+    let labels_of = |labels: &&[String]| -> Vec<String> {
+        chosen
+            .iter()
+            .map(|axis| labels.get(*axis).cloned().unwrap_or_else(|| EMPTY_CELL.to_owned()))
+            .collect()
+    };
+    let rows: Vec<Vec<String>> = all.iter().map(labels_of).collect();
+    let names: Vec<String> = rows.iter().map(|labels| readable_name(&axes, labels)).collect();
+    let name = |(name, labels): (&String, &Vec<String>)| {
+        let has_namesake =
+            rows.iter().zip(&names).any(|(other, its_name)| its_name == name && other != labels);
+        if has_namesake { name_with_axes(&axes, labels) } else { name.clone() }
+    };
+    names.iter().zip(&rows).map(name).collect()
+}
+
+/// Returns the labels, each after the name of its axis. Missing labels are left out.
+fn name_with_axes(axes: &[String], labels: &[String]) -> String {
+    let present = axes.iter().zip(labels).filter(|(_, label)| *label != EMPTY_CELL);
+    present.map(|(axis, label)| format!("{axis} {label}")).collect::<Vec<_>>().join(", ")
+}
+
 /// Returns the name of a configuration from its labels. A label that is not clear without the name of its axis has it: `no resize` instead of
 /// `no`, `edges 4` instead of `4`. Missing labels are left out.
-pub fn readable_name(axes: &[String], labels: &[String]) -> String {
+pub(super) fn readable_name(axes: &[String], labels: &[String]) -> String {
     let present = axes.iter().zip(labels).filter(|(_, label)| *label != EMPTY_CELL);
     let words = present.map(|(axis, label)| match label.as_str() {
         "yes" | "true" | "on" => axis.clone(),
@@ -55,8 +90,20 @@ pub fn distinguishing_pairs(runs: &[(Option<&ExperimentPlace>, RunFacts<'_>)]) -
     pairs.collect()
 }
 
+/// Returns the columns of runs that are all of experiments with the same declared fields: these fields, and the execution of the experiment if the
+/// runs are of several. `None` for other runs.
+pub fn experiment_columns(places: &[Option<&ExperimentPlace>]) -> Option<Vec<Column>> {
+    let declared: Vec<Vec<(String, String)>> = places.iter().map(|place| declared_labels(*place)).collect();
+    let names = |labels: &[(String, String)]| labels.iter().map(|(axis, _)| axis.clone()).collect::<Vec<_>>();
+    let have_same_fields = declared.windows(2).all(|pair| names(&pair[0]) == names(&pair[1]));
+    (have_same_fields && places.iter().all(Option::is_some)).then(|| {
+        let execution = Column { axis: "execution".to_owned(), labels: executions(places) };
+        tabulate(&declared).into_iter().chain(Some(execution).filter(Column::differs)).collect()
+    })
+}
+
 /// Returns the fields that an experiment declares, as pairs of name and label; empty outside of experiments.
-pub fn declared_labels(place: Option<&ExperimentPlace>) -> Vec<(String, String)> {
+fn declared_labels(place: Option<&ExperimentPlace>) -> Vec<(String, String)> {
     place.map(|place| place.configuration.clone()).unwrap_or_default()
 }
 
@@ -128,5 +175,18 @@ mod tests {
         };
         assert_eq!([name(&["resize"], &["no"]), name(&["resize"], &["yes"])], ["no resize", "resize"]);
         assert_eq!(name(&["edges", "where", "network"], &["4", "—", "LAN"]), "edges 4, LAN");
+    }
+
+    #[test]
+    fn names_have_labels_of_differing_columns_only() {
+        let names = |axes: &[&str], rows: &[&[&str]]| {
+            let owned = |texts: &[&str]| texts.iter().map(|text| (*text).to_owned()).collect::<Vec<_>>();
+            let rows: Vec<Vec<String>> = rows.iter().map(|row| owned(row)).collect();
+            readable_names(&owned(axes), rows.iter().map(Vec::as_slice))
+        };
+        let axes = ["where", "resize", "edges"];
+        assert_eq!(names(&axes, &[&["cloud", "yes", "1"], &["cloud", "no", "1"]]), ["resize", "no resize"]);
+        assert_eq!(names(&axes, &[&["cloud", "yes", "1"]]), ["cloud, resize, edges 1"], "nothing differs");
+        assert_eq!(names(&["sync"], &[&["no"], &["none"], &["yes"]]), ["sync no", "sync none", "sync"]);
     }
 }

@@ -28,11 +28,11 @@ mod testing;
 
 pub use best::differences_to_best;
 pub use caveats::{replayed_configurations, skipped_starts};
-pub use columns::{ChosenColumns, Column, choose_columns};
+pub use columns::{ChosenColumns, Column, choose_columns, choose_further_columns};
 pub use configuration::{Configurations, group_by_labels};
 pub use difference::{Difference, MIN_BATCHES, MIN_VALUES, MeanEstimate};
 pub use differences::{Differences, StageDifference};
-pub use labels::{RunFacts, declared_labels, distinguishing_pairs, readable_name, tabulate};
+pub use labels::{RunFacts, distinguishing_pairs, experiment_columns, readable_names, tabulate};
 pub use latency_bar::{LatencyBar, part_order};
 pub use order::{compare_label, compare_places};
 pub use pairwise::PairwiseDifference;
@@ -109,7 +109,7 @@ pub struct Comparison {
 pub struct Line {
     /// Labels that distinguish the line: as many as there are axes.
     pub labels: Vec<String>,
-    /// Name in sentences ([`readable_name`]), as on the page *Compare* and in figures; empty for a single line.
+    /// Name in sentences ([`readable_names`]), as on the page *Compare* and in figures.
     pub name: String,
     /// Indices of the results in this line.
     pub runs: Vec<usize>,
@@ -175,9 +175,10 @@ impl Comparison {
         }
         let Configurations { axes, labels } = configurations;
         let total_column = TotalColumn::from_rows(runs.iter().flat_map(|run| &run.rows));
-        let groups = group_by_labels(&labels).into_iter();
-        let mut lines: Vec<Line> =
-            groups.map(|group| Line::new(&axes, labels[group[0]].clone(), group)).collect();
+        let groups = group_by_labels(&labels);
+        let names = readable_names(&axes, groups.iter().map(|group| labels[group[0]].as_slice()));
+        let line = |(group, name): (Vec<usize>, String)| Line::new(name, labels[group[0]].clone(), group);
+        let mut lines: Vec<Line> = groups.into_iter().zip(names).map(line).collect();
         lines.iter_mut().for_each(|line| line.fill(runs, total_column.name()));
         let (ties, untested, unranked) = (Vec::new(), Vec::new(), Vec::new());
         let caveats = caveats::sentences(runs, &lines);
@@ -198,9 +199,9 @@ impl Comparison {
 }
 
 impl Line {
-    fn new(axes: &[String], labels: Vec<String>, runs: Vec<usize>) -> Self {
+    fn new(name: String, labels: Vec<String>, runs: Vec<usize>) -> Self {
         Self {
-            name: readable_name(axes, &labels),
+            name,
             labels,
             runs,
             repeats: 1,

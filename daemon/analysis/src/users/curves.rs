@@ -1,7 +1,7 @@
 //! Curves of latency against the number of edges.
 
 use super::{Users, UsersLine};
-use crate::compare::readable_name;
+use crate::compare::readable_names;
 
 /// Curve of one configuration over the number of edges.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,7 +24,6 @@ impl<'a> Curve<'a> {
         };
         let axes: Vec<usize> = (0..names.len()).filter(distinguishes_curves).collect();
         let names: Vec<String> = axes.iter().map(|axis| names[*axis].clone()).collect();
-        // Curves are told apart by their labels, because two labels may give one name: `no` and `none`.
         let (mut keys, mut curves): (Vec<Vec<String>>, Vec<Self>) = (Vec::new(), Vec::new());
         for line in lines {
             let labels: Vec<String> =
@@ -32,12 +31,16 @@ impl<'a> Curve<'a> {
             match keys.iter().position(|key| *key == labels) {
                 Some(index) => curves[index].points.push(line),
                 None => {
-                    curves.push(Self { name: readable_name(&names, &labels), points: vec![line] });
+                    curves.push(Self { name: String::new(), points: vec![line] });
                     keys.push(labels);
                 }
             }
         }
-        curves.iter_mut().for_each(|curve| curve.points.sort_by_key(|line| line.edges));
+        let names = readable_names(&names, keys.iter().map(Vec::as_slice));
+        for (curve, name) in curves.iter_mut().zip(names) {
+            curve.name = name;
+            curve.points.sort_by_key(|line| line.edges);
+        }
         curves
     }
 }

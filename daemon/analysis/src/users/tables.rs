@@ -3,7 +3,7 @@
 use peernet_statistics::number::{fixed, milliseconds, rate};
 
 use super::{Users, UsersLine};
-use crate::compare::replayed_configurations;
+use crate::compare::{readable_names, replayed_configurations};
 use crate::table::{Table, csv_text};
 
 /// Cell of an unknown value.
@@ -49,11 +49,8 @@ impl Users {
 
     /// Returns the notes below the table.
     fn notes(&self) -> Vec<String> {
-        let name = |line: &UsersLine| {
-            let labels = line.labels.iter().map(String::as_str).filter(|label| *label != EMPTY_CELL);
-            labels.collect::<Vec<_>>().join(", ")
-        };
-        let lines = self.lines.iter().map(|line| (name(line), line.replayed.as_deref()));
+        let names = readable_names(&self.axes, self.lines.iter().map(|line| line.labels.as_slice()));
+        let lines = names.into_iter().zip(self.lines.iter().map(|line| line.replayed.as_deref()));
         std::iter::once(NOTE.to_owned()).chain(replayed_configurations(lines)).collect()
     }
 

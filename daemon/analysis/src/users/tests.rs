@@ -124,7 +124,7 @@ fn different_models_are_separate_curves() {
     assert_eq!(found, [("v2-s".to_owned(), vec![1]), ("v2-m".to_owned(), vec![2])]);
     let batched: [(&[&str], usize); 3] = [(&["off"], 1), (&["on"], 2), (&["none"], 3)];
     let names = curves(&["Batches"], &batched).into_iter().map(|(name, _)| name).collect::<Vec<_>>();
-    assert_eq!(names, ["no Batches", "Batches", "no Batches"]);
+    assert_eq!(names, ["Batches off", "Batches", "Batches none"]);
 }
 
 #[test]

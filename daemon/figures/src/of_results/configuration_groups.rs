@@ -1,6 +1,6 @@
 //! Runs by configuration.
 
-use peernet_analysis::compare::{Configurations, group_by_labels, readable_name};
+use peernet_analysis::compare::{Configurations, group_by_labels, readable_names};
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::rows::RowRef;
 
@@ -17,12 +17,13 @@ pub(super) struct ConfigurationGroups<'a> {
 impl<'a> ConfigurationGroups<'a> {
     pub(super) fn from_runs(runs: &'a [Loaded]) -> Self {
         let Configurations { axes, labels } = Configurations::from_runs(runs);
-        let group = |indexes: Vec<usize>| {
+        let groups = group_by_labels(&labels);
+        let names = readable_names(&axes, groups.iter().map(|group| labels[group[0]].as_slice()));
+        let group = |(indexes, name): (Vec<usize>, String)| {
             let is_replayed = indexes.iter().any(|index| is_replayed(&runs[*index].record));
-            let label = marked(&readable_name(&axes, &labels[indexes[0]]), is_replayed);
-            (label, indexes.into_iter().map(|index| &runs[index]).collect())
+            (marked(&name, is_replayed), indexes.into_iter().map(|index| &runs[index]).collect())
         };
-        let groups = group_by_labels(&labels).into_iter().map(group).collect();
+        let groups = groups.into_iter().zip(names).map(group).collect();
         Self { axes, groups }
     }
 }

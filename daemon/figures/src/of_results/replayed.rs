@@ -1,6 +1,6 @@
 //! Marks of runs whose latencies were drawn from a distribution and not measured.
 
-use peernet_analysis::compare::{Configurations, readable_name, replayed_configurations};
+use peernet_analysis::compare::{Configurations, readable_names, replayed_configurations};
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::trust::replayed_latencies;
@@ -38,8 +38,7 @@ pub(super) fn has_model_latency(column: &str) -> bool {
 pub(super) fn note(runs: &[Loaded]) -> Option<String> {
     let Configurations { axes, labels } = Configurations::from_runs(runs);
     let mut configurations: Vec<(String, Option<&str>)> = Vec::new();
-    for (run, labels) in runs.iter().zip(&labels) {
-        let name = readable_name(&axes, labels);
+    for (run, name) in runs.iter().zip(readable_names(&axes, labels.iter().map(Vec::as_slice))) {
         if let (distribution @ Some(_), false) =
             (replayed_latencies(&run.record.facts), configurations.iter().any(|(other, _)| *other == name))
         {

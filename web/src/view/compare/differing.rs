@@ -1,11 +1,12 @@
 //! Settings in which the runs of a comparison differ.
 
 use peernet_analysis::compare::{
-    ChosenColumns, Column, RunFacts, choose_columns, declared_labels, distinguishing_pairs, tabulate,
+    ChosenColumns, Column, RunFacts, choose_columns, choose_further_columns, distinguishing_pairs,
+    experiment_columns, tabulate,
 };
 use peernet_logger::Slug;
 use peernet_store::RunDetail;
-use peernet_stream::PlacementKind;
+use peernet_stream::{ExperimentPlace, PlacementKind};
 
 /// Settings that distinguish runs.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -23,19 +24,28 @@ pub(super) struct DifferingSettings {
 impl DifferingSettings {
     /// Returns the axes of the experiment's file.
     pub(super) fn of_experiment(runs: &[RunDetail]) -> Self {
-        let declared = runs.iter().map(|run| declared_labels(run.summary.experiment.as_ref()));
-        let all = tabulate(&declared.collect::<Vec<_>>());
+        let all = experiment_columns(&places(runs)).unwrap_or_default();
         // A single configuration has no differences; it is identified by its declared values.
         let has_several = all.iter().any(Column::differs);
         let (columns, settings) = all.into_iter().partition(|column| !has_several || column.differs());
         Self::from_columns(runs.len(), ChosenColumns { columns, rest: settings })
     }
 
-    /// Returns the smallest set of facts that distinguishes the runs, as `peernet compare` does.
+    /// Returns the columns that distinguish the runs in `peernet compare`: the fields in which runs of one experiment differ, or the smallest set of
+    /// facts about other runs. If runs of an experiment have equal fields, such as its edges, facts distinguish them.
     pub(super) fn of_runs(runs: &[RunDetail]) -> Self {
         let facts = runs.iter().map(|run| (run.summary.experiment.as_ref(), run_facts(run)));
         let all = tabulate(&distinguishing_pairs(&facts.collect::<Vec<_>>()));
-        Self::from_columns(runs.len(), choose_columns(all.into_iter().filter(Column::differs).collect()))
+        let differing = all.into_iter().filter(Column::differs).collect::<Vec<_>>();
+        let chosen = match experiment_columns(&places(runs)) {
+            Some(columns) => {
+                let fields = columns.into_iter().filter(Column::differs).collect::<Vec<_>>();
+                let others = differing.into_iter().filter(|column| !fields.contains(column)).collect();
+                choose_further_columns(fields, others)
+            }
+            None => choose_columns(differing),
+        };
+        Self::from_columns(runs.len(), chosen)
     }
 
     fn from_columns(runs: usize, ChosenColumns { columns, rest }: ChosenColumns) -> Self {
@@ -49,6 +59,10 @@ impl DifferingSettings {
             names_of_long_settings: long_settings.into_iter().map(|column| column.axis).collect(),
         }
     }
+}
+
+fn places(runs: &[RunDetail]) -> Vec<Option<&ExperimentPlace>> {
+    runs.iter().map(|run| run.summary.experiment.as_ref()).collect()
 }
 
 /// Returns the facts about a run that may distinguish it.
@@ -68,12 +82,13 @@ fn run_facts(RunDetail { summary, facts, .. }: &RunDetail) -> RunFacts<'_> {
 
 #[cfg(test)]
 mod tests {
-    use peernet_analysis::compare::Configurations;
+    use peernet_analysis::compare::{Comparison, Configurations};
     use peernet_analysis::loaded::Loaded;
     use peernet_analysis::record::RunRecord;
     use peernet_analysis::rows::Rows;
-    use peernet_stream::{ExperimentPlace, PlacementKind};
+    use peernet_store::RunSummary;
 
+    use super::super::names::configuration_names;
     use super::super::tests::run;
     use super::*;
 
@@ -141,6 +156,51 @@ mod tests {
         });
         let expected = (vec!["execution".to_owned()], labels(["01234567", "98765432"]));
         assert_eq!(of_executions, [expected.clone(), expected]);
+    }
+
+    /// Returns the names of runs of one experiment with the fields `where`, `resize` and `edges`, on the page and of `peernet compare`.
+    fn names_of_page_and_table(labels: &[[&str; 3]]) -> [Vec<String>; 2] {
+        let place = |labels: &[&str; 3]| ExperimentPlace {
+            name: "sizes".to_owned(),
+            id: "0123456789".to_owned(),
+            configuration: ["where", "resize", "edges"]
+                .into_iter()
+                .zip(labels)
+                .map(|(axis, label)| (axis.to_owned(), (*label).to_owned()))
+                .collect(),
+            repeat: 0,
+            position: None,
+        };
+        let mut details: Vec<RunDetail> = (0..labels.len()).map(|at| detail(at as i64, &[])).collect();
+        for (detail, labels) in details.iter_mut().zip(labels) {
+            detail.summary.experiment = Some(place(labels));
+        }
+        let settings = DifferingSettings::of_runs(&details);
+        let summaries: Vec<RunSummary> = details.iter().map(|detail| detail.summary.clone()).collect();
+        let configurations =
+            settings.axis_values.iter().map(Vec::as_slice).zip(summaries.iter().map(std::slice::from_ref));
+        let of_page = configuration_names(&settings.axes, configurations);
+        let loaded: Vec<Loaded> = labels
+            .iter()
+            .map(|labels| Loaded {
+                folder: labels.join("-").into(),
+                record: RunRecord { format: 1, experiment: Some(place(labels)), ..RunRecord::default() },
+                rows: Rows::default(),
+            })
+            .collect();
+        let of_table = Comparison::new(&loaded).lines.into_iter().map(|line| line.name).collect();
+        [of_page, of_table]
+    }
+
+    #[test]
+    fn page_and_table_name_selected_runs_equally() {
+        let one_field = [["cloud", "yes", "1"], ["cloud", "no", "1"]];
+        assert_eq!(names_of_page_and_table(&one_field), [["resize", "no resize"]; 2]);
+        // The first field alone distinguishes the runs, but all fields that the author declared and that differ are named.
+        let two_fields = [["cloud", "yes", "1"], ["local", "no", "1"]];
+        assert_eq!(names_of_page_and_table(&two_fields), [["cloud, resize", "local, no resize"]; 2]);
+        let namesakes = [["cloud", "no", "1"], ["cloud", "none", "1"]];
+        assert_eq!(names_of_page_and_table(&namesakes), [["resize no", "resize none"]; 2]);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Names of configurations, made of their differences.
 
-use peernet_analysis::compare::readable_name;
+use peernet_analysis::compare::readable_names;
 use peernet_store::RunSummary;
 
 /// Returns a unique name for each configuration from its value on each axis and its runs. The name has the values in words. It also has
@@ -9,8 +9,8 @@ pub(super) fn configuration_names<'a>(
     axes: &[String],
     configurations: impl Iterator<Item = (&'a [String], &'a [RunSummary])>,
 ) -> Vec<String> {
-    let (words, runs): (Vec<String>, Vec<&[RunSummary]>) =
-        configurations.map(|(values, runs)| (readable_name(axes, values), runs)).unzip();
+    let (values, runs): (Vec<&[String]>, Vec<&[RunSummary]>) = configurations.unzip();
+    let words = readable_names(axes, values);
     let name = |(words_of, runs): (&String, &&[RunSummary])| {
         let is_unique = words.iter().filter(|other| *other == words_of).count() == 1;
         let first = runs.first().map_or_else(String::new, |run| format!("#{}", run.number));

@@ -12,8 +12,6 @@ fn sentences_name_lines_as_figures_do() {
     let comparison = Comparison::new(&runs);
     let names: Vec<&str> = comparison.lines.iter().map(|line| line.name.as_str()).collect();
     assert_eq!(names, ["resize, edges 1", "no resize, edges 4", "no resize, edges 1"]);
-    let legend = |line: &Line| readable_name(&comparison.axes, &line.labels);
-    assert_eq!(comparison.lines.iter().map(legend).collect::<Vec<_>>(), names);
     let text = comparison.text();
     assert!(text.contains("Smallest mean total (measured): resize, edges 1;"), "{text}");
 }
