@@ -7,7 +7,7 @@ use crate::{MonoTime, Span};
 
 /// Shortest time between two lines of one kind.
 const LINE_INTERVAL: Span = Span::from_seconds(60);
-/// Largest number of kinds that are counted separately. Further kinds share one count.
+/// Maximum number of kinds that are counted separately. Further kinds share one count.
 // A peer that invents kinds must not use up memory.
 const MAX_KINDS: usize = 256;
 
@@ -27,7 +27,7 @@ struct KindCount {
 impl LogThrottle {
     /// Counts an event, whose kind is the pair of `reason` and `address`. Returns the number of events of this kind since
     /// its last line; `None` if that line was written less than a minute ago.
-    pub fn times_to_log(&mut self, reason: &str, address: Option<IpAddr>, now: MonoTime) -> Option<u64> {
+    pub fn count_event(&mut self, reason: &str, address: Option<IpAddr>, now: MonoTime) -> Option<u64> {
         let mut key = (reason.to_owned(), address);
         if !self.kinds.contains_key(&key) && self.kinds.len() >= MAX_KINDS {
             // Kinds with unlogged events stay until `remove_expired` returns their number.
@@ -71,24 +71,24 @@ mod tests {
     fn each_kind_and_address_is_logged_every_minute() {
         let mut refusals = LogThrottle::default();
         let here = "127.0.0.1".parse().ok();
-        assert_eq!(refusals.times_to_log("taken", here, at(0)), Some(1));
-        assert_eq!(refusals.times_to_log("taken", here, at(1)), None);
-        assert_eq!(refusals.times_to_log("taken", None, at(1)), Some(1));
-        assert_eq!(refusals.times_to_log("copied", here, at(1)), Some(1));
-        assert_eq!(refusals.times_to_log("taken", here, at(60)), Some(2));
-        assert_eq!(refusals.times_to_log("taken", here, at(61)), None);
+        assert_eq!(refusals.count_event("taken", here, at(0)), Some(1));
+        assert_eq!(refusals.count_event("taken", here, at(1)), None);
+        assert_eq!(refusals.count_event("taken", None, at(1)), Some(1));
+        assert_eq!(refusals.count_event("copied", here, at(1)), Some(1));
+        assert_eq!(refusals.count_event("taken", here, at(60)), Some(2));
+        assert_eq!(refusals.count_event("taken", here, at(61)), None);
         assert_eq!(refusals.remove_expired(at(120)), [("taken".to_owned(), here, 1)]);
-        assert_eq!(refusals.times_to_log("taken", here, at(120)), Some(1));
+        assert_eq!(refusals.count_event("taken", here, at(120)), Some(1));
     }
 
     #[test]
     fn full_throttle_forgets_no_unlogged_events() {
         let mut refusals = LogThrottle::default();
         for n in 0..MAX_KINDS {
-            refusals.times_to_log(&n.to_string(), None, at(0));
+            refusals.count_event(&n.to_string(), None, at(0));
         }
-        refusals.times_to_log("7", None, at(1));
-        assert_eq!(refusals.times_to_log("another", None, at(90)), Some(1));
+        refusals.count_event("7", None, at(1));
+        assert_eq!(refusals.count_event("another", None, at(90)), Some(1));
         assert_eq!(refusals.remove_expired(at(90)), [("7".to_owned(), None, 1)]);
     }
 
@@ -96,7 +96,7 @@ mod tests {
     fn many_kinds_are_counted_together() {
         let mut refusals = LogThrottle::default();
         let logged =
-            (0..10_000).filter(|n| refusals.times_to_log(&n.to_string(), None, at(0)).is_some()).count();
+            (0..10_000).filter(|n| refusals.count_event(&n.to_string(), None, at(0)).is_some()).count();
         assert_eq!((logged, refusals.kinds.len()), (MAX_KINDS + 1, MAX_KINDS + 1));
         assert_eq!(refusals.remove_expired(at(60)), [(String::new(), None, 10_000 - MAX_KINDS as u64 - 1)]);
     }

@@ -79,7 +79,7 @@ pub trait Clock: Send + Sync + fmt::Debug {
     ///
     /// Each call checks for a sleep; the first call after a sleep counts it. Stamps that were taken before a call
     /// belong to the returned epoch or an earlier epoch.
-    // A stamp and a call next to it reveal a sleep with the first message after it, before a periodic check does.
+    // Whoever stamps a message also calls this, so that the first message after a sleep reveals it, before a periodic check does.
     fn epoch(&self) -> u32 {
         0
     }

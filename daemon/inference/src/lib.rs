@@ -55,7 +55,10 @@ pub trait Worker: Send {
     ///
     /// The default is for models without batches: it calls [`infer`](Self::infer) for one request after the other.
     fn infer_batch(&mut self, requests: &mut [Request<'_>]) -> Vec<Result<Sample, InferenceError>> {
-        requests.iter_mut().map(|one| self.infer(one.sample, one.recorder, one.requester)).collect()
+        requests
+            .iter_mut()
+            .map(|request| self.infer(request.sample, request.recorder, request.requester))
+            .collect()
     }
 }
 

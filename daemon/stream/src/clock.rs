@@ -149,11 +149,11 @@ impl ProbeCounts {
 impl Sum for ProbeCounts {
     /// Adds the counts up. A sum that is too large stays at the largest count.
     fn sum<I: Iterator<Item = Self>>(counts: I) -> Self {
-        counts.fold(Self::default(), |sum, one| Self {
-            sent: sum.sent.saturating_add(one.sent),
-            answered: sum.answered.saturating_add(one.answered),
-            lost: sum.lost.saturating_add(one.lost),
-            refused: sum.refused.saturating_add(one.refused),
+        counts.fold(Self::default(), |sum, added| Self {
+            sent: sum.sent.saturating_add(added.sent),
+            answered: sum.answered.saturating_add(added.answered),
+            lost: sum.lost.saturating_add(added.lost),
+            refused: sum.refused.saturating_add(added.refused),
         })
     }
 }

@@ -33,14 +33,15 @@ pub struct Hello {
     /// Stream that the batches belong to.
     pub stream: StreamId,
     /// Stream that the agent left and that this stream continues, if any. No batch is missing between the two streams.
-    pub previous: Option<StreamId>,
+    #[serde(rename = "previous")]
+    pub previous_stream: Option<StreamId>,
     /// Number of the first batch that ever existed in the stream.
     pub first: u64,
     /// Number of the oldest batch that the agent still holds; if it holds none, the number after the newest batch.
     pub oldest: u64,
     /// Chain of the batch before `oldest`.
     #[serde(rename = "before")]
-    pub previous_chain: Chain,
+    pub chain_before_oldest: Chain,
     /// Number of events in all batches of the spool before `oldest`. The aggregator computes from it how many events it
     /// lacks.
     pub events_before_oldest: u64,

@@ -21,7 +21,7 @@
 //!   the agent still holds. An aggregator whose database was deleted or restored thus learns how many events it lacks.
 //! - *Exactly once* follows from the mark: a batch at or below the mark is acknowledged and not stored.
 //! - *The identity of a spool* is its chain of hashes ([`Chain`]). Numbers alone cannot distinguish a restored disk, a
-//!   copied machine or a tail lost in a power failure from the original spool. Both ends compare the chain at the mark
+//!   copied machine, or a spool that lost its last batches in a power failure, from the original spool. Both ends compare the chain at the mark
 //!   at each welcome, before anything is deleted. If it differs, the agent continues in a new stream.
 //! - *Memory* is bounded everywhere: the agent's queue, the memory before the spool, the spool, the bytes in flight,
 //!   and the aggregator's queue. When nothing else is left, the newest event is dropped, counted for its run, and

@@ -73,7 +73,7 @@ pub struct SpoolState {
     /// Stream that its batches belong to.
     pub stream: StreamId,
     /// Stream that this one replaced.
-    pub previous: Option<StreamId>,
+    pub previous_stream: Option<StreamId>,
     /// Number of the stream's first batch.
     pub first: u64,
     /// Number of events in all batches before the stream's first batch; `None` if it is unknown.
@@ -81,7 +81,7 @@ pub struct SpoolState {
     /// Number of the oldest batch in the spool; if the spool contains none, the number after the newest batch.
     pub oldest: u64,
     /// Chain of the batch before the oldest.
-    pub previous_chain: Chain,
+    pub chain_before_oldest: Chain,
     /// Number and chain of the newest batch that was ever written.
     pub newest: (u64, Chain),
     /// Time of the first event of the oldest batch.
@@ -105,11 +105,11 @@ impl SpoolState {
     pub fn new(stream: StreamId) -> Self {
         Self {
             stream,
-            previous: None,
+            previous_stream: None,
             first: 1,
             events_before_first: Some(0),
             oldest: 1,
-            previous_chain: Chain::START,
+            chain_before_oldest: Chain::START,
             newest: (0, Chain::START),
             since: None,
             waiting_usage: Usage::default(),
@@ -128,7 +128,11 @@ impl SpoolState {
     /// only the aggregator knows which events are lost ([`Self::unresolved`]).
     ///
     /// The total is exact. The losses of a run that was not counted separately are reported in a gap without a run.
-    pub fn lose_tail(&mut self, counted: CountedEvents, settled: SettledEvents) -> Option<u64> {
+    pub fn record_losses_of_killed_process(
+        &mut self,
+        counted: CountedEvents,
+        settled: SettledEvents,
+    ) -> Option<u64> {
         // Only one process can be unresolved; the batches of a second one count as lost.
         if self.unresolved.is_none() && counted.may_be_stored(&settled, &self.totals) {
             self.unresolved = Some(UnresolvedBatches::new(counted, settled, &self.totals));
@@ -192,13 +196,13 @@ mod tests {
     }
 
     #[test]
-    fn lost_tail_is_split_by_run() {
+    fn losses_of_killed_process_are_split_by_run() {
         let (first, second, ended) = (RunId::random(), RunId::random(), RunId::random());
         let mut state = SpoolState::new(StreamId::random());
         state.totals.produced = 100;
         let counted = counted(115, &[(first, 70), (second, 4)]);
         let settled = settled(100, &[(first, 60), (ended, 30)], Some(at(8)));
-        assert_eq!(state.lose_tail(counted.clone(), settled), Some(15));
+        assert_eq!(state.record_losses_of_killed_process(counted.clone(), settled), Some(15));
         assert_eq!((state.totals.produced, state.totals.dropped, state.totals.reported_drops), (115, 15, 0));
         let gaps: Vec<_> =
             state.unreported.iter().map(|gap| (gap.run, gap.count, gap.from, gap.to)).collect();
@@ -207,7 +211,7 @@ mod tests {
         assert_eq!(gaps, expected);
         // Another process that is killed at once adds only its events.
         let next = CountedEvents { total: 2, ..counted };
-        assert_eq!(state.lose_tail(next, SettledEvents::default()), Some(2));
+        assert_eq!(state.record_losses_of_killed_process(next, SettledEvents::default()), Some(2));
         assert_eq!((state.unreported.len(), state.unreported[0].count), (3, 12));
     }
 
@@ -215,9 +219,9 @@ mod tests {
     fn nothing_is_lost_when_everything_is_settled() {
         let (run, mut state) = (RunId::random(), SpoolState::new(StreamId::random()));
         let settled = settled(7, &[(run, 5)], None);
-        assert_eq!(state.lose_tail(counted(7, &[(run, 5)]), settled.clone()), Some(0));
+        assert_eq!(state.record_losses_of_killed_process(counted(7, &[(run, 5)]), settled.clone()), Some(0));
         // A counter that is behind the spool proves no loss.
-        assert_eq!(state.lose_tail(counted(3, &[(run, 6)]), settled), Some(0));
+        assert_eq!(state.record_losses_of_killed_process(counted(3, &[(run, 6)]), settled), Some(0));
         assert_eq!(state, SpoolState::new(state.stream));
     }
 
@@ -226,7 +230,7 @@ mod tests {
         let mut state = SpoolState::new(StreamId::random());
         for _ in 0..500 {
             let run = RunId::random();
-            state.lose_tail(counted(3, &[(run, 3)]), SettledEvents::default());
+            state.record_losses_of_killed_process(counted(3, &[(run, 3)]), SettledEvents::default());
         }
         assert_eq!(state.unreported.len(), MAX_UNREPORTED);
         assert_eq!(state.unreported.iter().map(|gap| gap.count).sum::<u64>(), 1_500);

@@ -145,7 +145,10 @@ mod tests {
         let sent = vec![sent(4, 14, 1, 18), sent(5, 17, 3, 22)];
         let counted = CountedEvents { total: 30, last, sent, runs };
         let events = RunCounts { total: 10, runs: [(run, 9)].into() };
-        assert_eq!(state.lose_tail(counted, SettledEvents { events, batched: 8, last: None }), None);
+        assert_eq!(
+            state.record_losses_of_killed_process(counted, SettledEvents { events, batched: 8, last: None }),
+            None
+        );
         let unresolved = state.unresolved.clone().expect("the sent batches may be stored");
         (state, unresolved)
     }
@@ -229,7 +232,7 @@ mod tests {
         let (mut state, first) = unresolved(run);
         let counted = CountedEvents { total: 2, ..first.counted.clone() };
         let nothing_sent = CountedEvents { sent: Vec::new(), runs: Vec::new(), ..counted };
-        assert_eq!(state.lose_tail(nothing_sent, SettledEvents::default()), Some(2));
+        assert_eq!(state.record_losses_of_killed_process(nothing_sent, SettledEvents::default()), Some(2));
         assert_eq!(state.unresolved, Some(first));
         assert_eq!((state.totals.dropped, state.unreported.len()), (5, 1));
     }

@@ -46,7 +46,8 @@ impl TryFrom<String> for SocketAddress {
     fn try_from(text: String) -> Result<Self, InvalidSocketAddress> {
         let parse = || {
             let (scheme, host_and_port) = text.split_once("://")?;
-            let protocol = [Protocol::Udp, Protocol::Tcp].into_iter().find(|one| one.scheme() == scheme)?;
+            let protocol =
+                [Protocol::Udp, Protocol::Tcp].into_iter().find(|protocol| protocol.scheme() == scheme)?;
             let (host, port) = host_and_port.rsplit_once(':')?;
             let is_port = port.parse::<u16>().is_ok_and(|port| port > 0);
             let is_bracketed = host.starts_with('[') && host.ends_with(']');

@@ -71,8 +71,8 @@ impl From<Address> for ListenAddresses {
 impl Serialize for ListenAddresses {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self.0.as_slice() {
-            [one] => one.serialize(serializer),
-            several => several.serialize(serializer),
+            [address] => address.serialize(serializer),
+            addresses => addresses.serialize(serializer),
         }
     }
 }

@@ -102,7 +102,7 @@ impl Reports {
     /// Logs that the aggregator has no secret of this host, so that the agent sends it.
     /// A refused agent does so at every attempt, therefore only the first attempt is logged at once.
     pub(super) fn report_enrollment(&mut self, aggregator: &Slug, now: MonoTime) {
-        match self.enrollments.times_to_log(aggregator.as_str(), None, now) {
+        match self.enrollments.count_event(aggregator.as_str(), None, now) {
             None => {}
             Some(1) => tracing::info!(
                 %aggregator,
@@ -224,8 +224,8 @@ impl Reports {
 fn describe_quarantine(quarantined: &QuarantinedSpool) -> String {
     let QuarantinedSpool { reason, new_path, bytes, recovered } = quarantined;
     let path = new_path.display();
-    let count_of = |number: u64, one: &str, many: &str| {
-        format!("{} {}", with_thousands_separators(number), if number == 1 { one } else { many })
+    let count_of = |number: u64, singular: &str, plural: &str| {
+        format!("{} {}", with_thousands_separators(number), if number == 1 { singular } else { plural })
     };
     let batches_of = |number: u64| count_of(number, "batch", "batches");
     let events_of = |number: u64| count_of(number, "event", "events");

@@ -208,7 +208,7 @@ mod tests {
             host,
             process: 1,
             stream: StreamId::random(),
-            previous: None,
+            previous_stream: None,
             first: 1,
             replaced: None,
             missing_previous: None,

@@ -58,7 +58,7 @@ async fn duplicate_missing_and_early_batches_are_distinguished() {
     scripted_agent.socket.send_frame(batches[0].clone()).await;
     scripted_agent.expect(Reply::Unknown).await;
     let hello = scripted_agent.hello("edge");
-    let hello = Hello { oldest: 1, previous_chain: Chain::START, ..hello };
+    let hello = Hello { oldest: 1, chain_before_oldest: Chain::START, ..hello };
     assert!(matches!(scripted_agent.socket.greet(&hello).await, ToAgent::Welcome { stored: 0, .. }));
     scripted_agent.socket.send_frame(batches[2].clone()).await;
     scripted_agent.expect(Reply::Resend(1)).await;
@@ -297,7 +297,7 @@ async fn deleted_spool_leaves_one_gap_despite_reconnections() {
     assert_eq!(testbed.count("SELECT gaps FROM host WHERE name = 'edge'").await, 1);
     // A stream that continues the replaced one leaves no gap.
     let next = ScriptedAgent { host: scripted_agent.host, ..ScriptedAgent::new(&testbed).await };
-    let hello = Hello { previous: Some(replacement.stream), ..next.hello("edge") };
+    let hello = Hello { previous_stream: Some(replacement.stream), ..next.hello("edge") };
     assert!(matches!(next.socket.greet(&hello).await, ToAgent::Welcome { .. }));
     testbed.stop().await;
     assert_eq!(testbed.count("SELECT count(*) FROM gap").await, 1);

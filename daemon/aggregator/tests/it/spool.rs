@@ -11,7 +11,7 @@ use peernet_stream::{
 #[derive(Clone, Debug)]
 pub(crate) struct Spool {
     pub(crate) stream: StreamId,
-    previous: Option<StreamId>,
+    previous_stream: Option<StreamId>,
     first: u64,
     events_before_first: Option<u64>,
     /// Number and chain of the last deleted batch.
@@ -25,7 +25,7 @@ impl Spool {
     pub(crate) fn new() -> Self {
         Self {
             stream: StreamId::random(),
-            previous: None,
+            previous_stream: None,
             first: 1,
             events_before_first: Some(0),
             deleted: (0, Chain::START),
@@ -44,11 +44,11 @@ impl Spool {
             .map(|batch| Usage { events: u64::from(batch.events), bytes: batch.body.len() as u64 });
         SpoolState {
             stream: self.stream,
-            previous: self.previous,
+            previous_stream: self.previous_stream,
             first: self.first,
             events_before_first: self.events_before_first,
             oldest: self.deleted.0 + 1,
-            previous_chain: self.deleted.1,
+            chain_before_oldest: self.deleted.1,
             newest: newest.map_or(self.deleted, |(number, batch)| (*number, batch.chain)),
             since: self.batches.first_key_value().map(|(_, batch)| batch.since),
             waiting_usage: usages.fold(Usage::default(), |sum, usage| sum + usage),
@@ -88,9 +88,9 @@ impl Spool {
                 sending.on_deleted();
                 None
             }
-            Action::Renew { stream, previous, first, events_before_first } => {
+            Action::Renew { stream, previous_stream, first, events_before_first } => {
                 self.events_before_first = Some(events_before_first);
-                (self.stream, self.previous, self.first) = (stream, Some(previous), first);
+                (self.stream, self.previous_stream, self.first) = (stream, Some(previous_stream), first);
                 sending.on_renewed(now);
                 None
             }

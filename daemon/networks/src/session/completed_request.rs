@@ -98,11 +98,11 @@ pub enum RequestError {
     Overloaded(String),
 }
 
-/// Size of a message. Bytes.
+/// Size of a message, bytes.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Sizes {
-    /// Length of the header and the tree.
-    pub(crate) logger: u64,
+    /// Length of the header and the tree, as in `upload-logger-bytes`.
+    pub(crate) metadata: u64,
     /// Length of the payload.
     pub(crate) payload: u64,
 }
@@ -110,18 +110,18 @@ pub(crate) struct Sizes {
 impl Sizes {
     pub(crate) fn from_frames(frames: &Frames) -> Self {
         let bytes = |frames: &[bytes::Bytes]| frames.iter().map(|frame| frame.len() as u64).sum();
-        let (logger, payload) = frames.split_at(frames.len().min(2));
-        Self { logger: bytes(logger), payload: bytes(payload) }
+        let (metadata, payload) = frames.split_at(frames.len().min(2));
+        Self { metadata: bytes(metadata), payload: bytes(payload) }
     }
 
     pub(crate) const fn total(self) -> u64 {
-        self.logger + self.payload
+        self.metadata + self.payload
     }
 
     /// Adds both sizes as values to the edge's tree. These nodes fit even into a full tree.
-    pub(crate) fn record(self, recorder: &mut Recorder, payload: Name, logger: Name) {
+    pub(crate) fn record(self, recorder: &mut Recorder, payload: Name, metadata: Name) {
         let start = recorder.offset(recorder.clock().mono());
-        for (name, bytes) in [(payload, self.payload), (logger, self.logger)] {
+        for (name, bytes) in [(payload, self.payload), (metadata, self.metadata)] {
             recorder.tree_mut().add(NodeId::ROOT, name, start, Measure::Value(bytes as f64, Unit::BYTES));
         }
     }

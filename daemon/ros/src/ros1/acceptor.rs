@@ -87,7 +87,7 @@ impl Acceptor {
     fn warn_not_established(&self, peer: SocketAddr, reason: &str) {
         let now = self.node.clock.mono();
         let mut throttle = self.log_throttle.lock().unwrap_or_else(PoisonError::into_inner);
-        let times = throttle.times_to_log("refused", Some(peer.ip()), now);
+        let times = throttle.count_event("refused", Some(peer.ip()), now);
         drop(throttle);
         if let Some(times) = times {
             tracing::warn!(node = self.node.name.global(), %peer, reason, times, "a connection of a ROS subscriber was not established");

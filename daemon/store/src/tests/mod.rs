@@ -159,7 +159,7 @@ fn hello(host: HostDescription, process: u64) -> Work {
         host,
         process,
         stream,
-        previous: None,
+        previous_stream: None,
         first: 1,
         replaced: None,
         missing_previous: None,

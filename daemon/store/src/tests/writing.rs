@@ -260,14 +260,14 @@ async fn gap_is_stored_with_run_missing_batches_with_host() {
 async fn replaced_spool_leaves_one_gap() {
     let mut test_store = TestStore::new().await;
     let (old, new) = (test_store.stream, StreamId::random());
-    let hello_work = |stream, previous, replaced| {
+    let hello_work = |stream, previous_stream, replaced| {
         let (host, process, first, missing_previous) = (generate::host(test_store.edge, "edge"), 1, 5, None);
         let secret = None;
         Work::Hello(Box::new(Introduction {
             host,
             process,
             stream,
-            previous,
+            previous_stream,
             first,
             replaced,
             missing_previous,
@@ -314,12 +314,12 @@ async fn missing_batches_of_previous_stream_are_one_gap() {
     assert_eq!(test_store.writer.streams().record(&hello, None), known);
     let (host, missing_previous) =
         (hello.host, Some(MissingPreviousBatches { stream: old, from: 2, through: 4, events: Some(17) }));
-    let (process, previous, first, replaced) = (1, Some(old), 5, None);
+    let (process, previous_stream, first, replaced) = (1, Some(old), 5, None);
     let introduction = Introduction {
         host,
         process,
         stream: new,
-        previous,
+        previous_stream,
         first,
         replaced,
         missing_previous,
@@ -333,15 +333,15 @@ async fn missing_batches_of_previous_stream_are_one_gap() {
     assert_eq!(test_store.count(gaps).await, 1);
 }
 
-fn hello_of(host: HostId, stream: StreamId, previous: Option<StreamId>) -> Hello {
+fn hello_of(host: HostId, stream: StreamId, previous_stream: Option<StreamId>) -> Hello {
     Hello {
         protocol: STREAM_VERSIONS.oldest(),
         host: generate::host(host, "edge"),
         stream,
-        previous,
+        previous_stream,
         first: 5,
         oldest: 5,
-        previous_chain: Chain::START,
+        chain_before_oldest: Chain::START,
         events_before_oldest: 0,
         events_before_first: None,
         batch_bytes: 1,

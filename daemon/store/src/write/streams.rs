@@ -65,7 +65,7 @@ impl Streams {
             mark: mark_of(hello.stream),
             was_used: self.introduced.contains(&hello.stream),
             last_stream: self.last_streams.get(&hello.host.id).copied(),
-            previous_mark: hello.previous.and_then(mark_of),
+            previous_mark: hello.previous_stream.and_then(mark_of),
             seniority,
         }
     }
@@ -129,7 +129,7 @@ impl AdvancedStreams {
         .bind(introduction.stream.to_string())
         .bind(host)
         .bind(column(introduction.first.saturating_sub(1)))
-        .bind(introduction.previous.map(|stream| stream.to_string()))
+        .bind(introduction.previous_stream.map(|stream| stream.to_string()))
         .bind(now.unix_nanos())
         .execute(&mut *connection)
         .await?;

@@ -38,7 +38,7 @@ pub struct Introduction {
     /// The stream that the host's batches belong to.
     pub stream: StreamId,
     /// The earlier stream that this stream continues.
-    pub previous: Option<StreamId>,
+    pub previous_stream: Option<StreamId>,
     /// Number of the stream's first batch.
     pub first: u64,
     /// The host's previous stream, if this stream does not continue it: the spool was deleted or replaced.

@@ -148,7 +148,7 @@ fn drive_sending(script: &mut Script<'_>) {
                     None if codec::decode_part(&Bytes::from(frame.clone())).is_some() => {}
                     None => match codec::decode(&frame) {
                         Ok(ToAggregator::Hello(hello)) => {
-                            last_sent = (hello.stream, hello.previous_chain, hello.oldest - 1);
+                            last_sent = (hello.stream, hello.chain_before_oldest, hello.oldest - 1);
                         }
                         Ok(ToAggregator::Proof(_)) => {}
                         Ok(ToAggregator::Echo { bytes, .. }) => agent.echo_bytes = bytes,

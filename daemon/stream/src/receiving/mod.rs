@@ -263,8 +263,9 @@ impl Receiving {
         }
         // A stream is new only once. Its gap is therefore recorded once, even if the agent reconnects often.
         let is_new = !record.was_used && mark.is_none() && !self.streams.contains_key(&stream);
-        let replaced = last_stream.filter(|last| is_new && *last != stream && Some(*last) != hello.previous);
-        let missing_previous = hello.previous.filter(|_| is_new).and_then(|previous| {
+        let replaced =
+            last_stream.filter(|last| is_new && *last != stream && Some(*last) != hello.previous_stream);
+        let missing_previous = hello.previous_stream.filter(|_| is_new).and_then(|previous_stream| {
             let from = record.previous_mark.map_or(1, |mark| mark.stored.saturating_add(1));
             let through = hello.first - 1;
             let stored = record.previous_mark.map_or(Some(0), |mark| mark.events);
@@ -274,7 +275,7 @@ impl Receiving {
             // database may have stored them.
             let is_missing = from <= through || events.is_some_and(|events| events > 0);
             is_missing.then_some(MissingPreviousBatches {
-                stream: previous,
+                stream: previous_stream,
                 from,
                 through: through.max(from),
                 events,

@@ -56,8 +56,8 @@ impl Progress {
     pub(super) fn new(hello: &Hello, mark: Option<Mark>) -> Self {
         let start = Position {
             number: hello.first.saturating_sub(1),
-            // `hello.previous_chain` is the chain before the oldest batch, which is the first one only if none was deleted.
-            chain: (hello.oldest == hello.first).then_some(hello.previous_chain),
+            // `hello.chain_before_oldest` is the chain before the oldest batch, which is the first one only if none was deleted.
+            chain: (hello.oldest == hello.first).then_some(hello.chain_before_oldest),
             events: hello.events_before_first,
         };
         let stored = mark.map_or(start, Position::from);
@@ -97,7 +97,7 @@ impl Progress {
         (through > self.accepted.number).then(|| {
             let (host, stream, from) = (self.host, hello.stream, self.next());
             let (chain, process, events_through) =
-                (hello.previous_chain, hello.process, hello.events_before_oldest);
+                (hello.chain_before_oldest, hello.process, hello.events_before_oldest);
             let events = self.accepted.events.map(|stored| events_through.saturating_sub(stored));
             // The gap takes the place of the batches; the next batch follows it.
             self.accept(through, chain, events_through);

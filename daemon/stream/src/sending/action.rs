@@ -49,7 +49,7 @@ pub enum Action {
         /// New stream.
         stream: StreamId,
         /// Previous stream.
-        previous: StreamId,
+        previous_stream: StreamId,
         /// Number of the first batch of the new stream.
         first: u64,
         /// Number of events in all batches of the spool before that first batch.
@@ -74,7 +74,7 @@ pub enum Notice {
         /// Number of the last batch that the aggregator has stored.
         stored: u64,
         /// `true` if the aggregator lacks batches that it acknowledged earlier: its database is new or an old copy.
-        has_lost_batches: bool,
+        aggregator_lost_batches: bool,
     },
     /// The aggregator refused the host; the agent tries again later.
     Refused(String),

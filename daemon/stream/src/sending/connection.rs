@@ -24,15 +24,15 @@ impl Sending {
     /// Records that the transport has a connection.
     pub fn on_connected(&mut self, now: MonoTime) {
         // The new connection may use another path.
-        self.lane.restart();
-        self.lane.reset_in_flight();
+        self.durable_lane.restart();
+        self.durable_lane.reset_in_flight();
         self.session.connect(now);
     }
 
     /// Records that the connection ended. Batches in flight count as not sent.
     pub fn on_disconnected(&mut self) {
         self.session.disconnect();
-        self.lane.reset_in_flight();
+        self.durable_lane.reset_in_flight();
     }
 
     /// Handles a message from the aggregator.
@@ -55,16 +55,16 @@ impl Sending {
             ToAgent::Welcome { aggregator, stored, chain, process, window, .. } => {
                 self.record_answer(now.mono);
                 let (aggregator, chain, process) = (aggregator.clone(), *chain, *process);
-                self.lane.set_window(*window);
+                self.durable_lane.set_window(*window);
                 self.handle_welcome(Welcome { aggregator, last_stored: *stored, chain, process }, now);
             }
             ToAgent::Ack { through, window, .. } => {
-                self.lane.set_window(*window);
+                self.durable_lane.set_window(*window);
                 self.handle_ack(*through, now);
             }
             ToAgent::Resend { from, .. } => self.handle_resend(*from, now.mono),
             ToAgent::Echo { bytes } => {
-                self.lane.record_echo(*bytes, now.mono);
+                self.durable_lane.record_echo(*bytes, now.mono);
             }
             ToAgent::Refused { reason } => self.handle_refusal(reason, now.mono),
             // In the other states a hello is due or was just answered.
@@ -83,7 +83,7 @@ impl Sending {
             return Some(codec::encode(&ToAggregator::Hello(self.hello())));
         }
         let ConnectionState::Up { next, last_progress } = self.session.state else { return None };
-        let output = self.lane.next(next, &mut self.spooler, self.host.id, now);
+        let output = self.durable_lane.next(next, &mut self.spooler, self.host.id, now);
         if output.starts_batch {
             // The timeout starts with the first batch in flight.
             let is_idle = next == self.spooler.backlog.oldest();
@@ -98,7 +98,7 @@ impl Sending {
     /// Records an answer to a hello or a proof, and its round trip.
     fn record_answer(&mut self, now: MonoTime) {
         if let Some(round_trip) = self.session.record_answer(now) {
-            self.lane.observe_round_trip(round_trip, now);
+            self.durable_lane.observe_round_trip(round_trip, now);
         }
     }
 
@@ -107,7 +107,7 @@ impl Sending {
         if let Some(retry_at) = self.session.hello_at() {
             return (!self.renewal.is_requested()).then_some(retry_at);
         }
-        let echo_retry = self.lane.echo_retry_at().filter(|_| self.is_up());
+        let echo_retry = self.durable_lane.echo_retry_at().filter(|_| self.is_up());
         self.ack_deadline().into_iter().chain(echo_retry).min()
     }
 
@@ -119,25 +119,25 @@ impl Sending {
     }
 
     fn ack_deadline(&self) -> Option<MonoTime> {
-        self.session.ack_deadline(self.spooler.backlog.oldest(), self.lane.last_arrival_at())
+        self.session.ack_deadline(self.spooler.backlog.oldest(), self.durable_lane.last_arrival_at())
     }
 
     /// Schedules a hello: now, or after a pause if the last hellos led to no progress.
     pub(super) fn schedule_hello(&mut self, now: MonoTime) {
-        self.lane.reset_in_flight();
+        self.durable_lane.reset_in_flight();
         self.session.schedule_hello(now);
     }
 
     fn hello(&self) -> Hello {
-        let (_, previous_chain) = self.spooler.backlog.acknowledged();
+        let (_, chain_before_oldest) = self.spooler.backlog.acknowledged();
         Hello {
             protocol: AGENT_STREAM_VERSIONS.oldest(),
             host: self.host.clone(),
             stream: self.spooler.backlog.origin.stream,
-            previous: self.spooler.backlog.origin.previous,
+            previous_stream: self.spooler.backlog.origin.previous_stream,
             first: self.spooler.backlog.origin.first,
             oldest: self.spooler.backlog.oldest(),
-            previous_chain,
+            chain_before_oldest,
             events_before_oldest: self.spooler.backlog.stored_events(),
             events_before_first: self.spooler.backlog.origin.events_before_first,
             batch_bytes: u32::try_from(self.config.batch_bytes).unwrap_or(u32::MAX),
@@ -186,7 +186,7 @@ impl Sending {
             self.schedule_hello(now);
         } else {
             self.session.state = ConnectionState::Up { next: next.min(from), last_progress };
-            self.lane.mark_lost(from);
+            self.durable_lane.mark_lost(from);
         }
     }
 
@@ -287,8 +287,8 @@ impl Sending {
     }
 
     /// Returns whether this process or an earlier process of this spool sent the aggregator's last batch, which the spool
-    /// no longer contains. An older database may contain batches from a copy of the spool, which this spool does not
-    /// continue.
+    /// no longer contains. If not, a copy of this spool sent the batch, and its chain cannot be compared: the aggregator's
+    /// database may be a backup from a time when it received the batches of that copy.
     fn has_sent(&self, welcome: &Welcome) -> bool {
         let is_sender = |newest_sent: &NewestSentBatch| {
             Some(newest_sent.process) == welcome.process && newest_sent.number >= welcome.last_stored
@@ -298,22 +298,24 @@ impl Sending {
             || self.renewal.newest_sent_by_earlier_processes().iter().any(is_sender)
     }
 
-    fn begin_sending(&mut self, welcome: Welcome, has_lost_batches: bool, now: Stamp) {
+    fn begin_sending(&mut self, welcome: Welcome, aggregator_lost_batches: bool, now: Stamp) {
         self.spooler.record_acceptance();
         self.session.state =
             ConnectionState::Up { next: self.spooler.backlog.oldest(), last_progress: now.mono };
         let Welcome { aggregator, last_stored, .. } = welcome;
-        self.notices.push_back(Notice::Welcomed { aggregator, stored: last_stored, has_lost_batches });
+        self.notices.push_back(Notice::Welcomed { aggregator, stored: last_stored, aggregator_lost_batches });
         self.pass_gap(now);
     }
 
     /// Leaves the stream, because the aggregator's batches differ from this spool's batches.
     ///
-    /// If a process that wrote to this spool sent the aggregator's last batch, all batches that the spool has from that
-    /// process are stored ([`NewestSentBatch`]): the spool lost its end, or is a copy from which the process continued.
-    /// Later batches of the spool were never stored. If another process sent the aggregator's last batch, the spool is
-    /// a copy of unknown age. All of its batches are sent then, because it is better to store events twice, in two
-    /// streams, than not at all.
+    /// The process that sent the aggregator's last batch decides what is known:
+    ///
+    /// - The process wrote to this spool. The spool then lost its last batches, or it is a copy, made before that process
+    ///   wrote its last batches to the original. All batches that this spool has from the process are stored
+    ///   ([`NewestSentBatch`]); later batches of the spool were never stored.
+    /// - The process never wrote to this spool. The spool is then a copy of unknown age. All of its batches are sent,
+    ///   because it is better to store events twice, in two streams, than not at all.
     fn leave_stream(&mut self, welcome: &Welcome, now: Stamp) {
         let (last_stored, newest) = (welcome.last_stored, self.spooler.backlog.newest());
         self.notices.push_back(Notice::StreamRenewed { stored: last_stored, newest });
@@ -364,7 +366,7 @@ impl Sending {
     fn handle_read_ahead(&mut self, from: u64, batches: Vec<SpooledBatch>, now: Stamp) {
         let backlog = &mut self.spooler.backlog;
         let is_expected = from == backlog.first_unloaded() && from <= backlog.spooled();
-        // The aggregator stored the batches meanwhile, or they are about to be counted.
+        // The aggregator stored the batches meanwhile, or a scan is about to read them.
         if !is_expected || self.session.is_comparing() {
             return;
         }
@@ -375,7 +377,7 @@ impl Sending {
         self.spooler.drop_missing(now);
     }
 
-    /// Handles batches that were read to be counted.
+    /// Handles batches that were read for a scan, which compares chains or precedes the leaving of the stream.
     fn handle_scan(&mut self, from: u64, batches: &[SpooledBatch], now: Stamp) {
         let ConnectionState::Comparing { scan, .. } = &mut self.session.state else { return };
         if !scan.count(from, batches) {
@@ -407,6 +409,6 @@ impl Sending {
             self.reader.forget_gap();
         }
         self.spooler.free_acknowledged(through, scanned, now);
-        self.lane.record_ack(through, now.mono);
+        self.durable_lane.record_ack(through, now.mono);
     }
 }

@@ -61,7 +61,7 @@ pub struct Sending {
     renewal: StreamRenewal,
     failure: SpoolFailure,
     session: Session,
-    lane: DurableLane,
+    durable_lane: DurableLane,
     /// Notices that the agent has not received yet.
     notices: VecDeque<Notice>,
 }
@@ -84,7 +84,7 @@ impl Sending {
             reader: SpoolReader::default(),
             failure: SpoolFailure::default(),
             session: Session::new(config),
-            lane: DurableLane::new(config, budget),
+            durable_lane: DurableLane::new(config, budget),
             notices: VecDeque::new(),
             config,
             host,
@@ -175,13 +175,12 @@ impl Sending {
     /// skipped update would have contained.
     pub fn may_send_live(&self) -> bool {
         // The durable lane limits the bytes in flight of both lanes.
-        // The durable lane limits the bytes in flight of both lanes.
-        self.is_up() && self.lane.may_send_live()
+        self.is_up() && self.durable_lane.may_send_live()
     }
 
     /// Returns whether messages should be compressed.
     pub const fn is_compressing(&self) -> bool {
-        self.lane.is_compressing()
+        self.durable_lane.is_compressing()
     }
 
     /// Returns the version of the event stream that was chosen for the connection; before it is chosen, the oldest supported
@@ -192,7 +191,7 @@ impl Sending {
 
     /// Records that a live update was sent.
     pub const fn record_live_sent(&mut self, bytes: usize) {
-        self.lane.record_live_sent(bytes as u64);
+        self.durable_lane.record_live_sent(bytes as u64);
     }
 
     /// Returns whether all events are in the spool or stored.
@@ -207,7 +206,7 @@ impl Sending {
 
     /// Returns the numbers of events by state.
     pub fn accounting(&self) -> Accounting {
-        self.spooler.accounting(self.lane.is_compressing(), self.failure.reason())
+        self.spooler.accounting(self.durable_lane.is_compressing(), self.failure.reason())
     }
 
     /// Returns the ended runs whose events are all in the spool or dropped, and their numbers of events. The agent may

@@ -29,7 +29,7 @@ pub(super) enum ConnectionState {
 pub(super) enum ScanPurpose {
     /// To find the chain of the batch that the aggregator has.
     Compare(Welcome),
-    /// To count the batches that are considered stored before the stream is left.
+    /// To count the stored batches; the stream is left afterwards.
     Leave,
 }
 

@@ -47,7 +47,7 @@ impl StreamRenewal {
         self.job.start(stream);
         Some(Action::Renew {
             stream,
-            previous: spooler.backlog.origin.stream,
+            previous_stream: spooler.backlog.origin.stream,
             first: spooler.backlog.oldest(),
             events_before_first: spooler.backlog.stored_events(),
         })

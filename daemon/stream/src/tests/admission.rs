@@ -7,10 +7,10 @@ pub(crate) fn hello(id: HostId, name: &str, process: u64, stream: StreamId, olde
         protocol: STREAM_VERSIONS.oldest(),
         host: host(id, name),
         stream,
-        previous: None,
+        previous_stream: None,
         first: 1,
         oldest,
-        previous_chain: chain(oldest - 1),
+        chain_before_oldest: chain(oldest - 1),
         events_before_oldest: oldest - 1,
         events_before_first: Some(0),
         batch_bytes: 512 * 1024,
@@ -161,7 +161,7 @@ fn deleted_or_replaced_spool_is_reported_once() {
     assert_eq!(replaced(end.handle_hello(&second, last(Some(old)), at(3).mono)), None);
     end.handle_goodbye(id);
     // A stream that continues the previous one replaces nothing, nor does a stream that was used before.
-    let renewed = Hello { previous: Some(old), ..second.clone() };
+    let renewed = Hello { previous_stream: Some(old), ..second.clone() };
     assert_eq!(replaced(end.handle_hello(&renewed, last(Some(old)), at(4).mono)), None);
     end.handle_goodbye(id);
     let stored = StreamRecord { mark: Some(mark(id, 3)), ..last(Some(old)) };
@@ -179,8 +179,12 @@ fn batches_missing_in_older_database_are_reported_once() {
         HelloResult::Welcome { missing_previous, .. } => missing_previous,
         other => panic!("expected a welcome, got {other:?}"),
     };
-    let renewed =
-        Hello { previous: Some(old), first: 8, events_before_first: Some(7), ..hello(id, "edge", 1, new, 8) };
+    let renewed = Hello {
+        previous_stream: Some(old),
+        first: 8,
+        events_before_first: Some(7),
+        ..hello(id, "edge", 1, new, 8)
+    };
     let previous =
         |previous_mark| StreamRecord { last_stream: Some(old), previous_mark, ..StreamRecord::default() };
     let expected =

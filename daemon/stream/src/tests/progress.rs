@@ -248,7 +248,7 @@ fn largest_batch_numbers_are_handled() {
     let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
     let stored =
         |number| Mark { host: id, stored: number, chain: Chain::START, process: None, events: Some(number) };
-    let hello = Hello { oldest: last, previous_chain: Chain::START, ..hello(id, "edge", 1, stream, 1) };
+    let hello = Hello { oldest: last, chain_before_oldest: Chain::START, ..hello(id, "edge", 1, stream, 1) };
     let greeting = end.handle_hello(&hello, record_with(None), at(0).mono);
     assert!(matches!(greeting, HelloResult::Welcome { missing: Some(MissingBatches { from: 1, .. }), .. }));
     let head = |number| {

@@ -34,8 +34,8 @@ impl Sender {
                 Action::Append { batches, totals } => Order::Append { batches, totals },
                 Action::Load { from, bytes } => Order::Load { from, bytes },
                 Action::Delete { through, chain } => Order::Delete { through, chain },
-                Action::Renew { stream, previous, first, events_before_first } => {
-                    Order::Renew { stream, previous, first, events_before_first }
+                Action::Renew { stream, previous_stream, first, events_before_first } => {
+                    Order::Renew { stream, previous_stream, first, events_before_first }
                 }
             };
             self.spool.order(order)?;
@@ -100,16 +100,16 @@ impl Sender {
 
     fn handle_notice(&mut self, notice: Notice) {
         match notice {
-            Notice::Welcomed { aggregator, stored, has_lost_batches } => {
+            Notice::Welcomed { aggregator, stored, aggregator_lost_batches } => {
                 let welcome = Welcome {
                     stored,
-                    lacks_batches: has_lost_batches,
+                    lacks_batches: aggregator_lost_batches,
                     waiting: self.current_accounting().waiting,
                     unreported_ends: self.live.unreported_ends(),
                 };
                 self.reports.report_welcome(&aggregator, &welcome);
                 self.live.mark_all_unsent();
-                if has_lost_batches {
+                if aggregator_lost_batches {
                     self.intake.repeat_run_starts(&mut self.machine, self.clock.stamp());
                 }
             }

@@ -13,12 +13,12 @@ use sqlx::{Connection, SqliteConnection};
 use tokio::task::JoinHandle;
 
 use super::error::SpoolFileError;
+use super::killed_process;
 use super::open::chain;
 use super::quarantine::with_suffix;
 use super::reserve::Reserve;
 use super::statements::{checkpoint, delete, insert, vacuum, vacuum_all};
 use super::sync::wait_for_sync;
-use super::tail;
 use crate::event_queue::counter;
 use crate::lock::FileLock;
 
@@ -76,9 +76,9 @@ impl SpoolFile {
             return Err(SpoolFileError::Full { action: ACTION, path: self.path.clone() });
         }
         let counter_to_remove = match totals.unreported {
-            Some(_) => {
-                tail::unresolved_counter(&mut self.connection).await.map_err(self.file_error(ACTION))?
-            }
+            Some(_) => killed_process::unresolved_counter(&mut self.connection)
+                .await
+                .map_err(self.file_error(ACTION))?,
             None => None,
         };
         match self.try_to_append(ACTION, batches, totals).await {
@@ -94,8 +94,8 @@ impl SpoolFile {
             counter::remove(&counter);
         }
         if batches.is_empty() {
-            // The next batches are sent without being in the spool, and the aggregator may store them. After a power cut
-            // the file must still contain which process sent them.
+            // No batch could be written, so the next batches are sent from memory, and the aggregator may store them. After
+            // a power cut the file must still state which process sent them.
             self.sync(ACTION).await?;
         }
         Ok(())
@@ -161,7 +161,7 @@ impl SpoolFile {
     pub(in crate::outbox) async fn renew(
         &mut self,
         stream: StreamId,
-        previous: StreamId,
+        previous_stream: StreamId,
         (first, events_before): (u64, u64),
     ) -> Result<(), SpoolFileError> {
         const ACTION: &str = "start a new stream in";
@@ -170,7 +170,7 @@ impl SpoolFile {
             "UPDATE stream SET uuid = ?, previous = ?, first = ?, events_before_first = ? WHERE id = 1";
         let result = sqlx::query(statement)
             .bind(stream.to_string())
-            .bind(previous.to_string())
+            .bind(previous_stream.to_string())
             .bind(first.cast_signed())
             .bind(events_before.cast_signed())
             .execute(&mut self.connection)

@@ -12,6 +12,7 @@ mod error;
 mod file;
 mod file_kind;
 mod inspect;
+mod killed_process;
 mod open;
 mod quarantine;
 mod range_log;
@@ -19,7 +20,6 @@ mod recovery;
 mod reserve;
 mod statements;
 mod sync;
-mod tail;
 mod task;
 
 #[cfg(test)]

@@ -19,7 +19,7 @@ use super::quarantine::{quarantine, quarantine_reason, with_suffix};
 use super::recovery::recover;
 use super::reserve::Reserve;
 use super::statements::MAX_PROCESSES;
-use super::{QuarantinedSpool, SpoolError, tail};
+use super::{QuarantinedSpool, SpoolError, killed_process};
 use crate::event_queue::EventCounter;
 use crate::event_queue::counter::CountOwner;
 use crate::lock::FileLock;
@@ -203,15 +203,15 @@ async fn prepare(
     let sent_batches = newest_sent_batches(connection).await.map_err(cannot_open)?;
     let state = row.into_state(waiting, sent_batches);
     let mut state = state.map_err(|defect| SpoolError::Damaged { path: path.to_owned(), defect })?;
-    state.unreported = tail::read_unreported(connection).await.map_err(cannot_open)?;
+    state.unreported = killed_process::read_unreported(connection).await.map_err(cannot_open)?;
     let owner = CountOwner::from_path(path).map_err(|source| SpoolError::Io {
         action: "read",
         path: path.to_owned(),
         source,
     })?;
-    state.unresolved = tail::read_unresolved(connection, &owner).await.map_err(cannot_open)?;
+    state.unresolved = killed_process::read_unresolved(connection, &owner).await.map_err(cannot_open)?;
     let counter = match counts_events {
-        true => tail::start_counter(connection, &mut state, &owner).await.map_err(cannot_open)?,
+        true => killed_process::start_counter(connection, &mut state, &owner).await.map_err(cannot_open)?,
         false => EventCounter::default(),
     };
     Ok((state, counter))
@@ -337,11 +337,11 @@ impl StreamRow {
         }
         Ok(SpoolState {
             stream: id(&self.uuid)?,
-            previous: self.previous.as_deref().map(id).transpose()?,
+            previous_stream: self.previous.as_deref().map(id).transpose()?,
             first: self.first.cast_unsigned(),
             events_before_first: self.events_before_first.map(i64::cast_unsigned),
             oldest: acknowledged + 1,
-            previous_chain: acknowledged_chain,
+            chain_before_oldest: acknowledged_chain,
             newest,
             since: waiting.since_ns.map(WallTime::from_unix_nanos),
             waiting_usage: Usage {

@@ -4,7 +4,7 @@ use peernet_clock::WallTime;
 use peernet_stream::{Chain, SpooledBatch, Totals};
 use sqlx::SqliteConnection;
 
-use super::tail;
+use super::killed_process;
 
 /// Number of newest processes whose last batch is recorded. Each start of the agent is a process.
 pub(super) const MAX_PROCESSES: i64 = 64;
@@ -42,7 +42,7 @@ pub(super) async fn insert(
     .bind(totals.dropped.cast_signed())
     .bind(totals.gaps.cast_signed())
     .bind(totals.reported_drops.cast_signed())
-    .bind(settled_events.as_ref().map(|settled_events| tail::encode_counts(&settled_events.events)))
+    .bind(settled_events.as_ref().map(|settled_events| killed_process::encode_counts(&settled_events.events)))
     .bind(settled_events.as_ref().map(|settled_events| settled_events.batched.cast_signed()))
     .bind(settled_events.and_then(|settled_events| settled_events.last).map(WallTime::unix_nanos))
     .execute(&mut *connection)
@@ -52,7 +52,7 @@ pub(super) async fn insert(
         .execute(&mut *connection)
         .await?;
     if let Some(unreported) = &totals.unreported {
-        tail::resolve(connection, totals.reported_drops, unreported).await?;
+        killed_process::resolve(connection, totals.reported_drops, unreported).await?;
     }
     let Some(newest_sent) = totals.newest_sent else { return Ok(()) };
     sqlx::query("INSERT OR REPLACE INTO reached (process, number) VALUES (?, ?)")

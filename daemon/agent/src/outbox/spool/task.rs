@@ -28,7 +28,7 @@ pub(in crate::outbox) enum Order {
     /// Deletes batches; answered by [`Done::Deleted`].
     Delete { through: u64, chain: Chain },
     /// Starts another stream; answered by [`Done::Renewed`].
-    Renew { stream: StreamId, previous: StreamId, first: u64, events_before_first: u64 },
+    Renew { stream: StreamId, previous_stream: StreamId, first: u64, events_before_first: u64 },
 }
 
 /// Result of an order.
@@ -149,8 +149,8 @@ async fn execute(file: &mut SpoolFile, syncing: &mut Syncing, order: Order) -> O
             let result = file.delete_through(through, chain).await;
             OrderResult::Deleted(flag_if_corrupt(file, result))
         }
-        Order::Renew { stream, previous, first, events_before_first } => {
-            let result = file.renew(stream, previous, (first, events_before_first)).await;
+        Order::Renew { stream, previous_stream, first, events_before_first } => {
+            let result = file.renew(stream, previous_stream, (first, events_before_first)).await;
             OrderResult::Renewed(flag_if_corrupt(file, result))
         }
     }

@@ -248,7 +248,7 @@ impl AggregatorState {
             mark: mark_of(hello.stream),
             was_used: seen.streams.contains(&hello.stream),
             last_stream: seen.streams.last().copied(),
-            previous_mark: hello.previous.and_then(mark_of),
+            previous_mark: hello.previous_stream.and_then(mark_of),
             seniority: None,
         };
         match self.receiving.handle_hello(hello, known, now) {

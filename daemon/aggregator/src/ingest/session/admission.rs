@@ -75,7 +75,7 @@ impl IngestSession {
         }
         match self.receiving.handle_hello(&hello, record, now.mono) {
             HelloResult::Welcome { reply, missing, replaced, missing_previous, displaced } => {
-                let Hello { host: description, process, stream, previous, first, .. } = hello;
+                let Hello { host: description, process, stream, previous_stream, first, .. } = hello;
                 let name = &description.name;
                 if let Some(replaced) = replaced {
                     tracing::warn!(
@@ -104,7 +104,7 @@ impl IngestSession {
                     host: description.clone(),
                     process,
                     stream,
-                    previous,
+                    previous_stream,
                     first,
                     replaced,
                     missing_previous,
@@ -153,7 +153,7 @@ impl IngestSession {
     fn refuse(&mut self, from: &Peer, hello: &Hello, reason: String, now: Stamp) {
         let ip = from.address.map(|address| address.ip());
         let address = from.address.map(|address| address.to_string());
-        if let Some(times) = self.refusals.times_to_log(&reason, ip, now.mono) {
+        if let Some(times) = self.refusals.count_event(&reason, ip, now.mono) {
             let (host, id) = (&hello.host.name, &hello.host.id);
             tracing::warn!(%host, %id, address, %reason, times, "a host was refused");
         }

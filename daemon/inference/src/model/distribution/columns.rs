@@ -65,8 +65,8 @@ impl fmt::Display for Columns {
 impl Serialize for Columns {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self.0.as_slice() {
-            [one] => one.serialize(serializer),
-            several => several.serialize(serializer),
+            [column] => column.serialize(serializer),
+            columns => columns.serialize(serializer),
         }
     }
 }

@@ -49,7 +49,7 @@ pub(super) enum LatencyDistribution {
     Empirical {
         /// Latencies, and the stages that they lack.
         recorded: RecordedLatencies,
-        /// Columns of `data.csv` whose sums they are.
+        /// Columns of `data.csv`; each latency is the sum of these columns in one row.
         columns: Columns,
     },
     /// Counts in bins; latencies are uniform within each bin.

@@ -21,12 +21,12 @@ impl LibraryLog {
 
     /// Logs a message. Messages that are left out are logged at level `debug`.
     pub(super) fn log(&self, level: LogLevel, place: &str, message: &str) {
-        let times = self.times_to_log(level, (place, message), self.clock.mono());
-        let repeated = match times {
+        let messages = self.messages_since_last_line(level, (place, message), self.clock.mono());
+        let repeated = match messages {
             None | Some(0 | 1) => String::new(),
-            Some(times) => format!(" ({times} such messages since the last line)"),
+            Some(messages) => format!(" ({messages} such messages since the last line)"),
         };
-        match (times, level) {
+        match (messages, level) {
             (None, _) => tracing::debug!(place, "onnxruntime: {message}"),
             (Some(_), LogLevel::Error | LogLevel::Fatal) => {
                 tracing::error!(place, "onnxruntime: {message}{repeated}");
@@ -36,16 +36,21 @@ impl LibraryLog {
     }
 
     /// Returns the number of messages of this kind since the last line; `None` if the message is left out.
-    fn times_to_log(&self, level: LogLevel, (place, message): (&str, &str), now: MonoTime) -> Option<u64> {
+    fn messages_since_last_line(
+        &self,
+        level: LogLevel,
+        (place, message): (&str, &str),
+        now: MonoTime,
+    ) -> Option<u64> {
         if matches!(level, LogLevel::Verbose | LogLevel::Info) || message.contains(TERMINATED) {
             return None;
         }
         let mut throttle = self.throttle.lock().unwrap_or_else(PoisonError::into_inner);
-        throttle.times_to_log(&kind(place, message), None, now)
+        throttle.count_event(&kind(place, message), None, now)
     }
 }
 
-/// Returns a message without numbers and without the reason of a node, which may contain values of the sample.
+/// Returns the place and the message without digits, up to `Status Message:`. The text after it may contain values of the sample.
 fn kind(place: &str, message: &str) -> String {
     let (node, _) = message.split_once("Status Message:").unwrap_or((message, ""));
     let is_no_digit = |character: &char| !character.is_ascii_digit();
@@ -78,19 +83,20 @@ mod tests {
                 "Non-zero status code returned while running Gather node. Name:'' Status Message: idx={index}"
             )
         };
-        let logged = |index: i64, now| log.times_to_log(LogLevel::Error, (PLACE, &refusal(index)), now);
+        let logged =
+            |index: i64, now| log.messages_since_last_line(LogLevel::Error, (PLACE, &refusal(index)), now);
         assert_eq!(logged(5_000, at(0)), Some(1));
         assert_eq!((1..516).filter_map(|index| logged(index, at(1))).count(), 0);
         assert_eq!(logged(7, at(60)), Some(516));
         let other = "Expected shape from model of {1,4} does not match actual shape of {2,4} for output y";
-        assert_eq!(log.times_to_log(LogLevel::Warning, (PLACE, other), at(61)), Some(1));
+        assert_eq!(log.messages_since_last_line(LogLevel::Warning, (PLACE, other), at(61)), Some(1));
     }
 
     #[test]
     fn terminated_run_is_no_error() {
         let message = "Non-zero status code returned while running Loop node. Name:'' Status Message: Exiting due to terminate flag \
                        being set to true.";
-        assert_eq!(log().times_to_log(LogLevel::Error, (PLACE, message), at(0)), None);
-        assert_eq!(log().times_to_log(LogLevel::Info, (PLACE, "a remark"), at(0)), None);
+        assert_eq!(log().messages_since_last_line(LogLevel::Error, (PLACE, message), at(0)), None);
+        assert_eq!(log().messages_since_last_line(LogLevel::Info, (PLACE, "a remark"), at(0)), None);
     }
 }

@@ -198,7 +198,7 @@ impl ListenerState {
         let from = from.address;
         let now = self.clock.mono();
         let mut throttle = self.log_throttle.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(times) = throttle.times_to_log("malformed", from.map(|address| address.ip()), now) {
+        if let Some(times) = throttle.count_event("malformed", from.map(|address| address.ip()), now) {
             let from = from.map_or_else(|| "an unknown peer".into(), |address| address.to_string());
             tracing::warn!(from, problem, times, "dropped an invalid message");
         }

@@ -70,13 +70,18 @@ impl Backlog {
     pub(super) fn new(spool: &SpoolState, budget: u64) -> Self {
         let oldest = spool.oldest.max(1);
         // A spool without batches continues the numbers after the last batch that it held.
-        let newest = if spool.newest.0 >= oldest { spool.newest } else { (oldest - 1, spool.previous_chain) };
+        let newest =
+            if spool.newest.0 >= oldest { spool.newest } else { (oldest - 1, spool.chain_before_oldest) };
         // Without batches nothing is waiting, even if the stored counts state otherwise.
         let waiting_usage = if newest.0 < oldest { Usage::default() } else { spool.waiting_usage };
         let Totals { produced, dropped, .. } = spool.totals;
         Self {
             origin: StreamOrigin::new(spool),
-            oldest: OldestBatch { number: oldest, previous_chain: spool.previous_chain, since: spool.since },
+            oldest: OldestBatch {
+                number: oldest,
+                previous_chain: spool.chain_before_oldest,
+                since: spool.since,
+            },
             ready: ReadyBatches::new(budget),
             spooled: newest,
             pending: PendingBatches::default(),

@@ -8,7 +8,7 @@ use crate::spool::SpoolState;
 pub(in super::super) struct StreamOrigin {
     pub(in super::super) stream: StreamId,
     /// Stream that the current stream replaced.
-    pub(in super::super) previous: Option<StreamId>,
+    pub(in super::super) previous_stream: Option<StreamId>,
     /// Number of the first batch of the current stream, at least 1.
     pub(in super::super) first: u64,
     /// Number of events in all batches before that first batch; `None` if it is unknown.
@@ -17,13 +17,13 @@ pub(in super::super) struct StreamOrigin {
 
 impl StreamOrigin {
     pub(super) fn new(spool: &SpoolState) -> Self {
-        let SpoolState { stream, previous, first, events_before_first, .. } = *spool;
-        Self { stream, previous, first: first.max(1), events_before_first }
+        let SpoolState { stream, previous_stream, first, events_before_first, .. } = *spool;
+        Self { stream, previous_stream, first: first.max(1), events_before_first }
     }
 
     /// Returns the origin of the stream that replaces this one from batch `first` on. All batches before `first` contain
     /// `events_before` events.
     pub(super) const fn renewed(&self, stream: StreamId, first: u64, events_before: u64) -> Self {
-        Self { stream, previous: Some(self.stream), first, events_before_first: Some(events_before) }
+        Self { stream, previous_stream: Some(self.stream), first, events_before_first: Some(events_before) }
     }
 }

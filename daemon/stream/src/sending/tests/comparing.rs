@@ -26,8 +26,11 @@ fn stored_batches_are_deleted_when_chains_match() {
         agent.connect();
         let chain = agent.chain(stored);
         agent.welcome(stored, chain);
-        let welcomed =
-            Notice::Welcomed { aggregator: "base".parse().expect("a name"), stored, has_lost_batches: false };
+        let welcomed = Notice::Welcomed {
+            aggregator: "base".parse().expect("a name"),
+            stored,
+            aggregator_lost_batches: false,
+        };
         assert_eq!(agent.notices, [welcomed]);
         assert_eq!(agent.deliver(), (stored + 1..=10).collect::<Vec<_>>());
         assert_eq!(agent.accounting().stored, 10);
@@ -69,9 +72,9 @@ fn spool_that_lost_its_end_sends_no_batch_twice() {
     agent.welcome_after(15, OTHER_CHAIN, Some(1));
     assert_eq!(agent.notices, [Notice::StreamRenewed { stored: 15, newest: 12 }]);
     let hello = agent.hellos.last().expect("a hello").clone();
-    assert_eq!((hello.first, hello.oldest, hello.previous), (11, 11, Some(old_stream)));
+    assert_eq!((hello.first, hello.oldest, hello.previous_stream), (11, 11, Some(old_stream)));
     assert_ne!(hello.stream, old_stream);
-    assert_eq!(Some(hello.previous_chain), agent.chain(11).map(|_| agent.file.previous_chain));
+    assert_eq!(Some(hello.chain_before_oldest), agent.chain(11).map(|_| agent.file.previous_chain));
     agent.welcome(10, None);
     assert_eq!(agent.deliver(), [11, 12], "only the batches that were never sent");
     assert_eq!(agent.accounting().stored, 12);
@@ -141,7 +144,7 @@ fn aggregator_without_acknowledged_batches_is_reported() {
         let aggregator = "base".parse().expect("a name");
         assert_eq!(
             agent.notices.last(),
-            Some(&Notice::Welcomed { aggregator, stored, has_lost_batches: true })
+            Some(&Notice::Welcomed { aggregator, stored, aggregator_lost_batches: true })
         );
         assert_eq!(agent.hellos.last().map(|hello| (hello.first, hello.oldest)), Some((1, 7)));
         agent.ack(8);

@@ -61,7 +61,7 @@ proptest! {
             agent.advance_ms(20_000);
             agent.connect();
             let hello = agent.hellos.last().expect("a hello").clone();
-            agent.welcome(hello.oldest - 1, (hello.oldest > hello.first).then_some(hello.previous_chain));
+            agent.welcome(hello.oldest - 1, (hello.oldest > hello.first).then_some(hello.chain_before_oldest));
             agent.deliver();
         }
         prop_assert!(agent.sending.is_idle(), "{:?}", agent.sending);

@@ -34,7 +34,7 @@ fn missing_batches_are_skipped_counted_and_reported() {
     let hello = agent.hellos.last().expect("a hello").clone();
     assert_eq!((agent.hellos.len(), hello.oldest, hello.first), (2, 7, 1));
     agent.welcome(3, None);
-    assert!(matches!(agent.notices.last(), Some(Notice::Welcomed { has_lost_batches: true, .. })));
+    assert!(matches!(agent.notices.last(), Some(Notice::Welcomed { aggregator_lost_batches: true, .. })));
     agent.advance_ms(1_000);
     assert_eq!(agent.deliver(), [7, 8, 9, 10, 11], "the last batch reports the missing events");
     let accounting = agent.accounting();

@@ -58,7 +58,7 @@ fn config() -> SendingConfig {
 #[derive(Clone, Debug)]
 struct File {
     stream: StreamId,
-    previous: Option<StreamId>,
+    previous_stream: Option<StreamId>,
     first: u64,
     events_before_first: Option<u64>,
     previous_chain: Chain,
@@ -74,7 +74,7 @@ impl File {
     fn new() -> Self {
         Self {
             stream: StreamId::random(),
-            previous: None,
+            previous_stream: None,
             first: 1,
             events_before_first: Some(0),
             previous_chain: Chain::START,
@@ -90,11 +90,11 @@ impl File {
         let oldest = self.batches.values().next();
         SpoolState {
             stream: self.stream,
-            previous: self.previous,
+            previous_stream: self.previous_stream,
             first: self.first,
             events_before_first: self.events_before_first,
             oldest: oldest.map_or(self.newest.0 + 1, |batch| batch.number),
-            previous_chain: if oldest.is_some() { self.previous_chain } else { self.newest.1 },
+            chain_before_oldest: if oldest.is_some() { self.previous_chain } else { self.newest.1 },
             newest: self.newest,
             since: oldest.map(|batch| batch.since),
             waiting_usage: self.batches.values().fold(Usage::default(), |sum, batch| sum + batch.usage()),
@@ -279,10 +279,11 @@ impl Agent {
                 self.sending.on_deleted();
                 None
             }
-            Action::Renew { stream, previous, first, events_before_first } => {
+            Action::Renew { stream, previous_stream, first, events_before_first } => {
                 self.file.events_before_first = Some(events_before_first);
-                assert_eq!((previous, first), (self.file.stream, self.file.state().oldest));
-                (self.file.stream, self.file.previous, self.file.first) = (stream, Some(previous), first);
+                assert_eq!((previous_stream, first), (self.file.stream, self.file.state().oldest));
+                (self.file.stream, self.file.previous_stream, self.file.first) =
+                    (stream, Some(previous_stream), first);
                 self.sending.on_renewed(now);
                 None
             }

@@ -32,7 +32,7 @@ impl Store {
                 });
             assert!(hello.oldest <= stored + 1, "batches are missing although none was removed");
             if mark.is_none() {
-                self.marks.insert(stream, (stored, hello.previous_chain, None));
+                self.marks.insert(stream, (stored, hello.chain_before_oldest, None));
             }
             let aggregator = "base".parse().expect("a name");
             return Some(ToAgent::Welcome {

@@ -153,7 +153,7 @@ impl Aggregator {
             mark: mark_of(hello.stream),
             was_used: self.seen.contains(&hello.stream),
             last_stream: self.last,
-            previous_mark: hello.previous.and_then(mark_of),
+            previous_mark: hello.previous_stream.and_then(mark_of),
             seniority: None,
         };
         match self.receiving.handle_hello(hello, record, now) {

@@ -8,7 +8,7 @@ use super::super::*;
 #[derive(Clone, Debug)]
 pub(in super::super) struct SpoolFile {
     pub(in super::super) stream: StreamId,
-    previous: Option<StreamId>,
+    previous_stream: Option<StreamId>,
     first: u64,
     events_before_first: Option<u64>,
     previous_chain: Chain,
@@ -27,7 +27,7 @@ impl SpoolFile {
     pub(super) fn new(stream: StreamId) -> Self {
         Self {
             stream,
-            previous: None,
+            previous_stream: None,
             first: 1,
             events_before_first: Some(0),
             previous_chain: Chain::START,
@@ -45,11 +45,11 @@ impl SpoolFile {
         let oldest = self.batches.values().next();
         SpoolState {
             stream: self.stream,
-            previous: self.previous,
+            previous_stream: self.previous_stream,
             first: self.first,
             events_before_first: self.events_before_first,
             oldest: oldest.map_or(self.newest.0 + 1, |batch| batch.number),
-            previous_chain: self.previous_chain,
+            chain_before_oldest: self.previous_chain,
             newest: self.newest,
             since: oldest.map(|batch| batch.since),
             waiting_usage: self.batches.values().fold(Usage::default(), |sum, batch| sum + batch.usage()),
@@ -63,7 +63,10 @@ impl SpoolFile {
     /// Opens the file for a new process: records the losses of the previous process, and resets the counts.
     pub(super) fn start(&mut self) -> SpoolState {
         let mut state = self.open();
-        state.lose_tail(std::mem::take(&mut self.counted), self.totals.submitted.settled());
+        state.record_losses_of_killed_process(
+            std::mem::take(&mut self.counted),
+            self.totals.submitted.settled(),
+        );
         state.totals.submitted = SubmittedEvents::default();
         self.totals = state.totals.clone();
         self.unresolved = state.unresolved.clone();
@@ -144,13 +147,13 @@ impl SpoolFile {
     pub(super) fn renew(
         &mut self,
         stream: StreamId,
-        previous: StreamId,
+        previous_stream: StreamId,
         first: u64,
         events_before_first: u64,
     ) {
-        assert_eq!(previous, self.stream);
+        assert_eq!(previous_stream, self.stream);
         assert_eq!(first, self.open().oldest, "the new stream begins with the oldest batch in the file");
-        (self.stream, self.previous, self.first) = (stream, Some(previous), first);
+        (self.stream, self.previous_stream, self.first) = (stream, Some(previous_stream), first);
         self.events_before_first = Some(events_before_first);
     }
 }

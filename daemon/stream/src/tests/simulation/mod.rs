@@ -157,8 +157,8 @@ impl Simulation {
                 let deleted = file.delete(*through, *chain);
                 self.expected_content.check_deletion(&deleted);
             }
-            Action::Renew { stream, previous, first, events_before_first } => {
-                file.renew(*stream, *previous, *first, *events_before_first);
+            Action::Renew { stream, previous_stream, first, events_before_first } => {
+                file.renew(*stream, *previous_stream, *first, *events_before_first);
             }
             Action::Send(_) => unreachable!("not a job"),
         }

@@ -123,7 +123,10 @@ async fn intact_batches_of_damaged_spool_are_kept() {
     assert_eq!(recovered.events, 3 * recovered.batches);
     assert_eq!(recovered.lost_batches, Some(190 - recovered.batches));
     // The aggregator knows this stream, so that it stores no batch twice.
-    assert_eq!((state.stream, state.oldest, state.previous_chain), (before.stream, 11, written[9].chain));
+    assert_eq!(
+        (state.stream, state.oldest, state.chain_before_oldest),
+        (before.stream, 11, written[9].chain)
+    );
     assert_eq!(state.newest.0, 10 + recovered.batches);
     // Produced are stored, waiting and dropped events; the readable lost ones count as dropped.
     assert_eq!((state.totals.produced, state.totals.dropped), (602, 2 + recovered.lost_events));

@@ -9,11 +9,11 @@ async fn new_spool_is_empty_and_keeps_its_stream() {
     let spool_folder = SpoolFolder::new();
     let (file, fresh) = spool_folder.open_undamaged().await;
     assert_eq!(
-        (fresh.first, fresh.oldest, fresh.previous_chain, fresh.newest),
+        (fresh.first, fresh.oldest, fresh.chain_before_oldest, fresh.newest),
         (1, 1, Chain::START, (0, Chain::START))
     );
     assert_eq!(
-        (fresh.previous, fresh.since, fresh.waiting_usage, fresh.totals.clone()),
+        (fresh.previous_stream, fresh.since, fresh.waiting_usage, fresh.totals.clone()),
         (None, None, Usage::default(), Totals::default())
     );
     file.close().await.expect("closes");
@@ -35,7 +35,7 @@ async fn batches_totals_and_deletions_survive_reopening() {
 
     let (mut file, state) = spool_folder.open_undamaged().await;
     assert_eq!(
-        (state.stream, state.first, state.oldest, state.previous_chain),
+        (state.stream, state.first, state.oldest, state.chain_before_oldest),
         (fresh.stream, 1, 4, written[2].chain)
     );
     assert_eq!((state.newest, state.since), ((9, written[8].chain), Some(written[3].since)));
@@ -58,7 +58,7 @@ async fn emptied_spool_keeps_its_position() {
     file.delete_through(2, written[1].chain).await.expect("deletes");
     drop(file.close().await);
     let (_, state) = spool_folder.open_undamaged().await;
-    assert_eq!((state.oldest, state.previous_chain), (3, written[1].chain));
+    assert_eq!((state.oldest, state.chain_before_oldest), (3, written[1].chain));
     assert_eq!(
         (state.newest, state.since, state.waiting_usage),
         ((2, written[1].chain), None, Usage::default())
@@ -79,7 +79,7 @@ async fn batches_stored_without_spool_leave_no_gap() {
     drop(file.close().await);
     let (_, state) = spool_folder.open_undamaged().await;
     assert_eq!(
-        (state.oldest, state.previous_chain, state.newest),
+        (state.oldest, state.chain_before_oldest, state.newest),
         (6, created[4].chain, (7, created[6].chain))
     );
 }
@@ -95,7 +95,7 @@ async fn renewed_spool_keeps_batches_under_new_stream_id() {
     file.renew(renewed, fresh.stream, (2, 3)).await.expect("renews");
     drop(file.close().await);
     let (mut file, state) = spool_folder.open_undamaged().await;
-    assert_eq!((state.stream, state.previous, state.first), (renewed, Some(fresh.stream), 2));
+    assert_eq!((state.stream, state.previous_stream, state.first), (renewed, Some(fresh.stream), 2));
     assert_eq!(file.load(2, usize::MAX).await.expect("loads").batches, written[1..]);
 }
 

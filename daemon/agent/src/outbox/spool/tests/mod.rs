@@ -5,8 +5,8 @@ mod disk;
 mod file;
 mod fixtures;
 mod growth;
+mod killed_process;
 mod range_log;
-mod tail;
 mod task;
 
 use std::path::{Path, PathBuf};

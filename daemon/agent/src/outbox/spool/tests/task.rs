@@ -20,7 +20,7 @@ async fn orders_are_done_in_sequence_and_answered() {
     task.order(Order::Load { from: 2, bytes: usize::MAX }).expect("takes it");
     task.order(Order::Delete { through: 1, chain: written[0].chain }).expect("takes it");
     let stream = StreamId::random();
-    task.order(Order::Renew { stream, previous: fresh.stream, first: 2, events_before_first: 3 })
+    task.order(Order::Renew { stream, previous_stream: fresh.stream, first: 2, events_before_first: 3 })
         .expect("takes it");
     assert!(matches!(task.next_result().await, Some(OrderResult::Appended(Ok(())))));
     let Some(OrderResult::Loaded(Ok(loaded))) = task.next_result().await else { panic!("loads") };

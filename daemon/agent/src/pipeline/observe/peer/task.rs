@@ -245,7 +245,7 @@ impl PeerTask {
     /// Logs why a query failed. The query is repeated.
     fn log(&mut self, problem: &str) {
         let now = self.now();
-        if let Some(times) = self.throttle.times_to_log("ask", None, now) {
+        if let Some(times) = self.throttle.count_event("ask", None, now) {
             tracing::warn!(
                 times,
                 "{problem}; iterations whose stamps do not arrive in time count as peer-unanswered"

@@ -169,13 +169,13 @@ fn checked_constant(
     }
 }
 
-/// Deserialises the lengths of a shape. An exported model often has -1 or a name for a length that is open.
+/// Deserialises the lengths of a shape. An exported model often has -1 or a name for a dimension without a fixed length.
 pub(super) fn lengths<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<usize>, D::Error> {
     let length = |value: &toml::Value| {
         value
             .as_integer()
             .and_then(|number| usize::try_from(number).ok())
-            .filter(|length| (1..=MAX_LENGTH).contains(length))
+            .filter(|length| (1..=MAX_ELEMENTS).contains(length))
             .ok_or_else(|| {
                 D::Error::custom(format_args!(
                     "a length is {value}; write the length with which the model is run, and 1 for the batch"
@@ -185,14 +185,14 @@ pub(super) fn lengths<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<
     let shape = Vec::<toml::Value>::deserialize(deserializer)?;
     let shape = shape.iter().map(length).collect::<Result<Vec<usize>, _>>()?;
     let count = shape.iter().try_fold(1_usize, |count, length| count.checked_mul(*length));
-    match count.filter(|count| *count <= MAX_LENGTH) {
+    match count.filter(|count| *count <= MAX_ELEMENTS) {
         Some(_) => Ok(shape),
-        None => Err(D::Error::custom(format_args!("a shape has at most {MAX_LENGTH} elements"))),
+        None => Err(D::Error::custom(format_args!("a shape has at most {MAX_ELEMENTS} elements"))),
     }
 }
 
 /// Largest number of elements of an input or output: a gigabyte of 32-bit floats.
-const MAX_LENGTH: usize = 1 << 28;
+const MAX_ELEMENTS: usize = 1 << 28;
 
 /// Deserialises a number or a nested list of numbers, as a flat list.
 fn numbers<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vec<f64>>, D::Error> {

@@ -108,7 +108,7 @@ mod tests {
                     prop_assert!(a.class != b.class || a.rectangle.overlap(b.rectangle) <= 0.4);
                 }
             }
-            for dropped in all.iter().filter(|one| !kept.contains(one)) {
+            for dropped in all.iter().filter(|candidate| !kept.contains(candidate)) {
                 let better = |other: &&Candidate| other.class == dropped.class
                     && other.score >= dropped.score
                     && other.rectangle.overlap(dropped.rectangle) > 0.4;

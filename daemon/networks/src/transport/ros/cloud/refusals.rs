@@ -35,7 +35,7 @@ impl Refusals {
     pub(super) fn refuse(&self, hello: &SessionHello, edge: &RemoteNode, reason: &str) {
         let address = Some(edge.remote.ip());
         let mut throttle = self.throttle.lock().unwrap_or_else(PoisonError::into_inner);
-        let is_due = throttle.times_to_log(reason, address, self.clock.mono()).is_some();
+        let is_due = throttle.count_event(reason, address, self.clock.mono()).is_some();
         drop(throttle);
         // Published each time, because an edge waits for the refusal of its own connection.
         self.publish(hello, reason);

@@ -11,19 +11,28 @@ use crate::event_queue::counter::{self, CountOwner, EventCounter};
 /// State that the previous process left in the file.
 #[derive(FromRow)]
 struct PreviousProcess {
+    /// Name of its file of counts.
     counter: Option<String>,
-    counted: Option<Vec<u8>>,
-    taken: Option<i64>,
-    counted_ns: Option<i64>,
+    #[sqlx(rename = "counted")]
+    settled_counts: Option<Vec<u8>>,
+    #[sqlx(rename = "taken")]
+    batched: Option<i64>,
+    #[sqlx(rename = "counted_ns")]
+    last_settled_ns: Option<i64>,
 }
 
 #[derive(FromRow)]
 struct UnresolvedRow {
+    /// Name of the process's file of counts.
     counter: String,
-    counted: Vec<u8>,
-    taken: i64,
-    counted_ns: Option<i64>,
-    told: i64,
+    #[sqlx(rename = "counted")]
+    settled_counts: Vec<u8>,
+    #[sqlx(rename = "taken")]
+    batched: i64,
+    #[sqlx(rename = "counted_ns")]
+    last_settled_ns: Option<i64>,
+    #[sqlx(rename = "told")]
+    reported_drops: i64,
     events: i64,
 }
 
@@ -92,11 +101,11 @@ pub(super) async fn read_unresolved(
         Some(UnresolvedBatches {
             counted: counter::read(&row.counter, owner)?,
             settled: SettledEvents {
-                events: decode_counts(&row.counted).unwrap_or_default(),
-                batched: row.taken.cast_unsigned(),
-                last: row.counted_ns.map(WallTime::from_unix_nanos),
+                events: decode_counts(&row.settled_counts).unwrap_or_default(),
+                batched: row.batched.cast_unsigned(),
+                last: row.last_settled_ns.map(WallTime::from_unix_nanos),
             },
-            reported_drops: row.told.cast_unsigned(),
+            reported_drops: row.reported_drops.cast_unsigned(),
             events: row.events.cast_unsigned(),
         })
     }))
@@ -131,10 +140,11 @@ pub(super) async fn start_counter(
     let mut lost_events = Some(0);
     let counted_events = previous.counter.as_deref().and_then(|name| counter::read(name, owner));
     if let Some(counted_events) = counted_events {
-        let events = previous.counted.as_deref().and_then(decode_counts).unwrap_or_default();
-        let batched = previous.taken.unwrap_or_default().cast_unsigned();
-        let last = previous.counted_ns.map(WallTime::from_unix_nanos);
-        lost_events = state.lose_tail(counted_events, SettledEvents { events, batched, last });
+        let events = previous.settled_counts.as_deref().and_then(decode_counts).unwrap_or_default();
+        let batched = previous.batched.unwrap_or_default().cast_unsigned();
+        let last = previous.last_settled_ns.map(WallTime::from_unix_nanos);
+        lost_events =
+            state.record_losses_of_killed_process(counted_events, SettledEvents { events, batched, last });
     }
     let counter = EventCounter::create(owner).unwrap_or_else(|error| {
         tracing::warn!(%error, "cannot count events in shared memory; if the agent is killed, its lost events are not reported");
@@ -178,7 +188,7 @@ pub(super) async fn start_counter(
     Ok(counter)
 }
 
-/// Writes the state. `is_unresolved` is `true` if the previous process has become [`SpoolState::unresolved`].
+/// Writes the state. `is_unresolved` is `true` if [`SpoolState::unresolved`] now has the batches of the previous process.
 async fn write(
     connection: &mut SqliteConnection,
     state: &SpoolState,
