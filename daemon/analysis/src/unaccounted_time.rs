@@ -25,7 +25,7 @@ pub struct IterationDurations<'a> {
     pub is_answered: bool,
 }
 
-/// Parts of a total that no stage accounts for, seconds.
+/// Parts of a total that no stage accounts for, seconds: the network, if its delays are not known, and the time in no stage.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct UnaccountedTime {
     /// [`BOTH_DIRECTIONS`] or [`NETWORK_AND_REST`], with its duration; `None` if both directions are known, and if nothing was answered.
@@ -35,7 +35,7 @@ pub struct UnaccountedTime {
 }
 
 impl UnaccountedTime {
-    /// Splits the total by the sum of upload and download that the agent measured, if a delay is not known.
+    /// Determines the parts. If a delay is not known, the sum of upload and download that the agent measured takes its place.
     pub fn of(durations: &IterationDurations<'_>) -> Self {
         let IterationDurations { total, stages, both_ways, unattributed, .. } = *durations;
         let sum_of_stages = |with_one_way: bool| {

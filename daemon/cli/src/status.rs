@@ -50,11 +50,11 @@ struct Window {
     lost_fraction: Option<f64>,
     /// Absent in answers of earlier releases.
     miss_rate: Option<f64>,
-    values: Vec<Figures>,
+    values: Vec<Statistics>,
 }
 
 #[derive(Debug, Deserialize)]
-struct Figures {
+struct Statistics {
     name: String,
     mean: f64,
     p50: Option<f64>,
@@ -95,7 +95,7 @@ struct Stored {
 }
 
 impl Host {
-    /// Returns the number of events that are missing in the database for ever, as the overview of the dashboard.
+    /// Returns the number of events that are missing in the database for ever, as the overview of the dashboard counts them.
     fn lost(&self) -> u64 {
         self.now.as_ref().map_or(0, |now| now.events.dropped).max(self.stored.missing)
     }
@@ -133,7 +133,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         ];
         print_to_stdout(text(
             &header,
-            &pipelines.iter().map(|one| pipeline_row(one, &faulty)).collect::<Vec<_>>(),
+            &pipelines.iter().map(|pipeline| pipeline_row(pipeline, &faulty)).collect::<Vec<_>>(),
         ));
         print_to_stdout(format_args!(
             "the last {WINDOW_S} s; missed: later than their deadline or failed; p50 and p95 are quantiles of the total, the stages are means"
@@ -150,7 +150,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     print_to_stdout("");
     let header = ["host", "state", "CPU %", "waiting", "lost"];
-    print_to_stdout(text(&header, &hosts.iter().map(|one| host_row(one, &faulty)).collect::<Vec<_>>()));
+    print_to_stdout(text(&header, &hosts.iter().map(|host| host_row(host, &faulty)).collect::<Vec<_>>()));
     for (name, how) in &faulty {
         print_to_stdout(format_args!(
             "\nCLOCK FAULT INJECTION: {name}'s clock is made wrong on purpose ({how}); its measured delays should stay the same"
@@ -161,9 +161,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 fn pipeline_row(pipeline: &Pipeline, faulty: &FaultyClocks) -> Vec<String> {
     let window = pipeline.windows.iter().find(|window| window.seconds == WINDOW_S);
-    let statistics_of =
-        |name: &str| window.and_then(|window| window.values.iter().find(|figures| figures.name == name));
-    let mean = |name: &str| milliseconds(statistics_of(name).map(|figures| figures.mean));
+    let statistics_of = |name: &str| {
+        window.and_then(|window| window.values.iter().find(|statistics| statistics.name == name))
+    };
+    let mean = |name: &str| milliseconds(statistics_of(name).map(|statistics| statistics.mean));
     let total = statistics_of("total");
     let Placement { kind, peer, address, model } = &pipeline.placement;
     // A peer has no name before the first session; until then its address identifies it.
@@ -173,7 +174,7 @@ fn pipeline_row(pipeline: &Pipeline, faulty: &FaultyClocks) -> Vec<String> {
         None if kind == PlacementKind::Local.name() => format!("{model} on board"),
         None => model.clone(),
     };
-    // A wrong clock at either end affects the delays of the pipeline.
+    // A pipeline is marked if the clock of either end is faulty.
     let ends = [Some(&pipeline.host), peer.as_ref()];
     let is_faulty = ends.into_iter().flatten().any(|host| faulty.contains_key(host));
     vec![
@@ -183,8 +184,8 @@ fn pipeline_row(pipeline: &Pipeline, faulty: &FaultyClocks) -> Vec<String> {
         or_dash(window.map(|window| number::rate(window.rate_hz))),
         or_dash(window.and_then(|window| window.lost_fraction).map(number::percent)),
         or_dash(window.and_then(|window| window.miss_rate).map(number::percent)),
-        milliseconds(total.and_then(|figures| figures.p50)),
-        milliseconds(total.and_then(|figures| figures.p95)),
+        milliseconds(total.and_then(|statistics| statistics.p50)),
+        milliseconds(total.and_then(|statistics| statistics.p95)),
         mean("upload"),
         mean("inference"),
         mean("download"),
@@ -217,8 +218,8 @@ fn milliseconds(seconds: Option<f64>) -> String {
     or_dash(seconds.map(number::stage_ms))
 }
 
-fn or_dash(figure: Option<String>) -> String {
-    figure.unwrap_or_else(|| number::NONE.to_owned())
+fn or_dash(text: Option<String>) -> String {
+    text.unwrap_or_else(|| number::NONE.to_owned())
 }
 
 #[cfg(test)]

@@ -15,7 +15,7 @@ use crate::record::{Clocks, Counts, RunRecord};
 use crate::rows::{Column, ColumnKind, FIXED_COLUMNS, Rows, Units};
 use crate::trust::{Starts, replayed_latencies};
 
-/// Summary of the columns of a run, without warm-up and failed iterations.
+/// Summary of the columns of a run. Warm-up and failed iterations are left out.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Summary {
     /// Title for people.

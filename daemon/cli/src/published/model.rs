@@ -41,7 +41,6 @@ fn configuration(arguments: &Arguments) -> Result<ModelConfig, Failure> {
         return Ok(ModelConfig::echo(slug(model_name)));
     }
     let device = bank_device(device_option.unwrap_or(DEFAULT_DEVICE));
-    // A user's program or object may be run because this command line names it.
     let shared_keys = |name| {
         let shared_keys = SharedKeys::new(slug(name));
         if device_option.is_some() {
@@ -78,7 +77,7 @@ fn check(config: &ModelConfig, runtime: &OnnxRuntimeConfig, clock: SharedClock) 
     bank.check().into_iter().next().map(|(_, error)| error)
 }
 
-/// Makes the failure, with advice that the published default often needs.
+/// Makes the failure, with advice for the published default device, `cuda:0`, which many hosts do not have.
 pub(super) fn failure(error: LoadError) -> Failure {
     let exit = match &error {
         error if error.is_missing() => Exit::NoInput,

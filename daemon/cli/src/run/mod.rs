@@ -54,7 +54,7 @@ use file::File;
 use finished_runs::{check_finished_runs, version_change_note};
 use folder::Folder;
 use plan::{Plan, Run};
-use relative_paths::base_hint_if_missing;
+use relative_paths::hint_at_relative_paths;
 use report::Report;
 use state::{Record, State};
 use trial::TrialResults;
@@ -76,7 +76,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let remarks = check::configurations(&arguments.file, &configurations, &clock)?;
     let path = arguments.result_loc.clone();
     let path = path.unwrap_or_else(|| PathBuf::from(DEFAULT_PARENT).join(file.experiment.name.as_str()));
-    // A broken record can be replaced, and is no error of the file.
+    // `--restart` replaces the record, and `--check` checks the file only, so a broken record must not stop them.
     let existing_record = if arguments.restart || arguments.check { None } else { folder::load(&path)? };
     // A continued experiment keeps the seed of `--seed` although the option is not repeated; otherwise its plan would
     // differ.
@@ -88,8 +88,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     if arguments.check {
         let runs = table::count(plan.runs.len(), "run");
         let configurations = table::count(plan.configurations.len(), "configuration");
-        remarks.iter().for_each(|remark| print_to_stderr(format_args!("not on this machine: {remark}")));
-        base_hint_if_missing(remarks.iter().map(String::as_str)).iter().for_each(print_to_stderr);
+        remarks.iter().for_each(|remark| {
+            print_to_stderr(format_args!("a problem of this machine, not of the file: {remark}"))
+        });
+        hint_at_relative_paths(remarks.iter().map(String::as_str)).iter().for_each(print_to_stderr);
         print_to_stdout(format_args!("{}: {runs} of {configurations}", arguments.file.display()));
         return Ok(());
     }
@@ -274,7 +276,7 @@ fn unavailable_configurations(trial_results: &TrialResults, file: &Path) -> Opti
             reasons.push(reason);
         }
     }
-    let hint = base_hint_if_missing(reasons.iter().copied());
+    let hint = hint_at_relative_paths(reasons.iter().copied());
     let lines = reasons.into_iter().flat_map(|reason| {
         let affected =
             all.iter().filter(move |(other, configuration)| other == reason && !configuration.is_empty());

@@ -15,7 +15,7 @@ pub(super) fn base_hint() -> String {
 const NO_SUCH_FILE: &str = ": No such file or directory";
 
 /// Returns the hint if one of these sentences says that a file with a relative path does not exist.
-pub(super) fn base_hint_if_missing<'a>(mut sentences: impl Iterator<Item = &'a str>) -> Option<String> {
+pub(super) fn hint_at_relative_paths<'a>(mut sentences: impl Iterator<Item = &'a str>) -> Option<String> {
     sentences.any(misses_relative_path).then(base_hint)
 }
 
@@ -33,7 +33,7 @@ mod tests {
 
     #[test]
     fn hint_is_given_for_relative_paths_only() {
-        let hint = |text| base_hint_if_missing(std::iter::once(text)).is_some();
+        let hint = |text| hint_at_relative_paths(std::iter::once(text)).is_some();
         assert!(hint("pipeline.sensor: cannot read pictures/a.jpg: No such file or directory (os error 2)"));
         assert!(!hint("cannot read /data/a.jpg: No such file or directory (os error 2)"));
         assert!(!hint("cannot read \"/data/a.jpg\": No such file or directory"));

@@ -22,7 +22,7 @@ mod stages_over_time;
 mod time_series;
 
 pub use crate::plot::Unit;
-pub use accuracy::{Accuracy, MOST_SCORES, Score};
+pub use accuracy::{Accuracy, MAX_SCORES, Score};
 pub use binned::BinnedAxis;
 pub(crate) use peernet_analysis::rows::is_plausible as is_drawable;
 
@@ -31,10 +31,10 @@ pub use histogram::{Bins, Counted, Distribution, Histogram, View};
 pub use inline::{meter, share_bar, sparkline};
 pub use joint::Joint;
 pub use lengths::Lengths;
-pub use paired::{Group, MOST_GROUPS, MOST_SIDES, Paired};
+pub use paired::{Group, MAX_GROUPS, MAX_PLACEMENTS, Paired};
 pub use quartiles::Quartiles;
 pub use scaling::{Parts, Scaling, Series, Value};
-pub use sharing::{MOST_CURVES, Sharing, SharingCurve, SharingPoint};
+pub use sharing::{MAX_CURVES, Sharing, SharingCurve, SharingPoint};
 pub use stack::{Orientation, Stack};
 pub use stacked::{Bar, Stacked};
 pub use stage_bar::{BarPlace, StageBar, StagePart};

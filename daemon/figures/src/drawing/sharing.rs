@@ -9,7 +9,7 @@ use crate::plot::{Axis, Figure, Height, Item, Key, Marks, Path, Plot, Swatch, Un
 use crate::scale::{Scale, Tick};
 
 /// Maximum number of curves that a reader can distinguish.
-pub const MOST_CURVES: usize = 4;
+pub const MAX_CURVES: usize = 4;
 /// Half the distance between two curves at one number of edges, points.
 const HALF_DISTANCE: f64 = 2.0;
 /// Half the width of a whisker's cap, and of the dash at the median of one edge, points.

@@ -9,7 +9,7 @@ use super::stage_bar::{BarPlace, StageBar, StagePart};
 use crate::look::{TextStyle, label, stage};
 use crate::plot::{Anchor, Axis, Figure, Height, Item, Key, Label, Marks, Plot, Swatch, Unit};
 use crate::scale::{Scale, Tick};
-use crate::sheet::file::{MOST_NAME, SMALL, TEXT, WIDTH};
+use crate::sheet::file::{MAX_NAME_WIDTH, SMALL, TEXT, WIDTH};
 use crate::text::width;
 
 /// Height of a horizontal bar with the space around it, points.
@@ -211,7 +211,7 @@ impl Stacked {
     /// uses the free space after its bar.
     fn free_space(&self, values: Scale) -> f64 {
         let names_width = self.bars.iter().map(|bar| width(&bar.label, TEXT)).fold(0.0, f64::max);
-        let available_width = WIDTH - NAME_DISTANCE - names_width.min(MOST_NAME);
+        let available_width = WIDTH - NAME_DISTANCE - names_width.min(MAX_NAME_WIDTH);
         // Maximum width of the plot at which a bar and the sum after it fit into the available width.
         let max_plot_width = |bar: &Bar| {
             let sum_width = width(&bar.sum_text(&self.unit), SMALL) + SUM_DISTANCE;

@@ -6,7 +6,7 @@ use super::columns::{excluded_note, is_drawable, too_large_note};
 use super::configuration_groups::{ConfigurationGroups, counted_rows};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
-use crate::drawing::{Accuracy, MOST_SCORES, Score, Unit};
+use crate::drawing::{Accuracy, MAX_SCORES, Score, Unit};
 use peernet_analysis::loaded::{Loaded, unknown_labels};
 use peernet_analysis::order::SortedValues;
 use peernet_analysis::quality::Quality;
@@ -46,7 +46,7 @@ fn drawing(runs: &[Loaded], quality: Quality) -> Option<Drawing> {
     };
     let mut scores: Vec<Score> = groups.iter().filter_map(score).collect();
     let (score_count, omitted_groups) = (scores.len(), groups.len() - scores.len());
-    scores.truncate(MOST_SCORES);
+    scores.truncate(MAX_SCORES);
     let counts = || scores.iter().map(|score| score.estimate.count);
     let number = |count: u64| fixed(count as f64, 0);
     let (fewest, most) = (counts().min()?, counts().max()?);
@@ -54,8 +54,8 @@ fn drawing(runs: &[Loaded], quality: Quality) -> Option<Drawing> {
     let count_name = if quality.is_of_episodes() { "episodes:" } else { "n =" };
     let mut notes = vec![format!("configurations: {} · {count_name} {n} each", axes.join(", "))];
     let mut missing = Vec::new();
-    if score_count > MOST_SCORES {
-        missing.push(format!("the first {MOST_SCORES} of {score_count} configurations"));
+    if score_count > MAX_SCORES {
+        missing.push(format!("the first {MAX_SCORES} of {score_count} configurations"));
     }
     if !quality.is_of_episodes() {
         notes.extend(excluded_note(&runs.iter().flat_map(|run| &run.rows)));

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::drawing::{MOST_GROUPS, MOST_SIDES};
+use crate::drawing::{MAX_GROUPS, MAX_PLACEMENTS};
 use peernet_analysis::accuracy::UnknownLabels;
 use peernet_analysis::answer_length::NO_USAGE;
 use peernet_analysis::quality::Quality;
@@ -39,8 +39,8 @@ pub enum MissingData {
         /// The columns with this name.
         columns: Vec<String>,
     },
-    /// A language model's server reported no numbers of tokens, and the other measure of the length shows nothing.
-    #[error("the column {x} has no different lengths of answers: {NO_USAGE}")]
+    /// A language model's server reported no numbers of tokens, and the column of lengths does not vary enough.
+    #[error("the column {x} does not show how the lengths of the answers differ: {NO_USAGE}")]
     Usage {
         /// The column of lengths.
         x: String,
@@ -56,7 +56,7 @@ pub enum MissingData {
         length: f64,
     },
     /// The lengths differ too little to show an effect.
-    #[error("all answers have much the same length ({x}); name another column with --x")]
+    #[error("all answers have nearly the same length ({x}); name another column with --x")]
     SimilarLength {
         /// The column of lengths.
         x: String,
@@ -71,7 +71,7 @@ pub enum MissingData {
     },
     /// There are more models or placements than fit.
     #[error(
-        "{models} models at {places} placements are too many for one figure (at most {MOST_GROUPS} models and {MOST_SIDES} \
+        "{models} models at {places} placements are too many for one figure (at most {MAX_GROUPS} models and {MAX_PLACEMENTS} \
          placements); name fewer runs"
     )]
     TooManyModels {
@@ -82,7 +82,7 @@ pub enum MissingData {
     },
     /// The largest message has less than twice the size of the smallest.
     #[error(
-        "it needs messages over one network of which the largest has twice the size of the smallest at least; see \
+        "it needs messages of different sizes over one network, the largest at least twice the smallest; see \
          peernet calibrate and the experiment payload-study"
     )]
     MessageSizes,

@@ -6,7 +6,7 @@ use super::columns::{excluded_and_undrawn_note, heading, unit, values};
 use super::missing_data::MissingData;
 use super::replayed::{is_replayed, marked};
 use super::written_figures::{AnyFigure, Drawing};
-use crate::drawing::{Group, MOST_GROUPS, MOST_SIDES, Paired};
+use crate::drawing::{Group, MAX_GROUPS, MAX_PLACEMENTS, Paired};
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::model_places::{ModelPlaces, PlacedModel};
 use peernet_analysis::order::SortedValues;
@@ -23,7 +23,7 @@ pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Draw
     if models.is_empty() {
         return Err(MissingData::SecondPlace { column: column.to_owned() });
     }
-    if sides.len() > MOST_SIDES || models.len() > MOST_GROUPS {
+    if sides.len() > MAX_PLACEMENTS || models.len() > MAX_GROUPS {
         return Err(MissingData::TooManyModels { models: models.len(), places: sides.len() });
     }
     let values_of = |runs: &Vec<usize>| -> SortedValues {

@@ -6,7 +6,7 @@ use super::columns::{excluded_note, is_drawable, too_large_note};
 use super::configuration_groups::{ConfigurationGroups, counted_rows};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
-use crate::drawing::{Cumulative, CumulativeCurve, MOST_CURVES, Unit};
+use crate::drawing::{Cumulative, CumulativeCurve, MAX_CURVES, Unit};
 use crate::look::series;
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::order::SortedValues;
@@ -43,7 +43,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     notes.extend(excluded_note(&runs.iter().flat_map(|run| &run.rows)));
     notes.extend(too_large_note(all_rows(), &[total.name()]));
     notes.extend(missing.iter().cloned());
-    let drawings = groups_with_total.chunks(MOST_CURVES).enumerate().map(|(number, chunk)| {
+    let drawings = groups_with_total.chunks(MAX_CURVES).enumerate().map(|(number, chunk)| {
         let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };
         let counts = || chunk.iter().map(|(_, values)| values.len());
         let [fewest, most] =

@@ -6,7 +6,7 @@ use super::columns::{excluded_note, is_drawable};
 use super::missing_data::MissingData;
 use super::replayed::marked;
 use super::written_figures::{AnyFigure, Drawing};
-use crate::drawing::{MOST_CURVES, Sharing, SharingCurve, Unit};
+use crate::drawing::{MAX_CURVES, Sharing, SharingCurve, Unit};
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::users::{Curve, Users, UsersLine};
 
@@ -28,7 +28,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let mut notes = vec!["counted while all edges of a run were measuring".to_owned()];
     notes.extend(excluded_note(&runs.iter().flat_map(|run| &run.rows)));
     let curves = Curve::from_users(&users);
-    let drawings = curves.chunks(MOST_CURVES).enumerate().map(|(number, curves)| {
+    let drawings = curves.chunks(MAX_CURVES).enumerate().map(|(number, curves)| {
         let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };
         let missing: Vec<String> = missing_points_note(curves).into_iter().collect();
         let sharing = Sharing {

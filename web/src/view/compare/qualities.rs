@@ -1,7 +1,7 @@
 //! Each quality of the configurations, such as the accuracy of answers or the success of episodes, against latency.
 
 use peernet_analysis::quality::{Quality, QualityEstimate};
-use peernet_figures::drawing::{Accuracy, MOST_SCORES, Score, Unit};
+use peernet_figures::drawing::{Accuracy, MAX_SCORES, Score, Unit};
 use peernet_statistics::number::{SPACE, duration, share, significant};
 
 use super::{Comparison, Configuration};
@@ -58,7 +58,7 @@ fn plot(comparison: &Comparison, quality: Quality) -> Option<QualityPlot> {
     let mut scores: Vec<Score> = comparison.configurations.iter().filter_map(score).collect();
     let all = scores.len();
     (all >= 2).then_some(())?;
-    scores.truncate(MOST_SCORES);
+    scores.truncate(MAX_SCORES);
     let point = |score: &Score| {
         let ((value, _), unit) = (texts(quality, &score.estimate), title(quality).1);
         let unit = if unit.is_empty() { String::new() } else { format!("{SPACE}{unit}") };
@@ -75,6 +75,6 @@ fn plot(comparison: &Comparison, quality: Quality) -> Option<QualityPlot> {
         title: figure.title,
         columns: figure.table.titles,
         rows: figure.table.lines,
-        all: (all > MOST_SCORES).then_some(all),
+        all: (all > MAX_SCORES).then_some(all),
     })
 }

@@ -3,7 +3,7 @@
 use futures::{StreamExt, TryStreamExt};
 use peernet_analysis::users::{Curve, EdgeMeasured, Repeat, Totals, Users, UsersLine, common_time};
 use peernet_clock::WallTime;
-use peernet_figures::drawing::{MOST_CURVES, Sharing, SharingCurve, Unit};
+use peernet_figures::drawing::{MAX_CURVES, Sharing, SharingCurve, Unit};
 use peernet_logger::stage;
 use peernet_statistics::Summary;
 use peernet_statistics::number::{NONE, count, duration, length, mean_std_ms, measured, rate};
@@ -159,7 +159,7 @@ fn line(one: &Configuration, repeats: &[Repeat<Summary>]) -> UsersLine {
     UsersLine::new(one.values.clone(), edges, repeats, Totals::from_summary(&totals))
 }
 
-/// Draws latency and fairness against the number of users, at most [`MOST_CURVES`] curves in a picture.
+/// Draws latency and fairness against the number of users, at most [`MAX_CURVES`] curves in a picture.
 fn plot(curves: &[Curve<'_>], points: &[Vec<(&UsersLine, &Configuration)>]) -> Picture {
     let sentences = points.iter().flatten().filter_map(|(line, one)| {
         let median = line.totals.median?;
@@ -167,7 +167,7 @@ fn plot(curves: &[Curve<'_>], points: &[Vec<(&UsersLine, &Configuration)>]) -> P
     });
     let label =
         format!("Median latency against the number of users. {}", sentences.collect::<Vec<_>>().join(", "));
-    let pictures = curves.chunks(MOST_CURVES).map(|curves| {
+    let pictures = curves.chunks(MAX_CURVES).map(|curves| {
         let sharing = Sharing {
             title: String::new(),
             unit: Unit::milliseconds("Total"),

@@ -18,7 +18,7 @@ const RIM: f64 = 0.4;
 /// The axis is logarithmic if the ratio of the largest to the smallest latency is more than this.
 const LOGARITHMIC_RATIO: f64 = 12.0;
 /// Maximum number of points that a reader can distinguish.
-pub const MOST_SCORES: usize = 24;
+pub const MAX_SCORES: usize = 24;
 /// Room beyond the intervals of shares, percentage points.
 const AXIS_MARGIN: f64 = 2.0;
 /// The horizontal whiskers of two points can overlap if the accuracies differ by less than this share of the axis.
@@ -97,7 +97,7 @@ impl Shown {
     }
 }
 
-/// Figure with a numbered point for each configuration, at most [`MOST_SCORES`], and a table below that explains the numbers.
+/// Figure with a numbered point for each configuration, at most [`MAX_SCORES`], and a table below that explains the numbers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Accuracy {
     /// Quantity of the vertical axis.

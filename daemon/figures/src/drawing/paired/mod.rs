@@ -33,10 +33,10 @@ const MAX_POINTS: usize = 60;
 const ROOM_FOR_POINTS: f64 = 1.05;
 /// Minimum ratio of the largest to the smallest median of a logarithmic axis.
 const LOGARITHMIC_RATIO: f64 = 30.0;
-/// Maximum number of sides that a reader can distinguish.
-pub const MOST_SIDES: usize = 4;
+/// Maximum number of placements whose distributions a reader can distinguish.
+pub const MAX_PLACEMENTS: usize = 4;
 /// Maximum number of groups that fit into the width of a column.
-pub const MOST_GROUPS: usize = 12;
+pub const MAX_GROUPS: usize = 12;
 
 /// Distributions side by side, in groups.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,7 +45,7 @@ pub struct Paired {
     pub title: String,
     /// Unit of the vertical axis.
     pub unit: Unit,
-    /// Names of the sides in each group: at most four.
+    /// Names of the placements, in the order of the distributions in each group: at most four.
     pub sides: Vec<String>,
     /// One group for each model: at most twelve.
     pub groups: Vec<Group>,
@@ -58,12 +58,12 @@ pub struct Paired {
 pub struct Group {
     /// Name of the model.
     pub name: String,
-    /// Values of each side, SI units. A side without values has an empty list.
+    /// Values at each placement, SI units. A placement without values has an empty list.
     pub values: Vec<SortedValues>,
 }
 
 impl Group {
-    /// Returns the ratio of the median of the first side to the median of the second side, such as `2.5 ×`; `None` unless there are two sides.
+    /// Returns the ratio of the median at the first placement to the median at the second, such as `2.5 ×`; `None` unless there are two placements.
     fn ratio(&self) -> Option<String> {
         let [first, second] = self.values.as_slice() else { return None };
         let (first, second) = (first.median()?, second.median()?);
@@ -110,9 +110,9 @@ impl Paired {
     /// Returns whether there is room for the count below each distribution.
     fn has_room_for_counts(&self) -> bool {
         let sides = self.groups.iter().map(|group| group.values.len()).max().unwrap_or(1);
-        let room = PLOT_WIDTH * 0.9 / (self.groups.len() * sides).max(1) as f64 - 1.8;
+        let max_width = PLOT_WIDTH * 0.9 / (self.groups.len() * sides).max(1) as f64 - 1.8;
         let mut distributions = self.groups.iter().flat_map(|group| &group.values);
-        distributions.all(|values| width(&count_text(values), SMALL) <= room)
+        distributions.all(|values| width(&count_text(values), SMALL) <= max_width)
     }
 
     /// Returns the range of the axis. It contains every distribution without the tails that would leave little space for the rest.
@@ -287,11 +287,11 @@ impl Paired {
         let x = Axis::new(Scale::linear((0.0, 1.0)), "", "").marked(Marks::Names(ticks.collect()));
         let mut plot = Plot::new(x, self.unit.axis(self.scale(shown)).with_grid());
         for (number, group) in self.groups.iter().enumerate() {
-            let lane = step * 0.9 / group.values.len().max(1) as f64;
+            let placement_width = step * 0.9 / group.values.len().max(1) as f64;
             for (side, values) in group.values.iter().enumerate() {
-                let middle = step * (number as f64 + 0.05) + lane * (side as f64 + 0.5);
+                let middle = step * (number as f64 + 0.05) + placement_width * (side as f64 + 0.5);
                 let items =
-                    self.distribution_items(&plot, values, side, (middle, (lane * 0.4).min(MAX_HALF_WIDTH)));
+                    self.distribution_items(&plot, values, side, (middle, (placement_width * 0.4).min(MAX_HALF_WIDTH)));
                 plot.items.extend(items);
                 if !counts.is_empty() && !values.is_empty() {
                     let at = At::new(middle, 1.0).offset_by(0.0, COUNT_DISTANCE);

@@ -11,7 +11,7 @@ mod table;
 #[cfg(test)]
 mod tests;
 
-pub use places::{Area, MOST_NAME, areas};
+pub use places::{Area, MAX_NAME_WIDTH, areas};
 
 use crate::look::{INK_2, WHITE};
 use crate::plot::{Anchor, Figure};

@@ -14,7 +14,7 @@ const PLOT_DISTANCE: f64 = 5.0;
 /// Minimum distance of the marks of a vertical axis, so that their labels do not overlap, points.
 const MIN_MARK_DISTANCE: f64 = 12.0;
 /// Maximum width of names at a vertical axis, points.
-pub const MOST_NAME: f64 = WIDTH * 0.47;
+pub const MAX_NAME_WIDTH: f64 = WIDTH * 0.47;
 /// Names at a vertical axis have small type if their distance is less than this, points.
 const CLOSE: f64 = 12.0;
 /// Minimum height of a plot, points.
@@ -154,7 +154,7 @@ pub(super) fn y_ticks(plot: &Plot, height: f64) -> Vec<Tick> {
 pub(super) fn y_label_size(plot: &Plot) -> f64 {
     let Marks::Names(ticks) = &plot.y.marks else { return TEXT };
     let is_close = matches!(plot.height, Height::Points(height) if height < ticks.len() as f64 * CLOSE);
-    let is_long = ticks.iter().any(|tick| width(&tick.text, TEXT) > MOST_NAME);
+    let is_long = ticks.iter().any(|tick| width(&tick.text, TEXT) > MAX_NAME_WIDTH);
     if is_close || is_long { SMALL } else { TEXT }
 }
 
@@ -164,6 +164,6 @@ fn y_labels_width(plot: &Plot) -> f64 {
     // The height of a flexible plot depends on the labels, so half of the figure's height is assumed here.
     let ticks = y_ticks(plot, if let Height::Points(points) = plot.height { points } else { HEIGHT / 2.0 });
     let widest = ticks.iter().map(|tick| width(&tick.text, size)).fold(0.0, f64::max);
-    let max_width = if matches!(plot.y.marks, Marks::Names(_)) { MOST_NAME } else { f64::INFINITY };
+    let max_width = if matches!(plot.y.marks, Marks::Names(_)) { MAX_NAME_WIDTH } else { f64::INFINITY };
     if ticks.is_empty() { 0.0 } else { widest.min(max_width) + GAP }
 }
