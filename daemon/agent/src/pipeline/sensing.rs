@@ -130,6 +130,8 @@ fn serve_requests(mut chain: SensorChain, requests: &Receiver<SensorRequest>) {
             }
             SensorRequest::Prepare { preparation, reply } => {
                 let _ = reply.send(match preparation {
+                    // The actuator alone may need the reset.
+                    Preparation::Reset if !chain.sensor.resets() => Ok(()),
                     Preparation::Reset => chain.sensor.reset(),
                     Preparation::Advance(time) => chain.sensor.advance(time),
                 });

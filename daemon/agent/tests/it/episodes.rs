@@ -47,6 +47,22 @@ class Follower:
         assert len(answer['advances']) == answer['step'] - 1, answer
         if answer['advances']: return {'reward': answer['advances'][-1]}
 
+class Camera:
+    def sample(self): return {'episode': 1}
+
+class CountingCamera:
+    def __init__(self): self.resets = 0
+    def reset(self): self.resets += 1
+    def sample(self): return {'episode': self.resets}
+
+class Gripper:
+    def act(self, answer): return {'reward': answer['episode']}
+
+class CountingGripper:
+    def __init__(self): self.resets = 0
+    def reset(self): self.resets += 1
+    def act(self, answer): return {'reward': answer['episode'] * 10 + self.resets}
+
 class Stuck(Arm):
     def act(self, answer):
         import time
@@ -144,6 +160,31 @@ async fn failed_reset_fails_one_iteration_and_its_episode() {
     assert!(reason.starts_with("cannot reset the sensor for an episode: RuntimeError: no arm"), "{reason}");
     assert_eq!(iterations.iter().filter(|iteration| iteration.outcome == Outcome::Ok).count(), 6);
     assert_eq!(results(&iterations), [(0, 0.0, 1.5), (1, 0.0, 0.0), (2, 0.0, 1.5)], "a failed one counts");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn reset_reaches_only_ends_that_have_it() {
+    // The reward has the number of resets of the sensor (1 if it has none), and, if the actuator has any, its number as a second digit.
+    for (ends, rewards) in [
+        (("Camera", "Gripper"), [1.0, 1.0]),
+        (("CountingCamera", "Gripper"), [1.0, 2.0]),
+        (("Camera", "CountingGripper"), [11.0, 12.0]),
+        (("CountingCamera", "CountingGripper"), [11.0, 22.0]),
+    ] {
+        let reported = |iterations: &[Iteration]| {
+            for iteration in iterations {
+                assert_eq!(iteration.outcome, Outcome::Ok, "{ends:?}");
+            }
+            iterations.iter().map(|iteration| value(&iteration.tree, "reward")).collect::<Vec<_>>()
+        };
+        let [first, second] = rewards.map(Some);
+        let keys = "episode_steps = 2\nlimit = { episodes = 2 }\nwarm_up = { iterations = 0 }";
+        let iterations = run("kind = 'echo'", ends, keys).await;
+        assert_eq!(reported(&iterations), [first, first, second, second], "{ends:?}");
+        let keys = "limit = { total = 3 }\nwarm_up = { iterations = 0 }";
+        let iterations = run("kind = 'echo'", ends, keys).await;
+        assert_eq!(reported(&iterations), [first; 3], "{ends:?} without episodes");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
