@@ -1,6 +1,5 @@
 //! `peernet measure`: executes one order in a separate process.
 
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use crate::exit::{Exit, Failure};
@@ -12,10 +11,13 @@ use rustix::process::{Signal, set_parent_process_death_signal};
 use super::{Order, ProgressDisplay, ProgressReport, measure};
 use crate::foreground::{LogDestination, start_log};
 
+/// Line on standard output with which the process reports that it measures no more.
+pub(crate) const MEASUREMENT_ENDED: &str = r#"{"measurement-ended":true}"#;
+
 /// Arguments of `peernet measure`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
-    /// File with the order, as JSON; `-` is standard input.
+    /// File with the order, as JSON; `-` is standard input, with the order in one line.
     #[arg(long)]
     order: PathBuf,
 }
@@ -28,11 +30,12 @@ pub(crate) struct Arguments {
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     exit_with_parent();
     start_log(LogDestination::Parent)?;
+    let from_parent = arguments.order == Path::new("-");
     let text = read(&arguments.order).map_err(|error| Failure::new(Exit::NoInput, error))?;
     let order: Order = serde_json::from_str(&text).map_err(|error| {
         Failure::new(Exit::Configuration, anyhow!("cannot parse the description of the measurement: {error}"))
     })?;
-    let measured = measure(&order, &mut JsonProgress).map_err(with_indented_lines)?;
+    let measured = measure(&order, &mut JsonProgress { from_parent }).map_err(with_indented_lines)?;
     measured.failure().map_or(Ok(()), |failure| Err(with_indented_lines(failure)))
 }
 
@@ -59,8 +62,9 @@ fn exit_with_parent() {
 fn read(file: &Path) -> anyhow::Result<String> {
     if file == Path::new("-") {
         let mut text = String::new();
+        // The rest of the input is read later: its end says that no edge of the run measures any more.
         std::io::stdin()
-            .read_to_string(&mut text)
+            .read_line(&mut text)
             .context("cannot read the description of the measurement from standard input")?;
         return Ok(text);
     }
@@ -69,7 +73,10 @@ fn read(file: &Path) -> anyhow::Result<String> {
 }
 
 /// Display that prints the state to standard output.
-struct JsonProgress;
+struct JsonProgress {
+    /// `true` if the parent sent the order, and closes standard input when no edge of the run measures any more.
+    from_parent: bool,
+}
 
 impl ProgressDisplay for JsonProgress {
     fn show(&mut self, report: &ProgressReport) {
@@ -77,6 +84,17 @@ impl ProgressDisplay for JsonProgress {
             Ok(line) => print_to_stdout(line),
             // These fields can always be serialised, so this does not happen.
             Err(error) => tracing::debug!(%error, "cannot write the progress report"),
+        }
+    }
+
+    fn wait_for_other_edges(&mut self) {
+        if !self.from_parent {
+            return;
+        }
+        print_to_stdout(MEASUREMENT_ENDED);
+        // The parent sends nothing, so this reads until it closes the pipe. After an error there is nothing to wait for.
+        if let Err(error) = std::io::copy(&mut std::io::stdin().lock(), &mut std::io::sink()) {
+            tracing::debug!(%error, "cannot wait for the other edges of the run");
         }
     }
 }

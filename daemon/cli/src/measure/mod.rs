@@ -20,7 +20,7 @@ mod results;
 mod spools;
 mod state_dir;
 
-pub(crate) use command::{Arguments, run};
+pub(crate) use command::{Arguments, MEASUREMENT_ENDED, run};
 pub(crate) use order::Order;
 pub(crate) use previous_results::previous_results_folder;
 pub(crate) use progress_report::{Phase, ProgressDisplay, ProgressReport};
@@ -101,7 +101,9 @@ pub(crate) fn measure(
         progress_display,
     );
     let result = ready.watch(&mut recorder);
-    let (AgentResult { ended, name, missed }, recorded) = match (result, recorder.finish()) {
+    let recorded = recorder.finish();
+    progress_display.wait_for_other_edges();
+    let (AgentResult { ended, name, missed }, recorded) = match (result, recorded) {
         (Ok(result), recorded) => (result, recorded),
         (Err(failure), recorded) if recorded.rows.is_empty() => {
             results.discard();

@@ -1,6 +1,6 @@
 //! Separate processes for the runs, so that a crash affects one run only.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::os::unix::process::ExitStatusExt;
 use std::process::{ExitStatus, Stdio};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -14,14 +14,14 @@ use peernet_external::exec::with_arguments;
 use rustix::process::{Pid, Signal, kill_process, kill_process_group};
 use serde::Deserialize;
 use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader};
-use tokio::process::{ChildStdout, Command};
+use tokio::process::{ChildStdin, ChildStdout, Command};
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
 
 use super::ending::Ending;
 use crate::foreground::Signals;
-use crate::measure::{Order, ProgressReport};
+use crate::measure::{MEASUREMENT_ENDED, Order, ProgressReport};
 
 /// Path of this program, even if its file was replaced in the meantime: one version measures all runs.
 const PROGRAM: &str = "/proc/self/exe";
@@ -82,9 +82,13 @@ pub(super) enum ChildEvent<'a> {
 enum ChildOutput {
     ProgressReport(ProgressReport),
     Line(String),
+    /// [`MEASUREMENT_ENDED`]
+    #[serde(skip)]
+    MeasurementEnded,
 }
 
-/// Executes orders concurrently and shows their output.
+/// Executes orders concurrently and shows their output. No process writes results or draws figures before all have ended their
+/// measurement, because the others would measure a busy machine.
 ///
 /// A signal to this program goes to all processes. After the first one they end early with their results, after the second they
 /// do not wait for work in progress. After the third, or after a time limit, they and their children are killed.
@@ -101,14 +105,18 @@ pub(super) async fn execute(
             show(ChildEvent::ProgressReport(&reports));
         }
         ChildOutput::Line(line) => show(ChildEvent::Line(index, &line)),
+        ChildOutput::MeasurementEnded => {}
     };
     let mut exits: Vec<Option<ProcessResult>> = vec![None; orders.len()];
     let mut pids: Vec<Option<Pid>> = Vec::new();
+    let mut measuring = MeasuringProcesses::default();
     let mut waiting = FuturesUnordered::new();
     for (index, order) in orders.iter().enumerate() {
         match Child::start(index, order, sender.clone()).await {
-            Ok(child) => {
+            Ok(mut child) => {
                 pids.push(child.pid);
+                measuring.inputs.push(child.input.take());
+                measuring.indexes.insert(index);
                 waiting.push(async move { (index, child.wait_for_end().await) });
             }
             Err(error) => {
@@ -124,8 +132,14 @@ pub(super) async fn execute(
                 let Some((index, exited)) = ended else { break };
                 pids[index] = None;
                 exits[index] = Some(exited);
+                measuring.remove(index);
             }
-            Some((index, output)) = receiver.recv() => handle(index, output, &mut show),
+            Some((index, output)) = receiver.recv() => {
+                if matches!(output, ChildOutput::MeasurementEnded) {
+                    measuring.remove(index);
+                }
+                handle(index, output, &mut show);
+            }
             _ = signals.next() => {
                 let (signal, message) = ending.request(Instant::now());
                 show(ChildEvent::Ending(&message));
@@ -147,6 +161,24 @@ pub(super) async fn execute(
     }
 }
 
+/// The processes that measure, and the standard inputs of all processes, which wait for the end of their input before they write
+/// results.
+#[derive(Default)]
+struct MeasuringProcesses {
+    indexes: BTreeSet<usize>,
+    inputs: Vec<Option<ChildStdin>>,
+}
+
+impl MeasuringProcesses {
+    /// Removes a process that measures no more. Closes the inputs if it was the last one.
+    fn remove(&mut self, index: usize) {
+        self.indexes.remove(&index);
+        if self.indexes.is_empty() {
+            self.inputs.clear();
+        }
+    }
+}
+
 /// Sends a signal to the processes. SIGKILL also goes to all processes that they started.
 fn send(processes: &[Option<Pid>], signal: Signal) {
     let send_signal = if signal == Signal::KILL { kill_process_group } else { kill_process };
@@ -160,6 +192,7 @@ fn send(processes: &[Option<Pid>], signal: Signal) {
 struct Child {
     process: tokio::process::Child,
     pid: Option<Pid>,
+    input: Option<ChildStdin>,
     error_lines: Arc<Mutex<VecDeque<String>>>,
     readers: [JoinHandle<()>; 2],
 }
@@ -170,7 +203,8 @@ impl Child {
         order: &Order,
         sender: mpsc::Sender<(usize, ChildOutput)>,
     ) -> anyhow::Result<Self> {
-        let order = with_arguments(|| serde_json::to_vec(order)).context("cannot write the order")?;
+        let mut order = with_arguments(|| serde_json::to_vec(order)).context("cannot write the order")?;
+        order.push(b'\n');
         let mut process = Command::new(PROGRAM)
             // The program of the daemon is the command line only under this name.
             .arg0(crate::NAMES[0])
@@ -183,8 +217,8 @@ impl Child {
             .kill_on_drop(true)
             .spawn()
             .context("cannot start the process of the run")?;
-        let (input, output, errors) = (process.stdin.take(), process.stdout.take(), process.stderr.take());
-        if let Some(mut input) = input {
+        let (mut input, output, errors) = (process.stdin.take(), process.stdout.take(), process.stderr.take());
+        if let Some(input) = &mut input {
             // A process that ends before it has read its order reports the reason.
             let _ = input.write_all(&order).await;
         }
@@ -205,7 +239,7 @@ impl Child {
             }),
         ];
         let pid = process.id().and_then(|pid| Pid::from_raw(i32::try_from(pid).ok()?));
-        Ok(Self { process, pid, error_lines, readers })
+        Ok(Self { process, pid, input, error_lines, readers })
     }
 
     async fn wait_for_end(mut self) -> ProcessResult {
@@ -264,11 +298,15 @@ async fn pass_on(index: usize, output: Option<ChildStdout>, sender: mpsc::Sender
     let Some(output) = output else { return };
     let mut lines = BufReader::new(output).lines();
     while let Ok(Some(line)) = lines.next_line().await {
+        if line == MEASUREMENT_ENDED {
+            drop(sender.send((index, ChildOutput::MeasurementEnded)).await);
+            continue;
+        }
         // Other lines are ignored: libraries print to standard output as well.
         match serde_json::from_str(&line) {
             Ok(report @ ChildOutput::ProgressReport(_)) => drop(sender.try_send((index, report))),
             Ok(text @ ChildOutput::Line(_)) => drop(sender.send((index, text)).await),
-            Err(_) => {}
+            Ok(ChildOutput::MeasurementEnded) | Err(_) => {}
         }
     }
 }

@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use peernet_tests::program;
+use chrono::DateTime;
+use peernet_tests::{Process, program};
 
 use super::{Lab, column, json};
 
@@ -62,6 +63,66 @@ fn fairness_between_three_users_is_reported() {
     let numbers = trust_line.split_whitespace().filter_map(|word| word.parse::<u32>().ok());
     assert_eq!(numbers.sum::<u32>(), 2, "two runs, however many edges: {trust_line}");
     draw_again(&lab);
+}
+
+/// Sensor of which the second instance that gives a sample, the first edge's after the trial, is slow.
+const UNEQUAL_SENSOR: &str = r#"
+import os, time
+
+class Camera:
+    def __init__(self):
+        self.number = None
+
+    def sample(self):
+        while self.number is None:
+            for number in range(100):
+                try:
+                    os.mkdir(f"{FOLDER}/{number}")
+                except FileExistsError:
+                    continue
+                self.number = number
+                break
+        time.sleep(0.15 if self.number == 1 else 0.005)
+        return {"number": self.number}
+"#;
+
+const UNEQUAL: &str = r#"
+[experiment]
+name = "unequal"
+iterations = 10
+warm_up = { iterations = 0 }
+users = 2
+
+[pipeline]
+sensor = { kind = "python", object = "camera::Camera" }
+placement = { kind = "none" }
+"#;
+
+#[test]
+fn no_edge_writes_results_while_another_measures() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path();
+    let sensor = format!("FOLDER = {:?}\n{UNEQUAL_SENSOR}", path.display().to_string());
+    for (name, text) in [("camera.py", sensor.as_str()), ("unequal.toml", UNEQUAL)] {
+        std::fs::write(path.join(name), text).expect("writable");
+    }
+    let state = path.join("state").display().to_string();
+    let environment = [("PEERNET_PYTHON", "/usr/bin/python3"), ("XDG_STATE_HOME", &*state)];
+    let end = Process::start(&program("peernet"), &["run", "unequal.toml"], path, &environment).wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
+    let run = path.join("results/unequal/runs/001-r1");
+    let users = [1, 2].map(|user| run.join(format!("user-{user}")));
+    let ends = users.each_ref().map(|user| {
+        let ended = json(&user.join("run.json"))["ended"].as_str().expect("it has ended").to_owned();
+        DateTime::parse_from_rfc3339(&ended).expect("a time").to_utc()
+    });
+    assert!((ends[0] - ends[1]).abs().num_milliseconds() > 500, "one edge is slower: {ends:?}");
+    for user in &users {
+        for file in ["run.json", "summary.csv", "sensing-time.svg"] {
+            let written = std::fs::metadata(user.join(file)).and_then(|file| file.modified()).expect("written");
+            assert!(ends.iter().all(|end| DateTime::from(written) >= *end), "{user:?}, {file}: {written:?}, {ends:?}");
+        }
+    }
 }
 
 /// Draws the curve over the number of users again, and compares it with the experiment's own figure.
