@@ -3,6 +3,7 @@
 //! A new kind is one file in [`sensor`] or [`transform`], registered in the `mod.rs` there.
 
 mod error;
+mod file;
 mod mask;
 pub mod sensor;
 pub mod transform;

@@ -217,7 +217,8 @@ impl Child {
             .kill_on_drop(true)
             .spawn()
             .context("cannot start the process of the run")?;
-        let (mut input, output, errors) = (process.stdin.take(), process.stdout.take(), process.stderr.take());
+        let (mut input, output, errors) =
+            (process.stdin.take(), process.stdout.take(), process.stderr.take());
         if let Some(input) = &mut input {
             // A process that ends before it has read its order reports the reason.
             let _ = input.write_all(&order).await;

@@ -2,6 +2,7 @@
 
 use bytes::Bytes;
 use peernet_clock::SharedClock;
+use peernet_external::exec::MAX_SAMPLE_BYTES;
 use peernet_logger::Recorder;
 use peernet_sample::{Description, Sample};
 use rand::rngs::StdRng;
@@ -10,9 +11,6 @@ use serde::{Deserialize, Serialize};
 
 use super::{SensorConfig, SensorKind, default_seed};
 use crate::{Sensor, SensorError};
-
-/// Largest payload, bytes (1 GiB).
-const MAX_PAYLOAD_BYTES: usize = 1 << 30;
 
 /// Configuration of the sensor: `{ kind = "synthetic", … }`. Payloads are created when the sensor is opened, so that
 /// a sample takes no time.
@@ -41,7 +39,7 @@ impl SensorKind for SyntheticConfig {
             None => &self.sizes_bytes,
         };
         let largest = match sizes.iter().max() {
-            Some(&largest) if largest <= MAX_PAYLOAD_BYTES => largest,
+            Some(&largest) if largest as u64 <= MAX_SAMPLE_BYTES => largest,
             Some(_) => return config_error("produces at most 1073741824 bytes per sample; lower its size"),
             None => return config_error("needs size_bytes or sizes_bytes"),
         };

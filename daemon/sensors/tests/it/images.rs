@@ -52,6 +52,21 @@ fn files_are_sent_unchanged_in_order_of_names() {
 }
 
 #[test]
+fn too_large_picture_fails_alone() {
+    let folder = folder(&[("a.jpg", ""), ("b.jpg", "bytes of b")]);
+    let largest = 1 << 30;
+    // A sparse file, which takes no space.
+    fs::File::create(folder.path().join("a.jpg"))
+        .and_then(|file| file.set_len(largest + 1))
+        .expect("is made");
+    let mut sensor = images(folder.path(), Order::Name, 1, false).expect("opens");
+    let error = next(sensor.as_mut()).expect_err("is too large").to_string();
+    assert!(error.contains("a.jpg: it has more than 1073741824 bytes"), "{error}");
+    let b = next(sensor.as_mut()).expect("reads").expect("second");
+    assert_eq!(&b.parts[0].bytes[..], b"bytes of b");
+}
+
+#[test]
 fn labels_come_from_file_or_folders() {
     let listed = folder(&[
         ("a.jpg", ""),

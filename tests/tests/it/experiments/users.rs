@@ -108,7 +108,8 @@ fn no_edge_writes_results_while_another_measures() {
     }
     let state = path.join("state").display().to_string();
     let environment = [("PEERNET_PYTHON", "/usr/bin/python3"), ("XDG_STATE_HOME", &*state)];
-    let end = Process::start(&program("peernet"), &["run", "unequal.toml"], path, &environment).wait_for_end();
+    let end =
+        Process::start(&program("peernet"), &["run", "unequal.toml"], path, &environment).wait_for_end();
     assert_eq!(end.code(), 0, "{}", end.log);
     let run = path.join("results/unequal/runs/001-r1");
     let users = [1, 2].map(|user| run.join(format!("user-{user}")));
@@ -119,8 +120,12 @@ fn no_edge_writes_results_while_another_measures() {
     assert!((ends[0] - ends[1]).abs().num_milliseconds() > 500, "one edge is slower: {ends:?}");
     for user in &users {
         for file in ["run.json", "summary.csv", "sensing-time.svg"] {
-            let written = std::fs::metadata(user.join(file)).and_then(|file| file.modified()).expect("written");
-            assert!(ends.iter().all(|end| DateTime::from(written) >= *end), "{user:?}, {file}: {written:?}, {ends:?}");
+            let written =
+                std::fs::metadata(user.join(file)).and_then(|file| file.modified()).expect("written");
+            assert!(
+                ends.iter().all(|end| DateTime::from(written) >= *end),
+                "{user:?}, {file}: {written:?}, {ends:?}"
+            );
         }
     }
 }

@@ -290,8 +290,12 @@ impl Paired {
             let placement_width = step * 0.9 / group.values.len().max(1) as f64;
             for (side, values) in group.values.iter().enumerate() {
                 let middle = step * (number as f64 + 0.05) + placement_width * (side as f64 + 0.5);
-                let items =
-                    self.distribution_items(&plot, values, side, (middle, (placement_width * 0.4).min(MAX_HALF_WIDTH)));
+                let items = self.distribution_items(
+                    &plot,
+                    values,
+                    side,
+                    (middle, (placement_width * 0.4).min(MAX_HALF_WIDTH)),
+                );
                 plot.items.extend(items);
                 if !counts.is_empty() && !values.is_empty() {
                     let at = At::new(middle, 1.0).offset_by(0.0, COUNT_DISTANCE);

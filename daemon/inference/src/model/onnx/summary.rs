@@ -87,7 +87,7 @@ mod tests {
     const SMALLEST: &[u8] = b"\x3a\x00";
 
     #[test]
-    fn named_pipe_as_model_file_is_refused() {
+    fn named_pipe_or_empty_file_as_model_is_refused() {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join(CARD), SMALL).expect("written");
         let model = folder.path().join(MODEL);
@@ -97,6 +97,9 @@ mod tests {
             assert!(error.contains("model.onnx") && error.contains("not a regular file"), "{error}");
         }
         std::fs::remove_file(&model).expect("removed");
+        std::fs::write(&model, []).expect("written");
+        let error = hash_model(folder.path()).expect_err("refused").to_string();
+        assert!(error.contains("model.onnx") && error.contains("it is empty"), "{error}");
         std::fs::write(&model, SMALLEST).expect("written");
         assert!(summarise(folder.path()).is_ok());
     }

@@ -78,6 +78,11 @@ impl Connector {
             }
         }
     }
+
+    /// Returns what the server has to complete before a request is sent, for messages.
+    pub(super) const fn awaited(&self) -> &'static str {
+        if self.tls.is_some() { "connection with a complete TLS handshake" } else { "connection" }
+    }
 }
 
 impl fmt::Display for Connector {

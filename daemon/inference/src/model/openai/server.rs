@@ -118,7 +118,11 @@ impl Server {
             Err(_) if is_connected => {
                 Err(RequestError::NoAnswer { path: format!("{}/models", self.path), limit })
             }
-            Err(_) => Err(RequestError::Connect(format!("no connection within {} ms", limit.as_millis()))),
+            Err(_) => Err(RequestError::Connect(format!(
+                "no {} within {} ms",
+                self.connector.awaited(),
+                limit.as_millis()
+            ))),
         }
     }
 

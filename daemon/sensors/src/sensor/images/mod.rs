@@ -21,7 +21,7 @@ use rand::seq::SliceRandom;
 use serde::{Deserialize, Serialize};
 
 use super::{SensorConfig, SensorKind, default_seed};
-use crate::{Sensor, SensorError, read_mask};
+use crate::{Sensor, SensorError, file, read_mask};
 use labels::Label;
 
 /// Configuration of the sensor: `{ kind = "images", … }`.
@@ -198,8 +198,7 @@ impl Sensor for Images {
         let picture = &self.pictures[self.next];
         // Incremented before reading: a picture that cannot be read is not tried again in this round.
         self.next += 1;
-        let bytes = fs::read(&picture.file)
-            .map_err(|error| SensorError::Read { path: picture.file.clone(), error })?;
+        let bytes = file::read(&picture.file)?;
         let mut sample = Sample::from_part(Description::unshaped(picture.media.clone()), Bytes::from(bytes));
         sample.source.clone_from(&picture.source);
         sample.label =

@@ -160,8 +160,11 @@ fn checked_constant(
     converted.fill(&values);
     let is_same = |at: usize| {
         let converted = for_elements!(&converted, elements => f64::from(elements[at].to_f32()));
-        // Floats may be rounded, integers may not.
-        data_type.is_float() || converted == f64::from(values[at] as f32) && values[at].fract() == 0.0
+        // Floats may be rounded, but not to infinity; integers may not.
+        if data_type.is_float() {
+            return data_type == DataType::Float64 || converted.is_finite();
+        }
+        converted == f64::from(values[at] as f32) && values[at].fract() == 0.0
     };
     match (0..values.len()).find(|at| !values[*at].is_finite() || !is_same(*at)) {
         Some(at) => Err(CardError::ConstantValue { input, value: values[at], data_type }),
@@ -198,6 +201,12 @@ const MAX_ELEMENTS: usize = 1 << 28;
 fn numbers<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vec<f64>>, D::Error> {
     fn flatten<E: Error>(value: &toml::Value, numbers: &mut Vec<f64>) -> Result<(), E> {
         match value {
+            // Larger numbers are not exact as 64-bit floats.
+            toml::Value::Integer(number) if number.unsigned_abs() > 1 << f64::MANTISSA_DIGITS => {
+                return Err(E::custom(format_args!(
+                    "{number} is not between -2^53 and 2^53; write it as a constant of the model's graph"
+                )));
+            }
             toml::Value::Integer(number) => numbers.push(*number as f64),
             toml::Value::Float(number) => numbers.push(*number),
             toml::Value::Boolean(truth) => numbers.push(f64::from(u8::from(*truth))),

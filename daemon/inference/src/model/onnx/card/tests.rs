@@ -228,6 +228,21 @@ fn contradictory_inputs_and_outputs_are_named() {
             ("name = \"done\"", "name = \"action\"", "output names \"action\" twice"),
             ("value = [[3, 4]]", "value = [3, 4, 5]", "3 numbers in its key value; its shape needs 2"),
             ("value = [[3, 4]]", "value = [3, 4.5]", "4.5 in its key value, which is not a int64"),
+            (
+                "value = [[3, 4]]",
+                "value = 9007199254740993",
+                "9007199254740993 is not between -2^53 and 2^53",
+            ),
+            (
+                "dtype = \"int64\"\nshape = [1, 2]\nvalue = [[3, 4]]",
+                "dtype = \"float16\"\nshape = [1, 2]\nvalue = [[3, 70000]]",
+                "70000 in its key value, which is not a float16",
+            ),
+            (
+                "dtype = \"int64\"\nshape = [1, 2]\nvalue = [[3, 4]]",
+                "dtype = \"float64\"\nshape = [1, 2]\nvalue = [[1e300, inf]]",
+                "inf in its key value, which is not a float64",
+            ),
             ("value = [[3, 4]]", "value = \"three\"", "is not a number"),
             ("dtype = \"bool\"", "", "missing field `dtype`"),
         ],
