@@ -197,7 +197,7 @@ mod tests {
             reasons(&lacking(&[runs, total.clone(), total])).as_deref(),
             Some(
                 "1 run: cannot draw length: there is no run; 2 runs: cannot draw length: no successful iteration \
-                 with a total that can be drawn"
+                 has a total that can be drawn"
             )
         );
     }

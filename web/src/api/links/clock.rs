@@ -96,7 +96,7 @@ pub(crate) struct Delay {
     pub count: u32,
     /// The worst verdict that at least 5 % of the delays have; of several seconds, that the seconds with 5 % of the delays have.
     pub verdict: &'static str,
-    /// The median of the delays that have a value, with the bounds of the same delay; null if no delay has a value.
+    /// The median of the delays that have a value, with the medians of their lower and of their upper bounds; null if no delay has a value.
     pub median: Option<MedianDelay>,
 }
 

@@ -16,7 +16,7 @@ pub(crate) struct Delays {
     pub direction: NetworkDirection,
     /// Number of delays.
     pub count: u64,
-    /// Median, with the bounds of the same delay.
+    /// Median, with the medians of all lower and of all upper bounds.
     pub median: Option<DelayPoint>,
     /// Worst verdict that the seconds with at least 5 % of the delays have. A second has the worst verdict that 5 % of its delays have, because
     /// the verdicts of single delays are not reported.

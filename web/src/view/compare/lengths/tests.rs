@@ -238,6 +238,19 @@ fn iterations_without_valid_length_are_counted() {
 }
 
 #[test]
+fn repeated_lengths_of_an_iteration_count_once() {
+    let points = answered(80);
+    let mut one = talking(0, "tokens", &points);
+    let mut mergeable = MergeableStatistics::clone(&one.mergeable);
+    let lengths_again = mergeable.summary("tokens").expect("lengths").clone();
+    mergeable.add(Name::from("tokens"), "", &lengths_again);
+    one.mergeable = Arc::new(mergeable);
+    let found = lengths(&comparison(vec![one]), &with(points, true)).expect("lengths");
+    let sentences = &found.rows[0].sentences;
+    assert_eq!(sentences.last().map(String::as_str), Some("All 80 iterations."), "{sentences:?}");
+}
+
+#[test]
 fn at_most_six_configurations_with_varying_lengths_are_drawn() {
     let points = answered(100);
     let equal_lengths: Vec<(f64, f64)> = points.iter().map(|(x, y)| (96.0 + x % 4.0, *y)).collect();
