@@ -9,7 +9,7 @@ import "./episodes.mjs";
 import "./legible.mjs";
 import "./tabs.mjs";
 import "./trouble.mjs";
-import "./everyone.mjs";
+import "./every_page.mjs";
 
 const folder = process.env.SCREENSHOTS;
 

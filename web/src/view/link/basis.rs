@@ -31,7 +31,7 @@ pub(crate) fn promise(assumptions: &DelayAssumptions) -> String {
         conditions.push(format!("this rate changes by at most {}{SPACE}ppm per second", figure(change)));
     }
     conditions.push("neither is stepped unnoticed".to_owned());
-    let stamps = "the stamps are those of the two hosts";
+    let stamps = "no stamp is forged";
     conditions.push(match assumptions.probes_authenticated {
         Some(false) => format!("{stamps} (their probes are not authenticated)"),
         Some(true) | None => stamps.to_owned(),
@@ -206,7 +206,7 @@ mod tests {
         assert_eq!(
             text,
             "Each interval contains the true delay as long as the free-running clocks of both hosts drift apart by at most 200 ppm, this \
-             rate changes by at most 1.00 ppm per second, neither is stepped unnoticed, and the stamps are those of the two hosts."
+             rate changes by at most 1.00 ppm per second, neither is stepped unnoticed, and no stamp is forged."
         );
         let weakest = DelayAssumptions {
             clocks: RelatedClocks::Wall,
@@ -218,7 +218,7 @@ mod tests {
         assert_eq!(
             promise(&weakest),
             "Each interval contains the true delay as long as the wall clocks of both hosts drift apart no faster than \
-             assumed, neither is stepped unnoticed, the stamps are those of the two hosts (their probes are not \
+             assumed, neither is stepped unnoticed, no stamp is forged (their probes are not \
              authenticated), and the trusted claims of time daemons are true."
         );
     }

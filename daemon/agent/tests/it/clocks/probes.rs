@@ -15,7 +15,7 @@ use crate::harness::{Aggregator, TestAgent, VERSION, clock, config};
 const LOAD: &str = "load = { mode = 'rate', hz = 50.0 }\nmax_in_flight = 4\nlimit = { iterations = 60 }";
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn data_bounds_delays_without_probes() {
+async fn delays_are_bounded_by_data_without_probes() {
     let silent = "[probes]\nsend = false\n";
     let deaf = "[probes]\nreflect = false\n";
     for (edge_keys, cloud_keys, why) in [(silent, "", "send = false"), ("", deaf, "cloud answers no probes")]

@@ -70,7 +70,7 @@ fn observe_violation_at(
     effect
 }
 
-fn free_running(max_drift_ppm: f64) -> RelationSettings {
+fn free_running_limit(max_drift_ppm: f64) -> RelationSettings {
     RelationSettings { max_drift_ppm, clocks: RelatedClocks::Raw, ..RelationSettings::default() }
 }
 
@@ -93,7 +93,7 @@ fn excess_drift_on_long_path_is_proven() {
         [(51.0, None), (75.0, None), (100.0, Some(950.0)), (150.0, Some(500.0)), (-100.0, Some(950.0))]
     {
         let effect =
-            observe_violation(&drifting(ppm), path(5.0, 40.0, 1.0), free_running(50.0), (0.0, 1_100.0));
+            observe_violation(&drifting(ppm), path(5.0, 40.0, 1.0), free_running_limit(50.0), (0.0, 1_100.0));
         assert_eq!(effect.wrong_delays, 0, "{ppm}: {effect:?}");
         let violated_limit =
             effect.violated_limit.filter(|(_, limit)| *limit == ViolatedLimit::Drift).map(|(after, _)| after);
@@ -108,7 +108,7 @@ fn excess_drift_on_long_path_is_proven() {
 #[test]
 fn excess_drift_on_short_path_is_noticed_within_window() {
     for ppm in [75.0, 100.0, 150.0] {
-        let effect = observe_violation(&drifting(ppm), Path::VETH, free_running(50.0), (0.0, 300.0));
+        let effect = observe_violation(&drifting(ppm), Path::VETH, free_running_limit(50.0), (0.0, 300.0));
         assert!(effect.last_wrong_delay < WINDOW && effect.violates_limit_at_end, "{ppm}: {effect:?}");
         assert!(
             matches!(effect.violated_limit, Some((after, ViolatedLimit::Drift)) if after < WINDOW),
@@ -130,7 +130,7 @@ fn unannounced_jump_is_suspected_by_first_exchanges() {
             let effect = observe_violation(
                 &host_clocks,
                 path(delays.0, delays.1, jitter),
-                free_running(200.0),
+                free_running_limit(200.0),
                 (30.0, 90.0),
             );
             // 39 ms move the middle of every exchange with a short wait by more than waiting explains, 10 ms only that
@@ -162,7 +162,7 @@ fn edge_jump_is_suspected_with_exchanges_in_flight() {
                 60.0,
                 &host_clocks,
                 path(delays.0, delays.1, jitter),
-                free_running(200.0),
+                free_running_limit(200.0),
                 (30.0, 90.0),
             );
             // 3 ms are within the jitter. A jump larger than the round trip contradicts the band and is a step.
@@ -181,7 +181,7 @@ fn edge_jump_is_suspected_with_exchanges_in_flight() {
 #[test]
 fn path_that_becomes_shorter_is_no_jump() {
     let host_clocks = drifting(20.0);
-    let mut relation = Relation::new(free_running(200.0));
+    let mut relation = Relation::new(free_running_limit(200.0));
     let (mut random, mut widths) = (RandomSource::new(4), Vec::new());
     for (route, seconds) in [(path(20.0, 20.0, 0.2), (0.0, 30.0)), (path(5.0, 5.0, 0.2), (30.0, 60.0))] {
         for trip in route.trips(&host_clocks, seconds, 20.0, &mut random) {
@@ -216,7 +216,7 @@ fn violated_assumption_spoils_intervals_for_one_window() {
             true => HostClocks { cloud: change(host_clocks.cloud), ..host_clocks },
             false => HostClocks { edge: change(host_clocks.edge), ..host_clocks },
         };
-        let effect = observe_violation(&host_clocks, path, free_running(200.0), (30.0, 60.0));
+        let effect = observe_violation(&host_clocks, path, free_running_limit(200.0), (30.0, 60.0));
         assert!(effect.last_wrong_delay <= WINDOW + 0.5, "{seed}: {path:?} {effect:?}");
         assert!(effect.last_stale_delay <= WINDOW + 0.5, "{seed}: {path:?} {effect:?}");
         longest = longest.max(effect.last_wrong_delay);
@@ -233,7 +233,7 @@ fn suspicion_after_change_of_rate_ends_with_window() {
         let host_clocks = drifting(0.0);
         let host_clocks =
             HostClocks { edge: host_clocks.edge.faster(Span::from_seconds(30), 180.0), ..host_clocks };
-        let mut relation = Relation::new(free_running(200.0));
+        let mut relation = Relation::new(free_running_limit(200.0));
         let mut random = RandomSource::new(seed);
         for n in 0..2_400 {
             let begin = 15e9 + f64::from(n) * 20e6;
@@ -255,7 +255,7 @@ fn suspicion_after_change_of_rate_ends_with_window() {
 fn flapping_route_widens_few_intervals_and_at_most_twofold() {
     let host_clocks = drifting(20.0);
     let (there, back) = (path(10.0, 30.0, 1.0), path(30.0, 10.0, 1.0));
-    let mut relation = Relation::new(free_running(200.0));
+    let mut relation = Relation::new(free_running_limit(200.0));
     let mut random = RandomSource::new(3);
     let (mut widths, mut jumps) = (Vec::new(), 0);
     for n in 0..24 {
@@ -285,7 +285,7 @@ fn suspected_jump_is_a_boundary_for_earlier_delays() {
     let host_clocks = drifting(20.0);
     let host_clocks =
         HostClocks { cloud: host_clocks.cloud.stepped(Span::from_seconds(30), jump), ..host_clocks };
-    let settings = RelationSettings { retention: Span::from_seconds(60), ..free_running(200.0) };
+    let settings = RelationSettings { retention: Span::from_seconds(60), ..free_running_limit(200.0) };
     let mut relation = Relation::new(settings);
     let trips = path(20.0, 20.0, 1.0).trips(&host_clocks, (0.0, 60.0), 10.0, &mut RandomSource::new(5));
     trips.iter().for_each(|trip| _ = relation.learn(&trip.observation()));
@@ -315,7 +315,7 @@ fn exchange_hiding_jump_bounds_no_earlier_delay() {
         cloud: host_clocks.cloud.stepped(Span::from_seconds(30), Span::from_millis(39)),
         ..host_clocks
     };
-    let mut relation = Relation::new(free_running(200.0));
+    let mut relation = Relation::new(free_running_limit(200.0));
     let unloaded_trip = |t: f64| host_clocks.trip(t * 1e9, 20e6, 1e5, 20e6);
     (0..300).for_each(|n| _ = relation.learn(&unloaded_trip(f64::from(n) / 10.0).observation()));
     let waited = host_clocks.trip(30.02e9, 60e6, 1e5, 20e6);

@@ -28,12 +28,12 @@ fn host_clocks() -> HostClocks {
     HostClocks { edge: clock(Span::ZERO), cloud: clock(Span::from_seconds(5)) }
 }
 
-fn limit(max_drift_ppm: f64) -> RelationSettings {
+fn wall_limit(max_drift_ppm: f64) -> RelationSettings {
     RelationSettings { clocks: RelatedClocks::Wall, max_drift_ppm, ..RelationSettings::default() }
 }
 
-fn free_running(max_drift_ppm: f64) -> RelationSettings {
-    RelationSettings { clocks: RelatedClocks::Raw, ..limit(max_drift_ppm) }
+fn free_running_limit(max_drift_ppm: f64) -> RelationSettings {
+    RelationSettings { clocks: RelatedClocks::Raw, ..wall_limit(max_drift_ppm) }
 }
 
 #[test]
@@ -41,8 +41,8 @@ fn limit_of_drift_change_narrows_intervals_under_jitter() {
     let host_clocks = host_clocks();
     for (jitter, max_wide, max_narrow) in [(5e6, 1.2, 0.8), (20e6, 2.0, 1.8)] {
         let path = Path { up: 100e3, down: 100e3, jitter, loss: 0.0, burst: 0.0 };
-        let (wide, ..) = measure(path, limit(200.0), &host_clocks);
-        let (narrow, _, jumps) = measure(path, free_running(200.0), &host_clocks);
+        let (wide, ..) = measure(path, wall_limit(200.0), &host_clocks);
+        let (narrow, _, jumps) = measure(path, free_running_limit(200.0), &host_clocks);
         assert!(narrow < wide && wide < max_wide && narrow < max_narrow, "{narrow} {wide}");
         assert_eq!(jumps, 0);
     }
@@ -52,8 +52,8 @@ fn limit_of_drift_change_narrows_intervals_under_jitter() {
 #[test]
 fn higher_drift_limit_does_not_widen_quiet_path() {
     let host_clocks = host_clocks();
-    let (width_before, error_before, _) = measure(Path::VETH, limit(50.0), &host_clocks);
-    let (width, error, jumps) = measure(Path::VETH, free_running(200.0), &host_clocks);
+    let (width_before, error_before, _) = measure(Path::VETH, wall_limit(50.0), &host_clocks);
+    let (width, error, jumps) = measure(Path::VETH, free_running_limit(200.0), &host_clocks);
     assert!(
         width <= width_before && error <= error_before && error < 0.001,
         "{width} {width_before} {error}"

@@ -36,16 +36,15 @@ fn replayed_configuration_is_marked_in_all_figures() {
 
 #[test]
 fn replayed_placement_or_model_is_marked_in_pairs() {
-    let one = placed;
     let [svg, words] =
-        drawn(Kind::Paired, &[one("s", "local", 20.0), replayed(one("s", "remote", 4.0))], "paired");
+        drawn(Kind::Paired, &[placed("s", "local", 20.0), replayed(placed("s", "remote", 4.0))], "paired");
     assert!(svg.contains(">cloud (replayed)<") && !svg.contains("remote"), "{svg}");
     assert!(words.contains("not measured: s, remote: inference is drawn from x."), "{words}");
     let mixed = [
-        one("s", "local", 20.0),
-        replayed(one("s", "remote", 4.0)),
-        one("m", "local", 30.0),
-        one("m", "remote", 6.0),
+        placed("s", "local", 20.0),
+        replayed(placed("s", "remote", 4.0)),
+        placed("m", "local", 30.0),
+        placed("m", "remote", 6.0),
     ];
     let drawings = paired::drawings(&mixed, None).expect("pairs");
     let AnyFigure::Paired(figure) = &drawings[0].figure else { panic!("pairs") };

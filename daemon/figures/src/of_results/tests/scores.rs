@@ -53,7 +53,7 @@ fn success_of_episodes_is_drawn_against_latency() {
     let [drawing, returns] = &drawings[..] else { panic!("no labels, so no figure of accuracy") };
     assert_eq!((drawing.stem.as_str(), returns.stem.as_str()), ("success", "return"));
     let AnyFigure::Accuracy(figure) = &drawing.figure else { panic!("points") };
-    let scores: Vec<_> = figure.scores.iter().map(|one| (one.label.as_str(), one.estimate)).collect();
+    let scores: Vec<_> = figure.scores.iter().map(|score| (score.label.as_str(), score.estimate)).collect();
     let estimate = |right| estimate_of_counts(Quality::Success, right, 5).expect("there are episodes");
     assert_eq!(scores, [("s, local", estimate(5)), ("m, local", estimate(2))]);
     assert!((figure.scores[1].median - 0.6).abs() < 1e-9 && figure.notes[0].ends_with("episodes: 5 each"));

@@ -10,9 +10,9 @@ use super::stream_error::StreamError;
 
 /// Largest text of an answer, bytes.
 const MAX_TEXT_BYTES: usize = 1 << 20;
-/// Largest number of bytes of a stream: an event with one token has some hundred bytes.
+/// Maximum number of bytes of a stream: an event with one token has some hundred bytes.
 const MAX_STREAM_BYTES: usize = 256 << 20;
-/// Largest number of chunks.
+/// Maximum number of chunks.
 // Each chunk has a stamp of 8 bytes in memory.
 const MAX_CHUNKS: usize = 1 << 20;
 /// Data of the event that ends the stream.

@@ -166,9 +166,9 @@ fn status_remedy(status: hyper::StatusCode, hint: Option<&str>) -> String {
         (None, 300..=399) => "redirects are not followed: write the address of the API into url".to_owned(),
         (_, ..=299) => "a chat API answers with 200 and an event stream: check url".to_owned(),
         (Some(after), _) if after.bytes().all(|byte| byte.is_ascii_digit()) => {
-            format!("it asks to wait {after} s: {slower}")
+            format!("the server asks to wait {after} s; {slower}")
         }
-        (Some(after), _) => format!("it asks to wait until {after}: {slower}"),
+        (Some(after), _) => format!("the server asks to wait until {after}; {slower}"),
         (None, 401 | 403) => "check the key in the environment variable that api_key_env names".to_owned(),
         (None, 404) => "check url and model".to_owned(),
         (None, 429) => slower.to_owned(),
@@ -240,11 +240,10 @@ mod tests {
         ] {
             assert!(message(status, None).contains(remedy), "{}", message(status, None));
         }
-        assert!(
-            message(429, Some("7"))
-                .ends_with("; it asks to wait 7 s: lower the rate of the pipeline, or the number of workers")
-        );
-        assert!(message(503, Some("Wed")).contains("it asks to wait until Wed: "));
+        assert!(message(429, Some("7")).ends_with(
+            "; the server asks to wait 7 s; lower the rate of the pipeline, or the number of workers"
+        ));
+        assert!(message(503, Some("Wed")).contains("the server asks to wait until Wed; "));
     }
 
     #[test]

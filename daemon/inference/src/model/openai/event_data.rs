@@ -58,7 +58,7 @@ pub(super) struct Delta {
 const FAILED: &str = "error";
 /// JSON of a missing value.
 const NULL: &str = "null";
-/// Largest number of tokens: floating-point numbers have all integers up to it.
+/// Maximum number of tokens: floating-point numbers have all integers up to it.
 const MAX_TOKENS: u64 = 1 << 53;
 
 /// Number of tokens, as the server counted them.

@@ -71,15 +71,15 @@ fn refusal_is_reported_with_text_of_server() {
             "429 Too Many Requests",
             "Retry-After: 7\r\n",
             "{\"error\":{\"message\":\"slow down\"}}",
-            "its server answered with HTTP status 429 Too Many Requests: slow down; it asks to wait 7 s: lower the rate \
+            "its server answered with HTTP status 429 Too Many Requests: slow down; the server asks to wait 7 s; lower the rate \
              of the pipeline, or the number of workers",
         ),
         (
             "503 Service Unavailable",
             "Retry-After: Fri, 31 Dec 1999 23:59:59 GMT\r\n",
             "",
-            "its server answered with HTTP status 503 Service Unavailable; it asks to wait until Fri, 31 Dec 1999 23:59:59 \
-             GMT: lower the rate of the pipeline, or the number of workers",
+            "its server answered with HTTP status 503 Service Unavailable; the server asks to wait until Fri, 31 Dec 1999 23:59:59 \
+             GMT; lower the rate of the pipeline, or the number of workers",
         ),
         (
             "500 Internal Server Error",

@@ -52,7 +52,7 @@ fn verdicts_are_explained_with_numbers_of_the_link() {
 }
 
 #[test]
-fn young_link_has_no_verdict_of_first_seconds() {
+fn verdict_ignores_first_seconds_of_link() {
     let mut young = link(Some(0.00005), &[]);
     young.history.drain(..119);
     young.live.latest_sample.offset.iter_mut().for_each(|offset| {
@@ -71,7 +71,7 @@ fn young_link_has_no_verdict_of_first_seconds() {
         (subject.verdict(), subject.delays(NetworkDirection::Up).verdict),
         (Some(Verdict::Ok), Some(Verdict::Ok))
     );
-    // One that was judged so while the clocks were known counts.
+    // A second with a bad verdict counts if it is later than the first exchanges.
     let later = Arc::make_mut(&mut link.history[3]);
     later.up = later.up.map(|second| DelaySecond { verdict: Verdict::Stepped, ..second });
     assert_eq!(Subject::live(&link).delays(NetworkDirection::Up).verdict, Some(Verdict::Stepped));
