@@ -171,7 +171,7 @@ impl Acceptor {
                 }
                 Err(error) if is_closed_by_peer(&error) => {}
                 Err(error) => {
-                    if let Some(times) = self.log.times_to_log(&error.to_string(), None, self.clock.mono()) {
+                    if let Some(times) = self.log.count_event(&error.to_string(), None, self.clock.mono()) {
                         tracing::error!(times, %error, "cannot accept a connection to the web server; trying again in one second");
                     }
                     tokio::time::sleep(ACCEPT_RETRY_DELAY).await;
@@ -181,7 +181,7 @@ impl Acceptor {
     }
 
     fn log_refusal(&mut self, peer: SocketAddr) {
-        if let Some(times) = self.log.times_to_log("full", None, self.clock.mono()) {
+        if let Some(times) = self.log.count_event("full", None, self.clock.mono()) {
             tracing::warn!(times, %peer, "closed a new connection to the web server: the maximum number is open, and no other address has at least two more than this one");
         }
     }

@@ -73,7 +73,7 @@ impl AppState {
     /// a minute ago.
     pub(crate) fn count_failure(&self, failure: &str) -> Option<u64> {
         let mut failure_log = self.failure_log.lock().unwrap_or_else(PoisonError::into_inner);
-        failure_log.times_to_log(failure, None, self.clock.mono())
+        failure_log.count_event(failure, None, self.clock.mono())
     }
 
     /// Returns the newest incidents, as many as a live page shows.

@@ -52,13 +52,13 @@ struct Stage {
 
 #[derive(Debug, Deserialize)]
 struct Judgement {
-    delay: Option<Figures>,
-    half_width: Option<Figures>,
+    delay: Option<Statistics>,
+    half_width: Option<Statistics>,
     verdicts: Vec<VerdictCount>,
 }
 
 #[derive(Debug, Deserialize)]
-struct Figures {
+struct Statistics {
     mean: f64,
     std: Option<f64>,
     p50: f64,
@@ -126,9 +126,9 @@ fn describe(run: i64, recomputed: &Recomputed) -> String {
     let basis = match samples {
         // Checked first: delays by one clock need no exchanges, so their number says nothing.
         _ if is_exact(stages) => "both hosts use one clock, so its delays are exact".to_owned(),
-        0 => "no usable exchanges of the two clocks are stored".to_owned(),
+        0 => "no usable exchanges between the two hosts are stored".to_owned(),
         samples => format!(
-            "computed again {} with {samples} seconds of exchanges of the two clocks, during the run and after it",
+            "computed again {} from {samples} seconds of exchanges between the two hosts, during the run and after it",
             describe_clocks(clocks)
         ),
     };
@@ -164,17 +164,17 @@ fn row(stage: &str, when: &str, judgement: &Judgement, decimals: usize) -> Vec<S
         .iter()
         .map(|VerdictCount { verdict, count }| format!("{count} {verdict}"))
         .collect();
-    let spread = |figures: &Figures| match figures.std {
-        Some(std) => format!("{} ± {}", milliseconds(figures.mean), milliseconds(std)),
-        None => milliseconds(figures.mean),
+    let spread = |statistics: &Statistics| match statistics.std {
+        Some(std) => format!("{} ± {}", milliseconds(statistics.mean), milliseconds(std)),
+        None => milliseconds(statistics.mean),
     };
     vec![
         stage.to_owned(),
         when.to_owned(),
         or_dash(delay.map(spread)),
-        or_dash(delay.map(|figures| milliseconds(figures.p50))),
-        or_dash(delay.and_then(|figures| figures.p95).map(milliseconds)),
-        or_dash(judgement.half_width.as_ref().map(|figures| bound_ms(figures.p50))),
+        or_dash(delay.map(|statistics| milliseconds(statistics.p50))),
+        or_dash(delay.and_then(|statistics| statistics.p95).map(milliseconds)),
+        or_dash(judgement.half_width.as_ref().map(|statistics| bound_ms(statistics.p50))),
         or_dash(Some(verdicts.join(", ")).filter(|verdicts| !verdicts.is_empty())),
     ]
 }
@@ -207,7 +207,7 @@ delay           mean ± std ms  median ms  p95 ms  bound ms          verdicts
 upload  before              —          —       —         —  40 unsynchronised
          after   6.310 ± 0.400    6.200       —    ±0.060   39 ok, 1 limited
 
-run 7: computed again by free-running clocks with 60 seconds of exchanges of the two clocks, during the run and after it; nothing stored was changed";
+run 7: computed again by free-running clocks from 60 seconds of exchanges between the two hosts, during the run and after it; nothing stored was changed";
         let squeeze = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
         assert_eq!(squeeze(&describe(7, &recomputed)), squeeze(expected));
 
@@ -220,8 +220,8 @@ run 7: computed again by free-running clocks with 60 seconds of exchanges of the
 
         let mut stages = earlier.stages;
         let after = &mut stages[0].after;
-        for figures in [&mut after.delay, &mut after.half_width].into_iter().flatten() {
-            *figures = Figures { std: figures.std, mean: 0.0, p50: 0.0, p95: None, max: 0.0 };
+        for statistics in [&mut after.delay, &mut after.half_width].into_iter().flatten() {
+            *statistics = Statistics { std: statistics.std, mean: 0.0, p50: 0.0, p95: None, max: 0.0 };
         }
         if let Some(delay) = &mut stages[0].after.delay {
             (delay.mean, delay.std, delay.p50) = (1.2e-3, Some(15.02e-3), 59.5e-6);

@@ -85,8 +85,8 @@ fn read_id(file: &File) -> io::Result<Option<u32>> {
     Ok(Some(be32(&header, ID_OFFSET)).filter(|id| is_database && *id != 0))
 }
 
-/// Returns whether the write-ahead log belongs to another database. Of the part of the log that SQLite would apply, the copies of page 1 are
-/// examined: at least one has the id of another database, and none has the id of this database.
+/// Returns whether the write-ahead log belongs to another database. The log contains copies of page 1, which have the database's id. It
+/// belongs to another database if, in the part that SQLite would apply, at least one copy has another id and none has this id.
 fn is_foreign(log: &Path, database_id: u32) -> io::Result<bool> {
     let log = match File::open(log) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(false),

@@ -8,7 +8,6 @@ pub(crate) mod database;
 mod database_error;
 mod error;
 mod extent;
-mod figures;
 pub(crate) mod file_kind;
 pub(crate) mod foreign_log;
 mod incidents;
@@ -19,6 +18,7 @@ mod lock;
 pub mod maintenance;
 mod opening;
 pub mod plausible;
+mod quantity_statistics;
 mod raw_transaction;
 mod read;
 mod readers;
@@ -43,8 +43,8 @@ use readers::Readers;
 
 pub use database_error::DatabaseError;
 pub use error::{OpenError, StoreError};
-pub use figures::{DelayAccuracy, QuantityStatistics, rank};
 pub use lock::{DatabaseLock, LockError};
+pub use quantity_statistics::{DelayAccuracy, QuantityStatistics, rank};
 pub use retention_config::RetentionConfig;
 pub use stored::{ClockPoint, StoredCounts};
 pub use types::{

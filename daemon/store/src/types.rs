@@ -24,7 +24,7 @@ use peernet_stream::{
 };
 use serde::Serialize;
 
-use crate::figures::{QuantityStatistics, medians};
+use crate::quantity_statistics::{QuantityStatistics, medians};
 use crate::stored::{ClockPoint, StoredCounts};
 
 /// Selection of the runs to list, newest first.
@@ -157,7 +157,7 @@ pub struct Histogram {
     /// Samples above the last edge.
     pub beyond: u64,
     /// Figures of all samples.
-    pub figures: QuantityStatistics,
+    pub statistics: QuantityStatistics,
 }
 
 /// Several node names over the time of a run.

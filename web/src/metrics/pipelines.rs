@@ -13,23 +13,23 @@ use super::table::{Sample, Sink};
 /// Lengths of the windows in seconds, with the values of their label.
 const WINDOWS: [(u32, &str); 2] = [(10, "10s"), (60, "60s")];
 
-fn names(one: &PipelineSnapshot) -> [&str; 2] {
-    [one.host_name.as_str(), one.pipeline.as_str()]
+fn names(pipeline: &PipelineSnapshot) -> [&str; 2] {
+    [pipeline.host_name.as_str(), pipeline.pipeline.as_str()]
 }
 
 /// Writes whether each pipeline measures.
 pub(super) fn write_running(scrape: &Scrape, sink: &mut Sink<'_>) {
-    for one in &scrape.pipelines {
-        sink(&names(one), Sample::from_bool(one.state == PipelineState::Running));
+    for pipeline in &scrape.pipelines {
+        sink(&names(pipeline), Sample::from_bool(pipeline.state == PipelineState::Running));
     }
 }
 
 /// Writes the number of iterations by outcome.
 pub(super) fn write_iterations(scrape: &Scrape, sink: &mut Sink<'_>) {
-    for one in &scrape.pipelines {
-        let [host, name] = names(one);
+    for pipeline in &scrape.pipelines {
+        let [host, name] = names(pipeline);
         for (seconds, label) in WINDOWS {
-            let Some(window) = one.window(seconds) else { continue };
+            let Some(window) = pipeline.window(seconds) else { continue };
             let counts = window.counts;
             let outcomes = [
                 ("ok", counts.ok),
@@ -47,10 +47,10 @@ pub(super) fn write_iterations(scrape: &Scrape, sink: &mut Sink<'_>) {
 
 /// Writes the iterations per second.
 pub(super) fn write_rate(scrape: &Scrape, sink: &mut Sink<'_>) {
-    for one in &scrape.pipelines {
-        let [host, name] = names(one);
+    for pipeline in &scrape.pipelines {
+        let [host, name] = names(pipeline);
         for (seconds, label) in WINDOWS {
-            if let Some(window) = one.window(seconds) {
+            if let Some(window) = pipeline.window(seconds) {
                 sink(&[host, name, label], Sample::Value(window.rate_hz));
             }
         }
@@ -59,10 +59,10 @@ pub(super) fn write_rate(scrape: &Scrape, sink: &mut Sink<'_>) {
 
 /// Writes the shares of missed deadlines.
 pub(super) fn write_missed(scrape: &Scrape, sink: &mut Sink<'_>) {
-    for one in &scrape.pipelines {
-        let [host, name] = names(one);
+    for pipeline in &scrape.pipelines {
+        let [host, name] = names(pipeline);
         for (seconds, label) in WINDOWS {
-            if let Some(rate) = one.window(seconds).and_then(|window| window.miss_rate) {
+            if let Some(rate) = pipeline.window(seconds).and_then(|window| window.miss_rate) {
                 sink(&[host, name, label], Sample::Value(rate));
             }
         }
@@ -85,10 +85,10 @@ fn write_figures(
     value: &str,
     sample: impl Fn(&QuantityStatistics) -> Sample,
 ) {
-    for one in &scrape.pipelines {
-        let [host, name] = names(one);
+    for pipeline in &scrape.pipelines {
+        let [host, name] = names(pipeline);
         for (seconds, label) in WINDOWS {
-            if let Some(statistics) = one.window(seconds).and_then(|window| window.value(value)) {
+            if let Some(statistics) = pipeline.window(seconds).and_then(|window| window.value(value)) {
                 sink(&[host, name, label], sample(statistics));
             }
         }
@@ -97,9 +97,9 @@ fn write_figures(
 
 /// Writes the quantiles of each standard stage. User-defined names are omitted, because their number is not bounded.
 pub(super) fn write_stages(scrape: &Scrape, sink: &mut Sink<'_>) {
-    for one in &scrape.pipelines {
-        let [host, name] = names(one);
-        let Some(window) = one.window(60) else { continue };
+    for pipeline in &scrape.pipelines {
+        let [host, name] = names(pipeline);
+        let Some(window) = pipeline.window(60) else { continue };
         for stage in stage::ORDER.iter().chain(&[stage::TOTAL, stage::UNATTRIBUTED]) {
             let Some(statistics) = window.value(stage) else { continue };
             let quantiles =
@@ -128,9 +128,9 @@ fn write_directions(
     sink: &mut Sink<'_>,
     value_of: impl Fn(&Window, Transfer) -> Option<f64>,
 ) {
-    for one in &scrape.pipelines {
-        let [host, name] = names(one);
-        let Some(window) = one.window(60) else { continue };
+    for pipeline in &scrape.pipelines {
+        let [host, name] = names(pipeline);
+        let Some(window) = pipeline.window(60) else { continue };
         for (direction, transfer) in [("upload", window.transfers.up), ("download", window.transfers.down)] {
             if let Some(value) = transfer.and_then(|transfer| value_of(window, transfer)) {
                 sink(&[host, name, direction], Sample::Value(value));

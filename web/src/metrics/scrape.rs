@@ -43,8 +43,12 @@ impl Scrape {
         }
         let host_ids: HashSet<_> = by_name.values().map(|host| host.id).collect();
         let mut hosts: Vec<Arc<HostSnapshot>> = by_name.into_values().cloned().collect();
-        let mut pipelines: Vec<Arc<PipelineSnapshot>> =
-            live_state.pipelines.iter().filter(|one| host_ids.contains(&one.host)).cloned().collect();
+        let mut pipelines: Vec<Arc<PipelineSnapshot>> = live_state
+            .pipelines
+            .iter()
+            .filter(|pipeline| host_ids.contains(&pipeline.host))
+            .cloned()
+            .collect();
         let mut names = HashSet::new();
         let mut links: Vec<Arc<LinkSnapshot>> = live_state
             .links

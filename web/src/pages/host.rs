@@ -20,7 +20,7 @@ use crate::state::{App, AppState};
 use crate::view::events::{self, Events};
 use crate::view::hosts::{HostLine, clock_words, hardware_name};
 use crate::view::link::Subject;
-use crate::view::link::panels::{claims, discipline};
+use crate::view::link::panels::{discipline, reported_error_bounds};
 use crate::view::now::{NowRow, NowTable};
 use crate::view::{clock_fault, list_limits};
 use crate::zone::ZonedTime;
@@ -150,10 +150,16 @@ fn links(snapshot: &LiveState, name: &str) -> Vec<(String, String)> {
 fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host {
     let description = &host.description;
     let name = description.name.to_string();
-    let own_pipelines: Vec<_> =
-        snapshot.pipelines.iter().filter(|one| one.host == host.id).map(|one| &**one).collect();
-    let serving =
-        snapshot.pipelines.iter().filter(|one| one.placement.peer.as_ref() == Some(&description.name));
+    let own_pipelines: Vec<_> = snapshot
+        .pipelines
+        .iter()
+        .filter(|pipeline| pipeline.host == host.id)
+        .map(|pipeline| &**pipeline)
+        .collect();
+    let serving = snapshot
+        .pipelines
+        .iter()
+        .filter(|pipeline| pipeline.placement.peer.as_ref() == Some(&description.name));
     let title = match (host.connected, own_pipelines.len(), serving.count()) {
         (false, ..) if host.has_left => {
             format!("{name} disconnected at {}", app.zone.moment(host.last_seen).clock())
@@ -166,8 +172,8 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
         }
         (true, own, others) => format!("{name} runs {own} and serves {others}"),
     };
-    let own_identity = app.clock.identity();
-    let (words, hint) = clock_words(&description.clock, own_identity, host.clock_ahead);
+    let aggregator_identity = app.clock.identity();
+    let (clock, relation) = clock_words(&description.clock, aggregator_identity, host.clock_ahead);
     let memory = host.metrics.agent_memory_bytes.map(|size| format!("agent holds {}", bytes(size as f64)));
     let models = host.metrics.models.filter(|models| models.loaded > 0).map(|models| {
         let number = counted(u64::from(models.loaded), "model");
@@ -186,14 +192,14 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
             .filter(|fact| !fact.is_empty())
             .collect(),
         links: links(snapshot, &name),
-        line: HostLine::new(host, own_identity, app.zone),
+        line: HostLine::new(host, aggregator_identity, app.zone),
         agent: agent(description),
         hardware: hardware(description),
         clock: vec![
-            ("Wall clock", words),
-            ("Known from", hint),
+            ("Wall clock", clock),
+            ("Relation to the aggregator's clock", relation),
             ("Synchronised by", discipline(&host.clock)),
-            ("Reported error bound", claims(&host.clock)),
+            ("Reported error bound", reported_error_bounds(&host.clock)),
             ("Steps noticed", step_count(&host.clock)),
             ("Clock fault", host.clock.faults.as_ref().map_or_else(|| "none".to_owned(), clock_fault::words)),
             ("Boot id", description.clock.boot.to_string()),

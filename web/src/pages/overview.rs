@@ -118,8 +118,9 @@ pub(super) fn empty(app: &AppState, snapshot: &LiveState) -> Empty {
 
 /// Returns the pipelines to show, running pipelines first.
 fn shown_pipelines(snapshot: &LiveState) -> Vec<&PipelineSnapshot> {
-    let mut pipelines: Vec<&PipelineSnapshot> = snapshot.pipelines.iter().map(|one| &**one).collect();
-    pipelines.sort_by_key(|one| one.state != PipelineState::Running);
+    let mut pipelines: Vec<&PipelineSnapshot> =
+        snapshot.pipelines.iter().map(|pipeline| &**pipeline).collect();
+    pipelines.sort_by_key(|pipeline| pipeline.state != PipelineState::Running);
     pipelines.truncate(list_limits::MAX_ON_OVERVIEW);
     pipelines
 }
@@ -132,7 +133,7 @@ pub(super) fn overview(
     let health = Health::of(snapshot, app.zone, app.started_at, &app.warn);
     let pipelines = shown_pipelines(snapshot);
     let charts: Vec<ChartCard> =
-        pipelines.iter().map(|one| ChartCard::new(one, snapshot, app.zone)).collect();
+        pipelines.iter().map(|pipeline| ChartCard::new(pipeline, snapshot, app.zone)).collect();
     let marks = incidents.as_ref().map(|rows| Mark::all(rows)).unwrap_or_default();
     Ok(Overview {
         shell: Shell::new(app, snapshot, "/", health.title.clone()).live(TOPIC),

@@ -73,8 +73,8 @@ pub(super) fn update(app: &AppState, snapshot: &LiveState) -> Result<Update, Web
 }
 
 fn pipelines(app: &AppState, snapshot: &LiveState) -> Pipelines {
-    let all: Vec<&PipelineSnapshot> = snapshot.pipelines.iter().map(|one| &**one).collect();
-    let running = all.iter().filter(|one| one.state == PipelineState::Running).count();
+    let all: Vec<&PipelineSnapshot> = snapshot.pipelines.iter().map(|pipeline| &**pipeline).collect();
+    let running = all.iter().filter(|pipeline| pipeline.state == PipelineState::Running).count();
     let title = match all.len() {
         0 if startup::is_waiting_for_agents(snapshot, app.started_at) => startup::WAITING.to_owned(),
         0 => "No pipeline has reported yet".to_owned(),

@@ -286,7 +286,7 @@ fn assemble(
     let (zone, snapshot) = (app.zone, app.live_state());
     let link = link::of_placement(&snapshot, summary.host_name.as_str(), &summary.placement);
     let delay_notes = Note::delay_notes(summary.pipeline.as_str(), "", link.as_deref(), bounds, |name| {
-        stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures)
+        stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.statistics)
     });
     Ok(Run {
         shell: Shell::new(app, &snapshot, "/runs", place::run_name(summary)),
@@ -357,7 +357,7 @@ fn assemble(
 /// Returns the accuracies of the model; empty if samples had no labels.
 fn accuracies(stages: &[StageStatistics]) -> Vec<(&'static str, String, Option<String>)> {
     let accuracies = look::ACCURACIES.into_iter().filter_map(|(name, label)| {
-        let statistics = stages.iter().find(|stage| stage.stage == *name)?.figures;
+        let statistics = stages.iter().find(|stage| stage.stage == *name)?.statistics;
         Some((label, share(statistics.mean), accuracy::interval(&statistics)))
     });
     accuracies.collect()

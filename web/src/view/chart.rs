@@ -59,7 +59,8 @@ pub(crate) struct ChartCard {
     pub key: String,
     pub name: String,
     pub href: String,
-    pub about: String,
+    /// Host of the pipeline, and where it computes.
+    pub route: String,
     /// Description of the chart in words.
     pub finding: String,
     /// Columns of the table view: the stages that occur.
@@ -151,7 +152,7 @@ impl ChartCard {
         Self {
             key: format!("{host}/{name}"),
             href: place::pipeline_href(&host, &name),
-            about: place::route(&host, &pipeline.placement),
+            route: place::route(&host, &pipeline.placement),
             finding: format!("Stages of {name} over the last 10 minutes. {}", stack.finding((None, None))),
             minutes: minutes(&pipeline.series, &columns, zone),
             columns,
@@ -160,7 +161,7 @@ impl ChartCard {
         }
     }
 
-    /// Returns the reasons why a direction has no line, which are shown under the chart's key.
+    /// Returns the reasons why a direction has no line, which are shown under the chart's legend.
     pub(crate) fn obstacles(&self) -> (String, Obstacles) {
         (self.key.clone(), self.data.obstacles)
     }

@@ -42,7 +42,7 @@ pub(crate) struct Step {
     pub name: &'static str,
     pub number: String,
     /// Note below the number. For all steps but the first, the number of events that have not reached this step yet.
-    pub about: String,
+    pub note: String,
 }
 
 /// Counts of the agent, as its page shows them.
@@ -101,7 +101,7 @@ impl Events {
             0 => format!("{} in memory", count(in_memory)),
             size => format!("{} in memory, {}", count(in_memory), bytes(size as f64)),
         };
-        let step = |name, number, about| Step { name, number: count(number), about };
+        let step = |name, number, note| Step { name, number: count(number), note };
         Self {
             remarks: remarks(host),
             flow: vec![
@@ -278,7 +278,7 @@ mod tests {
         assert_eq!(account.produced, account.stored + account.waiting + account.dropped);
         let events = Events::of(&host);
         let steps: Vec<(&str, &str)> =
-            events.flow.iter().map(|step| (step.number.as_str(), step.about.as_str())).collect();
+            events.flow.iter().map(|step| (step.number.as_str(), step.note.as_str())).collect();
         assert_eq!(
             steps,
             [

@@ -15,7 +15,7 @@ const NARROWEST_EMS: f64 = 19.6;
 pub(crate) fn histogram(stored: &Histogram, view: View, is_logarithmic: bool) -> Picture {
     let end = stored.edges.last().copied().unwrap_or_default();
     let unit = axis_unit(&stored.unit, end);
-    let statistics = &stored.figures;
+    let statistics = &stored.statistics;
     let quantiles = [("median", Some(statistics.p50)), ("p95", statistics.p95), ("p99", statistics.p99)];
     let quantiles: Vec<(&str, f64)> = quantiles
         .into_iter()

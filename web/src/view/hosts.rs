@@ -50,13 +50,13 @@ pub(crate) struct RefusedLine {
 
 impl RefusedLine {
     pub(crate) fn all(snapshot: &LiveState, zone: Zone) -> Vec<Self> {
-        let lines = snapshot.refused.iter().map(|one| Self {
-            who: match &one.address {
-                Some(address) => format!("{} ({address})", one.name),
-                None => one.name.to_string(),
+        let lines = snapshot.refused.iter().map(|refused_host| Self {
+            who: match &refused_host.address {
+                Some(address) => format!("{} ({address})", refused_host.name),
+                None => refused_host.name.to_string(),
             },
-            why: one.reason.clone(),
-            at: zone.moment(one.at),
+            why: refused_host.reason.clone(),
+            at: zone.moment(refused_host.at),
         });
         lines.collect()
     }

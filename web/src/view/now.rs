@@ -40,7 +40,8 @@ pub(crate) struct NowTable {
 pub(crate) struct NowRow {
     pub name: String,
     pub href: String,
-    pub about: String,
+    /// Where it computes, and with which model.
+    pub placement: String,
     /// State of the pipeline; `None` while it runs.
     pub state: Option<Chip>,
     pub bar: Picture,
@@ -175,7 +176,7 @@ impl NowRow {
         Self {
             name: pipeline.pipeline.to_string(),
             href: place::pipeline_href(host, pipeline.pipeline.as_str()),
-            about: format!(
+            placement: format!(
                 "{} · {}",
                 place::route(host, &pipeline.placement),
                 place::details(&pipeline.placement, Some(window))

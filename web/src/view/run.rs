@@ -59,11 +59,11 @@ pub(crate) struct Bucket {
 /// A row of the slowest iterations.
 pub(crate) struct SlowIteration {
     pub number: u64,
-    pub label: String,
+    pub number_text: String,
     pub at: ZonedTime,
     pub total: String,
     pub factor: String,
-    /// The part with the largest excess over its median: name, look, excess.
+    /// The part with the largest excess over its median: name, CSS class of its colour, excess.
     pub cause: Option<(String, &'static str, String)>,
     pub bar: Picture,
 }
@@ -71,7 +71,7 @@ pub(crate) struct SlowIteration {
 /// A row of the failed iterations.
 pub(crate) struct FailedRow {
     pub number: u64,
-    pub label: String,
+    pub number_text: String,
     pub at: ZonedTime,
     pub outcome: String,
     pub reason: String,
@@ -97,7 +97,7 @@ impl StoredRun<'_> {
     pub(crate) fn failed_rows(&self, zone: Zone) -> Vec<FailedRow> {
         let row = |row: &IterationRow| FailedRow {
             number: row.number,
-            label: count(row.number),
+            number_text: count(row.number),
             at: zone.moment(row.started),
             // Statistics and counts exclude the warm-up.
             outcome: if row.warm_up { format!("{}, warm-up", row.outcome) } else { row.outcome.clone() },
@@ -111,7 +111,7 @@ impl StoredRun<'_> {
         let failed = episodes::failed(self.episodes, &self.run.summary);
         let standstill =
             self.starts.times.standstill_s.map(|seconds| {
-                format!("nothing for {}: the clock was set, or it stood still", length(seconds))
+                format!("nothing for {}: the clock was set, or the pipeline stood still", length(seconds))
             });
         [episodes::summary(self.episodes), failed, standstill].into_iter().flatten().collect()
     }
@@ -127,20 +127,20 @@ impl StoredRun<'_> {
     }
 
     /// Returns the format of the run's tables of durations.
-    fn column(&self) -> StageColumn {
+    fn duration_format(&self) -> StageColumn {
         StageColumn::for_total(self.run.summary.total.as_ref().map(|total| total.mean))
     }
 
     /// Returns the time series of the total, bucket by bucket.
     pub(crate) fn buckets(&self, zone: Zone) -> Vec<Bucket> {
         let points = self.series.stages.iter().flat_map(|stage| &stage.points);
-        let column = self.column();
+        let format = self.duration_format();
         let rows = points.map(|point| Bucket {
             at: zone.moment(point.at),
             count: count(point.count),
-            mean: column.duration(point.mean),
-            p50: column.duration(point.p50),
-            p95: point.p95.map_or_else(|| NONE.to_owned(), |p95| column.duration(p95)),
+            mean: format.duration(point.mean),
+            p50: format.duration(point.p50),
+            p95: point.p95.map_or_else(|| NONE.to_owned(), |p95| format.duration(p95)),
         });
         rows.collect()
     }
@@ -159,7 +159,7 @@ impl StoredRun<'_> {
         let is_other = |stage: &&StageStatistics| stage.unit != "s" && !is_count(stage) && !is_ratio(stage);
         let other_stages = self.statistics.stages.iter().filter(is_other);
         let rows = other_stages.map(|stage| {
-            let (statistics, scale) = (&stage.figures, Scale::for_unit(&stage.unit));
+            let (statistics, scale) = (&stage.statistics, Scale::for_unit(&stage.unit));
             // All numbers of a row have the same decimals, as in the summary of a result folder.
             let decimals = scale.decimals(statistics.p50);
             let [mean, p50, max] = [statistics.mean, statistics.p50, statistics.max]
@@ -202,7 +202,7 @@ impl StoredRun<'_> {
             None | Some(Verdict::Ok) => Some(throughput(speed)),
             Some(Verdict::Limited) => {
                 let delay = self.statistics.stages.iter().find(|stage| stage.stage == *direction.delay());
-                speed::interval(speed, &delay?.figures, bound?)
+                speed::interval(speed, &delay?.statistics, bound?)
             }
             Some(_) => None,
         }
@@ -215,21 +215,21 @@ impl StoredRun<'_> {
 
     /// Returns the slowest iterations, on one scale.
     pub(crate) fn slow_rows(&self, zone: Zone) -> Vec<SlowIteration> {
-        let (scale, column) = (self.scale(), self.column());
+        let (scale, format) = (self.scale(), self.duration_format());
         let rows = self.slowest.iter().take(MAX_SLOWEST).map(|row| {
             let stack = Stack::of_iteration(row);
             let bar = StageBar { has_values: false, ..StageBar::new(&stack.parts, scale) };
             SlowIteration {
                 number: row.number,
-                label: count(row.number),
+                number_text: count(row.number),
                 at: zone.moment(row.started),
-                total: row.total.map_or_else(|| NONE.to_owned(), |total| column.duration(total)),
+                total: row.total.map_or_else(|| NONE.to_owned(), |total| format.duration(total)),
                 factor: row.factor.map_or_else(|| NONE.to_owned(), times),
                 cause: row.causes.first().map(|cause| {
-                    let more = column.difference(cause.excess());
+                    let more = format.difference(cause.excess());
                     let name = cause.name.to_string();
-                    let look = look::class(&name);
-                    (name, look, format!("{more}{SPACE}ms"))
+                    let css_class = look::class(&name);
+                    (name, css_class, format!("{more}{SPACE}ms"))
                 }),
                 bar: Picture::of_items(&bar.items(), "stages thin", ""),
             }
@@ -251,8 +251,13 @@ impl StoredRun<'_> {
             )
         });
         let slow = slowest.iter().map(|row| {
-            let look = row.causes.first().map_or("total", |cause| look::class(cause.name.as_str()));
-            (milliseconds(row.started), RoundedNumber(row.total.map(|total| total * 1e3)), look, row.number)
+            let css_class = row.causes.first().map_or("total", |cause| look::class(cause.name.as_str()));
+            (
+                milliseconds(row.started),
+                RoundedNumber(row.total.map(|total| total * 1e3)),
+                css_class,
+                row.number,
+            )
         });
         let gaps = series.gaps.iter().map(|gap| (milliseconds(gap.from), milliseconds(gap.to), gap.count));
         JsonBlock::new(&Data {

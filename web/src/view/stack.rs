@@ -23,14 +23,15 @@ pub(crate) struct Stack {
 impl Stack {
     /// Returns the stack of a live window.
     pub(crate) fn of_window(window: &Window) -> Self {
-        Self::new(DelayAccuracy::sent(&window.bounds), |name| window.value(name).copied())
+        Self::new(DelayAccuracy::sent_messages(&window.bounds), |name| window.value(name).copied())
             .with_bounds(&window.bounds)
     }
 
     /// Returns the stack of a stored run.
     pub(crate) fn of_run(stages: &[StageStatistics], bounds: &[DelayAccuracy]) -> Self {
-        let find = |name: &str| stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures);
-        Self::new(DelayAccuracy::sent(bounds), find).with_bounds(bounds)
+        let find =
+            |name: &str| stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.statistics);
+        Self::new(DelayAccuracy::sent_messages(bounds), find).with_bounds(bounds)
     }
 
     /// Adds the error bars of the one-way delays.

@@ -101,7 +101,7 @@ impl StageRow {
             .iter()
             .filter(has_own_row)
             .map(|stage| {
-                Self::new(column, &stage.stage, Some(&stage.figures), stage.bound.as_ref(), stage.share)
+                Self::new(column, &stage.stage, Some(&stage.statistics), stage.bound.as_ref(), stage.share)
             })
             .collect();
         // A direction without a known delay has a bound but no statistics, so its row is inserted here.
@@ -123,7 +123,7 @@ impl StageRow {
                     Some(Self::new(
                         column,
                         name,
-                        Some(&stage.figures),
+                        Some(&stage.statistics),
                         None,
                         stage.share.or((name == "total").then_some(1.0)),
                     ))
@@ -138,7 +138,7 @@ impl StageRow {
         let stack = Stack::of_window(window);
         let column = StageColumn::for_total(stack.total.map(|total| total.mean));
         let mean_of = |name: &str| window.value(name).map(|statistics| (statistics.count, statistics.mean));
-        let share = |name: &str| share_of_total(name, DelayAccuracy::sent(&window.bounds), mean_of);
+        let share = |name: &str| share_of_total(name, DelayAccuracy::sent_messages(&window.bounds), mean_of);
         let mut rows = Vec::new();
         let network = stack.parts.iter().find(|part| part.name == look::NETWORK);
         let order =

@@ -67,7 +67,7 @@ fn tail_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
 /// Returns the split of the mean total of the minute.
 fn split(minute: &Window) -> StageSplit {
     let mean_of = |name: &str| minute.value(name).map(|statistics| (statistics.count, statistics.mean));
-    StageSplit::new(DelayAccuracy::sent(&minute.bounds), mean_of)
+    StageSplit::new(DelayAccuracy::sent_messages(&minute.bounds), mean_of)
 }
 
 /// Returns the warning about time that nothing explains, or about stages that overlap. The trust report has the same rule.

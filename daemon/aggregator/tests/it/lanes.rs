@@ -149,7 +149,7 @@ async fn restart_loses_nothing_and_stores_nothing_twice() {
     assert_eq!(testbed.count("SELECT count(*) FROM gap").await, 0);
     let stages = testbed.aggregator().store().statistics_of(1).await.expect("answers").stages;
     let total = stages.iter().find(|stage_statistics| stage_statistics.stage == "total").expect("measured");
-    assert_eq!(total.figures.count, 2_000);
+    assert_eq!(total.statistics.count, 2_000);
     testbed.stop().await;
 }
 

@@ -79,8 +79,8 @@ async fn confirm_earlier_damage(integrity: &Integrity, stop: &CancellationToken)
     tracing::warn!(database = %integrity.database.display(), "checking the whole database, in which damage was found earlier");
     loop {
         match find_damage_with_sqlite(&integrity.database, stop).await {
-            Ok(Some(what)) => {
-                tracing::error!("{}; this check found: {what}", integrity.refusal().unwrap_or_default());
+            Ok(Some(finding)) => {
+                tracing::error!("{}; this check found: {finding}", integrity.refusal().unwrap_or_default());
                 return;
             }
             Ok(None) => match integrity.clear() {
@@ -108,11 +108,11 @@ async fn check_repeatedly(
 ) {
     let mut rate = FIRST_BYTES_PER_SECOND;
     // Pages that look malformed but that SQLite does not use.
-    let mut unused = HashSet::new();
+    let mut unused_pages = HashSet::new();
     // A failure is logged once, and again only after a check that succeeded.
     let mut has_failed = false;
     loop {
-        match check_once(integrity, (file, reads), rate, &mut unused, stop).await {
+        match check_once(integrity, (file, reads), rate, &mut unused_pages, stop).await {
             Ok(()) => has_failed = false,
             Err(error) if !has_failed => {
                 tracing::warn!(%error, database = %integrity.database.display(), "cannot check the database for damage; the check is retried");
@@ -130,23 +130,23 @@ async fn check_once(
     integrity: &Integrity,
     (file, reads): (&Arc<File>, &TaskTracker),
     rate: u64,
-    unused: &mut HashSet<u32>,
+    unused_pages: &mut HashSet<u32>,
     stop: &CancellationToken,
 ) -> Result<(), sqlx::Error> {
     let malformed = malformed_pages(&integrity.database, file, reads, rate).await?;
-    unused.retain(|page| malformed.contains(page));
-    let Some(first) = malformed.iter().find(|page| !unused.contains(page)) else { return Ok(()) };
+    unused_pages.retain(|page| malformed.contains(page));
+    let Some(first) = malformed.iter().find(|page| !unused_pages.contains(page)) else { return Ok(()) };
     let database = integrity.database.display();
     tracing::info!(
         %database, page = first, pages = malformed.len(),
         "pages of the database look malformed; SQLite checks the whole file"
     );
     match find_damage_with_sqlite(&integrity.database, stop).await? {
-        Some(what) => integrity.record_damage(format!("page {first} is malformed ({what})")),
+        Some(finding) => integrity.record_damage(format!("page {first} is malformed ({finding})")),
         // No other page refers to the malformed pages.
         None => {
             tracing::info!(%database, "the database is not damaged: SQLite found no error in the whole file");
-            *unused = malformed.into_iter().collect();
+            *unused_pages = malformed.into_iter().collect();
         }
     }
     Ok(())
@@ -250,9 +250,9 @@ async fn first_finding(
     for pragma in ["PRAGMA quick_check(1)", "PRAGMA integrity_check(1)"] {
         let problems: Vec<String> =
             sqlx::query_scalar(AssertSqlSafe(pragma)).fetch_all(&mut *connection).await?;
-        if let Some(what) = problems.into_iter().find(|line| line != "ok") {
+        if let Some(finding) = problems.into_iter().find(|line| line != "ok") {
             // If there are several lines, the first is a heading.
-            return Ok(what.lines().last().map(str::to_owned));
+            return Ok(finding.lines().last().map(str::to_owned));
         }
     }
     Ok(None)

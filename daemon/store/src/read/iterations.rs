@@ -11,7 +11,7 @@ use super::clocks::WindowAssumptions;
 use super::{corrupt_data, count, sql, statistics, tree, value_of_number, wall};
 use crate::column::column;
 use crate::error::StoreError;
-use crate::figures::medians;
+use crate::quantity_statistics::medians;
 use crate::readers::Readers;
 use crate::types::{DelayRow, IterationDetail, IterationFilter, IterationRow};
 

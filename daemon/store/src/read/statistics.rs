@@ -13,7 +13,7 @@ use sqlx::FromRow;
 
 use super::{corrupt_data, count, sql};
 use crate::error::StoreError;
-use crate::figures::QuantityStatistics;
+use crate::quantity_statistics::QuantityStatistics;
 use crate::readers::Readers;
 use crate::types::{Histogram, NameSummary};
 
@@ -84,15 +84,7 @@ pub(crate) async fn histogram(
     let Some(binning) = Binning::of(&samples.summary, max_bins) else { return Ok(None) };
     let BinCounts { below, counts, above } = samples.summary.count_in(&binning);
     let (stage, edges) = (stage.into(), binning.edges());
-    Ok(Some(Histogram {
-        stage,
-        unit: samples.unit,
-        edges,
-        counts,
-        below,
-        beyond: above,
-        figures: statistics,
-    }))
+    Ok(Some(Histogram { stage, unit: samples.unit, edges, counts, below, beyond: above, statistics }))
 }
 
 /// Returns the statistics of all names of a run, in the order of tables.
@@ -101,5 +93,5 @@ pub(super) async fn statistics_by_name(
     run: i64,
 ) -> Result<Vec<(Name, QuantityStatistics)>, StoreError> {
     let runs = statistics(readers, &[run]).await?;
-    Ok(runs.into_iter().flat_map(|run| run.stages).map(|entry| (entry.stage, entry.figures)).collect())
+    Ok(runs.into_iter().flat_map(|run| run.stages).map(|entry| (entry.stage, entry.statistics)).collect())
 }

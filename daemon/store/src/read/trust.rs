@@ -15,11 +15,11 @@ use serde::Deserialize;
 use super::episodes::{failed_starts, first_measured_start, last_measured_start};
 use super::statistics::{stage_buckets, statistics, whole_runs};
 use crate::error::StoreError;
-use crate::figures::DelayAccuracy;
+use crate::quantity_statistics::DelayAccuracy;
 use crate::readers::Readers;
 use crate::types::{RunDetail, RunStatistics, RunSummary, StageBuckets};
 
-/// Largest number of buckets in which a run's time series is read.
+/// Maximum number of buckets in which a run's time series is read.
 const BUCKETS: usize = 120;
 
 pub(crate) async fn trust_input(readers: &Readers, run: &RunDetail) -> Result<TrustInput, StoreError> {
@@ -116,7 +116,7 @@ fn collect(
         warm_up: run.summary.warm_up,
     };
     let statistics_of =
-        |name: &str| statistics.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures);
+        |name: &str| statistics.iter().find(|stage| stage.stage == *name).map(|stage| stage.statistics);
     let mut stages: Vec<(String, TimeSeries)> = stages_over_time
         .iter()
         .filter_map(|stage| Some((stage.stage.to_string(), TimeSeries::from_summaries(&stage.buckets)?)))
@@ -145,7 +145,7 @@ fn collect(
             .map(|gap| MissingEvents { count: gap.count, reason: gap.reason.clone() })
             .collect(),
         total: total.or_else(sensing),
-        split: StageSplit::new(DelayAccuracy::sent(bounds), |name| {
+        split: StageSplit::new(DelayAccuracy::sent_messages(bounds), |name| {
             statistics_of(name).map(|statistics| (statistics.count, statistics.mean))
         }),
         overrun: statistics_of(OVERRUN).map(|statistics| statistics.mean),

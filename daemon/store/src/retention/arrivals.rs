@@ -1,7 +1,7 @@
 //! The table `arrival`: it records when each range of data arrived, and so which data has to be deleted next.
 //!
-//! If a later row of the same owner covers a part of the range, that part is kept until the later row is due. Therefore no data is
-//! deleted early if a robot's clock jumps during a run.
+//! If a later row of the same owner covers a part of the range, that part is kept until the later row is due. A jump of a robot's
+//! clock during a run therefore leads to no early deletion.
 
 use sqlx::SqliteConnection;
 
@@ -15,15 +15,15 @@ const MAX_ROWS: usize = 64;
 
 /// Sets whether a run is pinned; triggers then update the table `arrival`: ?1 run, ?2 0 or 1.
 const PIN: &str = "UPDATE run SET pinned = ?2 WHERE number = ?1";
-/// Inserts a row that covers all data of a kind and begins its period now: ?1 kind, ?2 run.
+/// Inserts a row that covers all data of a kind, whose retention period begins now: ?1 kind, ?2 run.
 const RELEASE: &str = "INSERT INTO arrival (kind, owner, from_s, to_s, first, last) \
      SELECT ?1, number, 0, coalesce((SELECT elapsed_ns / 1000000000 FROM storage_clock), 0), \
        -9223372036854775808, 9223372036854775807 FROM run WHERE number = ?2 AND pinned = 0 \
      ON CONFLICT (kind, owner, from_s) DO UPDATE SET to_s = excluded.to_s, first = excluded.first, last = excluded.last";
-/// The row whose period began first: ?1 kind, ?2 at this second or before.
+/// The row whose retention period began first, at second ?2 of the storage clock or before: ?1 kind.
 const NEXT: &str =
     "SELECT owner, from_s, first, last FROM arrival WHERE kind = ?1 AND to_s <= ?2 ORDER BY to_s LIMIT 1";
-/// Rows that arrived later and overlap: ?1 kind, ?2 owner, ?3 from, ?4 and ?5 first and last.
+/// Later rows that overlap a row: ?1 kind, ?2 owner, ?3 `from_s` of the row, ?4 and ?5 its first and last value.
 const LATER: &str = "SELECT first, last FROM arrival WHERE kind = ?1 AND owner = ?2 AND from_s > ?3 \
      AND first <= ?5 AND last >= ?4";
 /// Ranges of a run's data whose arrival is not in the table yet: ?1 run.
@@ -32,9 +32,9 @@ const ARRIVING_RUN: &str = "SELECT arriving_first_number, arriving_last_number, 
 /// Range of a link's data whose arrival is not in the table yet: ?1 link.
 const ARRIVING_LINK: &str =
     "SELECT arriving_first_ns, arriving_last_ns FROM link WHERE id = ?1 AND arriving_from_s IS NOT NULL";
-/// ?1 kind, ?2 owner, ?3 from.
+/// Removes a row: ?1 kind, ?2 owner, ?3 `from_s`.
 const REMOVE: &str = "DELETE FROM arrival WHERE kind = ?1 AND owner = ?2 AND from_s = ?3";
-/// Begins the period of a row again: ?1 kind, ?2 owner, ?3 from, ?4 now.
+/// Begins the retention period of a row again: ?1 kind, ?2 owner, ?3 `from_s`, ?4 now.
 const POSTPONE: &str = "UPDATE arrival SET to_s = ?4 WHERE kind = ?1 AND owner = ?2 AND from_s = ?3";
 
 #[cfg(test)]

@@ -150,7 +150,7 @@ async fn buckets_hold_every_sample_in_order_of_time() {
     for stage in stages {
         assert!((5..=20).contains(&stage.buckets.len()), "{}", stage.buckets.len());
         let expected =
-            whole.iter().find(|statistics| statistics.stage == stage.stage).expect("known").figures;
+            whole.iter().find(|statistics| statistics.stage == stage.stage).expect("known").statistics;
         assert_eq!(stage.buckets.iter().map(|bucket| bucket.count()).sum::<u64>(), expected.count);
         let max = stage.buckets.iter().map(|bucket| bucket.moments.max).fold(0.0, f64::max);
         assert_eq!((max, stage.unit.as_str()), (expected.max, "s"));

@@ -120,7 +120,12 @@ async fn median_of_stored_run_has_interval_of_files() {
     assert_equal_to_rows(&stored.mergeable, &rows);
     assert!(median_bounds_of(&rows, "upload-throughput").is_some(), "infinite upper ends are bounds");
     let of_upload = stored.bounds.iter().find(|bound| bound.stage == stage::UPLOAD).expect("a delay");
-    let delay = stored.stages.iter().find(|one| one.stage == stage::UPLOAD).expect("a delay").figures;
+    let delay = stored
+        .stages
+        .iter()
+        .find(|statistics| statistics.stage == stage::UPLOAD)
+        .expect("a delay")
+        .statistics;
     assert_eq!(
         of_upload.interval_of_median(&delay),
         interval(&stored.mergeable, &stage::UPLOAD, &stage::UPLOAD)

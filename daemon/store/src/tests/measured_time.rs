@@ -20,7 +20,7 @@ async fn counted(test_store: &TestStore) -> Vec<IterationRow> {
 
 async fn measured_time(test_store: &TestStore, run: i64) -> Option<MeasuredTime> {
     let runs = test_store.store.runs(&RunFilter::default()).await.expect("answers");
-    let run = runs.into_iter().find(|one| one.number == run).expect("a run");
+    let run = runs.into_iter().find(|summary| summary.number == run).expect("a run");
     test_store.store.measured_time(&run).await.expect("answers")
 }
 

@@ -41,19 +41,24 @@ impl TestStore {
 /// Asserts that the statistics of each name with one value in an iteration equal those of the column in `data.csv`.
 fn assert_equal_to_columns(statistics: &[StageStatistics], rows: &Rows) {
     let with_one_value =
-        |one: &&StageStatistics| IterationValues::has_one_value(&one.stage) && one.figures.count > 0;
+        |stage: &&StageStatistics| IterationValues::has_one_value(&stage.stage) && stage.statistics.count > 0;
     let found: Vec<&StageStatistics> = statistics.iter().filter(with_one_value).collect();
-    for one in &found {
-        let column: Vec<f64> = rows.counted_values(&one.stage).collect();
-        assert_eq!(one.figures.count, column.len() as u64, "{}", one.stage);
+    for stage in &found {
+        let column: Vec<f64> = rows.counted_values(&stage.stage).collect();
+        assert_eq!(stage.statistics.count, column.len() as u64, "{}", stage.stage);
         let mean = column.iter().sum::<f64>() / column.len() as f64;
-        assert!((one.figures.mean - mean).abs() <= 1e-9 * mean, "{}: {mean} {:?}", one.stage, one.figures);
+        assert!(
+            (stage.statistics.mean - mean).abs() <= 1e-9 * mean,
+            "{}: {mean} {:?}",
+            stage.stage,
+            stage.statistics
+        );
     }
     for name in ["inference", "send-queue", "batch-wait", "capture", UNKNOWN_LABEL] {
-        assert!(found.iter().any(|one| one.stage == *name), "{name}");
+        assert!(found.iter().any(|found| found.stage == *name), "{name}");
     }
     for name in ["preprocessing", "restart"] {
-        let is_stored = statistics.iter().any(|one| one.stage == *name);
+        let is_stored = statistics.iter().any(|stored| stored.stage == *name);
         assert_eq!(is_stored, rows.counted_values(name).next().is_some(), "{name}");
     }
 }

@@ -7,7 +7,7 @@ use peernet_statistics::Summary;
 use peernet_stream::{EndReason, Event, Incident, IncidentKind, Iteration, Outcome, RunEnded};
 
 use super::{TestStore, generate};
-use crate::figures::QuantityStatistics;
+use crate::quantity_statistics::QuantityStatistics;
 use crate::types::{IncidentFilter, IterationFilter, RunFilter, RunStatistics};
 
 /// Returns the values of one name in the iterations of [`TestStore::run_of`].
@@ -37,7 +37,7 @@ async fn statistics_of_run_are_those_of_its_iterations() {
         sorted.sort_by(f64::total_cmp);
         let mean = exact.iter().sum::<f64>() / exact.len() as f64;
         let std = (exact.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (exact.len() - 1) as f64).sqrt();
-        let quantity = statistics.figures;
+        let quantity = statistics.statistics;
         assert_eq!(quantity.count, 400, "{name}");
         assert!(is_close(quantity.mean, mean), "{name}: {} {mean}", quantity.mean);
         assert!((quantity.std.expect("many") - std).abs() <= 1e-9 * mean.abs(), "{name}");
@@ -77,7 +77,7 @@ async fn runs_read_together_equal_runs_read_alone() {
     }
     assert_eq!(together, alone);
     let total = |statistics: &RunStatistics| {
-        statistics.stages.iter().find(|stage| stage.stage == stage::TOTAL).map(|total| total.figures.count)
+        statistics.stages.iter().find(|stage| stage.stage == stage::TOTAL).map(|total| total.statistics.count)
     };
     let counts: Vec<Option<u64>> = together.iter().map(total).collect();
     assert_eq!(counts, [Some(20), None, Some(40), Some(30), Some(40)]);
@@ -167,9 +167,8 @@ async fn slowest_iterations_come_first_with_causes() {
     let numbers: Vec<u64> = slowest.iter().map(|row| row.number).collect();
     assert_eq!(numbers, totals.iter().take(10).map(|(_, number)| *number).collect::<Vec<_>>());
     let stages = test_store.store.statistics_of(1).await.expect("answers").stages;
-    let median = |name: &Name| {
-        stages.iter().find(|statistics| statistics.stage == *name).map(|statistics| statistics.figures.p50)
-    };
+    let median =
+        |name: &Name| stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.statistics.p50);
     for row in &slowest {
         assert!(row.factor.expect("known") > 1.0);
         let excess = |(name, value): &(Name, f64)| value - median(name).expect("in the run");
@@ -233,7 +232,7 @@ async fn series_adds_up_to_run_for_any_buckets() {
             let mean = stage.points.iter().map(|p| p.mean * p.count as f64).sum::<f64>() / 1_000.0;
             let run =
                 test_store.store.histogram(1, &stage.stage, 10).await.expect("answers").expect("exists");
-            assert!(is_close(mean, run.figures.mean));
+            assert!(is_close(mean, run.statistics.mean));
         }
     }
 }

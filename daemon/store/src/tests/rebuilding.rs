@@ -124,7 +124,7 @@ async fn extreme_values_are_stored_outside_statistics() {
     }
     let statistics = test_store.store.statistics_of(1).await.expect("answers").stages;
     let range = statistics.iter().find(|statistics| statistics.stage == *"range").expect("known");
-    assert_eq!((range.figures.count, range.figures.mean, range.figures.max), (2, 2.0, 3.0));
+    assert_eq!((range.statistics.count, range.statistics.mean, range.statistics.max), (2, 2.0, 3.0));
 
     let mut connection = test_store.second_connection().await;
     let incremental = table(&mut connection).await;
@@ -156,14 +156,14 @@ async fn invalid_statistics_do_not_block_writer_and_are_rebuilt() {
         assert!(committed.quarantined.is_empty(), "{number}: {:?}", committed.quarantined);
     }
     let stages = test_store.store.statistics_of(1).await.expect("answers").stages;
-    assert!(stages.iter().any(|statistics| statistics.figures.max > 1e140), "it was not changed");
+    assert!(stages.iter().any(|stage| stage.statistics.max > 1e140), "it was not changed");
 
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
     let stages = test_store.store.statistics_of(1).await.expect("answers").stages;
-    let total = stages.iter().find(|statistics| statistics.stage == stage::TOTAL).expect("known").figures;
+    let total = stages.iter().find(|statistics| statistics.stage == stage::TOTAL).expect("known").statistics;
     assert_eq!(total.count, 160);
     for statistics in stages {
-        let quantity = statistics.figures;
+        let quantity = statistics.statistics;
         let all =
             [Some(quantity.mean), quantity.std, Some(quantity.min), Some(quantity.p50), Some(quantity.max)];
         assert!(

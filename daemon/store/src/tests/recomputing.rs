@@ -78,8 +78,8 @@ pub(super) async fn recompute_run(test_store: &TestStore, run: i64) -> Recompute
         assert_eq!(before.verdicts, bound.verdicts);
         let close = |a: f64, b: f64| (a - b).abs() < 1e-9;
         let (delay, half_width) = (before.delay.expect("has values"), before.half_width.expect("has bounds"));
-        assert_eq!((delay.count, delay.max), (stored.figures.count, stored.figures.max));
-        assert!(close(delay.mean, stored.figures.mean));
+        assert_eq!((delay.count, delay.max), (stored.statistics.count, stored.statistics.max));
+        assert!(close(delay.mean, stored.statistics.mean));
         assert!(close(half_width.mean, bound.half_width.expect("has bounds").mean));
     }
     recomputed

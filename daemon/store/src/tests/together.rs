@@ -40,7 +40,7 @@ async fn merged_quantiles_are_within_one_percent() {
     let range_statistics = |known: &RunStatistics| {
         let range = known.stages.iter().find(|known| known.stage == *"range").expect("stored");
         assert_eq!(range.unit, "m");
-        range.figures
+        range.statistics
     };
     assert_eq!(
         (range_statistics(&statistics[0]).p95, range_statistics(&statistics[1]).p99),

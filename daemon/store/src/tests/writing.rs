@@ -76,11 +76,11 @@ async fn rollups_do_not_depend_on_commits_and_restarts() {
     assert_eq!(stages.len(), at_once.len());
     for (a, b) in stages.iter().zip(&at_once) {
         assert_eq!(
-            (&a.stage, a.figures.count, a.figures.p50, a.figures.p95),
-            (&b.stage, b.figures.count, b.figures.p50, b.figures.p95)
+            (&a.stage, a.statistics.count, a.statistics.p50, a.statistics.p95),
+            (&b.stage, b.statistics.count, b.statistics.p50, b.statistics.p95)
         );
-        assert_eq!((a.figures.min, a.figures.max), (b.figures.min, b.figures.max));
-        assert!((a.figures.mean - b.figures.mean).abs() <= 1e-9 * a.figures.mean.abs());
+        assert_eq!((a.statistics.min, a.statistics.max), (b.statistics.min, b.statistics.max));
+        assert!((a.statistics.mean - b.statistics.mean).abs() <= 1e-9 * a.statistics.mean.abs());
         assert_eq!(
             a.bound.as_ref().map(|bound| &bound.verdicts),
             b.bound.as_ref().map(|bound| &bound.verdicts)

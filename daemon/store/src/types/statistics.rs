@@ -10,7 +10,7 @@ use peernet_logger::{Name, stage};
 use peernet_statistics::Summary;
 use serde::Serialize;
 
-use crate::figures::{DelayAccuracy, QuantityStatistics, rank};
+use crate::quantity_statistics::{DelayAccuracy, QuantityStatistics, rank};
 
 /// Statistics of one node name over whole runs; successful iterations only, without the warm-up.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -22,7 +22,7 @@ pub struct StageStatistics {
     /// `true` if the name is one of the stages that add up to `stages-total`.
     pub is_stage: bool,
     /// Statistics of the values.
-    pub figures: QuantityStatistics,
+    pub statistics: QuantityStatistics,
     /// Share of the nodes with this name in the mean of `total`, 0 to 1; `None` if they measure no duration. An unknown delay counts as the
     /// mean of the known delays. The share of a child is also part of its parent's share.
     pub share: Option<f64>,
@@ -57,7 +57,7 @@ impl RunStatistics {
     pub fn transfers(&self) -> Transfers {
         Transfers::from_statistics(|name| {
             let stage = self.stages.iter().find(|stage| stage.stage == *name)?;
-            Some((stage.figures.count, stage.figures.mean))
+            Some((stage.statistics.count, stage.statistics.mean))
         })
     }
 }
@@ -156,7 +156,7 @@ impl MergeableStatistics {
     }
 
     fn stages(&self) -> Vec<StageStatistics> {
-        let sent_counts = DelayAccuracy::sent(&self.bounds());
+        let sent_counts = DelayAccuracy::sent_messages(&self.bounds());
         let mean_of = |name: &str| {
             let moments = self.values.get(name)?.summary.moments;
             (moments.count > 0).then_some((moments.count, moments.mean))
@@ -166,7 +166,7 @@ impl MergeableStatistics {
                 stage: stage.clone(),
                 unit: values.unit.clone(),
                 is_stage: stage::ORDER.contains(stage),
-                figures: values.statistics()?,
+                statistics: values.statistics()?,
                 share: share_of_total(stage, sent_counts, mean_of).filter(|_| values.unit == "s"),
                 bound: self.bound(stage),
             })
@@ -224,7 +224,7 @@ mod tests {
         let (whole, parts) = (part(&all, Verdict::Ok), RunStatistics::merged(&parts));
         let names: Vec<&Name> = parts.stages.iter().map(|stage| &stage.stage).collect();
         assert_eq!(names, [&stage::UPLOAD, &stage::TOTAL]);
-        let (single, merged) = (whole.stages[1].figures, parts.stages[1].figures);
+        let (single, merged) = (whole.stages[1].statistics, parts.stages[1].statistics);
         assert!((single.mean - merged.mean).abs() < 1e-12);
         assert!((single.std.expect("many") - merged.std.expect("many")).abs() < 1e-12);
         assert_eq!(
@@ -243,7 +243,7 @@ mod tests {
     #[test]
     fn quantiles_need_enough_samples_over_all_runs() {
         let short = run((0..40).map(|_| 0.01), Verdict::Ok);
-        let total_of = |runs: &[RunStatistics]| RunStatistics::merged(runs).stages[1].figures;
+        let total_of = |runs: &[RunStatistics]| RunStatistics::merged(runs).stages[1].statistics;
         assert_eq!(total_of(std::slice::from_ref(&short)).p95, None);
         assert!(total_of(&[short.clone(), short]).p95.is_some(), "eighty together");
         assert_eq!(RunStatistics::merged(&[]), RunStatistics::default());

@@ -105,7 +105,7 @@ pub(crate) struct ComparedStage {
     /// Unit: `s`, `B`, `bit/s` or user-defined.
     pub unit: String,
     #[serde(flatten)]
-    pub figures: QuantityStatistics,
+    pub statistics: QuantityStatistics,
 }
 
 /// A setting with its value in each configuration.
@@ -134,7 +134,7 @@ impl Comparison {
         let stage = |stage: &store::StageStatistics| ComparedStage {
             name: stage.stage.to_string(),
             unit: stage.unit.clone(),
-            figures: stage.figures,
+            statistics: stage.statistics,
         };
         let configuration = |(index, one): (usize, &compare::Configuration)| Configuration {
             letter: configuration_letter(index),

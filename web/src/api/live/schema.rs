@@ -38,7 +38,7 @@ impl LiveStateEvent {
             cpu: host.metrics.cpu,
             gpu: host.metrics.gpu,
         });
-        let pipelines = PipelineList::of(snapshot, |one| Pipeline::new(one, seconds));
+        let pipelines = PipelineList::of(snapshot, |pipeline| Pipeline::new(pipeline, seconds));
         Self { pipelines, hosts: hosts.collect() }
     }
 }

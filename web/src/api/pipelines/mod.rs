@@ -88,7 +88,7 @@ async fn list(
     Parameters(query): Parameters<Query>,
 ) -> Result<Json<PipelineList>, WebError> {
     let selection = PipelineSelection::from_query(&query)?;
-    let select = |one: &PipelineSnapshot| selection.apply(one, PipelineList::SECONDS);
+    let select = |pipeline: &PipelineSnapshot| selection.apply(pipeline, PipelineList::SECONDS);
     Ok(Json(PipelineList::of(&app.live_state(), select)))
 }
 
@@ -111,9 +111,11 @@ async fn get(
 ) -> Result<Json<Pipeline>, WebError> {
     let ((host, name), selection) = (path(names)?, PipelineSelection::from_query(&query)?);
     let snapshot = app.live_state();
-    let pipeline =
-        snapshot.pipelines.iter().find(|one| one.host_name.as_str() == host && one.pipeline.as_str() == name);
+    let pipeline = snapshot
+        .pipelines
+        .iter()
+        .find(|pipeline| pipeline.host_name.as_str() == host && pipeline.pipeline.as_str() == name);
     pipeline
-        .map(|one| Json(selection.apply(one, MAX_SECONDS)))
+        .map(|pipeline| Json(selection.apply(pipeline, MAX_SECONDS)))
         .ok_or_else(|| WebError::NotFound(format!("host {host} has not reported a pipeline {name}")))
 }

@@ -144,7 +144,7 @@ pub(crate) struct Stage {
     /// `true` if it is one of the stages that add up to `stages-total`.
     pub is_stage: bool,
     #[serde(flatten)]
-    pub figures: QuantityStatistics,
+    pub statistics: QuantityStatistics,
     /// Share of `total`, 0 to 1; for durations only.
     pub share: Option<f64>,
     pub bound: Option<Bound>,
@@ -156,7 +156,7 @@ impl From<&store::StageStatistics> for Stage {
             name: stage.stage.to_string(),
             unit: stage.unit.clone(),
             is_stage: stage.is_stage,
-            figures: stage.figures,
+            statistics: stage.statistics,
             share: stage.share,
             bound: stage.bound.as_ref().map(Bound::from),
         }
@@ -176,7 +176,7 @@ pub(crate) struct Histogram {
     pub below: u64,
     /// Number of samples above the last edge.
     pub beyond: u64,
-    pub figures: QuantityStatistics,
+    pub statistics: QuantityStatistics,
 }
 
 impl From<store::Histogram> for Histogram {
@@ -188,7 +188,7 @@ impl From<store::Histogram> for Histogram {
             counts: histogram.counts,
             below: histogram.below,
             beyond: histogram.beyond,
-            figures: histogram.figures,
+            statistics: histogram.statistics,
         }
     }
 }

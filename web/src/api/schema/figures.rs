@@ -13,14 +13,14 @@ pub(crate) struct NodeFigures {
     /// describe the ratios of single iterations. Their mean is not the speed over all iterations.
     pub name: String,
     #[serde(flatten)]
-    pub figures: QuantityStatistics,
+    pub statistics: QuantityStatistics,
 }
 
 impl NodeFigures {
     pub(crate) fn from_values(values: &[(Name, QuantityStatistics)]) -> Vec<Self> {
         values
             .iter()
-            .map(|(name, statistics)| Self { name: name.to_string(), figures: *statistics })
+            .map(|(name, statistics)| Self { name: name.to_string(), statistics: *statistics })
             .collect()
     }
 }

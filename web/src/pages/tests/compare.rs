@@ -80,7 +80,7 @@ async fn several_configurations_have_a_table_bars_and_a_plot() {
 async fn accuracies_stand_beside_the_latencies() {
     let mut one = configuration(0, Local, 1.0, 1e3);
     let mut top = one.stages[0].clone();
-    (top.stage, top.unit, top.figures.mean) = (peernet_logger::Name::from("top-1"), String::new(), 0.84);
+    (top.stage, top.unit, top.statistics.mean) = (peernet_logger::Name::from("top-1"), String::new(), 0.84);
     one.stages.push(top);
     let html = page_of(vec![one, configuration(1, Remote, 1.0, 1e3)], false).await;
     assert!(
@@ -95,7 +95,8 @@ async fn accuracy_is_drawn_against_the_median_of_the_total() {
     let with = |at: usize, share: f64| {
         let mut one = configuration(at, Local, 1.0 + at as f64 * 15.0, 1e3);
         let mut top = one.stages[0].clone();
-        (top.stage, top.unit, top.figures.mean) = (peernet_logger::Name::from("top-1"), String::new(), share);
+        (top.stage, top.unit, top.statistics.mean) =
+            (peernet_logger::Name::from("top-1"), String::new(), share);
         one.stages.push(top);
         one
     };

@@ -105,7 +105,7 @@ fn page_and_table_have_equal_ranking() {
         );
         for (line, one) in table.lines.iter().zip(&comparison.configurations) {
             let means = (line.latency(table.total_column.name()), comparison.total(one));
-            let means = (means.0.map(|latency| latency.mean), means.1.map(|figures| figures.mean));
+            let means = (means.0.map(|latency| latency.mean), means.1.map(|latency| latency.mean));
             assert_eq!(means.0.is_some(), means.1.is_some());
             let difference = means.0.unwrap_or_default() - means.1.unwrap_or_default();
             assert!(difference.abs() < 1e-12 && line.count == one.iterations(), "{means:?}");

@@ -76,7 +76,7 @@ fn name_with_other_edges(comparison: &Comparison, one: &Configuration, run: &Run
 /// Returns a sentence for each configuration with samples whose label is not a class of its model.
 pub(crate) fn unknown_labels(comparison: &Comparison) -> Vec<String> {
     let sentences = comparison.configurations.iter().filter_map(|one| {
-        let unknown = UnknownLabels::new(one.figures(UNKNOWN_LABEL)?.count, &[])?;
+        let unknown = UnknownLabels::new(one.statistics(UNKNOWN_LABEL)?.count, &[])?;
         let all = one.runs.iter().map(|run| run.counts.ok).sum();
         Some(format!("{}. {}", one.name, unknown.sentence(all)))
     });
@@ -196,7 +196,8 @@ mod tests {
     fn labels_unknown_to_the_model_are_counted() {
         let mut one = configuration(1, Local, 1.0, 1e3);
         let mut unknown = one.stages[0].clone();
-        (unknown.stage, unknown.figures.mean, unknown.figures.count) = (Name::from(UNKNOWN_LABEL), 1.0, 12);
+        (unknown.stage, unknown.statistics.mean, unknown.statistics.count) =
+            (Name::from(UNKNOWN_LABEL), 1.0, 12);
         one.stages.push(unknown);
         let sentences = unknown_labels(&comparison(vec![configuration(0, Local, 1.0, 1e3), one]));
         let text = "B. Not scored: 12 of 300 iterations, because the label is not a class of the model.";

@@ -75,7 +75,7 @@ impl Differences {
             // A run without values says nothing; a run with values has no buckets if they are deleted.
             let has_values = |run: &&RunSummary| comparison.summary(run.number, name).is_some();
             let runs = one.runs.iter().filter(has_values).map(|run| buckets(means, run.number, name));
-            Some(MeanEstimate::from_buckets(one.figures(name)?.mean, &runs.collect::<Vec<_>>()))
+            Some(MeanEstimate::from_buckets(one.statistics(name)?.mean, &runs.collect::<Vec<_>>()))
         };
         let estimates: Vec<Vec<Option<MeanEstimate>>> =
             all.iter().map(|one| names.iter().map(|name| estimate(one, name)).collect()).collect();
@@ -92,7 +92,8 @@ impl Differences {
         let best = || ranking.as_ref().map_or(0, |ranking| ranking.best);
         let baseline = baseline.into().unwrap_or_else(best);
         let stages = |index: usize| {
-            let mean = |index: usize, name: &Name| all[index].figures(name).map(|figures| figures.mean);
+            let mean =
+                |index: usize, name: &Name| all[index].statistics(name).map(|statistics| statistics.mean);
             let stage = |(stage_index, name): (usize, &Name)| {
                 let means = (mean(baseline, name), mean(index, name));
                 (means != (None, None)).then_some(())?;

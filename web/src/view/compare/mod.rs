@@ -96,7 +96,11 @@ pub(crate) struct Setting {
 /// Returns the latency by which configurations are compared.
 pub(super) fn total_column(configurations: &[Configuration]) -> TotalColumn {
     let count = |column: TotalColumn| {
-        configurations.iter().filter_map(|one| one.figures(column.name())).map(|figures| figures.count).sum()
+        configurations
+            .iter()
+            .filter_map(|configuration| configuration.statistics(column.name()))
+            .map(|statistics| statistics.count)
+            .sum()
     };
     let iterations = configurations.iter().map(Configuration::iterations).sum();
     TotalColumn::from_counts(iterations, count(TotalColumn::Measured), count(TotalColumn::SumOfStages))
@@ -123,8 +127,8 @@ pub(crate) struct Configuration {
 
 impl Configuration {
     /// Returns the statistics of a stage or another measured quantity by its name.
-    pub(crate) fn figures(&self, name: &str) -> Option<&QuantityStatistics> {
-        self.stages.iter().find(|stage| stage.stage == *name).map(|stage| &stage.figures)
+    pub(crate) fn statistics(&self, name: &str) -> Option<&QuantityStatistics> {
+        self.stages.iter().find(|stage| stage.stage == *name).map(|stage| &stage.statistics)
     }
 
     /// Returns the summary of a node's values in all runs together, in the SI unit of the node.
@@ -167,7 +171,7 @@ impl Configuration {
 impl Comparison {
     /// Returns the statistics of the latency by which configurations are compared, seconds, or of `sensing` for a pipeline that only senses.
     pub(crate) fn total<'a>(&self, one: &'a Configuration) -> Option<&'a QuantityStatistics> {
-        one.figures(self.total_column.name()).or_else(|| one.figures(&stage::SENSING))
+        one.statistics(self.total_column.name()).or_else(|| one.statistics(&stage::SENSING))
     }
 
     /// Returns the index of the chosen baseline: the configuration of the run with the number `run`; `None` if no number is given.

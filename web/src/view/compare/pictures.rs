@@ -87,10 +87,15 @@ pub(crate) fn stacks(comparison: &Comparison, best: Option<usize>) -> (Vec<Stack
 /// Returns the mean latency of a configuration with its parts; `None` without a successful iteration.
 pub(super) fn latency_bar(comparison: &Comparison, one: &Configuration) -> Option<LatencyBar> {
     let latency_of = |name: &str| {
-        let QuantityStatistics { count, mean, std, .. } = *one.figures(name)?;
+        let QuantityStatistics { count, mean, std, .. } = *one.statistics(name)?;
         Some(Latency { mean, std, count })
     };
-    LatencyBar::new(comparison.total_column, one.iterations(), DelayAccuracy::sent(&one.bounds), latency_of)
+    LatencyBar::new(
+        comparison.total_column,
+        one.iterations(),
+        DelayAccuracy::sent_messages(&one.bounds),
+        latency_of,
+    )
 }
 
 fn label(one: &Configuration, bar: &LatencyBar) -> String {

@@ -23,8 +23,7 @@ pub(crate) struct QualityPlot {
 
 /// Returns the estimate of a quality of a configuration; `None` if it was not measured.
 pub(super) fn estimate(one: &Configuration, quality: Quality) -> Option<QualityEstimate> {
-    quality
-        .from_statistics(|name| one.figures(name).map(|figures| (figures.count, figures.mean, figures.std)))
+    quality.from_statistics(|name| one.statistics(name).map(|values| (values.count, values.mean, values.std)))
 }
 
 /// Returns the title of a quality in tables, and its unit.

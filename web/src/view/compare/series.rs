@@ -112,18 +112,19 @@ pub(crate) async fn run_time_series(
 /// Returns the pictures of the runs that are drawn, all with the same axes; `None` if no run has enough points.
 pub(crate) fn over_time(comparison: &Comparison, series_by_run: &TimeSeriesByRun) -> Option<OverTime> {
     let (chosen, all_runs) = drawn_runs(comparison);
-    let with_points = chosen.into_iter().filter_map(|(one, run, name)| {
+    let with_points = chosen.into_iter().filter_map(|(configuration, run, name)| {
         let time_series = series_by_run.get(&run.number)?;
         let points =
             time_series.series.stages.iter().map(|stage| stage.points.len()).max().unwrap_or_default();
         (points >= MIN_DRAWN_POINTS).then_some(())?;
-        Some((one, run, &time_series.episodes, data(comparison, run, &name, time_series)))
+        Some((configuration, run, &time_series.episodes, data(comparison, run, &name, time_series)))
     });
-    let (runs, all): (Vec<_>, Vec<(String, StagesOverTime)>) =
-        with_points.map(|(one, run, episodes, data)| ((one, run, episodes), data)).unzip();
+    let (runs, all): (Vec<_>, Vec<(String, StagesOverTime)>) = with_points
+        .map(|(configuration, run, episodes, data)| ((configuration, run, episodes), data))
+        .unzip();
     let (labels, all): (Vec<String>, Vec<StagesOverTime>) = all.into_iter().unzip();
     let axes = OverTimeAxes::of(&all)?;
-    let picture = |(((one, run, episodes), data), label): (
+    let picture = |(((configuration, run, episodes), data), label): (
         (&(&Configuration, &RunSummary, &Episodes), &StagesOverTime),
         &String,
     )| {
@@ -137,7 +138,7 @@ pub(crate) fn over_time(comparison: &Comparison, series_by_run: &TimeSeriesByRun
         let texts = [episodes::summary(episodes), episodes::failed(episodes, run), width, short, beyond];
         RunPicture {
             run: run.number,
-            name: one.name.clone(),
+            name: configuration.name.clone(),
             caption: texts.into_iter().flatten().collect::<Vec<_>>().join(", "),
             picture: Picture::of_plot(&data.plot(&axes), "course", label),
         }
@@ -190,15 +191,15 @@ fn data(
     };
     let statistics = comparison.statistics_by_run.get(&run.number);
     let bounds = [stage::UPLOAD, stage::DOWNLOAD].map(|way| statistics.and_then(|all| all.bound(&way)));
-    let sent = DelayAccuracy::sent(&bounds.into_iter().flatten().collect::<Vec<_>>());
+    let sent_messages = DelayAccuracy::sent_messages(&bounds.into_iter().flatten().collect::<Vec<_>>());
     let bucket = |point: &SeriesPoint| {
         // The number of unknown delays is not stored by time.
-        let sent = sent_in_part(sent, run.counts.ok, point.count);
+        let sent_in_bucket = sent_in_part(sent_messages, run.counts.ok, point.count);
         let latency_of = |name: &str| {
             let MeanBucket { count, mean, .. } = *mean(name, point.at)?;
             Some(Latency { mean, std: None, count })
         };
-        let bar = LatencyBar::new(total_column(comparison, run), point.count, sent, latency_of);
+        let bar = LatencyBar::new(total_column(comparison, run), point.count, sent_in_bucket, latency_of);
         let parts = stack::bar_parts(bar.unwrap_or_default().parts);
         let single_part = || vec![StagePart { name: name.to_string(), seconds: point.mean, bound: None }];
         StageBucket {

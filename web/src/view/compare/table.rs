@@ -61,7 +61,7 @@ pub(crate) struct Row {
 impl Table {
     pub(crate) fn of(comparison: &Comparison, differences: &Differences) -> Self {
         let is_measured =
-            |name: &str| comparison.configurations.iter().any(|one| one.figures(name).is_some());
+            |name: &str| comparison.configurations.iter().any(|one| one.statistics(name).is_some());
         let columns: Vec<_> = COLUMNS.into_iter().filter(|(name, _)| is_measured(name)).collect();
         let is_known =
             |column: &QualityColumn| comparison.configurations.iter().any(|one| column.cell(one).is_some());
@@ -74,8 +74,8 @@ impl Table {
             iterations: count(one.iterations()),
             cells: columns
                 .iter()
-                .map(|(name, _)| match one.figures(name) {
-                    Some(figures) => mean_std_ms(figures.mean, figures.std),
+                .map(|(name, _)| match one.statistics(name) {
+                    Some(statistics) => mean_std_ms(statistics.mean, statistics.std),
                     None => (NONE.to_owned(), None),
                 })
                 .collect(),
@@ -84,7 +84,7 @@ impl Table {
                 .map(|column| column.cell(one).unwrap_or_else(|| (NONE.to_owned(), None)))
                 .collect(),
             sent: one
-                .figures(&stage::UPLOAD_BYTES)
+                .statistics(&stage::UPLOAD_BYTES)
                 .map_or_else(|| NONE.to_owned(), |sent| bytes(sent.mean).to_string()),
             missed: missed(one),
             best: best == Some(index),
@@ -132,8 +132,8 @@ impl QualityColumn {
         match self {
             Self::Quality(quality) => Some(qualities::texts(*quality, &qualities::estimate(one, *quality)?)),
             Self::Top5 => {
-                let figures = one.figures(look::ACCURACIES[1].0)?;
-                Some((share(figures.mean), accuracy::interval(figures)))
+                let accuracy = one.statistics(look::ACCURACIES[1].0)?;
+                Some((share(accuracy.mean), accuracy::interval(accuracy)))
             }
         }
     }

@@ -37,20 +37,20 @@ pub(crate) fn run(number: i64, kind: PlacementKind) -> RunSummary {
 
 pub(crate) fn stages(scale: f64, bytes: f64) -> (Vec<StageStatistics>, Vec<DelayAccuracy>) {
     let window = samples::window(60, 5.0, scale, Verdict::Ok);
-    let statistics = |(name, figures): &(Name, QuantityStatistics)| StageStatistics {
+    let stage = |(name, statistics): &(Name, QuantityStatistics)| StageStatistics {
         stage: name.clone(),
         unit: if name.ends_with("throughput") { "bit/s" } else { "s" }.to_owned(),
         is_stage: stage::ORDER.contains(name),
-        figures: *figures,
+        statistics: *statistics,
         share: None,
         bound: None,
     };
-    let mut all: Vec<StageStatistics> = window.values.iter().map(statistics).collect();
+    let mut all: Vec<StageStatistics> = window.values.iter().map(stage).collect();
     all.push(StageStatistics {
         stage: stage::UPLOAD_BYTES,
         unit: "B".to_owned(),
         is_stage: false,
-        figures: samples::figures(bytes, 300),
+        statistics: samples::figures(bytes, 300),
         share: None,
         bound: None,
     });
@@ -95,7 +95,7 @@ fn mergeable(stages: &[StageStatistics]) -> Arc<MergeableStatistics> {
         let mut values = Summary::default();
         // All messages of a configuration have one size.
         let spread = if stage.stage.ends_with("-bytes") { 0.0 } else { 0.2 };
-        (0..300).for_each(|n| values.record(stage.figures.mean * (1.0 + spread * f64::from(n).sin())));
+        (0..300).for_each(|n| values.record(stage.statistics.mean * (1.0 + spread * f64::from(n).sin())));
         mergeable.add(stage.stage.clone(), &stage.unit, &values);
     }
     Arc::new(mergeable)
@@ -128,7 +128,7 @@ pub(crate) fn run_time_series(comparison: &Comparison) -> TimeSeriesByRun {
         let means = one.stages.iter().filter(|stage| stage.unit == "s").map(|stage| StageMeans {
             stage: stage.stage.clone(),
             buckets: seconds()
-                .map(|second| MeanBucket { at: moment(second), count: 60, mean: stage.figures.mean })
+                .map(|second| MeanBucket { at: moment(second), count: 60, mean: stage.statistics.mean })
                 .collect(),
         });
         let total =

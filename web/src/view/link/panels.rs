@@ -22,8 +22,8 @@ pub(crate) struct HostRow {
     pub clock_fault: Option<String>,
 }
 
-/// Returns the claim of a time daemon in words: `within ±0.42 ms of true time`, `+4,001.08 ms from true time, ±0.04 ms`.
-pub(crate) fn claims(clock: &HostClock) -> String {
+/// Returns the bounds of the clock's error that a time daemon claims, in words: `within ±0.42 ms of true time`, `+4,001.08 ms from true time, ±0.04 ms`.
+pub(crate) fn reported_error_bounds(clock: &HostClock) -> String {
     let Some(discipline) = clock.discipline else { return NONE.to_owned() };
     let (lo, hi) = (discipline.error.lo.seconds(), discipline.error.hi.seconds());
     if lo <= 0.0 && hi >= 0.0 {
@@ -59,7 +59,7 @@ pub(crate) fn hosts(subject: &Subject<'_>) -> Vec<HostRow> {
         name: name.to_owned(),
         role: if role == name { "" } else { role },
         text: clock.map_or_else(|| "has not reported yet".to_owned(), discipline),
-        claims: clock.map_or_else(|| NONE.to_owned(), claims),
+        claims: clock.map_or_else(|| NONE.to_owned(), reported_error_bounds),
         steps: clock.map_or_else(|| NONE.to_owned(), |clock| count(clock.epoch.into())),
         clock_fault: clock.and_then(|clock| clock.faults.as_ref()).map(clock_fault::words),
     };

@@ -74,7 +74,7 @@ fn page_and_summary_show_equal_numbers() {
         stage: peernet_logger::Name::from_static(name),
         unit: unit.to_owned(),
         is_stage: false,
-        figures: statistics_of(name),
+        statistics: statistics_of(name),
         bound: None,
         share: None,
     };
@@ -129,7 +129,7 @@ fn tables_of_short_run_have_digits_of_its_total() {
         stage: stage::TOTAL,
         unit: "s".to_owned(),
         is_stage: false,
-        figures: crate::tests::samples::figures(mean, 895),
+        statistics: crate::tests::samples::figures(mean, 895),
         bound: None,
         share: None,
     };

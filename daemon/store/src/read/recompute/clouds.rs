@@ -26,7 +26,7 @@ const MAX_CACHED: usize = 16;
 /// samples. The wall clock may be slewed between two samples.
 const MAX_SLEW: Span = Span::from_seconds(1);
 
-/// A time of the edge as a stamp of a transit shows it.
+/// A time of the edge, as a transit's stamp states it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct EdgeTime {
     /// The clocks that the transit's stamps belong to.
@@ -55,7 +55,7 @@ struct Window {
 
 impl Window {
     /// Returns whether the difference of the edge's two clocks is the same as in the window. After a restart of the machine the raw
-    /// clock shows the same times again, but the difference is another one.
+    /// clock may show the same times again, but with another difference.
     fn matches_clocks(&self, time: EdgeTime) -> bool {
         let ahead = time.wall.unix_nanos().saturating_sub(time.at.nanos());
         let tolerance = MAX_SLEW.nanos();
@@ -69,9 +69,8 @@ pub(super) struct Clouds<'a> {
     readers: &'a Readers,
     edge: i64,
     network: &'a str,
-    /// Starts of the run's first and last iterations.
-    run: (WallTime, WallTime),
-    /// Clouds that were read, by row; `None` for a host without a link to the edge.
+    first_and_last_start: (WallTime, WallTime),
+    /// Clouds that were read, by their rows; `None` for a host without a link to the edge.
     cache: HashMap<i64, Option<Cloud>>,
     /// Link, window and number of samples of the windows that were used.
     used_windows: BTreeSet<(i64, i64, i64)>,
@@ -80,8 +79,9 @@ pub(super) struct Clouds<'a> {
 /// A cloud with a link.
 struct Cloud {
     link: i64,
-    /// By the related clocks.
+    /// Windows by the clocks that they relate.
     windows: HashMap<RelatedClocks, Windows>,
+    /// Relations, by the related clocks and the window.
     rolling: HashMap<(RelatedClocks, i64), RollingWindow>,
 }
 
@@ -113,13 +113,20 @@ impl Windows {
 }
 
 impl<'a> Clouds<'a> {
-    /// Creates the value for a run of an edge over a network. `run` has the starts of the run's first and last iterations.
+    /// Creates an empty cache for a run of an edge over a network; the times are the starts of the run's first and last iterations.
     pub(super) fn new(
         readers: &'a Readers,
         (edge, network): (i64, &'a str),
-        run: (WallTime, WallTime),
+        first_and_last_start: (WallTime, WallTime),
     ) -> Self {
-        Self { readers, edge, network, run, cache: HashMap::new(), used_windows: BTreeSet::new() }
+        Self {
+            readers,
+            edge,
+            network,
+            first_and_last_start,
+            cache: HashMap::new(),
+            used_windows: BTreeSet::new(),
+        }
     }
 
     /// Returns the relation of the edge's and a cloud's clocks at a time of the edge's clock, or `None` if no sample covers that time.
@@ -132,8 +139,8 @@ impl<'a> Clouds<'a> {
             if self.cache.len() >= MAX_CACHED {
                 self.cache.clear();
             }
-            let link = self.read_cloud(cloud).await?;
-            self.cache.insert(cloud, link);
+            let read = self.read_cloud(cloud).await?;
+            self.cache.insert(cloud, read);
         }
         let Some(Some(cloud)) = self.cache.get_mut(&cloud) else { return Ok(None) };
         let window = cloud.windows.get(&time.clocks).and_then(|windows| windows.at(time));
@@ -152,7 +159,7 @@ impl<'a> Clouds<'a> {
         self.used_windows.iter().map(|(.., samples)| count(*samples)).sum()
     }
 
-    /// Reads the link over the run's network. The relation belongs to the pair of hosts: while the run used the link, the link's
+    /// Reads the link over the run's network, and its windows. The relation belongs to the pair of hosts: while the run used the link, the link's
     /// samples also contain exchanges over other networks.
     async fn read_cloud(&self, cloud: i64) -> Result<Option<Cloud>, StoreError> {
         let link: Option<i64> = sqlx::query_scalar(sql::LINK_OF)
@@ -163,7 +170,7 @@ impl<'a> Clouds<'a> {
             .await
             .map_err(self.readers.failed(WHAT))?;
         let Some(link) = link else { return Ok(None) };
-        let (first, last) = self.run;
+        let (first, last) = self.first_and_last_start;
         let windows: Vec<Window> = sqlx::query_as(sql::CLOCK_WINDOWS)
             .bind(link)
             .bind((first - SPAN).unix_nanos())

@@ -3,7 +3,7 @@
 use peernet_clock::{OneWayDelay, Verdict};
 use peernet_statistics::Summary;
 
-use crate::figures::QuantityStatistics;
+use crate::quantity_statistics::QuantityStatistics;
 use crate::types::Judgement;
 
 /// Sums over the delays of one direction.

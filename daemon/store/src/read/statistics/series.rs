@@ -11,7 +11,7 @@ use peernet_statistics::{BUCKET_WIDTHS_S, Summary};
 use super::super::{corrupt_data, runs, sql, wall};
 use super::WHAT;
 use crate::error::StoreError;
-use crate::figures::QuantityStatistics;
+use crate::quantity_statistics::QuantityStatistics;
 use crate::readers::Readers;
 use crate::rollups::{RollupRow, WIDTHS_S, bucket};
 use crate::types::{Series, SeriesPoint, StageBuckets, StageSeries};

@@ -9,7 +9,7 @@ use peernet_statistics::Summary;
 use peernet_stream::{Grade, OutcomeCounts, Placement, PlacementKind};
 
 use super::*;
-use crate::figures::QuantityStatistics;
+use crate::quantity_statistics::QuantityStatistics;
 use crate::types::{GapRow, StageStatistics};
 
 const NOW: WallTime = WallTime::from_unix_nanos(1_800_000_000_000_000_000);
@@ -52,7 +52,7 @@ fn node(name: &str, count: u64, mean: f64) -> StageStatistics {
     let statistics =
         QuantityStatistics { count, mean, std: None, min: mean, p50: mean, p95: None, p99: None, max: mean };
     let (stage, unit) = (Name::from(name), "s".to_owned());
-    StageStatistics { stage, unit, is_stage: false, figures: statistics, share: None, bound: None }
+    StageStatistics { stage, unit, is_stage: false, statistics, share: None, bound: None }
 }
 
 /// Returns the times of a run without warm-up.
@@ -242,8 +242,8 @@ fn rows_and_roll_ups_give_same_findings() {
     let of_values = |name: &str, values: &mut dyn Iterator<Item = f64>| {
         let mut summary = Summary::default();
         values.for_each(|value| summary.record(value));
-        let figures = QuantityStatistics::from_summary(&summary)?;
-        Some(StageStatistics { figures, ..node(name, 0, 0.0) })
+        let statistics = QuantityStatistics::from_summary(&summary)?;
+        Some(StageStatistics { statistics, ..node(name, 0, 0.0) })
     };
     let names = ["sensing", "upload", "inference", "download", "total", "unattributed", LATENESS, "restart"];
     let stages = names.into_iter().filter_map(|name| of_values(name, &mut rows.counted_values(name)));
@@ -256,9 +256,9 @@ fn rows_and_roll_ups_give_same_findings() {
         let verdicts = [Verdict::Ok, Verdict::Unsynchronised]
             .map(|verdict| (verdict, delays().filter(|one| one.verdict == verdict).count() as u64));
         let mut half_widths = delays().filter_map(|one| one.known_bounds()).map(|(lo, hi)| (hi - lo) / 2.0);
-        let half_width = of_values(&stage, &mut half_widths).map(|one| one.figures);
+        let half_width = of_values(&stage, &mut half_widths).map(|one| one.statistics);
         let bounds = || delays().filter_map(|one| one.known_bounds());
-        let end = |values: &mut dyn Iterator<Item = f64>| of_values(&stage, values).map(|one| one.figures);
+        let end = |values: &mut dyn Iterator<Item = f64>| of_values(&stage, values).map(|one| one.statistics);
         let ends = end(&mut bounds().map(|(lo, _)| lo)).zip(end(&mut bounds().map(|(_, hi)| hi)));
         let ends = ends.map(|(lower, upper)| [lower, upper]);
         DelayAccuracy { half_width, ends, verdicts: verdicts.to_vec(), stage }

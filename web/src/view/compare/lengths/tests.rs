@@ -19,7 +19,7 @@ pub(crate) fn talking(at: usize, name: &str, points: &[(f64, f64)]) -> Configura
     });
     let mut length = one.stages[0].clone();
     (length.stage, length.unit) = (Name::from(name), String::new());
-    length.figures = QuantityStatistics::from_summary(&x).expect("lengths");
+    length.statistics = QuantityStatistics::from_summary(&x).expect("lengths");
     one.stages.push(length);
     let mut mergeable = MergeableStatistics::default();
     mergeable.add(Name::from(name), "", &x);

@@ -12,11 +12,11 @@ fn claim_is_formatted_as_error_and_uncertainty() {
     let claim = |lo, hi| {
         let error = Interval { lo: Span::from_micros(lo), hi: Span::from_micros(hi) };
         let discipline = peernet_clock::Discipline { source: DelaySource::Chrony, error };
-        panels::claims(&HostClock { discipline: Some(discipline), ..HostClock::default() })
+        panels::reported_error_bounds(&HostClock { discipline: Some(discipline), ..HostClock::default() })
     };
     assert_eq!(claim(-1_800, 2_100), "within ±2.1\u{202f}ms of true time");
     assert_eq!(claim(4_001_040, 4_001_120), "+4,001.080\u{202f}ms from true time, ±0.040\u{202f}ms");
-    assert_eq!(panels::claims(&HostClock::default()), "—");
+    assert_eq!(panels::reported_error_bounds(&HostClock::default()), "—");
 }
 
 #[test]

@@ -70,8 +70,8 @@ pub struct DelayAccuracy {
 }
 
 impl DelayAccuracy {
-    /// Returns the numbers of messages to the other host and back, whose delays may be unknown.
-    pub fn sent(bounds: &[Self]) -> [u64; 2] {
+    /// Returns the number of messages to the other host and the number back, including those with an unknown delay.
+    pub fn sent_messages(bounds: &[Self]) -> [u64; 2] {
         [stage::UPLOAD, stage::DOWNLOAD].map(|direction| {
             let bound = bounds.iter().find(|bound| bound.stage == direction);
             bound.map_or(0, |bound| bound.verdicts.iter().map(|(_, count)| count).sum())
