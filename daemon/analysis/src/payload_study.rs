@@ -248,7 +248,7 @@ impl PayloadStudy {
     }
 
     fn count_note(&self) -> Option<String> {
-        let counts = || self.directions.iter().flat_map(|one| &one.sizes).map(|size| size.count);
+        let counts = || self.directions.iter().flat_map(|direction| &direction.sizes).map(|size| size.count);
         let [fewest, most] = [counts().min()?, counts().max()?].map(|count| fixed(count as f64, 0));
         let each = if fewest == most { most } else { format!("{fewest} to {most}") };
         Some(format!("messages of each size: {each}"))

@@ -105,7 +105,9 @@ impl StageSplit {
     pub fn from_rows(rows: &Rows) -> Self {
         let mut sent = [0; 2];
         for row in rows.iter().filter(|row| row.is_counted()) {
-            sent.iter_mut().zip(row.has_messages()).for_each(|(sent, one)| *sent += u64::from(one));
+            sent.iter_mut()
+                .zip(row.has_messages())
+                .for_each(|(sent, has_message)| *sent += u64::from(has_message));
         }
         let mean_of = |name: &str| {
             let mut moments = Moments::default();

@@ -32,7 +32,7 @@ pub(crate) struct MessageFigures {
 
 /// Returns the figures of latency and of throughput against payload.
 pub fn payload_figures(study: &PayloadStudy) -> [Scaling; 2] {
-    let series = |one: &DirectionSizes| MessageSeries::new(one.name, one.sizes.clone());
+    let series = |direction: &DirectionSizes| MessageSeries::new(direction.name, direction.sizes.clone());
     let messages = MessageFigures {
         link_name: study.link_name.clone(),
         directions: study.directions.iter().map(series).collect(),
@@ -137,8 +137,10 @@ impl MessageFigures {
 
     /// Returns a note on the directions whose rate is not determined.
     fn undetermined_rates_note(&self) -> Option<String> {
-        let is_undetermined = |one: &&MessageSeries| one.increasing_fit().is_some() && one.rate().is_none();
-        let names: Vec<&str> = self.directions.iter().filter(is_undetermined).map(|one| one.name).collect();
+        let is_undetermined =
+            |series: &&MessageSeries| series.increasing_fit().is_some() && series.rate().is_none();
+        let names: Vec<&str> =
+            self.directions.iter().filter(is_undetermined).map(|series| series.name).collect();
         (!names.is_empty())
             .then(|| format!("throughput of {}: too fast to tell from these sizes", names.join(" and of ")))
     }

@@ -1,6 +1,6 @@
 //! Limits of the size of a picture.
 
-/// Largest number of pixels of a picture: 8192 × 8192, which is 192 MiB in colour.
+/// Maximum number of pixels of a picture: 8192 × 8192, which is 192 MiB in colour.
 // A file of a few bytes can announce any size.
 pub const MAX_PIXELS: u64 = 1 << 26;
 

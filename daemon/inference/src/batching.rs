@@ -10,7 +10,7 @@ use crate::{Job, Requester};
 /// Limits of a batch, the requests that a worker computes together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Batching {
-    /// Largest number of requests.
+    /// Maximum number of requests.
     pub max_size: usize,
     /// Longest time for which the first request of a batch waits for further requests.
     pub max_wait: Duration,

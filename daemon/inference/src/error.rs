@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use peernet_external::exec::ProgramCallError;
 use peernet_external::python::PythonError;
 
-/// Largest number of names in a message.
+/// Maximum number of names in a message.
 const MAX_LISTED: usize = 30;
 
 /// Reason why a model cannot be loaded.
@@ -50,7 +50,7 @@ pub enum LoadError {
     BankFull {
         /// The requested model.
         model: String,
-        /// Largest number of loaded models.
+        /// Maximum number of loaded models.
         most: usize,
         /// The loaded models.
         in_use: Vec<String>,

@@ -11,13 +11,13 @@ use serde::{Deserialize, Serialize};
 /// Longest time that can be set: one day. Milliseconds.
 const MAX_TIME_MS: u64 = 24 * 3600 * 1000;
 
-/// Largest number of requests in flight that can be set. The queues of the transports are as long as this number.
+/// Maximum number of requests in flight that can be set. The queues of the transports are as long as this number.
 const MAX_IN_FLIGHT: u32 = 4_096;
 
-/// Largest number of bytes in flight that can be set: 1 TiB.
+/// Maximum number of bytes in flight that can be set: 1 TiB.
 const MAX_IN_FLIGHT_BYTES: u64 = 1 << 40;
 
-/// Largest number of sessions that can be set.
+/// Maximum number of sessions that can be set.
 const MAX_SESSIONS: u32 = 65_536;
 
 // Smallest and largest value of each of the other keys.
@@ -46,18 +46,18 @@ pub struct SessionSettings {
     pub close_timeout_ms: u64,
     /// Largest message that is accepted, all frames together. Bytes.
     pub max_message_bytes: u64,
-    /// Largest number of requests of one session in flight. The edge delays further requests; the cloud answers them as
+    /// Maximum number of requests of one session in flight. The edge delays further requests; the cloud answers them as
     /// overloaded.
     pub max_in_flight: u32,
-    /// Largest number of bytes of the requests in flight of all sessions of a listener. Requests count from their arrival
+    /// Maximum number of bytes of the requests in flight of all sessions of a listener. Requests count from their arrival
     /// until they are answered. Further requests are answered as overloaded. While no other request is in flight, a
     /// request of any size is accepted.
     pub max_in_flight_bytes: u64,
-    /// Largest number of bytes of unfinished messages of all sessions of a listener. A connection whose message would
+    /// Maximum number of bytes of unfinished messages of all sessions of a listener. A connection whose message would
     /// exceed this limit is closed. While no other message is unfinished, a message of any allowed size is accepted. A
     /// connection without a session may have 64 KiB of unfinished messages.
     pub max_unfinished_bytes: u64,
-    /// Largest number of sessions of a listener. One host may hold at most half of the sessions that others leave free.
+    /// Maximum number of sessions of a listener. One host may hold at most half of the sessions that others leave free.
     pub max_sessions: u32,
     /// Largest datagram that is sent, without the headers of UDP and IP. Bytes. For networks over datagrams only.
     pub datagram_bytes: u64,

@@ -21,7 +21,7 @@ const MAX_REPLY_BYTES: usize = 2048;
 // The stamp in a waiting probe becomes old. The first probe waits until the runtime has registered the socket.
 const SEND_TIMEOUT: Duration = Duration::from_millis(20);
 
-/// Largest number of awaited departure stamps.
+/// Maximum number of awaited departure stamps.
 const MAX_AWAITED_DEPARTURES: usize = 64;
 
 /// Pause after a socket error.

@@ -23,10 +23,10 @@ const MAX_PACKET_BYTES: usize = 65_535;
 /// Number of successive errors after which the socket counts as lost.
 const MAX_FAILURES: u32 = 100;
 
-/// Largest number of awaited departure stamps.
+/// Maximum number of awaited departure stamps.
 const MAX_AWAITED_DEPARTURES: usize = 1024;
 
-/// Largest number of remembered comparisons of the two clocks.
+/// Maximum number of remembered comparisons of the two clocks.
 // A request that waited in the socket has a stamp from before the comparisons for the answers ahead of it.
 const MAX_COMPARISONS: usize = 8;
 
@@ -42,7 +42,7 @@ pub struct ReflectorConfig {
     pub session_key: Option<Key>,
     /// Random number of this process. Answers carry it, so that a prober knows whose clock stamped them.
     pub instance: u64,
-    /// Largest number of answers per second to one source: an IPv4 address, or an IPv6 network of 64 bits. All sources
+    /// Maximum number of answers per second to one source: an IPv4 address, or an IPv6 network of 64 bits. All sources
     /// without a session ([`Reflector::peers`]) together get at most ten times as many.
     pub max_per_source_hz: u32,
     /// Source of the packet stamps.

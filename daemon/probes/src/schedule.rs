@@ -6,7 +6,7 @@ use peernet_clock::{MonoTime, Span};
 // Without jitter, probes could synchronise with periodic load.
 const JITTER: f64 = 0.2;
 
-/// Largest number of probes per second.
+/// Maximum number of probes per second.
 const MAX_HZ: f64 = 1000.0;
 
 /// Span within which the first probe is sent at a random time.

@@ -2,7 +2,7 @@
 
 use crate::printable::printable_line;
 
-/// Largest number of words in a list of examples.
+/// Maximum number of words in a list of examples.
 const MAX_EXAMPLES: usize = 5;
 /// Longest word that is shown in full, characters.
 const MAX_SHOWN_CHARS: usize = 40;

@@ -7,7 +7,7 @@ use peernet_logger::{RunId, Slug};
 
 use crate::Gap;
 
-/// Largest number of runs that are counted separately: one per pipeline, and some that have just ended.
+/// Maximum number of runs that are counted separately: one per pipeline, and some that have just ended.
 pub const MAX_COUNTED_RUNS: usize = 256;
 
 /// Reason of the gap in place of events that were lost with their process.
@@ -142,7 +142,7 @@ impl CountedEvents {
         for CountedRun { run, pipeline, events, last } in &self.runs {
             let count = events
                 .saturating_sub(settled.events.events_of(*run))
-                // Each run may have all of them, because their runs are unknown. The rest is reported without a run.
+                // All accounted events may be of this run, because their runs are unknown. The rest is reported without a run.
                 .saturating_sub(accounted)
                 .min(unassigned);
             unassigned -= count;

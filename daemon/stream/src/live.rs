@@ -199,7 +199,7 @@ pub struct Accounting {
     pub gaps: u64,
     /// Bytes of the batches in the spool.
     pub spool_bytes: u64,
-    /// Largest number of bytes of batches in the spool.
+    /// Maximum number of bytes of batches in the spool.
     pub spool_limit_bytes: u64,
     /// Bytes of events in memory that are not in the spool yet.
     pub memory_bytes: u64,

@@ -7,7 +7,7 @@ use crate::counts::{CountedEvents, SettledEvents};
 use crate::totals::{NewestSentBatch, Totals};
 use crate::{Chain, Gap, StreamId, UnresolvedBatches};
 
-/// Largest number of gaps of earlier processes that are kept separately.
+/// Maximum number of gaps of earlier processes that are kept separately.
 const MAX_UNREPORTED: usize = 64;
 
 /// A number of events and their bytes.

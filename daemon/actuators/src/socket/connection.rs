@@ -12,7 +12,7 @@ use super::address::Protocol;
 use super::line::{self, MAX_LINE_BYTES};
 use crate::{Feedback, SocketError};
 
-/// Largest number of bytes that are read and discarded before an answer is sent.
+/// Maximum number of bytes that are read and discarded before an answer is sent.
 // A controller that sends without pause would otherwise delay the action for ever.
 const MAX_DISCARDED_BYTES: usize = 1 << 20;
 

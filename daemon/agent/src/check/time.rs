@@ -18,9 +18,9 @@ const MAX_DRIFT_PPM: f64 = 1000.0;
 const MAX_WINDOW_S: f64 = 86_400.0;
 /// Upper limit of the other times: an hour.
 const MAX_TIME_S: f64 = 3600.0;
-/// Largest number of probes per second.
+/// Maximum number of probes per second.
 const MAX_RATE_HZ: f64 = 1000.0;
-/// Largest number of answered probes per second and address.
+/// Maximum number of answered probes per second and address.
 const MAX_PER_SOURCE_HZ: u64 = 10_000;
 /// Largest padding of a probe in bytes; with it a probe fits an Ethernet frame in any mode.
 const MAX_PADDING_BYTES: u64 = 1300;
@@ -33,7 +33,7 @@ const MAX_DRIFT_CHANGE_PPM_PER_S: f64 = 1_000.0;
 const MAX_FAULT_PPM: f64 = 100_000.0;
 /// Latest time of a step, in seconds after the start: a year.
 const MAX_FAULT_S: f64 = 366.0 * 86_400.0;
-/// Largest number of steps, because each peer is sent the list.
+/// Maximum number of steps, because each peer is sent the list.
 const MAX_FAULT_STEPS: u64 = 1000;
 
 impl Report {

@@ -32,16 +32,16 @@ pub struct HostConfig {
     /// separate threads. One thread carries some gigabytes per second. Where that suffices, several threads have higher
     /// latency. At most 64. Default: 1.
     pub io_threads: NonZeroUsize,
-    /// Largest number of events that wait in memory until they are in the spool. The wait is milliseconds unless the
+    /// Maximum number of events that wait in memory until they are in the spool. The wait is milliseconds unless the
     /// spool's disk is slow, full or fails. Beyond this number the newest events are dropped, counted and reported as a
     /// gap. At most 10000000. Default: 50000.
     pub queue_events: NonZeroUsize,
-    /// Largest number of bytes of these events; beyond it the newest are dropped, too. At most 16 GiB. Default: 33554432
+    /// Maximum number of bytes of these events; beyond it the newest are dropped, too. At most 16 GiB. Default: 33554432
     /// (32 MiB).
     pub queue_bytes: NonZeroUsize,
-    /// Largest number of nodes per batch; up to 1000000. Default: 8192.
+    /// Maximum number of nodes per batch; up to 1000000. Default: 8192.
     pub batch_nodes: NonZeroUsize,
-    /// Largest number of bytes per batch. Small batches keep live statistics prompt on slow links, because a live update
+    /// Maximum number of bytes per batch. Small batches keep live statistics prompt on slow links, because a live update
     /// waits for the batches being sent. Up to 2 MiB. Default: 131072 (128 KiB).
     pub batch_bytes: NonZeroUsize,
     /// Longest time that the first event of a batch waits for further events; milliseconds, up to a minute. Default: 200.

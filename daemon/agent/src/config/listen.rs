@@ -7,7 +7,7 @@ use peernet_networks::Address;
 use serde::de::{Error, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// Largest number of addresses. Each has its own connections, sessions and memory.
+/// Maximum number of addresses. Each has its own connections, sessions and memory.
 const MAX_ADDRESSES: usize = 16;
 
 /// Addresses to listen on: at least one, without duplicates. A single address is serialised without brackets.

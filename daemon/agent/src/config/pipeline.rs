@@ -32,7 +32,7 @@ pub struct PipelineConfig {
     /// Schedule by which iterations start. Default: `{ mode = "closed" }`.
     #[serde(default)]
     pub load: LoadConfig,
-    /// Largest number of iterations in flight; with `mode = "closed"` it is always one. The same number of further
+    /// Maximum number of iterations in flight; with `mode = "closed"` it is always one. The same number of further
     /// starts may wait; older starts are skipped and counted (`skipped-starts`). At most 4096. Default: 4.
     #[serde(default = "default_max_in_flight")]
     pub max_in_flight: NonZeroUsize,
@@ -46,7 +46,7 @@ pub struct PipelineConfig {
     /// Iterations that are recorded but left out of statistics.
     #[serde(default)]
     pub warm_up: WarmUp,
-    /// Largest number of iterations per episode; the feedback of the actuator may end an episode earlier. Default: only
+    /// Maximum number of iterations per episode; the feedback of the actuator may end an episode earlier. Default: only
     /// the actuator ends episodes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub episode_steps: Option<NonZeroU32>,

@@ -31,7 +31,7 @@ pub struct ProbesConfig {
     pub key_file: Option<PathBuf>,
     /// Bytes of padding added to each probe (RFC 8972, extra padding); at most 1300. Default: 0.
     pub padding_bytes: u16,
-    /// Largest number of answered probes per second for one address (in IPv6: for one /64 network); 1 to 10000. For all
+    /// Maximum number of answered probes per second for one address (in IPv6: for one /64 network); 1 to 10000. For all
     /// addresses without a session on this host together the limit is ten times as high. Default: 100.
     pub max_per_source_hz: u32,
     /// Additional STAMP reflectors of any vendor: the key is the name of the peer whose link shows the reflector, the

@@ -14,7 +14,7 @@ use crate::config::ClockConfig;
 
 /// Longest time that `chronyc` may take. If chronyd does not answer, `chronyc` itself would wait longer.
 pub(super) const CHRONYC_TIMEOUT: Duration = Duration::from_secs(2);
-/// Largest number of bytes of the output of `chronyc` that are read. A line has about 150 bytes.
+/// Maximum number of bytes of the output of `chronyc` that are read. A line has about 150 bytes.
 const MAX_OUTPUT: u64 = 4096;
 
 /// Reason why chrony cannot be queried.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 /// `Documentation/ABI/testing/sysfs-devices-system-clocksource`).
 const FILE: &str = "devices/system/clocksource/clocksource0/current_clocksource";
 
-/// Largest number of characters of the name that are kept.
+/// Maximum number of characters of the name that are kept.
 const MAX_NAME: usize = 64;
 
 /// Reader of the current clocksource's name.

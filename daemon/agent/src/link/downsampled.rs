@@ -1,6 +1,6 @@
 //! Downsampling to a bounded number of values.
 
-/// Largest number of values that are kept.
+/// Maximum number of values that are kept.
 const MAX_VALUES: usize = 256;
 
 /// Every n-th of the pushed values; n is a power of two, and the smallest one for which the number of values is bounded.

@@ -66,10 +66,10 @@ impl Second {
     }
 
     /// Adds an accepted exchange. Which of two bounds is better at the end of the second also depends on their ages,
-    /// because a bound widens by the drift since then.
+    /// because a bound widens with its age.
     pub(super) fn add_exchange(&mut self, exchange: &Exchange, max_drift_ppm: f64) {
         let drift = |age: Span| Span::from_nanos((age.nanos() as f64 * max_drift_ppm * 1e-6).ceil() as i64);
-        // The two bounds are compared for one time. Until then the older bound has widened by the drift.
+        // The two bounds are compared for the time of the newer one. By then the older bound has widened by the drift.
         let is_lower_than =
             |best: &Exchange| exchange.upper() + drift(best.sent - exchange.sent) < best.upper();
         if self.upper.as_ref().is_none_or(is_lower_than) {

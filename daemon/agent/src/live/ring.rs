@@ -7,11 +7,11 @@ use peernet_stream::{Outcome, Second};
 
 use super::second_statistics::{SecondStatistics, has_episode_result};
 
-/// Largest number of seconds in the ring.
+/// Maximum number of seconds in the ring.
 const MAX_SECONDS: usize = 64;
-/// Largest number of seconds in one update. After an outage the newest seconds are sent first.
+/// Maximum number of seconds in one update. After an outage the newest seconds are sent first.
 const MAX_SENT_SECONDS: usize = 8;
-/// Largest number of seconds between the newest second and an earlier second in which an iteration ends. Iterations are
+/// Maximum number of seconds between the newest second and an earlier second in which an iteration ends. Iterations are
 /// recorded when they end, so a larger number means that the wall clock was set back.
 const MAX_BACKWARD_S: i64 = 1;
 

@@ -16,7 +16,7 @@ pub(crate) const EPISODE_SUCCESS: Name = Name::from_static("episode-success");
 /// [`EPISODE_SUCCESS`] does.
 pub(crate) const EPISODE_RETURN: Name = Name::from_static("episode-return");
 
-/// Largest number of names per second.
+/// Maximum number of names per second.
 // A peer adds nodes of its choice to a tree, so the memory for their names must be bounded.
 const MAX_NAMES: usize = 64;
 

@@ -12,7 +12,7 @@ use crate::link::HostStamp;
 /// Version of requests and answers. Unknown fields are ignored, so that fields may be added within a version.
 pub(super) const VERSION: u32 = 1;
 
-/// Largest number of messages in a request.
+/// Maximum number of messages in a request.
 pub(crate) const MAX_KEYS: usize = 256;
 
 /// Longest request or answer in bytes. It is several times the size of [`MAX_KEYS`] keys, and so short that it does not delay the

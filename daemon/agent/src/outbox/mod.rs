@@ -49,7 +49,7 @@ use crate::reconnect_backoff::ReconnectBackoff;
 use crate::runs::Runs;
 use crate::tasks::{Failure, FailureCause};
 
-/// Largest number of batches of usual length in flight.
+/// Maximum number of batches of usual length in flight.
 // The number keeps the aggregator busy for a round trip and a write to its disk. It is so small that a live update behind
 // these batches is still current.
 const WINDOW: u32 = 32;

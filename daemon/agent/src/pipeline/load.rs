@@ -11,14 +11,14 @@ use crate::config::LoadConfig;
 ///
 /// With a rate the schedule does not wait for the pipeline: starts come due while earlier iterations are in flight. The
 /// latency of an iteration that starts late counts from its intended start. A stall therefore shows in the latencies of
-/// all iterations that waited through it (this avoids coordinated omission). The number of due starts is bounded: beyond
-/// it the oldest are skipped, and the next start carries their count.
+/// all iterations that waited through it (this avoids coordinated omission). The number of due starts is limited: beyond
+/// the limit the oldest are skipped, and the next start carries their count.
 #[derive(Debug)]
 pub(crate) struct Schedule {
     plan: StartPlan,
     /// Starts that have come due and were not taken yet, oldest first.
     due: VecDeque<MonoTime>,
-    /// Largest number of starts in `due`.
+    /// Maximum number of starts in `due`.
     max_due: usize,
     /// Number of starts that were skipped since the last taken one.
     skipped: u64,
@@ -27,8 +27,8 @@ pub(crate) struct Schedule {
 #[derive(Debug)]
 enum StartPlan {
     Closed,
-    Rate { origin: MonoTime, period: f64, number: u64 },
-    Poisson { at: MonoTime, mean: f64, random: SplitMix64 },
+    Rate { origin: MonoTime, period_nanos: f64, next_number: u64 },
+    Poisson { next_at: MonoTime, mean_nanos: f64, random: SplitMix64 },
 }
 
 /// The start of one iteration.
@@ -45,12 +45,18 @@ impl Schedule {
     pub(crate) fn new(load: &LoadConfig, max_due: usize, now: MonoTime) -> Self {
         let plan = match *load {
             LoadConfig::Closed {} => StartPlan::Closed,
-            LoadConfig::Rate { hz } => StartPlan::Rate { origin: now, period: 1e9 / hz, number: 0 },
+            LoadConfig::Rate { hz } => {
+                StartPlan::Rate { origin: now, period_nanos: 1e9 / hz, next_number: 0 }
+            }
             LoadConfig::Poisson { hz, seed } => {
                 let mut random = SplitMix64::new(seed);
-                let mean = 1e9 / hz;
+                let mean_nanos = 1e9 / hz;
                 // In a Poisson process the time to the first start is an interval like the others.
-                StartPlan::Poisson { at: now + random_interval(mean, &mut random), mean, random }
+                StartPlan::Poisson {
+                    next_at: now + random_interval(mean_nanos, &mut random),
+                    mean_nanos,
+                    random,
+                }
             }
         };
         Self { plan, due: VecDeque::new(), max_due, skipped: 0 }
@@ -77,8 +83,10 @@ impl Schedule {
         self.due.clear();
         match &mut self.plan {
             StartPlan::Closed => {}
-            StartPlan::Rate { origin, number, .. } => (*origin, *number) = (now, 0),
-            StartPlan::Poisson { at, mean, random } => *at = now + random_interval(*mean, random),
+            StartPlan::Rate { origin, next_number, .. } => (*origin, *next_number) = (now, 0),
+            StartPlan::Poisson { next_at, mean_nanos, random } => {
+                *next_at = now + random_interval(*mean_nanos, random)
+            }
         }
     }
 
@@ -113,26 +121,28 @@ impl StartPlan {
         match self {
             Self::Closed => None,
             // Computed from the origin each time, so that rounding errors do not add up.
-            Self::Rate { origin, period, number } => {
-                Some(*origin + Span::from_nanos((*period * *number as f64).round() as i64))
+            Self::Rate { origin, period_nanos, next_number } => {
+                Some(*origin + Span::from_nanos((*period_nanos * *next_number as f64).round() as i64))
             }
-            Self::Poisson { at, .. } => Some(*at),
+            Self::Poisson { next_at, .. } => Some(*next_at),
         }
     }
 
     fn advance(&mut self) {
         match self {
             Self::Closed => {}
-            Self::Rate { number, .. } => *number += 1,
-            Self::Poisson { at, mean, random } => *at = *at + random_interval(*mean, random),
+            Self::Rate { next_number, .. } => *next_number += 1,
+            Self::Poisson { next_at, mean_nanos, random } => {
+                *next_at = *next_at + random_interval(*mean_nanos, random)
+            }
         }
     }
 }
 
-/// Returns a random, exponentially distributed interval with the given mean in nanoseconds. It is at least a nanosecond,
+/// Returns a random, exponentially distributed interval. It is at least a nanosecond,
 /// so that the schedule always advances.
-fn random_interval(mean: f64, random: &mut SplitMix64) -> Span {
-    Span::from_nanos(((mean * random.exponential()).round() as i64).max(1))
+fn random_interval(mean_nanos: f64, random: &mut SplitMix64) -> Span {
+    Span::from_nanos(((mean_nanos * random.exponential()).round() as i64).max(1))
 }
 
 #[cfg(test)]

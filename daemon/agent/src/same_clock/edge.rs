@@ -38,9 +38,9 @@ impl ClockSocket {
         if !clock.shows_kernel_time() {
             return None;
         }
-        let mut digits = [0; ClockSocketName::BYTES];
-        digits.copy_from_slice(&Key::random_bytes()[..ClockSocketName::BYTES]);
-        let name = ClockSocketName::new(digits);
+        let mut random_bytes = [0; ClockSocketName::BYTES];
+        random_bytes.copy_from_slice(&Key::random_bytes()[..ClockSocketName::BYTES]);
+        let name = ClockSocketName::new(random_bytes);
         match bind(name) {
             Ok(listener) => Some(Self { name, listener }),
             Err(error) => {

@@ -30,7 +30,7 @@ async fn run_has_conditions_of_both_hosts() {
     // The edge has a spool, because there is an aggregator; the cloud has none.
     let disks: Vec<&Condition> = found.iter().filter(|condition| condition.about == "free disk").collect();
     assert!(
-        matches!(disks.as_slice(), [one] if one.host == "edge" && one.found.contains("spool")),
+        matches!(disks.as_slice(), [condition] if condition.host == "edge" && condition.found.contains("spool")),
         "{disks:?}"
     );
     edge.stop().await.expect("stops well");

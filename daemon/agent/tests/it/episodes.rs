@@ -147,8 +147,9 @@ async fn reset_waits_for_iterations_in_flight() {
     assert_eq!(episodes, [(0, 0.0), (1, 1.0), (2, 0.0), (3, 1.0)]);
     // Samples that were taken before the third action ended the episode belong to it, and are not acted on.
     let superseded = |iteration: &&Iteration| value(&iteration.tree, "superseded") == Some(1.0);
-    let late: Vec<_> = iterations.iter().filter(superseded).filter(|one| one.episode == 1).collect();
-    assert!(late.iter().any(|one| one.step > 2), "{all:?}");
+    let late: Vec<_> =
+        iterations.iter().filter(superseded).filter(|iteration| iteration.episode == 1).collect();
+    assert!(late.iter().any(|iteration| iteration.step > 2), "{all:?}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -215,7 +216,7 @@ async fn simulation_is_advanced_by_total_of_last_iteration() {
         }
         let total = value(&last.tree, "total").expect("a total");
         assert!((advanced.expect("it advances") - total).abs() < 1e-6, "{advanced:?} after {total}");
-        let start = |one: &Iteration| one.tree.anchors()[0].wall;
+        let start = |iteration: &Iteration| iteration.tree.anchors()[0].wall;
         let pause = (start(next) - start(last)).seconds() - total;
         assert!(pause >= 0.05, "advancing, which takes 50 ms, is outside of both iterations: {pause}");
     }

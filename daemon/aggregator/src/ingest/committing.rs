@@ -37,7 +37,7 @@ const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// If SQLite's -wal file is larger, it is truncated as soon as no reader uses it. Twice the usual size.
 const MAX_WAL_BYTES: u64 = 128 << 20;
 
-/// Largest number of tree nodes of a commit, unless `commit_nodes` is larger: a larger commit is no cheaper per node.
+/// Maximum number of tree nodes of a commit, unless `commit_nodes` is larger: a larger commit is no cheaper per node.
 const MAX_COMMIT_NODES: usize = 100_000;
 
 /// Number of commits after which expired data is deleted even if work is waiting.

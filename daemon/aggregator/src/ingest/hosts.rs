@@ -20,7 +20,7 @@ const CHECK_INTERVAL: Span = Span::from_seconds(1);
 /// The known hosts.
 #[derive(Debug)]
 pub(crate) struct Hosts {
-    /// Largest number of stored hosts, and of newcomers.
+    /// Maximum number of stored hosts, and of newcomers.
     max_hosts: usize,
     stored_hosts: HashMap<HostId, StoredHost>,
     newcomers: HashMap<HostId, Newcomer>,

@@ -14,7 +14,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use super::queue::{AdmittedWork, QueueItem};
 use peernet_store::writing::Work;
 
-/// Largest number of prepared items. Their nodes are limited, too.
+/// Maximum number of prepared items. Their nodes are limited, too.
 const MAX_PREPARED_ITEMS: usize = 4_096;
 
 /// Work that is ready for the writer. It occupies a part of the queue's capacity until it is dropped.

@@ -19,7 +19,7 @@ pub(crate) const CAPACITY_BYTES: usize = 96 * 1024 * 1024;
 /// number of connected agents, but at most this. 32 batches have about 160,000 nodes, enough for several commits, so
 /// that a single agent keeps the writer busy while a commit syncs.
 pub(crate) const MAX_WINDOW: u32 = 32;
-/// Largest number of waiting items: the capacity filled with the smallest batches.
+/// Maximum number of waiting items: the capacity filled with the smallest batches.
 const CAPACITY_ITEMS: usize = CAPACITY_BYTES / BYTES_PER_PERMIT;
 /// Bytes per permit of the semaphore, which counts permits in 32 bits.
 const BYTES_PER_PERMIT: usize = 1_024;

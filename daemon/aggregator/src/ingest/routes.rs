@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use peernet_logger::HostId;
 use peernet_networks::ConnectionId;
 
-/// Largest number of hosts on one connection; an agent needs one. The hosts of all connections together are not limited
+/// Maximum number of hosts on one connection; an agent needs one. The hosts of all connections together are not limited
 /// here: somebody who reached that limit would lock out all other agents, and the live state has a limit for hosts.
 const MAX_HOSTS_PER_CONNECTION: usize = 64;
 

@@ -29,23 +29,23 @@ use self::host::Host;
 use crate::live_state::{LiveState, RefusedHost, Totals};
 use peernet_store::StoredCounts;
 
-/// Largest number of hosts in the live state. Beyond it, the host that was silent longest is removed.
+/// Maximum number of hosts in the live state. Beyond it, the host that was silent longest is removed.
 const MAX_HOSTS: usize = 4_096;
 /// Silence after which a host without stored events is removed from the live state.
 const UNSTORED_HOST_TIMEOUT: Span = Span::from_seconds(600);
-/// Largest number of pipelines per host.
+/// Maximum number of pipelines per host.
 const MAX_HOST_PIPELINES: usize = peernet_stream::limits::MAX_PIPELINES;
-/// Largest number of links per host.
+/// Maximum number of links per host.
 const MAX_HOST_LINKS: usize = 64;
-/// Largest number of node names per pipeline and window.
+/// Maximum number of node names per pipeline and window.
 const MAX_NAMES: usize = 128;
-/// Largest number of refused hosts in the live state.
+/// Maximum number of refused hosts in the live state.
 const MAX_REFUSED: usize = 32;
 /// Time for which a refused host is shown.
 const REFUSAL_SHOWN_FOR: Span = Span::from_seconds(600);
-/// Largest number of hosts outside the live state whose stored counts are kept for the totals.
+/// Maximum number of hosts outside the live state whose stored counts are kept for the totals.
 const MAX_REMEMBERED: usize = 65_536;
-/// Largest number of run numbers that are kept.
+/// Maximum number of run numbers that are kept.
 const MAX_RUN_NUMBERS: usize = 10_000;
 
 /// An event that changes the live state.

@@ -63,9 +63,13 @@ impl PictureObjects {
         };
         let (width, height) = (label.width.into(), label.height.into());
         let labelled = label.objects.iter();
-        let labelled = labelled.map(|one| object(&one.label, one.edges.map(f64::from), width, height));
+        let labelled = labelled.map(|labelled_object| {
+            object(&labelled_object.label, labelled_object.edges.map(f64::from), width, height)
+        });
         let found = answer.detections.iter();
-        let found = found.map(|one| (object(&one.label, one.edges, answer.width, answer.height), one.score));
+        let found = found.map(|detection| {
+            (object(&detection.label, detection.edges, answer.width, answer.height), detection.score)
+        });
         Some(Self { labelled: labelled.collect(), found: found.collect() })
     }
 }

@@ -26,7 +26,7 @@ impl Ranking {
     /// Ranks configurations by their means. Configurations whose model computes nothing are ranked only if all are of this kind. Returns
     /// `None` for fewer than two ranked configurations, and if none of them has a mean.
     pub fn new(configurations: &[ConfigurationTotal]) -> Option<Self> {
-        let any_model_computes = configurations.iter().any(|one| one.model_computes);
+        let any_model_computes = configurations.iter().any(|configuration| configuration.model_computes);
         let (ranked, unranked): (Vec<usize>, Vec<usize>) = (0..configurations.len())
             .partition(|index| configurations[*index].model_computes == any_model_computes);
         (ranked.len() > 1).then_some(())?;

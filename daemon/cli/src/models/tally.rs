@@ -132,7 +132,7 @@ pub(super) fn describe(answer: &Sample) -> String {
         let element = element.map_or_else(String::new, |element| format!(" {element:?}").to_lowercase());
         format!("{} {shape}{element}", media.iana())
     };
-    answer.parts.iter().map(|one| part(&one.description)).collect::<Vec<_>>().join(", ")
+    answer.parts.iter().map(|answer_part| part(&answer_part.description)).collect::<Vec<_>>().join(", ")
 }
 
 fn json(answer: &Sample) -> Option<&[u8]> {

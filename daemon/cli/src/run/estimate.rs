@@ -70,11 +70,17 @@ impl SharedComputation {
     /// Returns the sharing of the model of the agent's first pipeline. A local model has a separate process for each user. The number of
     /// workers of a cloud is unknown here; the default is one.
     fn new(agent: &AgentConfig, users: u32) -> Self {
-        let Some(PlacementConfig::Local { model }) = agent.pipelines.first().map(|one| &one.placement) else {
+        let Some(PlacementConfig::Local { model }) =
+            agent.pipelines.first().map(|pipeline| &pipeline.placement)
+        else {
             return Self { users: users.max(1), workers: 1 };
         };
-        let configured = agent.models.iter().find(|one| one.name() == model);
-        Self { users: 1, workers: configured.map_or(agent.bank.workers.get(), |one| one.workers()) }
+        let configured = agent.models.iter().find(|configured_model| configured_model.name() == model);
+        Self {
+            users: 1,
+            workers: configured
+                .map_or(agent.bank.workers.get(), |configured_model| configured_model.workers()),
+        }
     }
 }
 

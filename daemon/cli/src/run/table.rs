@@ -20,9 +20,9 @@ pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
     header.extend(axes.into_iter().flatten().map(|(axis, _)| shorten_label(axis)));
     // An axis with the number of users makes the column superfluous.
     let axis_shows_users = (0..header.len() - 1).any(|axis| {
-        plan.configurations
-            .iter()
-            .all(|one| one.labels.get(axis).is_some_and(|(_, label)| *label == one.users.to_string()))
+        plan.configurations.iter().all(|configuration| {
+            configuration.labels.get(axis).is_some_and(|(_, label)| *label == configuration.users.to_string())
+        })
     });
     let has_repeats = plan.repeats > 1;
     header.extend(has_repeats.then(|| "repeat".to_owned()));

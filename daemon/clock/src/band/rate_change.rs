@@ -18,7 +18,7 @@ use super::drift::DriftChangeLimit;
 use super::hull;
 use super::slots::Point;
 
-/// Largest number of points of one side that are used before the time of a bound, and as many after that time: 12 s of slots.
+/// Maximum number of points of one side that are used before the time of a bound, and as many after that time: 12 s of slots.
 // At the usual κ, older points give no better bound.
 pub(super) const MAX_POINTS_PER_SIDE: usize = 24;
 /// Longest distance in time over which a rate extends bounds: 13 days.

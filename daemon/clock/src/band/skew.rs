@@ -12,7 +12,7 @@ use super::slots::Point;
 
 /// Length of the intervals of which the best point is kept.
 const INTERVAL_NANOS: i64 = 16_000_000_000;
-/// Largest number of intervals: half an hour.
+/// Maximum number of intervals: half an hour.
 const MAX_INTERVALS: usize = 128;
 
 /// Range of the skew that the exchanges of the last half hour prove.

@@ -16,7 +16,7 @@ use super::drift::DriftLimit;
 
 /// Usual length of a slot: the default window has 20 slots.
 const DEFAULT_SLOT_NANOS: i64 = 500_000_000;
-/// Largest number of slots. Longer retention makes the slots longer instead.
+/// Maximum number of slots. Longer retention makes the slots longer instead.
 const MAX_SLOTS: i64 = 1_200;
 
 /// An upper bound of the offset (`bound`, nanoseconds) at one time of the edge's clock (`x`, nanoseconds).

@@ -17,7 +17,7 @@ use super::skew::SkewProof;
 use super::slots::Point;
 
 const SECOND: i64 = 1_000_000_000;
-/// Largest number of seconds kept.
+/// Maximum number of seconds kept.
 const MAX_SECONDS: usize = 1024;
 /// Number of seconds with exchanges that an estimate uses.
 // More seconds make the estimate steadier under load; fewer seconds follow a wandering clock faster.
@@ -29,7 +29,7 @@ const MAX_DISTANCE_NANOS: i64 = 120 * SECOND;
 /// Assumed wander of clocks around their skew, seconds per second.
 // Crystals wander far less, even at changing temperature.
 const MAX_WANDER: f64 = 2e-6;
-/// Smallest number of exchanges from which a skew is computed.
+/// Minimum number of exchanges from which a skew is computed.
 const MIN_EXCHANGES: u64 = 8;
 /// Shortest time between the first and the last exchange from which a skew is computed.
 const MIN_EXCHANGE_RANGE_NANOS: i64 = 5 * SECOND;

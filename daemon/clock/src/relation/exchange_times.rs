@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use crate::{RawTime, Span};
 
-/// Largest number of times kept per window.
+/// Maximum number of times kept per window.
 const MAX_TIMES: i64 = 1024;
 
 /// Thinned times of exchanges, in order: no two of them are closer than `min_gap`. The newest time is stored separately.

@@ -4,7 +4,7 @@ use super::sources::{CombinedOffset, OffsetSources};
 use super::{Direction, JudgedExchange, LearnResult, Refusal, Relation};
 use crate::{DelaySource, Exchange, ExchangeObservation, Interval, OneWayDelay, RawTime, Span, Verdict};
 
-/// Smallest number of exchanges in the window; with fewer, all delays are `stale`.
+/// Minimum number of exchanges in the window; with fewer, all delays are `stale`.
 const MIN_EXCHANGES: u64 = 3;
 
 impl Relation {

@@ -13,13 +13,13 @@ use std::collections::VecDeque;
 use crate::band::DriftLimit;
 use crate::{Exchange, RawTime, Span};
 
-/// Length of the intervals of which the exchange with the shortest round trip is kept.
+/// Length of the intervals. Of each interval, only the exchange with the shortest round trip is kept.
 const INTERVAL_NANOS: i64 = 500_000_000;
 /// Number of newest points that are kept at any age.
 const MIN_POINTS: usize = 8;
-/// Largest number of points.
+/// Maximum number of points.
 const MAX_POINTS: usize = 20;
-/// Smallest number of points from which the shortest round trip is reliable.
+/// Minimum number of points from which the shortest round trip is reliable.
 const MIN_POINTS_TO_SUSPECT: usize = 4;
 /// Movement of a middle that is never suspected.
 const MIN_TOLERANCE_NANOS: i64 = 100_000;

@@ -7,7 +7,7 @@ use super::jumps::{ShortestRoundTrips, SuspectedJump};
 use crate::band::{Band, Bounds, Contradiction, DriftChangeLimit, DriftLimit, DriftModel, OffsetInterval};
 use crate::{Exchange, RawTime, Span};
 
-/// Largest number of earlier windows that are kept to judge delays of their time.
+/// Maximum number of earlier windows that are kept to judge delays of their time.
 const MAX_PAST_WINDOWS: usize = 16;
 /// Time for which past windows are kept beyond `retention`: the longest duration of a message.
 const MAX_MESSAGE_DURATION: Span = Span::from_seconds(60);

@@ -18,7 +18,7 @@ use super::{FingerprintKey, Role};
 use crate::digest;
 use crate::process::{MAX_TIMEOUT_MS, find_program, invalid_variable, is_executable};
 
-/// Largest number of a command's files that are recorded as facts.
+/// Maximum number of a command's files that are recorded as facts.
 const MAX_RECORDED_FILES: usize = 4;
 
 /// Permission bit: users who are neither the file's owner nor in its group may read the file.

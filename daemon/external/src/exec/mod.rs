@@ -43,9 +43,9 @@ pub const VERSION: u32 = 1;
 
 /// Longest line of a program, bytes, without the line feed.
 pub const MAX_LINE_BYTES: usize = 4096;
-/// Largest number of lines in one reply.
+/// Maximum number of lines in one reply.
 pub const MAX_LINES: usize = 256;
-/// Largest number of parts of one sample.
+/// Maximum number of parts of one sample.
 pub const MAX_PARTS: usize = 16;
 /// Largest size of one sample, bytes (1 GiB).
 pub const MAX_SAMPLE_BYTES: u64 = 1 << 30;

@@ -41,7 +41,7 @@ const fn name(element: ElementType) -> &'static str {
 /// Text for a missing shape or an empty source.
 pub(super) const NOTHING: &str = "-";
 
-/// Largest number of dimensions.
+/// Maximum number of dimensions.
 const MAX_DIMENSIONS: usize = 16;
 
 /// Returns the shape of a part as text.

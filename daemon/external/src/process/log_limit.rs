@@ -6,9 +6,9 @@ use peernet_clock::{MonoTime, Span};
 
 /// Length of the period to which the limits apply.
 const PERIOD: Span = Span::from_millis(10_000);
-/// Largest number of lines in one period.
+/// Maximum number of lines in one period.
 const MAX_LINES: u64 = 200;
-/// Largest number of bytes in one period.
+/// Maximum number of bytes in one period.
 const MAX_PERIOD_BYTES: u64 = 32 << 10;
 
 /// Limit of the lines and bytes that one process writes to the log in each period. A program that prints in a loop would

@@ -16,11 +16,11 @@ use super::{Fault, ProcessError};
 const PIPE_BYTES: usize = 1 << 20;
 /// Number of bytes that are read at once while the length of the data is unknown.
 const READ_CHUNK_BYTES: usize = 8 << 10;
-/// Largest number of bytes that are read ahead while a request is still being written: the length of the longest answer.
+/// Maximum number of bytes that are read ahead while a request is still being written: the length of the longest answer.
 const MAX_READ_AHEAD_BYTES: usize = 1 << 30;
 /// Largest capacity of an empty buffer. Memory beyond it is freed.
 const MAX_IDLE_CAPACITY_BYTES: usize = 4 << 20;
-/// Largest number of slices in one write, well below the system's limit.
+/// Maximum number of slices in one write, well below the system's limit.
 const MAX_SLICES_PER_WRITE: usize = 64;
 
 /// Reason that a pipe cannot be used any more.

@@ -17,7 +17,7 @@ use super::log_limit::{LogLimit, LogVolume};
 
 /// Longest line in the log, bytes; a longer one is split.
 const MAX_LINE_BYTES: usize = 4096;
-/// Largest number of last lines in the report of the process's end.
+/// Maximum number of last lines in the report of the process's end.
 const MAX_KEPT_LINES: usize = 12;
 /// Longest part of a line in that report, bytes.
 const MAX_KEPT_LINE_BYTES: usize = 400;

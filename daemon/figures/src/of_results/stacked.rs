@@ -102,7 +102,9 @@ fn bar(runs: &[&Loaded], column: TotalColumn) -> Option<LatencyBar> {
                 .into_iter()
                 .for_each(|value| moments.record(value));
         }
-        sent.iter_mut().zip(row.has_messages()).for_each(|(sent, one)| *sent += u64::from(one));
+        sent.iter_mut()
+            .zip(row.has_messages())
+            .for_each(|(sent, has_message)| *sent += u64::from(has_message));
     }
     LatencyBar::new(column, iterations, sent, |name| {
         let (_, moments) = names.iter().zip(&moments).find(|(node, _)| **node == *name)?;

@@ -20,12 +20,12 @@ pub struct BankConfig {
     /// Devices that may be requested, named like a model's `device`; the first one is used for requests without a
     /// device. Default: `["cpu"]`.
     pub devices: Vec<String>,
-    /// Largest number of these models that may be loaded at the same time, 1 to 64. When a further model is requested,
+    /// Maximum number of these models that may be loaded at the same time, 1 to 64. When a further model is requested,
     /// the model whose last request is the oldest is unloaded if it is not in use. Default: 2.
     pub most_loaded: NonZeroUsize,
     /// Number of worker threads of each model; each computes one sample at a time. Default: 1.
     pub workers: NonZeroUsize,
-    /// Largest number of samples that wait for a free worker; more are rejected. Default: 16.
+    /// Maximum number of samples that wait for a free worker; more are rejected. Default: 16.
     pub queue: NonZeroUsize,
     /// Threads of each worker within one operator of the model, including the worker's own thread. Default: 1.
     pub intra_threads: NonZeroUsize,

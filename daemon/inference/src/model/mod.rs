@@ -25,9 +25,9 @@ use crate::temp_dirs::TempDirs;
 use crate::{LoadError, Model};
 use onnx::OnnxRuntimeConfig;
 
-/// Largest number of threads that compute samples of one model.
+/// Maximum number of threads that compute samples of one model.
 const MAX_WORKERS: usize = 256;
-/// Largest number of samples that wait for one model.
+/// Maximum number of samples that wait for one model.
 const MAX_QUEUE: usize = 65_536;
 
 /// Kind of model. It is implemented for the type that holds the own keys of the kind; the shared keys are in [`SharedKeys`].

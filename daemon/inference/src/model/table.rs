@@ -28,7 +28,7 @@ pub struct SharedKeys {
     /// Default: 1.
     #[serde(default = "default_workers")]
     pub workers: NonZeroUsize,
-    /// Largest number of samples that wait for a free worker; more are rejected. Default: 16.
+    /// Maximum number of samples that wait for a free worker; more are rejected. Default: 16.
     #[serde(default = "default_queue")]
     pub queue: NonZeroUsize,
 }

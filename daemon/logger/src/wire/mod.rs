@@ -59,7 +59,7 @@ pub enum WireError {
         what: &'static str,
         /// Number of items stated in the input.
         found: usize,
-        /// Largest number of items.
+        /// Maximum number of items.
         limit: usize,
     },
     /// Bytes follow the end.

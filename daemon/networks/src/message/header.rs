@@ -16,13 +16,13 @@ use super::{PeerClock, SESSION_VERSIONS, SessionAccepted, SessionHello, SessionI
 /// Largest header in both directions. Bytes.
 pub(crate) const MAX_HEADER_BYTES: usize = 64 * 1024;
 
-/// Largest number of payload parts of a sample.
+/// Maximum number of payload parts of a sample.
 pub(crate) const MAX_PARTS: usize = 64;
 
-/// Largest number of frames of a message: header, tree and payload parts.
+/// Maximum number of frames of a message: header, tree and payload parts.
 pub(crate) const MAX_FRAMES: usize = 2 + MAX_PARTS;
 
-/// Largest number of parts of one answer that were sent and are not acknowledged.
+/// Maximum number of parts of one answer that were sent and are not acknowledged.
 pub(crate) const MAX_UNREAD_PARTS: u32 = 64;
 
 /// Largest nesting depth of a header.
@@ -94,7 +94,7 @@ pub(crate) struct Accepted {
     pub(crate) accepted: SessionAccepted,
     /// Largest message that the cloud accepts. Bytes.
     pub(crate) max_message_bytes: u64,
-    /// Largest number of requests in flight that the cloud accepts.
+    /// Maximum number of requests in flight that the cloud accepts.
     pub(crate) max_in_flight: u32,
 }
 

@@ -38,11 +38,11 @@ pub(crate) const PARTIAL_REPLIES_SINCE: u16 = 6;
 /// First version in which clouds report the statistics of their end of a session's connection.
 pub(crate) const STATISTICS_SINCE: u16 = 5;
 
-/// Largest number of conditions of a host that a peer may send.
+/// Maximum number of conditions of a host that a peer may send.
 pub const MAX_CONDITIONS: usize = 32;
-/// Largest number of accelerators that are read of a peer's hardware; further accelerators are ignored.
+/// Maximum number of accelerators that are read of a peer's hardware; further accelerators are ignored.
 const MAX_GPUS: usize = 16;
-/// Largest number of characters that are read of each text about a peer's hardware.
+/// Maximum number of characters that are read of each text about a peer's hardware.
 const MAX_TEXT_CHARS: usize = 128;
 
 /// Random identifier of a session, chosen by the cloud.

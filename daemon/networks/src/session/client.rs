@@ -177,7 +177,7 @@ impl<W> ClientSession<W> {
     }
 
     /// Ends a request that was lost on the way, or whose answer was lost. Returns its waiter unless the request has ended already.
-    pub(crate) fn lose_request(&mut self, request: u64) -> Option<W> {
+    pub(crate) fn remove_lost_request(&mut self, request: u64) -> Option<W> {
         self.waiters.remove(&request)
     }
 
@@ -284,7 +284,7 @@ mod tests {
                         }
                     }
                     Step::LoseRequest(request) => {
-                        if let Some(waiter) = client.lose_request(request) {
+                        if let Some(waiter) = client.remove_lost_request(request) {
                             prop_assert_eq!(waiter, request);
                             prop_assert!(ended.insert(waiter));
                         }

@@ -90,8 +90,8 @@ impl SessionState {
     }
 
     /// Ends a request whose message or answer was lost. `what` names the lost one.
-    fn lose_request(&self, loss: MessageLoss, what: &str) {
-        let waiter = loss.tag.and_then(|request| self.requests.lose_request(request));
+    fn end_lost_request(&self, loss: MessageLoss, what: &str) {
+        let waiter = loss.tag.and_then(|request| self.requests.remove_lost_request(request));
         if let Some(waiter) = waiter {
             self.counters.count_lost(1);
             // Fails if the request was cancelled at this moment; it then needs no answer.
@@ -125,10 +125,10 @@ impl ReceivingTask {
                             }
                         }
                         Ok(EdgeEvent::Incomplete(loss)) => {
-                            self.shared.lose_request(loss, "the answer was lost on the way");
+                            self.shared.end_lost_request(loss, "the answer was lost on the way");
                         }
                         Ok(EdgeEvent::Lost(loss)) => {
-                            self.shared.lose_request(loss, "it was lost on the way to the cloud");
+                            self.shared.end_lost_request(loss, "it was lost on the way to the cloud");
                         }
                         Ok(EdgeEvent::InvalidData(problem)) => {
                             tracing::debug!(problem, "dropped invalid data from the cloud's address");

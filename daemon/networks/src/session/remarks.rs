@@ -2,7 +2,7 @@
 
 use tokio::sync::watch;
 
-/// Largest number of stored remarks of one connection.
+/// Maximum number of stored remarks of one connection.
 const MAX_REMARKS: usize = 64;
 
 /// Remarks about one connection, oldest first. None is removed. Beyond [`MAX_REMARKS`], a remark is only logged.

@@ -110,8 +110,8 @@ impl RequestsInFlight {
     }
 
     /// Removes a request that was lost on the way, or whose answer was lost. Returns its waiter if the request was in flight.
-    pub(super) fn lose_request(&self, request: u64) -> Option<Waiter> {
-        self.client().lose_request(request)
+    pub(super) fn remove_lost_request(&self, request: u64) -> Option<Waiter> {
+        self.client().remove_lost_request(request)
     }
 
     /// Ends the session; the first reason is kept. Requests in flight are counted as lost and end.

@@ -17,7 +17,7 @@ use crate::transport::{AddressGroup, ConnectionId, Peer};
 use peernet_logger::HostId;
 use peernet_stream::VersionMismatch;
 
-/// Largest number of sessions of one connection.
+/// Maximum number of sessions of one connection.
 const SESSIONS_PER_CONNECTION: usize = 16;
 
 /// All sessions of a listener.

@@ -11,7 +11,7 @@ use serde_path_to_error::{Path, Segment};
 use toml::Spanned;
 use toml::de::{DeArray, DeTable, DeValue, Deserializer, Error};
 
-/// Largest number of mistakes that are reported for one file.
+/// Maximum number of mistakes that are reported for one file.
 const MAX_MISTAKES: usize = 100;
 /// Beginning of the message of serde about a missing key.
 // serde reports a missing key as text only.

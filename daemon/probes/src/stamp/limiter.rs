@@ -8,7 +8,7 @@ use peernet_clock::{MonoTime, Span};
 use super::counters::Refusal;
 use super::recent_map::RecentMap;
 
-/// Smallest number of sources without a session whose rates are remembered.
+/// Minimum number of sources without a session whose rates are remembered.
 const MIN_SOURCES: usize = 4096;
 
 /// Rate of all sources without a session together, as a multiple of the rate of one source.

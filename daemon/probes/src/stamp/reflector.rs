@@ -16,7 +16,7 @@ use super::timestamp::ErrorEstimate;
 use super::tlv::{self, FollowUp, Origin, RawStamps};
 use super::uncertainty;
 
-/// Smallest number of remembered STAMP sessions, for peers and for others each.
+/// Minimum number of remembered STAMP sessions, for peers and for others each.
 const MIN_SESSIONS: usize = 4096;
 
 /// Longest time between the reception of a request and its reply.

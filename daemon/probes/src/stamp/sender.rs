@@ -15,7 +15,7 @@ use super::timestamp::{ErrorEstimate, Format};
 use super::tlv::{self, FollowUp, Origin, RawStamps};
 use super::uncertainty::{self, ORDER_TOLERANCE};
 
-/// Largest number of remembered probes, whether answered or not. A further probe replaces the oldest.
+/// Maximum number of remembered probes, whether answered or not. A further probe replaces the oldest.
 const MAX_PENDING: usize = 1024;
 
 /// Longest plausible time between the program's stamp of a departure and the kernel's.

@@ -6,7 +6,7 @@ use super::{DecodeError, EncodeError, Reader, Writer};
 
 /// A value that can be a field of a message: a number, text, sequence or structure.
 pub trait Field: Sized {
-    /// Smallest number of bytes of a value in any wire form; never 0.
+    /// Minimum number of bytes of a value in any wire form; never 0.
     // With 0, the remaining bytes would not limit the claimed length of a sequence.
     const MIN_BYTES: usize;
 

@@ -5,9 +5,9 @@ use std::time::Duration;
 /// Limits of a queue of messages. An empty queue accepts every message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct QueueLimits {
-    /// Largest number of waiting messages.
+    /// Maximum number of waiting messages.
     pub messages: usize,
-    /// Largest number of bytes of waiting messages.
+    /// Maximum number of bytes of waiting messages.
     pub bytes: usize,
 }
 
@@ -24,10 +24,10 @@ impl QueueLimits {
     }
 }
 
-/// Largest number of TCPROS connections that others open to a node. Further connections are closed at once.
+/// Maximum number of TCPROS connections that others open to a node. Further connections are closed at once.
 pub(super) const MAX_INCOMING_CONNECTIONS: usize = 256;
 
-/// Largest number of publishers of one topic that a subscriber connects to. Further publishers are ignored with a warning.
+/// Maximum number of publishers of one topic that a subscriber connects to. Further publishers are ignored with a warning.
 pub(super) const MAX_PUBLISHERS: usize = 256;
 
 /// Time limit for connecting and exchanging headers.

@@ -16,7 +16,7 @@ use tokio_util::sync::CancellationToken;
 use super::limits::{DRAIN_TIMEOUT, HANDSHAKE_TIMEOUT, QueueLimits};
 use crate::messages::EncodedMessage;
 
-/// Largest number of slices that one system call writes.
+/// Maximum number of slices that one system call writes.
 const MAX_SLICES: usize = 64;
 
 /// Numbers of the messages for one subscriber by their outcome. `offered = sent + dropped + lost + waiting` at all

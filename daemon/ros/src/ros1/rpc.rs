@@ -31,7 +31,7 @@ const MAX_RESPONSE_BYTES: usize = 16 * 1024 * 1024;
 /// Longest accepted call. The longest call contains the list of a topic's publishers. Bytes.
 const MAX_CALL_BYTES: usize = 256 * 1024;
 
-/// Largest number of connections to the server. Further connections wait to be accepted.
+/// Maximum number of connections to the server. Further connections wait to be accepted.
 const MAX_CONNECTIONS: usize = 64;
 
 /// Longest silence of a connection before and between calls, and time limit for the arrival of a call.

@@ -186,7 +186,7 @@ impl NoPeer {
 
 /// Returns advice for a peer that was not found, from what discovery has seen of the domain.
 pub(super) fn advise(domain_id: u16, interfaces: &str, participants: usize, topics: &[String]) -> String {
-    /// Largest number of listed topics.
+    /// Maximum number of listed topics.
     const MAX_LISTED_TOPICS: usize = 8;
     if participants == 0 {
         return format!(

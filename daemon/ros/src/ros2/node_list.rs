@@ -13,10 +13,10 @@ pub(super) const TOPIC: &str = "ros_discovery_info";
 #[cfg(feature = "ros2")]
 pub(super) const TYPE_NAME: &str = "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_";
 
-/// Largest number of nodes of a participant that are read. A component container has some dozens.
+/// Maximum number of nodes of a participant that are read. A component container has some dozens.
 const MAX_NODES: usize = 512;
 
-/// Largest number of publishers and subscriptions of a participant that are read.
+/// Maximum number of publishers and subscriptions of a participant that are read.
 const MAX_ENDPOINTS: usize = 8_192;
 
 /// Longest name of a node with its namespace. Bytes.

@@ -70,7 +70,7 @@ pub enum InvalidQos {
 }
 
 impl QosProfile {
-    /// Largest number of messages that an endpoint keeps.
+    /// Maximum number of messages that an endpoint keeps.
     pub const MAX_DEPTH: u32 = 8_192;
 
     /// Longest deadline: a day. Milliseconds.

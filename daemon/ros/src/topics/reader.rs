@@ -20,7 +20,7 @@ use crate::ros2::{QosProfile, Reliability, Ros2Node, Ros2Subscription};
 /// Options of a reader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ReaderOptions {
-    /// Largest number of messages that wait to be read. If more arrive, the oldest is dropped and counted, because a
+    /// Maximum number of messages that wait to be read. If more arrive, the oldest is dropped and counted, because a
     /// robot needs the newest.
     pub queue: u32,
     /// Reliability in ROS 2. A reliable reader gets no messages of a best-effort publisher.

@@ -88,7 +88,7 @@ pub fn check_topic_at_master(
     })
 }
 
-/// Largest number of listed topics.
+/// Maximum number of listed topics.
 const MAX_LISTED_TOPICS: usize = 8;
 
 /// Returns a text that lists the existing topics.

@@ -14,7 +14,7 @@ use crate::{
 };
 use peernet_logger::HostId;
 
-/// Largest number of executed steps of one script.
+/// Maximum number of executed steps of one script.
 const MAX_STEPS: usize = 2_000;
 
 /// Runs a script. Its first byte selects the receiving or the sending state machine. The other bytes determine its

@@ -404,7 +404,7 @@ impl Receiving {
     /// drop its batches of the stream, or a later batch would be stored before the failed one. Returns the request to
     /// send them again and its receiver.
     pub fn handle_failed_store(&mut self, stream: StreamId) -> Option<(HostId, ToAgent)> {
-        let request = self.streams.get_mut(&stream)?.fail(stream);
+        let request = self.streams.get_mut(&stream)?.record_storing_failure(stream);
         let receiver = self.current_sender(stream);
         self.forget_if_stored(stream);
         receiver.map(|host| (host, request))

@@ -9,10 +9,10 @@ use peernet_logger::HostId;
 /// Largest accepted batch number: the largest integer of SQLite.
 pub(super) const MAX_BATCH_NUMBER: u64 = i64::MAX as u64;
 
-/// Number of times that a batch may arrive damaged before it is accepted as damaged.
+/// Number of damaged arrivals in a row with which a batch is accepted as damaged.
 const MAX_DAMAGED_ARRIVALS: u32 = 3;
 
-/// Largest number of batches that are accepted and not stored. An agent that respects its window causes at most half as
+/// Maximum number of batches that are accepted and not stored. An agent that respects its window causes at most half as
 /// many.
 const MAX_PENDING: usize = 2 * (MAX_IN_FLIGHT_BATCHES + 1);
 
@@ -85,7 +85,7 @@ impl Progress {
         if let Some(mark) = mark {
             self.apply_mark(mark);
         }
-        // Nothing of the stream is stored or waits, so the agent's present statement replaces an earlier one.
+        // Nothing of the stream is stored or waits, so this hello replaces an earlier one.
         if self.mark.is_none() && self.is_all_stored() {
             *self = Self::new(hello, None);
         }
@@ -216,7 +216,7 @@ impl Progress {
     }
 
     /// Records that storing failed. Returns the request to send the batches again.
-    pub(super) fn fail(&mut self, stream: StreamId) -> ToAgent {
+    pub(super) fn record_storing_failure(&mut self, stream: StreamId) -> ToAgent {
         self.accepted = self.stored;
         // Batches after the last stored one must be sent again, and are then confirmed again.
         self.confirmed = self.confirmed.min(self.stored.number);
@@ -250,7 +250,7 @@ impl Progress {
         !self.is_all_stored() && self.process != process
     }
 
-    /// Returns whether the largest number of batches waits to be stored or confirmed.
+    /// Returns whether the maximum number of batches waits to be stored or confirmed.
     pub(super) fn is_full(&self) -> bool {
         self.pending.len() >= MAX_PENDING
     }
@@ -260,7 +260,7 @@ impl Progress {
         self.accepted.number.saturating_add(1)
     }
 
-    /// Returns the last batch that is stored and that the agent is known to hold.
+    /// Returns the number of the last batch that is stored and that the agent is known to hold.
     fn acknowledged_through(&self) -> u64 {
         self.stored.number.min(self.confirmed)
     }

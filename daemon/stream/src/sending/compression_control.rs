@@ -33,9 +33,10 @@ pub(super) struct CompressionControl {
     full_since: Option<MonoTime>,
     /// Last time at which the window was full.
     last_full: MonoTime,
-    /// Time and bytes of frames observed while the window was full.
-    observed: Span,
-    bytes: u64,
+    /// Time in which the window was full.
+    full_time: Span,
+    /// Bytes that were acknowledged in this time.
+    full_bytes: u64,
     /// Longest wait, and the bytes that were acknowledged after it.
     longest_wait: (Span, u64),
 }
@@ -43,14 +44,14 @@ pub(super) struct CompressionControl {
 impl CompressionControl {
     pub(super) fn new(compression: Compression) -> Self {
         let is_compressing = compression == Compression::Always;
-        let (observed, last_full) = (Span::ZERO, MonoTime::default());
+        let (full_time, last_full) = (Span::ZERO, MonoTime::default());
         Self {
             compression,
             is_compressing,
             full_since: None,
             last_full,
-            observed,
-            bytes: 0,
+            full_time,
+            full_bytes: 0,
             longest_wait: (Span::ZERO, 0),
         }
     }
@@ -91,12 +92,12 @@ impl CompressionControl {
     pub(super) fn record_ack(&mut self, bytes: u64, now: MonoTime) {
         let Some(full_since) = self.full_since else { return };
         self.end_wait(now);
-        self.bytes += bytes;
+        self.full_bytes += bytes;
         if now - full_since > self.longest_wait.0 {
             self.longest_wait = (now - full_since, bytes);
         }
         // The longest wait is subtracted, because it may be a pause of the store.
-        let (observed, bytes) = (self.observed - self.longest_wait.0, self.bytes - self.longest_wait.1);
+        let (observed, bytes) = (self.full_time - self.longest_wait.0, self.full_bytes - self.longest_wait.1);
         if observed < MIN_OBSERVATION {
             return;
         }
@@ -105,13 +106,13 @@ impl CompressionControl {
             let threshold = if self.is_compressing { FAST_BYTES_PER_S } else { SLOW_BYTES_PER_S };
             self.is_compressing = rate < threshold;
         }
-        (self.observed, self.bytes, self.longest_wait) = (Span::ZERO, 0, (Span::ZERO, 0));
+        (self.full_time, self.full_bytes, self.longest_wait) = (Span::ZERO, 0, (Span::ZERO, 0));
     }
 
     /// Ends the current wait.
     fn end_wait(&mut self, now: MonoTime) {
         if let Some(full_since) = self.full_since.take() {
-            self.observed += now - full_since;
+            self.full_time += now - full_since;
             self.last_full = now;
         }
     }

@@ -27,9 +27,9 @@ pub struct SendingConfig {
     pub batch_age: Span,
     /// Largest window of batches in flight, in units of `batch_bytes`. The aggregator may set a smaller window.
     pub window: u32,
-    /// Largest number of bytes of bodies in the spool.
+    /// Maximum number of bytes of bodies in the spool.
     pub spool_bytes: u64,
-    /// Largest number of events and bytes that wait in memory because they are not in the spool yet.
+    /// Maximum number of events and bytes that wait in memory because they are not in the spool yet.
     pub memory: Usage,
     /// Capacity in memory that is reserved for events other than iterations, as a number of events. It must be well below
     /// `memory`, or no iteration ever fits.

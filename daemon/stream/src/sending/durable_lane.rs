@@ -11,7 +11,7 @@ use super::partial_batch::PartialBatch;
 use super::spooler::EventSpooler;
 use crate::{ToAggregator, batch_weight, codec};
 
-/// Largest number of bytes of batches that are sent and not stored, in units of the allowance. It is larger than 1 because
+/// Maximum number of bytes of batches that are sent and not stored, in units of the allowance. It is larger than 1 because
 /// storing takes time, and because the allowance counts compressed bytes.
 const UNSTORED_PER_ALLOWANCE: u64 = 8;
 

@@ -15,9 +15,9 @@ use crate::spool::{SpoolState, SpooledBatch};
 use crate::totals::{NewestSentBatch, Totals};
 use crate::{Accounting, BatchHead, Chain, Event, Gap, SentUnspooled, StreamId, SubmittedEvents};
 
-/// Largest number of batches in one transaction, so that other work on the spool does not wait for long.
+/// Maximum number of batches in one transaction, so that other work on the spool does not wait for long.
 const MAX_APPENDED: usize = 256;
-/// Largest number of bytes in one transaction.
+/// Maximum number of bytes in one transaction.
 const MAX_APPENDED_BYTES: u64 = 4 << 20;
 
 /// State machine that accepts events, numbers their batches, and decides what is written to the spool and deleted from

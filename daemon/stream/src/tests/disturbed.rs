@@ -21,10 +21,10 @@ pub(super) fn config() -> SendingConfig {
     }
 }
 
-/// Largest number of works in the aggregator's queue.
+/// Maximum number of works in the aggregator's queue.
 const CAPACITY: usize = 5;
 
-/// Largest number of machines with the same host id.
+/// Maximum number of machines with the same host id.
 const MAX_SITES: u8 = 3;
 
 #[derive(Clone, Debug)]

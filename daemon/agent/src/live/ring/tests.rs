@@ -117,7 +117,7 @@ fn result_of_episode_that_ends_in_its_warm_up_counts() {
     let success = results.success.expect("is reported");
     assert_eq!((mean("episode-success").0, success.episodes), (3, 3));
     assert!((mean("episode-success").1 - success.rate).abs() < 1e-12, "{success:?}");
-    let of_rows = results.episode_return.map(|one| (one.episodes, one.mean));
+    let of_rows = results.episode_return.map(|mean_return| (mean_return.episodes, mean_return.mean));
     assert_eq!((Some(mean("episode-return")), mean("upload").0), (of_rows, 1));
     assert_eq!(second.counts.total(), 1, "only the second is measured");
 }

@@ -19,7 +19,7 @@ use crate::reconnect_backoff::ReconnectBackoff;
 const PUBLISHER_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Observes until the run reaches its limit or the agent stops. If the node ends, for example because the ROS master is
-/// unreachable, it subscribes again.
+/// unreachable, the pipeline subscribes again.
 ///
 /// # Errors
 /// When the topics cannot be observed without a change of the configuration or of their types.
@@ -200,7 +200,7 @@ async fn await_publishers(
     }
 }
 
-/// Reports the reason why topics have no messages during a run, or with `None` that both have a publisher again.
+/// Reports the reason why topics have no messages during a run or, if `problem` is `None`, that both have a publisher again.
 pub(super) fn report_problem(runner: &Runner, run: RunId, problem: Option<&str>) {
     match problem {
         Some(problem) => {

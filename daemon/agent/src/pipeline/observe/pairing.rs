@@ -16,7 +16,7 @@ mod tests;
 pub(super) struct Pairing<I, O> {
     /// Longest time that a message waits for its counterpart.
     timeout: Span,
-    /// Largest number of unpaired messages of each topic.
+    /// Maximum number of unpaired messages of each topic.
     capacity: usize,
     inputs: VecDeque<UnpairedMessage<I>>,
     outputs: VecDeque<UnpairedMessage<O>>,

@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use peernet_logger::{HostId, RunId};
 use peernet_store::writing::Streams;
 
-/// Largest number of runs that wait for their names from the live lane.
+/// Maximum number of runs that wait for their names from the live lane.
 const MAX_UNNAMED_RUNS: usize = 1_024;
 
 /// The streams and unnamed runs of the database.

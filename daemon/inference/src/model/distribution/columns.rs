@@ -7,7 +7,7 @@ use peernet_logger::{Name, stage};
 use serde::de::{Error, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// Largest number of columns.
+/// Maximum number of columns.
 const MAX_COLUMNS: usize = 64;
 /// Stages that a remote pipeline measures itself: their replayed latencies would count twice.
 const TRANSPORT: [Name; 3] = [stage::UPLOAD, stage::QUEUE, stage::DOWNLOAD];

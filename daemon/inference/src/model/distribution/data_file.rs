@@ -10,9 +10,9 @@ use super::latency::MAX_LATENCY_S;
 use super::latency_rows::LatencyRows;
 use crate::LoadError;
 
-/// Largest number of latencies (80 MB).
+/// Maximum number of latencies (80 MB).
 const MAX_LATENCIES: usize = 10_000_000;
-/// Largest number of columns that an error names.
+/// Maximum number of columns that an error names.
 const MAX_NAMED_COLUMNS: usize = 60;
 /// Longest text of a cell in an error, characters.
 const MAX_SHOWN_CHARS: usize = 40;

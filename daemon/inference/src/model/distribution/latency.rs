@@ -14,7 +14,7 @@ use super::data_file::RecordedLatencies;
 pub(super) const MAX_LATENCY_S: f64 = 24.0 * 3600.0;
 /// Longest latency, milliseconds.
 const MAX_MS: f64 = MAX_LATENCY_S * 1e3;
-/// Largest number of bins of a histogram.
+/// Maximum number of bins of a histogram.
 const MAX_BINS: usize = 10_000;
 
 /// Histogram of latencies, as a table of the configuration.

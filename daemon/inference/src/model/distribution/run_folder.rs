@@ -10,7 +10,7 @@ pub(super) const FILE_NAME: &str = "data.csv";
 /// File in the folder of an experiment, and its folder with the folders of the runs.
 const EXPERIMENT_FILE: &str = "experiment.json";
 const RUNS_FOLDER: &str = "runs";
-/// Largest number of runs that an error names.
+/// Maximum number of runs that an error names.
 const MAX_NAMED_RUNS: usize = 3;
 
 /// Returns the file that a path names: the file itself, or `data.csv` in a folder.

@@ -13,9 +13,9 @@ use super::library::Runtime;
 use crate::model::{LoadContext, ModelConfig, ModelKind, ModelTable, SharedKeys};
 use crate::{Batching, LibraryError, LoadError, Model};
 
-/// Largest number of threads within or across the operators of a model.
+/// Maximum number of threads within or across the operators of a model.
 const MAX_THREADS: usize = 1024;
-/// Largest number of requests in a batch.
+/// Maximum number of requests in a batch.
 const MAX_BATCH: usize = 1024;
 /// Longest wait for further requests of a batch, milliseconds.
 const MAX_BATCH_WAIT_MS: f64 = 60_000.0;
@@ -41,7 +41,7 @@ pub struct OnnxConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BatchConfig {
-    /// Largest number of requests in a batch.
+    /// Maximum number of requests in a batch.
     pub max_size: NonZeroUsize,
     /// Longest time that the first request of a batch waits for further ones, milliseconds. 0 takes only those that wait already.
     #[serde(default)]

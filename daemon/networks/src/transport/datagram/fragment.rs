@@ -5,7 +5,7 @@ use peernet_clock::MonoTime;
 
 use crate::transport::Frames;
 
-/// Largest number of frames of a message.
+/// Maximum number of frames of a message.
 const MAX_FRAMES: usize = 1_024;
 
 /// Error: a message cannot be sent in fragments.

@@ -24,10 +24,10 @@ const COOKIE_LIFETIME: Span = Span::from_seconds(10);
 /// Time until the first repetition of a packet without an answer. It doubles up to eight times this value.
 const RETRY_INTERVAL: Span = Span::from_millis(100);
 
-/// Largest number of unanswered requests with large datagrams. A small datagram is tried afterwards.
+/// Maximum number of unanswered requests with large datagrams. A small datagram is tried afterwards.
 const MAX_LARGE_ATTEMPTS: u32 = 3;
 
-/// Largest number of unanswered requests with small datagrams and the same cookie. They take about five seconds, which is
+/// Maximum number of unanswered requests with small datagrams and the same cookie. They take about five seconds, which is
 /// less than the lifetime of a cookie.
 const MAX_ATTEMPTS: u32 = 8;
 

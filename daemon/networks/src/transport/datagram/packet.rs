@@ -50,7 +50,7 @@ pub(crate) enum Role {
 /// Terms that an end of a connection asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Terms {
-    /// Largest number of bytes in flight to this end.
+    /// Maximum number of bytes in flight to this end.
     pub(crate) window: u32,
     /// Largest datagram that may be sent to this end. Bytes.
     pub(crate) datagram: u16,

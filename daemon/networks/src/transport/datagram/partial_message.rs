@@ -7,8 +7,8 @@ use bytes::Bytes;
 
 use crate::transport::memory::{BudgetExhausted, MemoryBudget, Reservation};
 
-/// Memory of a fragment beyond a gap in addition to its bytes: its entry in the map and the overhead of the allocator.
-/// Bytes.
+/// Memory that a fragment beyond a gap needs in addition to its content: its entry in the map and the overhead of the
+/// allocator, bytes.
 const FRAGMENT_OVERHEAD: u64 = 96;
 
 /// The part of a message that has arrived.
@@ -21,7 +21,7 @@ pub(super) struct PartialMessage {
     contiguous: Vec<u8>,
     /// Fragments beyond that gap, by offset.
     beyond_gap: BTreeMap<u32, Box<[u8]>>,
-    /// Memory of the fragments beyond the gap. Bytes.
+    /// Memory of the fragments beyond the gap, bytes.
     beyond_gap_bytes: u64,
     reserved: Reservation,
 }

@@ -15,7 +15,7 @@ use super::packet::Fragment;
 use super::partial_message::{AddOutcome, PartialMessage};
 use crate::transport::memory::{BudgetExhausted, MemoryBudget, Reservation};
 
-/// Largest number of message numbers whose state is stored.
+/// Maximum number of message numbers whose state is stored.
 pub(crate) const MAX_SPAN: u64 = 1_024;
 
 /// A message that does not fit into [`MAX_SPAN`] states is accepted only if its number is less than this distance above
@@ -27,7 +27,7 @@ const MAX_AHEAD: u64 = 64;
 pub(crate) struct ReassemblyLimits {
     /// Largest message. Bytes.
     pub(crate) max_message_bytes: u32,
-    /// Largest number of messages of which a part has arrived.
+    /// Maximum number of messages of which a part has arrived.
     pub(crate) max_unfinished_messages: usize,
     /// Time limit for missing fragments after the whole message is known to have been sent.
     pub(crate) timeout: Span,

@@ -16,13 +16,13 @@ use super::window::PROGRESS_INTERVAL_BYTES;
 use crate::transport::MessageLoss;
 use crate::transport::memory::{MemoryBudget, Reservation};
 
-/// Largest number of lost messages whose loss the other end has not confirmed.
+/// Maximum number of lost messages whose loss the other end has not confirmed.
 const MAX_LOSS_REPORTS: usize = MAX_SPAN as usize;
 
-/// Largest number of lost messages that are reported at once.
+/// Maximum number of lost messages that are reported at once.
 const MAX_REPORTS_AT_ONCE: usize = 32;
 
-/// Largest number of reports of one lost message.
+/// Maximum number of reports of one lost message.
 const MAX_REPORT_ATTEMPTS: u32 = 12;
 
 /// Interval after the first report. It doubles up to eight times this value.

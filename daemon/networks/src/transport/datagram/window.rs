@@ -61,7 +61,7 @@ impl SendWindow {
         if self.is_full() { self.in_flight.expires_at() } else { self.pacer.opens_at() }
     }
 
-    /// Notes that a datagram was sent whose part of message `sequence` ends at offset `end`.
+    /// Records that a datagram with a part of message `sequence` was sent; the part ends at offset `end` of the message.
     pub(crate) fn record_sent(&mut self, sequence: u64, end: u32, bytes: u32, now: MonoTime) {
         self.in_flight.record_sent((sequence, end), bytes, now);
         self.pacer.record_sent(bytes, now);
@@ -75,7 +75,7 @@ impl SendWindow {
         }
     }
 
-    /// Notes that a message was lost.
+    /// Records that a message was lost.
     pub(crate) fn record_loss(&mut self) {
         self.congestion.shrink(self.in_flight.sent(), self.in_flight.arrived());
     }

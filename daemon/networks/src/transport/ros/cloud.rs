@@ -33,13 +33,13 @@ use crate::transport::{
 };
 use crate::{Address, SessionSettings};
 
-/// Largest number of deliveries that wait to be received.
+/// Maximum number of deliveries that wait to be received.
 const MAX_QUEUED_DELIVERIES: usize = 64;
 
 /// Largest request for a connection. Bytes.
 const MAX_HELLO_BYTES: usize = 4 * 1024;
 
-/// Largest number of queued requests. Further requests are dropped, because edges repeat them.
+/// Maximum number of queued requests. Further requests are dropped, because edges repeat them.
 const MAX_QUEUED_HELLOS: usize = 64;
 
 /// Number of TCP sockets of an edge's connection: one for each of its topics.

@@ -32,7 +32,7 @@ pub(super) struct ConnectionLimits {
     pub(super) max_message_bytes: u64,
     /// `true` if this end must confirm that it receives the payload topic, because the other end cannot find that out by itself.
     pub(super) confirms_payloads: bool,
-    /// Largest number of messages of which only the companion or only the payload has arrived.
+    /// Maximum number of messages of which only the companion or only the payload has arrived.
     pub(super) max_incomplete: usize,
     /// Time limit for the payload after its companion, or for the companion after its payload.
     pub(super) pairing_timeout: Span,

@@ -41,7 +41,7 @@ const MAX_HELLO_INTERVAL: Duration = Duration::from_millis(500);
 /// messages of which only the companion or the payload has arrived.
 const MAX_INCOMPLETE_MESSAGES: u64 = 6;
 
-/// Largest number of deliveries that wait to be received.
+/// Maximum number of deliveries that wait to be received.
 const MAX_QUEUED_DELIVERIES: usize = 64;
 
 /// Opens a virtual connection to the cloud with the address's name.

@@ -14,7 +14,7 @@ use crate::transport::memory::{MemoryBudget, Reservation};
 /// Time limit for the payload of a companion, or the companion of a payload. Both may be in transfer on a slow link.
 const PAIRING_TIMEOUT: Span = Span::from_seconds(30);
 
-/// Largest number of bytes of queued messages on a topic. A single longer message is accepted.
+/// Maximum number of bytes of queued messages on a topic. A single longer message is accepted.
 const MAX_QUEUED_BYTES: usize = 64 * 1024;
 
 /// Largest size of a companion without its frames. Bytes.

@@ -1,4 +1,4 @@
-//! Joins each payload with its companion, without I/O.
+//! Joins each payload with its companion, the message that has its header and tree. No I/O.
 //!
 //! Payloads and companions are on separate topics, each of which is in order. Each of them waits for its partner on the
 //! other topic. If a later message arrives there first, the partner is certainly lost. If no later message arrives, a deadline
@@ -58,7 +58,7 @@ impl MessageHalf {
     }
 }
 
-/// Returns the request that a message belongs to.
+/// Returns the number of the request that a message belongs to.
 pub(super) fn request_number(info: &MessageInfo) -> Option<u64> {
     (info.request != MessageInfo::NO_REQUEST).then_some(info.request)
 }

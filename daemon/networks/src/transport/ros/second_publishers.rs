@@ -12,7 +12,7 @@ use super::names::strip_connection_id;
 /// Time for which the name of a node is awaited after the node's topics were discovered.
 const NAME_DISCOVERY_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Largest number of second publishers that are remarked on.
+/// Maximum number of second publishers that are remarked on.
 const MAX_SECOND_PUBLISHERS: usize = 16;
 
 /// Nodes other than the peer that publish on a topic of the connection. One remark is made about each node, with its

@@ -17,10 +17,10 @@ use super::socket::{ReceiveBuffers, UdpPort};
 use crate::transport::datagram::endpoint::Route;
 use crate::transport::datagram::sending::Batch;
 
-/// Largest number of deliveries that wait to be received.
+/// Maximum number of deliveries that wait to be received.
 const MAX_QUEUED_DELIVERIES: usize = 1_024;
 
-/// Largest number of batches that are read before the next send.
+/// Maximum number of batches that are read before the next send.
 const READS_PER_ITERATION: usize = 8;
 
 /// Shortest and longest sleep of the task.

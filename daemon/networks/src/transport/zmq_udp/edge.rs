@@ -158,7 +158,7 @@ struct EdgeEnd {
 /// Shortest interval between two tokens to other addresses.
 const PATH_CHECK_INTERVAL: Span = Span::from_millis(100);
 
-/// Largest number of descriptions of invalid packets that wait for the layer above.
+/// Maximum number of descriptions of invalid packets that wait for the layer above.
 const MAX_INVALID_PACKETS: usize = 64;
 
 impl Machine for EdgeEnd {

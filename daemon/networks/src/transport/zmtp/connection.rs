@@ -18,7 +18,7 @@ use crate::statistics::ConnectionAddresses;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{AddressGroup, ConnectionId, Frames, SendFailure};
 
-/// Largest number of slices that one write gathers.
+/// Maximum number of slices that one write gathers.
 const MAX_SLICES: usize = 64;
 
 /// Phase of a connection. Only [`advance`](ZmtpConnection::advance) changes it.

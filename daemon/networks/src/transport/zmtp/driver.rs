@@ -23,7 +23,7 @@ use super::rejections::Rejection;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{Frames, ListenerEvent, Peer};
 
-/// Largest number of bytes of one read while no long frame is expected.
+/// Maximum number of bytes of one read while no long frame is expected.
 // They are read into the stack and copied into frames, so that an idle connection has no buffer.
 const READ_BYTES: usize = 16 * 1024;
 

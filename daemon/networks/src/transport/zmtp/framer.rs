@@ -20,18 +20,18 @@ const MORE: u8 = 0x01;
 const LONG: u8 = 0x02;
 const COMMAND: u8 = 0x04;
 
-/// Largest number of bytes that are reserved at the start of a frame, before and after admission.
+/// Maximum number of bytes that are reserved at the start of a frame, before and after admission.
 const FIRST_BYTES_UNADMITTED: usize = 4 * 1024;
 const FIRST_BYTES: usize = 64 * 1024;
 
-/// Largest number of bytes that are reserved at the start of a frame on a connection that has already sent frames of
+/// Maximum number of bytes that are reserved at the start of a frame on a connection that has already sent frames of
 /// this length. A stream of images then does not need growing buffers.
 const MAX_FIRST_BYTES: usize = 2 * 1024 * 1024;
 
 /// Smallest remainder of a frame that is read from the kernel straight into the frame's buffer. Bytes.
 const DIRECT_READ_BYTES: usize = 8 * 1024;
 
-/// Largest number of bytes of one such read.
+/// Maximum number of bytes of one such read.
 // While the kernel copies to this process, it receives nothing for the connection, and the sender waits.
 const MAX_DIRECT_READ_BYTES: usize = 64 * 1024;
 

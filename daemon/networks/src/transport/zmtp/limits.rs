@@ -5,7 +5,7 @@ use std::time::Duration;
 /// Limits and timeouts of a listener.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ListenerLimits {
-    /// Largest number of open connections.
+    /// Maximum number of open connections.
     pub max_connections: usize,
     /// Largest message of an admitted connection, all frames together. Bytes.
     pub max_message_bytes: usize,
@@ -14,9 +14,9 @@ pub struct ListenerLimits {
     pub max_unfinished_bytes: u64,
     /// Time limit for the hello that admits a connection, after the ZMTP handshake.
     pub hello_timeout: Duration,
-    /// Largest number of messages that wait to be written to one connection.
+    /// Maximum number of messages that wait to be written to one connection.
     pub max_queued_messages: usize,
-    /// Largest number of bytes that wait to be written to one connection. A single message is always accepted.
+    /// Maximum number of bytes that wait to be written to one connection. A single message is always accepted.
     pub max_queued_bytes: usize,
     /// Interval at which a silent peer is sent a PING.
     pub heartbeat_interval: Duration,

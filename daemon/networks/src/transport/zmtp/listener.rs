@@ -22,7 +22,7 @@ use crate::statistics::ConnectionAddresses;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{AddressGroup, BindFailure, ConnectionId, Frames, ListenerEvent, SendFailure};
 
-/// Largest number of messages of all connections that wait to be received. Their memory is reserved until then.
+/// Maximum number of messages of all connections that wait to be received. Their memory is reserved until then.
 const MAX_QUEUED_DELIVERIES: usize = 1_024;
 
 /// Number of sockets that may still be closing while the largest number of connections is open.

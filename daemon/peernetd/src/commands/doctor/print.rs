@@ -9,9 +9,9 @@ use peernet_store::maintenance::{Report, Severity};
 use super::ExaminationResult;
 use super::spool::SpoolReport;
 
-/// Largest number of lines of a printed table; the JSON form has all lines.
+/// Maximum number of lines of a printed table; the JSON form has all lines.
 const MAX_TABLE_LINES: usize = 20;
-/// Largest number of printed problems from SQLite, and of printed findings.
+/// Maximum number of printed problems from SQLite, and of printed findings.
 const MAX_FINDINGS: usize = 10;
 
 pub(super) fn print(result: &ExaminationResult, now: WallTime) {

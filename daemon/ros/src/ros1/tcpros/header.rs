@@ -7,7 +7,7 @@ use thiserror::Error;
 
 use super::MAX_HEADER_BYTES;
 
-/// Largest number of fields of a header. Clients send fewer than ten.
+/// Maximum number of fields of a header. Clients send fewer than ten.
 const MAX_FIELDS: usize = 100;
 
 /// Error: bytes are not a connection header.

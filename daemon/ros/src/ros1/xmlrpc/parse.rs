@@ -10,7 +10,7 @@ use super::{Call, Response, Value};
 /// names.
 const MAX_DEPTH: usize = 16;
 
-/// Largest number of values in a document. The largest answer is the system state of a large robot, a few thousand
+/// Maximum number of values in a document. The largest answer is the system state of a large robot, a few thousand
 /// names.
 const MAX_VALUES: usize = 100_000;
 

@@ -65,7 +65,7 @@ pub(super) struct NodeState {
 /// Reader of the node list.
 type ListReader = SimpleDataReader<RawMessage, RawAdapter>;
 
-/// Largest number of entries of the node list that are received and not yet read.
+/// Maximum number of entries of the node list that are received and not yet read.
 const MAX_UNREAD_ENTRIES: u32 = 1_024;
 
 /// Publisher of our entry of the node list.

@@ -29,7 +29,7 @@ pub struct Ros2Publisher {
 }
 
 impl Ros2Publisher {
-    /// Largest number of unacknowledged bytes, unless half of the receive buffer is less. A single message may be
+    /// Maximum number of unacknowledged bytes, unless half of the receive buffer is less. A single message may be
     /// larger. Bytes that do not fit into the receive buffer of a peer are lost, and repairing several large messages
     /// between `rustdds` and Fast DDS fails. Cyclone DDS requests a receive buffer of this size.
     pub(super) const MAX_UNACKNOWLEDGED_BYTES: usize = 1 << 20;

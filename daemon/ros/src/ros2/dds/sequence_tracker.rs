@@ -12,7 +12,7 @@ pub(super) struct SequenceTracker {
 }
 
 impl SequenceTracker {
-    /// Largest number of publishers that are remembered. Each host on the network can create new publishers.
+    /// Maximum number of publishers that are remembered. Each host on the network can create new publishers.
     const MAX_WRITERS: usize = 1_024;
 
     /// Records a message. Returns how many messages are missing directly before it.

@@ -38,7 +38,7 @@ pub struct RosSensorConfig {
     /// ROS version, 1 or 2. Default: the value of `ROS_VERSION`, else the version of `ROS_DISTRO`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ros_version: Option<RosVersion>,
-    /// Largest number of messages that wait while the pipeline is busy, 1 to 8192. If more arrive, the oldest is
+    /// Maximum number of messages that wait while the pipeline is busy, 1 to 8192. If more arrive, the oldest is
     /// dropped and counted, because a robot needs the newest. Default: 1.
     #[serde(default = "one_message")]
     pub queue: NonZeroU32,

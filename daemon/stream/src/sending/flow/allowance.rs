@@ -33,7 +33,7 @@ const LATE_ECHOES_OF_SLOW_LINK: u32 = 2;
 /// Lowest allowance of a link that no longer counts as slow.
 const FAST_LINK_BYTES: u64 = 64 << 10;
 
-/// Largest number of bytes that may be in flight.
+/// Maximum number of bytes that may be in flight.
 #[derive(Clone, Debug)]
 pub(super) struct Allowance {
     bytes: u64,

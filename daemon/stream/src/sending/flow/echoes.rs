@@ -7,7 +7,7 @@ use peernet_clock::{MonoTime, Span};
 /// Time after which a missing echo is requested again.
 const RETRY_AFTER: Span = Span::from_seconds(2);
 
-/// Largest number of pending requests.
+/// Maximum number of pending requests.
 const MAX_PENDING: usize = 64;
 
 /// A request for an echo.

@@ -5,7 +5,7 @@ use peernet_clock::{MonoTime, Span, Stamp};
 use crate::Gap;
 use peernet_logger::{RunId, Slug};
 
-/// Largest number of losses that are counted separately. Further losses are counted together; an agent has few
+/// Maximum number of losses that are counted separately. Further losses are counted together; an agent has few
 /// pipelines and few reasons.
 const MAX_LOSSES: usize = 64;
 

@@ -19,7 +19,7 @@ const SECRET: HostSecret = HostSecret::from_bytes([7; 32]);
 /// Simulated milliseconds in which all waiting events must be stored after the faults end.
 const PATIENCE_MS: i64 = 300_000;
 
-/// Largest number of turns of both ends in `PATIENCE_MS`.
+/// Maximum number of turns of both ends in `PATIENCE_MS`.
 const MAX_TURNS: usize = 5_000;
 
 #[derive(Clone, Debug)]

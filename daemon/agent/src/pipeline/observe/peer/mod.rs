@@ -29,7 +29,7 @@ use crate::host::Host;
 use crate::pipeline::progress::Position;
 use crate::pipeline::runner::Runner;
 
-/// Largest number of pairs that wait for the peer. Further pairs are recorded without its stamps.
+/// Maximum number of pairs that wait for the peer. Further pairs are recorded without its stamps.
 const MAX_PENDING: usize = 1024;
 
 /// An input message and the output message that belongs to it.

@@ -39,7 +39,7 @@ impl SilenceWatch {
 
     /// Restarts the measurement of the silence, because the peer cannot answer without a connection. A reported silence
     /// lasts until the peer has received a pair.
-    pub(super) const fn lose_connection(&mut self) {
+    pub(super) const fn record_disconnect(&mut self) {
         self.since = None;
     }
 }
@@ -65,10 +65,10 @@ mod tests {
         let mut watch = SilenceWatch::default();
         let at = |seconds: i64| MonoTime::from_nanos(seconds * 1_000_000_000);
         assert_eq!(watch.record(false, at(0)), None);
-        watch.lose_connection();
+        watch.record_disconnect();
         assert_eq!((watch.record(false, at(60)), watch.record(false, at(69))), (None, None));
         assert_eq!(watch.record(false, at(70)), Some(SilenceReport::Began));
-        watch.lose_connection();
+        watch.record_disconnect();
         assert_eq!((watch.record(false, at(99)), watch.record(false, at(200))), (None, None), "said already");
         assert_eq!(watch.record(true, at(201)), Some(SilenceReport::Ended));
     }

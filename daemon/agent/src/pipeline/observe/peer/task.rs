@@ -72,7 +72,7 @@ impl PeerTask {
                 return;
             };
             self.connection = None;
-            self.silence.lose_connection();
+            self.silence.record_disconnect();
             let name = &connection.name;
             let text = format!(
                 "lost the connection to {name}: {reason}; until it is reconnected, iterations are recorded without its stamps \

@@ -14,7 +14,7 @@ use tokio::sync::watch;
 use super::{ObservedType, PublisherLocation};
 use crate::pipeline::observe::message::{TopicMessage, read_header};
 
-/// Largest number of unread messages. They are in memory: images of 1 MB need 64 MB.
+/// Maximum number of unread messages. They are in memory: images of 1 MB need 64 MB.
 const DEPTH: u32 = 64;
 
 /// A topic of ROS 2. It is subscribed to once a publisher shows its type.

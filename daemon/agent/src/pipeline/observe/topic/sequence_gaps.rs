@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Largest number of publishers whose sequence numbers are kept. Anybody on the network can publish, so the memory must
+/// Maximum number of publishers whose sequence numbers are kept. Anybody on the network can publish, so the memory must
 /// be bounded.
 const MAX_PUBLISHERS: usize = 256;
 

@@ -15,7 +15,7 @@ const IOU_THRESHOLD: f64 = 0.45;
 /// Number of objects in an answer by default.
 const MAX_DETECTIONS: usize = 100;
 
-/// Largest number of objects in an answer.
+/// Maximum number of objects in an answer.
 const MAX_MAX_DETECTIONS: usize = 10_000;
 
 /// Outputs of a detector and their conversion to boxes.
@@ -30,7 +30,7 @@ pub(in crate::model::onnx) struct Detection {
     pub(in crate::model::onnx) score_threshold: f32,
     /// If two boxes of one class have a higher ratio of intersection to union, the box with the lower score is dropped. `None` to drop none.
     pub(in crate::model::onnx) iou_threshold: Option<f32>,
-    /// Largest number of objects in an answer. Objects with the highest scores are reported.
+    /// Maximum number of objects in an answer. Objects with the highest scores are reported.
     pub(in crate::model::onnx) max_detections: usize,
 }
 

@@ -194,7 +194,7 @@ pub(super) fn lengths<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<
     }
 }
 
-/// Largest number of elements of an input or output: a gigabyte of 32-bit floats.
+/// Maximum number of elements of an input or output: a gigabyte of 32-bit floats.
 const MAX_ELEMENTS: usize = 1 << 28;
 
 /// Deserialises a number or a nested list of numbers, as a flat list.

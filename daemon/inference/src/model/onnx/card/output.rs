@@ -11,7 +11,7 @@ use crate::model::onnx::data_type::DataType;
 /// Number of classes in an answer by default.
 const LISTED: usize = 5;
 
-/// Largest number of classes of a segmentation, whose pixels have one byte.
+/// Maximum number of classes of a segmentation, whose pixels have one byte.
 const MAX_SEGMENTED: usize = 256;
 
 /// Output of a classifier.

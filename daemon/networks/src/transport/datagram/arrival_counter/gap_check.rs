@@ -5,7 +5,7 @@ use peernet_clock::MonoTime;
 /// Largest gap that a single packet may open: more than networks reorder.
 pub(in crate::transport::datagram) const MAX_GAP: u64 = 64;
 
-/// Largest number of datagrams that a peer can send in a millisecond: more than 16 Gbit/s in datagrams of 512 bytes.
+/// Maximum number of datagrams that a peer can send in a millisecond: more than 16 Gbit/s in datagrams of 512 bytes.
 const MAX_PER_MILLISECOND: u64 = 4_000;
 
 /// Decides whether a number beyond a gap is plausible.

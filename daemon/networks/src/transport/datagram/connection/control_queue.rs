@@ -6,7 +6,7 @@ use crate::transport::datagram::packet::Packet;
 use crate::transport::datagram::packet_writer::PacketWriter;
 use crate::transport::datagram::sending::Batch;
 
-/// Largest number of queued packets. The limit is reached only while nothing can be sent. Dropping further packets is
+/// Maximum number of queued packets. The limit is reached only while nothing can be sent. Dropping further packets is
 /// safe, because all of them are repeated.
 const MAX_PACKETS: usize = 256;
 

@@ -7,7 +7,7 @@ const BYE_INTERVAL: Span = Span::from_millis(50);
 
 /// After this number of received goodbyes unfinished messages are given up.
 const BYES_UNTIL_GIVING_UP: u32 = 2;
-/// Largest number of goodbyes.
+/// Maximum number of goodbyes.
 const MAX_BYES: u32 = 8;
 
 /// State of a connection's shutdown.

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use super::Route;
 use crate::transport::datagram::packet::{Packet, Role};
 
-/// Largest number of queued answers. A sender that gets no answer repeats its request.
+/// Maximum number of queued answers. A sender that gets no answer repeats its request.
 const MAX_ANSWERS: usize = 256;
 
 /// Answers that wait to be sent.

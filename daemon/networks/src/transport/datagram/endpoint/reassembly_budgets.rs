@@ -9,7 +9,7 @@ use crate::transport::memory::MemoryBudget;
 /// Largest message of a connection without a session. Bytes.
 const MAX_UNADMITTED_BYTES: u32 = 64 * 1024;
 
-/// Largest number of unfinished messages of a connection without a session.
+/// Maximum number of unfinished messages of a connection without a session.
 const MAX_UNADMITTED_MESSAGES: usize = 2;
 
 /// Memory for the unfinished messages of all connections without a session. Bytes.

@@ -10,7 +10,7 @@ use crate::statistics::TransportRoundTrip;
 // The reported minimum covers the current and the previous period, because a path may change.
 const MINIMUM_PERIOD: Span = Span::from_seconds(150);
 
-/// Largest number of unanswered heartbeats that are stored. Then the oldest one is dropped for each new one.
+/// Maximum number of unanswered heartbeats that are stored. Then the oldest one is dropped for each new one.
 const MAX_UNANSWERED: usize = 64;
 
 /// Smooths measured round trips (RFC 6298, section 2).

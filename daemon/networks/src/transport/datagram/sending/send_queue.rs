@@ -9,9 +9,9 @@ use crate::transport::datagram::fragment::OutgoingMessage;
 /// Limits of a send queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct QueueLimits {
-    /// Largest number of messages.
+    /// Maximum number of messages.
     pub(crate) messages: usize,
-    /// Largest number of bytes. A message that is alone is always accepted.
+    /// Maximum number of bytes. A message that is alone is always accepted.
     pub(crate) bytes: u64,
 }
 

@@ -28,7 +28,7 @@ pub(super) enum Admission {
 #[derive(Debug)]
 pub(super) struct ConnectionTable {
     max_connections: usize,
-    /// Largest number of connections without a session.
+    /// Maximum number of connections without a session.
     max_unadmitted: usize,
     table: Mutex<Table>,
 }

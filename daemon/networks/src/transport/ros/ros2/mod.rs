@@ -52,7 +52,7 @@ use crate::{Address, SessionSettings};
 /// search.
 const MAX_CLOUD_SEARCH_TIME: Duration = Duration::from_secs(2);
 
-/// Largest number of bytes of frames in a companion. Longer frames are split, so that each companion fits into any
+/// Maximum number of bytes of frames in a companion. Longer frames are split, so that each companion fits into any
 /// socket buffer.
 pub(super) const MAX_COMPANION_BYTES: usize = 64 * 1024;
 

@@ -32,7 +32,7 @@ const SHARED_TOPIC_TIMEOUT: Duration = Duration::from_millis(50);
 /// Longest time for which a message may wait because earlier messages are not acknowledged.
 const MAX_UNACKNOWLEDGED_TIME: Duration = Duration::from_secs(5);
 
-/// Largest number of bytes that are stored for subscriptions that do not acknowledge them.
+/// Maximum number of bytes that are stored for subscriptions that do not acknowledge them.
 const MAX_UNACKNOWLEDGED_BYTES: usize = 256 * 1024 * 1024;
 
 /// A publisher and its queue.

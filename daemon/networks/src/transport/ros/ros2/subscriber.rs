@@ -22,14 +22,14 @@ use crate::transport::ros::interface::{
     NodeFailure, PublisherChanges, RemoteNode, SessionSubscriber, TopicMessage,
 };
 
-/// Largest number of bytes of queued messages. Further messages are dropped, because a ROS 2 publisher cannot be slowed
+/// Maximum number of bytes of queued messages. Further messages are dropped, because a ROS 2 publisher cannot be slowed
 /// down.
 const MAX_QUEUED_BYTES: usize = 128 * 1024 * 1024;
 
-/// Largest number of queued messages.
+/// Maximum number of queued messages.
 const MAX_QUEUED_MESSAGES: usize = 8_192;
 
-/// Largest number of publishers that have sent messages and that discovery has not found yet.
+/// Maximum number of publishers that have sent messages and that discovery has not found yet.
 const MAX_UNMATCHED_WRITERS: usize = 64;
 
 /// Receives a topic.
