@@ -85,7 +85,7 @@ impl Schedule {
             StartPlan::Closed => {}
             StartPlan::Rate { origin, next_number, .. } => (*origin, *next_number) = (now, 0),
             StartPlan::Poisson { next_at, mean_nanos, random } => {
-                *next_at = now + random_interval(*mean_nanos, random)
+                *next_at = now + random_interval(*mean_nanos, random);
             }
         }
     }
@@ -133,7 +133,7 @@ impl StartPlan {
             Self::Closed => {}
             Self::Rate { next_number, .. } => *next_number += 1,
             Self::Poisson { next_at, mean_nanos, random } => {
-                *next_at = *next_at + random_interval(*mean_nanos, random)
+                *next_at = *next_at + random_interval(*mean_nanos, random);
             }
         }
     }

@@ -324,7 +324,7 @@ impl Band {
     }
 
     /// Returns the number of exchanges inserted.
-    pub(crate) fn exchanges(&self) -> u64 {
+    pub(crate) fn exchange_count(&self) -> u64 {
         self.exchanges
     }
 

@@ -73,7 +73,7 @@ impl SuspectExchanges {
             self.bounds.push(*bounds);
             band.insert(bounds);
         }
-        if band.exchanges() >= MIN_SUSPECTS_FOR_STEP {
+        if band.exchange_count() >= MIN_SUSPECTS_FOR_STEP {
             return Some(band);
         }
         self.band = Some(band);

@@ -140,7 +140,7 @@ impl Relation {
         }
         if uses_exchanges
             && (!is_fresh
-                || self.windows.exchanges() < MIN_EXCHANGES
+                || self.windows.exchange_count() < MIN_EXCHANGES
                 || !self.contradictions.suspects.is_empty())
         {
             return Verdict::Stale;

@@ -111,7 +111,7 @@ impl Relation {
             sources: sources.sources(),
             verdict: self.verdict_of(&combined, is_fresh),
             skew_ppm: band.skew_ppm(),
-            exchanges: band.exchanges(),
+            exchanges: band.exchange_count(),
             age: band.newest().map(|newest| (at - newest).max(Span::ZERO)),
         })
     }

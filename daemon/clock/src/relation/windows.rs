@@ -143,9 +143,9 @@ impl Windows {
 
     /// Returns the number of exchanges of the current window, and of the window before it if a suspected jump separates
     /// them.
-    pub(super) fn exchanges(&self) -> u64 {
+    pub(super) fn exchange_count(&self) -> u64 {
         // Otherwise a suspected jump would make delays `stale`, although both windows bound them.
-        self.current.exchanges() + self.past.back().map_or(0, |past| past.band.exchanges())
+        self.current.exchange_count() + self.past.back().map_or(0, |past| past.band.exchange_count())
     }
 
     pub(super) fn memory_bytes(&self) -> usize {

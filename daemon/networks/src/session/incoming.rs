@@ -65,7 +65,7 @@ impl OpenRequest {
         Self { hello, session, address, shared: Some(shared) }
     }
 
-    /// Opens the session; requests of it may arrive from now on. Returns whether the edge is still connected.
+    /// Opens the session; its requests may arrive from now on. Returns whether the edge is still connected.
     pub fn accept(mut self, accepted: SessionAccepted) -> bool {
         let shared = self.shared.take().and_then(|shared| shared.upgrade());
         shared.is_some_and(|shared| shared.accept(self.session, accepted))

@@ -96,8 +96,8 @@ impl Counters {
         counts
     }
 
-    /// Adds a batch's part of a run.
-    pub(super) fn run(&mut self, run: i64, part: &RunPart) {
+    /// Adds the part of a run that is in a batch.
+    pub(super) fn add_run_part(&mut self, run: i64, part: &RunPart) {
         let counts = self.runs.entry(run).or_default();
         counts.outcomes.merge(&part.outcomes);
         counts.warm_up += part.warm_up;

@@ -198,7 +198,7 @@ impl Staging {
             hosts.push(self.entities.host(connection, *host, now).await?);
         }
         for (part, run) in batch.runs.iter().zip(&runs) {
-            self.counters.run(*run, part);
+            self.counters.add_run_part(*run, part);
         }
         Ok(ResolvedBatch { batch, runs, names, hosts })
     }

@@ -36,7 +36,8 @@ struct RunningAppend {
     freed_bytes: u64,
     /// Totals up to the last batch, without the additions of [`Totals::with`].
     totals: Totals,
-    has_resolution: bool,
+    /// `true` if the transaction records the result for an earlier process.
+    resolves_earlier_process: bool,
 }
 
 /// Result of a transaction.
@@ -48,7 +49,7 @@ pub(super) struct AppendResult {
     /// Number of written bytes whose batches the aggregator stored meanwhile.
     pub(super) freed_bytes: u64,
     /// `true` if the transaction recorded the result for an earlier process.
-    pub(super) has_resolution: bool,
+    pub(super) resolves_earlier_process: bool,
 }
 
 impl Appends {
@@ -108,22 +109,28 @@ impl Appends {
         &mut self,
         batches: &[SpooledBatch],
         totals: &Totals,
-        has_resolution: bool,
+        resolves_earlier_process: bool,
         now: MonoTime,
     ) {
         let last = batches.last().map(|batch| (batch.number, batch.chain));
         let bytes = batches.iter().map(|batch| batch.body.len() as u64).sum();
         (self.started_at, self.were_batches_refused) = (now, false);
-        self.job.start(RunningAppend { last, bytes, freed_bytes: 0, totals: totals.clone(), has_resolution });
+        self.job.start(RunningAppend {
+            last,
+            bytes,
+            freed_bytes: 0,
+            totals: totals.clone(),
+            resolves_earlier_process,
+        });
     }
 
     /// Ends the transaction successfully. Returns its result; `None` if no transaction is in progress.
     pub(super) fn finish(&mut self) -> Option<AppendResult> {
-        let RunningAppend { last, bytes, freed_bytes, totals, has_resolution } = self.job.end()?;
+        let RunningAppend { last, bytes, freed_bytes, totals, resolves_earlier_process } = self.job.end()?;
         // A transaction without a record of sent batches leaves the record in the file unchanged.
         let newest_sent = totals.newest_sent.or(self.written.newest_sent);
         self.written = Totals { newest_sent, ..totals };
-        Some(AppendResult { last, bytes, freed_bytes, has_resolution })
+        Some(AppendResult { last, bytes, freed_bytes, resolves_earlier_process })
     }
 
     /// Records that appending works again.

@@ -282,7 +282,7 @@ impl EventSpooler {
     /// transaction.
     pub(super) fn finish_append(&mut self, now: Stamp) -> Option<bool> {
         let appended = self.appends.finish()?;
-        if appended.has_resolution {
+        if appended.resolves_earlier_process {
             self.earlier.record_written();
             self.intake.record_resolution_written();
         }
@@ -390,9 +390,9 @@ impl EventSpooler {
     /// Returns the batches and totals that are to be written now.
     fn next_append(&self, now: MonoTime) -> Option<(Vec<SpooledBatch>, Totals)> {
         let (written, spooled) = (self.appends.written(), self.backlog.spooled());
-        let has_resolution = self.earlier.unwritten_gaps().is_some();
+        let resolves_earlier_process = self.earlier.unwritten_gaps().is_some();
         // This record comes first, because no batch may be sent before the file contains it.
-        if has_resolution || self.is_accepted && !self.has_sent_record() {
+        if resolves_earlier_process || self.is_accepted && !self.has_sent_record() {
             let newest_sent = self.newest_sent_record(spooled);
             return Some((Vec::new(), Totals { newest_sent, ..written.clone() }));
         }

@@ -1,7 +1,7 @@
 //! Opening of a virtual connection, without I/O.
 //!
-//! An edge sends a hello. The cloud answers with a cookie and keeps no state. An edge that returns the cookie receives
-//! what is sent to its address, and gets a connection. Until then no answer is longer than its request. A sender
+//! An edge sends a hello. The cloud answers with a cookie and keeps no state. An edge that returns the cookie has shown
+//! that it receives what is sent to its address, and gets a connection. Until then no answer is longer than its request. A sender
 //! therefore cannot make a cloud send more to an address than was sent from it, and cannot fill the cloud's memory from
 //! invented addresses. RFC 9147, section 5.1, does the same.
 
