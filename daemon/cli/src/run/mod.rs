@@ -88,9 +88,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     if arguments.check {
         let runs = table::count(plan.runs.len(), "run");
         let configurations = table::count(plan.configurations.len(), "configuration");
-        remarks.iter().for_each(|remark| {
-            print_to_stderr(format_args!("a problem of this machine, not of the file: {remark}"))
-        });
+        remarks.iter().for_each(|remark| print_to_stderr(format_args!("only on this machine: {remark}")));
         hint_at_relative_paths(remarks.iter().map(String::as_str)).iter().for_each(print_to_stderr);
         print_to_stdout(format_args!("{}: {runs} of {configurations}", arguments.file.display()));
         return Ok(());
