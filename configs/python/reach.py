@@ -1,6 +1,7 @@
 """A simulated arm with its controller, and a policy: a closed loop in episodes."""
 
 import json
+import os
 import random
 import socket
 import threading
@@ -14,7 +15,8 @@ class Arm:
     """Sensor: the position of a hand on a line. Its controller moves the hand when it gets an action over UDP."""
 
     def __init__(self):
-        self.random = random.Random(1)
+        # An experiment gives each repeat a seed; without one, the targets are always the same.
+        self.random = random.Random(int(os.environ.get("PEERNET_SEED", 1)))
         self.lock = threading.Lock()
         self.controller = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.controller.bind(CONTROLLER)

@@ -44,7 +44,7 @@ class Cameras:
         threading.Thread(target=self.serve, daemon=True).start()
 
     def reset(self) -> None:
-        """Begins the next episode. Its target depends on its number only, so that configurations are compared on the same targets."""
+        """Begins the next episode. Its target depends on its number and the repeat only, so that configurations are compared on the same targets."""
         self.episode += 1
         with self.lock:
             self.received = None

@@ -48,12 +48,12 @@ POSTURE = np.array([0.0, -1.0, 1.6, -0.6, 0.0])
 # Damping of the least-squares inverse of the Jacobian, and gain that keeps the hand pointing down, 1/s.
 DAMPING, ORIENTATION_GAIN = 1e-3, 5.0
 
-# Seed of the targets; the same in all runs.
-EPISODE_SEED = 9_100_000
+# Seed of the targets. An experiment sets another one for each repeat and user, which is the same in all configurations.
+EPISODE_SEED = int(os.environ.get("PEERNET_SEED", 9_100_000))
 
 
 def episode_rng(episode: int) -> np.random.Generator:
-    """Returns the random number generator of an episode, which depends only on the number of the episode; the first one is 0."""
+    """Returns the random number generator of an episode, which depends only on EPISODE_SEED and the number of the episode; the first one is 0."""
     return np.random.default_rng([EPISODE_SEED, episode])
 
 

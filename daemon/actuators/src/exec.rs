@@ -1,9 +1,10 @@
 //! Actuator kind `exec`, which passes each answer to a program of the user.
 
+use std::collections::BTreeMap;
+
 use peernet_clock::SharedClock;
 pub use peernet_external::exec::ExecConfig;
 use peernet_external::exec::{FingerprintKey, Program, ProgramCallError, ReplyNotes, Request, Role};
-use peernet_external::hide_values;
 use peernet_logger::{Name, Recorder, Unit, stage};
 
 use crate::{Action, Actuator, ActuatorError, ActuatorKind, Feedback};
@@ -41,8 +42,8 @@ impl ActuatorKind for ExecConfig {
         self.arguments_fact_for(Role::Actuator, key)
     }
 
-    fn hide_secrets(&mut self) {
-        hide_values(&mut self.env);
+    fn env_mut(&mut self) -> Option<&mut BTreeMap<String, String>> {
+        Some(&mut self.env)
     }
 
     fn check(&self, _clock: &SharedClock) -> Result<(), ActuatorError> {

@@ -20,9 +20,12 @@ pub use error::ActuatorError;
 pub use feedback::Feedback;
 pub use socket_error::SocketError;
 
+use std::collections::BTreeMap;
+
 use enum_dispatch::enum_dispatch;
 use peernet_clock::SharedClock;
 use peernet_external::exec::FingerprintKey;
+use peernet_external::hide_values;
 use peernet_logger::Recorder;
 use serde::{Deserialize, Serialize};
 
@@ -101,8 +104,15 @@ pub trait ActuatorKind {
         None
     }
 
+    /// Returns the environment variables that the configuration sets for the processes of users' code; `None` if the kind has none.
+    fn env_mut(&mut self) -> Option<&mut BTreeMap<String, String>> {
+        None
+    }
+
     /// Removes what must not be published: the values of `env`.
-    fn hide_secrets(&mut self) {}
+    fn hide_secrets(&mut self) {
+        self.env_mut().into_iter().for_each(hide_values);
+    }
 
     /// Checks everything that can be checked without running a user's program.
     ///

@@ -1,7 +1,8 @@
 //! Actuator kind `python`: an object of the user with `act(answer)`.
 
+use std::collections::BTreeMap;
+
 use peernet_clock::SharedClock;
-use peernet_external::hide_values;
 pub use peernet_external::python::PythonConfig;
 use peernet_external::python::{PythonObject, Role};
 use peernet_logger::{Recorder, stage};
@@ -40,8 +41,8 @@ impl ActuatorKind for PythonConfig {
         Vec::new()
     }
 
-    fn hide_secrets(&mut self) {
-        hide_values(&mut self.env);
+    fn env_mut(&mut self) -> Option<&mut BTreeMap<String, String>> {
+        Some(&mut self.env)
     }
 
     fn check(&self, clock: &SharedClock) -> Result<(), ActuatorError> {

@@ -35,6 +35,12 @@ const NAMES: [&str; 26] = [
     "NVIDIA_TF32_OVERRIDE",
     "PYTORCH_CUDA_ALLOC_CONF",
 ];
+/// Variable of users' code in an experiment: the seed of a run, user and end, a number of at most 53 bits.
+pub const SEED_VARIABLE: &str = "PEERNET_SEED";
+/// Variable of users' code in an experiment: the number of the repeat, from 1.
+pub const REPEAT_VARIABLE: &str = "PEERNET_REPEAT";
+/// Variable of users' code in an experiment: the number of the user, from 1.
+pub const USER_VARIABLE: &str = "PEERNET_USER";
 /// Longest recorded value, characters.
 const MAX_VALUE_CHARS: usize = 1000;
 /// Text that replaces a value that a user set.
@@ -51,7 +57,28 @@ pub fn environment() -> BTreeMap<String, String> {
 }
 
 /// Replaces the values of variables that users set (`env`), for a configuration that is published: they may be
-/// secret.
+/// secret. The numbers of a run ([`SEED_VARIABLE`], [`REPEAT_VARIABLE`], [`USER_VARIABLE`]) stay, because they are needed to repeat it.
 pub fn hide_values(variables: &mut BTreeMap<String, String>) {
-    variables.values_mut().for_each(|value| HIDDEN_VALUE.clone_into(value));
+    let is_number_of_run = |name: &str, value: &str| {
+        [SEED_VARIABLE, REPEAT_VARIABLE, USER_VARIABLE].contains(&name) && value.parse::<u64>().is_ok()
+    };
+    for (name, value) in variables {
+        if !is_number_of_run(name, value) {
+            HIDDEN_VALUE.clone_into(value);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_hidden_except_numbers_of_run() {
+        let pairs = [("PEERNET_SEED", "7"), ("PEERNET_USER", "ann"), ("TOKEN", "8")];
+        let mut variables = pairs.map(|(name, value)| (name.to_owned(), value.to_owned())).into();
+        hide_values(&mut variables);
+        let values: Vec<&str> = variables.values().map(String::as_str).collect();
+        assert_eq!(values, ["7", HIDDEN_VALUE, HIDDEN_VALUE]);
+    }
 }

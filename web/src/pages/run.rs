@@ -6,7 +6,7 @@ use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use axum::routing::get;
 use peernet_analysis::actuator_results::ActuatorResults;
-use peernet_analysis::trust::{MissingCount, Report, Starts};
+use peernet_analysis::trust::{DRAWN_LATENCY, MissingCount, OVERRUN, ReplayedLatencies, Report, Starts};
 use peernet_figures::drawing::View;
 use peernet_logger::stage;
 use peernet_statistics::histogram::MAX_BINS;
@@ -288,6 +288,13 @@ fn assemble(
     let delay_notes = Note::delay_notes(summary.pipeline.as_str(), "", link.as_deref(), bounds, |name| {
         stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.statistics)
     });
+    let mean = |name: &str| stages.iter().find(|stage| &*stage.stage == name).map(|stage| stage.figures.mean);
+    let (drawn, overrun) = (mean(DRAWN_LATENCY), mean(OVERRUN));
+    let replayed = ReplayedLatencies::from_facts(&run.facts).map(|replayed| ReplayedLatencies {
+        drawn,
+        overrun,
+        ..replayed
+    });
     Ok(Run {
         shell: Shell::new(app, &snapshot, "/runs", place::run_name(summary)),
         number: summary.number,
@@ -295,8 +302,9 @@ fn assemble(
         facts: facts(run, zone),
         clock_fault: summary.has_clock_fault.then_some(clock_fault::CHIP),
         pinned: summary.pinned,
-        notes: Note::replayed(&run.facts)
+        notes: replayed
             .into_iter()
+            .map(|latencies| Note::replayed(&latencies))
             .chain(runs::gap_notes(&run.gaps, zone))
             .chain(runs::deleted_iterations_note(summary, app.aggregator.retention()))
             .chain(delay_notes)

@@ -1,7 +1,7 @@
 //! Notes on things that need attention, in sentences.
 
 use peernet_analysis::delays::ClockInterval;
-use peernet_analysis::trust::replayed_latencies;
+use peernet_analysis::trust::ReplayedLatencies;
 use peernet_clock::Verdict;
 use peernet_logger::Name;
 use peernet_statistics::number::{self, duration, interval_ms};
@@ -67,16 +67,15 @@ pub(crate) fn delay_notes(
 }
 
 impl Note {
-    /// Returns the note on a run whose latencies are drawn from a distribution; `None` if they are measured.
-    pub(crate) fn replayed(facts: &[(String, String)]) -> Option<Self> {
-        let distribution = replayed_latencies(facts)?;
-        Some(Self {
+    /// Returns the note on a run whose latencies are drawn from a distribution.
+    pub(crate) fn replayed(latencies: &ReplayedLatencies) -> Self {
+        Self {
             chip: REPLAYED,
             subject: "The latencies of the model".to_owned(),
             href: String::new(),
-            text: format!("are replayed, not measured: {distribution}."),
+            text: format!("are replayed, not measured: {}.", latencies.describe()),
             link: None,
-        })
+        }
     }
 
     /// Returns the remarks on delays as notes of a page.
@@ -104,10 +103,9 @@ mod tests {
 
     #[test]
     fn replayed_run_has_a_note() {
-        let fact = |name: &str| (name.to_owned(), "inference is drawn from x".to_owned());
-        let note = Note::replayed(&[fact("Replayed")]).expect("is replayed");
+        let facts = [("Replayed".to_owned(), "inference is drawn from x".to_owned())];
+        let note = Note::replayed(&ReplayedLatencies::from_facts(&facts).expect("is replayed"));
         assert_eq!((note.chip, note.subject.as_str()), (REPLAYED, "The latencies of the model"));
         assert_eq!(note.text, "are replayed, not measured: inference is drawn from x.");
-        assert_eq!(Note::replayed(&[fact("Model")]), None);
     }
 }

@@ -1,5 +1,6 @@
 //! Lines to a controller. No I/O.
 
+use peernet_external::python::TREE;
 use peernet_sample::{ElementType, MediaType, Part, Sample, escaped_line};
 use serde::de::Error as _;
 use serde::{Deserialize, Serialize};
@@ -9,8 +10,6 @@ use crate::{Action, Feedback, SocketError};
 
 /// Longest line in both directions with its line feed, bytes: the largest payload of a UDP datagram over IPv4.
 pub(super) const MAX_LINE_BYTES: usize = 65_507;
-/// Media type of values of Python that JSON lacks: numbers that are not finite, and dictionaries whose keys are no texts.
-const PYTHON_TREE: &str = "application/x-python-tree";
 /// Longest part of a line that an error quotes, bytes.
 const MAX_QUOTED_BYTES: usize = 120;
 
@@ -91,7 +90,7 @@ fn part_value(part: &Part) -> Result<Value, SocketError> {
             let shape: Vec<usize> = description.shape.iter().map(|length| *length as usize).collect();
             array(element, &shape, &part.bytes)
         }
-        (media, _) if media.iana() == PYTHON_TREE => match non_finite_number(&part.bytes) {
+        (media, _) if media.iana() == TREE => match non_finite_number(&part.bytes) {
             Some(number) => Err(SocketError::NotFinite(number)),
             None => Err(SocketError::AnswerType(media.iana().into_owned())),
         },
@@ -229,7 +228,7 @@ mod tests {
             assert!(error.contains(part), "{error}");
         };
         refused(&tensor(ElementType::F32, &[1], f32::NAN.to_le_bytes().to_vec()), "contains NaN");
-        let tree = |json: &str| unshaped(MediaType::from_iana(PYTHON_TREE), json);
+        let tree = |json: &str| unshaped(MediaType::from_iana(TREE), json);
         refused(&tree(r#"{"dict":[["x",NaN]]}"#), "the answer contains NaN, which JSON does not have");
         refused(&tree("[1.5,-Infinity]"), "the answer contains -inf, which JSON does not have");
         refused(&tree(r#"{"dict":[[1,"NaN \"N"]]}"#), "type application/x-python-tree");

@@ -13,6 +13,7 @@ kind = 'distribution'
 device = 'A5000'
 mean_ms = 2.0
 std_ms = 0.5
+seed = 0
 inner = 'echo'
 
 [[pipeline]]

@@ -47,7 +47,7 @@ use crate::loaded::{Loaded, unknown_labels};
 use crate::quality::{Quality, QualityEstimate};
 use crate::rows::{Rows, SKIPPED_STARTS};
 use crate::total_column::TotalColumn;
-use crate::trust::{Starts, replayed_latencies};
+use crate::trust::{ReplayedLatencies, Starts};
 use labels::EMPTY_CELL;
 
 /// Latency columns of the paper's table; the last two are the sum of all stages, which the paper calls Total, and the measured total.
@@ -247,8 +247,8 @@ impl Line {
         self.edges = repeats.iter().map(|(_, edges)| *edges).max().unwrap_or(1);
         let runs_of_line = || self.runs.iter().map(|run| &runs[*run]);
         let rows = || runs_of_line().flat_map(|run| &run.rows);
-        let replayed = runs_of_line().find_map(|run| replayed_latencies(&run.record.facts));
-        self.replayed = replayed.map(str::to_owned);
+        let replayed = runs_of_line().filter_map(|run| ReplayedLatencies::from_run(&run.record, &run.rows));
+        self.replayed = ReplayedLatencies::describe_all(replayed);
         self.misses = Misses::from_rows(rows());
         self.actuator = ActuatorResults::from_rows(rows());
         self.accuracies = ACCURACIES.map(|column| Accuracy::from_rows(rows(), column));

@@ -13,7 +13,7 @@ use crate::delays::median_bounds;
 use crate::order::SortedValues;
 use crate::record::{Clocks, Counts, RunRecord};
 use crate::rows::{Column, ColumnKind, FIXED_COLUMNS, Rows, Units};
-use crate::trust::{Starts, replayed_latencies};
+use crate::trust::{DRAWN_LATENCY_COLUMN, OVERRUN_COLUMN, ReplayedLatencies, Starts};
 
 /// Summary of the columns of a run. Warm-up and failed iterations are left out.
 #[derive(Clone, Debug, PartialEq)]
@@ -110,7 +110,10 @@ impl Summary {
         self.units.clone_from(&record.units);
         self.counts.unseen = record.counts.unseen;
         self.deadline_s = record.deadline_s;
-        self.replayed = replayed_latencies(&record.facts).map(str::to_owned);
+        let mean = |column: &str| self.quantity(column).map(|quantity| quantity.mean);
+        let (drawn, overrun) = (mean(DRAWN_LATENCY_COLUMN), mean(OVERRUN_COLUMN));
+        let replayed = ReplayedLatencies::from_facts(&record.facts);
+        self.replayed = replayed.map(|replayed| ReplayedLatencies { drawn, overrun, ..replayed }.describe());
         self.unknown_labels =
             self.unknown_labels.and_then(|unknown| UnknownLabels::new(unknown.count, &record.facts));
         self

@@ -12,6 +12,7 @@ mod judge;
 mod load;
 mod missing_count;
 mod publication;
+mod replayed;
 mod restarts;
 #[cfg(test)]
 pub(crate) mod testing;
@@ -26,11 +27,11 @@ pub use judge::NOTABLE_SHARE;
 pub use load::{Load, StartTimes, Starts};
 pub use missing_count::MissingCount;
 pub use publication::publication_caveats;
+pub use replayed::{DRAWN_LATENCY, OVERRUN, ReplayedLatencies};
+pub(crate) use replayed::{DRAWN_LATENCY_COLUMN, OVERRUN_COLUMN};
 pub use restarts::Restarts;
 pub use time_series::{Beginning, Outliers, TimeSeries};
-pub use trust_input::{
-    Clocks, Counts, MissingEvents, OVERRUN, TrustInput, names_of_distributions, replayed_latencies,
-};
+pub use trust_input::{Clocks, Counts, MissingEvents, TrustInput, names_of_distributions};
 
 use std::cmp::Reverse;
 

@@ -36,15 +36,21 @@ fn replayed_latencies_are_a_caveat() {
 }
 
 #[test]
-fn inner_model_slower_than_replayed_latencies_is_reported() {
+fn inference_slower_than_replayed_latencies_is_reported() {
     for (overrun, expected) in [(0.0, None), (0.0003, Some(Grade::Doubtful)), (0.002, Some(Grade::Bad))] {
         let mut rows = rows(quiet(1005));
-        rows.change(|row| row.values.push(("inference_overrun".into(), overrun)));
+        rows.change(|row| {
+            let drawn = ("inference_drawn-latency".into(), 0.01);
+            row.values.extend([drawn, ("inference_overrun".into(), overrun)]);
+        });
         let input = TrustInput::from_rows(&rows, &[governor(Grade::Good)]);
         let replayed = [("Replayed".to_owned(), "inference is drawn from x".to_owned())];
         let report = Report::new(&input.clone().with_facts(&replayed));
         let found = report.findings.iter().find(|finding| finding.about == "overrun");
         assert_eq!(found.map(|finding| finding.grade), expected, "{found:?}");
+        let (_, text) = about(&report, "replayed");
+        let stated = "inference is drawn from x; inference took 2.00 ms longer than drawn on average";
+        assert_eq!(text.contains(stated), overrun > 0.0005, "{text}");
         let measured = Report::new(&input);
         assert!(measured.findings.iter().all(|finding| finding.about != "overrun"), "a node of a user");
     }

@@ -7,7 +7,7 @@ use peernet_logger::{Name, stage};
 use peernet_statistics::{Summary, TwoModes};
 use peernet_stream::{Condition, EndReason, FaultyHost};
 
-use super::{EndedEarly, Restarts, Starts, TimeSeries};
+use super::{DRAWN_LATENCY_COLUMN, EndedEarly, OVERRUN_COLUMN, ReplayedLatencies, Restarts, Starts, TimeSeries};
 use crate::accuracy::{Accuracy, UnknownLabels};
 use crate::actuator_results::ActuatorResults;
 use crate::answer_length::{answer_tokens, tokens_of_column};
@@ -15,14 +15,6 @@ use crate::delays::ClockInterval;
 use crate::order::SortedValues;
 use crate::rows::{Outcome, RowRef, Rows};
 use crate::stage_split::StageSplit;
-
-/// Name of the fact by which a model says that its latencies are drawn from a distribution.
-const REPLAYED_FACT: &str = "Replayed";
-
-/// Name of the node with the overrun: the time by which the inner model took longer than the latency that was drawn for the iteration.
-pub const OVERRUN: &str = "overrun";
-/// Column of the overrun in `data.csv`.
-const OVERRUN_COLUMN: &str = "inference_overrun";
 
 /// Function that returns the delay of a row's message in one direction.
 type DelayReader = fn(&RowRef<'_>) -> Option<OneWayDelay>;
@@ -66,14 +58,10 @@ pub struct TrustInput {
     pub unknown_labels: Option<UnknownLabels>,
     /// Distribution from which the latencies of the model are drawn; `None` if they are measured.
     pub replayed: Option<String>,
-    /// Mean time by which the inner model took longer than the drawn latencies, seconds. `None` without an inner model.
+    /// Mean drawn latency, seconds; `None` if no latencies are drawn.
+    pub drawn: Option<f64>,
+    /// Mean time by which `inference` took longer than the drawn latencies, seconds; `None` if no latencies are drawn.
     pub overrun: Option<f64>,
-}
-
-/// Returns the distribution from which the latencies of a run's model are drawn, by the facts of the run; `None` if they
-/// are measured.
-pub fn replayed_latencies(facts: &[(String, String)]) -> Option<&str> {
-    facts.iter().find(|(name, _)| name == REPLAYED_FACT).map(|(_, text)| text.as_str())
 }
 
 /// Number of iterations of a run by outcome. Only `warm_up` includes the warm-up.
@@ -143,6 +131,7 @@ impl TrustInput {
             total: time_series(&stage::TOTAL).or_else(|| time_series(&stage::SENSING)),
             stages: stages.collect(),
             split: StageSplit::from_rows(rows),
+            drawn: mean(DRAWN_LATENCY_COLUMN),
             overrun: mean(OVERRUN_COLUMN),
             superseded: ActuatorResults::from_rows(rows).superseded,
             two_modes: two_modes(rows),
@@ -170,8 +159,14 @@ impl TrustInput {
     pub fn with_facts(self, facts: &[(String, String)]) -> Self {
         let has_clock_fault = facts.iter().any(|(fact, _)| FaultyHost::of_fact(fact).is_some());
         let unknown_labels = self.unknown_labels.and_then(|unknown| UnknownLabels::new(unknown.count, facts));
-        let replayed = replayed_latencies(facts).map(str::to_owned);
+        let replayed = ReplayedLatencies::from_facts(facts).map(|replayed| replayed.distribution);
         Self { has_clock_fault, unknown_labels, replayed, ..self }
+    }
+
+    /// Returns the replayed latencies of the run; `None` if the latencies are measured.
+    pub fn replayed_latencies(&self) -> Option<ReplayedLatencies> {
+        let distribution = self.replayed.clone()?;
+        Some(ReplayedLatencies { distribution, drawn: self.drawn, overrun: self.overrun })
     }
 }
 

@@ -16,7 +16,7 @@ use peernet_statistics::Summary;
 
 use crate::loaded::Loaded;
 use crate::order::SortedValues;
-use crate::trust::replayed_latencies;
+use crate::trust::ReplayedLatencies;
 
 /// Returns Jain's index of fairness, (Σx)² / (n Σx²). It is 1/n if one of n users gets everything, and 1 if all get the same. `None` if all
 /// shares are 0 (Jain, Chiu and Hawe 1984, *A Quantitative Measure of Fairness and Discrimination for Resource Allocation in Shared
@@ -174,9 +174,10 @@ impl Users {
                 }
             };
             let runs = groups.iter().flat_map(|edges| edges.iter());
-            let replayed = runs.into_iter().find_map(|edge| replayed_latencies(&edge.record.facts));
+            let replayed = runs.filter_map(|edge| ReplayedLatencies::from_run(&edge.record, &edge.rows));
+            let replayed = ReplayedLatencies::describe_all(replayed);
             let line = UsersLine::new(labels, groups[0].len(), &repeats, Totals::from_values(&totals));
-            UsersLine { replayed: replayed.map(str::to_owned), ..line }
+            UsersLine { replayed, ..line }
         };
         Some(Self { axes, lines: configurations.into_iter().map(line).collect() })
     }

@@ -11,8 +11,8 @@ use peernet_analysis::deadline::Misses;
 use peernet_analysis::record::{
     Clocks, Counts, FORMAT, HostRecord, ModelRecord, Placement, RunRecord, to_utc,
 };
-use peernet_external::environment;
 use peernet_external::exec::with_arguments;
+use peernet_external::{SEED_VARIABLE, environment};
 use peernet_inference::MODEL_HASH;
 use peernet_stream::{Placement as ReportedPlacement, PlacementKind};
 use serde_json::{Map, Value};
@@ -84,7 +84,7 @@ pub(super) fn run_record(
         experiment: pipeline.and_then(|pipeline| pipeline.experiment.clone()),
         user: order.user,
         peer_timeout_s: Some(order.peer_timeout().seconds()),
-        seeds: pipeline.map(|pipeline| seeds(&json(pipeline))).unwrap_or_default(),
+        seeds: seeds(&config),
         warm_up: order.warm_up.clone(),
         counts: Counts::from_rows(&recorded.rows, missed),
         deadline_s: pipeline.and_then(PipelineConfig::deadline).map(|deadline| deadline.as_secs_f64()),
@@ -124,22 +124,33 @@ fn agent(config: &AgentConfig) -> Value {
     tables
 }
 
-/// Collects every number called `seed`, by the path of its table.
-fn seeds(pipeline: &Value) -> BTreeMap<String, u64> {
+/// Collects every number called `seed` and every seed of users' code, by the table that has it: `sensor`, `load`, `actuator`, or
+/// `model.` and the model's name.
+fn seeds(config: &AgentConfig) -> BTreeMap<String, u64> {
+    const PIPELINE: &str = "pipeline";
     fn collect_seeds(path: &str, table: &Map<String, Value>, seeds: &mut BTreeMap<String, u64>) {
         for (key, value) in table {
             match value {
                 Value::Number(seed) if key == "seed" => {
                     seeds.extend(seed.as_u64().map(|seed| (path.to_owned(), seed)));
                 }
-                Value::Object(inner) => collect_seeds(key, inner, seeds),
+                Value::Object(env) if key == "env" => {
+                    let seed = env.get(SEED_VARIABLE).and_then(Value::as_str);
+                    seeds.extend(seed.and_then(|seed| Some((path.to_owned(), seed.parse().ok()?))));
+                }
+                Value::Object(inner) if path == PIPELINE => collect_seeds(key, inner, seeds),
+                Value::Object(inner) => collect_seeds(&format!("{path}.{key}"), inner, seeds),
                 _ => {}
             }
         }
     }
     let mut seeds = BTreeMap::new();
-    if let Value::Object(table) = pipeline {
-        collect_seeds("pipeline", table, &mut seeds);
+    let models = config.models.iter().map(|model| (format!("model.{}", model.name()), json(model)));
+    let pipeline = config.pipelines.first().map(|pipeline| (PIPELINE.to_owned(), json(pipeline)));
+    for (path, table) in models.chain(pipeline) {
+        if let Value::Object(table) = table {
+            collect_seeds(&path, &table, &mut seeds);
+        }
     }
     seeds
 }

@@ -120,23 +120,18 @@ impl Execution<'_> {
         let plan = &self.record.plan;
         let configuration = plan.configuration(run);
         let users = configuration.users;
-        let order = |(user, folder)| {
-            let mut agent = configuration.agent.clone();
-            agent.agent.name = plan.agent_name(run, user);
-            agent.pipelines = plan.pipeline(run, user, &self.record.id).into_iter().collect();
-            Order {
-                agent,
-                title: plan.title(run),
-                folder,
-                overwrite: Overwrite::Replace,
-                plots: self.external_files.plots,
-                command: command_line(),
-                network_config: self.external_files.network(run).cloned(),
-                user: (users > 1).then(|| User { number: user + 1, count: users }),
-                warm_up: configuration.warm_up.clone(),
-                peer_timeout_s: configuration.patience_s,
-                tried_actuator: None,
-            }
+        let order = |(user, folder)| Order {
+            agent: plan.agent(run, user, &self.record.id),
+            title: plan.title(run),
+            folder,
+            overwrite: Overwrite::Replace,
+            plots: self.external_files.plots,
+            command: command_line(),
+            network_config: self.external_files.network(run).cloned(),
+            user: (users > 1).then(|| User { number: user + 1, count: users }),
+            warm_up: configuration.warm_up.clone(),
+            peer_timeout_s: configuration.patience_s,
+            tried_actuator: None,
         };
         (0..).zip(self.folder.results(plan, run)).map(order).collect()
     }

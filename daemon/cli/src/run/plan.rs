@@ -2,9 +2,14 @@
 //!
 //! It depends only on the file and the seed, so that a killed experiment can be continued by comparing plans.
 
-use peernet_agent::config::PipelineConfig;
+use std::collections::BTreeMap;
+
+use peernet_actuators::ActuatorKind;
+use peernet_agent::AgentConfig;
 use peernet_external::exec::with_arguments;
+use peernet_external::{REPEAT_VARIABLE, SEED_VARIABLE, USER_VARIABLE};
 use peernet_logger::Slug;
+use peernet_sensors::SensorKind;
 use peernet_statistics::SplitMix64;
 use peernet_stream::ExperimentPlace;
 use rand::SeedableRng;
@@ -89,20 +94,50 @@ impl Plan {
         &self.configurations[run.configuration]
     }
 
-    /// Returns the run's pipeline for the agent of a user, counted from 0.
-    pub(super) fn pipeline(&self, run: &Run, user: u32, id: &str) -> Option<PipelineConfig> {
-        let configuration = self.configuration(run);
-        let mut pipeline = configuration.agent.pipelines.first()?.clone();
-        // Repeats and users get different payloads. Configurations get the same payloads, so that they can be compared.
-        let seed = |purpose: u64| derive_seed(&[self.seed, purpose, run.repeat.into(), user.into()]);
-        if configuration.seeds.sensor {
-            pipeline.sensor = pipeline.sensor.map(|sensor| with_seed(&sensor, seed(1)));
+    /// Returns the agent's configuration of a user, counted from 0, for a run.
+    pub(super) fn agent(&self, run: &Run, user: u32, id: &str) -> AgentConfig {
+        let mut agent = self.seeded_agent(self.configuration(run), run.repeat, user);
+        agent.agent.name = self.agent_name(run, user);
+        for pipeline in &mut agent.pipelines {
+            pipeline.experiment = Some(self.experiment_place(run, id));
         }
-        if configuration.seeds.load {
-            pipeline.load = with_seed(&pipeline.load, seed(2));
+        agent
+    }
+
+    /// Returns the agent's configuration of a user, counted from 0, with the seeds of a repeat and with the environment variables that tell
+    /// users' code of them.
+    pub(super) fn seeded_agent(&self, configuration: &Configuration, repeat: u32, user: u32) -> AgentConfig {
+        let mut agent = configuration.agent.clone();
+        // Repeats and users get different payloads and draws. Configurations get the same ones, so that they can be compared.
+        let seed = |purpose: u64| derive_seed(&[self.seed, purpose, repeat.into(), user.into()]);
+        let tell = |env: Option<&mut BTreeMap<String, String>>, seed: u64| {
+            let Some(env) = env else { return };
+            let numbers = [
+                (SEED_VARIABLE, seed),
+                (REPEAT_VARIABLE, u64::from(repeat) + 1),
+                (USER_VARIABLE, u64::from(user) + 1),
+            ];
+            for (name, number) in numbers {
+                env.entry(name.to_owned()).or_insert_with(|| number.to_string());
+            }
+        };
+        for pipeline in &mut agent.pipelines {
+            if configuration.seeds.sensor {
+                pipeline.sensor = pipeline.sensor.take().map(|sensor| with_seed(&sensor, seed(1)));
+            }
+            if configuration.seeds.load {
+                pipeline.load = with_seed(&pipeline.load, seed(2));
+            }
+            tell(pipeline.sensor.as_mut().and_then(SensorKind::env_mut), seed(1));
+            tell(pipeline.actuator.env_mut(), seed(3));
         }
-        pipeline.experiment = Some(self.experiment_place(run, id));
-        Some(pipeline)
+        for model in &mut agent.models {
+            if let Some(model_seed) = model.seed_mut() {
+                model_seed.get_or_insert(seed(4));
+            }
+            tell(model.env_mut(), seed(4));
+        }
+        agent
     }
 
     /// Returns the configuration and repeat that the run measures in an execution of the experiment.

@@ -137,7 +137,7 @@ fn trials(plan: &Plan, indexes: &BTreeSet<usize>) -> Vec<Trial> {
     let mut trials: Vec<Trial> = Vec::new();
     let configurations = indexes.iter().filter_map(|index| Some((*index, plan.configurations.get(*index)?)));
     for (index, configuration) in configurations {
-        let order = order(configuration);
+        let order = order(plan, configuration);
         // `order` has removed everything from the agent's configuration that a trial does not test, so equal ones are
         // the same trial.
         let is_same = |trial: &&mut Trial| {
@@ -192,8 +192,9 @@ fn describe_failure(order: &Order, exit: ProcessResult) -> ProcessResult {
 }
 
 /// Makes the order of a trial: the configuration with few iterations, without an actuator and without an aggregator.
-fn order(configuration: &Configuration) -> Order {
-    let mut agent = configuration.agent.clone();
+fn order(plan: &Plan, configuration: &Configuration) -> Order {
+    // Users' code may need the variables of the runs.
+    let mut agent = plan.seeded_agent(configuration, 0, 0);
     // Dashboards show no trials.
     agent.agent.aggregator = None;
     let mut tried_actuator = None;

@@ -22,7 +22,7 @@ mod worker;
 pub use call_result::{CallResult, CallTimes, Step};
 pub use config::{Images, PythonConfig};
 pub use error::PythonError;
-pub use frame::{FrameError, PICKLE};
+pub use frame::{FrameError, PICKLE, TREE};
 pub use object::{PythonObject, Role};
 pub use object_description::ObjectDescription;
 

@@ -172,7 +172,7 @@ pub fn of_run(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Vec<Path
     if length::has_tokens(rows) {
         drawings.extend(length::drawings(record, rows, &Columns::default()).unwrap_or_default());
     }
-    Ok(written_figures::write(&drawings, replayed::note_of_run(record).as_deref(), folder)?.files)
+    Ok(written_figures::write(&drawings, replayed::note_of_run(record, rows).as_deref(), folder)?.files)
 }
 
 /// Draws the figures of several runs together: `stacked`, `totals` and `accuracy` of several configurations, `paired`, `payload-latency` and
@@ -222,7 +222,7 @@ pub fn draw(
     };
     let drawings = drawings.map_err(|missing| PlotError::Lacking(kind, missing))?;
     let replayed =
-        if kind.is_of_one_run() { replayed::note_of_run(&first.record) } else { replayed::note(runs) };
+        if kind.is_of_one_run() { replayed::note_of_run(&first.record, &first.rows) } else { replayed::note(runs) };
     Ok(written_figures::write(&drawings, replayed.as_deref(), folder)?)
 }
 

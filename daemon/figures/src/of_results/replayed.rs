@@ -3,7 +3,8 @@
 use peernet_analysis::compare::{Configurations, readable_names, replayed_configurations};
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::record::RunRecord;
-use peernet_analysis::trust::replayed_latencies;
+use peernet_analysis::rows::Rows;
+use peernet_analysis::trust::ReplayedLatencies;
 
 use super::columns::with_name;
 
@@ -12,7 +13,7 @@ const MARK: &str = "(replayed)";
 
 /// Returns whether the latencies of a run are replayed.
 pub(super) fn is_replayed(record: &RunRecord) -> bool {
-    replayed_latencies(&record.facts).is_some()
+    ReplayedLatencies::from_facts(&record.facts).is_some()
 }
 
 /// Returns the name, with the mark if `is_replayed`.
@@ -37,18 +38,22 @@ pub(super) fn has_model_latency(column: &str) -> bool {
 /// Returns the note on the configurations whose latencies are replayed, each with its distribution; `None` if all are measured.
 pub(super) fn note(runs: &[Loaded]) -> Option<String> {
     let Configurations { axes, labels } = Configurations::from_runs(runs);
-    let mut configurations: Vec<(String, Option<&str>)> = Vec::new();
+    let mut configurations: Vec<(String, Vec<ReplayedLatencies>)> = Vec::new();
     for (run, name) in runs.iter().zip(readable_names(&axes, labels.iter().map(Vec::as_slice))) {
-        if let (distribution @ Some(_), false) =
-            (replayed_latencies(&run.record.facts), configurations.iter().any(|(other, _)| *other == name))
-        {
-            configurations.push((name, distribution));
+        let Some(replayed) = ReplayedLatencies::from_run(&run.record, &run.rows) else { continue };
+        match configurations.iter_mut().find(|(other, _)| *other == name) {
+            Some((_, of_configuration)) => of_configuration.push(replayed),
+            None => configurations.push((name, vec![replayed])),
         }
     }
-    replayed_configurations(configurations)
+    let described =
+        configurations.into_iter().map(|(name, all)| (name, ReplayedLatencies::describe_all(all)));
+    let described: Vec<(String, Option<String>)> = described.collect();
+    replayed_configurations(described.iter().map(|(name, text)| (name.clone(), text.as_deref())))
 }
 
 /// Returns the note on a run whose latencies are replayed, with their distribution; `None` if they are measured.
-pub(super) fn note_of_run(record: &RunRecord) -> Option<String> {
-    replayed_configurations([(String::new(), replayed_latencies(&record.facts))])
+pub(super) fn note_of_run(record: &RunRecord, rows: &Rows) -> Option<String> {
+    let replayed = ReplayedLatencies::from_run(record, rows)?.describe();
+    replayed_configurations([(String::new(), Some(replayed.as_str()))])
 }

@@ -1,5 +1,6 @@
 //! Model kind `exec`: a program of the user, with one process for each worker.
 
+use std::collections::BTreeMap;
 use std::num::NonZeroU64;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -8,7 +9,6 @@ pub use peernet_external::exec::ExecConfig;
 use peernet_external::exec::{
     CommandLine, FingerprintKey, Program, ProgramCallError, ReplyOutcome, Request, Role,
 };
-use peernet_external::hide_values;
 use peernet_logger::{Name, Recorder, Unit};
 use peernet_sample::Sample;
 
@@ -40,8 +40,8 @@ impl ModelKind for ExecConfig {
         self.arguments_fact_for(Role::Model, key)
     }
 
-    fn hide_secrets(&mut self) {
-        hide_values(&mut self.env);
+    fn env_mut(&mut self) -> Option<&mut BTreeMap<String, String>> {
+        Some(&mut self.env)
     }
 
     fn remove_defaults(&self, keys: &mut Keys) {

@@ -12,11 +12,13 @@ mod table;
 
 pub use table::{Keys, ModelTable, SharedKeys};
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use enum_dispatch::enum_dispatch;
 use peernet_clock::SharedClock;
 use peernet_external::exec::FingerprintKey;
+use peernet_external::hide_values;
 use peernet_logger::Slug;
 use serde::{Deserialize, Serialize};
 use tokio_util::sync::CancellationToken;
@@ -72,8 +74,15 @@ pub trait ModelKind {
         None
     }
 
-    /// Removes what must not be published: the values of `env`.
-    fn hide_secrets(&mut self) {}
+    /// Returns the environment variables that the configuration sets for the processes of users' code; `None` if the kind has none.
+    fn env_mut(&mut self) -> Option<&mut BTreeMap<String, String>> {
+        None
+    }
+
+    /// Returns the seed of what the model draws; `None` if the kind draws nothing.
+    fn seed_mut(&mut self) -> Option<&mut Option<u64>> {
+        None
+    }
 
     /// Removes keys that are not recorded while they have their defaults.
     // Settings of runs are compared as texts: a default that earlier versions did not record would appear as a
@@ -179,9 +188,19 @@ impl ModelConfig {
         self.kind_keys().is_program()
     }
 
+    /// Returns the environment variables that the configuration sets for the processes of users' code; `None` if the kind has none.
+    pub fn env_mut(&mut self) -> Option<&mut BTreeMap<String, String>> {
+        self.kind_keys_mut().env_mut()
+    }
+
+    /// Returns the configured seed of what the model draws; `None` if the kind draws nothing.
+    pub fn seed_mut(&mut self) -> Option<&mut Option<u64>> {
+        self.kind_keys_mut().seed_mut()
+    }
+
     /// Removes what must not be published: the values of `env`.
     pub fn hide_secrets(&mut self) {
-        self.kind_keys_mut().hide_secrets();
+        self.env_mut().into_iter().for_each(hide_values);
     }
 
     /// Checks the numbers against their upper limits.

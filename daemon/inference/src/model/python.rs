@@ -1,10 +1,10 @@
 //! Model kind `python`: an object of the user with `infer(x)`, with one process for each worker.
 
+use std::collections::BTreeMap;
 use std::num::NonZeroU64;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use peernet_clock::SharedClock;
-use peernet_external::hide_values;
 pub use peernet_external::python::PythonConfig;
 use peernet_external::python::{PythonError, PythonObject, Role, Step};
 use peernet_logger::{Recorder, stage};
@@ -32,8 +32,8 @@ impl ModelKind for PythonConfig {
         &["object", "folder", "python"]
     }
 
-    fn hide_secrets(&mut self) {
-        hide_values(&mut self.env);
+    fn env_mut(&mut self) -> Option<&mut BTreeMap<String, String>> {
+        Some(&mut self.env)
     }
 
     fn remove_defaults(&self, keys: &mut Keys) {

@@ -1,11 +1,12 @@
 //! Sensor kind `exec`: a program of the user.
 
+use std::collections::BTreeMap;
+
 use peernet_clock::{MonoTime, SharedClock};
 pub use peernet_external::exec::ExecConfig;
 use peernet_external::exec::{
     CommandLine, FingerprintKey, Program, ProgramCallError, ReplyNotes, ReplyOutcome, Request, Role,
 };
-use peernet_external::hide_values;
 use peernet_logger::{Name, Recorder, Unit, stage};
 use peernet_sample::Sample;
 
@@ -46,8 +47,8 @@ impl SensorKind for ExecConfig {
         self.arguments_fact_for(Role::Sensor, key)
     }
 
-    fn hide_secrets(&mut self) {
-        hide_values(&mut self.env);
+    fn env_mut(&mut self) -> Option<&mut BTreeMap<String, String>> {
+        Some(&mut self.env)
     }
 }
 

@@ -7,9 +7,12 @@ pub mod ros;
 pub mod synthetic;
 pub mod text;
 
+use std::collections::BTreeMap;
+
 use enum_dispatch::enum_dispatch;
 use peernet_clock::SharedClock;
 use peernet_external::exec::FingerprintKey;
+use peernet_external::hide_values;
 use peernet_logger::Name;
 use serde::{Deserialize, Serialize};
 
@@ -51,8 +54,15 @@ pub trait SensorKind {
         None
     }
 
+    /// Returns the environment variables that the configuration sets for the processes of users' code; `None` if the kind has none.
+    fn env_mut(&mut self) -> Option<&mut BTreeMap<String, String>> {
+        None
+    }
+
     /// Removes what must not be published: the values of `env`.
-    fn hide_secrets(&mut self) {}
+    fn hide_secrets(&mut self) {
+        self.env_mut().into_iter().for_each(hide_values);
+    }
 }
 
 /// The key `sensor` in the configuration of a pipeline. New kinds are registered here.

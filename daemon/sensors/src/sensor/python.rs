@@ -1,7 +1,8 @@
 //! Sensor kind `python`: an object of the user with `sample()`.
 
+use std::collections::BTreeMap;
+
 use peernet_clock::{SharedClock, Span};
-use peernet_external::hide_values;
 pub use peernet_external::python::PythonConfig;
 use peernet_external::python::{PythonObject, Role};
 use peernet_logger::{Recorder, stage};
@@ -28,8 +29,8 @@ impl SensorKind for PythonConfig {
         Ok(PythonObject::check(self, clock)?)
     }
 
-    fn hide_secrets(&mut self) {
-        hide_values(&mut self.env);
+    fn env_mut(&mut self) -> Option<&mut BTreeMap<String, String>> {
+        Some(&mut self.env)
     }
 }
 

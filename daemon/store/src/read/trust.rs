@@ -4,8 +4,8 @@ use peernet_analysis::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLab
 use peernet_analysis::stage_split::StageSplit;
 use peernet_analysis::standstill::{RunExtent, standstill};
 use peernet_analysis::trust::{
-    Clocks, Counts, EndedEarly, Limits, Load, MissingEvents, OVERRUN, Progress, Restarts, StartTimes, Starts,
-    TimeSeries, TrustInput, names_of_distributions,
+    Clocks, Counts, DRAWN_LATENCY, EndedEarly, Limits, Load, MissingEvents, OVERRUN, Progress, Restarts,
+    StartTimes, Starts, TimeSeries, TrustInput, names_of_distributions,
 };
 use peernet_logger::stage;
 use peernet_statistics::TwoModes;
@@ -148,6 +148,7 @@ fn collect(
         split: StageSplit::new(DelayAccuracy::sent_messages(bounds), |name| {
             statistics_of(name).map(|statistics| (statistics.count, statistics.mean))
         }),
+        drawn: statistics_of(DRAWN_LATENCY).map(|statistics| statistics.mean),
         overrun: statistics_of(OVERRUN).map(|statistics| statistics.mean),
         superseded: run.summary.actuator.superseded,
         restarts: Restarts::NODES

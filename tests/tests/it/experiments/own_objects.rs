@@ -1,9 +1,12 @@
 //! Tests of experiments with users' sensors, models and actuators in Python on one machine.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
 use peernet_tests::{Document, Process, ProcessEnd, free_port, program};
+
+use super::json;
 
 /// Runs `peernet run arm.toml` in a folder with these objects in `arm.py`.
 fn run(folder: &Path, objects: &str, experiment: &str) -> ProcessEnd {
@@ -114,4 +117,82 @@ fn failed_action_is_named_as_such() {
         .map(|run| fs::read_to_string(run.expect("a run").path().join("run.json")).expect("a record"))
         .collect();
     assert!(!records.is_empty() && records.iter().all(|record| record.contains(report)), "{records:?}");
+}
+
+/// Objects that write the variables of their process into the file `told`.
+const TOLD: &str = "
+import os
+
+def tell(role):
+    numbers = [os.environ['PEERNET_' + name] for name in ('REPEAT', 'USER', 'SEED')]
+    with open('told', 'a') as file:
+        file.write(' '.join([role, *numbers]) + '\\n')
+
+class Sensor:
+    def __init__(self): tell('sensor')
+    def sample(self): return 1
+
+class Model:
+    def __init__(self): tell('model')
+    def infer(self, x): return x
+
+class Actuator:
+    def __init__(self): tell('actuator')
+    def act(self, answer): pass
+";
+
+const REPEATS_AND_USERS: &str = "
+[experiment]
+name = 'told'
+repeats = 2
+users = 2
+iterations = 2
+plots = false
+
+[pipeline]
+sensor = { kind = 'python', object = 'arm::Sensor' }
+placement = { kind = 'local', model = 'gpu' }
+actuator = { kind = 'python', object = 'arm::Actuator' }
+
+[[model]]
+name = 'gpu'
+kind = 'distribution'
+mean_ms = 1.0
+std_ms = 0.5
+inner = 'own'
+
+[[model]]
+name = 'own'
+kind = 'python'
+object = 'arm::Model'
+";
+
+#[test]
+fn repeats_and_users_have_their_own_seeds() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let end = run(folder.path(), TOLD, REPEATS_AND_USERS);
+    assert_eq!(end.code(), 0, "{}", end.log);
+    let told = fs::read_to_string(folder.path().join("told")).expect("it was written");
+    let mut seeds = BTreeSet::new();
+    for (run, repeat) in [("001-r1", "1"), ("002-r2", "2")] {
+        for user in ["1", "2"] {
+            let path = folder.path().join(format!("results/told/runs/{run}/user-{user}/run.json"));
+            let record = json(&path);
+            let seed = |name: &str| record["seeds"][name].as_u64().expect("is recorded");
+            for (role, name) in [("sensor", "sensor"), ("model", "model.own"), ("actuator", "actuator")] {
+                let line = format!("{role} {repeat} {user} {}\n", seed(name));
+                assert!(told.contains(&line), "{line} is not in {told}");
+                seeds.insert(seed(name));
+            }
+            // The run can be repeated from its record.
+            let env = &record["pipeline"]["sensor"]["env"];
+            assert_eq!(env["PEERNET_SEED"], seed("sensor").to_string(), "{env}");
+            let facts = record["facts"].to_string();
+            assert!(facts.contains(&format!("0.5 ms, seed {}\"", seed("model.gpu"))), "{facts}");
+            assert_eq!(seed("model.gpu"), seed("model.own"));
+        }
+    }
+    assert_eq!(seeds.len(), 12, "all are different: {told}");
+    let table = fs::read_to_string(folder.path().join("results/told/compare.txt")).expect("it was written");
+    assert!(table.contains("standard deviation 0.5 ms, seed of each run"), "{table}");
 }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use peernet_analysis::deadline::Misses;
-use peernet_analysis::trust::{Report, TrustInput};
+use peernet_analysis::trust::{ReplayedLatencies, Report, TrustInput};
 use peernet_clock::Verdict;
 use peernet_logger::stage;
 use peernet_statistics::Summary;
@@ -165,7 +165,9 @@ async fn verdict_and_replayed_latencies_have_chips_of_run_page() {
     let mut two = comparison(vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)]);
     let input = TrustInput { failure: Some("the cloud is gone".to_owned()), ..TrustInput::default() };
     two.trust_by_run.insert(2, Report::new(&input));
-    two.replayed_by_run.insert(1, "inference is drawn from x".to_owned());
+    let facts = [("Replayed".to_owned(), "inference is drawn from x".to_owned())];
+    let replayed = ReplayedLatencies::from_facts(&facts).expect("is replayed");
+    two.replayed_by_run.insert(1, replayed);
     let (app, _folder) = samples::app().await;
     let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
     let html = rendered(shell, &two, &RunMeans::new(), (None, None)).expect("nothing asked for");

@@ -3,7 +3,7 @@
 use peernet_analysis::accuracy::{UNKNOWN_LABEL, UnknownLabels};
 use peernet_analysis::compare::{replayed_configurations, skipped_starts};
 use peernet_analysis::run_selection::RunState;
-use peernet_analysis::trust::publication_caveats;
+use peernet_analysis::trust::{ReplayedLatencies, publication_caveats};
 use peernet_statistics::number::count;
 use peernet_store::RunSummary;
 use peernet_stream::{Grade, OutcomeCounts};
@@ -26,10 +26,13 @@ pub(crate) fn caveats(comparison: &Comparison) -> Vec<(Chip, String)> {
         named.map(|(run, report)| (name_with_other_edges(comparison, one, run), report))
     });
     let publication = publication_caveats(reports).into_iter().map(|(grade, text)| (chip(grade), text));
-    let replayed = replayed_configurations(configurations.iter().map(|one| {
-        let distribution = one.runs.iter().find_map(|run| comparison.replayed_by_run.get(&run.number));
-        (one.name.clone(), distribution.map(String::as_str))
-    }));
+    let described = configurations.iter().map(|one| {
+        let runs = one.runs.iter().filter_map(|run| comparison.replayed_by_run.get(&run.number).cloned());
+        (one.name.clone(), ReplayedLatencies::describe_all(runs))
+    });
+    let described: Vec<(String, Option<String>)> = described.collect();
+    let replayed =
+        replayed_configurations(described.iter().map(|(name, text)| (name.clone(), text.as_deref())));
     let unfinished: Vec<String> = comparison
         .runs()
         .map(|run| (run.number, RunState::from_end_reason(run.reason.as_ref())))
@@ -172,7 +175,9 @@ mod tests {
     #[test]
     fn replayed_configurations_are_named() {
         let mut two = comparison((0..2).map(|at| configuration(at, Local, 1.0, 1e3)).collect());
-        two.replayed_by_run.insert(2, "inference is drawn from x".to_owned());
+        let facts = [("Replayed".to_owned(), "inference is drawn from x".to_owned())];
+        let replayed = ReplayedLatencies::from_facts(&facts).expect("is replayed");
+        two.replayed_by_run.insert(2, replayed);
         let text = "Replayed latencies, not measured: B: inference is drawn from x.";
         assert_eq!(caveats(&two), [(REPLAYED, text.to_owned())]);
     }

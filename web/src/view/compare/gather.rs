@@ -7,7 +7,7 @@ use std::sync::Arc;
 use futures::{StreamExt, TryStreamExt};
 use peernet_analysis::compare::{Column, compare_places, group_by_labels, model_computes};
 use peernet_analysis::run_selection::{Candidate, Exclusion, exclusions};
-use peernet_analysis::trust::Report;
+use peernet_analysis::trust::{ReplayedLatencies, Report};
 use peernet_store::{MergeableStatistics, RunDetail, RunStatistics, RunSummary, Store};
 use peernet_stream::{ExperimentPlace, Placement};
 
@@ -177,16 +177,16 @@ pub(crate) async fn load_comparison(
     })
 }
 
-/// Judges whether each run can be published. A run that was deleted in the meantime has no report. Also returns the distributions of the runs
-/// with replayed latencies.
+/// Judges whether each run can be published. A run that was deleted in the meantime has no report. Also returns the replayed latencies
+/// of the runs that have them.
 async fn trust_reports(
     store: &Store,
     runs: &[i64],
-) -> Result<(HashMap<i64, Report>, HashMap<i64, String>), WebError> {
+) -> Result<(HashMap<i64, Report>, HashMap<i64, ReplayedLatencies>), WebError> {
     let judge = |run: i64| async move {
         let Some(detail) = store.run(run).await? else { return Ok::<_, WebError>(None) };
         let input = store.trust_input(&detail).await?;
-        Ok(Some((run, Report::new(&input), input.replayed)))
+        Ok(Some((run, Report::new(&input), input.replayed_latencies())))
     };
     let judged = futures::stream::iter(runs.iter().copied()).map(judge).buffered(CONCURRENT_READS);
     let judged: Vec<_> = judged.try_filter_map(|run| async move { Ok(run) }).try_collect().await?;

@@ -43,7 +43,7 @@ use std::sync::Arc;
 
 use peernet_analysis::deadline::Misses;
 use peernet_analysis::total_column::TotalColumn;
-use peernet_analysis::trust::{Report, Starts};
+use peernet_analysis::trust::{ReplayedLatencies, Report, Starts};
 use peernet_logger::stage;
 use peernet_statistics::Summary;
 use peernet_store::{DelayAccuracy, MergeableStatistics, QuantityStatistics, RunSummary, StageStatistics};
@@ -70,7 +70,7 @@ pub(crate) struct Comparison {
     /// Report of each run on whether it can be published, by its number.
     pub trust_by_run: HashMap<i64, Report>,
     /// Distribution from which the latencies of a run are drawn, by its number. Runs with measured latencies are absent.
-    pub replayed_by_run: HashMap<i64, String>,
+    pub replayed_by_run: HashMap<i64, ReplayedLatencies>,
     /// Excluded runs of the experiment, oldest first.
     pub left_out: Vec<ExcludedRun>,
     /// `true` if the experiment has more runs than are compared.

@@ -5,14 +5,15 @@ use peernet_stream::Grade;
 use super::{finding, ms, percent, with_advice};
 use crate::trust::{Finding, TrustInput};
 
-/// A finding reports the overrun of the inner model if it is at least this share of the mean total.
+/// A finding reports the overrun if it is at least this share of the mean total.
 const NOTABLE_OVERRUN: f64 = 0.01;
-/// If the overrun is at least this share of the mean total, the latencies come from the inner model rather than from the distribution.
+/// If the overrun is at least this share of the mean total, the latencies come from this host rather than from the distribution.
 const MAX_OVERRUN: f64 = 0.1;
 
 /// Returns the findings about drawn latencies; none if the latencies of the model are measured.
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
-    let Some(replayed) = &input.replayed else { return Vec::new() };
+    let Some(replayed) = input.replayed_latencies() else { return Vec::new() };
+    let replayed = replayed.describe();
     let text = format!("The latencies of the model are replayed, not measured: {replayed}.");
     let advice = "mark the figures as replayed where they are published; they are estimates for a machine, not measurements of it";
     let mut all = vec![with_advice(finding("replayed", Grade::Doubtful, text), advice)];
@@ -29,9 +30,11 @@ fn judge_overrun(input: &TrustInput) -> Option<Finding> {
         _ => return None,
     };
     let text = format!(
-        "The inner model took longer than the replayed latencies, by {} on average, {} of the total.",
+        "Inference took longer than the replayed latencies, by {} on average, {} of the total: the inner model is slower, or this host was \
+         busy.",
         ms(overrun),
         percent(share)
     );
-    Some(with_advice(finding("overrun", grade, text), "name a faster model as `inner`, or none"))
+    let advice = "name a faster model as `inner`, or none, and stop other programs on the host of the model";
+    Some(with_advice(finding("overrun", grade, text), advice))
 }

@@ -81,7 +81,8 @@ fn folders_are_named_after_number_labels_and_repeat() {
 #[test]
 fn payloads_depend_on_seed_repeat_and_user_only() {
     let plan = plan(FILE, None);
-    let seed = |run: &Run, user| match plan.pipeline(run, user, "id").expect("a pipeline").sensor {
+    let sensor = |plan: &Plan, run: &Run, user| plan.agent(run, user, "id").pipelines.remove(0).sensor;
+    let seed = |run: &Run, user| match sensor(&plan, run, user) {
         Some(SensorConfig::Text(text)) => text.seed,
         other => panic!("{other:?}"),
     };
@@ -93,21 +94,91 @@ fn payloads_depend_on_seed_repeat_and_user_only() {
     assert_ne!(seed(run(0, 0), 0), seed(run(0, 1), 0));
     assert_ne!(seed(run(1, 0), 0), seed(run(1, 0), 1));
     let other = super::tests::plan(FILE, Some(8));
-    let Some(SensorConfig::Text(text)) = other.pipeline(&other.runs[0], 0, "id").expect("a pipeline").sensor
-    else {
-        panic!("it is a text")
-    };
+    let Some(SensorConfig::Text(text)) = sensor(&other, &other.runs[0], 0) else { panic!("it is a text") };
     let others = text.seed;
     assert_ne!(others, seed(run(other.runs[0].configuration, 0), 0));
     assert!(others < 1 << 53);
+}
+
+const PROGRAMS: &str = "\
+[experiment]
+name = 'e'
+seed = 7
+repeats = 2
+users = 2
+iterations = 10
+
+[pipeline]
+sensor = { kind = 'exec', command = 'true' }
+placement = { kind = 'local', model = 'gpu' }
+actuator = { kind = 'python', object = 'a::b', env = { PEERNET_SEED = '5' } }
+
+[[model]]
+name = 'gpu'
+kind = 'distribution'
+mean_ms = 1.0
+std_ms = 0.5
+inner = 'own'
+
+[[model]]
+name = 'own'
+kind = 'python'
+object = 'a::c'
+
+[[axis]]
+name = 'Time'
+field = 'pipeline.timeout_ms'
+values = [1, 2]
+";
+
+/// Returns the three variables of sensor, actuator and model, and the seed of the draws.
+fn told(plan: &Plan, run: &Run, user: u32) -> (Vec<Vec<String>>, u64) {
+    let mut agent = plan.agent(run, user, "id");
+    let mut pipeline = agent.pipelines.remove(0);
+    let envs = [
+        pipeline.sensor.as_mut().and_then(SensorKind::env_mut),
+        pipeline.actuator.env_mut(),
+        agent.models[1].env_mut(),
+    ]
+    .map(|env| env.expect("runs users' code").clone());
+    let variables = |env: &BTreeMap<String, String>| {
+        ["PEERNET_SEED", "PEERNET_REPEAT", "PEERNET_USER"].map(|name| env[name].clone()).to_vec()
+    };
+    let drawn = agent.models[0].seed_mut().copied().flatten().expect("has a seed");
+    (envs.iter().map(variables).collect(), drawn)
+}
+
+#[test]
+fn users_code_and_draws_depend_on_seed_repeat_and_user_only() {
+    let plan = plan(PROGRAMS, None);
+    let find = |configuration, repeat| {
+        let found = plan.runs.iter().find(|run| (run.configuration, run.repeat) == (configuration, repeat));
+        found.expect("there is one")
+    };
+    let (first, drawn) = told(&plan, find(0, 0), 0);
+    assert_eq!(
+        told(&plan, find(1, 0), 0),
+        (first.clone(), drawn),
+        "configurations are compared on equal draws"
+    );
+    let seeds: Vec<&str> = first.iter().map(|variables| variables[0].as_str()).collect();
+    assert_eq!(seeds[1], "5", "a value of the file stays");
+    assert!(seeds[0] != seeds[2] && seeds[2] == drawn.to_string(), "{seeds:?}");
+    for (run, user, numbers) in [(find(0, 1), 0, ["2", "1"]), (find(0, 0), 1, ["1", "2"])] {
+        let (other, other_drawn) = told(&plan, run, user);
+        assert!(other[0][0] != seeds[0] && other[2][0] != seeds[2] && other_drawn != drawn, "{other:?}");
+        assert!(other.iter().all(|variables| variables[1..] == numbers), "{other:?}");
+    }
+    let set = PROGRAMS.replace("std_ms = 0.5", "std_ms = 0.5\nseed = 3");
+    let plan = super::tests::plan(&set, None);
+    assert_eq!(told(&plan, &plan.runs[0], 0).1, 3);
 }
 
 #[test]
 fn run_is_labelled_with_experiment_configuration_and_repeat() {
     let plan = plan(FILE, None);
     let run = plan.runs.iter().find(|run| run.configuration == 3 && run.repeat == 1).expect("there is one");
-    let experiment =
-        plan.pipeline(run, 1, "abc").and_then(|pipeline| pipeline.experiment).expect("it has one");
+    let experiment = plan.agent(run, 1, "abc").pipelines.remove(0).experiment.expect("it has one");
     assert_eq!((experiment.name.as_str(), experiment.id.as_str(), experiment.repeat), ("e", "abc", 1));
     assert_eq!(describe_labels(&experiment.configuration), "Time = 2, Users = 2");
     assert_eq!(plan.describe(run), "Time = 2, Users = 2, repeat 2");

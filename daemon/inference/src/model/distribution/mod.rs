@@ -35,7 +35,8 @@ const REPLAYED: &str = "Replayed";
 const DRAWN_LATENCY: Name = Name::from_static("drawn-latency");
 /// Node below `inference`: the time of the inner model. The stages of the inner model are below this node.
 const INNER_MODEL: Name = Name::from_static("inner-model");
-/// Node below `inference`: the time by which the inner model took longer than the drawn latency, seconds; 0 if it was faster.
+/// Node below `inference`: the time by which `inference` took longer than the drawn latency, seconds: because the inner model was slower,
+/// or because this host woke up late.
 const OVERRUN: Name = Name::from_static("overrun");
 
 /// Keys of a model of `kind = "distribution"`. One of `data`, `histogram` and `mean_ms` names the distribution.
@@ -54,9 +55,10 @@ pub struct DistributionConfig {
     /// Standard deviation of the log-normal distribution, milliseconds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub std_ms: Option<f64>,
-    /// Seed of the draws: equal seeds draw equal latencies after the model was loaded.
-    #[serde(default)]
-    pub seed: u64,
+    /// Seed of the draws: equal seeds draw equal latencies after the model was loaded. Default: a new one each time the model is loaded;
+    /// in an experiment the seed of the repeat and the user.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seed: Option<u64>,
     /// Name of another model of this host, whose answer is returned after the drawn time. Without it the answer is
     /// empty.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -84,6 +86,10 @@ impl ModelKind for DistributionConfig {
         }
     }
 
+    fn seed_mut(&mut self) -> Option<&mut Option<u64>> {
+        Some(&mut self.seed)
+    }
+
     fn check(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<(), LoadError> {
         self.distribution(shared)?;
         self.inner_model(shared, context).map(|_| ())
@@ -107,13 +113,22 @@ impl ModelKind for DistributionConfig {
             let hash = open(&file).and_then(peernet_external::sha256);
             hash.map_err(|error| LoadError::File { file, reason: error.to_string() })
         });
-        let source = LatencySource { distribution, random: Mutex::new(SplitMix64::new(self.seed)) };
+        let seed = self.seed.unwrap_or_else(|| {
+            // As many bits as every JSON and TOML program keeps, so that it can be written into a configuration.
+            let seed = rand::random::<u64>() >> 11;
+            tracing::info!(
+                model = %shared.name,
+                "the latencies are drawn with the new seed {seed}; to draw the same ones again, set seed = {seed} in this [[model]]"
+            );
+            seed
+        });
+        let source = LatencySource { distribution, random: Mutex::new(SplitMix64::new(seed)) };
         Ok(Arc::new(Distribution {
             name: shared.name.to_string(),
             source: Arc::new(source),
             inner,
             device: shared.device.clone(),
-            seed: self.seed,
+            seed,
             data_hash: hash.transpose()?,
         }))
     }
@@ -238,18 +253,16 @@ impl Worker for DistributionWorker {
         inference.record_value(DRAWN_LATENCY, drawn.seconds(), Unit::SECONDS);
         let answer = match &mut self.inner {
             None => Sample::from_part(Description::bytes(), Bytes::new()),
-            Some(inner) => {
-                // Its stages are below a node of their own, so they do not count as stages of the iteration.
-                let answer = inner.infer(sample, &mut inference.time(INNER_MODEL), requester)?;
-                let overrun = (inference.clock().mono() - started_at - drawn).max(Span::ZERO);
-                inference.record_value(OVERRUN, overrun.seconds(), Unit::SECONDS);
-                answer
-            }
+            // Its stages are below a node of their own, so they do not count as stages of the iteration.
+            Some(inner) => inner.infer(sample, &mut inference.time(INNER_MODEL), requester)?,
         };
         let remaining = started_at + drawn - inference.clock().mono();
         requester
             .wait(Duration::from_nanos(u64::try_from(remaining.nanos()).unwrap_or(0)))
             .map_err(|_| InferenceError::Cancelled { model: self.name.clone() })?;
+        // After the wait, because a busy host also ends the wait late.
+        let overrun = (inference.clock().mono() - started_at - drawn).max(Span::ZERO);
+        inference.record_value(OVERRUN, overrun.seconds(), Unit::SECONDS);
         drop(inference);
         if recorder.tree().find(&[&stage::INFERENCE, &INNER_MODEL, &stage::UNKNOWN_LABEL]).is_some() {
             // The edge looks for it below the root.

@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::ops::Range;
 
 use ort::session::SessionInputValue;
+use peernet_external::python::TREE;
 use peernet_sample::{Description, ElementType, MediaType, Part, Sample};
 use rayon::prelude::*;
 
@@ -68,6 +69,12 @@ impl ModelInputs {
     /// Checks that a sample has as many parts as the model takes.
     fn check_parts(&self, sample: &Sample) -> Result<(), InputError> {
         let part_buffers = || self.inputs.iter().filter(|buffer| buffer.takes_part());
+        let is_tree = |part: &Part| part.description.media.iana() == TREE;
+        if sample.parts.iter().any(is_tree) {
+            let expected: Vec<String> = part_buffers().map(InputBuffer::in_python).collect();
+            let is_tuple = expected.len() > 1;
+            return Err(InputError::PythonObject { expected: expected.join(", "), is_tuple });
+        }
         let (actual, expected) = (sample.parts.len(), part_buffers().count());
         // A model of one input ignores further parts, such as the depth beside a picture.
         if actual < expected || (expected > 1 && actual > expected) {
@@ -173,15 +180,30 @@ impl InputBuffer {
         row * count..(row + 1) * count
     }
 
-    fn fill_from_array(&mut self, range: Range<usize>, part: &Part) -> Result<(), InputError> {
-        let Part { description, bytes } = part;
-        if description.media != MediaType::Tensor {
-            return Err(InputError::NotAnArray(description.media.iana().into_owned()));
-        }
+    /// Returns the array that fills a row.
+    fn array(&self) -> Description {
         let shape =
             self.input.shape.iter().map(|length| u32::try_from(*length).unwrap_or(u32::MAX)).collect();
-        let element = Some(self.input.data_type.element());
-        let expected = Description { media: MediaType::Tensor, shape, element };
+        Description { media: MediaType::Tensor, shape, element: Some(self.input.data_type.element()) }
+    }
+
+    /// Returns what a sensor in Python returns for this input.
+    fn in_python(&self) -> String {
+        let name = &self.input.name;
+        if self.takes_picture() {
+            format!("for {name:?} a PIL image, or a JPEG or PNG as bytes")
+        } else {
+            format!("for {name:?} a numpy array of {}", text(&self.array()))
+        }
+    }
+
+    fn fill_from_array(&mut self, range: Range<usize>, part: &Part) -> Result<(), InputError> {
+        let Part { description, bytes } = part;
+        let expected = self.array();
+        if description.media != MediaType::Tensor {
+            let actual = description.media.iana().into_owned();
+            return Err(InputError::NotAnArray { actual, expected: text(&expected) });
+        }
         if *description != expected {
             return Err(InputError::Array { actual: text(description), expected: text(&expected) });
         }
@@ -292,6 +314,34 @@ mod tests {
         ] {
             assert!(error.starts_with(expected), "{error}");
         }
+    }
+
+    #[test]
+    fn object_of_python_is_refused_with_what_to_return() {
+        let tree = || Description::unshaped(MediaType::Other(TREE.to_owned()));
+        let part = Part { description: tree(), bytes: b"{}".to_vec().into() };
+        let mut inputs = ModelInputs::new(&Card::parse(POLICY).expect("is right").inputs, 1, |_| false);
+        let mut refusal = |parts: Vec<Part>| {
+            inputs.fill(&[&sample(parts)]).remove(0).expect_err("does not fit").to_string()
+        };
+        // The number of parts is right by chance.
+        assert_eq!(
+            refusal([vec![part.clone()], parts()[..2].to_vec()].concat()),
+            "it is an object of Python with lists, numbers or dictionaries in it; return a tuple of: for \"front\" a PIL image, or a \
+             JPEG or PNG as bytes, for \"state\" a numpy array of float64 [2], for \"wrist\" a PIL image, or a JPEG or PNG as bytes"
+        );
+        let mut one = ModelInputs::new(&changed("", "").expect("is right").inputs, 1, |_| false);
+        let error = one.fill(&[&sample(vec![part])]).remove(0).expect_err("wrong").to_string();
+        assert!(
+            error.contains("in it; return for \"")
+                && error.ends_with("a PIL image, or a JPEG or PNG as bytes"),
+            "{error}"
+        );
+        let list =
+            Part { description: Description::unshaped(MediaType::Json), bytes: b"[0.0]".to_vec().into() };
+        let error = refusal(vec![parts().swap_remove(0), list, parts().swap_remove(2)]);
+        let expected = "not an array with type and shape; in Python, return a numpy array of float64 [2]";
+        assert!(error.contains("json") && error.ends_with(expected), "{error}");
     }
 
     #[test]

@@ -35,8 +35,26 @@ pub(super) enum InputError {
         expected: (u32, u32),
     },
     /// A part is not an array.
-    #[error("it is {0}, not an array with type and shape")]
-    NotAnArray(String),
+    #[error(
+        "it is {actual}, not an array with type and shape; in Python, return a numpy array of {expected}"
+    )]
+    NotAnArray {
+        /// Media type of the part.
+        actual: String,
+        /// Type and shape of the input: `float32 [1, 7]`.
+        expected: String,
+    },
+    /// The sample is an object of Python whose elements are not one part each.
+    #[error(
+        "it is an object of Python with lists, numbers or dictionaries in it; return {}{expected}",
+        if *.is_tuple { "a tuple of: " } else { "" }
+    )]
+    PythonObject {
+        /// What to return for each input.
+        expected: String,
+        /// `true` if the model has several inputs.
+        is_tuple: bool,
+    },
     /// An array has another type or shape than the input.
     #[error("its array is {actual}, the model requires {expected}")]
     Array {

@@ -124,9 +124,11 @@ fn restarted_process_is_reported() {
 fn replayed_latencies_and_overrun_are_collected() {
     let mut run = detail("", "finished");
     run.facts.push(("Replayed".to_owned(), "inference is drawn from x".to_owned()));
-    let statistics = RunStatistics { stages: vec![node("overrun", 300, 0.002)], ..RunStatistics::default() };
+    let stages = vec![node("drawn-latency", 300, 0.01), node("overrun", 300, 0.002)];
+    let statistics = RunStatistics { stages, ..RunStatistics::default() };
     let input = collect(&run, StartTimes::default(), &statistics, &[]);
     assert_eq!((input.replayed.as_deref(), input.overrun), (Some("inference is drawn from x"), Some(0.002)));
+    assert_eq!(input.drawn, Some(0.01));
 }
 
 #[test]

@@ -1,0 +1,122 @@
+//! Latencies that were not measured but drawn from a distribution, and how far the host was from keeping to them.
+
+use peernet_statistics::number::milliseconds;
+
+use crate::record::RunRecord;
+use crate::rows::Rows;
+
+/// Name of the fact by which a model says that its latencies are drawn from a distribution.
+const REPLAYED_FACT: &str = "Replayed";
+/// Text before the seed, at the end of the distribution.
+const SEED: &str = ", seed ";
+
+/// Name of the node with the latency that was drawn for an iteration, seconds.
+pub const DRAWN_LATENCY: &str = "drawn-latency";
+/// Name of the node with the overrun: the time by which `inference` took longer than the latency that was drawn for the iteration, seconds.
+pub const OVERRUN: &str = "overrun";
+/// Columns of the two nodes in `data.csv`.
+pub(crate) const DRAWN_LATENCY_COLUMN: &str = "inference_drawn-latency";
+pub(crate) const OVERRUN_COLUMN: &str = "inference_overrun";
+
+/// The overrun is stated if it is above this share of the mean drawn latency.
+const STATED_OVERRUN: f64 = 0.05;
+
+/// Latencies of a run's model that are drawn from a distribution.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ReplayedLatencies {
+    /// The distribution with the seed, as the model describes it.
+    pub distribution: String,
+    /// Mean drawn latency, seconds; `None` if it is not known.
+    pub drawn: Option<f64>,
+    /// Mean overrun, seconds; `None` if it is not known.
+    pub overrun: Option<f64>,
+}
+
+impl ReplayedLatencies {
+    /// Returns the distribution by the facts of a run; `None` if the latencies are measured. The means are not known.
+    pub fn from_facts(facts: &[(String, String)]) -> Option<Self> {
+        let (_, text) = facts.iter().find(|(name, _)| name == REPLAYED_FACT)?;
+        Some(Self { distribution: text.clone(), drawn: None, overrun: None })
+    }
+
+    /// Returns the replayed latencies of a run with its rows; `None` if the latencies are measured.
+    pub fn from_run(record: &RunRecord, rows: &Rows) -> Option<Self> {
+        let mean = |column: &str| mean(rows.counted_values(column));
+        let replayed = Self::from_facts(&record.facts)?;
+        Some(Self { drawn: mean(DRAWN_LATENCY_COLUMN), overrun: mean(OVERRUN_COLUMN), ..replayed })
+    }
+
+    /// Returns the distribution, and the overrun if it is large.
+    pub fn describe(&self) -> String {
+        let overrun =
+            self.drawn.zip(self.overrun).filter(|(drawn, overrun)| *overrun > drawn * STATED_OVERRUN);
+        match overrun {
+            None => self.distribution.clone(),
+            Some((drawn, overrun)) => format!(
+                "{}; inference took {} ms longer than drawn on average (mean drawn latency {} ms)",
+                self.distribution,
+                milliseconds(overrun),
+                milliseconds(drawn)
+            ),
+        }
+    }
+
+    /// Describes the latencies of runs of one configuration, which may have different seeds; `None` if all are measured.
+    pub fn describe_all(runs: impl IntoIterator<Item = Self>) -> Option<String> {
+        let runs: Vec<Self> = runs.into_iter().collect();
+        let first = runs.first()?;
+        let without_seed = |run: &Self| match run.distribution.rsplit_once(SEED) {
+            Some((distribution, _)) => distribution.to_owned(),
+            None => run.distribution.clone(),
+        };
+        let distribution = match without_seed(first) {
+            _ if runs.iter().all(|run| run.distribution == first.distribution) => first.distribution.clone(),
+            same if runs.iter().all(|run| without_seed(run) == same) => format!("{same}{SEED}of each run"),
+            _ => first.distribution.clone(),
+        };
+        let mean = |value: fn(&Self) -> Option<f64>| mean(runs.iter().filter_map(value));
+        Some(Self { distribution, drawn: mean(|run| run.drawn), overrun: mean(|run| run.overrun) }.describe())
+    }
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, count) = values.fold((0.0, 0_u32), |(sum, count), value| (sum + value, count + 1));
+    (count > 0).then(|| sum / f64::from(count))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn replayed(distribution: &str, drawn: f64, overrun: f64) -> ReplayedLatencies {
+        let (drawn, overrun) = (Some(drawn), Some(overrun));
+        ReplayedLatencies { distribution: distribution.to_owned(), drawn, overrun }
+    }
+
+    #[test]
+    fn overrun_is_stated_above_five_percent() {
+        assert_eq!(replayed("x, seed 3", 0.00684, 0.0003).describe(), "x, seed 3");
+        assert_eq!(
+            replayed("x, seed 3", 0.00684, 0.00276).describe(),
+            "x, seed 3; inference took 2.76 ms longer than drawn on average (mean drawn latency 6.84 ms)"
+        );
+        let unknown = ReplayedLatencies { drawn: None, ..replayed("x, seed 3", 0.0, 1.0) };
+        assert_eq!(unknown.describe(), "x, seed 3");
+    }
+
+    #[test]
+    fn runs_with_different_seeds_are_described_together() {
+        let of = |runs: &[(&str, f64)]| {
+            let runs = runs.iter().map(|(text, overrun)| replayed(text, 0.01, *overrun));
+            ReplayedLatencies::describe_all(runs)
+        };
+        assert_eq!(of(&[]), None);
+        assert_eq!(of(&[("x, seed 3", 0.0), ("x, seed 3", 0.0)]).as_deref(), Some("x, seed 3"));
+        assert_eq!(
+            of(&[("x, seed 3", 0.0), ("x, seed 4", 0.004)]).as_deref(),
+            Some(
+                "x, seed of each run; inference took 2.00 ms longer than drawn on average (mean drawn latency 10.0 ms)"
+            )
+        );
+    }
+}
