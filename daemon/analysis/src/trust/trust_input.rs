@@ -7,7 +7,9 @@ use peernet_logger::{Name, stage};
 use peernet_statistics::{Summary, TwoModes};
 use peernet_stream::{Condition, EndReason, FaultyHost};
 
-use super::{DRAWN_LATENCY_COLUMN, EndedEarly, OVERRUN_COLUMN, ReplayedLatencies, Restarts, Starts, TimeSeries};
+use super::{
+    DRAWN_LATENCY_COLUMN, EndedEarly, OVERRUN_COLUMN, ReplayedLatencies, Restarts, Starts, TimeSeries,
+};
 use crate::accuracy::{Accuracy, UnknownLabels};
 use crate::actuator_results::ActuatorResults;
 use crate::answer_length::{answer_tokens, tokens_of_column};

@@ -221,8 +221,11 @@ pub fn draw(
         Kind::Users => users::drawings(runs),
     };
     let drawings = drawings.map_err(|missing| PlotError::Lacking(kind, missing))?;
-    let replayed =
-        if kind.is_of_one_run() { replayed::note_of_run(&first.record, &first.rows) } else { replayed::note(runs) };
+    let replayed = if kind.is_of_one_run() {
+        replayed::note_of_run(&first.record, &first.rows)
+    } else {
+        replayed::note(runs)
+    };
     Ok(written_figures::write(&drawings, replayed.as_deref(), folder)?)
 }
 
