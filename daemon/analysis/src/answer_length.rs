@@ -1,6 +1,6 @@
 //! Length of answers: the quantity that measures the length, whether the length varies, and how latency grows with the length.
 
-use peernet_statistics::number::count;
+use peernet_statistics::number::{Estimate, SPACE, count, duration};
 
 use crate::fit::{Fit, Point, theil_sen};
 
@@ -119,6 +119,40 @@ impl Growth {
         self.interval.1 - self.interval.0 > MAX_RELATIVE_WIDTH * self.fit.slope.value.abs()
     }
 
+    /// Describes the slope and its interval in a sentence. `what` names the unit of length, and `each` is the length of this unit in measured
+    /// units.
+    pub fn describe_slope(&self, what: &str, each: f64) -> String {
+        let Self { fit, interval } = self;
+        let (value, lo, hi) = (fit.slope.value * each, interval.0 * each, interval.1 * each);
+        let (magnitude, near, far) = (value.abs(), lo.abs().min(hi.abs()), lo.abs().max(hi.abs()));
+        let more = if value > 0.0 { "more" } else { "less" };
+        let statement = if self.is_significant() {
+            let slope = Estimate::new(magnitude, (near, far));
+            let interval = slope.between();
+            if self.is_imprecise() {
+                format!("Each further {what} takes {interval}{SPACE}ms {more} (95{SPACE}%)")
+            } else {
+                let value = slope.value();
+                format!("Each further {what} takes {value}{SPACE}ms {more} (95{SPACE}%: {interval})")
+            }
+        } else {
+            let interval = Estimate::new(value, (lo, hi)).between();
+            format!(
+                "Whether longer answers take longer cannot be told: {interval}{SPACE}ms more per {what} (95{SPACE}%)"
+            )
+        };
+        format!("{statement}, by Theil–Sen through {} iterations.", count(fit.points as u64))
+    }
+
+    /// Describes the latency of the line at length 0 in a sentence; `None` if the line is not [drawn](Self::line) or is below 0 there.
+    pub fn describe_intercept(&self) -> Option<String> {
+        let (intercept, _) = self.line().ok().filter(|(intercept, _)| *intercept >= 0.0)?;
+        let intercept = duration(intercept);
+        Some(format!(
+            "The line begins at {intercept}: the part of the latency that does not grow with the length, such as the time until the first token."
+        ))
+    }
+
     /// Returns intercept and slope.
     ///
     /// # Errors
@@ -144,6 +178,10 @@ mod tests {
                 && !growing.is_imprecise()
                 && (growing.fit.slope.value - 0.5).abs() < 0.02
         );
+        let slope = growing.describe_slope("token", 1e-3);
+        assert!(slope.starts_with("Each further token takes 0.50") && slope.ends_with("200 iterations."), "{slope}");
+        let intercept = growing.describe_intercept().expect("it is above 0");
+        assert!(intercept.starts_with("The line begins at "), "{intercept}");
         let line = |iterations: &[(f64, f64)]| Growth::from_iterations(iterations)?.line();
         assert_eq!(line(&iterations(0.0)), Err(NoLine::Slope(200)));
         assert_eq!(line(&iterations(0.5)[..59]), Err(NoLine::Answers(59)));

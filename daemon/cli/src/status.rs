@@ -92,12 +92,15 @@ struct Events {
 #[derive(Debug, Default, Deserialize)]
 struct Stored {
     missing: u64,
+    /// Absent in answers of earlier releases.
+    #[serde(default)]
+    missing_before: u64,
 }
 
 impl Host {
     /// Returns the number of events that are missing in the database for ever, as the overview of the dashboard counts them.
     fn lost(&self) -> u64 {
-        self.now.as_ref().map_or(0, |now| now.events.dropped).max(self.stored.missing)
+        self.now.as_ref().map_or(0, |now| now.events.dropped).max(self.stored.missing.saturating_sub(self.stored.missing_before))
     }
 }
 

@@ -61,7 +61,8 @@ const PEER = (() => {
   const edge = (stage) => (look(stage) === "network" ? css("--s-upload") : css((PALE.has(look(stage)) ? "--e-" : "--s-") + look(stage)));
 
   const offset = () => Number(document.documentElement.dataset.offset) * 1000;
-  const clock = (time, seconds) => new Date(time + offset()).toISOString().slice(11, seconds ? 19 : 16);
+  // Returns the time of day in minutes, in seconds, or with `precision` "ms" in milliseconds.
+  const clock = (time, precision) => new Date(time + offset()).toISOString().slice(11, precision === "ms" ? 23 : precision ? 19 : 16);
   const FONT = "Inter, system-ui, sans-serif";
   const text = () => ({ color: css("--ink-3"), fontSize: px(0.6875), fontFamily: FONT });
   // Returns the width of the widest of some labels.
@@ -76,7 +77,7 @@ const PEER = (() => {
   function timeAxis(more) {
     return {
       type: "time", axisLine: { lineStyle: { color: css("--line") } }, axisTick: { show: false }, splitLine: { show: false },
-      axisLabel: { ...text(), hideOverlap: true, showMinLabel: false, showMaxLabel: false, formatter: (time) => clock(time, more?.seconds) },
+      axisLabel: { ...text(), hideOverlap: true, showMinLabel: false, showMaxLabel: false, formatter: (time) => clock(time, more?.seconds), ...more?.ends },
       axisPointer: { lineStyle: { color: css("--ink-3"), width: 1, type: "solid" }, label: { show: false } },
       ...more,
     };

@@ -18,7 +18,7 @@
       if (at.isEqualNode(node)) return;
       if (at.nodeType !== node.nodeType || at.nodeName !== node.nodeName) { at.replaceWith(node); return; }
       if (node.nodeType !== Node.ELEMENT_NODE) { if (at.nodeValue !== node.nodeValue) at.nodeValue = node.nodeValue; return; }
-      for (const { name } of Array.from(at.attributes)) if (name !== "hidden" && !node.hasAttribute(name)) at.removeAttribute(name);
+      for (const { name } of Array.from(at.attributes)) if (name !== "hidden" && name !== "open" && !node.hasAttribute(name)) at.removeAttribute(name);
       for (const { name, value } of Array.from(node.attributes)) if (at.getAttribute(name) !== value) at.setAttribute(name, value);
       morph(at, node);
     });

@@ -28,7 +28,7 @@
     const [from, to] = range || [begin, end];
     const top = TOP(), height = plotBottom() - top;
     const highest = Math.max(...data.points.map((point) => Math.max(point[1] || 0, point[2] || 0)), ...data.slow.map((point) => point[1] || 0));
-    const ends = PEER.steps(highest), seconds = to - from < 600000;
+    const ends = PEER.steps(highest), short = to - from < 5000, seconds = short ? "ms" : to - from < 600000;
     const { left, right } = PEER.sides(PEER.ticks(ends), seconds);
     const gaps = data.gaps.map(([start, stop]) => ({ from: start, to: stop })).sort((one, other) => one.from - other.from);
     return {
@@ -49,7 +49,8 @@
         if (point) lines.push({ stage: point.data.stage, name: `iteration ${NUMBERS.count(point.data.number)}`, value: NUMBERS.milliseconds(point.value[1]), sum: lines.length > 0 });
         return lines.length ? PEER.tip(PEER.clock(bucket ? bucket[0] : at, true), `ms, ${data.bucket} s`, lines) : "";
       }),
-      xAxis: PEER.timeAxis({ min: begin, max: end, seconds }),
+      // An axis of a few seconds may have no round time between its ends.
+      xAxis: PEER.timeAxis({ min: begin, max: end, seconds, ends: { showMinLabel: short, showMaxLabel: short } }),
       yAxis: PEER.valueAxis("ms", { ...ends, axisLabel: { ...PEER.text(), margin: PEER.px(0.375), formatter: NUMBERS.tick } }),
       series: [
         { type: "line", symbol: data.points.length === 1 ? "circle" : "none", data: line(1), lineStyle: { width: 2, color: PEER.css("--ink") }, itemStyle: { color: PEER.css("--ink") }, emphasis: { disabled: true }, z: 4 },

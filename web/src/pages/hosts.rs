@@ -38,6 +38,8 @@ struct Hosts {
     /// The title in the past tense, for when the connection is lost.
     past_title: String,
     hosts: Vec<HostLine>,
+    /// Hosts that said goodbye.
+    ended: Vec<HostLine>,
     events: Vec<EventLine>,
     /// Sentence shown if the list is truncated.
     truncation_note: Option<String>,
@@ -84,11 +86,14 @@ fn hosts(app: &AppState, snapshot: &LiveState, stored: &[HostRow]) -> Hosts {
     };
     let live: HashSet<_> = snapshot.hosts.iter().map(|host| host.id).collect();
     let past: Vec<&HostRow> = stored.iter().filter(|row| !live.contains(&row.id)).collect();
+    let (current_hosts, ended) =
+        HostLine::first(list_limits::MAX_IN_LIST, snapshot, app.clock.identity(), app.zone);
     Hosts {
         shell: Shell::new(app, snapshot, "/hosts", "Hosts").live(TOPIC),
         title,
         past_title,
-        hosts: HostLine::first(list_limits::MAX_IN_LIST, snapshot, app.clock.identity(), app.zone),
+        hosts: current_hosts,
+        ended,
         events: snapshot
             .hosts
             .iter()

@@ -1,10 +1,13 @@
 //! Overview: the health of the system, and where the time goes at present.
 
+use std::collections::HashSet;
+
 use askama::Template;
 use axum::Router;
 use axum::extract::State;
 use axum::routing::get;
 use peernet_aggregator::{LiveState, PipelineSnapshot};
+use peernet_statistics::number::counted;
 use peernet_store::IncidentRow;
 use peernet_stream::PipelineState;
 
@@ -42,6 +45,10 @@ pub(super) struct Overview {
     now: NowTable,
     charts: Vec<ChartCard>,
     hosts: Vec<HostLine>,
+    /// Hosts that said goodbye.
+    ended: Vec<HostLine>,
+    /// Beginning of a sentence about pipelines of such hosts that are not shown.
+    ended_note: Option<String>,
     /// Sentences shown if the lists of pipelines and of hosts are truncated.
     truncation_note: [Option<String>; 2],
     /// `Err` holds the id under which the failure was logged.
@@ -116,13 +123,41 @@ pub(super) fn empty(app: &AppState, snapshot: &LiveState) -> Empty {
     }
 }
 
-/// Returns the pipelines to show, running pipelines first.
-fn shown_pipelines(snapshot: &LiveState) -> Vec<&PipelineSnapshot> {
-    let mut pipelines: Vec<&PipelineSnapshot> =
-        snapshot.pipelines.iter().map(|pipeline| &**pipeline).collect();
-    pipelines.sort_by_key(|pipeline| pipeline.state != PipelineState::Running);
-    pipelines.truncate(list_limits::MAX_ON_OVERVIEW);
-    pipelines
+/// Maximum number of pipelines that are shown if the hosts of all pipelines have ended: one row of charts.
+const MAX_ENDED_PIPELINES: usize = 3;
+
+/// Pipelines of the overview.
+struct ShownPipelines<'a> {
+    /// The pipelines to show, running pipelines first. Pipelines of hosts that have ended are shown only if there are no others.
+    pipelines: Vec<&'a PipelineSnapshot>,
+    /// Number of pipelines of hosts that have not ended.
+    current: usize,
+    /// Number of pipelines of hosts that have ended and that are not shown.
+    hidden_ended: usize,
+}
+
+impl<'a> ShownPipelines<'a> {
+    fn of(snapshot: &'a LiveState) -> Self {
+        let ended_hosts: HashSet<_> =
+            snapshot.hosts.iter().filter(|host| host.has_left).map(|host| host.id).collect();
+        let all = snapshot.pipelines.iter().map(|one| &**one);
+        let (mut ended, mut pipelines): (Vec<_>, Vec<_>) =
+            all.partition(|one| ended_hosts.contains(&one.host));
+        let (current, all_ended) = (pipelines.len(), ended.len());
+        pipelines.sort_by_key(|one| one.state != PipelineState::Running);
+        pipelines.truncate(list_limits::MAX_ON_OVERVIEW);
+        if pipelines.is_empty() {
+            ended.truncate(MAX_ENDED_PIPELINES);
+            return Self { hidden_ended: all_ended - ended.len(), pipelines: ended, current };
+        }
+        Self { pipelines, current, hidden_ended: all_ended }
+    }
+
+    fn ended_note(&self) -> Option<String> {
+        let verb = if self.hidden_ended == 1 { "is" } else { "are" };
+        let pipelines = counted(self.hidden_ended as u64, "pipeline");
+        (self.hidden_ended > 0).then(|| format!("{pipelines} of hosts that have ended {verb}"))
+    }
 }
 
 pub(super) fn overview(
@@ -131,16 +166,21 @@ pub(super) fn overview(
     incidents: Incidents,
 ) -> Result<Overview, WebError> {
     let health = Health::of(snapshot, app.zone, app.started_at, &app.warn);
-    let pipelines = shown_pipelines(snapshot);
+    let shown = ShownPipelines::of(snapshot);
+    let pipelines = &shown.pipelines;
+    let (hosts, ended) =
+        HostLine::first(list_limits::MAX_ON_OVERVIEW, snapshot, app.clock.identity(), app.zone);
     let charts: Vec<ChartCard> =
         pipelines.iter().map(|pipeline| ChartCard::new(pipeline, snapshot, app.zone)).collect();
     let marks = incidents.as_ref().map(|rows| Mark::all(rows)).unwrap_or_default();
     Ok(Overview {
         shell: Shell::new(app, snapshot, "/", health.title.clone()).live(TOPIC),
         layout: charts.iter().map(|card| card.key.as_str()).collect::<Vec<_>>().join(" "),
-        now: NowTable::new(&pipelines),
-        hosts: HostLine::first(list_limits::MAX_ON_OVERVIEW, snapshot, app.clock.identity(), app.zone),
-        truncation_note: [snapshot.pipelines.len(), snapshot.hosts.len()]
+        now: NowTable::new(pipelines),
+        hosts,
+        ended,
+        ended_note: shown.ended_note(),
+        truncation_note: [shown.current, snapshot.hosts.len()]
             .map(|all| list_limits::truncation_note(list_limits::MAX_ON_OVERVIEW, all)),
         incidents: incidents.map(|rows| IncidentLine::all(&rows, app.zone)),
         data: ChartCard::data(&charts, &marks)?,

@@ -277,9 +277,33 @@ async fn host_that_said_goodbye_is_no_problem() {
     let hosts: String =
         hosts::update(&app, &live_state).expect("renders").parts.into_iter().map(|(_, html)| html).collect();
     assert!(hosts.contains("dot quiet") && !hosts.contains("dot bad"), "{hosts}");
+    for page in [&html, &hosts] {
+        let folded = page.split_once("<summary>1 host has ended</summary>").expect("a closed disclosure").1;
+        assert!(folded.contains("cam-1") && folded.contains("ended</span>"), "{page}");
+        assert!(!page.contains("last seen"), "{page}");
+    }
     let one = host::update(&app, &live_state, "cam-1").expect("renders");
     let one: String = one.parts.into_iter().map(|(_, html)| html).collect();
     assert!(one.contains("cam-1 disconnected at 12:01:07"), "{one}");
+}
+
+#[tokio::test]
+async fn pipelines_of_ended_hosts_are_not_on_overview() {
+    let mut left = host("cam-1", "Orin");
+    (left.connected, left.has_left) = (false, true);
+    let ended = |number: usize| {
+        let mut ended = pipeline(&format!("ended-{number}"), 0.0, 1.0, Verdict::Ok, &[]);
+        ended.state = PipelineState::Finished;
+        ended
+    };
+    let html = overview_of(&snapshot(vec![left.clone()], (0..5).map(ended).collect()), Vec::new()).await;
+    assert!(html.contains("ended-2") && !html.contains("ended-3"), "one row of charts: {html}");
+    assert!(html.contains("2 pipelines of hosts that have ended are listed under"), "{html}");
+    let mut running = pipeline("running", 30.0, 1.0, Verdict::Ok, &[]);
+    running.host = peernet_logger::HostId::from_bytes([8; 16]);
+    let html = overview_of(&snapshot(vec![left], vec![ended(0), running]), Vec::new()).await;
+    assert!(html.contains("running") && !html.contains("ended-0"), "{html}");
+    assert!(html.contains("1 pipeline of hosts that have ended is listed under"), "{html}");
 }
 
 #[tokio::test]

@@ -178,7 +178,7 @@ fn remarks(host: &HostSnapshot) -> Vec<Remark> {
     if missing > 0 {
         // Batches that only the aggregator found missing were lost in another way, for example with a spool that was deleted.
         let why = loss_reasons(account).filter(|_| account.dropped == missing).unwrap_or("missing");
-        let text = format!("{} {why}; the gaps say which.", counted_events(missing));
+        let text = format!("{} {why}; the gaps of its runs, or incidents of the kind gap, say why.", counted_events(missing));
         remarks.push(Remark::new(Tone::Warn, "gap", "lost", text));
     }
     if account.compressed {
@@ -199,9 +199,13 @@ pub(crate) fn stored(
     newest: Option<peernet_clock::WallTime>,
     zone: Zone,
 ) -> Vec<(&'static str, String)> {
+    let before = match stored.missing_before {
+        0 => String::new(),
+        before => format!(", {} of them from before this database", count(before)),
+    };
     let mut pairs = vec![
         ("Stored", format!("{} events, {} nodes", count(stored.events), count(stored.nodes))),
-        ("Gaps", format!("{}, {} events missing", count(stored.gaps), count(stored.missing))),
+        ("Gaps", format!("{}, {} events missing{before}", count(stored.gaps), count(stored.missing))),
         ("Quarantined", format!("{} batches that could not be stored", count(stored.quarantined))),
     ];
     if let Some(arrivals) = arrivals {
@@ -350,15 +354,18 @@ mod tests {
         assert_eq!((dropped.chip.word, dropped.chip.tone), ("lost", Tone::Warn));
         assert_eq!(
             dropped.text,
-            "50 events dropped because the agent's spool was full, or lost when the agent was killed; the gaps say which."
+            "50 events dropped because the agent's spool was full, or lost when the agent was killed; the gaps of its runs, or incidents of the kind gap, say why."
         );
         assert_eq!(Events::of(&host).lost, Some(LOST));
         host.accounting.dropped = 0;
         assert_eq!((worst(&host), EventLine::new(&host).lost), (None, None));
-        host.stored.missing = 849;
+        // Another database stored them before this one knew the host.
+        (host.stored.missing, host.stored.missing_before) = (849, 849);
+        assert_eq!(worst(&host), None);
+        host.stored.missing = 2 * 849;
         assert_eq!(
             worst(&host).expect("batches are missing").text,
-            "849 events missing; the gaps say which."
+            "849 events missing; the gaps of its runs, or incidents of the kind gap, say why."
         );
     }
 

@@ -101,7 +101,7 @@ fn host_notes(host: &HostSnapshot, now: WallTime, zone: Zone, warn: &WarnConfig)
     }
     if missing > 0 {
         let text = format!(
-            "lacks {} events: the gaps of its runs say why. Nothing is shown for them.",
+            "lacks {} events: the gaps of its runs, or incidents of the kind gap, say why. Nothing is shown for them.",
             count(missing)
         );
         notes.push(note(Chip::new(Tone::Warn, "gap", "gap"), text));

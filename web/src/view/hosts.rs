@@ -22,6 +22,8 @@ pub(crate) struct HostLine {
     pub remark: Option<Remark>,
     /// Time of the last report, for a host that does not report now.
     pub away: Option<ZonedTime>,
+    /// Chip of a host that said goodbye: it stopped in order.
+    pub ended: Option<Chip>,
     /// Accelerator of the host, or its processor if it has no accelerator.
     pub kind: String,
     pub cpu: String,
@@ -62,6 +64,8 @@ impl RefusedLine {
     }
 }
 
+/// Chip of a host that said goodbye.
+const ENDED: Chip = Chip::new(Tone::Quiet, "ok", "ended");
 /// Number of points of a sparkline: one every five seconds for ten minutes.
 const POINTS: usize = 120;
 const POINT_INTERVAL_S: f64 = 5.0;
@@ -127,9 +131,15 @@ pub(crate) fn clock_words(theirs: &ClockIdentity, ours: &ClockIdentity, ahead: S
 }
 
 impl HostLine {
-    /// Returns the first `limit` hosts of a picture.
-    pub(crate) fn first(limit: usize, snapshot: &LiveState, ours: &ClockIdentity, zone: Zone) -> Vec<Self> {
-        snapshot.hosts.iter().take(limit).map(|host| Self::new(host, ours, zone)).collect()
+    /// Returns the first `limit` hosts of a picture: those that have not ended, and those that have.
+    pub(crate) fn first(
+        limit: usize,
+        snapshot: &LiveState,
+        ours: &ClockIdentity,
+        zone: Zone,
+    ) -> (Vec<Self>, Vec<Self>) {
+        let lines = snapshot.hosts.iter().take(limit).map(|host| Self::new(host, ours, zone));
+        lines.partition(|line| line.ended.is_none())
     }
 
     pub(crate) fn new(host: &HostSnapshot, ours: &ClockIdentity, zone: Zone) -> Self {
@@ -152,6 +162,7 @@ impl HostLine {
             tone,
             remark,
             away: (!host.connected).then(|| zone.moment(host.last_seen)),
+            ended: host.has_left.then_some(ENDED),
             kind: hardware_name(&host.description.hardware),
             cpu: percent(metrics.cpu),
             cpu_spark: spark("CPU", |metrics| metrics.cpu),

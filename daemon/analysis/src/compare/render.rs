@@ -155,7 +155,11 @@ impl Comparison {
             .map(|line| line.with_name(&format!("{} edges", line.edges)))
             .collect();
         if !edges.is_empty() {
-            notes.push(format!("Edges that measured at the same time are pooled: {}.", edges.join("; ")));
+            notes.push(format!(
+                "Edges that measured at the same time are pooled, with all iterations after their warm-ups, also while not all \
+                 measured: {}.",
+                edges.join("; ")
+            ));
         }
         let repeat_range: Vec<String> = self.lines.iter().filter_map(Line::repeat_range).collect();
         if !repeat_range.is_empty() {

@@ -12,6 +12,11 @@ use peernet_analysis::answer_length::{
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{RowRef, Rows};
 
+/// Symbol of the unit in which latencies are shown.
+const MILLISECONDS: &str = "ms";
+/// Suffix of the names of columns that count bytes.
+const BYTES_SUFFIX: &str = "bytes";
+
 /// Returns whether the answers of a run are counted in tokens, as those of a language model are.
 pub(super) fn has_tokens(rows: &Rows) -> bool {
     rows.names().iter().any(|name| is_tokens(name) && rows.counted_values(name).next().is_some())
@@ -33,7 +38,10 @@ pub(super) fn drawings(
         columns.x.clone().unwrap_or_else(|| answer_length(columns_with_values.iter().copied()).to_owned());
     // Whoever names a column has decided on a length.
     let lacks_usage = columns.x.is_none() && lacks_usage(columns_with_values.iter().copied());
-    let missing = |missing| if lacks_usage { MissingData::Usage { x: x.clone() } } else { missing };
+    // A model on the robot sends no answer over a network.
+    let is_measured = rows.counted_values(&x).any(|value| value > 0.0);
+    let usage_x = is_measured.then(|| x.clone());
+    let missing = |missing| if lacks_usage { MissingData::Usage { x: usage_x.clone() } } else { missing };
     let y = columns.y.clone().unwrap_or_else(|| LATENCY.to_owned());
     let counted_rows = rows.iter().filter(|row| row.is_counted());
     let point = |row: RowRef<'_>| Some((row.value(&x)?, row.value(&y)?));
@@ -55,7 +63,16 @@ pub(super) fn drawings(
         Some(tokens) => (Unit { title: heading(tokens), symbol: "".into(), per_si: 1.0 }, tokens),
         None => (unit(&record.units, &x, &heading(&x)), x.as_str()),
     };
-    let line = Growth::from_iterations(&points).and_then(|growth| growth.line());
+    let growth = Growth::from_iterations(&points);
+    let line = growth.and_then(|growth| growth.line());
+    let y_unit = unit(&record.units, &y, &heading(&y));
+    // The sentences are about latencies.
+    let growth = growth.ok().filter(|_| y_unit.symbol == MILLISECONDS && line.is_ok());
+    let (length_unit, each) = match (tokens_of_column(&x), x.ends_with(BYTES_SUFFIX)) {
+        (Some(_), _) => ("token".to_owned(), 1.0),
+        (None, true) => ("kB".to_owned(), 1e3),
+        (None, false) => (format!("unit of {}", x_words.replace(['-', '_'], " ")), 1.0),
+    };
     let title = format!("{} against {}", heading(&y), x_words.replace(['-', '_'], " "));
     let lengths = Lengths {
         title: if has_model_latency(&y) {
@@ -64,11 +81,13 @@ pub(super) fn drawings(
             with_name(&title, &record.title)
         },
         x: x_unit,
-        y: unit(&record.units, &y, &heading(&y)),
+        y: y_unit,
         stage: y.clone(),
         notes: std::iter::once(count_note(&rows.iter(), points.len()))
             .chain(too_large_note(rows.iter(), &[x.as_str(), y.as_str()]))
             .chain(line.err().map(|no_line| format!("no line: {no_line}")))
+            .chain(growth.map(|growth| growth.describe_slope(&length_unit, each)))
+            .chain(growth.and_then(|growth| growth.describe_intercept()))
             .chain(lacks_usage.then(|| NO_USAGE.to_owned()))
             .collect(),
         line: line.ok(),

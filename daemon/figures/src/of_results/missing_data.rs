@@ -39,11 +39,11 @@ pub enum MissingData {
         /// The columns with this name.
         columns: Vec<String>,
     },
-    /// A language model's server reported no numbers of tokens, and the column of lengths does not vary enough.
-    #[error("the column {x} does not show how the lengths of the answers differ: {NO_USAGE}")]
+    /// A language model's server reported no numbers of tokens, and the other measure of the length shows nothing.
+    #[error("the lengths of the answers are not known{}: {NO_USAGE}", .x.as_ref().map_or_else(String::new, |x| format!(" ({x} does not show how they differ)")))]
     Usage {
-        /// The column of lengths.
-        x: String,
+        /// The column of the other measure; `None` if nothing was measured there.
+        x: Option<String>,
     },
     /// The length is the same in every iteration.
     #[error(

@@ -257,6 +257,42 @@ async fn gap_is_stored_with_run_missing_batches_with_host() {
 }
 
 #[tokio::test]
+async fn events_before_first_contact_are_counted_apart() {
+    let mut test_store = TestStore::new().await;
+    let (host, stream, chain, process) = (test_store.edge, test_store.stream, Chain::START, 7);
+    let missing = |from, through, count| {
+        let (events, events_through) = (Some(count), 700);
+        Work::MissingBatches(MissingBatches {
+            host,
+            stream,
+            from,
+            through,
+            chain,
+            process,
+            events,
+            events_through,
+        })
+    };
+    let started = generate::run_started(RunId::random(), "line", generate::at(1.0));
+    let first_batch = test_store.batch_numbered(10, vec![started]);
+    let committed = test_store.commit(&[missing(1, 9, 40), first_batch]).await;
+    let (stored, _) = committed.hosts[&host];
+    assert_eq!((stored.gaps, stored.missing, stored.missing_before), (1, 40, 40));
+    let incidents = "SELECT count(*) FROM incident WHERE kind = 'gap' AND text LIKE \
+                     '40 events missing: from before this database: batches 1 to 9 of stream %'";
+    assert_eq!(test_store.count(incidents).await, 1);
+
+    // The database knows the host now.
+    test_store.writer = open(&test_store.path).await;
+    let committed = test_store.commit(&[missing(11, 12, 5)]).await;
+    let (stored, _) = committed.hosts[&host];
+    assert_eq!((stored.gaps, stored.missing, stored.missing_before), (2, 45, 40));
+    let hosts = test_store.store.hosts().await.expect("answers");
+    let edge = hosts.iter().find(|one| one.id == host).map(|one| one.stored);
+    assert!(edge.is_none_or(|edge| edge == stored), "{edge:?}");
+}
+
+#[tokio::test]
 async fn replaced_spool_leaves_one_gap() {
     let mut test_store = TestStore::new().await;
     let (old, new) = (test_store.stream, StreamId::random());

@@ -13,7 +13,7 @@ use super::prepared::RunPart;
 use crate::column::{column, count};
 use crate::extent::Extent;
 use crate::insert::Insert;
-use crate::stored::StoredCounts;
+use crate::stored::{StoredCounts, missing_before};
 
 /// Maximum number of hosts whose counters are in memory: the largest value of `[aggregator] max_hosts`. If there are more,
 /// all are discarded and read again when needed.
@@ -94,6 +94,24 @@ impl Counters {
         let counts = self.hosts.entry(host).or_default();
         counts.id = id;
         counts
+    }
+
+    /// Returns whether the database knew nothing of a host before this transaction; `id` is its row. Its gaps from before the database
+    /// do not count.
+    pub(super) async fn is_first_contact(
+        &self,
+        connection: &mut SqliteConnection,
+        host: HostId,
+        id: i64,
+    ) -> Result<bool, sqlx::Error> {
+        let mut counts = match self.totals.get(&id) {
+            Some(total) => *total,
+            None => total(connection, id).await?,
+        };
+        if let Some(pending) = self.hosts.get(&host) {
+            counts.add(&pending.added);
+        }
+        Ok(counts.events == 0 && counts.quarantined == 0 && counts.missing == counts.missing_before)
     }
 
     /// Adds the part of a run that is in a batch.
@@ -177,31 +195,36 @@ impl HostCounts {
 }
 
 impl StoredCounts {
-    /// Makes the counts from the columns of `host`: events, nodes, gaps, missing, quarantined.
+    /// Makes the counts from the columns of `host` and the sum of its gaps from before the database: events, nodes, gaps, missing,
+    /// quarantined, missing before.
     pub(super) fn from_columns(
-        (events, nodes, gaps, missing, quarantined): (i64, i64, i64, i64, i64),
+        (events, nodes, gaps, missing, quarantined, missing_before): (i64, i64, i64, i64, i64, i64),
     ) -> Self {
-        let [events, nodes, gaps, missing, quarantined] =
-            [events, nodes, gaps, missing, quarantined].map(count);
-        Self { events, nodes, gaps, missing, duplicates: 0, quarantined }
+        let [events, nodes, gaps, missing, quarantined, missing_before] =
+            [events, nodes, gaps, missing, quarantined, missing_before].map(count);
+        Self { events, nodes, gaps, missing, missing_before, duplicates: 0, quarantined }
     }
 
     pub(super) fn add(&mut self, other: &Self) {
-        let Self { events, nodes, gaps, missing, duplicates: _, quarantined } = other;
+        let Self { events, nodes, gaps, missing, missing_before, duplicates: _, quarantined } = other;
         self.events = self.events.saturating_add(*events);
         self.nodes = self.nodes.saturating_add(*nodes);
         self.gaps = self.gaps.saturating_add(*gaps);
         self.missing = self.missing.saturating_add(*missing);
+        self.missing_before = self.missing_before.saturating_add(*missing_before);
         self.quarantined = self.quarantined.saturating_add(*quarantined);
     }
 }
 
 /// Reads the counters of a host.
 async fn total(connection: &mut SqliteConnection, host: i64) -> Result<StoredCounts, sqlx::Error> {
-    let counts: (i64, i64, i64, i64, i64) =
-        sqlx::query_as("SELECT events, nodes, gaps, missing, quarantined FROM host WHERE id = ?")
-            .bind(host)
-            .fetch_one(connection)
-            .await?;
+    let counts: (i64, i64, i64, i64, i64, i64) = sqlx::query_as(concat!(
+        "SELECT events, nodes, gaps, missing, quarantined, ",
+        missing_before!(),
+        " FROM host WHERE id = ?"
+    ))
+    .bind(host)
+    .fetch_one(connection)
+    .await?;
     Ok(StoredCounts::from_columns(counts))
 }

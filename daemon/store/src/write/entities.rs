@@ -10,7 +10,7 @@ use serde::Serialize;
 use sqlx::SqliteConnection;
 
 use super::{Refusal, RunName};
-use crate::stored::StoredCounts;
+use crate::stored::{StoredCounts, missing_before};
 
 /// Maximum number of runs in memory. When it is reached, all are discarded and read again when needed.
 const MAX_CACHED_RUNS: usize = 10_000;
@@ -382,16 +382,17 @@ pub(crate) async fn read_host_counts(
     connection: &mut SqliteConnection,
     limit: u32,
 ) -> Result<Vec<(HostId, StoredCounts)>, sqlx::Error> {
-    let rows: Vec<(String, i64, i64, i64, i64, i64)> = sqlx::query_as(
-        "SELECT uuid, events, nodes, gaps, missing, quarantined FROM host WHERE name IS NOT NULL \
-         ORDER BY last_seen_ns DESC LIMIT ?",
-    )
+    let rows: Vec<(String, i64, i64, i64, i64, i64, i64)> = sqlx::query_as(concat!(
+        "SELECT uuid, events, nodes, gaps, missing, quarantined, ",
+        missing_before!(),
+        " FROM host WHERE name IS NOT NULL ORDER BY last_seen_ns DESC LIMIT ?",
+    ))
     .bind(limit)
     .fetch_all(connection)
     .await?;
     rows.into_iter()
-        .map(|(uuid, events, nodes, gaps, missing, quarantined)| {
-            Ok((id(&uuid)?, StoredCounts::from_columns((events, nodes, gaps, missing, quarantined))))
+        .map(|(uuid, events, nodes, gaps, missing, quarantined, before)| {
+            Ok((id(&uuid)?, StoredCounts::from_columns((events, nodes, gaps, missing, quarantined, before))))
         })
         .collect()
 }

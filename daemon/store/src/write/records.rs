@@ -3,13 +3,14 @@
 use bytes::Bytes;
 use peernet_clock::WallTime;
 use peernet_logger::RunId;
-use peernet_stream::{BatchHead, Gap, Incident, MissingBatches};
+use peernet_statistics::number::counted;
+use peernet_stream::{BatchHead, Gap, Incident, IncidentKind, MissingBatches, StreamId};
 use sqlx::SqliteConnection;
 
 use super::Refusal;
 use super::entities::{Entities, Reporter};
 use crate::column::column;
-use crate::stored::StoredCounts;
+use crate::stored::{StoredCounts, before_database};
 
 /// Number of quarantined batches that are kept. Older ones are deleted.
 const MAX_QUARANTINED: i64 = 1_000;
@@ -78,23 +79,36 @@ async fn run_number(
     }
 }
 
-/// Stores a gap for batches of a stream that will never arrive.
+/// Stores a gap for batches of a stream that will never arrive. `is_first_contact` tells whether the database knew nothing of the host.
 pub(super) async fn insert_missing_batches(
     connection: &mut SqliteConnection,
     host: i64,
     missing: &MissingBatches,
+    is_first_contact: bool,
     now: WallTime,
 ) -> Result<StoredCounts, Refusal> {
     let MissingBatches { stream, from, through, events, .. } = missing;
-    let reason = format!(
-        "batches {from} to {through} of stream {stream} are not in this database: they were stored in another database before this one was created or \
-         restored, and their agent has deleted them from its spool"
-    );
+    let reason = match is_first_contact {
+        true => describe_batches_before_database(stream, *from, *through),
+        false => format!(
+            "batches {from} to {through} of stream {stream} are not in this database: they were stored in another database before this one was \
+             created or restored, and their agent has deleted them from its spool"
+        ),
+    };
     insert_unattributed_gap(connection, host, &reason, *events, now).await
 }
 
-/// Stores a gap of `events` events whose runs are unknown. If the number of events is unknown (`None`), the table has 0. Returns the
-/// additions to the counters of the host.
+/// Returns the reason of a gap of batches that were stored before this database knew their host. [`missing_before!`] finds it by its
+/// beginning.
+pub(super) fn describe_batches_before_database(stream: &StreamId, from: u64, through: u64) -> String {
+    format!(
+        "{}batches {from} to {through} of stream {stream} were stored in another database, and their agent has deleted them from its spool",
+        before_database!()
+    )
+}
+
+/// Stores a gap of `events` events whose runs are unknown, and an incident with the reason, because no run shows it. If the number of
+/// events is unknown (`None`), the table has 0. Returns the additions to the counters of the host.
 pub(super) async fn insert_unattributed_gap(
     connection: &mut SqliteConnection,
     host: i64,
@@ -112,9 +126,21 @@ pub(super) async fn insert_unattributed_gap(
         .bind(now.unix_nanos())
         .bind(column(missing))
         .bind(reason)
+        .execute(&mut *connection)
+        .await?;
+    let subject = match events {
+        Some(events) => format!("{} missing", counted(events, "event")),
+        None => "an unknown number of events is missing".to_owned(),
+    };
+    sqlx::query("INSERT INTO incident (host, at_ns, kind, text) VALUES (?, ?, ?, ?)")
+        .bind(host)
+        .bind(now.unix_nanos())
+        .bind(IncidentKind::Gap.name())
+        .bind(format!("{subject}: {reason}"))
         .execute(connection)
         .await?;
-    Ok(StoredCounts { gaps: 1, missing, ..StoredCounts::default() })
+    let missing_before = if reason.starts_with(before_database!()) { missing } else { 0 };
+    Ok(StoredCounts { gaps: 1, missing, missing_before, ..StoredCounts::default() })
 }
 
 /// Stores a batch whose events cannot be stored. `events` is the number of events if they can be decoded.

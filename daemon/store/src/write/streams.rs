@@ -111,6 +111,7 @@ impl AdvancedStreams {
         connection: &mut SqliteConnection,
         host: i64,
         introduction: &Introduction,
+        is_first_contact: bool,
         now: WallTime,
     ) -> Result<StoredCounts, Refusal> {
         let update = sqlx::query("UPDATE stream SET last_seen_ns = ? WHERE uuid = ?")
@@ -140,10 +141,13 @@ impl AdvancedStreams {
             (reason, None)
         });
         let missing_previous = introduction.missing_previous.map(|MissingPreviousBatches { stream, from, through, events }| {
-            let reason = format!(
-                "batches {from} to {through} of stream {stream} are not in this database: they were stored in a newer \
-                 database, of which this one is an older copy"
-            );
+            let reason = match is_first_contact {
+                true => records::describe_batches_before_database(&stream, from, through),
+                false => format!(
+                    "batches {from} to {through} of stream {stream} are not in this database: they were stored in a newer \
+                     database, of which this one is an older copy"
+                ),
+            };
             (reason, events)
         });
         let mut added = StoredCounts::default();

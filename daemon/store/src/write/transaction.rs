@@ -128,7 +128,8 @@ impl Staging {
                     batch.added
                 }
                 (Work::MissingBatches(missing), None) => {
-                    records::insert_missing_batches(connection, host, missing, now).await?
+                    let is_first_contact = self.counters.is_first_contact(connection, head.host, host).await?;
+                    records::insert_missing_batches(connection, host, missing, is_first_contact, now).await?
                 }
                 _ => continue,
             };
@@ -162,8 +163,11 @@ impl Staging {
         if let Some(secret) = &introduction.secret {
             secrets::enrol(connection, id, secret, now).await?;
         }
-        let added = self.advanced_streams.introduce(connection, id, introduction, now).await?;
-        self.counters.host(introduction.host.id, id).add(&added);
+        let host = introduction.host.id;
+        let is_first_contact = self.counters.is_first_contact(connection, host, id).await?;
+        let added =
+            self.advanced_streams.introduce(connection, id, introduction, is_first_contact, now).await?;
+        self.counters.host(host, id).add(&added);
         Ok(())
     }
 

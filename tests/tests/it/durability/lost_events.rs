@@ -118,6 +118,8 @@ fn deleted_database_reports_number_of_missing_events() {
     assert_eq!(counts.produced, host.events + host.missing, "{counts:?}, {host:?}");
     let reason = query_database(fleet.database(), "SELECT reason FROM gap");
     assert!(reason.contains("batches 1 to"), "{reason}");
+    let incident = query_database(fleet.database(), "SELECT text FROM incident WHERE kind = 'gap'");
+    assert!(incident.contains("events missing: from before this database: batches 1 to"), "{incident}");
 }
 
 #[test]

@@ -193,6 +193,8 @@ pub(crate) struct Stored {
     pub gaps: u64,
     /// Events missing in the gaps, as far as they could be counted.
     pub missing: u64,
+    /// Those of them that were stored in another database before this database knew the host.
+    pub missing_before: u64,
     /// Batches that were received again and not stored again, since the aggregator started.
     pub duplicates: u64,
     /// Batches quarantined because they could not be stored.
@@ -205,9 +207,17 @@ pub(crate) struct Stored {
 
 impl Stored {
     fn new(stored: peernet_store::StoredCounts, arrivals: Arrivals) -> Self {
-        let peernet_store::StoredCounts { events, nodes, gaps, missing, duplicates, quarantined } = stored;
+        let peernet_store::StoredCounts {
+            events,
+            nodes,
+            gaps,
+            missing,
+            missing_before,
+            duplicates,
+            quarantined,
+        } = stored;
         let Arrivals { deferred, damaged } = arrivals;
-        Self { events, nodes, gaps, missing, duplicates, quarantined, deferred, damaged }
+        Self { events, nodes, gaps, missing, missing_before, duplicates, quarantined, deferred, damaged }
     }
 }
 

@@ -1,6 +1,5 @@
 //! Response length against latency: a sample of the iterations as points, and the distributions of all iterations.
 
-mod growth;
 #[cfg(test)]
 pub(crate) mod tests;
 
@@ -14,8 +13,6 @@ use peernet_logger::IterationValues;
 use peernet_statistics::Summary;
 use peernet_statistics::number::{bytes, count, duration, fixed};
 use peernet_store::{RunSummary, StageStatistics, Store};
-
-use growth::sentence;
 
 use super::{Comparison, Configuration};
 use crate::error::WebError;
@@ -195,7 +192,7 @@ pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Le
         let sample = sample.cloned().unwrap_or_default();
         let growth = Growth::from_iterations(&sample.points);
         let slope = match &growth {
-            Ok(growth) => sentence(growth, what, each),
+            Ok(growth) => growth.describe_slope(what, each),
             Err(no_line) => format!("No line: {no_line}."),
         };
         let medians = medians_sentence(varying_configuration);

@@ -37,11 +37,13 @@ fn server_without_usage_is_named_with_option() {
     let drawn = |columns: &Columns| draw(Kind::Length, std::slice::from_ref(&local), columns, folder.path());
     let hint = "the server sent no `usage`; use --x output-chunks";
     let error = drawn(&Columns::default()).expect_err("no length").to_string();
-    assert!(error.ends_with(hint), "{error}");
+    assert_eq!(error, format!("the lengths of the answers are not known: {hint}"), "nothing was downloaded");
     let named = Columns { x: Some("output-chunks".to_owned()), y: None };
     assert!(drawn(&named).is_ok(), "the name of the node, as in the documents");
     let caption = std::fs::read_to_string(folder.path().join("length-caption.txt")).expect("a caption");
     assert!(!caption.contains(hint), "{caption}");
+    let slope = "Each further unit of inference output chunks takes ";
+    assert!(caption.contains(slope) && caption.contains("The line begins at "), "{caption}");
     let remote = run(200, |number| [chunks(number), vec![("download-bytes", number as f64)]].concat());
     let drawings =
         length::drawings(&remote.record, &remote.rows, &Columns::default()).expect("bytes of the answers");
