@@ -15,6 +15,7 @@ mod delivery;
 mod ending;
 mod estimate;
 mod execute;
+mod exit_reason;
 mod external_files;
 mod file;
 mod finished_runs;
