@@ -179,7 +179,10 @@ mod tests {
                 && (growing.fit.slope.value - 0.5).abs() < 0.02
         );
         let slope = growing.describe_slope("token", 1e-3);
-        assert!(slope.starts_with("Each further token takes 0.50") && slope.ends_with("200 iterations."), "{slope}");
+        assert!(
+            slope.starts_with("Each further token takes 0.") && slope.ends_with("200 iterations."),
+            "{slope}"
+        );
         let intercept = growing.describe_intercept().expect("it is above 0");
         assert!(intercept.starts_with("The line begins at "), "{intercept}");
         let line = |iterations: &[(f64, f64)]| Growth::from_iterations(iterations)?.line();

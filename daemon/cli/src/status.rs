@@ -100,7 +100,10 @@ struct Stored {
 impl Host {
     /// Returns the number of events that are missing in the database for ever, as the overview of the dashboard counts them.
     fn lost(&self) -> u64 {
-        self.now.as_ref().map_or(0, |now| now.events.dropped).max(self.stored.missing.saturating_sub(self.stored.missing_before))
+        self.now
+            .as_ref()
+            .map_or(0, |now| now.events.dropped)
+            .max(self.stored.missing.saturating_sub(self.stored.missing_before))
     }
 }
 

@@ -178,7 +178,10 @@ fn remarks(host: &HostSnapshot) -> Vec<Remark> {
     if missing > 0 {
         // Batches that only the aggregator found missing were lost in another way, for example with a spool that was deleted.
         let why = loss_reasons(account).filter(|_| account.dropped == missing).unwrap_or("missing");
-        let text = format!("{} {why}; the gaps of its runs, or incidents of the kind gap, say why.", counted_events(missing));
+        let text = format!(
+            "{} {why}; the gaps of its runs, or incidents of the kind gap, say why.",
+            counted_events(missing)
+        );
         remarks.push(Remark::new(Tone::Warn, "gap", "lost", text));
     }
     if account.compressed {

@@ -7,7 +7,7 @@ use peernet_stream::{
 };
 
 use super::rollups::{assert_same, table};
-use super::{NOW, STAMP, TestStore, Work, generate, open};
+use super::{NOW, STAMP, TestStore, Work, generate, hello, open};
 use crate::rebuild::rebuild;
 use crate::stored::StoredCounts;
 use crate::write::{Introduction, UnstorableBatch};
@@ -275,7 +275,8 @@ async fn events_before_first_contact_are_counted_apart() {
     };
     let started = generate::run_started(RunId::random(), "line", generate::at(1.0));
     let first_batch = test_store.batch_numbered(10, vec![started]);
-    let committed = test_store.commit(&[missing(1, 9, 40), first_batch]).await;
+    let introduction = hello(generate::host(host, "edge"), process);
+    let committed = test_store.commit(&[introduction, missing(1, 9, 40), first_batch]).await;
     let (stored, _) = committed.hosts[&host];
     assert_eq!((stored.gaps, stored.missing, stored.missing_before), (1, 40, 40));
     let incidents = "SELECT count(*) FROM incident WHERE kind = 'gap' AND text LIKE \
@@ -289,7 +290,7 @@ async fn events_before_first_contact_are_counted_apart() {
     assert_eq!((stored.gaps, stored.missing, stored.missing_before), (2, 45, 40));
     let hosts = test_store.store.hosts().await.expect("answers");
     let edge = hosts.iter().find(|one| one.id == host).map(|one| one.stored);
-    assert!(edge.is_none_or(|edge| edge == stored), "{edge:?}");
+    assert_eq!(edge, Some(stored));
 }
 
 #[tokio::test]

@@ -98,7 +98,7 @@ pub(super) async fn insert_missing_batches(
     insert_unattributed_gap(connection, host, &reason, *events, now).await
 }
 
-/// Returns the reason of a gap of batches that were stored before this database knew their host. [`missing_before!`] finds it by its
+/// Returns the reason of a gap of batches that were stored before this database knew their host. `missing_before!` finds it by its
 /// beginning.
 pub(super) fn describe_batches_before_database(stream: &StreamId, from: u64, through: u64) -> String {
     format!(

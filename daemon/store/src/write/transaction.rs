@@ -128,7 +128,8 @@ impl Staging {
                     batch.added
                 }
                 (Work::MissingBatches(missing), None) => {
-                    let is_first_contact = self.counters.is_first_contact(connection, head.host, host).await?;
+                    let is_first_contact =
+                        self.counters.is_first_contact(connection, head.host, host).await?;
                     records::insert_missing_batches(connection, host, missing, is_first_contact, now).await?
                 }
                 _ => continue,
