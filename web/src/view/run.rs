@@ -109,10 +109,9 @@ impl StoredRun<'_> {
     /// Returns texts about the number of episodes, the failed iterations, and a standstill.
     pub(crate) fn time_remarks(&self) -> Vec<String> {
         let failed = episodes::failed(self.episodes, &self.run.summary);
-        let standstill =
-            self.starts.times.standstill_s.map(|seconds| {
-                format!("nothing for {}: the clock was set, or the pipeline stood still", length(seconds))
-            });
+        let standstill = self.starts.times.standstill_s.map(|seconds| {
+            format!("nothing for {}: the clock was set, or the pipeline stood still", length(seconds))
+        });
         [episodes::summary(self.episodes), failed, standstill].into_iter().flatten().collect()
     }
 
