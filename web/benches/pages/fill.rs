@@ -78,10 +78,10 @@ impl Agent {
             protocol: STREAM_VERSIONS.oldest(),
             host: generate::host(edge, "edge"),
             stream,
-            previous: None,
+            previous_stream: None,
             first: 1,
             oldest: 1,
-            before: Chain::START,
+            chain_before_oldest: Chain::START,
             events_before_oldest: 0,
             events_before_first: Some(0),
             batch_bytes: 128 * 1024,
@@ -169,12 +169,20 @@ impl Agent {
         self.number += 1;
         let body = generate::body(events);
         let count = u32::try_from(events.len()).expect("a batch");
-        let before = self.chain;
-        self.chain = before.next(count, &body);
+        let previous_chain = self.chain;
+        self.chain = previous_chain.next(count, &body);
         let (host, stream, number, chain) = (self.hosts.0, self.stream, self.number, self.chain);
         let events_before = self.events;
-        let head =
-            BatchHead { host, stream, process: 1, number, before, chain, events: count, events_before };
+        let head = BatchHead {
+            host,
+            stream,
+            process: 1,
+            number,
+            previous_chain,
+            chain,
+            events: count,
+            events_before,
+        };
         self.events = head.events_through();
         let frame = Bytes::from(codec::encode_batch(&head, &body, false));
         self.socket.send(Message::single(frame)).await.expect("sends");
