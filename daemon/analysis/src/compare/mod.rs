@@ -247,7 +247,8 @@ impl Line {
         self.edges = repeats.iter().map(|(_, edges)| *edges).max().unwrap_or(1);
         let runs_of_line = || self.runs.iter().map(|run| &runs[*run]);
         let rows = || runs_of_line().flat_map(|run| &run.rows);
-        let replayed = runs_of_line().filter_map(|run| ReplayedLatencies::from_run(&run.record, &run.rows));
+        let replayed =
+            runs_of_line().filter_map(|run| ReplayedLatencies::from_run(&run.record.facts, &run.rows));
         self.replayed = ReplayedLatencies::describe_all(replayed);
         self.misses = Misses::from_rows(rows());
         self.actuator = ActuatorResults::from_rows(rows());

@@ -2,7 +2,6 @@
 
 use peernet_statistics::number::milliseconds;
 
-use crate::record::RunRecord;
 use crate::rows::Rows;
 
 /// Name of the fact by which a model says that its latencies are drawn from a distribution.
@@ -39,10 +38,10 @@ impl ReplayedLatencies {
         Some(Self { distribution: text.clone(), drawn: None, overrun: None })
     }
 
-    /// Returns the replayed latencies of a run with its rows; `None` if the latencies are measured.
-    pub fn from_run(record: &RunRecord, rows: &Rows) -> Option<Self> {
+    /// Returns the replayed latencies by the facts and the rows of a run; `None` if the latencies are measured.
+    pub fn from_run(facts: &[(String, String)], rows: &Rows) -> Option<Self> {
         let mean = |column: &str| mean(rows.counted_values(column));
-        let replayed = Self::from_facts(&record.facts)?;
+        let replayed = Self::from_facts(facts)?;
         Some(Self { drawn: mean(DRAWN_LATENCY_COLUMN), overrun: mean(OVERRUN_COLUMN), ..replayed })
     }
 

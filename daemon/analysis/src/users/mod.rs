@@ -174,7 +174,8 @@ impl Users {
                 }
             };
             let runs = groups.iter().flat_map(|edges| edges.iter());
-            let replayed = runs.filter_map(|edge| ReplayedLatencies::from_run(&edge.record, &edge.rows));
+            let replayed =
+                runs.filter_map(|edge| ReplayedLatencies::from_run(&edge.record.facts, &edge.rows));
             let replayed = ReplayedLatencies::describe_all(replayed);
             let line = UsersLine::new(labels, groups[0].len(), &repeats, Totals::from_values(&totals));
             UsersLine { replayed, ..line }

@@ -40,7 +40,7 @@ pub(super) fn note(runs: &[Loaded]) -> Option<String> {
     let Configurations { axes, labels } = Configurations::from_runs(runs);
     let mut configurations: Vec<(String, Vec<ReplayedLatencies>)> = Vec::new();
     for (run, name) in runs.iter().zip(readable_names(&axes, labels.iter().map(Vec::as_slice))) {
-        let Some(replayed) = ReplayedLatencies::from_run(&run.record, &run.rows) else { continue };
+        let Some(replayed) = ReplayedLatencies::from_run(&run.record.facts, &run.rows) else { continue };
         match configurations.iter_mut().find(|(other, _)| *other == name) {
             Some((_, of_configuration)) => of_configuration.push(replayed),
             None => configurations.push((name, vec![replayed])),
@@ -54,6 +54,6 @@ pub(super) fn note(runs: &[Loaded]) -> Option<String> {
 
 /// Returns the note on a run whose latencies are replayed, with their distribution; `None` if they are measured.
 pub(super) fn note_of_run(record: &RunRecord, rows: &Rows) -> Option<String> {
-    let replayed = ReplayedLatencies::from_run(record, rows)?.describe();
+    let replayed = ReplayedLatencies::from_run(&record.facts, rows)?.describe();
     replayed_configurations([(String::new(), Some(replayed.as_str()))])
 }
