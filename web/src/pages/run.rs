@@ -288,7 +288,8 @@ fn assemble(
     let delay_notes = Note::delay_notes(summary.pipeline.as_str(), "", link.as_deref(), bounds, |name| {
         stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.statistics)
     });
-    let mean = |name: &str| stages.iter().find(|stage| &*stage.stage == name).map(|stage| stage.statistics.mean);
+    let mean =
+        |name: &str| stages.iter().find(|stage| &*stage.stage == name).map(|stage| stage.statistics.mean);
     let (drawn, overrun) = (mean(DRAWN_LATENCY), mean(OVERRUN));
     let replayed = ReplayedLatencies::from_facts(&run.facts).map(|replayed| ReplayedLatencies {
         drawn,

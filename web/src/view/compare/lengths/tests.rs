@@ -115,8 +115,9 @@ fn sample_has_number_of_all_and_deleted_iterations() {
 
 #[test]
 fn too_few_or_flat_points_give_no_growth() {
-    let sentence =
-        |points: &[(f64, f64)]| Growth::from_iterations(points).map(|growth| sentence(&growth, "kB", 1e3));
+    let sentence = |points: &[(f64, f64)]| {
+        Growth::from_iterations(points).map(|growth| growth.describe_slope("kB", 1e3))
+    };
     assert_eq!(sentence(&answered(59)), Err(NoLine::Answers(59)));
     let equal_lengths: Vec<(f64, f64)> =
         answered(60).iter().map(|(x, y)| (f64::from(*x > 30.0 && *x < 32.0), *y)).collect();
@@ -204,7 +205,7 @@ fn slope_of_nanoseconds_has_significant_digits() {
     let points: Vec<(f64, f64)> = answered(200).iter().map(|(x, _)| (*x, 1e-3 + x * 2.0e-9)).collect();
     let noisy: Vec<(f64, f64)> =
         points.iter().enumerate().map(|(n, (x, y))| (*x, y + 2e-9 * (n as f64 * 1.7).sin())).collect();
-    let text = sentence(&Growth::from_iterations(&noisy).expect("enough"), "token", 1.0);
+    let text = Growth::from_iterations(&noisy).expect("enough").describe_slope("token", 1.0);
     let start = "Each further token takes 0.0000020";
     assert!(
         text.starts_with(start) && !text.contains("0.000 ") && text.contains("(95\u{202f}%: 0.00000"),
