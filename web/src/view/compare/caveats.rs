@@ -23,7 +23,7 @@ pub(crate) fn caveats(comparison: &Comparison) -> Vec<(Chip, String)> {
     let report = |run: i64| comparison.trust_by_run.get(&run);
     let reports = configurations.iter().flat_map(|one| {
         let named = one.runs.iter().filter_map(move |run| Some((run, report(run.number)?)));
-        named.map(|(run, report)| (name_with_other_edges(comparison, one, run), report))
+        named.map(move |(run, report)| (name_with_other_edges(comparison, one, run), report))
     });
     let publication = publication_caveats(reports).into_iter().map(|(grade, text)| (chip(grade), text));
     let described = configurations.iter().map(|one| {
