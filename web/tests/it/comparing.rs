@@ -92,11 +92,11 @@ async fn skipped_starts_before_failed_iterations_are_shown() {
 #[tokio::test]
 async fn values_of_repeated_nodes_are_not_called_iterations() {
     let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
-    site.store_crops(0, 120).await;
+    site.store_skipping(0, 120, 7).await;
     let page = dashboard.get("/compare?runs=2&stage=crop").await;
-    assert!(page.text().contains("200 values, median "), "{}", page.text());
+    assert!(page.text().contains("180 values, median "), "{}", page.text());
     let page = dashboard.get("/compare?runs=2&stage=inference").await;
-    assert!(page.text().contains("100 iterations, median "), "{}", page.text());
+    assert!(page.text().contains("90 iterations, median "), "{}", page.text());
     let [crop, inference] = ["crop", "inference"].map(|name| format!("/runs/2?stage={name}"));
     for (address, title) in [(crop, ">values<"), (inference, ">iterations<")] {
         let page = dashboard.get(&address).await;

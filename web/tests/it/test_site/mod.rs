@@ -5,7 +5,6 @@ mod agent;
 mod backlog;
 mod clocks;
 mod episodes;
-mod objects;
 mod pipeline;
 mod skipping;
 mod tree;
