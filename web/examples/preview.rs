@@ -106,7 +106,6 @@ async fn produce(
     }
     site.store_experiment(600, 2).await;
     site.store_episodes(2_000, 250).await;
-    site.store_crops(0, 600).await;
     let sizes = [30e3, 150e3, 400e3, 800e3].map(|bytes| (bytes, None));
     site.store_sizes(2.min(site.pipelines.len() - 1), 300, &sizes).await;
     if grid {
