@@ -229,7 +229,7 @@ impl Timeline {
 
     /// Returns the format of tables of the nodes' durations.
     pub(crate) fn column(&self) -> StageColumn {
-        StageColumn::for_total(Some(self.end))
+        StageColumn::for_total(Some(self.end), None)
     }
 
     /// Returns the stay on the other host if there is exactly one other host.

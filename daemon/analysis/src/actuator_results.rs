@@ -1,6 +1,6 @@
 //! Results of a run's actuator: superseded answers, and success and return of the episodes.
 
-use peernet_statistics::number::{fixed, share};
+use peernet_statistics::number::{count, counted, decimals, fixed, share};
 use peernet_statistics::{Moments, Summary};
 use serde::{Deserialize, Serialize};
 
@@ -107,35 +107,37 @@ impl ActuatorResults {
             [self.success.map(|found| found.episodes), self.episode_return.map(|found| found.episodes)];
         let mut counts: Vec<u64> = counts.into_iter().flatten().collect();
         counts.dedup();
-        let texts: Vec<String> = counts.into_iter().map(|count| fixed(count as f64, 0)).collect();
+        let texts: Vec<String> = counts.into_iter().map(count).collect();
         (!texts.is_empty()).then(|| texts.join(EPISODES_SEPARATOR))
     }
 
     /// Returns sentences about the results; `answered` is the number of counted iterations.
     pub fn sentences(&self, answered: u64) -> Vec<String> {
         let superseded = (self.superseded > 0).then(|| {
-            let [superseded, answered] = [self.superseded, answered].map(|count| fixed(count as f64, 0));
+            let [superseded, answered] = [self.superseded, answered].map(count);
             format!("Superseded: {superseded} of {answered} answers were not acted on, because a newer answer had been acted on or the episode had ended.")
         });
         let success = self.success.map(|success| {
             let SuccessRate { rate, interval: (lo, hi), episodes } = success;
             let [rate, lo, hi] = [rate, lo, hi].map(share);
-            format!(
-                "Success: {rate} % of {} episodes (95 % confidence: {lo} – {hi} %).",
-                fixed(episodes as f64, 0)
-            )
+            format!("Success: {rate} % of {} (95 % confidence: {lo} – {hi} %).", counted(episodes, "episode"))
         });
         let episode_return = self.episode_return.map(|found| {
-            format!("Return per episode: {} over {} episodes.", found.text(), fixed(found.episodes as f64, 0))
+            format!("Return per episode: {} over {}.", found.text(), counted(found.episodes, "episode"))
         });
         [superseded, success, episode_return].into_iter().flatten().collect()
     }
 }
 
+/// Returns the number of decimals of returns with this mean and sample standard deviation: three significant digits of the deviation.
+pub(crate) fn return_decimals(mean: f64, std: Option<f64>) -> usize {
+    decimals(std.unwrap_or(mean), 3)
+}
+
 impl EpisodeReturn {
     /// Returns mean and standard deviation as a text, in the unit of the rewards.
     pub fn text(&self) -> String {
-        let decimals = peernet_statistics::number::decimals(self.std.unwrap_or(self.mean), 3);
+        let decimals = return_decimals(self.mean, self.std);
         match self.std {
             Some(std) => format!("{} ± {}", fixed(self.mean, decimals), fixed(std, decimals)),
             None => fixed(self.mean, decimals),

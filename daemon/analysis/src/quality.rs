@@ -1,11 +1,12 @@
 //! Quality of the answers or of the episodes of a configuration.
 
+use peernet_statistics::number::{fixed, share};
 use peernet_statistics::{Moments, Summary};
 
 use crate::accuracy::detection::DETECTION_SCORES;
 use crate::accuracy::segmentation::SEGMENTATION_SCORE;
 use crate::accuracy::{ACCURACIES, Accuracy, MeanScore, score};
-use crate::actuator_results::{ActuatorResults, EPISODE_RETURN, EPISODE_SUCCESS};
+use crate::actuator_results::{ActuatorResults, EPISODE_RETURN, EPISODE_SUCCESS, return_decimals};
 use crate::rows::RowRef;
 
 /// Quantity that says how good a configuration is, beside its latency.
@@ -32,6 +33,23 @@ pub struct QualityEstimate {
     pub interval: (f64, f64),
     /// Number of scored iterations or of episodes.
     pub count: u64,
+    /// Sample standard deviation of the values; `None` for a single value and for shares.
+    pub std: Option<f64>,
+}
+
+impl QualityEstimate {
+    /// Returns the confidence interval; `None` for the mean of a single value, which has none. A share of a single iteration or episode has one.
+    pub fn known_interval(&self) -> Option<(f64, f64)> {
+        Some(self.interval).filter(|(low, high)| self.count > 1 || low < high)
+    }
+
+    /// Formats the estimate, or an end of its interval: a share in percent, or a return with the decimals of [`EpisodeReturn::text`](crate::actuator_results::EpisodeReturn::text).
+    pub fn format(&self, quality: Quality, value: f64) -> String {
+        match quality {
+            Quality::Return => fixed(value, return_decimals(self.value, self.std)),
+            _ => share(value),
+        }
+    }
 }
 
 /// Count, mean and sample standard deviation of the values of a node.
@@ -62,13 +80,13 @@ impl Quality {
     pub fn from_statistics(self, figures: impl Fn(&str) -> Option<CountMeanStd>) -> Option<QualityEstimate> {
         let of_mean = |(count, mean, std): CountMeanStd, range: (f64, f64)| {
             let MeanScore { mean, interval, count } = MeanScore::from_statistics(count, mean, std, range)?;
-            Some(QualityEstimate { value: mean, interval: interval.unwrap_or((mean, mean)), count })
+            Some(QualityEstimate { value: mean, interval: interval.unwrap_or((mean, mean)), count, std })
         };
         match self {
             Self::Top1 => {
                 let (count, mean, _) = figures(self.name())?;
                 let Accuracy { share, interval, count, .. } = Accuracy::from_mean(mean, count, count)?;
-                Some(QualityEstimate { value: share, interval, count })
+                Some(QualityEstimate { value: share, interval, count, std: None })
             }
             // For a detection, this node holds the mean overlap of the found objects, which is not a score of the answer.
             Self::MeanIou if figures(Self::Map50.name()).is_some() => None,
@@ -79,6 +97,7 @@ impl Quality {
                     value: success.rate,
                     interval: success.interval,
                     count: success.episodes,
+                    std: None,
                 })
             }
             Self::Return => of_mean(figures(self.name())?, (f64::NEG_INFINITY, f64::INFINITY)),
@@ -142,5 +161,24 @@ mod tests {
         let values =
             [Quality::Success, Quality::Return, Quality::Top1].map(|one| value_and_count(one, &lost));
         assert_eq!(values, [Some((1.0, 1)), Some((-7.5, 1)), None], "an episode may end without an answer");
+    }
+
+    #[test]
+    fn return_has_equal_digits_with_deviation_and_with_interval() {
+        let returns = (4, 123.456, Some(34.21));
+        let estimate = Quality::Return.from_statistics(|_| Some(returns)).expect("four episodes");
+        let text =
+            ActuatorResults::from_statistics(|_| Some(returns)).episode_return.expect("has one").text();
+        assert_eq!(text, "123.5 ± 34.2");
+        assert_eq!(estimate.format(Quality::Return, estimate.value), "123.5");
+    }
+
+    #[test]
+    fn single_value_has_no_interval_but_single_share_has_one() {
+        let one = |quality: Quality| {
+            let of_node = |name: &str| (name == quality.name()).then_some((1, 1.0, None));
+            quality.from_statistics(of_node).expect("one value").known_interval().is_some()
+        };
+        assert_eq!(Quality::ALL.map(one), [true, false, false, true, false]);
     }
 }

@@ -6,7 +6,7 @@ use crate::exit::Failure;
 use crate::output::print_to_stdout;
 use chrono::{DateTime, SecondsFormat};
 use peernet_analysis::table::text;
-use peernet_statistics::number;
+use peernet_statistics::number::{self, StageColumn};
 use peernet_stream::PlacementKind;
 use serde::Deserialize;
 
@@ -170,8 +170,10 @@ fn pipeline_row(pipeline: &Pipeline, faulty: &FaultyClocks) -> Vec<String> {
     let statistics_of = |name: &str| {
         window.and_then(|window| window.values.iter().find(|statistics| statistics.name == name))
     };
-    let mean = |name: &str| milliseconds(statistics_of(name).map(|statistics| statistics.mean));
     let total = statistics_of("total");
+    let column = StageColumn::for_total(total.map(|figures| figures.mean), None);
+    let milliseconds = |seconds: Option<f64>| or_dash(seconds.map(|seconds| column.duration(seconds)));
+    let mean = |name: &str| milliseconds(statistics_of(name).map(|figures| figures.mean));
     let Placement { kind, peer, address, model } = &pipeline.placement;
     // A peer has no name before the first session; until then its address identifies it.
     let placement_text = match peer.as_ref().or(address.as_ref()) {
@@ -208,9 +210,9 @@ fn host_row(host: &Host, faulty: &FaultyClocks) -> Vec<String> {
     vec![
         host.name.clone(),
         with_clock_fault_mark(&state, faulty.contains_key(&host.name)),
-        or_dash(now.and_then(|now| now.cpu).map(number::share)),
-        or_dash(now.map(|now| now.events.waiting.to_string())),
-        host.lost().to_string(),
+        or_dash(now.and_then(|now| now.cpu).map(number::whole_percent)),
+        or_dash(now.map(|now| number::count(now.events.waiting))),
+        number::count(host.lost()),
     ]
 }
 
@@ -218,10 +220,6 @@ fn host_row(host: &Host, faulty: &FaultyClocks) -> Vec<String> {
 fn to_the_second(moment: &str) -> String {
     let read = DateTime::parse_from_rfc3339(moment);
     read.map_or_else(|_| moment.to_owned(), |read| read.to_rfc3339_opts(SecondsFormat::Secs, true))
-}
-
-fn milliseconds(seconds: Option<f64>) -> String {
-    or_dash(seconds.map(number::stage_ms))
 }
 
 fn or_dash(text: Option<String>) -> String {
@@ -241,6 +239,27 @@ mod tests {
     }
 
     #[test]
+    fn short_totals_and_large_counts_have_digits_of_pages() {
+        let pipeline: Pipeline = serde_json::from_value(json!({
+            "host": "edge", "name": "p", "state": "running", "reason": null,
+            "placement": { "kind": "local", "peer": null, "address": null, "model": "m" },
+            "windows": [{ "seconds": 10, "rate_hz": 20.0, "lost_fraction": null, "values": [
+                { "name": "total", "mean": 48.31e-6, "p50": 48.2e-6, "p95": null },
+                { "name": "inference", "mean": 22.4e-6, "p50": null, "p95": null },
+            ] }],
+        }))
+        .expect("a pipeline");
+        let row = pipeline_row(&pipeline, &FaultyClocks::default());
+        assert_eq!(row[6..], ["0.0482", "—", "—", "0.0224", "—"]);
+        let host: Host = serde_json::from_value(json!({
+            "name": "edge", "connected": true, "last_seen": null, "clock": null,
+            "now": { "cpu": 0.29, "events": { "waiting": 40_000, "dropped": 1_050 } },
+        }))
+        .expect("a host");
+        assert_eq!(host_row(&host, &FaultyClocks::default())[2..], ["29", "40,000", "1,050"]);
+    }
+
+    #[test]
     fn events_that_only_aggregator_found_missing_are_lost() {
         let host = |dropped: u64, missing: u64| {
             let host = json!({
@@ -249,7 +268,7 @@ mod tests {
             });
             host_row(&serde_json::from_value(host).expect("as the API answers"), &FaultyClocks::default())
         };
-        assert_eq!([host(0, 849), host(1_050, 50)].map(|row| row[4].clone()), ["849", "1050"]);
+        assert_eq!([host(0, 849), host(1_050, 50)].map(|row| row[4].clone()), ["849", "1,050"]);
     }
 
     #[test]

@@ -11,7 +11,7 @@ use peernet_figures::drawing::View;
 use peernet_logger::stage;
 use peernet_statistics::histogram::MAX_BINS;
 use peernet_statistics::number::{
-    NONE, SPACE, count, duration, mean_std_ms, milliseconds, percent, rate, share,
+    NONE, SPACE, count, counted, duration, mean_std_ms, milliseconds, percent, rate, share,
 };
 use peernet_store::{IterationFilter, RunDetail, RunStatistics, RunSummary, StageStatistics};
 use peernet_stream::ExperimentPlace;
@@ -219,8 +219,7 @@ struct ActuatorNumbers {
 
 impl ActuatorNumbers {
     fn new(results: &ActuatorResults, answered: u64) -> Self {
-        let episodes =
-            |number: u64| format!("{} {}", count(number), if number == 1 { "episode" } else { "episodes" });
+        let episodes = |number: u64| counted(number, "episode");
         Self {
             success: results.success.map(|found| {
                 let (lo, hi) = found.interval;

@@ -3,7 +3,7 @@
 use peernet_aggregator::{HostSnapshot, LiveState, MetricsPoint};
 use peernet_clock::{ClockIdentity, Span};
 use peernet_figures::drawing::sparkline;
-use peernet_statistics::number::{NONE, SPACE, count, fixed, gigabytes, length};
+use peernet_statistics::number::{NONE, SPACE, count, fixed, gigabytes, length, whole_percent};
 use peernet_stream::{Hardware, HostMetrics};
 
 use super::chip::{Chip, Tone};
@@ -95,7 +95,7 @@ fn history(
 }
 
 fn percent(share: Option<f64>) -> String {
-    share.map_or_else(|| NONE.to_owned(), |share| fixed(share * 100.0, 0))
+    share.map_or_else(|| NONE.to_owned(), whole_percent)
 }
 
 /// Returns a short name of the hardware: the first accelerator, or the processor if there is no accelerator.

@@ -3,7 +3,7 @@
 use peernet_aggregator::{PipelineSnapshot, Window};
 use peernet_figures::scale::Scale;
 use peernet_logger::stage;
-use peernet_statistics::number::{NONE, count, percent, rate, stage_ms, total_ms};
+use peernet_statistics::number::{NONE, count, percent, rate, total_ms};
 use peernet_statistics::{MIN_VALUES_FOR_P95, MIN_VALUES_FOR_P99};
 use peernet_store::QuantityStatistics;
 use peernet_stream::PipelineState;
@@ -171,8 +171,10 @@ impl NowRow {
         let (p95, p95_cell) = quantile(total, MIN_VALUES_FOR_P95, |total| total.p95);
         let (p99, p99_cell) = quantile(total, MIN_VALUES_FOR_P99, |total| total.p99);
         let part = |name: &str| stack.parts.iter().find(|part| part.name == name);
-        let mean =
-            |name: &&'static str| part(name).map_or_else(|| NONE.to_owned(), |part| stage_ms(part.seconds));
+        let column = stack.column();
+        let mean = |name: &&'static str| {
+            part(name).map_or_else(|| NONE.to_owned(), |part| column.duration(part.seconds))
+        };
         Self {
             name: pipeline.pipeline.to_string(),
             href: place::pipeline_href(host, pipeline.pipeline.as_str()),
@@ -201,7 +203,7 @@ impl NowRow {
             traffic: speed::traffic(pipeline.placement.kind, window),
             clock: ClockCell::of(pipeline.placement.kind, &window.bounds),
             stages: columns.iter().map(mean).chain([mean(&"unattributed")]).collect(),
-            total: stack.total.map_or_else(|| NONE.to_owned(), |total| stage_ms(total.mean)),
+            total: stack.total.map_or_else(|| NONE.to_owned(), |total| column.duration(total.mean)),
         }
     }
 }

@@ -127,7 +127,8 @@ impl StoredRun<'_> {
 
     /// Returns the format of the run's tables of durations.
     fn duration_format(&self) -> StageColumn {
-        StageColumn::for_total(self.run.summary.total.as_ref().map(|total| total.mean))
+        let total = self.run.summary.total.as_ref();
+        StageColumn::for_total(total.map(|total| total.mean), total.and_then(|total| total.std))
     }
 
     /// Returns the time series of the total, bucket by bucket.

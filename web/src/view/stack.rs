@@ -6,7 +6,7 @@ use peernet_analysis::unaccounted_time::{IterationDurations, UnaccountedTime};
 use peernet_figures::drawing::{StageBar, StagePart};
 use peernet_figures::scale::Scale;
 use peernet_logger::Name;
-use peernet_statistics::number::{duration, milliseconds};
+use peernet_statistics::number::{StageColumn, duration, milliseconds};
 use peernet_store::{DelayAccuracy, IterationRow, QuantityStatistics, StageStatistics};
 
 use crate::picture::Picture;
@@ -32,6 +32,11 @@ impl Stack {
         let find =
             |name: &str| stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.statistics);
         Self::new(DelayAccuracy::sent_messages(bounds), find).with_bounds(bounds)
+    }
+
+    /// Returns the format of a table of the parts.
+    pub(crate) fn column(&self) -> StageColumn {
+        StageColumn::for_total(self.total.map(|total| total.mean), self.total.and_then(|total| total.std))
     }
 
     /// Adds the error bars of the one-way delays.

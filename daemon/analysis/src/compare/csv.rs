@@ -83,7 +83,7 @@ impl Comparison {
                 .map(number),
             );
             cells.extend(line.scores.iter().flat_map(|score| {
-                let numbers = score.map(|QualityEstimate { value, interval, count }| {
+                let numbers = score.map(|QualityEstimate { value, interval, count, .. }| {
                     [value, interval.0, interval.1, count as f64]
                 });
                 numbers.map_or([None; 4], |numbers| numbers.map(Some)).map(number)

@@ -65,7 +65,8 @@ impl Comparison {
         for (index, heading) in SCORE_HEADINGS.into_iter().enumerate() {
             columns.add_known(heading, |line| {
                 let score = line.scores[index]?;
-                Some(share_text(score.value, score.interval))
+                let value = share(score.value);
+                Some(score.known_interval().map_or(value, |interval| share_text(score.value, interval)))
             });
         }
         columns.add_if(

@@ -4,7 +4,7 @@ use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
 use peernet_analysis::record::Counts;
 use peernet_analysis::rows::{Outcome, Rows};
-use peernet_statistics::number::counted;
+use peernet_statistics::number::{count, counted};
 use peernet_stream::EndReason;
 
 use super::unavailable;
@@ -68,7 +68,7 @@ fn failed_text(rows: &Rows) -> Option<String> {
         if in_warm_up { (counts.warm_up, "warm-up iteration") } else { (counts.measured(), "iteration") };
     Some(format!(
         "{} of {} failed{cause}; {}",
-        failed().count(),
+        count(failed().count() as u64),
         counted(all, kind),
         describe_failure(first.iteration(), first.outcome(), first.reason())
     ))

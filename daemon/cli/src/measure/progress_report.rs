@@ -35,17 +35,17 @@ pub(crate) struct ProgressReport {
 }
 
 impl fmt::Display for ProgressReport {
-    /// Writes the progress in words: `120 of 10005, 3 failed, 9.8 /s, total p50 101 ms, p99 104 ms, 17 min left`.
+    /// Writes the progress in words: `120 of 10,005, 3 failed, 9.8 /s, total p50 101 ms, p99 104 ms, 17 min left`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.phase == Phase::Starting {
             return f.write_str("starting");
         }
-        write!(f, "{}", self.done)?;
+        f.write_str(&number::count(self.done))?;
         if let Some(iterations) = self.iterations {
-            write!(f, " of {iterations}")?;
+            write!(f, " of {}", number::count(iterations))?;
         }
         if self.failed > 0 {
-            write!(f, ", {} failed", self.failed)?;
+            write!(f, ", {} failed", number::count(self.failed))?;
         }
         write!(f, ", {} /s", number::fixed(self.rate, 1))?;
         // There is no median during the warm-up.
@@ -103,10 +103,10 @@ mod tests {
             left_s: Some(1007.6),
             trouble: None,
         };
-        assert_eq!(report.to_string(), "120 of 10005, 9.8 /s, total p50 101 ms, 17 min left");
+        assert_eq!(report.to_string(), "120 of 10,005, 9.8 /s, total p50 101 ms, 17 min left");
         let failing = ProgressReport { failed: 120, p50: None, ..report.clone() };
-        assert_eq!(failing.to_string(), "120 of 10005, 120 failed, 9.8 /s, 17 min left");
+        assert_eq!(failing.to_string(), "120 of 10,005, 120 failed, 9.8 /s, 17 min left");
         let warming_up = ProgressReport { done: 3, p50: None, ..report };
-        assert_eq!(warming_up.to_string(), "3 of 10005, 9.8 /s, 17 min left");
+        assert_eq!(warming_up.to_string(), "3 of 10,005, 9.8 /s, 17 min left");
     }
 }

@@ -1,6 +1,6 @@
 //! Histograms of a run: the six histograms of the paper's original program, or the histogram of a column.
 
-use peernet_statistics::number::{fixed, range_ms, throughput_between};
+use peernet_statistics::number::{fixed, interval_ms, throughput_between};
 use peernet_stream::PlacementKind;
 
 use super::columns::{count_note, heading, too_large_note, unit, values, with_name};
@@ -77,7 +77,7 @@ fn clock_bounds_note(rows: &Rows, column: &str) -> Option<String> {
         Scale::MegabytesPerSecond => {
             format!("{} MB/s", throughput_between((lo, Some(hi))))
         }
-        _ => format!("{} ms", range_ms((lo, hi))),
+        _ => format!("{} ms", interval_ms(lo, hi)),
     };
     (lo < hi).then(|| format!("clock bounds of the median: {interval}"))
 }

@@ -157,10 +157,7 @@ fn stages_add_up_to_the_total() {
     let drawings = stacked::drawings(&runs).expect("there is something");
     let AnyFigure::Stacked(figure) = &drawings[0].figure else { panic!("bars") };
     assert_eq!(figure.stages, ["sensing", "inference", UNATTRIBUTED]);
-    assert_eq!(
-        figure.bars.iter().map(|bar| bar.label.as_str()).collect::<Vec<_>>(),
-        ["s, local", "s, remote"]
-    );
+    assert_eq!(figure.bars.iter().map(|bar| bar.label.as_str()).collect::<Vec<_>>(), ["local", "remote"]);
     let sum: f64 = figure.bars[0].means.iter().sum();
     assert!((sum - 24e-3).abs() < 5e-4 && figure.bars[0].std.is_some_and(|std| std > 0.0), "{figure:?}");
     assert!(figure.notes[0].contains("model, where") && figure.notes[0].contains("measured total"));
@@ -205,7 +202,7 @@ fn accuracy_is_drawn_against_latency() {
     let AnyFigure::Accuracy(figure) = &drawings[0].figure else { panic!("points") };
     assert_eq!(
         figure.scores.iter().map(|score| (score.label.as_str(), Some(score.estimate))).collect::<Vec<_>>(),
-        ["s, local", "m, local"].map(|label| (label, estimate_of_counts(Quality::Top1, 70, 94)))
+        ["s", "m"].map(|label| (label, estimate_of_counts(Quality::Top1, 70, 94)))
     );
     assert!(
         (figure.scores[1].median - 80.53e-3).abs() < 1e-4 && figure.scores[1].p95.is_some(),

@@ -34,20 +34,13 @@ pub fn duration(seconds: f64) -> Quantity {
     if seconds.abs() < 0.999_5 { short_duration(seconds) } else { Quantity::new(figure(seconds), "s") }
 }
 
-/// Formats a duration in ms with its unit. A short duration has three significant digits, because two decimals would
-/// show only one: `0.0183 ms`.
+/// Formats a duration in ms with its unit and three significant digits: `0.0183 ms`.
 pub fn short_duration(seconds: f64) -> Quantity {
-    let ms = seconds * 1e3;
-    let text = if ms.abs() < SHORT_DURATION_MS { milliseconds(seconds) } else { figure(ms) };
-    Quantity::new(text, "ms")
+    Quantity::new(milliseconds(seconds), "ms")
 }
 
-/// Formats a stage's duration for a table, in ms with two decimals; a value that would be rounded to zero is `<0.01`.
-pub fn stage_ms(seconds: f64) -> String {
-    StageColumn::default().duration(seconds)
-}
-
-/// Format of the durations of one table, in ms: two decimals, or as many as show three significant digits of a short total.
+/// Format of the durations of one table, in ms: two decimals; three if the total's deviation needs them for its second digit; or as many as show three
+/// significant digits of a short total.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StageColumn {
     decimals: usize,
@@ -60,10 +53,12 @@ impl Default for StageColumn {
 }
 
 impl StageColumn {
-    /// Returns the format for a table whose total has this duration.
-    pub fn for_total(seconds: Option<f64>) -> Self {
-        let short = seconds.map(|seconds| seconds * 1e3).filter(|ms| ms.abs() < SHORT_DURATION_MS);
-        short.map_or_else(Self::default, |ms| Self { decimals: default_decimals(ms) })
+    /// Returns the format for a table whose total has this mean and deviation.
+    pub fn for_total(mean: Option<f64>, std: Option<f64>) -> Self {
+        let short = mean.map(|seconds| seconds * 1e3).filter(|ms| ms.abs() < SHORT_DURATION_MS);
+        Self {
+            decimals: short.map_or_else(|| column_decimals(std.filter(|std| *std > 0.0)), default_decimals),
+        }
     }
 
     /// Formats a duration; a value that would be rounded to zero is `<0.01`.
@@ -82,9 +77,11 @@ impl StageColumn {
     }
 }
 
-/// Formats a total for a live page, in ms with one decimal.
+/// Formats a total for a live page, in ms with one decimal; below 1 ms with three significant digits.
 pub fn total_ms(seconds: f64) -> String {
-    measured(seconds * 1e3, 1)
+    let ms = seconds * 1e3;
+    // From here on, three significant digits are rounded to at least `1.00`.
+    measured(ms, if ms.abs() < 0.999_5 { default_decimals(ms) } else { 1 })
 }
 
 /// Formats mean and deviation, or value and margin, in ms: `16.2` and `1.1`.

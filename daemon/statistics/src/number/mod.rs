@@ -18,10 +18,11 @@ pub use estimate::Estimate;
 pub use length::{length, roughly};
 pub use milliseconds::{
     StageColumn, column_decimals, duration, error_ms, mean_std, mean_std_ms, milliseconds, range_ms,
-    short_duration, stage_ms, total_ms, trip_ms,
+    short_duration, total_ms, trip_ms,
 };
 pub use quantity::{
     Quantity, bytes, gigabytes, percent, rate, share, throughput, throughput_between, throughput_with, times,
+    whole_percent,
 };
 
 /// Text for a number that is absent or unknown.

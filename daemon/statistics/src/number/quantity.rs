@@ -50,6 +50,11 @@ pub fn share(share: f64) -> String {
     measured(share * 100.0, 1)
 }
 
+/// Formats a load, such as that of a processor, in whole percent: `29`.
+pub fn whole_percent(share: f64) -> String {
+    fixed(share * 100.0, 0)
+}
+
 /// Formats a rate per second with three significant digits, or one decimal: `0`, `0.0137`, `5.00`, `141.3`, `12,346`.
 pub fn rate(hz: f64) -> String {
     match hz {

@@ -7,7 +7,7 @@ use peernet_analysis::payload_study::{
 use peernet_figures::drawing::Scaling;
 use peernet_figures::payload_figures;
 use peernet_logger::Slug;
-use peernet_statistics::number::{NONE, bytes, count, stage_ms, throughput, throughput_between};
+use peernet_statistics::number::{NONE, bytes, count, milliseconds, throughput, throughput_between};
 use peernet_store::RunSummary;
 
 use super::Comparison;
@@ -107,7 +107,7 @@ fn row(way: &'static str, size: &SizeSummary) -> SizeRow {
         way,
         size: bytes(size.wire_bytes).to_string(),
         messages: count(size.count),
-        delay: stage_ms(size.median),
+        delay: milliseconds(size.median),
         throughput: (
             size.throughput.map_or_else(|| NONE.to_owned(), throughput),
             size.throughput_bounds.map(throughput_between),

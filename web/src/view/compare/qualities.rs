@@ -2,7 +2,7 @@
 
 use peernet_analysis::quality::{Quality, QualityEstimate};
 use peernet_figures::drawing::{Accuracy, MAX_SCORES, Score, Unit};
-use peernet_statistics::number::{SPACE, duration, share, significant};
+use peernet_statistics::number::{SPACE, duration};
 
 use super::{Comparison, Configuration};
 use crate::picture::Picture;
@@ -39,9 +39,9 @@ pub(super) const fn title(quality: Quality) -> (&'static str, &'static str) {
 
 /// Returns the estimate and its interval: shares in per cent.
 pub(super) fn texts(quality: Quality, estimate: &QualityEstimate) -> (String, Option<String>) {
-    let form = if title(quality).1 == "%" { share } else { significant };
-    let QualityEstimate { value, interval: (low, high), count } = *estimate;
-    (form(value), (count > 1).then(|| format!("{}{SPACE}–{SPACE}{}", form(low), form(high))))
+    let form = |value: f64| estimate.format(quality, value);
+    let interval = |(low, high): (f64, f64)| format!("{}{SPACE}–{SPACE}{}", form(low), form(high));
+    (form(estimate.value), estimate.known_interval().map(interval))
 }
 
 /// Returns a plot of each quality that at least two configurations have.

@@ -2,7 +2,7 @@
 
 mod numbers;
 
-use peernet_statistics::number::{fixed, significant};
+use peernet_statistics::number::significant;
 
 use crate::look::{Fill, INK, Mark, Style, WHITE};
 use crate::plot::{At, Axis, Figure, Item, Plot, Table, Unit};
@@ -225,9 +225,9 @@ impl Accuracy {
             format!("median, {symbol}"),
             format!("p95, {symbol}"),
         ]);
-        let lines = self.shown_scores().map(|(score, [_, share, _])| {
+        let lines = self.shown_scores().map(|(score, _)| {
             let p95 = score.p95_latency().map_or_else(|| "—".to_owned(), show);
-            let value = if self.quality == Quality::Return { significant(share) } else { fixed(share, 1) };
+            let value = score.estimate.format(self.quality, score.estimate.value);
             (score.label.clone(), cells([value, show(score.median), p95]))
         });
         Table { titles, lines: lines.collect() }

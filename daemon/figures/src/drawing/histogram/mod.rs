@@ -8,7 +8,7 @@ pub use distribution::{Counted, Distribution, View};
 
 pub(super) use bins::range;
 
-use peernet_statistics::number::fixed;
+use peernet_statistics::number::count;
 
 use crate::look::stage;
 use crate::plot::{Figure, Unit};
@@ -57,8 +57,4 @@ impl Histogram {
             ems: WIDTH_EM,
         }
     }
-}
-
-fn count(count: u64) -> String {
-    fixed(count as f64, 0)
 }

@@ -26,7 +26,7 @@ fn replayed_configuration_is_marked_in_all_figures() {
     for (kind, stem) in [(Kind::Stacked, "stacked"), (Kind::Totals, "totals"), (Kind::Accuracy, "accuracy")] {
         let [svg, words] = drawn(kind, &runs, stem);
         assert!(svg.contains("remote (replayed)<") && svg.contains("local<"), "{stem}: {svg}");
-        let note = "Replayed latencies, not measured: s, remote: inference is drawn from x.";
+        let note = "Replayed latencies, not measured: remote: inference is drawn from x.";
         assert!(words.contains(note), "{stem}: {words}");
         let [svg, words] =
             drawn(kind, &[with_total("s", "local", 20.0), with_total("s", "remote", 4.0)], stem);
@@ -39,7 +39,7 @@ fn replayed_placement_or_model_is_marked_in_pairs() {
     let [svg, words] =
         drawn(Kind::Paired, &[placed("s", "local", 20.0), replayed(placed("s", "remote", 4.0))], "paired");
     assert!(svg.contains(">cloud (replayed)<") && !svg.contains("remote"), "{svg}");
-    assert!(words.contains("not measured: s, remote: inference is drawn from x."), "{words}");
+    assert!(words.contains("not measured: remote: inference is drawn from x."), "{words}");
     let mixed = [
         placed("s", "local", 20.0),
         replayed(placed("s", "remote", 4.0)),

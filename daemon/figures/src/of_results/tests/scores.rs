@@ -25,7 +25,7 @@ fn scores_of_pictures_are_drawn_against_latency() {
             (drawing.stem.as_ref(), score.label.as_str())
         })
         .collect();
-    assert_eq!(found, [("map-50", "d, local"), ("mean-iou", "s, local")]);
+    assert_eq!(found, [("map-50", "d"), ("mean-iou", "s")]);
     let AnyFigure::Accuracy(figure) = &drawings[1].figure else { panic!("points") };
     let svg = file::svg(&figure.figure());
     assert!(
@@ -55,12 +55,12 @@ fn success_of_episodes_is_drawn_against_latency() {
     let AnyFigure::Accuracy(figure) = &drawing.figure else { panic!("points") };
     let scores: Vec<_> = figure.scores.iter().map(|score| (score.label.as_str(), score.estimate)).collect();
     let estimate = |right| estimate_of_counts(Quality::Success, right, 5).expect("there are episodes");
-    assert_eq!(scores, [("s, local", estimate(5)), ("m, local", estimate(2))]);
+    assert_eq!(scores, [("s", estimate(5)), ("m", estimate(2))]);
     assert!((figure.scores[1].median - 0.6).abs() < 1e-9 && figure.notes[0].ends_with("episodes: 5 each"));
     let svg = file::svg(&figure.figure());
     assert!(svg.contains("Successful episodes, %") && svg.contains("success, %"), "{svg}");
     let AnyFigure::Accuracy(figure) = &returns.figure else { panic!("points") };
-    let QualityEstimate { value, interval: (low, high), count } = figure.scores[0].estimate;
+    let QualityEstimate { value, interval: (low, high), count, .. } = figure.scores[0].estimate;
     assert!((value, count) == (-60.0, 5) && low < -60.0 && high > -60.0, "{figure:?}");
     let svg = file::svg(&figure.figure());
     assert!(svg.contains("Return of an episode") && svg.contains("\u{2212}60"), "{svg}");
