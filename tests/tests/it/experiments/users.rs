@@ -123,7 +123,7 @@ fn no_edge_writes_results_while_another_measures() {
             let written =
                 std::fs::metadata(user.join(file)).and_then(|file| file.modified()).expect("written");
             assert!(
-                ends.iter().all(|end| DateTime::from(written) >= *end),
+                ends.iter().all(|end| DateTime::<chrono::Utc>::from(written) >= *end),
                 "{user:?}, {file}: {written:?}, {ends:?}"
             );
         }
