@@ -3,7 +3,7 @@
 //! An event is only in the memory of this process from the time it is queued until its batch is in the spool. To count
 //! the events that a kill loses, each event is counted by run, before it is queued, in a file in shared memory. With each
 //! batch the spool stores the number of counted events that it accounts for. The next process reports the difference as a
-//! gap (`outbox/spool/tail.rs`).
+//! gap (`outbox/spool/killed_process.rs`).
 //!
 //! The file is in `/dev/shm`, because a write to a disk can wait for that disk, which would disturb the measurements. It
 //! is written and not mapped, so that a failed write is an error and does not end the process. After a restart of the
