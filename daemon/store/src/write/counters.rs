@@ -99,14 +99,15 @@ impl Counters {
     /// Returns whether the database knew nothing of a host before this transaction; `id` is its row. Its gaps from before the database
     /// do not count.
     pub(super) async fn is_first_contact(
-        &self,
+        &mut self,
         connection: &mut SqliteConnection,
         host: HostId,
         id: i64,
     ) -> Result<bool, sqlx::Error> {
-        let mut counts = match self.totals.get(&id) {
-            Some(total) => *total,
-            None => total(connection, id).await?,
+        // Kept, because a later read would count the gaps of this transaction, too.
+        let mut counts = match self.totals.entry(id) {
+            Entry::Occupied(entry) => *entry.get(),
+            Entry::Vacant(entry) => *entry.insert(total(connection, id).await?),
         };
         if let Some(pending) = self.hosts.get(&host) {
             counts.add(&pending.added);
@@ -161,7 +162,13 @@ impl Counters {
         for (host, counts) in self.hosts.drain() {
             let total = match self.totals.entry(counts.id) {
                 Entry::Occupied(entry) => entry.into_mut(),
-                Entry::Vacant(entry) => entry.insert(total(connection, counts.id).await?),
+                Entry::Vacant(entry) => {
+                    let mut stored = total(connection, counts.id).await?;
+                    // It is a sum of the table of gaps, which already has those of this transaction.
+                    stored.missing_before =
+                        stored.missing_before.saturating_sub(counts.added.missing_before);
+                    entry.insert(stored)
+                }
             };
             total.add(&counts.added);
             hosts.push((host, counts.id, *total, counts.newest));
