@@ -165,8 +165,7 @@ impl Counters {
                 Entry::Vacant(entry) => {
                     let mut stored = total(connection, counts.id).await?;
                     // It is a sum of the table of gaps, which already has those of this transaction.
-                    stored.missing_before =
-                        stored.missing_before.saturating_sub(counts.added.missing_before);
+                    stored.missing_before = stored.missing_before.saturating_sub(counts.added.missing_before);
                     entry.insert(stored)
                 }
             };
