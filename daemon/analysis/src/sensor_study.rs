@@ -124,7 +124,10 @@ impl SensorStudy {
             }
         });
         if self.failed > 0 {
-            sentences.push(format!("It failed to give a sample {}.", counted(self.failed, "time")));
+            sentences.push(format!(
+                "It failed to give a sample {}; its rate is that between samples without a failure.",
+                counted(self.failed, "time")
+            ));
         }
         sentences
     }

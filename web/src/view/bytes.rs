@@ -8,6 +8,12 @@ use peernet_store::{IterationDetail, QuantityStatistics};
 
 use crate::timeline::NodeStatistics;
 
+/// Names of each direction, of its sizes of payload and metadata, and of its throughput.
+const DIRECTIONS: [(&str, &str, &str, &str); 2] = [
+    ("upload", "upload-bytes", "upload-logger-bytes", "upload-throughput"),
+    ("download", "download-bytes", "download-logger-bytes", "download-throughput"),
+];
+
 /// One direction.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct ByteRow {
@@ -45,11 +51,8 @@ fn run_statistics<'a>(
 impl ByteRow {
     /// Returns a row for each direction in which a payload was sent.
     pub(crate) fn both(detail: &IterationDetail) -> Vec<Self> {
-        let rows = [
-            ("upload", "upload-bytes", "upload-logger-bytes", "upload-throughput"),
-            ("download", "download-bytes", "download-logger-bytes", "download-throughput"),
-        ];
-        let measured_rows = rows.into_iter().filter(|(_, payload, ..)| value(detail, payload).is_some());
+        let measured_rows =
+            DIRECTIONS.into_iter().filter(|(_, payload, ..)| value(detail, payload).is_some());
         let byte_rows = measured_rows.map(|(name, payload, metadata, speed)| {
             let size = |name: &str| {
                 value(detail, name).map_or_else(|| NONE.to_owned(), |size| bytes(size).to_string())
@@ -100,9 +103,10 @@ impl OtherMeasurement {
     pub(crate) fn all(detail: &IterationDetail) -> Vec<Self> {
         let shown_elsewhere = |node: &Node| {
             let name = node.name.as_str();
-            name.ends_with("-bytes")
-                || name.ends_with("-throughput")
-                || matches!(name, "total" | "stages-total" | "unattributed")
+            let is_size_or_speed = DIRECTIONS
+                .iter()
+                .any(|(_, payload, metadata, speed)| [payload, metadata, speed].contains(&&name));
+            is_size_or_speed || matches!(name, "total" | "stages-total" | "unattributed")
         };
         let nodes = detail.tree.iter().skip(1).filter(|(_, node)| {
             !shown_elsewhere(node)

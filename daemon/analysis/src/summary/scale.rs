@@ -50,7 +50,9 @@ impl Scale {
         match column {
             _ if is_total || DURATION_COLUMNS.contains(&node_name(column)) => Self::Milliseconds,
             "upload-throughput" | "download-throughput" => Self::MegabytesPerSecond,
-            _ if column.ends_with("-bytes") => Self::Bytes,
+            "upload-bytes" | "download-bytes" | "upload-logger-bytes" | "download-logger-bytes" => {
+                Self::Bytes
+            }
             _ => unit.map_or(Self::AsMeasured, Self::for_unit),
         }
     }
@@ -108,4 +110,16 @@ fn node_name(column: &str) -> &str {
     let column =
         column.rsplit_once('_').filter(|(_, last)| is_number(last)).map_or(column, |(front, _)| front);
     column.rsplit_once('_').map_or(column, |(_, last)| last)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn user_column_has_logged_unit_whatever_its_suffix() {
+        assert_eq!(Scale::for_column("upload-bytes", None), Scale::Bytes);
+        assert_eq!(Scale::for_column("crop-bytes", None), Scale::AsMeasured, "a plain number, as on pages");
+        assert_eq!(Scale::for_column("crop-bytes", Some("B")), Scale::Bytes);
+    }
 }

@@ -30,12 +30,13 @@ const EXCEPTIONS: [(&str, &str, &str); 4] = [
 ];
 
 /// Queries that sort, and the reason why few rows are sorted.
-const SORTING: [(&str, &str); 11] = [
+const SORTING: [(&str, &str); 12] = [
     ("SHAPES", "one row for each of a few thousand iterations"),
     ("SUMS_OVER_TIME", "at most a thousand buckets of a few names, without their sketches"),
     ("RUNS_FILTERED", "the rows of the runs of the requested pipelines only"),
     ("VERDICTS", "at most a handful of rows"),
     ("EXPERIMENTS", "one row for each experiment; their runs come in the order of an index"),
+    ("FURTHER_GAPS", "the gaps of one run after the first thousand"),
     ("HOSTS", "all hosts are shown"),
     ("LINKS", "all links are shown"),
     ("CLOCK_WINDOW_ORDER", "windows begin where a clock is stepped"),

@@ -294,6 +294,30 @@ async fn events_before_first_contact_are_counted_apart() {
 }
 
 #[tokio::test]
+async fn missing_events_of_all_gaps_are_counted() {
+    let mut test_store = TestStore::new().await;
+    let run = test_store.run_of(3).await;
+    let gap = |index: u32| {
+        Event::Gap(Gap {
+            pipeline: "line".parse().ok(),
+            run: Some(run),
+            from: generate::at(f64::from(index)),
+            to: generate::at(f64::from(index) + 0.5),
+            // The last two gaps have an unknown size.
+            count: if index < 1_498 { 10 } else { 0 },
+            reason: "the queue was full".into(),
+        })
+    };
+    let work = test_store.batch((0..1_500).map(gap).collect());
+    let committed = test_store.commit(&[work]).await;
+    let gaps = test_store.store.run(1).await.expect("answers").expect("exists").gaps;
+    let missing: u64 = gaps.iter().map(|gap| gap.count).sum();
+    assert_eq!((missing, gaps.len()), (14_980, 1_002), "1,000 gaps, the others of known size, and those of unknown size");
+    let (stored, _) = committed.hosts[&test_store.edge];
+    assert_eq!((stored.gaps, stored.missing), (1_500, missing), "as in the list of hosts");
+}
+
+#[tokio::test]
 async fn replaced_spool_leaves_one_gap() {
     let mut test_store = TestStore::new().await;
     let (old, new) = (test_store.stream, StreamId::random());
