@@ -35,7 +35,6 @@ pub mod model_places;
 pub mod offset_trend;
 pub mod order;
 pub mod outcomes;
-mod passage;
 pub mod payload_study;
 pub mod quality;
 pub mod record;
@@ -58,4 +57,3 @@ pub mod users;
 pub mod warm_up;
 
 pub use error::{WriteError, write_file};
-pub use passage::Passage;

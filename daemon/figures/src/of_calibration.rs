@@ -33,7 +33,7 @@ pub(crate) fn messages(study: &Study) -> MessageFigures {
 
 #[cfg(test)]
 mod tests {
-    use peernet_analysis::Passage;
+    use peernet_analysis::calibration::Passage;
     use peernet_analysis::calibration::{Sample, Setting};
     use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict};
 

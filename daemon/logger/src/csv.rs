@@ -55,8 +55,6 @@ pub struct Columns {
     segments: Vec<Segment>,
     /// Indices of all segments in the order of their columns.
     order: Vec<usize>,
-    /// Deepest level with columns; `None` for all levels.
-    max_level: Option<usize>,
 }
 
 /// The last name of a path.
@@ -75,19 +73,13 @@ impl Columns {
         Self::default()
     }
 
-    /// Creates columns for nodes down to a level only; the root's children have level 1.
-    // The program that was published with the paper writes a table with nodes of level 1 only: `sensing`, but not its parts.
-    pub fn with_max_level(level: usize) -> Self {
-        Self { max_level: Some(level), ..Self::default() }
-    }
-
     /// Adds columns for all nodes of a tree.
     pub fn add(&mut self, tree: &Tree) {
         let mut next_position = 0;
         let mut siblings = Siblings::default();
-        let mut segments_and_levels: Vec<Option<(usize, usize)>> = vec![None; tree.nodes().len()];
+        let mut segments: Vec<Option<usize>> = vec![None; tree.nodes().len()];
         for (id, node) in tree.iter().skip(1) {
-            let Some((parent, level)) = self.parent_segment(tree, id, &segments_and_levels) else { continue };
+            let Some(parent) = parent_segment(tree, id, &segments) else { continue };
             let occurrence = siblings.count_occurrence(parent, &node.name);
             let key = (parent, node.name.clone(), occurrence);
             let new_index = self.segments.len();
@@ -105,7 +97,7 @@ impl Columns {
             if let Some(parent) = parent {
                 self.segments[parent].has_children = true;
             }
-            segments_and_levels[id.index()] = Some((index, level));
+            segments[id.index()] = Some(index);
         }
     }
 
@@ -113,22 +105,6 @@ impl Columns {
         let label = if occurrence == 1 { name.to_string() } else { format!("{name}_{occurrence}") };
         self.order.insert(position, self.segments.len());
         self.segments.push(Segment { parent, label, has_value: false, has_children: false });
-    }
-
-    /// Returns the segment of a node's parent (`None` if the parent is the root) and the node's level; `None` if the node has no
-    /// column.
-    fn parent_segment(
-        &self,
-        tree: &Tree,
-        id: NodeId,
-        segments_and_levels: &[Option<(usize, usize)>],
-    ) -> Option<(Option<usize>, usize)> {
-        let parent = tree.get(id)?.parent?;
-        let (segment, level) = match parent {
-            NodeId::ROOT => (None, 1),
-            other => segments_and_levels[other.index()].map(|(segment, level)| (Some(segment), level + 1))?,
-        };
-        self.max_level.is_none_or(|max_level| level <= max_level).then_some((segment, level))
     }
 
     /// Returns the unique names of the columns after `iteration`, each with its segment.
@@ -160,6 +136,14 @@ impl Columns {
                 (index, header)
             })
             .collect()
+    }
+}
+
+/// Returns the segment of a node's parent, `Some(None)` if the parent is the root; `None` if the parent has no segment.
+fn parent_segment(tree: &Tree, id: NodeId, segments: &[Option<usize>]) -> Option<Option<usize>> {
+    match tree.get(id)?.parent? {
+        NodeId::ROOT => Some(None),
+        parent => segments[parent.index()].map(Some),
     }
 }
 

@@ -198,12 +198,6 @@ impl Recorder {
         self.append_at(name, now, Measure::Value(value, unit).without_nan())
     }
 
-    /// Records a value of a kind declared by the user.
-    pub fn record_custom(&mut self, name: Name, kind: Name, unit: Unit, value: f64) -> NodeId {
-        let now = self.clock.mono();
-        self.append_at(name, now, Measure::Custom(kind, unit, Some(value)).without_nan())
-    }
-
     /// Opens the node of a message that is handed to the network at `sent`. The receiver closes it.
     pub fn start_transit(&mut self, name: Name, sent: Stamp) -> NodeId {
         let transit = Transit { sent: sent.wall, received: None, delay: None, raw_stamps: None };

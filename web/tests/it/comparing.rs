@@ -343,7 +343,7 @@ async fn run_files_and_store_give_same_comparison() {
         runs.push(ResultFolder::open(&file).expect("a file of results"));
     }
     let of_files = Comparison::new(&runs);
-    let differences = Differences::between_runs(&runs[0], &runs[1], 1);
+    let differences = Differences::between_lines(&of_files, &runs, 0, 1, 1);
     let of_store = dashboard.get("/api/v1/compare?runs=1,2").await.json();
     for (at, line) in of_files.lines.iter().enumerate() {
         for name in ["sensing", "inference", "total"] {

@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use peernet_clock::{DelaySource, Direction};
 use serde::Serialize;
 
+use super::passage::Passage;
 use super::sample::Sample;
-use crate::Passage;
 use crate::fit::{Estimate, Fit, Point, SlopeRate, Weighted, least_squares, rate_range, theil_sen};
 use crate::message_sizes::{Message, SizeSummary, line_through_medians};
 use crate::order::Z95;

@@ -8,6 +8,7 @@
 mod clocks;
 mod direction;
 mod failures;
+mod passage;
 mod sample;
 mod tables;
 mod verdict;
@@ -15,6 +16,7 @@ mod verdict;
 pub use clocks::Clocks;
 pub use direction::{Claim, DirectionStudy, FitPair, Fits, Throughput, median_delay};
 pub use failures::Failures;
+pub use passage::Passage;
 pub use sample::Sample;
 pub use verdict::{Kind, Verdict};
 

@@ -4,7 +4,7 @@ use peernet_clock::Direction;
 use peernet_logger::stage;
 use peernet_stream::{Iteration, Outcome};
 
-use crate::Passage;
+use super::passage::Passage;
 
 /// Measurements of one iteration of the sweep.
 #[derive(Clone, Debug, PartialEq)]

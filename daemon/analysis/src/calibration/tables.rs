@@ -7,10 +7,11 @@ use peernet_statistics::number::{EXACT, NONE as UNKNOWN, bytes, decimals, fixed,
 
 use super::Study;
 use super::direction::{DirectionStudy, Throughput};
+use super::passage::Passage;
 use super::sample::Sample;
+use crate::WriteError;
 use crate::message_sizes::SizeSummary;
 use crate::table::{csv, decimals_of, interval, text};
-use crate::{Passage, WriteError};
 
 /// Maximum number of decimals of a number of ms: a tenth of a microsecond.
 const MAX_MS_DECIMALS: usize = 4;

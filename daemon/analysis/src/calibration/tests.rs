@@ -3,7 +3,6 @@ use peernet_logger::HostId;
 use peernet_stream::{NetworkName, ProbeCounts};
 
 use super::*;
-use crate::Passage;
 
 const SIZES: [u64; 8] = [100, 1_000, 10_000, 50_000, 100_000, 400_000, 1_000_000, 4_000_000];
 const REPEATS: u64 = 100;

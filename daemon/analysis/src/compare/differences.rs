@@ -57,12 +57,6 @@ pub struct StageDifference {
 }
 
 impl Differences {
-    /// Compares a run with a baseline.
-    pub fn between_runs(baseline: &Loaded, other: &Loaded, seed: u64) -> Self {
-        let name = |run: &Loaded| run.record.title.clone();
-        Self::between_groups((name(baseline), &[baseline]), (name(other), &[other]), seed)
-    }
-
     /// Compares a line of a comparison of `runs` with another line.
     pub fn between_lines(
         comparison: &Comparison,

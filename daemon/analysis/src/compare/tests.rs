@@ -224,7 +224,9 @@ fn failed_run_is_never_the_best() {
 #[test]
 fn differences_are_computed_per_stage() {
     let runs = paper();
-    let differences = Differences::between_runs(&runs[1], &runs[2], 5);
+    let comparison = Comparison::new(&runs);
+    let between = |baseline, other| Differences::between_lines(&comparison, &runs, baseline, other, 5);
+    let differences = between(1, 2);
     let stages: Vec<&str> = differences.stages.iter().map(|stage| stage.stage.as_str()).collect();
     assert_eq!(stages, ["sensing", "upload", "inference", "download", "stages-total", "total"]);
     let upload = &differences.stages[1];
@@ -232,13 +234,13 @@ fn differences_are_computed_per_stage() {
     assert_eq!((upload.mean.is_distinct(), upload.median.is_distinct()), (Some(true), Some(true)));
     assert_eq!(differences.stages[2].mean.is_distinct(), Some(false), "inference is the same");
     let text = differences.captioned().text();
-    assert!(text.starts_with("A: lan. B: can.\n\nstage"), "{text}");
+    assert!(text.starts_with("A: cuda:0, lan. B: cuda:0, can.\n\nstage"), "{text}");
     assert!(text.contains("+80.750"), "{text}");
-    assert_eq!(differences, Differences::between_runs(&runs[1], &runs[2], 5), "the same seed");
+    assert_eq!(differences, between(1, 2), "the same seed");
     let csv = Differences::csv(&[differences]);
-    assert!(csv.lines().nth(2).is_some_and(|line| line.starts_with("lan,can,upload,0.0175")), "{csv}");
-    let comparison = Comparison::new(&runs);
-    let local = Differences::between_lines(&comparison, &runs, 1, 0, 5);
+    let upload = "\"cuda:0, lan\",\"cuda:0, can\",upload,0.0175";
+    assert!(csv.lines().nth(2).is_some_and(|line| line.starts_with(upload)), "{csv}");
+    let local = between(1, 0);
     assert_eq!((local.baseline.as_str(), local.other.as_str()), ("cuda:0, lan", "orin"));
     assert!(local.stages.iter().all(|stage| stage.stage != "upload"), "one of them has none");
 }

@@ -16,6 +16,7 @@ mod units;
 pub use columns::{
     ColumnKind, FIXED_COLUMNS, LATENESS, PUBLISHED_COLUMN_COUNT, SKIPPED_STARTS, column, published_columns,
 };
+pub(crate) use row::judged_delay;
 pub use row::{Column, Outcome, Row};
 pub use row_ref::RowRef;
 pub use units::Units;

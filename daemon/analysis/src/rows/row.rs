@@ -3,12 +3,11 @@
 use std::borrow::Cow;
 
 use peernet_clock::{Interval, OneWayDelay, Span};
-use peernet_logger::stage;
+use peernet_logger::{Measure, Tree, stage};
 use peernet_stream as stream;
 use serde::{Deserialize, Serialize};
 
 use super::columns;
-use crate::passage::judged_delay;
 
 /// Name of a column. The name of a standard column is not allocated.
 pub type Column = Cow<'static, str>;
@@ -131,5 +130,14 @@ impl Row {
     /// Returns whether statistics include the iteration: it succeeded and is not warm-up.
     pub fn is_counted(&self) -> bool {
         self.outcome == Outcome::Ok && !self.warm_up
+    }
+}
+
+/// Returns the delay of the stage `upload` or `download`; `None` if no message was sent, or its delay was never judged.
+// The messages of an observed ROS system have delays, but their sizes on the network are not known.
+pub(crate) fn judged_delay(tree: &Tree, transit: &str) -> Option<OneWayDelay> {
+    match &tree.find(&[transit])?.1.measure {
+        Measure::Transit(transit) => transit.delay,
+        _ => None,
     }
 }

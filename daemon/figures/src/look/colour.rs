@@ -19,8 +19,9 @@ impl Rgb {
         Self(mix(self.0), mix(self.1), mix(self.2))
     }
 
-    /// Returns the contrast with another colour, from 1 to 21 (WCAG 2.1, relative luminance).
-    pub fn contrast(self, other: Self) -> f64 {
+    /// Returns the contrast with another colour, from 1 to 21 (WCAG 2.1, relative luminance). Tests check the tables of colours with it.
+    #[cfg(test)]
+    pub(crate) fn contrast(self, other: Self) -> f64 {
         let linear = |part: u8| {
             let share = f64::from(part) / 255.0;
             if share <= 0.04045 { share / 12.92 } else { ((share + 0.055) / 1.055).powf(2.4) }

@@ -66,18 +66,6 @@ fn column_names_are_unique() {
 }
 
 #[test]
-fn table_can_omit_deeper_levels() {
-    let row = tree(&[("sensing", Some(0.5)), ("sensing/capture", Some(0.4)), ("upload", Some(0.1))]);
-    let mut columns = Columns::with_max_level(1);
-    columns.add(&row);
-    let mut out = Vec::new();
-    let mut table = Table::new(&mut out, columns).expect("memory");
-    table.write_row(7, &row).expect("memory");
-    table.finish().expect("memory");
-    assert_eq!(out, b"iteration,sensing,upload\n7,0.5,0.1\n");
-}
-
-#[test]
 fn names_cannot_break_the_table() {
     let rows = [tree(&[("force, \"left\"", Some(1.0))])];
     assert_eq!(table(&rows), "iteration,\"force, \"\"left\"\"\"\n1,1\n");

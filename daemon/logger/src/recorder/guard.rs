@@ -121,12 +121,7 @@ impl<'a> TokenGuard<'a> {
         self.guard.node
     }
 
-    /// Counts one token.
-    pub fn add_token(&mut self) {
-        self.add_tokens(1);
-    }
-
-    /// Counts several tokens that arrived at once.
+    /// Counts tokens that arrived at once.
     pub fn add_tokens(&mut self, tokens: u64) {
         if tokens > 0 {
             self.last_token = self.guard.clock().mono();

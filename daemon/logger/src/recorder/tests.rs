@@ -56,7 +56,7 @@ fn token_count_and_time_to_first_token_are_recorded() {
     {
         let mut tokens = log.tokens("answer".into());
         clock.advance(Span::from_millis(400));
-        tokens.add_token();
+        tokens.add_tokens(1);
         clock.advance(Span::from_millis(100));
         tokens.add_tokens(4);
         clock.advance(Span::from_seconds(9));

@@ -1,6 +1,6 @@
 //! The payload study and a calibration of the same messages have equal figures.
 
-use peernet_analysis::Passage;
+use peernet_analysis::calibration::Passage;
 use peernet_analysis::calibration::{Sample, Setting, Study};
 use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict};
 

@@ -1,7 +1,9 @@
 //! Message in one direction, with its delay.
 
 use peernet_clock::OneWayDelay;
-use peernet_logger::{Measure, Name, Tree, stage};
+use peernet_logger::{Name, Tree, stage};
+
+use crate::rows::judged_delay;
 
 /// Message in one direction whose size is known.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,14 +39,5 @@ impl Passage {
     /// Returns the size of payload and metadata, bytes.
     pub fn wire_bytes(&self) -> u64 {
         self.payload_bytes + self.metadata_bytes
-    }
-}
-
-/// Returns the delay of the stage `upload` or `download`; `None` if no message was sent, or its delay was never judged.
-// The messages of an observed ROS system have delays, but their sizes on the network are not known.
-pub(crate) fn judged_delay(tree: &Tree, transit: &str) -> Option<OneWayDelay> {
-    match &tree.find(&[transit])?.1.measure {
-        Measure::Transit(transit) => transit.delay,
-        _ => None,
     }
 }
