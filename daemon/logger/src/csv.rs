@@ -196,15 +196,13 @@ impl<W: io::Write> Table<W> {
     pub fn write_row(&mut self, iteration: u64, tree: &Tree) -> io::Result<()> {
         self.cells.iter_mut().for_each(String::clear);
         let mut siblings = Siblings::default();
-        let mut segments_and_levels: Vec<Option<(usize, usize)>> = vec![None; tree.nodes().len()];
+        let mut segments: Vec<Option<usize>> = vec![None; tree.nodes().len()];
         for (id, node) in tree.iter().skip(1) {
-            let Some((parent, level)) = self.columns.parent_segment(tree, id, &segments_and_levels) else {
-                continue;
-            };
+            let Some(parent) = parent_segment(tree, id, &segments) else { continue };
             let key = (parent, node.name.clone(), siblings.count_occurrence(parent, &node.name));
             // The columns may have been collected from other trees.
             let Some(index) = self.columns.segment_indices.get(&key) else { continue };
-            segments_and_levels[id.index()] = Some((*index, level));
+            segments[id.index()] = Some(*index);
             if let (Some(column), Some(value)) = (self.column_of_segment.get(index), node.measure.value()) {
                 self.cells[*column] = value.to_string();
             }

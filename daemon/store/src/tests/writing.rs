@@ -312,7 +312,11 @@ async fn missing_events_of_all_gaps_are_counted() {
     let committed = test_store.commit(&[work]).await;
     let gaps = test_store.store.run(1).await.expect("answers").expect("exists").gaps;
     let missing: u64 = gaps.iter().map(|gap| gap.count).sum();
-    assert_eq!((missing, gaps.len()), (14_980, 1_002), "1,000 gaps, the others of known size, and those of unknown size");
+    assert_eq!(
+        (missing, gaps.len()),
+        (14_980, 1_002),
+        "1,000 gaps, the others of known size, and those of unknown size"
+    );
     let (stored, _) = committed.hosts[&test_store.edge];
     assert_eq!((stored.gaps, stored.missing), (1_500, missing), "as in the list of hosts");
 }
