@@ -176,6 +176,7 @@ pub(crate) struct Histogram {
     pub below: u64,
     /// Number of samples above the last edge.
     pub beyond: u64,
+    #[serde(rename = "figures")]
     pub statistics: QuantityStatistics,
 }
 
