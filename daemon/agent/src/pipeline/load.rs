@@ -90,6 +90,22 @@ impl Schedule {
         }
     }
 
+    /// Skips the starts that have come due by `now` and were not taken.
+    pub(crate) fn skip_due(&mut self, now: MonoTime) {
+        self.catch_up(now);
+        self.skipped += self.due.len() as u64;
+        self.due.clear();
+    }
+
+    /// Postpones all further starts by `pause`, in which no start comes due. The caller has taken or skipped those before it.
+    pub(crate) fn postpone(&mut self, pause: Span) {
+        match &mut self.plan {
+            StartPlan::Closed => {}
+            StartPlan::Rate { origin, .. } => *origin = *origin + pause,
+            StartPlan::Poisson { at, .. } => *at = *at + pause,
+        }
+    }
+
     /// Returns the number of skipped starts since the last taken one.
     pub(crate) const fn unreported_skips(&self) -> u64 {
         self.skipped
@@ -197,6 +213,20 @@ mod tests {
         let mut poisson = Schedule::new(&LoadConfig::Poisson { hz: 10.0, seed: 1 }, 2, at(0));
         poisson.resume_at(at(5040));
         assert!(poisson.next_at(at(5040)) > at(5040), "an interval begins anew");
+    }
+
+    #[test]
+    fn postponed_schedule_counts_starts_before_pause_only() {
+        let mut schedule = ten_hertz_schedule(4);
+        assert_eq!(schedule.take(at(0)), Some(Start { intended: at(0), skipped: 0 }));
+        schedule.skip_due(at(250));
+        schedule.postpone(Span::from_millis(1000));
+        assert_eq!(schedule.take(at(1299)), None);
+        assert_eq!(schedule.take(at(1300)), Some(Start { intended: at(1300), skipped: 2 }));
+        let mut poisson = Schedule::new(&LoadConfig::Poisson { hz: 10.0, seed: 1 }, 2, at(0));
+        let next = poisson.next_at(at(0));
+        poisson.postpone(Span::from_millis(1000));
+        assert_eq!(poisson.next_at(at(0)), next + Span::from_millis(1000));
     }
 
     #[test]

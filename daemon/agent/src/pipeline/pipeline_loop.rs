@@ -168,7 +168,7 @@ impl<'a> PipelineLoop<'a> {
             return false;
         }
         if let Some(preparation) = preparation {
-            self.resources.start_preparation(preparation);
+            self.resources.start_preparation(preparation, now);
             return true;
         }
         let Some(start) = self.resources.schedule.take(now) else { return false };
@@ -252,9 +252,9 @@ impl<'a> PipelineLoop<'a> {
         let is_idle = self.end_reason.is_none()
             && !self.awaits_sample()
             && self.resources.pending_preparation.is_none();
-        // A closed loop starts the next iteration when the last one is complete; an open loop starts it also while
+        // A closed loop, or a simulation, starts the next iteration when the last one is complete; an open loop starts it also while
         // others are in flight, unless these have to end before a preparation.
-        let may_overlap = !self.resources.schedule.is_closed() && self.due_preparation().is_none();
+        let may_overlap = self.resources.iterations_may_overlap() && self.due_preparation().is_none();
         is_idle && (self.in_flight.is_empty() || may_overlap)
     }
 

@@ -59,9 +59,11 @@ pub(super) struct PipelineResources {
     pub(super) pending_preparation: Option<PendingPreparation>,
     /// `true` from a reset until the first sample after it.
     pub(super) is_reset: bool,
-    /// Time by which the simulation is advanced before the next sample: the sum of the durations of the iterations since the last preparation.
+    /// Time by which the simulation is advanced before the next sample: the duration of the last iteration.
     /// `None` if there was none, or without a simulation.
     pending_advance: Option<Span>,
+    /// Start of the advance in progress.
+    advance_started_at: Option<MonoTime>,
     pub(super) schedule: Schedule,
     pub(super) start_timer: StartTimer,
     /// Facts about sensor, transforms, load and actuator (label and text) for the page of a run.
@@ -89,7 +91,8 @@ impl PipelineResources {
         }
         facts.push(("Load".to_owned(), config.load.describe()));
         if config.load.hz().is_some() {
-            facts.push(("In flight".to_owned(), format!("at most {}", config.max_in_flight)));
+            let maximum = if sensor.advances() { 1 } else { config.max_in_flight.get() };
+            facts.push(("In flight".to_owned(), format!("at most {maximum}")));
         }
         let actuator = ActuatorExecutor::new(&config.actuator, &clock)?;
         facts.extend(config.actuator.facts());
@@ -106,6 +109,7 @@ impl PipelineResources {
             pending_preparation: None,
             is_reset: false,
             pending_advance: None,
+            advance_started_at: None,
             schedule: Schedule::new(&config.load, config.max_in_flight.get(), clock.mono()),
             start_timer: StartTimer::new(clock).map_err(AssembleError::Timer)?,
             config,
@@ -118,7 +122,8 @@ impl PipelineResources {
 
     /// Restarts the schedule for a run.
     pub(super) fn restart_schedule(&mut self, now: MonoTime) {
-        // Starts that came due before the run must not count in its latencies.
+        // Starts that came due before the run must not count in its latencies, nor an advance that began before it postpone them.
+        self.advance_started_at = None;
         self.schedule = Schedule::new(&self.config.load, self.config.max_in_flight.get(), now);
     }
 
@@ -138,12 +143,26 @@ impl PipelineResources {
     }
 
     /// Starts a preparation. The caller does so only while no sample is requested, because the sensor handles one request at a time.
-    pub(super) fn start_preparation(&mut self, preparation: Preparation) {
+    pub(super) fn start_preparation(&mut self, preparation: Preparation, now: MonoTime) {
+        if matches!(preparation, Preparation::Advance(_)) {
+            // An iteration that started when one of them was due would contain time by which the simulation is advanced now.
+            self.schedule.skip_due(now);
+            self.advance_started_at = Some(now);
+        }
         // An advance has this time already. A reset begins a new simulation, in which the time of earlier iterations does not pass.
         self.pending_advance = None;
         let actuator = self.actuator.clone().filter(ActuatorExecutor::resets);
         let request = self.sensor.preparation_sender();
         self.pending_preparation = Some(preparation::prepare(preparation, actuator, request));
+    }
+
+    /// Continues the schedule after a preparation, which ended at `now`. Its time belongs to no iteration.
+    pub(super) fn resume_schedule(&mut self, now: MonoTime) {
+        match self.advance_started_at.take() {
+            // The distances between the iterations of an episode are as if no time had passed.
+            Some(started_at) => self.schedule.postpone(now - started_at),
+            None => self.schedule.resume_at(now),
+        }
     }
 
     /// Returns the facts about sensor, transforms, load and actuator, then `model_facts`.
@@ -154,6 +173,12 @@ impl PipelineResources {
     /// Returns the largest number of iterations in flight: one in a closed loop.
     pub(super) fn max_in_flight(&self) -> usize {
         if self.schedule.is_closed() { 1 } else { self.config.max_in_flight.get() }
+    }
+
+    /// Returns whether a sample may be taken while an iteration is in flight. A simulation has to be advanced by the time of
+    /// that iteration before.
+    pub(super) fn iterations_may_overlap(&self) -> bool {
+        !self.schedule.is_closed() && !self.advances
     }
 }
 

@@ -223,6 +223,37 @@ async fn simulation_is_advanced_by_total_of_last_iteration() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn open_loop_advances_simulation_before_each_sample() {
+    // The answer to the second sample takes longer than the timeout. The actuator fails if a sample was taken without an advance.
+    let model = "kind = 'exec'\nworkers = 4\ncommand = '''while read -r word bytes media shape rest; do \
+                 x=$(head -c \"$bytes\"); case $x in *'\"step\":2,'*|*'\"step\": 2,'*) sleep 0.6;; *) sleep 0.1;; esac; \
+                 printf \"answer %d $media\\n%s\" \"$bytes\" \"$x\"; done'''";
+    for load in ["rate", "poisson"] {
+        for max_in_flight in [1, 4] {
+            let keys = format!(
+                "limit = {{ total = 6 }}\nwarm_up = {{ iterations = 0 }}\ntimeout_ms = 300\n\
+                 load = {{ mode = '{load}', hz = 40.0 }}\nmax_in_flight = {max_in_flight}"
+            );
+            let iterations = run(model, ("Simulation", "Follower"), &keys).await;
+            let is_timeout = |iteration: &Iteration| matches!(iteration.outcome, Outcome::Timeout(_));
+            assert_eq!(iterations.iter().filter(|one| is_timeout(one)).count(), 1, "{iterations:#?}");
+            for pair in iterations.windows(2) {
+                let (last, next) = (&pair[0], &pair[1]);
+                if !is_timeout(next) {
+                    assert_adds_up(next);
+                    assert_eq!(next.outcome, Outcome::Ok);
+                    let total = value(&last.tree, "total").expect("a total");
+                    let advanced = value(&next.tree, "reward").expect("it advances");
+                    assert!((advanced - total).abs() < 1e-6, "{load}: {advanced} after {total}");
+                }
+            }
+            let skipped: f64 = iterations.iter().filter_map(|one| value(&one.tree, "skipped-starts")).sum();
+            assert!(skipped >= 3.0, "starts came due while an iteration was in flight: {skipped}");
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn policy_without_answers_ends_every_episode() {
     let model = "kind = 'sleep'\nworkers = 8\ninference_ms = 2000";
     let keys = "episode_steps = 2\nlimit = { episodes = 2 }\nwarm_up = { iterations = 0 }\ntimeout_ms = 50";

@@ -36,8 +36,7 @@ impl PipelineLoop<'_> {
         };
         self.preparation_backoff.record_outcome(&outcome, now);
         self.resources.is_reset = outcome == Outcome::Ok;
-        // The time of a preparation belongs to no iteration.
-        self.resources.schedule.resume_at(now);
+        self.resources.resume_schedule(now);
         if outcome != Outcome::Ok && self.end_reason.is_none() {
             let start = Start { intended: now, skipped: 0 };
             let (log, started_at) = iteration::start(clock, self.context.host.id, now);
