@@ -204,6 +204,11 @@ impl fmt::Display for MessageLoss {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.total {
             0 => f.write_str("nothing of it arrived"),
+            // A fragment that arrives without memory for it counts as received.
+            total if self.received == total => write!(
+                f,
+                "all of its {total} fragments arrived, but they were damaged (wrong checksum), or the receiver had no memory for them"
+            ),
             total => write!(f, "{} of {total} fragments arrived", self.received),
         }
     }

@@ -245,6 +245,29 @@ async fn altered_heartbeat_loses_no_later_request() {
 }
 
 #[tokio::test]
+async fn loss_by_damage_is_named_as_such() {
+    let mut cloud = Cloud::on_network(TestNetwork::ZmqUdp).await;
+    let relay = UdpRelay::start(&cloud.address(), PathImpairment::default(), 1).await;
+    let edge = tokio::spawn({
+        let address = relay.address.clone();
+        async move { open(&address, hello(), settings()).await }
+    });
+    cloud.next_open().await.accept(accepted(cloud.host));
+    let session = within(edge).await.expect("no panic").expect("accepted");
+    relay.alter_data();
+    let pending = tokio::spawn({
+        let session = session.clone();
+        async move { session.request(recorder(), &sample_of(payload(60_000, 1)), TIME_LIMIT).await }
+    });
+    let completed = tokio::select! {
+        completed = within(pending) => completed.expect("no panic"),
+        arrived = cloud.next() => panic!("unexpected {arrived:?}"),
+    };
+    let Err(RequestError::Lost(reason)) = completed.result else { panic!("{:?}", completed.result) };
+    assert!(reason.contains("all of its ") && reason.contains("damaged (wrong checksum)"), "{reason}");
+}
+
+#[tokio::test]
 async fn small_socket_buffers_lose_messages_but_no_count() {
     let small_buffers = SessionSettings { socket_buffer_bytes: 64 << 10, ..settings() };
     let cloud = Cloud::start_at("udp://127.0.0.1:0", small_buffers.clone()).await;

@@ -18,6 +18,11 @@ pub(crate) struct PathImpairment {
     pub(crate) delay: u64,
 }
 
+/// Alteration of a heartbeat.
+const HEARTBEAT: u64 = 1;
+/// Alteration of a part of a message.
+const DATA: u64 = 2;
+
 /// A relay for one edge. It ends when it is dropped.
 pub(crate) struct UdpRelay {
     pub(crate) address: Address,
@@ -25,7 +30,7 @@ pub(crate) struct UdpRelay {
     loss: Arc<AtomicU64>,
     /// Number of dropped datagrams.
     dropped: Arc<AtomicU64>,
-    /// Number of heartbeats to be altered.
+    /// Alteration of the next datagram of the edge to which it applies; 0 for none.
     alterations: Arc<AtomicU64>,
     task: JoinHandle<()>,
 }
@@ -70,10 +75,15 @@ impl UdpRelay {
     /// Alters the next heartbeat of the edge, as a faulty link would. The altered heartbeat claims that 2^20 more
     /// messages were sent. Waits until the heartbeat has passed.
     pub(crate) async fn alter_heartbeat(&self) {
-        self.alterations.store(1, Ordering::Relaxed);
+        self.alterations.store(HEARTBEAT, Ordering::Relaxed);
         while self.alterations.load(Ordering::Relaxed) > 0 {
             tokio::task::yield_now().await;
         }
+    }
+
+    /// Alters the next long datagram of the edge with a part of a message: its last byte.
+    pub(crate) fn alter_data(&self) {
+        self.alterations.store(DATA, Ordering::Relaxed);
     }
 
     /// Lets all datagrams pass again.
@@ -95,7 +105,7 @@ async fn relay_datagrams(
         let (datagram, to) = tokio::select! {
             Ok((length, from)) = edge_socket.recv_from(&mut upload_buffer) => {
                 edge = Some(from);
-                if alterations.load(Ordering::Relaxed) > 0 && alter(&mut upload_buffer[..length]) {
+                if alter(&mut upload_buffer[..length], alterations.load(Ordering::Relaxed)) {
                     alterations.store(0, Ordering::Relaxed);
                 }
                 (&upload_buffer[..length], None)
@@ -141,11 +151,16 @@ async fn relay_datagrams(
     }
 }
 
-/// Sets bit 20 of the next message number in a ping of an edge. Returns whether the datagram is such a ping.
-fn alter(datagram: &mut [u8]) -> bool {
+/// Alters a datagram of an edge: of a ping ([`HEARTBEAT`]) bit 20 of the next message number, of a long datagram of a message
+/// ([`DATA`]) the last byte. Returns whether the datagram is of this kind.
+fn alter(datagram: &mut [u8], alteration: u64) -> bool {
+    if alteration == DATA && datagram.get(8) == Some(&5) && datagram.len() > 1_000 {
+        datagram.last_mut().into_iter().for_each(|last| *last ^= 1);
+        return true;
+    }
     // Group, kind, connection, time.
     const NEXT: usize = 8 + 1 + 8 + 8;
-    let is_ping = datagram.get(8) == Some(&9) && datagram.len() > NEXT + 8;
+    let is_ping = alteration == HEARTBEAT && datagram.get(8) == Some(&9) && datagram.len() > NEXT + 8;
     if is_ping {
         datagram[NEXT + 5] |= 1 << 4;
     }

@@ -3,7 +3,8 @@
 //! These modules serve transports over networks that lose, duplicate and reorder datagrams, such as UDP. A *virtual
 //! connection* is opened by a [`handshake`], has heartbeats, and ends with a goodbye or after a silence of the other end ([`connection`]). A
 //! message is split into [fragments](fragment). At the other end, [`reassembly`] completes the message or counts it as
-//! lost and reports how many of its fragments arrived. Only the messages that open and close sessions are retransmitted.
+//! lost and reports how many of its fragments arrived. Only messages without a tag of up to 64 KiB are
+//! retransmitted: all but requests and answers.
 //! [`window`] bounds the bytes in flight, [`arrival_counter`] counts the losses of datagrams, [`endpoint`] has all connections
 //! of a port, and [`packet`] describes the wire form.
 //!

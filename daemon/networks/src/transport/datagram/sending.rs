@@ -19,8 +19,8 @@ use super::packet_writer::PacketWriter;
 use super::window::SendWindow;
 use crate::transport::{Frames, MessageLoss, SendFailure};
 
-/// Largest message without a tag that is retransmitted when it is lost. Messages without a tag open and close sessions.
-/// Bytes.
+/// Largest message without a tag that is retransmitted when it is lost. All messages but requests and whole answers have no
+/// tag. Bytes.
 const MAX_RETRANSMITTED_BYTES: u32 = 64 * 1024;
 
 /// Maximum number of bytes of datagrams that are sent at once.
@@ -94,7 +94,7 @@ impl SendingHalf {
     }
 
     fn enqueue(&mut self, frames: Frames, tag: u64, deadline: Option<MonoTime>) -> Result<(), SendFailure> {
-        // Messages without a tag open and close sessions, and are retransmitted.
+        // Messages without a tag are retransmitted: all but requests and whole answers.
         let retransmission = (tag == 0).then(|| frames.clone());
         let message = OutgoingMessage::new(frames, self.outstanding.next_sequence(), tag, deadline)
             .map_err(|error| SendFailure::Gone(error.to_string()))?;
