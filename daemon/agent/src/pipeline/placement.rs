@@ -380,6 +380,9 @@ fn describe_timeout(awaited: AwaitedEvent, config: &RemoteConfig, cloud: &Slug, 
         AwaitedEvent::Answer => {
             format!("no answer of cloud {cloud}{model} within {within} ms: {RAISE_TIMEOUT}")
         }
+        AwaitedEvent::RestOfAnswer(parts) => format!(
+            "no complete answer of cloud {cloud}{model} within {within} ms, after {parts} partial answers: {RAISE_TIMEOUT}"
+        ),
         AwaitedEvent::Slot => format!(
             "nothing was sent to cloud {cloud}{model} within {within} ms, because earlier requests held all slots in flight: \
              lower the rate, or raise max_in_flight of the session"

@@ -5,7 +5,8 @@ use peernet_stream::{Iteration, Outcome};
 use crate::harness::{Aggregator, TestAgent, value};
 
 /// Models that yield many more parts than may be unread. Parts of `Fitting` fill the send queue, parts of `Oversized` are
-/// larger than a message.
+/// larger than a message. `Stalling`
+/// takes longer than the time limit after three parts.
 const MODELS: &str = "
 class Fitting:
     def infer(self, x):
@@ -15,10 +16,16 @@ class Oversized:
     def infer(self, x):
         for part in range(200): yield bytes(100_000)
         return 'ok'
+class Stalling:
+    def infer(self, x):
+        import time
+        for part in range(3): yield 'a'
+        time.sleep(2)
+        return 'ok'
 ";
 
 /// Runs two iterations with a model of [`MODELS`]. Messages have at most 64 KiB.
-async fn run(object: &str) -> Vec<Iteration> {
+async fn run(object: &str, keys: &str) -> Vec<Iteration> {
     let folder = tempfile::tempdir().expect("can be made");
     std::fs::write(folder.path().join("own.py"), MODELS).expect("can be written");
     let aggregator = Aggregator::start().await;
@@ -31,7 +38,7 @@ async fn run(object: &str) -> Vec<Iteration> {
     let tables = format!(
         "[[pipeline]]\nname = 'line'\nsensor = {{ kind = 'text', length = 20 }}\n\
          placement = {{ kind = 'remote', peer = '{}', model = 'own', session = {{ max_message_bytes = 65536 }} }}\n\
-         warm_up = {{ iterations = 0 }}\nlimit = {{ iterations = 2 }}\n",
+         warm_up = {{ iterations = 0 }}\nlimit = {{ iterations = 2 }}\n{keys}\n",
         cloud.address()
     );
     let edge = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
@@ -43,7 +50,7 @@ async fn run(object: &str) -> Vec<Iteration> {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn every_partial_answer_arrives_through_full_queue() {
-    let iterations = run("Fitting").await;
+    let iterations = run("Fitting", "").await;
     assert_eq!(iterations.len(), 2);
     for iteration in iterations {
         assert_eq!(iteration.outcome, Outcome::Ok);
@@ -53,7 +60,7 @@ async fn every_partial_answer_arrives_through_full_queue() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn oversized_partial_answer_fails_iteration_with_key_and_size() {
-    let iterations = run("Oversized").await;
+    let iterations = run("Oversized", "").await;
     assert_eq!(iterations.len(), 2);
     for iteration in iterations {
         let Outcome::Failed(reason) = &iteration.outcome else { panic!("{:?}", iteration.outcome) };
@@ -62,4 +69,15 @@ async fn oversized_partial_answer_fails_iteration_with_key_and_size() {
         }
         assert_eq!(value(&iteration.tree, "parts"), None);
     }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn timeout_keeps_partial_answers_that_arrived() {
+    let iterations = run("Stalling", "timeout_ms = 1500").await;
+    let first = iterations.iter().find(|iteration| iteration.number == 0).expect("it is recorded");
+    let Outcome::Timeout(reason) = &first.outcome else { panic!("{:?}", first.outcome) };
+    assert!(reason.contains("after 3 partial answers: if it needs longer"), "{reason}");
+    assert_eq!(value(&first.tree, "parts"), Some(3.0));
+    let first_part = value(&first.tree, "first-part").expect("is recorded");
+    assert!(first_part > 0.0 && first_part < 1.5, "{first_part}");
 }

@@ -1,6 +1,7 @@
 //! A request and its answer on the edge's tree.
 
 use std::fmt;
+use std::num::NonZeroU32;
 
 use peernet_clock::{ExchangeObservation, RawTime, Span, Stamp};
 use peernet_logger::{
@@ -70,14 +71,19 @@ pub enum AwaitedEvent {
     Slot,
     /// The cloud's answer.
     Answer,
+    /// The rest of the cloud's answer, after this number of its parts.
+    RestOfAnswer(NonZeroU32),
 }
 
 impl fmt::Display for AwaitedEvent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Slot => "a slot among the requests in flight",
-            Self::Answer => "the cloud's answer",
-        })
+        match self {
+            Self::Slot => f.write_str("a slot among the requests in flight"),
+            Self::Answer => f.write_str("the cloud's answer"),
+            Self::RestOfAnswer(parts) => {
+                write!(f, "the rest of the cloud's answer after {parts} partial answers")
+            }
+        }
     }
 }
 

@@ -1,6 +1,6 @@
 //! The edge's driver of the session protocol: a session over a transport.
 
-use std::sync::{Arc, OnceLock, Weak};
+use std::sync::{Arc, Mutex, OnceLock, Weak};
 use std::time::Duration;
 
 use peernet_clock::{RelatedClocks, SharedClock};
@@ -14,7 +14,7 @@ use super::completed_request::{
     AbsorbedReply, ArrivedReply, AwaitedEvent, CompletedRequest, RequestError, Sizes, absorb, request_result,
 };
 use super::open::{OpenError, OpenedSession, handshake};
-use super::parts::PartHandler;
+use super::parts::{ArrivedParts, PartHandler};
 use super::receiving::ReceivingTask;
 use super::remarks::Remarks;
 use super::requests_in_flight::{Answer, RequestsInFlight};
@@ -91,6 +91,8 @@ impl Session {
             peer_clock: watch::Sender::new(accepted.accepted.host_clock.clone()),
             peer_statistics: watch::Sender::default(),
             remarks: Remarks::new(remarks),
+            cloud: accepted.accepted.name.clone(),
+            log_throttle: Mutex::default(),
             planned_iterations: OnceLock::new(),
         });
         let (stop, stopped) = (CancellationToken::new(), CancellationToken::new());
@@ -159,7 +161,7 @@ impl Session {
     /// Sends a sample as [`request`](Self::request) does. `handler` takes each part of the answer that arrives before
     /// the answer is complete.
     ///
-    /// If there was any part, also records `first-part`, `first-part-download` and `parts`.
+    /// If there was any part, also records `first-part` and `parts`, and `first-part-download` if the whole answer arrives.
     pub async fn request_in_parts(
         &self,
         recorder: Recorder,
@@ -189,22 +191,34 @@ impl Session {
             Err(error) => return CompletedRequest { result: Err(error), ..completed },
         };
         completed.upload = Some(pending.departed.upload);
+        // Parts of an answer that does not arrive as a whole.
+        let mut parts = ArrivedParts::default();
         let answer = tokio::time::timeout_at(deadline, &mut pending.answer).await;
         match answer {
             Ok(Ok(Answer::Reply(arrived))) => self.handle_reply(&mut completed, &pending, *arrived),
-            Ok(Ok(Answer::Lost(reason))) => completed.result = Err(RequestError::Lost(reason)),
-            Ok(Ok(Answer::SessionEnded(reason))) => {
+            Ok(Ok(Answer::Lost(reason, arrived))) => {
+                parts = arrived;
+                completed.result = Err(RequestError::Lost(reason));
+            }
+            Ok(Ok(Answer::SessionEnded(reason, arrived))) => {
+                parts = arrived;
                 completed.result = Err(RequestError::Lost(reason.to_string()));
             }
             Ok(Err(_)) => {
                 completed.result = Err(RequestError::Lost("the task that receives answers has ended".into()));
             }
             // The result remains the timeout.
-            Err(_) => {}
+            Err(_) => {
+                parts = shared.requests.take_parts(pending.request).unwrap_or_default();
+                if let Some(count) = parts.count() {
+                    completed.result = Err(RequestError::Timeout(AwaitedEvent::RestOfAnswer(count)));
+                }
+            }
         }
         // If an answer arrived, `handle_reply` has recorded the sizes after the nodes of the cloud.
         if completed.arrived_at.is_none() {
             pending.sizes.record(&mut completed.recorder, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES);
+            parts.record(&mut completed.recorder, pending.departed.stamp.mono);
         }
         completed
     }
@@ -225,13 +239,13 @@ impl Session {
         let absorbed = absorb(recorder, self.inner.accepted.host, has_raw_stamps, &sent.departed, &arrived);
         sent.sizes.record(recorder, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES);
         sizes.record(recorder, stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES);
+        arrived.parts.record(recorder, sent.departed.stamp.mono);
         completed.result = match absorbed {
             Ok(absorbed) => {
                 if let Some(AbsorbedReply { download, first_part, observation }) = absorbed {
                     completed.download = Some(download);
                     completed.first_part = first_part;
                     completed.observation = observation;
-                    arrived.parts.record(&mut completed.recorder, sent.departed.stamp.mono);
                 }
                 request_result(arrived.reply.outcome, arrived.frames)
             }

@@ -1,6 +1,7 @@
 //! Parts of an answer that arrive at the edge before the answer is complete.
 
 use std::fmt;
+use std::num::NonZeroU32;
 use std::sync::Arc;
 
 use peernet_clock::{MonoTime, Stamp};
@@ -75,6 +76,11 @@ impl ArrivedParts {
             start: departure.sent_since_anchor,
             measure: Measure::Transit(Box::new(transit)),
         })
+    }
+
+    /// Returns the number of parts that arrived; `None` if none did.
+    pub(super) const fn count(&self) -> Option<NonZeroU32> {
+        NonZeroU32::new(self.count)
     }
 
     /// Adds `first-part` and `parts` to the edge's tree, if any part arrived. `departed` is the departure of the request.

@@ -23,8 +23,7 @@ impl SessionState {
         let message = match header {
             Ok(header) => self.requests.receive(header),
             Err(problem) => {
-                tracing::debug!(problem, "dropped an invalid message from the cloud");
-                self.counters.count_malformed();
+                self.report_invalid(&problem);
                 return None;
             }
         };
@@ -57,8 +56,7 @@ impl SessionState {
                 None
             }
             CloudMessage::Malformed(problem) => {
-                tracing::debug!(problem, "dropped an invalid message from the cloud");
-                self.counters.count_malformed();
+                self.report_invalid(problem);
                 None
             }
             CloudMessage::SessionEnded(reason, waiters) => {
@@ -78,10 +76,7 @@ impl SessionState {
                     handler(&sample);
                 }
             }
-            Err(problem) => {
-                tracing::debug!(%problem, "dropped an invalid part of an answer");
-                self.counters.count_malformed();
-            }
+            Err(problem) => self.report_invalid(&format!("a part of an answer: {problem}")),
         }
         if let Some(end) = end {
             let session = self.terms.session;
@@ -95,7 +90,7 @@ impl SessionState {
         if let Some(waiter) = waiter {
             self.counters.count_lost(1);
             // Fails if the request was cancelled at this moment; it then needs no answer.
-            let _ = waiter.answer.send(Answer::Lost(format!("{what}: {loss}")));
+            let _ = waiter.answer.send(Answer::Lost(format!("{what}: {loss}"), waiter.parts));
         }
     }
 }

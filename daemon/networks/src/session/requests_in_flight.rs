@@ -16,10 +16,10 @@ use crate::statistics::Counters;
 #[derive(Debug)]
 pub(super) enum Answer {
     Reply(Box<ArrivedReply>),
-    /// The request or its answer was lost on the way. The text says how much of it arrived.
-    Lost(String),
-    /// The session ended, for this reason.
-    SessionEnded(CloseReason),
+    /// The request or its answer was lost on the way, after these parts. The text says how much of it arrived.
+    Lost(String, ArrivedParts),
+    /// The session ended, for this reason, after these parts of the answer.
+    SessionEnded(CloseReason, ArrivedParts),
 }
 
 /// The task that waits for an answer, and the parts of the answer that have arrived.
@@ -90,6 +90,11 @@ impl RequestsInFlight {
         Ok((request, answer))
     }
 
+    /// Removes and returns the parts of the answer to a request that have arrived; `None` if the request is not in flight.
+    pub(super) fn take_parts(&self, request: u64) -> Option<ArrivedParts> {
+        self.client().waiter_mut(request).map(|waiter| std::mem::take(&mut waiter.parts))
+    }
+
     /// Stops waiting for the answer to a request. Returns whether the request was still in flight.
     pub(super) fn cancel_request(&self, request: u64) -> bool {
         self.client().cancel_request(request)
@@ -143,7 +148,7 @@ pub(super) fn end_all(reason: &CloseReason, waiters: Vec<Waiter>, counters: &Cou
     counters.count_lost(waiters.len() as u64);
     for waiter in waiters {
         // Fails if the request was cancelled at this moment; it then needs no answer.
-        let _ = waiter.answer.send(Answer::SessionEnded(reason.clone()));
+        let _ = waiter.answer.send(Answer::SessionEnded(reason.clone(), waiter.parts));
     }
 }
 
@@ -176,7 +181,7 @@ mod tests {
         drop(slot);
         let close_reason = CloseReason::UnknownSession.to_string();
         assert_eq!(second.map(drop), Err(RequestError::Lost(close_reason.clone())));
-        assert!(matches!(answer.await, Ok(Answer::SessionEnded(CloseReason::UnknownSession))));
+        assert!(matches!(answer.await, Ok(Answer::SessionEnded(CloseReason::UnknownSession, _))));
         assert_eq!(requests.start_request(None).map(drop), Err(RequestError::Lost(close_reason)));
         assert_eq!(requests.wait_for_end().await, CloseReason::UnknownSession);
         assert_eq!(counters.statistics(&TransportStatistics::default()).lost_messages, 1);

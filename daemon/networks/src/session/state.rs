@@ -1,9 +1,9 @@
 //! State that the requests of a session share with its receiving task.
 
-use std::sync::OnceLock;
+use std::sync::{Mutex, OnceLock, PoisonError};
 
-use peernet_clock::{RelatedClocks, SharedClock};
-use peernet_logger::{Recorder, stage};
+use peernet_clock::{LogThrottle, RelatedClocks, SharedClock};
+use peernet_logger::{Recorder, Slug, stage};
 use peernet_sample::Sample;
 use tokio::sync::{oneshot, watch};
 
@@ -53,6 +53,9 @@ pub(super) struct SessionState {
     /// Last report of the cloud about its end of the connection.
     pub(super) peer_statistics: watch::Sender<Option<ConnectionStatistics>>,
     pub(super) remarks: Remarks,
+    /// Name of the cloud, for the log.
+    pub(super) cloud: Slug,
+    pub(super) log_throttle: Mutex<LogThrottle>,
     /// Number of iterations that the run was planned to have. Set when the run is over, for the goodbye: a cloud that
     /// serves a fixed number of requests then does not wait for missing requests.
     pub(super) planned_iterations: OnceLock<u64>,
@@ -76,7 +79,7 @@ enum UnsendableSample {
 /// A request in flight. Dropping it cancels the request, also on the cloud.
 pub(super) struct PendingRequest<'a> {
     state: &'a SessionState,
-    request: u64,
+    pub(super) request: u64,
     is_sent: bool,
     pub(super) departed: DepartedRequest,
     pub(super) sizes: Sizes,
@@ -98,6 +101,20 @@ impl SessionState {
     /// Returns the statistics of the connection so far.
     pub(super) fn statistics(&self) -> ConnectionStatistics {
         self.counters.statistics(&self.sender.statistics())
+    }
+
+    /// Counts an invalid message from the cloud, and logs it at most once a minute.
+    pub(super) fn report_invalid(&self, problem: &str) {
+        self.counters.count_malformed();
+        let now = self.clock.mono();
+        let mut throttle = self.log_throttle.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(times) = throttle.count_event("malformed", None, now) {
+            tracing::warn!(
+                cloud = %self.cloud, problem, times,
+                "dropped an invalid message from the cloud: if it was an answer, its iteration times out; check that nothing alters \
+                 messages on the way, and that both hosts have the same version of PEERNet"
+            );
+        }
     }
 
     /// Sends a message without payload. A message that the network does not accept is dropped.

@@ -2,6 +2,7 @@
 
 use bytes::Bytes;
 use peernet_networks::Address;
+use serde::Serialize;
 use zeromq::{Message, Options, Socket, SocketType};
 
 use crate::support::{hello, open, settings, within};
@@ -35,7 +36,7 @@ impl FakeCloud {
     pub(crate) async fn send_message(
         &self,
         edge_identity: &zeromq::Identity,
-        header: &Header,
+        header: &impl Serialize,
         frames: Vec<Bytes>,
     ) {
         let header = rmp_serde::to_vec_named(header).expect("serialises");

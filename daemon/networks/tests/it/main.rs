@@ -7,6 +7,7 @@ mod failures;
 mod fake_cloud;
 mod handshake;
 mod hostile;
+mod invalid_answer_log;
 mod limits;
 mod partial_replies;
 mod requests;

@@ -21,7 +21,8 @@ over_every_network!(
     parts_and_answer_wait_while_the_queue_is_full,
     too_large_part_is_refused_with_key_and_size,
     edge_without_partial_replies_gets_the_whole_answer,
-    end_of_session_cancels_a_waiting_model
+    end_of_session_cancels_a_waiting_model,
+    parts_of_incomplete_answer_are_recorded
 );
 
 /// Number of parts of an answer, far above the number that may be unread.
@@ -155,6 +156,40 @@ async fn parts_wait_while_the_edge_reads_nothing() {
     let completed = within(pending).await.expect("no panic");
     assert_eq!(completed.result.as_ref().map(text), Ok("whole"));
     assert_eq!(seconds(completed.recorder.tree(), PARTS.as_str()), Some(PARTS_SENT as f64));
+}
+
+async fn parts_of_incomplete_answer_are_recorded(network: TestNetwork) {
+    let mut cloud = Cloud::on_network(network).await;
+    let (session, _) = cloud.session(settings()).await;
+    for closes in [false, true] {
+        let (sender, arrived) = sync_channel(8);
+        let handler = PartHandler(Arc::new(move |_| sender.send(()).expect("is awaited")));
+        let timeout = if closes { TIME_LIMIT } else { Duration::from_secs(2) };
+        let pending = tokio::spawn({
+            let session = session.clone();
+            async move { session.request_in_parts(recorder(), &sample("count"), timeout, Some(handler)).await }
+        });
+        let incoming = cloud.next_request().await;
+        for part in ["a", "b", "c"] {
+            assert_eq!(incoming.parts.send(&sample(part)), Ok(()));
+        }
+        let counting = tokio::task::spawn_blocking(move || (0..3).try_for_each(|_| arrived.recv()));
+        within(counting).await.expect("no panic").expect("they arrive");
+        if closes {
+            session.close().await;
+        }
+        let completed = within(pending).await.expect("no panic");
+        let error = completed.result.expect_err("is incomplete");
+        if closes {
+            assert!(matches!(error, RequestError::Lost(_)), "{error}");
+        } else {
+            assert!(error.to_string().ends_with("after 3 partial answers"), "{error}");
+        }
+        let tree = completed.recorder.tree();
+        assert_eq!(seconds(tree, PARTS.as_str()), Some(3.0));
+        let first = seconds(tree, FIRST_PART.as_str()).expect("is recorded");
+        assert!(first > 0.0 && first < timeout.as_secs_f64(), "{first}");
+    }
 }
 
 async fn too_large_part_is_refused_with_key_and_size(network: TestNetwork) {
