@@ -8,6 +8,7 @@
 
 pub mod bank;
 mod batching;
+mod blocked_workers;
 mod error;
 mod job;
 mod loaded_models;

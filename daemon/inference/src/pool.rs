@@ -7,6 +7,7 @@ use std::thread::{self, JoinHandle};
 use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_logger::Slug;
 
+use crate::blocked_workers::{BlockedWorkers, CurrentComputation};
 use crate::loaded_models::{CountedModel, LoadedModelCounter};
 use crate::queue::{Queue, Rejection};
 use crate::thread::{WorkerSlot, deliver};
@@ -34,7 +35,7 @@ pub struct Pool {
 /// Way in which jobs are run.
 enum Execution {
     /// On threads of the pool, which take jobs from a queue.
-    Threads { queue: Arc<Queue<Job>>, handles: Mutex<Vec<JoinHandle<()>>> },
+    Threads { queue: Arc<Queue<Job>>, handles: Mutex<Vec<JoinHandle<()>>>, blocked: BlockedWorkers },
     /// On the thread of the caller: for models that neither block nor compute for long.
     Inline(Mutex<WorkerSlot>),
 }
@@ -50,7 +51,8 @@ impl Pool {
     ) -> Result<Self, LoadError> {
         let slot = |_| {
             let worker = Some(model.create_worker()?);
-            Ok(WorkerSlot { name: name.clone(), model: Arc::clone(&model), clock: Arc::clone(clock), worker })
+            let (name, model, clock) = (name.clone(), Arc::clone(&model), Arc::clone(clock));
+            Ok(WorkerSlot { name, model, clock, worker, current: Arc::<CurrentComputation>::default() })
         };
         // A model that does not block runs on the thread of its caller, one sample at a time.
         let workers = if model.blocks() { sizes.workers } else { 1 };
@@ -59,7 +61,9 @@ impl Pool {
             Some(slot) if !model.blocks() => Execution::Inline(Mutex::new(slot)),
             last => {
                 slots.extend(last);
-                Execution::threads(&name, slots, sizes.queue)?
+                let computations = slots.iter().map(|slot| Arc::clone(&slot.current)).collect();
+                let blocked = BlockedWorkers::new(computations, Arc::clone(clock));
+                Execution::threads(&name, slots, sizes.queue, blocked)?
             }
         };
         let loaded_at = clock.mono();
@@ -107,7 +111,8 @@ impl Pool {
                 }
                 Ok(())
             }
-            Execution::Threads { queue, .. } => {
+            Execution::Threads { queue, blocked, .. } => {
+                blocked.check(&self.name);
                 if queue.is_full() {
                     self.drop_cancelled(queue);
                 }
@@ -135,7 +140,7 @@ impl Pool {
     /// Ends the threads after their current samples, and answers all waiting jobs with [`InferenceError::Stopped`].
     /// Blocks: not for an I/O thread.
     pub fn shutdown(&self) {
-        let Execution::Threads { queue, handles } = &self.execution else { return };
+        let Execution::Threads { queue, handles, .. } = &self.execution else { return };
         for Job { recorder, reply, .. } in queue.close() {
             let result = Err(InferenceError::Stopped { model: self.name.to_string() });
             deliver(&self.name, reply, FinishedJob { recorder, result });
@@ -191,6 +196,15 @@ impl Pool {
         self.workers
     }
 
+    /// Returns the age of the oldest computation if every worker still computes requests that were cancelled, so that all
+    /// others wait. `None` if a worker is free or computes an awaited request.
+    pub fn blocked_for(&self) -> Option<Span> {
+        match &self.execution {
+            Execution::Threads { blocked, .. } => blocked.duration(),
+            Execution::Inline(_) => None,
+        }
+    }
+
     /// Returns the number of samples that wait for a free worker.
     pub fn waiting_samples(&self) -> usize {
         match &self.execution {
@@ -223,7 +237,12 @@ pub(crate) struct Sizes {
 }
 
 impl Execution {
-    fn threads(name: &Slug, slots: Vec<WorkerSlot>, capacity: usize) -> Result<Self, LoadError> {
+    fn threads(
+        name: &Slug,
+        slots: Vec<WorkerSlot>,
+        capacity: usize,
+        blocked: BlockedWorkers,
+    ) -> Result<Self, LoadError> {
         let queue = Arc::new(Queue::new(capacity));
         let mut handles = Vec::with_capacity(slots.len());
         for (index, mut slot) in slots.into_iter().enumerate() {
@@ -239,7 +258,7 @@ impl Execution {
                 }
             }
         }
-        Ok(Self::Threads { queue, handles: Mutex::new(handles) })
+        Ok(Self::Threads { queue, handles: Mutex::new(handles), blocked })
     }
 }
 

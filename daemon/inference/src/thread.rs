@@ -8,6 +8,7 @@ use peernet_clock::{MonoTime, SharedClock};
 use peernet_logger::{Slug, stage};
 use peernet_sample::Sample;
 
+use crate::blocked_workers::CurrentComputation;
 use crate::job::Reply;
 use crate::queue::Queue;
 use crate::{FinishedJob, InferenceError, Job, Model, Request, Worker};
@@ -19,6 +20,7 @@ pub(crate) struct WorkerSlot {
     pub(crate) clock: SharedClock,
     /// The worker; `None` after a panic, until it is rebuilt.
     pub(crate) worker: Option<Box<dyn Worker>>,
+    pub(crate) current: Arc<CurrentComputation>,
 }
 
 impl WorkerSlot {
@@ -86,6 +88,7 @@ impl WorkerSlot {
             }
         };
         let count = jobs.len();
+        self.current.begin(jobs, self.clock.mono());
         // The panic closes the recorders' open nodes as it unwinds, so they stay usable. The worker is discarded.
         let outcome = catch_unwind(AssertUnwindSafe(|| match jobs {
             [Job { sample, recorder, requester, .. }] => vec![worker.infer(sample, recorder, &**requester)],
@@ -94,6 +97,7 @@ impl WorkerSlot {
                 worker.infer_batch(&mut requests)
             }
         }));
+        self.current.end();
         match outcome {
             Ok(results) => {
                 self.worker = Some(worker);

@@ -362,7 +362,17 @@ async fn compute_locally(
         }
         Err(_) => {
             let within = timeout.as_millis();
-            let reason = format!("model {} gave no answer within {within} ms: {RAISE_TIMEOUT}", pool.name());
+            let advice = pool.blocked_for().map_or_else(
+                || RAISE_TIMEOUT.to_owned(),
+                |age| {
+                    format!(
+                        "it still computes an earlier request, which was cancelled and began {:.1} s ago; \
+                         if this happens often, make samples smaller, or raise workers of the model",
+                        age.seconds()
+                    )
+                },
+            );
+            let reason = format!("model {} gave no answer within {within} ms: {advice}", pool.name());
             ComputationResult { log: log_backup, result: Err(Outcome::Timeout(reason)), transport: None }
         }
     }

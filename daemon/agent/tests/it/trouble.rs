@@ -152,3 +152,27 @@ async fn pipeline_failing_to_start_reports_reason_and_spares_others() {
     assert_eq!(state("sound"), PipelineState::Finished);
     agent.stop().await.expect("stops well");
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn timeout_names_cancelled_request_that_holds_the_worker() {
+    let aggregator = Aggregator::start().await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let code = "import time\nclass Slow:\n    def infer(self, x):\n        time.sleep(2)\n        return x\n";
+    std::fs::write(folder.path().join("mine.py"), code).expect("written");
+    let tables = format!(
+        "[[model]]\nname = 'slow'\nkind = 'python'\nobject = 'mine::Slow'\nfolder = '{}'\n\
+         [[pipeline]]\nname = 'line'\nplacement = {{ kind = 'local', model = 'slow' }}\n\
+         sensor = {{ kind = 'synthetic', size_bytes = 10 }}\ntimeout_ms = 300\n\
+         warm_up = {{ iterations = 0 }}\nlimit = {{ total = 2 }}",
+        folder.path().display()
+    );
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    let mut iterations = seen.iterations();
+    iterations.sort_by_key(|iteration| iteration.number);
+    let reason = |index: usize| iterations[index].outcome.reason().expect("it has no answer");
+    assert!(reason(0).contains("if it needs longer, raise timeout_ms"), "{}", reason(0));
+    let advice = "within 300 ms: it still computes an earlier request, which was cancelled and began ";
+    assert!(reason(1).contains(advice), "{}", reason(1));
+    agent.stop().await.expect("stops well");
+}

@@ -146,6 +146,37 @@ impl Requester for CancelledRequester {
 }
 
 #[test]
+fn worker_that_ignores_cancellation_is_reported_once() {
+    let (compute, begins, go) = gated();
+    let clock = clock();
+    let pool = start(Arc::new(TestModel(Arc::new(compute))), Sizes { workers: 2, queue: 4 }, clock.clone());
+    let tokens = [CancellationToken::new(), CancellationToken::new()];
+    for token in &tokens {
+        let job = Job { requester: Arc::new(CancelledRequester(token.clone())), ..job("long", |_| {}) };
+        pool.submit(job).expect("has room");
+        begins.recv().expect("begins");
+    }
+    tokens[0].cancel();
+    assert_eq!(pool.blocked_for(), None, "the answer of the second worker is awaited");
+    tokens[1].cancel();
+    clock.advance(Span::from_millis(600));
+    assert_eq!(pool.blocked_for(), Some(Span::from_millis(600)));
+    let Execution::Threads { blocked, .. } = &pool.execution else { panic!("it blocks") };
+    let mut logged = Vec::new();
+    for _ in 0..4 {
+        logged.push(blocked.check(pool.name()));
+        clock.advance(Span::from_millis(600));
+    }
+    assert_eq!(logged, [false, false, true, false]);
+    let (next, done) = job_with_receiver("next");
+    pool.submit(next).expect("has room");
+    (0..3).for_each(|_| go.send(()).expect("is awaited"));
+    done.recv().expect("is answered").result.expect("is computed");
+    pool.shutdown();
+    assert_eq!(pool.blocked_for(), None);
+}
+
+#[test]
 fn cancelled_request_gives_up_its_place_in_full_queue() {
     let (compute, begins, go) = gated();
     let pool = pool(1, 1, compute);

@@ -1,0 +1,105 @@
+//! Detection of workers that still compute requests that were cancelled, while other requests wait.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use peernet_clock::{MonoTime, SharedClock, Span};
+use peernet_logger::Slug;
+use tokio_util::sync::CancellationToken;
+
+use crate::Job;
+
+/// Time that workers have to notice the cancellation of their requests before it is logged that they do not.
+const GRACE: Span = Span::from_millis(1000);
+
+/// The computation of one worker, shared with the pool.
+#[derive(Debug, Default)]
+pub(crate) struct CurrentComputation(Mutex<Option<Computation>>);
+
+#[derive(Debug)]
+struct Computation {
+    started_at: MonoTime,
+    requests: Vec<CancellationToken>,
+}
+
+impl CurrentComputation {
+    /// Sets the requests that the worker computes from now on.
+    pub(crate) fn begin(&self, jobs: &[Job], started_at: MonoTime) {
+        let requests = jobs.iter().map(|job| job.requester.cancellation()).collect();
+        self.set(Some(Computation { started_at, requests }));
+    }
+
+    /// Notes that the worker computes nothing.
+    pub(crate) fn end(&self) {
+        self.set(None);
+    }
+
+    fn set(&self, computation: Option<Computation>) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = computation;
+    }
+
+    /// Returns the start of the computation if all of its requests were cancelled.
+    fn cancelled_start(&self) -> Option<MonoTime> {
+        let computation = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let computation = computation.as_ref()?;
+        computation.requests.iter().all(CancellationToken::is_cancelled).then_some(computation.started_at)
+    }
+}
+
+/// The computations of all workers of a pool.
+#[derive(Debug)]
+pub(crate) struct BlockedWorkers {
+    computations: Vec<Arc<CurrentComputation>>,
+    clock: SharedClock,
+    last: Mutex<Option<Blockage>>,
+}
+
+/// A time in which all workers compute cancelled requests.
+#[derive(Debug)]
+struct Blockage {
+    started_at: MonoTime,
+    noticed_at: MonoTime,
+    is_logged: bool,
+}
+
+impl BlockedWorkers {
+    pub(crate) const fn new(computations: Vec<Arc<CurrentComputation>>, clock: SharedClock) -> Self {
+        Self { computations, clock, last: Mutex::new(None) }
+    }
+
+    /// Returns the time since the start of the oldest computation if every worker computes only cancelled requests.
+    pub(crate) fn duration(&self) -> Option<Span> {
+        self.started_at().map(|started_at| self.clock.mono() - started_at)
+    }
+
+    fn started_at(&self) -> Option<MonoTime> {
+        let starts: Option<Vec<_>> = self.computations.iter().map(|one| one.cancelled_start()).collect();
+        starts?.into_iter().min()
+    }
+
+    /// Logs once for each computation that all workers compute cancelled requests, if they did so [`GRACE`] ago. Called for
+    /// each request. Returns whether it logged.
+    pub(crate) fn check(&self, model: &Slug) -> bool {
+        let Some(started_at) = self.started_at() else { return false };
+        let now = self.clock.mono();
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        match &mut *last {
+            Some(blockage) if blockage.started_at == started_at => {
+                if blockage.is_logged || now - blockage.noticed_at < GRACE {
+                    return false;
+                }
+                blockage.is_logged = true;
+            }
+            last => {
+                *last = Some(Blockage { started_at, noticed_at: now, is_logged: false });
+                return false;
+            }
+        }
+        let computing_s = (now - started_at).seconds();
+        tracing::warn!(
+            %model, computing_s,
+            "every worker of the model still computes a request that was cancelled, so that further requests wait: its computation \
+             cannot be interrupted; make samples smaller, or raise workers"
+        );
+        true
+    }
+}
