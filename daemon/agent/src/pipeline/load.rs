@@ -102,7 +102,7 @@ impl Schedule {
         match &mut self.plan {
             StartPlan::Closed => {}
             StartPlan::Rate { origin, .. } => *origin = *origin + pause,
-            StartPlan::Poisson { at, .. } => *at = *at + pause,
+            StartPlan::Poisson { next_at, .. } => *next_at = *next_at + pause,
         }
     }
 

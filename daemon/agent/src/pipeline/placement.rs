@@ -391,7 +391,7 @@ fn describe_timeout(awaited: AwaitedEvent, config: &RemoteConfig, cloud: &Slug, 
             format!("no answer of cloud {cloud}{model} within {within} ms: {RAISE_TIMEOUT}")
         }
         AwaitedEvent::RestOfAnswer(parts) => format!(
-            "no complete answer of cloud {cloud}{model} within {within} ms, after {parts} partial answers: {RAISE_TIMEOUT}"
+            "no complete answer of cloud {cloud}{model} within {within} ms, after partial answer {parts}: {RAISE_TIMEOUT}"
         ),
         AwaitedEvent::Slot => format!(
             "nothing was sent to cloud {cloud}{model} within {within} ms, because earlier requests held all slots in flight: \

@@ -81,7 +81,7 @@ impl fmt::Display for AwaitedEvent {
             Self::Slot => f.write_str("a slot among the requests in flight"),
             Self::Answer => f.write_str("the cloud's answer"),
             Self::RestOfAnswer(parts) => {
-                write!(f, "the rest of the cloud's answer after {parts} partial answers")
+                write!(f, "the rest of the cloud's answer after partial answer {parts}")
             }
         }
     }

@@ -183,7 +183,7 @@ async fn parts_of_incomplete_answer_are_recorded(network: TestNetwork) {
         if closes {
             assert!(matches!(error, RequestError::Lost(_)), "{error}");
         } else {
-            assert!(error.to_string().ends_with("after 3 partial answers"), "{error}");
+            assert!(error.to_string().ends_with("after partial answer 3"), "{error}");
         }
         let tree = completed.recorder.tree();
         assert_eq!(seconds(tree, PARTS.as_str()), Some(3.0));
