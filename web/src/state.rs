@@ -84,7 +84,9 @@ impl AppState {
 
     /// Replaces the error of a closed database by an empty answer, for live pages. Their live figures need no database, and a banner
     /// reports that it is closed.
-    pub(crate) fn empty_while_closed<T: Default>(answer: Result<T, StoreError>) -> Result<T, StoreError> {
+    pub(crate) fn empty_if_store_is_closed<T: Default>(
+        answer: Result<T, StoreError>,
+    ) -> Result<T, StoreError> {
         match answer {
             Err(StoreError::Closed { .. }) => Ok(T::default()),
             answer => answer,
@@ -102,7 +104,7 @@ impl AppState {
         {
             return Ok(Arc::clone(rows));
         }
-        let rows = Arc::new(Self::empty_while_closed(
+        let rows = Arc::new(Self::empty_if_store_is_closed(
             self.store().incidents(&IncidentFilter::newest(Self::CACHED_INCIDENTS)).await,
         )?);
         *cached = Some((now, Arc::clone(&rows)));

@@ -5,7 +5,7 @@
 
 use peernet_clock::{DelaySource, Span, Verdict};
 use peernet_logger::{CountedNodes, HostIndex, Measure, Name, Node, NodeId, Transit, Tree};
-use peernet_statistics::number::StageColumn;
+use peernet_statistics::number::DurationFormat;
 use peernet_store::{IterationDetail, QuantityStatistics};
 
 /// A node with a duration, placed on the edge's time line. Times are in seconds.
@@ -228,8 +228,8 @@ impl Timeline {
     }
 
     /// Returns the format of tables of the nodes' durations.
-    pub(crate) fn column(&self) -> StageColumn {
-        StageColumn::for_total(Some(self.end), None)
+    pub(crate) fn column(&self) -> DurationFormat {
+        DurationFormat::for_total(Some(self.end), None)
     }
 
     /// Returns the stay on the other host if there is exactly one other host.

@@ -62,8 +62,8 @@ impl DelaySummary {
         median.map(|(point, _)| point)
     }
 
-    /// Returns the worst verdict that the seconds with at least a twentieth of the delays have; `None` if no delay was judged. Single delays may
-    /// have a better verdict that prevails, because a second has the verdict of a twentieth of its delays.
+    /// Returns the verdict that [prevails](Verdict::prevailing) among all delays; `None` if no delay was judged. A delay counts with the verdict
+    /// of its second, which may be worse than its own.
     pub fn verdict(&self) -> Option<Verdict> {
         Verdict::prevailing(self.verdicts.iter().copied())
     }
@@ -84,7 +84,7 @@ impl<'a> FromIterator<&'a DelaySecond> for DelaySummary {
     }
 }
 
-/// Returns the median width of bounds, which belong to delays that have a value; `None` without bounds.
+/// Returns the median width of these bounds; `None` without bounds.
 pub(crate) fn median_width(bounds: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
     bounds.map(|(lo, hi)| hi - lo).collect::<SortedValues>().median()
 }

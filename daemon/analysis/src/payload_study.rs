@@ -224,9 +224,9 @@ impl PayloadStudy {
         }
     }
 
-    /// Returns the studies that are drawn. The first of them has the notes on links that are not drawn.
-    pub fn drawn(studies: impl IntoIterator<Item = Self>) -> Vec<Self> {
-        let (mut drawn, others): (Vec<Self>, Vec<Self>) =
+    /// Selects the studies that have a direction to draw. The first of them gets the notes on the links of the others.
+    pub fn select_drawable(studies: impl IntoIterator<Item = Self>) -> Vec<Self> {
+        let (mut drawable, others): (Vec<Self>, Vec<Self>) =
             studies.into_iter().partition(|study| !study.directions.is_empty());
         let others = others.into_iter().flat_map(|study| {
             let name = study.link_name;
@@ -236,10 +236,10 @@ impl PayloadStudy {
             };
             study.missing.into_iter().map(with_name)
         });
-        if let Some(first) = drawn.first_mut() {
+        if let Some(first) = drawable.first_mut() {
             first.missing.extend(others);
         }
-        drawn
+        drawable
     }
 
     /// Returns all notes: what is missing, how the messages were selected, and the number of messages behind each point.

@@ -173,12 +173,12 @@ fn sample_time(row: RowRef<'_>) -> Option<SampleTime> {
     Some(SampleTime { iteration: row.iteration(), at })
 }
 
-/// Returns the sum of the reported dropped samples; `None` if no column reports any.
+/// Returns the number of dropped samples that the sensor reported; `None` if no column reports any.
 fn dropped_samples(rows: &Rows) -> Option<u64> {
     let columns = rows.names().iter().filter(|column| column.ends_with(DROPPED_SAMPLES_SUFFIX));
     let measured = || rows.iter().filter(|row| !row.warm_up());
-    let reported = columns.flat_map(|column| measured().filter_map(move |row| row.value(column)));
-    reported.reduce(|sum, value| sum + value).map(|sum| sum.max(0.0).round() as u64)
+    let dropped_counts = columns.flat_map(|column| measured().filter_map(move |row| row.value(column)));
+    dropped_counts.reduce(|sum, value| sum + value).map(|sum| sum.max(0.0).round() as u64)
 }
 
 #[cfg(test)]

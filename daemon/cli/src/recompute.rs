@@ -124,7 +124,7 @@ fn describe(run: i64, recomputed: &Recomputed) -> String {
         .collect();
     let table = text(&header, &rows);
     let basis = match samples {
-        // Checked first: delays by one clock need no exchanges, so their number says nothing.
+        // Checked first: delays by one clock need no exchanges, so the number of exchanges does not matter.
         _ if is_exact(stages) => "both hosts use one clock, so its delays are exact".to_owned(),
         0 => "no usable exchanges between the two hosts are stored".to_owned(),
         samples => format!(

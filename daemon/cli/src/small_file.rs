@@ -24,12 +24,12 @@ pub fn read(path: &Path, largest: u64) -> io::Result<String> {
     read_text(path, largest)
 }
 
-/// Reads a regular file of at most `largest` bytes that was found in a folder. A pipe found there is refused: there may be no
-/// writer, and reading would wait for ever.
+/// Reads a regular file of at most `largest` bytes. A pipe is refused: this function reads files that were found in a folder, and a pipe
+/// found there may have no writer, so that reading would wait for ever.
 ///
 /// # Errors
 /// When it cannot be read, is no regular file, is larger, or is not UTF-8.
-pub fn read_found(path: &Path, largest: u64) -> io::Result<String> {
+pub fn read_regular_file(path: &Path, largest: u64) -> io::Result<String> {
     if !path.metadata()?.is_file() {
         return Err(io::Error::other("it is not a regular file"));
     }
@@ -80,9 +80,11 @@ mod tests {
         let (file, pipe) = (folder.path().join("file"), folder.path().join("pipe"));
         std::fs::write(&file, "four").expect("writable");
         mknodat(CWD, &pipe, FileType::Fifo, Mode::RUSR, 0).expect("a pipe");
-        assert_eq!(read_found(&file, 4).expect("fits"), "four");
+        assert_eq!(read_regular_file(&file, 4).expect("fits"), "four");
         for other in [pipe.as_path(), folder.path()] {
-            assert!(read_found(other, 4).expect_err("refused").to_string().contains("not a regular file"));
+            assert!(
+                read_regular_file(other, 4).expect_err("refused").to_string().contains("not a regular file")
+            );
         }
     }
 

@@ -6,7 +6,7 @@ use crate::exit::Failure;
 use crate::output::print_to_stdout;
 use chrono::{DateTime, SecondsFormat};
 use peernet_analysis::table::text;
-use peernet_statistics::number::{self, StageColumn};
+use peernet_statistics::number::{self, DurationFormat};
 use peernet_stream::PlacementKind;
 use serde::Deserialize;
 
@@ -171,7 +171,7 @@ fn pipeline_row(pipeline: &Pipeline, faulty: &FaultyClocks) -> Vec<String> {
         window.and_then(|window| window.values.iter().find(|statistics| statistics.name == name))
     };
     let total = statistics_of("total");
-    let column = StageColumn::for_total(total.map(|figures| figures.mean), None);
+    let column = DurationFormat::for_total(total.map(|figures| figures.mean), None);
     let milliseconds = |seconds: Option<f64>| or_dash(seconds.map(|seconds| column.duration(seconds)));
     let mean = |name: &str| milliseconds(statistics_of(name).map(|figures| figures.mean));
     let Placement { kind, peer, address, model } = &pipeline.placement;
@@ -218,8 +218,8 @@ fn host_row(host: &Host, faulty: &FaultyClocks) -> Vec<String> {
 
 /// Removes the fractions of a second from a time; another text stays unchanged.
 fn to_the_second(moment: &str) -> String {
-    let read = DateTime::parse_from_rfc3339(moment);
-    read.map_or_else(|_| moment.to_owned(), |read| read.to_rfc3339_opts(SecondsFormat::Secs, true))
+    let time = DateTime::parse_from_rfc3339(moment);
+    time.map_or_else(|_| moment.to_owned(), |time| time.to_rfc3339_opts(SecondsFormat::Secs, true))
 }
 
 fn or_dash(text: Option<String>) -> String {

@@ -56,7 +56,7 @@ impl Interval {
 pub enum DelaySource {
     /// Proof that both hosts read one clock.
     SameClock,
-    /// The band that the exchanges between the two hosts prove.
+    /// The band of offsets that the exchanges between the two hosts prove.
     InBand,
     /// The error bounds that the kernels state.
     Kernel,
@@ -68,7 +68,7 @@ pub enum DelaySource {
     None,
 }
 
-/// Reciprocal of the share of delays with a verdict, or a worse one, at which the verdict prevails.
+/// A verdict prevails if at least one delay in this many has it or a worse one.
 const MIN_SHARE_RECIPROCAL: u64 = 20;
 
 /// Degree to which a delay can be trusted.
@@ -185,7 +185,7 @@ impl OneWayDelay {
     /// statistics include.
     pub fn half_width(&self) -> Option<f64> {
         self.value?;
-        // Rounded as the difference of the stored ends, so that a rebuild of the statistics gives equal numbers.
+        // Computed from the ends in seconds, as they are stored, so that a rebuild of the statistics gives equal numbers.
         self.bounds.map(|bounds| (bounds.hi.seconds() - bounds.lo.seconds()) / 2.0)
     }
 

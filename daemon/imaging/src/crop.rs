@@ -29,7 +29,14 @@ pub fn crop(picture: &Picture, crop: Crop, target: &mut Picture) -> Result<(), I
     let y = y.unwrap_or_else(|| picture_height.saturating_sub(height) / 2);
     let is_inside = |start: u32, length: u32, of: u32| start.checked_add(length).is_some_and(|end| end <= of);
     if !is_inside(x, width, picture_width) || !is_inside(y, height, picture_height) {
-        return Err(ImageError::Outside { width, height, x, y, picture_width, picture_height });
+        return Err(ImageError::Outside {
+            width,
+            height,
+            x,
+            y,
+            outer_width: picture_width,
+            outer_height: picture_height,
+        });
     }
     let channels = picture.format().channels() as usize;
     let (row, cut) = (picture_width as usize * channels, width as usize * channels);

@@ -51,7 +51,7 @@ pub enum ImageError {
     Shape(Vec<u32>),
     /// The rectangle reaches beyond the picture.
     #[error(
-        "a rectangle of {width} × {height} at {x}, {y} is not within {picture_width} × {picture_height} pixels"
+        "a rectangle of {width} × {height} at {x}, {y} is not within {outer_width} × {outer_height} pixels"
     )]
     Outside {
         /// Width of the rectangle, pixels.
@@ -63,9 +63,9 @@ pub enum ImageError {
         /// Upper edge, pixels.
         y: u32,
         /// Width of the picture, pixels.
-        picture_width: u32,
+        outer_width: u32,
         /// Height of the picture, pixels.
-        picture_height: u32,
+        outer_height: u32,
     },
     /// The picture cannot be encoded.
     #[error("cannot write a {format} file of {width} × {height} pixels: {reason}")]

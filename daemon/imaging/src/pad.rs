@@ -34,8 +34,8 @@ pub fn pad(picture: &Picture, padding: Padding, target: &mut Picture) -> Result<
             height: picture.height(),
             x,
             y,
-            picture_width: width,
-            picture_height: height,
+            outer_width: width,
+            outer_height: height,
         });
     }
     let channels = picture.format().channels() as usize;

@@ -8,8 +8,8 @@ use std::time::Duration;
 ///
 /// At most `capacity` items wait. Each idle consumer allows one more item, because it takes the item at once.
 ///
-/// An item is *unfinished* from [`push`](Self::push) until [`finish`](Self::finish). A consumer that collects items waits only while fewer
-/// items are unfinished than the producers had at once before: producers that wait for an answer add nothing.
+/// An item is *unfinished* from [`push`](Self::push) until [`finish`](Self::finish). A consumer waits for more items only until as many are
+/// unfinished as there were at the same time before. Then every producer probably waits for an answer, and adds nothing.
 // Channels of the standard library and of tokio do not count idle consumers.
 pub(crate) struct Queue<T> {
     capacity: usize,
@@ -19,11 +19,11 @@ pub(crate) struct Queue<T> {
 
 struct State<T> {
     waiting: VecDeque<T>,
-    /// Number of items that idle consumers take as soon as the items arrive.
+    /// Number of items that waiting consumers will take as soon as they arrive.
     idle: usize,
     /// Number of items that were added and are not finished.
     unfinished: usize,
-    /// Number of unfinished items at which a consumer waits for no further one: the largest number since a consumer last waited in vain.
+    /// Largest number of unfinished items since a consumer's wait last timed out. At this number a consumer waits no longer.
     expected: usize,
     closed: bool,
 }
@@ -98,7 +98,7 @@ impl<T> Queue<T> {
         removed.into()
     }
 
-    /// Counts items that were taken as finished. Call this before their producers learn the results: a producer that adds its next item
+    /// Marks `count` of the items that were taken as finished. Call this before their producers learn the results: a producer that adds its next item
     /// would otherwise count twice.
     pub(crate) fn finish(&self, count: usize) {
         let mut state = self.lock();

@@ -4,13 +4,14 @@ use crate::Summary;
 
 /// Minimum number of bins, unless fewer are asked for.
 const MIN_BINS: usize = 8;
-/// Maximum number of bins of the rule by Freedman and Diaconis.
+/// Maximum number of bins that the rule of Freedman and Diaconis may give.
 pub const MAX_BINS: usize = 60;
-/// At most one value in this number is cut off at one end. If there are few values, [`CUT_OF_FEW`] may be cut off, but never more than
-/// one in [`MAX_CUT_ONE_IN`].
-const CUT_ONE_IN: u64 = 100;
-const CUT_OF_FEW: u64 = 3;
-const MAX_CUT_ONE_IN: u64 = 8;
+/// At each end, one in this many values may be cut off.
+const VALUES_PER_CUT: u64 = 100;
+/// Number of values that may be cut off at each end if one in [`VALUES_PER_CUT`] is less.
+const SMALL_SAMPLE_CUT: u64 = 3;
+/// Of a small sample, at most one in this many values is cut off at each end, even if that is less than [`SMALL_SAMPLE_CUT`].
+const SMALL_SAMPLE_VALUES_PER_CUT: u64 = 8;
 /// Values are cut off only if they would widen the axis by at least this factor.
 const MIN_GAIN: f64 = 1.5;
 /// Tukey's far fence: distance from the quartile in interquartile ranges.
@@ -89,7 +90,8 @@ impl OrderedValues for Summary {
 pub fn shown_range<V: OrderedValues + ?Sized>(values: &V) -> Option<(f64, f64)> {
     let count = values.count();
     let all = (values.at(0)?, values.at(count.checked_sub(1)?)?);
-    let max_cut = (count / CUT_ONE_IN).max((count / MAX_CUT_ONE_IN).min(CUT_OF_FEW));
+    let small_sample_cut = (count / SMALL_SAMPLE_VALUES_PER_CUT).min(SMALL_SAMPLE_CUT);
+    let max_cut = (count / VALUES_PER_CUT).max(small_sample_cut);
     // Ranks are used, because interpolated quantiles would depend on the value that is to be excluded.
     let (low, high) = (values.at(max_cut)?, values.at(count - 1 - max_cut)?);
     let width = high - low;

@@ -63,7 +63,7 @@ impl Summary {
 }
 
 /// Returns the distribution as bins, with empty bins for gaps. Each bin of the sketch extends halfway to its neighbours, up to
-/// [`MAX_REACH`] or halfway to the next whole number: between whole numbers, such as counts of tokens, is no valley.
+/// [`MAX_REACH`] or halfway to the next whole number. Otherwise there would be valleys between whole numbers, such as counts of tokens.
 fn bins(positive: &[(f64, u64)], count: u64) -> Vec<Bin> {
     let logarithm = |index: usize| positive[index].0.ln();
     // The values of a sketch are known within 1 %.

@@ -82,8 +82,8 @@ pub use live::{
 pub use message::{Batch, BatchHead, MAX_IN_FLIGHT_BATCHES, Proof, ToAgent, ToAggregator, batch_weight};
 pub use network_name::NetworkName;
 pub use receiving::{
-    Arrival, Challenges, HelloResult, Mark, MissingBatches, MissingPreviousBatches, ProofResult, Receiving,
-    ReceivingConfig, StreamRecord,
+    Arrival, Challenges, HelloResult, MissingBatches, MissingPreviousBatches, ProofResult, Receiving,
+    ReceivingConfig, StoredPosition, StreamRecord,
 };
 pub use secret::{HostSecret, InvalidSecret, Nonce, ProofCode};
 pub use sending::{Action, Compression, Notice, Sending, SendingConfig};

@@ -80,7 +80,7 @@ pub enum ToAgent {
         stream: StreamId,
         /// All batches of the stream up to this number are stored; `first - 1` if none is.
         stored: u64,
-        /// Chain of that batch; `None` if it is unknown, because no batch is stored.
+        /// Chain hash up to and including the last stored batch; `None` if it is unknown, because no batch is stored.
         chain: Option<Chain>,
         /// Process that sent the last stored batch ([`Hello::process`]); `None` if it is unknown.
         process: Option<u64>,
@@ -99,9 +99,9 @@ pub enum ToAgent {
         stream: StreamId,
         /// Number of the last stored batch.
         through: u64,
-        /// New window of batches in flight, in units of a batch of [`Hello::batch_bytes`], at least 1. It limits the
-        /// sum of the weights ([`batch_weight`]) of the batches in flight. Their number is limited to
-        /// [`MAX_IN_FLIGHT_BATCHES`]. One batch in flight is always allowed.
+        /// New window of batches in flight, at least 1. The sum of their weights ([`batch_weight`]) may be at most
+        /// `window` times [`Hello::batch_bytes`], and their number at most [`MAX_IN_FLIGHT_BATCHES`]. One batch in flight
+        /// is always allowed.
         window: u32,
     },
     /// Batches are missing; the agent must send them again from this number on.
@@ -117,8 +117,8 @@ pub enum ToAgent {
         /// Number from the request.
         bytes: u64,
     },
-    /// A message came from a host without a session (for example because the aggregator was restarted), or the chain of a
-    /// batch does not continue the previous batch. The agent must send a hello.
+    /// The agent must send a hello: a message came from a host without a session (for example because the aggregator was
+    /// restarted), or the chain hash of a batch does not continue that of the previous batch.
     Unknown,
 }
 
@@ -133,9 +133,9 @@ pub struct BatchHead {
     pub process: u64,
     /// Number of the batch, contiguous from the stream's first.
     pub number: u64,
-    /// Chain of the previous batch.
+    /// Chain hash up to and including the previous batch.
     pub previous_chain: Chain,
-    /// Chain of this batch.
+    /// Chain hash up to and including this batch.
     pub chain: Chain,
     /// Number of events in the batch.
     pub events: u32,

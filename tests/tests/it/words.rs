@@ -130,7 +130,7 @@ impl<'ast> Visit<'ast> for TypeNames {
 }
 
 #[test]
-fn type_names_are_nouns_of_the_field() {
+fn no_type_has_a_banned_name() {
     let mut files = Vec::new();
     CODE.iter().for_each(|folder| rust_files(&root().join(folder), &mut files));
     let mut banned = Vec::new();

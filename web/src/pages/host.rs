@@ -30,7 +30,7 @@ pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/hosts/{host}", get(show)),
     entry: None,
     topic: Some(LiveTopic {
-        form: "host/HOST",
+        pattern: "host/HOST",
         update: |app, snapshot, rest| Box::pin(ready(update(app, snapshot, rest))),
     }),
 };

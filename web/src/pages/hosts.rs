@@ -24,7 +24,10 @@ use crate::zone::ZonedTime;
 pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/hosts", get(show)),
     entry: Some(NavigationEntry { name: "Hosts", address: "/hosts", key: "h" }),
-    topic: Some(LiveTopic { form: TOPIC, update: |app, snapshot, _| Box::pin(ready(update(app, snapshot))) }),
+    topic: Some(LiveTopic {
+        pattern: TOPIC,
+        update: |app, snapshot, _| Box::pin(ready(update(app, snapshot))),
+    }),
 };
 
 /// Name of its topic of the live stream.
@@ -55,7 +58,7 @@ struct Hosts {
 
 /// `GET /hosts`.
 async fn show(State(app): State<App>) -> Page {
-    let stored = AppState::empty_while_closed(app.store().hosts().await)?;
+    let stored = AppState::empty_if_store_is_closed(app.store().hosts().await)?;
     page(&hosts(&app, &app.live_state(), &stored))
 }
 

@@ -31,8 +31,8 @@ pub(crate) struct NavigationEntry {
 
 /// The updates of a page on the live stream.
 pub(crate) struct LiveTopic {
-    /// Form of the topic: `hosts`, or `host/HOST` if the text after the first slash identifies the page.
-    pub form: &'static str,
+    /// Pattern of the topic: `hosts`, or `host/HOST` if the text after the first slash identifies the page.
+    pub pattern: &'static str,
     /// Renders the changed parts, from a snapshot and the text after the first slash of the topic.
     pub update: for<'a> fn(&'a AppState, &'a LiveState, &'a str) -> UpdateFuture<'a>,
 }
@@ -52,8 +52,8 @@ impl PageTopic {
     pub(crate) fn find(text: &str, mut topics: impl Iterator<Item = &'static LiveTopic>) -> Option<Self> {
         let (name, rest) = parts(text);
         let matches = |topic: &&LiveTopic| {
-            let (topic_name, form) = parts(topic.form);
-            topic_name == name && form.is_some() == rest.is_some()
+            let (topic_name, pattern_rest) = parts(topic.pattern);
+            topic_name == name && pattern_rest.is_some() == rest.is_some()
         };
         topics.find(matches).map(|topic| Self { topic, rest: rest.unwrap_or_default().to_owned() })
     }
@@ -71,12 +71,12 @@ fn parts(text: &str) -> (&str, Option<&str>) {
 
 impl PartialEq for PageTopic {
     fn eq(&self, other: &Self) -> bool {
-        (self.topic.form, &self.rest) == (other.topic.form, &other.rest)
+        (self.topic.pattern, &self.rest) == (other.topic.pattern, &other.rest)
     }
 }
 
 impl fmt::Debug for PageTopic {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} of {:?}", self.topic.form, self.rest)
+        write!(f, "{} of {:?}", self.topic.pattern, self.rest)
     }
 }

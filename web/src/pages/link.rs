@@ -37,7 +37,7 @@ pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/links/{link}", get(show)),
     entry: None,
     topic: Some(LiveTopic {
-        form: "link/EDGE~CLOUD/RANGE/OFFSET",
+        pattern: "link/EDGE~CLOUD/RANGE/OFFSET",
         update: |app, snapshot, rest| Box::pin(update(app, snapshot, rest)),
     }),
 };
@@ -154,7 +154,7 @@ async fn show(
 ) -> Page {
     let link_name = canonical(path(link)?);
     let snapshot = app.live_state();
-    let incidents = AppState::empty_while_closed(
+    let incidents = AppState::empty_if_store_is_closed(
         app.store().incidents(&IncidentFilter::newest(SEARCHED_INCIDENTS)).await,
     )?;
     if let Some(link) = find(&snapshot, &link_name) {

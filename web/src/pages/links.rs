@@ -21,7 +21,10 @@ use crate::view::list_limits;
 pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/links", get(show)),
     entry: Some(NavigationEntry { name: "Links", address: "/links", key: "l" }),
-    topic: Some(LiveTopic { form: TOPIC, update: |app, snapshot, _| Box::pin(ready(update(app, snapshot))) }),
+    topic: Some(LiveTopic {
+        pattern: TOPIC,
+        update: |app, snapshot, _| Box::pin(ready(update(app, snapshot))),
+    }),
 };
 
 /// Name of its topic of the live stream.
@@ -41,7 +44,7 @@ struct Links {
 
 /// `GET /links`.
 async fn show(State(app): State<App>) -> Page {
-    let stored = AppState::empty_while_closed(app.store().links().await)?;
+    let stored = AppState::empty_if_store_is_closed(app.store().links().await)?;
     page(&links(&app, &app.live_state(), &stored))
 }
 

@@ -71,7 +71,7 @@ fn live_topics() -> impl Iterator<Item = &'static LiveTopic> {
 
 /// Returns the forms of the topics of live pages.
 pub(crate) fn topic_forms() -> impl Iterator<Item = &'static str> {
-    live_topics().map(|topic| topic.form)
+    live_topics().map(|topic| topic.pattern)
 }
 
 /// Returns the topic of a live page.

@@ -30,7 +30,7 @@ use crate::zone::ZonedTime;
 pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/", get(show)),
     entry: Some(NavigationEntry { name: "Overview", address: "/", key: "o" }),
-    topic: Some(LiveTopic { form: TOPIC, update: |app, snapshot, _| Box::pin(update(app, snapshot)) }),
+    topic: Some(LiveTopic { pattern: TOPIC, update: |app, snapshot, _| Box::pin(update(app, snapshot)) }),
 };
 
 /// Name of its topic of the live stream.

@@ -41,7 +41,7 @@ pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/pipelines/{host}/{pipeline}", get(show)),
     entry: None,
     topic: Some(LiveTopic {
-        form: "pipeline/HOST/PIPELINE/SECONDS",
+        pattern: "pipeline/HOST/PIPELINE/SECONDS",
         update: |app, snapshot, rest| Box::pin(ready(update(app, snapshot, rest))),
     }),
 };
@@ -146,7 +146,7 @@ async fn runs(app: &AppState, pipeline: &PipelineSnapshot) -> Result<Vec<RunSumm
         limit: MAX_RUNS,
         ..RunFilter::default()
     };
-    Ok(AppState::empty_while_closed(app.store().runs(&filter).await)?)
+    Ok(AppState::empty_if_store_is_closed(app.store().runs(&filter).await)?)
 }
 
 /// Returns the title of the page: latency and longest stage.

@@ -22,7 +22,10 @@ use crate::view::{list_limits, startup};
 pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/pipelines", get(show)),
     entry: Some(NavigationEntry { name: "Pipelines", address: "/pipelines", key: "p" }),
-    topic: Some(LiveTopic { form: TOPIC, update: |app, snapshot, _| Box::pin(ready(update(app, snapshot))) }),
+    topic: Some(LiveTopic {
+        pattern: TOPIC,
+        update: |app, snapshot, _| Box::pin(ready(update(app, snapshot))),
+    }),
 };
 
 /// Name of its topic of the live stream.

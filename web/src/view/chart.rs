@@ -7,7 +7,7 @@ use peernet_analysis::stage_split::mean_of_groups;
 use peernet_analysis::transfer::Transfer;
 use peernet_clock::WallTime;
 use peernet_logger::{Name, stage};
-use peernet_statistics::number::{NONE, StageColumn, count};
+use peernet_statistics::number::{DurationFormat, NONE, count};
 use peernet_store::IncidentRow;
 use peernet_stream::PlacementKind;
 use serde::Serialize;
@@ -242,7 +242,7 @@ fn minutes(series: &[std::sync::Arc<LiveSecond>], columns: &[&'static str], zone
             mean_of_groups(means)
         };
         let total = average(&stage::TOTAL);
-        let column = StageColumn::for_total(total, None);
+        let column = DurationFormat::for_total(total, None);
         let text = |mean: Option<f64>| mean.map_or_else(|| NONE.to_owned(), |mean| column.duration(mean));
         Minute {
             at: zone.moment(WallTime::from_unix_nanos(minute.saturating_mul(60_000_000_000))),

@@ -131,7 +131,7 @@ pub(crate) fn clock_words(theirs: &ClockIdentity, ours: &ClockIdentity, ahead: S
 }
 
 impl HostLine {
-    /// Returns the first `limit` hosts of a picture: those that have not ended, and those that have.
+    /// Returns the first `limit` hosts in two lists: hosts that have not ended, and hosts that have ended.
     pub(crate) fn first(
         limit: usize,
         snapshot: &LiveState,

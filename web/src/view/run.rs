@@ -11,7 +11,7 @@ use peernet_clock::{Verdict, WallTime};
 use peernet_figures::drawing::StageBar;
 use peernet_figures::scale::Scale as AxisScale;
 use peernet_logger::stage;
-use peernet_statistics::number::{NONE, SPACE, StageColumn, count, fixed, length, throughput, times};
+use peernet_statistics::number::{DurationFormat, NONE, SPACE, count, fixed, length, throughput, times};
 use peernet_store::{Episodes, IterationRow, RunDetail, RunStatistics, Series, StageStatistics};
 use serde::Serialize;
 
@@ -126,9 +126,9 @@ impl StoredRun<'_> {
     }
 
     /// Returns the format of the run's tables of durations.
-    fn duration_format(&self) -> StageColumn {
+    fn duration_format(&self) -> DurationFormat {
         let total = self.run.summary.total.as_ref();
-        StageColumn::for_total(total.map(|total| total.mean), total.and_then(|total| total.std))
+        DurationFormat::for_total(total.map(|total| total.mean), total.and_then(|total| total.std))
     }
 
     /// Returns the time series of the total, bucket by bucket.

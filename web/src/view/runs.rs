@@ -133,7 +133,7 @@ pub(crate) fn gap_notes(gaps: &[GapRow], zone: Zone) -> Vec<Note> {
             (gaps_of_reason().map(|gap| gap.from).min()?, gaps_of_reason().map(|gap| gap.to).max()?);
         let missing = MissingCount::from_gaps(gaps_of_reason().map(|gap| gap.count));
         let was = if missing.known == 1 && !missing.is_incomplete { "was" } else { "were" };
-        let subject = format!("{} of this run", missing.subject());
+        let subject = format!("{} of this run", missing.sentence_start());
         let [from, to] = [from, to].map(|at| zone.moment(at).clock());
         let gaps = counted(gaps_of_reason().count(), "gap", "gaps");
         Some(Note {

@@ -6,7 +6,7 @@ use peernet_analysis::unaccounted_time::{IterationDurations, UnaccountedTime};
 use peernet_figures::drawing::{StageBar, StagePart};
 use peernet_figures::scale::Scale;
 use peernet_logger::Name;
-use peernet_statistics::number::{StageColumn, duration, milliseconds};
+use peernet_statistics::number::{DurationFormat, duration, milliseconds};
 use peernet_store::{DelayAccuracy, IterationRow, QuantityStatistics, StageStatistics};
 
 use crate::picture::Picture;
@@ -35,8 +35,8 @@ impl Stack {
     }
 
     /// Returns the format of a table of the parts.
-    pub(crate) fn column(&self) -> StageColumn {
-        StageColumn::for_total(self.total.map(|total| total.mean), self.total.and_then(|total| total.std))
+    pub(crate) fn column(&self) -> DurationFormat {
+        DurationFormat::for_total(self.total.map(|total| total.mean), self.total.and_then(|total| total.std))
     }
 
     /// Adds the error bars of the one-way delays.

@@ -3,7 +3,7 @@
 use peernet_aggregator::Window;
 use peernet_analysis::stage_split::share_of_total;
 use peernet_figures::drawing::{StagePart, share_bar};
-use peernet_statistics::number::{self, NONE, StageColumn, bound_ms};
+use peernet_statistics::number::{self, DurationFormat, NONE, bound_ms};
 use peernet_store::{DelayAccuracy, QuantityStatistics, StageStatistics, rank};
 
 use super::chip::{Chip, Sign};
@@ -43,7 +43,7 @@ pub(crate) const TOO_FEW: &str = "too few iterations: p95 needs 60, p99 needs 30
 
 impl StageRow {
     fn new(
-        column: StageColumn,
+        column: DurationFormat,
         name: &str,
         statistics: Option<&QuantityStatistics>,
         bound: Option<&DelayAccuracy>,
@@ -77,7 +77,7 @@ impl StageRow {
     }
 
     /// Returns the row of the sum of both directions.
-    fn network(column: StageColumn, part: &StagePart, share: Option<f64>) -> Self {
+    fn network(column: DurationFormat, part: &StagePart, share: Option<f64>) -> Self {
         let title = "free of any clock: the round trip less the time on the other host";
         Self {
             mean: column.duration(part.seconds),

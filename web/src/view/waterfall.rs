@@ -6,7 +6,7 @@ use peernet_analysis::unaccounted_time::{NETWORK_AND_REST, UnaccountedTime};
 use peernet_figures::scale::Scale;
 use peernet_logger::stage;
 use peernet_statistics::number::{
-    EXACT, NONE, SPACE, StageColumn, ends_ms, interval_ms, shift_ms, signed_within_ms, within_ms,
+    DurationFormat, EXACT, NONE, SPACE, ends_ms, interval_ms, shift_ms, signed_within_ms, within_ms,
 };
 use peernet_store::IterationDetail;
 
@@ -126,7 +126,7 @@ fn group(rows: &mut [Row]) {
 }
 
 impl Row {
-    fn of(node: &PlacedNode, hosts: &[String], strong: bool, bar: Picture, column: StageColumn) -> Self {
+    fn of(node: &PlacedNode, hosts: &[String], strong: bool, bar: Picture, column: DurationFormat) -> Self {
         let (host, class) = match node.at {
             NodeLocation::Network => ("network".to_owned(), "net"),
             NodeLocation::Host(0) => (hosts.first().cloned().unwrap_or_default(), ""),
@@ -162,7 +162,7 @@ impl Row {
         host: String,
         (seconds, median): (f64, Option<f64>),
         bar: Picture,
-        column: StageColumn,
+        column: DurationFormat,
     ) -> Self {
         Self {
             group: None,
@@ -187,7 +187,7 @@ impl Row {
 }
 
 /// Returns a duration in ms: with the digits that its bounds support, or those of its column.
-fn digits(seconds: f64, bounds: Option<(f64, f64)>, column: StageColumn) -> String {
+fn digits(seconds: f64, bounds: Option<(f64, f64)>, column: DurationFormat) -> String {
     bounds.map_or_else(|| column.number(seconds), |bounds| within_ms(seconds, bounds))
 }
 

@@ -217,12 +217,12 @@ impl CloudLink {
                 }
             }
             Err(reason) if was_proven => {
-                tracing::debug!(peer = %self.cloud.name, "delays are estimated from now on: {reason}");
+                tracing::debug!(peer = %self.cloud.name, "delays are estimated by exchanges from now on: {reason}");
                 changes = lock(&self.clock_state).handle_lost_proof(reason, now.raw);
             }
             Err(reason) => {
                 lock(&self.clock_state).reject_same_clock();
-                tracing::debug!(peer = %self.cloud.name, "delays are estimated: {reason}");
+                tracing::debug!(peer = %self.cloud.name, "delays are estimated by exchanges: {reason}");
             }
         }
         // The result is sent after the clock state was updated, because a receiver may have a delay judged at once.

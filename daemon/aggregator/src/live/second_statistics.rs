@@ -13,13 +13,13 @@ use super::MAX_NAMES;
 use crate::live_state::{LiveSecond, Window};
 use peernet_store::{DelayAccuracy, QuantityStatistics, rank};
 
-/// Figures of one or more seconds. A list is faster than a map here, because there are few names.
+/// Statistics of one or more seconds. A list is faster than a map here, because there are few names.
 #[derive(Clone, Debug, Default)]
 pub(super) struct SecondStatistics {
     counts: OutcomeCounts,
-    /// Summaries by node name.
+    /// Summaries by the name of the quantity: a node of the iteration's tree.
     values: Vec<(Name, Summary)>,
-    /// Half-widths of the clock bounds by stage, and the bounds by the names of [`end_names`].
+    /// Clock bounds of each direction: half widths under the name of the stage, lower and upper ends under its two [`end_names`].
     bounds: Vec<(Name, Summary)>,
     /// Number of iterations by stage and clock verdict.
     verdicts: Vec<(Name, Verdict, u64)>,
@@ -62,11 +62,11 @@ impl SecondStatistics {
             let (_, summary) = self.values.iter().find(|(other, _)| other == name)?;
             (summary.count() > 0).then_some((summary.count(), summary.moments.mean))
         };
-        let sent = [stage::UPLOAD, stage::DOWNLOAD].map(|direction| {
+        let message_counts = [stage::UPLOAD, stage::DOWNLOAD].map(|direction| {
             let counts = self.verdicts.iter().filter(|(stage, ..)| *stage == direction);
             counts.map(|(.., count)| count).sum()
         });
-        let StageSplit { parts, .. } = StageSplit::new(sent, mean_of);
+        let StageSplit { parts, .. } = StageSplit::new(message_counts, mean_of);
         let total_p95 =
             self.total().and_then(QuantityStatistics::from_summary).and_then(|statistics| statistics.p95);
         let (transfers, verdicts) = (self.transfers(), self.verdicts.clone());

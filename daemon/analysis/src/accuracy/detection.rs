@@ -114,24 +114,24 @@ fn average_precision(pictures: &[PictureObjects], class: &str, overlaps: &mut Ve
     let labelled = pictures.iter().flat_map(|picture| &picture.labelled);
     let labelled = labelled.filter(|object| object.class == class).count();
     // Picture, box and score of each found object, best first; a stable sort.
-    let mut found: Vec<(usize, &ObjectBox, f64)> = Vec::new();
+    let mut found_boxes: Vec<(usize, &ObjectBox, f64)> = Vec::new();
     for (index, picture) in pictures.iter().enumerate() {
         let of_class = picture.found.iter().filter(|(object, _)| object.class == class);
-        found.extend(of_class.map(|(object, score)| (index, object, *score)));
+        found_boxes.extend(of_class.map(|(object, score)| (index, object, *score)));
     }
-    found.sort_by(|(.., a), (.., b)| b.total_cmp(a));
-    // Each labelled object is found once; a second box at its place is wrong.
-    let mut taken: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
-    let mut are_right = Vec::with_capacity(found.len());
-    for (picture, object, _) in found {
-        let taken = taken.entry(picture).or_default();
+    found_boxes.sort_by(|(.., a), (.., b)| b.total_cmp(a));
+    // Indexes of the matched labelled objects of each picture. Each is found once; a second box at its place is wrong.
+    let mut matched: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
+    let mut are_right = Vec::with_capacity(found_boxes.len());
+    for (picture, object, _) in found_boxes {
+        let matched = matched.entry(picture).or_default();
         let candidates = pictures[picture].labelled.iter().enumerate();
-        let candidates = candidates.filter(|(at, other)| other.class == class && !taken.contains(at));
+        let candidates = candidates.filter(|(at, other)| other.class == class && !matched.contains(at));
         let overlap = candidates.map(|(at, other)| (at, iou(other.edges, object.edges)));
         let best = overlap.max_by(|(_, a), (_, b)| a.total_cmp(b)).filter(|(_, iou)| *iou >= MATCHING_IOU);
         are_right.push(best.is_some());
         if let Some((at, overlap)) = best {
-            taken.insert(at);
+            matched.insert(at);
             overlaps.push(overlap);
         }
     }

@@ -7,7 +7,7 @@ use peernet_sample::{MediaType, PixelFormat, Sample};
 /// Name of the score of an iteration with a labelled mask: the mean over the classes that the mask or the answer has.
 pub const SEGMENTATION_SCORE: &str = "mean-iou";
 
-/// Number in a mask of a pixel that is not scored, such as the border of an object (`void` of PASCAL VOC).
+/// Value of the pixels of a mask that are not scored, such as the border of an object (`void` of PASCAL VOC).
 pub const IGNORED_CLASS: u8 = 255;
 
 /// Number of different classes in one byte.

@@ -28,8 +28,8 @@ impl Failures {
         let mut failures: Vec<Self> = reasons
             .into_iter()
             .map(|(outcome, reasons)| {
-                let given = reasons.iter().filter_map(|(reason, count)| Some(((*reason)?, *count)));
-                let commonest = given.max_by_key(|(_, count)| *count);
+                let known_reasons = reasons.iter().filter_map(|(reason, count)| Some(((*reason)?, *count)));
+                let commonest = known_reasons.max_by_key(|(_, count)| *count);
                 let commonest_reason = commonest.map(|(reason, _)| reason.to_owned());
                 Self { outcome, count: reasons.values().sum(), commonest_reason }
             })

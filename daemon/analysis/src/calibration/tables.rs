@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use peernet_clock::{Direction, Span};
-use peernet_statistics::number::{EXACT, NONE as UNKNOWN, bytes, decimals, fixed, measured};
+use peernet_statistics::number::{EXACT, NONE as UNKNOWN, bytes, decimals, fixed, fixed_or_less_than};
 
 use super::Study;
 use super::direction::{DirectionStudy, Throughput};
@@ -149,7 +149,7 @@ fn size_columns(direction: &DirectionStudy, payloads: &[u64]) -> Vec<Vec<String>
     let range = |(lo, hi): (f64, f64)| interval([lo, hi].map(|end| fixed(end * 1e3, in_ms)));
     let cells = |size: &SizeSummary| {
         let bounds = if direction.same_clock { Some(EXACT.to_owned()) } else { size.bounds.map(range) };
-        let rate = size.throughput.map(|rate| measured(rate / 8e6, in_mb));
+        let rate = size.throughput.map(|rate| fixed_or_less_than(rate / 8e6, in_mb));
         vec![
             fixed(size.median * 1e3, in_ms),
             or_unknown(size.tails.map(range)),
@@ -188,7 +188,7 @@ fn fit_rows(direction: &DirectionStudy) -> Vec<Vec<String>> {
         margins.map(digits).max().unwrap_or_else(|| digits(fits.medians.least_squares.intercept.value));
     let in_mb = decimals_of(rates.iter().flatten().map(|rate| rate.value / 8e6));
     let ms = |seconds: f64| fixed(seconds * 1e3, in_ms);
-    let mb = |rate: f64| measured(rate / 8e6, in_mb);
+    let mb = |rate: f64| fixed_or_less_than(rate / 8e6, in_mb);
     let delays = |(lo, hi): (f64, f64)| interval([ms(lo), ms(hi)]);
     let speeds = |(lo, hi): (f64, Option<f64>)| match hi.filter(|hi| hi.is_finite()) {
         None => format!("≥ {}", mb(lo)),

@@ -41,8 +41,8 @@ pub fn choose_further_columns(already_chosen: Vec<Column>, candidates: Vec<Colum
     };
     let mut is_chosen = vec![false; candidates.len()];
     let chosen_columns = |is_chosen: &[bool]| -> Vec<Column> {
-        let chosen = candidates.iter().zip(is_chosen).filter(|(_, is_chosen)| **is_chosen);
-        already_chosen.iter().chain(chosen.map(|(column, _)| column)).cloned().collect()
+        let newly_chosen = candidates.iter().zip(is_chosen).filter(|(_, is_chosen)| **is_chosen);
+        already_chosen.iter().chain(newly_chosen.map(|(column, _)| column)).cloned().collect()
     };
     for index in 0..candidates.len() {
         let rows_without = distinct_rows(&chosen_columns(&is_chosen), configurations);

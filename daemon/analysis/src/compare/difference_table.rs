@@ -1,7 +1,7 @@
 //! The differences between two lines of a comparison as a table.
 
 use peernet_sample::printable_line;
-use peernet_statistics::number::{EXACT, column_decimals, decimals, fixed, measured};
+use peernet_statistics::number::{EXACT, column_decimals, decimals, fixed, fixed_or_less_than};
 
 use super::{Difference, Differences, EMPTY_CELL, StageDifference};
 use crate::table::{CaptionedTable, Table, csv_text, interval};
@@ -94,7 +94,7 @@ impl Differences {
         };
         let clock_cell = |error: f64| match error {
             0.0 => EXACT.to_owned(),
-            error => format!("±{}", measured(error * 1e3, clock_decimals)),
+            error => format!("±{}", fixed_or_less_than(error * 1e3, clock_decimals)),
         };
         let row = |stage: &StageDifference| {
             let name = std::iter::once(stage.stage.clone());

@@ -5,8 +5,8 @@ use peernet_statistics::Summary;
 use crate::order::SortedValues;
 
 /// Returns the median of the lower bounds and the median of the upper bounds of all values. If each true value lies between its bounds, the
-/// median of the true values lies between these medians. `None` unless every value has bounds, because the median of values of which some may
-/// be anywhere may be anywhere, too.
+/// median of the true values lies between these medians. `None` unless every value has bounds: a value
+/// without bounds may be anywhere, and so may the median.
 pub fn median_bounds(bounds: impl Iterator<Item = Option<(f64, f64)>>) -> Option<(f64, f64)> {
     let (lower, upper): (Vec<f64>, Vec<f64>) = bounds.collect::<Option<Vec<_>>>()?.into_iter().unzip();
     let median = |values: Vec<f64>| values.into_iter().collect::<SortedValues>().median();
@@ -103,7 +103,8 @@ pub struct DelayAverages {
 impl DelayAverages {
     /// Returns the interval of the median delay, or of the mean delay. `None` unless every delay has an interval, as for [`median_bounds`].
     ///
-    /// A delay is not below its lower end, so a median (or mean) of delays is not below that of the lower ends; and so for the upper ends.
+    /// A delay is not below its lower end, so the median (or mean) of the delays is not below that of the lower ends.
+    /// Likewise, it is not above that of the upper ends.
     pub fn interval(&self) -> Option<ClockInterval> {
         // A delay without an interval may be anywhere, and so may the median.
         let is_complete = |part: &CountedAverage| part.count >= self.delay.count;
@@ -172,7 +173,7 @@ impl ClockedSummaries<'_> {
     }
 }
 
-/// Returns the median of `count` upper ends of which `finite` has the finite ones.
+/// Returns the median of `count` upper ends. `finite` is the summary of the finite ones; the others are infinite.
 fn upper_median(finite: &Summary, count: u64) -> f64 {
     let (rank, last) = ((count - 1) as f64 / 2.0, finite.count() as f64 - 1.0);
     if rank > last {

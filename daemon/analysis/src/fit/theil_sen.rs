@@ -82,7 +82,7 @@ impl Pairs {
     /// Returns the slope with this rank, from 0, in the ascending order of the slopes.
     ///
     /// The range of slopes is bisected. Each step counts the pairs with at most a given slope in O(n log n): the line with this slope is
-    /// subtracted from all points, and then a merge sort counts the pairs that do not rise as inversions.
+    /// subtracted from all points, and then a merge sort counts its inversions, which are the pairs that do not rise.
     fn slope(&self, rank: u64) -> f64 {
         let (mut lo, mut hi) = self.range;
         for _ in 0..MAX_BISECTIONS {
@@ -147,11 +147,11 @@ fn merge(left: &[f64], right: &[f64], count: &mut u64) -> Vec<f64> {
 }
 
 /// Returns the ranks, from 0, of two of `n` sorted values. The median lies between these values with this confidence (sign test). `None` if
-/// `n` is so small that it lies between the smallest and the largest value with less confidence.
+/// `n` is so small that even between the smallest and the largest value the median lies with less confidence.
 fn median_ranks(n: usize, confidence: f64) -> Option<(usize, usize)> {
     let values_below_median = Binomial::new(0.5, n as u64).ok()?;
     let risk = (1.0 - confidence) / 2.0;
-    // Number of values below the lower of the two values, including that value. Above a thousand values the normal approximation is accurate
+    // Number of values up to and including the lower of the two values. Above a thousand values the normal approximation is accurate
     // and much faster.
     let lower_count = if n > 1000 {
         let half_width = Normal::standard().inverse_cdf(1.0 - risk) * (n as f64).sqrt() / 2.0;

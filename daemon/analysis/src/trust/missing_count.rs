@@ -31,7 +31,7 @@ impl MissingCount {
     }
 
     /// Returns the beginning of a sentence: `1 event`, `At least 849 events`, `An unknown number of events`.
-    pub fn subject(self) -> String {
+    pub fn sentence_start(self) -> String {
         match (self.known, self.is_incomplete) {
             (0, true) => "An unknown number of events".to_owned(),
             (known, true) => format!("At least {}", counted(known, "event")),
@@ -48,9 +48,9 @@ mod tests {
     fn gap_of_unknown_size_makes_number_lower_bound() {
         let texts = |gaps: &[u64]| {
             let missing = MissingCount::from_gaps(gaps.iter().copied());
-            (missing.number(), missing.subject())
+            (missing.number(), missing.sentence_start())
         };
-        let text = |number: &str, subject: &str| (number.to_owned(), subject.to_owned());
+        let text = |number: &str, sentence_start: &str| (number.to_owned(), sentence_start.to_owned());
         assert_eq!(texts(&[]), text("0", "0 events"));
         assert_eq!(texts(&[1]), text("1", "1 event"));
         assert_eq!(texts(&[849, 40_000]), text("40,849", "40,849 events"));

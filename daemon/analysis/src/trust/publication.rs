@@ -10,8 +10,8 @@ use super::{Publish, Report};
 const MAX_NAMED_RUNS: usize = 8;
 
 /// Returns a sentence about the runs that cannot be published, and one about those that can only be published with caveats, each with the
-/// grade of its findings. Each run is given by its name and its report. Edges that measured at the same time have the name of their run, which is
-/// as good as the worst of them and has the findings of all. Empty if all of them can be published as they are.
+/// grade of its findings. Each run is given by its name and its report. Edges that measured at the same time have the name of their
+/// run. The run has the findings of all its edges and is as good as the worst of them. Empty if all runs can be published as they are.
 pub fn publication_caveats<'a>(runs: impl IntoIterator<Item = (String, &'a Report)>) -> Vec<(Grade, String)> {
     let mut reports_by_run: Vec<(String, Vec<&Report>)> = Vec::new();
     for (name, report) in runs {
@@ -26,9 +26,9 @@ pub fn publication_caveats<'a>(runs: impl IntoIterator<Item = (String, &'a Repor
         let of_verdict: Vec<&(String, Vec<&Report>)> =
             runs.iter().filter(|(_, reports)| worst(reports) == Some(verdict)).collect();
         (!of_verdict.is_empty()).then_some(())?;
-        let named = of_verdict.iter().take(MAX_NAMED_RUNS);
+        let named_runs = of_verdict.iter().take(MAX_NAMED_RUNS);
         let mut names: Vec<String> =
-            named.map(|(name, reports)| format!("{name} ({})", subjects(reports, grade))).collect();
+            named_runs.map(|(name, reports)| format!("{name} ({})", subjects(reports, grade))).collect();
         if of_verdict.len() > MAX_NAMED_RUNS {
             names.push(format!("and {} more", of_verdict.len() - MAX_NAMED_RUNS));
         }
@@ -51,10 +51,11 @@ pub fn publication_caveats<'a>(runs: impl IntoIterator<Item = (String, &'a Repor
 
 /// Returns the subjects of the findings of a grade, each once, in the order of the reports.
 fn subjects(reports: &[&Report], grade: Grade) -> String {
-    let mut seen = BTreeSet::new();
+    let mut seen_subjects = BTreeSet::new();
     let of_grade =
         reports.iter().flat_map(|report| &report.findings).filter(|finding| finding.grade == grade);
-    let subjects = of_grade.map(|finding| finding.about.as_str()).filter(|about| seen.insert(*about));
+    let subjects =
+        of_grade.map(|finding| finding.about.as_str()).filter(|about| seen_subjects.insert(*about));
     subjects.collect::<Vec<_>>().join(", ")
 }
 

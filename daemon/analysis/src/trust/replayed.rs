@@ -1,4 +1,4 @@
-//! Latencies that were not measured but drawn from a distribution, and how far the host was from keeping to them.
+//! Latencies that were not measured but drawn from a distribution, and the time by which the host exceeded them.
 
 use peernet_statistics::number::milliseconds;
 
@@ -70,7 +70,9 @@ impl ReplayedLatencies {
         };
         let distribution = match without_seed(first) {
             _ if runs.iter().all(|run| run.distribution == first.distribution) => first.distribution.clone(),
-            same if runs.iter().all(|run| without_seed(run) == same) => format!("{same}{SEED}of each run"),
+            same if runs.iter().all(|run| without_seed(run) == same) => {
+                format!("{same}, a seed of its own for each run")
+            }
             _ => first.distribution.clone(),
         };
         let mean = |value: fn(&Self) -> Option<f64>| mean(runs.iter().filter_map(value));
@@ -114,7 +116,7 @@ mod tests {
         assert_eq!(
             of(&[("x, seed 3", 0.0), ("x, seed 4", 0.004)]).as_deref(),
             Some(
-                "x, seed of each run; inference took 2.00 ms longer than drawn on average (mean drawn latency 10.0 ms)"
+                "x, a seed of its own for each run; inference took 2.00 ms longer than drawn on average (mean drawn latency 10.0 ms)"
             )
         );
     }

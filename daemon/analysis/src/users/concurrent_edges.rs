@@ -25,7 +25,7 @@ pub(super) fn concurrent_groups(edges: &[Loaded]) -> Vec<Vec<&Loaded>> {
     groups
 }
 
-/// Returns the groups without repeats that lack an edge which another repeat of the same configuration has.
+/// Returns the complete groups: those with as many edges as the largest group of the same configuration.
 pub(super) fn complete_groups(groups: Vec<Vec<&Loaded>>) -> Vec<Vec<&Loaded>> {
     let place = |group: &[&Loaded]| {
         let place = group[0].record.experiment.as_ref()?;

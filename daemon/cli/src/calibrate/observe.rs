@@ -166,7 +166,7 @@ impl RunObserver for SweepObserver<'_> {
         }
         let now = self.clock.mono();
         self.peer_wait.update(&activity, now);
-        // An absent peer is waited for until shortly after the end of the time that the user gave the sweep.
+        // The wait for an absent peer ends shortly after the maximum duration of the sweep.
         let remaining =
             self.started_at + Span::from_seconds_f64(self.plan.seconds) - self.peer_wait.last_present();
         let timeout = (remaining + ABSENCE_TIMEOUT).clamp(ABSENCE_TIMEOUT, PeerWait::DEFAULT_TIMEOUT);

@@ -51,13 +51,13 @@ impl SweepDisplay {
 impl Extent {
     /// Describes the state, and returns the share that is done.
     fn describe(&self, samples: &[Sample], elapsed: f64) -> (String, f64) {
-        let done = samples.len() as f64;
-        let share = (done / self.iterations as f64).max(elapsed / self.seconds).clamp(0.0, 1.0);
+        let done_count = samples.len() as f64;
+        let share = (done_count / self.iterations as f64).max(elapsed / self.seconds).clamp(0.0, 1.0);
         let remaining_s = if share > 0.0 { elapsed * (1.0 - share) / share } else { self.seconds };
-        let rate = if elapsed > 0.0 { done / elapsed } else { 0.0 };
+        let rate = if elapsed > 0.0 { done_count / elapsed } else { 0.0 };
         let (smallest, largest) = self.extremes;
         let text = format!(
-            "{done} of {}, {} /s, upload {} at {}, {} at {}, {remaining_s:.0} s left",
+            "{done_count} of {}, {} /s, upload {} at {}, {} at {}, {remaining_s:.0} s left",
             self.iterations,
             fixed(rate, 0),
             median(samples, smallest),

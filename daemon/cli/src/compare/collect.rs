@@ -74,7 +74,7 @@ pub(crate) fn collect(
     let command_line_paths: Vec<&Path> = named_paths.iter().map(PathBuf::as_path).chain(baseline).collect();
     // Copies of one run can be recognised only by their run ids, which are in the files.
     let exclusions = ExclusionReasons::new(&runs, &baseline_indexes, &command_line_paths, &experiments);
-    let unreadable_records = experiments.unreadable_notes(paths.iter().map(PathBuf::as_path));
+    let unreadable_records = experiments.notes_on_unreadable_records(paths.iter().map(PathBuf::as_path));
     for note in unreadable_records.into_iter().chain(exclusions.notes(&runs)) {
         print_to_stderr(&note);
         notes.push(to_sentence(&note));
@@ -140,14 +140,14 @@ fn read(
     }
 }
 
-/// Returns the failure for results that cannot be read, beside `read` results that can.
+/// Returns the failure for results that cannot be read. `read` is the number of results that were read.
 fn unreadable_failure(failures: &[Failure], read: usize) -> Option<Failure> {
     let reasons: Vec<String> = failures.iter().map(ToString::to_string).collect();
     (!reasons.is_empty()).then(|| {
         Failure::new(
             Exit::Data,
             anyhow!(
-                "{} of {} cannot be read, without which the others are shown: {}",
+                "{} of {} cannot be read, so only the others are shown: {}",
                 reasons.len(),
                 counted((read + reasons.len()) as u64, "result"),
                 reasons.join("; ")

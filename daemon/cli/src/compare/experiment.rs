@@ -10,10 +10,10 @@ use peernet_sample::printable_line;
 use peernet_statistics::number::counted;
 use serde::Deserialize;
 
-use crate::experiment::{FORMAT, MAX_RECORD_BYTES, RECORD, RUNS, Stage};
+use crate::experiment::{FORMAT, MAX_RECORD_BYTES, RECORD, RUNS, RunStatus};
 
 /// Number of parent folders of results that are searched for the record of their experiment. Between the results and the experiment's
-/// folder are `runs`, the run's folder with several users, and possibly a folder of the user's own.
+/// folder are `runs`, the run's folder if several edges send at once, and possibly a folder that the user made.
 const MAX_ANCESTORS: usize = 4;
 
 /// Experiments by their folders, or the error of reading their records. Runs without a readable record are compared like other
@@ -45,7 +45,7 @@ pub(super) struct Experiment {
     file: String,
     /// States of the runs, in their order.
     #[serde(default)]
-    states: Vec<State>,
+    states: Vec<RecordedState>,
     pub(super) plan: Plan,
 }
 
@@ -67,8 +67,9 @@ struct Run {
 }
 
 #[derive(Deserialize)]
-struct State {
-    stage: Stage,
+struct RecordedState {
+    #[serde(rename = "stage")]
+    status: RunStatus,
     reason: Option<String>,
 }
 
@@ -79,7 +80,7 @@ pub(super) struct ExperimentRun<'a> {
     pub(super) home: &'a Path,
     pub(super) experiment: &'a Experiment,
     run: &'a Run,
-    state: &'a State,
+    state: &'a RecordedState,
 }
 
 impl Experiments {
@@ -92,8 +93,11 @@ impl Experiments {
         Self(records.into_iter().filter_map(|(folder, record)| Some((folder, record.transpose()?))).collect())
     }
 
-    /// Returns notes on these results for which the record of the experiment cannot be read.
-    pub(super) fn unreadable_notes<'a>(&self, results: impl Iterator<Item = &'a Path>) -> Vec<String> {
+    /// Returns a note on each experiment of these results whose record cannot be read.
+    pub(super) fn notes_on_unreadable_records<'a>(
+        &self,
+        results: impl Iterator<Item = &'a Path>,
+    ) -> Vec<String> {
         let results: Vec<PathBuf> = results.filter_map(|path| path.canonicalize().ok()).collect();
         let unreadable = self.0.iter().filter_map(|(home, record)| Some((home, record.as_ref().err()?)));
         let has_runs = |home: &Path| results.iter().any(|path| path.starts_with(home.join(RUNS)));
@@ -107,8 +111,8 @@ impl Experiments {
             .collect()
     }
 
-    /// Returns the execution with this id to which results belong.
-    pub(super) fn execution(&self, results: &Path, id: &str) -> Option<&Experiment> {
+    /// Returns the experiment to which results belong, if its record has this id.
+    pub(super) fn experiment_with_id(&self, results: &Path, id: &str) -> Option<&Experiment> {
         let experiment_in = |folder: &PathBuf| self.0.get(folder)?.as_ref().ok();
         ancestor_folders(results).iter().filter_map(experiment_in).find(|experiment| experiment.id == id)
     }
@@ -128,9 +132,9 @@ impl Experiments {
 }
 
 impl Experiment {
-    /// Returns the folders and states of the runs.
-    pub(super) fn runs(&self) -> impl Iterator<Item = (&str, Stage)> {
-        self.plan.runs.iter().zip(&self.states).map(|(run, state)| (&*run.folder, state.stage))
+    /// Returns the folders of the runs and their status.
+    pub(super) fn runs(&self) -> impl Iterator<Item = (&str, RunStatus)> {
+        self.plan.runs.iter().zip(&self.states).map(|(run, state)| (&*run.folder, state.status))
     }
 
     /// Returns the command that completes all of its runs.
@@ -147,8 +151,8 @@ impl ExperimentRun<'_> {
 
     /// Returns the state of the run.
     pub(super) fn state(&self) -> RunState {
-        let State { stage, reason } = self.state;
-        stage.state(reason.as_deref().map(printable_line).as_deref())
+        let RecordedState { status, reason } = self.state;
+        status.to_run_state(reason.as_deref().map(printable_line).as_deref())
     }
 }
 
@@ -163,7 +167,7 @@ fn ancestor_folders(results: &Path) -> Vec<PathBuf> {
 /// # Errors
 /// When the file cannot be read or is not a record.
 fn read(record: &Path) -> Result<Option<Experiment>, RecordError> {
-    let text = match small_file::read_found(record, MAX_RECORD_BYTES) {
+    let text = match small_file::read_regular_file(record, MAX_RECORD_BYTES) {
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
             return Ok(None);
         }

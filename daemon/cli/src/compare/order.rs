@@ -36,7 +36,7 @@ pub(super) fn declared_order(runs: &[Loaded], experiments: &Experiments) -> Vec<
 
 /// Returns the position of a run's configuration in the record of its experiment.
 fn recorded_position(run: &Loaded, place: &ExperimentPlace, experiments: &Experiments) -> Option<u32> {
-    let configurations = &experiments.execution(&run.folder, &place.id)?.plan.configurations;
+    let configurations = &experiments.experiment_with_id(&run.folder, &place.id)?.plan.configurations;
     u32::try_from(
         configurations.iter().position(|configuration| configuration.labels == place.configuration)?,
     )

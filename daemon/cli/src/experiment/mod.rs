@@ -17,10 +17,10 @@ pub(crate) const MAX_RECORD_BYTES: u64 = 256 << 20;
 /// Folder in an experiment's folder that has the folders of its runs.
 pub(crate) const RUNS: &str = "runs";
 
-/// Progress of a run.
+/// Status of a run, as stored in [`RECORD`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub(crate) enum Stage {
+pub(crate) enum RunStatus {
     /// The run has not started.
     #[default]
     Pending,
@@ -34,9 +34,10 @@ pub(crate) enum Stage {
     Interrupted,
 }
 
-impl Stage {
-    /// Returns the state, which decides whether tables and figures include the run and whether the run is repeated.
-    pub(crate) fn state(self, reason: Option<&str>) -> RunState {
+impl RunStatus {
+    /// Returns the state with the reason for a failure. The state decides whether tables and figures include the run and whether the
+    /// run is repeated.
+    pub(crate) fn to_run_state(self, reason: Option<&str>) -> RunState {
         match self {
             Self::Pending => RunState::Pending,
             Self::Running => RunState::Open,
@@ -47,7 +48,7 @@ impl Stage {
     }
 
     pub(crate) fn is_done(self) -> bool {
-        self.state(None).is_finished()
+        self.to_run_state(None).is_finished()
     }
 
     /// Returns the name for people.

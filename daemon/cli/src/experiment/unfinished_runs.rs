@@ -1,6 +1,6 @@
 //! Note on runs of an experiment that its tables and figures exclude because they are not finished.
 
-use super::Stage;
+use super::RunStatus;
 
 /// Maximum number of runs in the note.
 const MAX_NAMED: usize = 8;
@@ -9,12 +9,12 @@ const MAX_NAMED: usize = 8;
 /// completes a sentence: `Shown without the runs of experiment e that are not done: 002 (failed).`
 pub(crate) fn unfinished_runs_note<'a>(
     experiment: &str,
-    runs: impl IntoIterator<Item = (&'a str, Stage)>,
+    runs: impl IntoIterator<Item = (&'a str, RunStatus)>,
 ) -> Option<String> {
     let mut unfinished: Vec<String> = runs
         .into_iter()
-        .filter(|(_, stage)| !stage.is_done())
-        .map(|(folder, stage)| format!("{folder} ({})", stage.state(None).name()))
+        .filter(|(_, status)| !status.is_done())
+        .map(|(folder, status)| format!("{folder} ({})", status.to_run_state(None).name()))
         .collect();
     let more = unfinished.len().saturating_sub(MAX_NAMED);
     unfinished.truncate(MAX_NAMED);
@@ -30,13 +30,13 @@ mod tests {
 
     #[test]
     fn unfinished_runs_are_named_up_to_limit() {
-        let note = |runs: &[(&str, Stage)]| unfinished_runs_note("e", runs.iter().copied());
-        assert_eq!(note(&[("001", Stage::Finished)]), None);
-        let two = [("001", Stage::Finished), ("002", Stage::Running), ("003", Stage::Pending)];
+        let note = |runs: &[(&str, RunStatus)]| unfinished_runs_note("e", runs.iter().copied());
+        assert_eq!(note(&[("001", RunStatus::Finished)]), None);
+        let two = [("001", RunStatus::Finished), ("002", RunStatus::Running), ("003", RunStatus::Pending)];
         let text =
             "without the runs of experiment e that are not done: 002 (in progress or killed), 003 (to do)";
         assert_eq!(note(&two).as_deref(), Some(text));
-        let many = note(&[("0", Stage::Failed); 20]).expect("none is done");
+        let many = note(&[("0", RunStatus::Failed); 20]).expect("none is done");
         assert!(many.ends_with("0 (failed), 0 (failed) and 12 more"), "{many}");
     }
 }

@@ -97,7 +97,7 @@ impl Progress {
         }
     }
 
-    /// Prints a line that stays visible, unless this function has printed a line before.
+    /// Prints a line that stays visible. Only the first call prints a line.
     pub(crate) fn print_once(&mut self, text: impl Display) {
         if !std::mem::replace(&mut self.has_printed_once, true) {
             self.print_line(text);

@@ -1,4 +1,4 @@
-//! `peernet measure`: executes one order in a separate process.
+//! `peernet measure`: measures one requested run in a separate process.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +8,7 @@ use crate::small_file;
 use anyhow::{Context, anyhow};
 use rustix::process::{Signal, set_parent_process_death_signal};
 
-use super::{Order, ProgressDisplay, ProgressReport, measure};
+use super::{ProgressDisplay, ProgressReport, RunRequest, measure};
 use crate::foreground::{LogDestination, start_log};
 
 /// Line on standard output with which the process reports that it measures no more.
@@ -17,25 +17,25 @@ pub(crate) const MEASUREMENT_ENDED: &str = r#"{"measurement-ended":true}"#;
 /// Arguments of `peernet measure`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
-    /// File with the order, as JSON; `-` is standard input, with the order in one line.
+    /// File with the description of the measurement, as JSON; `-` is standard input, with the description in one line.
     #[arg(long)]
     order: PathBuf,
 }
 
-/// Executes the order. Prints its progress as lines of JSON objects, and output of users' code as JSON texts.
+/// Measures the requested run. Prints its progress as lines of JSON objects, and output of users' code as JSON texts.
 ///
 /// # Errors
-/// Those of [`measure`]. Also when the order cannot be read (66) or parsed (78), `PEERNET_LOG` is not a valid level (78), or iterations
+/// Those of [`measure`]. Also when the request cannot be read (66) or parsed (78), `PEERNET_LOG` is not a valid level (78), or iterations
 /// failed (75).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     exit_with_parent();
     start_log(LogDestination::Parent)?;
     let from_parent = arguments.order == Path::new("-");
     let text = read(&arguments.order).map_err(|error| Failure::new(Exit::NoInput, error))?;
-    let order: Order = serde_json::from_str(&text).map_err(|error| {
+    let request: RunRequest = serde_json::from_str(&text).map_err(|error| {
         Failure::new(Exit::Configuration, anyhow!("cannot parse the description of the measurement: {error}"))
     })?;
-    let measured = measure(&order, &mut JsonProgress { from_parent }).map_err(with_indented_lines)?;
+    let measured = measure(&request, &mut JsonProgress { from_parent }).map_err(with_indented_lines)?;
     measured.failure().map_or(Ok(()), |failure| Err(with_indented_lines(failure)))
 }
 
@@ -74,7 +74,7 @@ fn read(file: &Path) -> anyhow::Result<String> {
 
 /// Display that prints the state to standard output.
 struct JsonProgress {
-    /// `true` if the parent sent the order, and closes standard input when no edge of the run measures any more.
+    /// `true` if the parent sent the request, and closes standard input when no edge of the run measures any more.
     from_parent: bool,
 }
 

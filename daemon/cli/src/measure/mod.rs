@@ -1,9 +1,9 @@
 //! One run in the foreground: an agent with one pipeline, and a folder of results that fills while it measures.
 //!
 //! ```text
-//! Order ── Ready ── agent ── events ── RunRecorder ─┬─ data.csv, row by row
-//!                                    │              └─ ProgressReport, for the ProgressDisplay
-//!                                    └─ record ── run.json, summary.*
+//! RunRequest ── ReadyAgent ── events ── RunRecorder ─┬─ data.csv, row by row
+//!                                     │              └─ ProgressReport, for the ProgressDisplay
+//!                                     └─ record ── run.json, summary.*
 //! ```
 //!
 //! The published client calls [`measure`] itself; an experiment starts one process for each of its runs
@@ -11,19 +11,19 @@
 
 mod agent_end;
 mod command;
-mod order;
 mod previous_results;
 mod progress_report;
 mod record;
 mod recorder;
 mod results;
+mod run_request;
 mod spools;
 mod state_dir;
 
 pub(crate) use command::{Arguments, MEASUREMENT_ENDED, run};
-pub(crate) use order::Order;
 pub(crate) use previous_results::previous_results_folder;
 pub(crate) use progress_report::{Phase, ProgressDisplay, ProgressReport};
+pub(crate) use run_request::RunRequest;
 pub(crate) use spools::{AGENT_LOCK, UndeliveredEvents, spool_file, undelivered, undelivered_in_spool};
 pub(crate) use state_dir::AgentStateDir;
 
@@ -72,30 +72,30 @@ impl Measured {
     }
 }
 
-/// Executes an order and writes its results.
+/// Measures the requested run and writes its results.
 ///
 /// # Errors
 /// When the configuration is wrong (78), the agent cannot start (69), or the folder for the results cannot be used (64, 69, 73). Also when
 /// there are no rows, because the peer or the agent failed (69) or the user ended the run before the first iteration (130).
 pub(crate) fn measure(
-    order: &Order,
+    request: &RunRequest,
     progress_display: &mut dyn ProgressDisplay,
 ) -> Result<Measured, Failure> {
-    let pipeline = order.pipeline()?;
-    let state_dir = AgentStateDir::for_agent(&order.agent.agent)?;
-    let mut config = order.agent.clone();
+    let pipeline = request.pipeline()?;
+    let state_dir = AgentStateDir::for_agent(&request.agent.agent)?;
+    let mut config = request.agent.clone();
     state_dir.configure(&mut config)?;
     let ready = ReadyAgent::new(config)?;
-    if let Some(actuator) = &order.tried_actuator {
+    if let Some(actuator) = &request.tried_actuator {
         actuator.try_build(&ready.clock).map_err(|error| {
             Failure::new(Exit::Unavailable, anyhow!("the actuator cannot be created: {error}"))
         })?;
     }
-    let mut results = Results::prepare(order)?;
+    let mut results = Results::prepare(request)?;
     let free_space = conditions::free_space("results", results.path(), "");
     let mut recorder = RunRecorder::new(
         pipeline,
-        order.peer_timeout(),
+        request.peer_timeout(),
         results.writer()?,
         ready.clock.clone(),
         progress_display,
@@ -118,7 +118,7 @@ pub(crate) fn measure(
         results.discard();
         return Err(ended.without_rows());
     }
-    let mut record = record::run_record(order, &recorded, &ended, name, missed);
+    let mut record = record::run_record(request, &recorded, &ended, name, missed);
     record.edge.conditions.push(Condition { host: record.edge.name.clone(), ..free_space });
     record.trust = Some(Report::new(&TrustInput::from_run(&record, &recorded.rows)));
     let WrittenFiles { folder, mut files, mut trouble } = results.finish(&record, &recorded.rows);
@@ -128,10 +128,10 @@ pub(crate) fn measure(
         Ok(written) => files.extend(written.flatten()),
         Err(error) => trouble = trouble.or_else(|| Some(error.to_string())),
     }
-    if order.plots && !is_written {
+    if request.plots && !is_written {
         // Figures would use the space that the rows did not get.
         trouble = trouble.map(|trouble| format!("{trouble}; no figure is drawn"));
-    } else if order.plots {
+    } else if request.plots {
         match figures::of_run(&record, &recorded.rows, &folder) {
             Ok(drawn) => files.extend(drawn),
             Err(error) => {

@@ -83,8 +83,8 @@ impl PreviousResultsGuard {
             let text = format!("cannot restore the results of {}", previous_results.display());
             unwritten(anyhow::Error::new(error).context(text))
         };
-        // Either the killed run wrote this record, so its results are complete, or the record, which is moved first,
-        // was not moved yet, so nothing was moved.
+        // If the killed run wrote this record, its results are complete. Otherwise no file was moved yet, because the record is
+        // moved first.
         if results_dir.join(RECORD).is_file() {
             std::fs::remove_dir_all(previous_results).map_err(failed)?;
             print_to_stderr(format_args!(

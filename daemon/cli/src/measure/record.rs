@@ -17,13 +17,13 @@ use peernet_inference::MODEL_HASH;
 use peernet_stream::{Placement as ReportedPlacement, PlacementKind};
 use serde_json::{Map, Value};
 
-use super::Order;
+use super::RunRequest;
 use super::recorder::RecordedRun;
 use crate::foreground::AgentEnd;
 
 /// Makes the record of a run with rows.
 pub(super) fn run_record(
-    order: &Order,
+    request: &RunRequest,
     recorded: &RecordedRun,
     ended: &AgentEnd,
     edge: String,
@@ -46,21 +46,21 @@ pub(super) fn run_record(
         // Conditions that belong to no known cloud are the edge's.
         .filter(|condition| cloud.as_ref().is_none_or(|cloud| condition.host != cloud.name));
     // Values of environment variables may be secret; the record has their names only.
-    let config = order.agent.redacted();
+    let config = request.agent.redacted();
     let pipeline = config.pipelines.first();
     RunRecord {
         format: FORMAT,
         name: pipeline.map(|pipeline| pipeline.name.to_string()).unwrap_or_default(),
-        title: order.title.clone(),
+        title: request.title.clone(),
         run: description.map(|run| run.run),
         started: description.map(|run| to_utc(run.started)),
         ended: recorded.ended_at.map(to_utc),
         reason: ended.reason(),
         version: VERSION.to_owned(),
-        command: order.command.clone(),
+        command: request.command.clone(),
         folder: std::env::current_dir().map(|folder| folder.display().to_string()).unwrap_or_default(),
         environment: environment(),
-        network_config: order.network_config.clone(),
+        network_config: request.network_config.clone(),
         edge: HostRecord {
             name: edge,
             id: recorded.edge.as_ref().map(|edge| edge.id),
@@ -82,10 +82,10 @@ pub(super) fn run_record(
         pipeline: pipeline.map_or(Value::Null, json),
         agent: agent(&config),
         experiment: pipeline.and_then(|pipeline| pipeline.experiment.clone()),
-        user: order.user,
-        peer_timeout_s: Some(order.peer_timeout().seconds()),
+        user: request.user,
+        peer_timeout_s: Some(request.peer_timeout().seconds()),
         seeds: seeds(&config),
-        warm_up: order.warm_up.clone(),
+        warm_up: request.warm_up.clone(),
         counts: Counts::from_rows(&recorded.rows, missed),
         deadline_s: pipeline.and_then(PipelineConfig::deadline).map(|deadline| deadline.as_secs_f64()),
         misses: Misses::from_rows(&recorded.rows),
@@ -107,8 +107,8 @@ fn placement_record(reported: &ReportedPlacement) -> Placement {
 
 /// Returns the hash of the model's file as reported by its host.
 fn sha256(facts: &[(String, String)]) -> Option<String> {
-    let reported = facts.iter().find(|(name, _)| name == MODEL_HASH);
-    reported.map(|(_, hash)| hash.clone())
+    let hash_fact = facts.iter().find(|(name, _)| name == MODEL_HASH);
+    hash_fact.map(|(_, hash)| hash.clone())
 }
 
 /// Returns the agent's tables without the pipeline, which is recorded separately, and without the folder of this run's state.

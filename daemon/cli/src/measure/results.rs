@@ -7,7 +7,7 @@ use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
 use peernet_results::{FolderError, Overwrite, ResultFolder, RowWriter, WrittenResults};
 
-use super::Order;
+use super::RunRequest;
 use super::previous_results::PreviousResultsGuard;
 
 /// A folder that exists and is known to be writable before anything is measured.
@@ -28,23 +28,23 @@ pub(super) struct WrittenFiles {
 }
 
 impl Results {
-    /// Creates and locks the folder that the order names.
+    /// Creates and locks the folder that the request names.
     ///
     /// # Errors
     /// When the folder holds results that may not be replaced (64), another program writes there (69), or the folder cannot be created (73).
-    pub(super) fn prepare(order: &Order) -> Result<Self, Failure> {
+    pub(super) fn prepare(request: &RunRequest) -> Result<Self, Failure> {
         // Previous results are restored only if the folder can be locked, which shows that no run is active there.
-        if PreviousResultsGuard::has_leftovers(&order.folder)
-            && let Ok(folder) = ResultFolder::acquire(&order.folder, Overwrite::Replace)
+        if PreviousResultsGuard::has_leftovers(&request.folder)
+            && let Ok(folder) = ResultFolder::acquire(&request.folder, Overwrite::Replace)
         {
             PreviousResultsGuard::recover(folder.path())?;
         }
-        let was_there = order.folder.exists();
-        let folder = ResultFolder::acquire(&order.folder, order.overwrite).map_err(failure)?;
-        let replaces = was_there && order.overwrite == Overwrite::Replace;
+        let was_there = request.folder.exists();
+        let folder = ResultFolder::acquire(&request.folder, request.overwrite).map_err(failure)?;
+        let replaces = was_there && request.overwrite == Overwrite::Replace;
         let previous_results =
             replaces.then(|| PreviousResultsGuard::move_away(folder.path())).transpose()?;
-        let is_created = !was_there || folder.path() != order.folder;
+        let is_created = !was_there || folder.path() != request.folder;
         Ok(Self { folder, is_created, previous_results })
     }
 

@@ -36,7 +36,7 @@ impl Input {
         }
     }
 
-    /// Creates a sample that the model accepts, of pixels, so that nothing has to be decoded, and of arrays of zeros.
+    /// Creates a sample that the model accepts. Pictures are pixels, so that nothing has to be decoded; other parts are arrays of zeros.
     pub(super) fn generated(model: &ModelOnDisk) -> Result<Self, Failure> {
         let sample = model.example_sample().map_err(failure)?;
         let size = |part: &Part| match (&part.description.media, &part.description.shape[..]) {

@@ -112,8 +112,8 @@ impl Tally {
         }
         let scores = DetectionScores::of(&self.pictures);
         let iou = scores.mean_iou.map(|iou| format!(", mean IoU {}", fixed(iou, 3))).unwrap_or_default();
-        let found = format!("{} of {} found", scores.matched, counted(scores.labelled, "object"));
-        Some(format!("; {found}, mAP@0.5 {}{iou}", fixed(scores.map_50, 3)))
+        let found_text = format!("{} of {} found", scores.matched, counted(scores.labelled, "object"));
+        Some(format!("; {found_text}, mAP@0.5 {}{iou}", fixed(scores.map_50, 3)))
     }
 }
 

@@ -19,7 +19,7 @@ use super::client_progress::ClientProgress;
 use super::devices::Devices;
 use super::{Arguments, sensor};
 use crate::foreground::{command_line, dashboard_hint, tables};
-use crate::measure::{AgentStateDir, Measured, Order, measure, undelivered};
+use crate::measure::{AgentStateDir, Measured, RunRequest, measure, undelivered};
 
 /// Number of iterations at the start of a run that the published plots drop.
 const WARM_UP_ITERATIONS: u64 = 5;
@@ -37,19 +37,19 @@ const DEFAULT_RESULTS_DIR: &str = "results";
 /// Those of [`measure`]; when the data set does not exist (66); when some iterations failed (75) or the user ended it
 /// early (130).
 pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failure> {
-    let order = order(arguments, devices)?;
+    let request = run_request(arguments, devices)?;
     let clock =
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    let measured = measure(&order, &mut ClientProgress::new(arguments.quiet, clock))?;
+    let measured = measure(&request, &mut ClientProgress::new(arguments.quiet, clock))?;
     print_results(&measured);
     if let Some(aggregator) = &arguments.aggregator {
-        print_streaming_state(&order.agent.agent, arguments, aggregator)?;
+        print_streaming_state(&request.agent.agent, arguments, aggregator)?;
     }
     measured.failure().map_or(Ok(()), Err)
 }
 
-/// Returns the description of the measurement.
-fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
+/// Returns the request to measure the run that the arguments describe.
+fn run_request(arguments: &Arguments, devices: &Devices) -> Result<RunRequest, Failure> {
     let (sensor, transforms) = sensor::from_arguments(arguments)?;
     let session = arguments.session(SessionSettings {
         open_timeout_ms: OPEN_TIMEOUT_MS.max(arguments.timeout_ms().unwrap_or(0)),
@@ -84,7 +84,7 @@ fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
         (Some(folder), false) => (Some(folder.clone()), Overwrite::Refuse),
         (None, false) => (None, Overwrite::Subfolder),
     };
-    Ok(Order {
+    Ok(RunRequest {
         agent,
         title: format!("{} → {}, {}", arguments.name, devices.server, devices.address.network()),
         folder: folder.unwrap_or_else(|| PathBuf::from(DEFAULT_RESULTS_DIR)),
@@ -151,7 +151,7 @@ mod tests {
         let arguments = Cli::try_parse_from(words).expect("a published command line").published;
         let arguments = arguments.expect("its options are at the top level");
         let devices = Devices::read(&arguments.network_config, None).expect("a file of devices");
-        let order = order(&arguments, &devices).expect("a pipeline");
-        assert_eq!(order.agent.pipelines[0].sensor, Some(SensorConfig::program("cat -u")));
+        let request = run_request(&arguments, &devices).expect("a pipeline");
+        assert_eq!(request.agent.pipelines[0].sensor, Some(SensorConfig::program("cat -u")));
     }
 }

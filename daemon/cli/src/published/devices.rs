@@ -54,7 +54,8 @@ impl File {
         Ok(parsed)
     }
 
-    /// Returns the address of the device `name`; `text` is what the file says about it. A host name alone is on this network.
+    /// Returns the address of the device `name`; `text` is what the file says about it. A host name without a network is on
+    /// `network`.
     fn address(&self, name: &str, text: &str, network: NetworkKind) -> Result<Address, DeviceError> {
         // On a network that finds listeners by name, a host alone is no address.
         let listener =

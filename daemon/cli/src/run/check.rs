@@ -39,7 +39,7 @@ impl Problem {
     }
 }
 
-/// Replaces the key of an agent's only pipeline in an error by the key in an experiment's file.
+/// Replaces, in the text of an error, the key of the agent's only pipeline with the key in the experiment's file.
 pub(super) fn with_experiment_keys(problem: &str) -> String {
     problem.replacen("pipeline[0]", "pipeline", 1)
 }
@@ -59,13 +59,13 @@ pub(super) fn configurations(
         let mut agent: AgentConfig = configuration.agent.clone();
         agent.agent.state_dir.clone_from(&folder);
         // A configuration may have the same problem in two places.
-        let mut seen = BTreeSet::new();
+        let mut seen_texts = BTreeSet::new();
         for problem in Agent::check(&agent, clock) {
             let is_machine_key = MACHINE_KEYS.contains(&problem.key.as_str())
                 || problem.key.starts_with("model[") && problem.key.ends_with(']')
                 || MACHINE_KEYS.iter().any(|key| problem.key.starts_with(&format!("{key}.")));
             let text = with_experiment_keys(&problem.to_string());
-            if !seen.insert(text.clone()) {
+            if !seen_texts.insert(text.clone()) {
                 continue;
             }
             match problems.iter_mut().find(|other| other.text == text) {

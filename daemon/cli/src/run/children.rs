@@ -21,9 +21,9 @@ use tokio::time::Instant;
 use super::ending::Ending;
 use super::exit_reason::exit_reason;
 use crate::foreground::Signals;
-use crate::measure::{MEASUREMENT_ENDED, Order, ProgressReport};
+use crate::measure::{MEASUREMENT_ENDED, ProgressReport, RunRequest};
 
-/// Path of this program, even if its file was replaced in the meantime: one version measures all runs.
+/// Path of this program. It leads to the same program even if the file was replaced in the meantime: one version measures all runs.
 const PROGRAM: &str = "/proc/self/exe";
 /// Capacity of the channel of output from the processes. Progress beyond it is dropped; a text beyond it blocks the process, as
 /// a slow terminal would.
@@ -35,7 +35,7 @@ const OUTPUT_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Result of several concurrent processes.
 pub(super) struct ProcessResults {
-    /// Results, one for each order.
+    /// Results, one for each request.
     pub(super) exits: Vec<ProcessResult>,
     /// `true` if the user requested the end.
     pub(super) interrupted: bool,
@@ -77,18 +77,18 @@ enum ChildOutput {
     MeasurementEnded,
 }
 
-/// Executes orders concurrently and shows their output. No process writes results or draws figures before all have ended their
-/// measurement, because the others would measure a busy machine.
+/// Measures the requested runs concurrently, each in its own process, and shows the output of the processes. No process writes results
+/// or draws figures before all have ended their measurement, because the others would measure a busy machine.
 ///
 /// A signal to this program goes to all processes. After the first one they end early with their results, after the second they
 /// do not wait for work in progress. After the third, or after a time limit, they and their children are killed.
 pub(super) async fn execute(
-    orders: &[Order],
+    requests: &[RunRequest],
     signals: &mut Signals,
     mut show: impl FnMut(ChildEvent<'_>),
 ) -> ProcessResults {
     let (sender, mut receiver) = mpsc::channel(OUTPUT_CAPACITY);
-    let mut reports: Vec<Option<ProgressReport>> = vec![None; orders.len()];
+    let mut reports: Vec<Option<ProgressReport>> = vec![None; requests.len()];
     let mut handle = |index: usize, output: ChildOutput, show: &mut dyn FnMut(ChildEvent<'_>)| match output {
         ChildOutput::ProgressReport(report) => {
             reports[index] = Some(report);
@@ -97,12 +97,12 @@ pub(super) async fn execute(
         ChildOutput::Line(line) => show(ChildEvent::Line(index, &line)),
         ChildOutput::MeasurementEnded => {}
     };
-    let mut exits: Vec<Option<ProcessResult>> = vec![None; orders.len()];
+    let mut exits: Vec<Option<ProcessResult>> = vec![None; requests.len()];
     let mut pids: Vec<Option<Pid>> = Vec::new();
     let mut measuring = MeasuringProcesses::default();
     let mut waiting = FuturesUnordered::new();
-    for (index, order) in orders.iter().enumerate() {
-        match Child::start(index, order, sender.clone()).await {
+    for (index, request) in requests.iter().enumerate() {
+        match Child::start(index, request, sender.clone()).await {
             Ok(mut child) => {
                 pids.push(child.pid);
                 measuring.inputs.push(child.input.take());
@@ -151,8 +151,8 @@ pub(super) async fn execute(
     }
 }
 
-/// The processes that measure, and the standard inputs of all processes, which wait for the end of their input before they write
-/// results.
+/// The processes that still measure, and the standard inputs of all processes. A process waits for the end of its input before it
+/// writes results.
 #[derive(Default)]
 struct MeasuringProcesses {
     indexes: BTreeSet<usize>,
@@ -160,7 +160,7 @@ struct MeasuringProcesses {
 }
 
 impl MeasuringProcesses {
-    /// Removes a process that measures no more. Closes the inputs if it was the last one.
+    /// Removes a process that no longer measures. Closes all inputs if it was the last one.
     fn remove(&mut self, index: usize) {
         self.indexes.remove(&index);
         if self.indexes.is_empty() {
@@ -190,13 +190,14 @@ struct Child {
 impl Child {
     async fn start(
         index: usize,
-        order: &Order,
+        request: &RunRequest,
         sender: mpsc::Sender<(usize, ChildOutput)>,
     ) -> anyhow::Result<Self> {
-        let mut order = with_arguments(|| serde_json::to_vec(order)).context("cannot write the order")?;
-        order.push(b'\n');
+        let mut request = with_arguments(|| serde_json::to_vec(request))
+            .context("cannot write the description of the measurement")?;
+        request.push(b'\n');
         let mut process = Command::new(PROGRAM)
-            // The program of the daemon is the command line only under this name.
+            // The same program is daemon and command line. It acts as the command line if it is started under this name.
             .arg0(crate::NAMES[0])
             .args(["measure", "--order", "-"])
             .stdin(Stdio::piped())
@@ -210,8 +211,8 @@ impl Child {
         let (mut input, output, errors) =
             (process.stdin.take(), process.stdout.take(), process.stderr.take());
         if let Some(input) = &mut input {
-            // A process that ends before it has read its order reports the reason.
-            let _ = input.write_all(&order).await;
+            // A process that ends before it has read its request reports the reason.
+            let _ = input.write_all(&request).await;
         }
         let error_lines = Arc::new(Mutex::new(VecDeque::new()));
         let last_lines = Arc::clone(&error_lines);

@@ -51,7 +51,7 @@ pub(super) async fn warn_if_unreachable(aggregators: &[&Address]) {
 pub(super) async fn deliver(plan: &Plan, signals: &mut Signals, quiet: bool) -> Result<(), Failure> {
     let mut waiting = Vec::new();
     for host in hosts(plan)? {
-        // A spool that cannot be read is reported with the events that still wait at the end.
+        // A spool that cannot be read is skipped: `describe_undelivered` reports it when the command ends.
         if host.spool.exists() && pending_events(&host.spool).await.is_ok_and(|events| events > 0) {
             waiting.push(host);
         }
@@ -111,9 +111,10 @@ fn hosts(plan: &Plan) -> Result<Vec<StreamingHost>, Failure> {
     let mut hosts: Vec<StreamingHost> = Vec::new();
     for run in &plan.runs {
         let configuration = plan.configuration(run);
-        let Some(aggregator) = &configuration.agent.agent.aggregator else { continue };
+        let agent_config = &configuration.agent;
+        let Some(aggregator) = &agent_config.agent.aggregator else { continue };
         for user in 0..configuration.users {
-            let AgentConfig { mut agent, spool, .. } = configuration.agent.clone();
+            let AgentConfig { mut agent, spool, .. } = agent_config.clone();
             agent.name = plan.agent_name(run, user);
             let state_dir = AgentStateDir::for_agent(&agent)?;
             let file = spool.file.clone().unwrap_or_else(|| spool_file(state_dir.folder(), aggregator));
@@ -127,7 +128,8 @@ fn hosts(plan: &Plan) -> Result<Vec<StreamingHost>, Failure> {
     Ok(hosts)
 }
 
-/// Describes the waiting events with a sentence for each aggregator. An aggregator of the plan is named as in its file.
+/// Describes the waiting events with a sentence for each aggregator. An aggregator of the plan is named by its address as it is
+/// written in the plan's file.
 pub(super) fn describe_undelivered(
     undelivered: &[UndeliveredEvents],
     aggregators: &[&Address],
@@ -142,8 +144,8 @@ pub(super) fn describe_undelivered(
             .collect();
         let first = spools.first()?;
         let events: u64 = spools.iter().filter_map(|events| events.count()).sum();
-        let written = aggregators.iter().find(|aggregator| first.is_for(aggregator));
-        let (at, command) = match written {
+        let planned_address = aggregators.iter().find(|aggregator| first.is_for(aggregator));
+        let (at, command) = match planned_address {
             Some(aggregator) => {
                 (aggregator.to_string(), "the same command delivers them once it can be reached")
             }

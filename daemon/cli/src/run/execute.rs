@@ -13,9 +13,9 @@ use super::finished_runs::load_results;
 use super::folder::Folder;
 use super::plan::Run;
 use super::state::{Record, RunResult};
-use crate::experiment::Stage;
+use crate::experiment::RunStatus;
 use crate::foreground::{Progress, Signals, command_line, duration};
-use crate::measure::{Order, ProgressReport};
+use crate::measure::{ProgressReport, RunRequest};
 use crate::short::shorten_label;
 
 /// Everything that the execution needs.
@@ -29,7 +29,7 @@ pub(super) struct Execution<'a> {
 }
 
 impl Execution<'_> {
-    /// Executes the runs in their order until they are done or the user ends it. Returns whether the user ended it.
+    /// Executes the runs in their order until they are done or the user ends the experiment. Returns whether the user ended it.
     ///
     /// # Errors
     /// When the progress cannot be recorded (73).
@@ -56,7 +56,7 @@ impl Execution<'_> {
         self.folder.save(self.record)?;
         let mut progress = Progress::new(self.quiet, self.clock.mono());
         let quiet = self.quiet;
-        let orders = self.orders(run);
+        let requests = self.requests(run);
         let began = self.clock.mono();
         let name = format!(
             "run {} of {} ({})",
@@ -69,9 +69,9 @@ impl Execution<'_> {
         if !self.quiet {
             progress.print_line(format_args!("{name}: begins"));
         }
-        let process_results = children::execute(&orders, signals, |event| {
+        let process_results = children::execute(&requests, signals, |event| {
             let report = match event {
-                ChildEvent::Line(user, line) if orders.len() > 1 => {
+                ChildEvent::Line(user, line) if requests.len() > 1 => {
                     return progress.print_line(format_args!("user {}: {line}", user + 1));
                 }
                 ChildEvent::Line(_, line) | ChildEvent::Ending(line) => return progress.print_line(line),
@@ -99,14 +99,14 @@ impl Execution<'_> {
         let interrupted = process_results.interrupted;
         let result = run_result(self.folder, self.record, run, &process_results, seconds);
         // The duration of a failed run says nothing about later runs of this configuration.
-        if result.stage == Stage::Finished {
+        if result.status == RunStatus::Finished {
             self.estimates.record_duration(run.configuration, seconds);
         }
         let reason = result.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
-        if !self.quiet || result.stage != Stage::Finished || !reason.is_empty() {
+        if !self.quiet || result.status != RunStatus::Finished || !reason.is_empty() {
             progress.print_line(format_args!(
                 "{name}: {} after {}{reason}",
-                result.stage.name(),
+                result.status.name(),
                 duration(seconds)
             ));
         }
@@ -115,12 +115,12 @@ impl Execution<'_> {
         Ok(interrupted)
     }
 
-    /// Makes one order for each user.
-    fn orders(&self, run: &Run) -> Vec<Order> {
+    /// Makes one request for each edge that sends at once.
+    fn requests(&self, run: &Run) -> Vec<RunRequest> {
         let plan = &self.record.plan;
         let configuration = plan.configuration(run);
         let users = configuration.users;
-        let order = |(user, folder)| Order {
+        let request = |(user, folder)| RunRequest {
             agent: plan.agent(run, user, &self.record.id),
             title: plan.title(run),
             folder,
@@ -133,7 +133,7 @@ impl Execution<'_> {
             peer_timeout_s: configuration.patience_s,
             tried_actuator: None,
         };
-        (0..).zip(self.folder.results(plan, run)).map(order).collect()
+        (0..).zip(self.folder.results(plan, run)).map(request).collect()
     }
 
     /// Returns the estimated duration of runs; `None` if one is unknown.
@@ -152,7 +152,7 @@ pub(super) fn run_result(
 ) -> RunResult {
     let first_failure = process_results.exits.iter().enumerate().find(|(_, exit)| !exit.is_successful());
     let Some((user, exit)) = first_failure else {
-        return RunResult { stage: Stage::Finished, exit: Some(0), reason: None, seconds };
+        return RunResult { status: RunStatus::Finished, exit: Some(0), reason: None, seconds };
     };
     // All iterations may have been tried although some failed, and all measurements may be written although a figure is not.
     let tried_all = |exit: &ProcessResult| {
@@ -161,15 +161,15 @@ pub(super) fn run_result(
     };
     let is_complete =
         || process_results.exits.iter().all(tried_all) && load_results(folder, record, run).is_ok();
-    let stage = match process_results.interrupted {
-        true => Stage::Interrupted,
-        false if is_complete() => Stage::Finished,
-        false => Stage::Failed,
+    let status = match process_results.interrupted {
+        true => RunStatus::Interrupted,
+        false if is_complete() => RunStatus::Finished,
+        false => RunStatus::Failed,
     };
     let user_prefix =
         if process_results.exits.len() > 1 { format!("user {}: ", user + 1) } else { String::new() };
     let reason = exit.reason.as_ref().map(|reason| format!("{user_prefix}{reason}"));
-    RunResult { stage, exit: exit.code, reason, seconds }
+    RunResult { status, exit: exit.code, reason, seconds }
 }
 
 /// Combines the progress of several users: the sums of their counts, the median of the medians, and the highest 99th

@@ -14,11 +14,11 @@ use super::ExternalFiles;
 use super::folder::Folder;
 use super::plan::Run;
 use super::state::Record;
-use crate::experiment::Stage;
+use crate::experiment::RunStatus;
 
 /// Marks finished runs without usable results as not done. Reports external files that changed after a finished run was measured.
 pub(super) fn check_finished_runs(folder: &Folder, record: &mut Record, external_files: &ExternalFiles) {
-    let finished = record.runs().filter(|(_, state)| state.stage == Stage::Finished);
+    let finished = record.runs().filter(|(_, state)| state.status == RunStatus::Finished);
     let finished: Vec<Run> = finished.map(|(run, _)| run.clone()).collect();
     let mut change_notes = BTreeSet::new();
     for run in finished {
@@ -37,7 +37,7 @@ pub(super) fn check_finished_runs(folder: &Folder, record: &mut Record, external
 
 /// Returns a note if an experiment was started by another version and runs remain.
 pub(super) fn version_change_note(record: &Record, to_do: &[Run], version: &str) -> Option<String> {
-    let is_continued = !to_do.is_empty() && record.count(Stage::Finished) > 0;
+    let is_continued = !to_do.is_empty() && record.count(RunStatus::Finished) > 0;
     (is_continued && record.version != version).then(|| {
         format!(
             "started by PEERNet {}, and continued by {version}: run.json of each run has the version that measured it",

@@ -76,7 +76,7 @@ impl Folder {
         &self.path
     }
 
-    /// Returns the folder of a run's results; with several users one folder for each, from 0.
+    /// Returns the folder of a run's results. If the run has several users, returns the folder of each user's results.
     pub(super) fn results(&self, plan: &Plan, run: &Run) -> Vec<PathBuf> {
         let folder = self.run(run);
         match plan.configuration(run).users {
@@ -186,7 +186,7 @@ pub(super) fn load(path: &Path) -> Result<Option<Record>, Failure> {
         let text = format!("cannot read {}: {reason}; --restart starts again", path.display());
         Failure::new(Exit::Data, anyhow!("{text}"))
     };
-    let text = match small_file::read_found(&path, MAX_RECORD_BYTES) {
+    let text = match small_file::read_regular_file(&path, MAX_RECORD_BYTES) {
         Ok(text) => text,
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
             return Ok(None);

@@ -36,7 +36,7 @@ use std::io::{BufRead, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 use crate::exit::{Exit, Failure};
-use crate::experiment::Stage;
+use crate::experiment::RunStatus;
 use crate::output::{print_to_stderr, print_to_stdout};
 use crate::{VERSION, clock};
 use anyhow::{Context, anyhow};
@@ -238,15 +238,15 @@ fn estimates(record: &Record, trial_results: &TrialResults) -> Estimates {
     if !trial_results.unavailable.is_empty() {
         return Estimates::new(vec![None; record.plan.configurations.len()]);
     }
-    let expected = record
+    let expected_durations = record
         .plan
         .configurations
         .iter()
         .zip(&trial_results.paces)
         .map(|(configuration, pace)| expected_duration(&configuration.agent, configuration.users, *pace));
-    let mut estimates = Estimates::new(expected.collect());
+    let mut estimates = Estimates::new(expected_durations.collect());
     // Measured durations of finished runs are better than estimates from trials.
-    for (run, state) in record.runs().filter(|(_, state)| state.stage == Stage::Finished) {
+    for (run, state) in record.runs().filter(|(_, state)| state.status == RunStatus::Finished) {
         state.seconds.into_iter().for_each(|seconds| estimates.record_duration(run.configuration, seconds));
     }
     estimates
@@ -329,20 +329,20 @@ fn aggregators<'a>(plan: &'a Plan, runs: &[Run]) -> Vec<&'a Address> {
 }
 
 fn summary(record: &Record) -> String {
-    let unfinished_stages = [Stage::Failed, Stage::Interrupted, Stage::Running, Stage::Pending];
-    let unfinished_stages = unfinished_stages.map(|stage| (record.count(stage), stage));
-    let unfinished_stages = unfinished_stages.iter().filter(|(count, _)| *count > 0);
-    let unfinished_stages: Vec<String> =
-        unfinished_stages.map(|(count, stage)| format!(", {count} {}", stage.name())).collect();
+    let unfinished = [RunStatus::Failed, RunStatus::Interrupted, RunStatus::Running, RunStatus::Pending];
+    let unfinished = unfinished.map(|status| (record.count(status), status));
+    let unfinished = unfinished.iter().filter(|(count, _)| *count > 0);
+    let unfinished: Vec<String> =
+        unfinished.map(|(count, status)| format!(", {count} {}", status.name())).collect();
     let runs = table::count(record.plan.runs.len(), "run");
-    format!("{} of {runs} finished{}", record.count(Stage::Finished), unfinished_stages.concat())
+    format!("{} of {runs} finished{}", record.count(RunStatus::Finished), unfinished.concat())
 }
 
 /// Returns the failure for the selected runs, if any.
 fn verdict(record: &Record, selected_runs: &[Run], interrupted: bool) -> Result<(), Failure> {
     let states = || selected_runs.iter().filter_map(|run| record.states.get(run.number - 1));
-    let failed = states().filter(|state| state.stage == Stage::Failed).count();
-    let finished = || states().filter(|state| state.stage == Stage::Finished);
+    let failed = states().filter(|state| state.status == RunStatus::Failed).count();
+    let finished = || states().filter(|state| state.status == RunStatus::Finished);
     let is_unwritten = |state: &&State| state.exit == Some(i32::from(Exit::Unwritten as u8));
     let unwritten = finished().filter(is_unwritten).count();
     let incomplete = finished().filter(|state| state.exit != Some(0) && !is_unwritten(state)).count();

@@ -38,7 +38,7 @@ pub(super) struct Report {
 /// When results cannot be read (65), or tables cannot be written (73).
 pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Report, Failure> {
     let mut runs: Vec<&Run> =
-        record.runs().filter(|(_, state)| state.stage.is_done()).map(|(run, _)| run).collect();
+        record.runs().filter(|(_, state)| state.status.is_done()).map(|(run, _)| run).collect();
     if runs.is_empty() {
         return Ok(Report { text: String::new(), figure_error: None });
     }
@@ -49,11 +49,11 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Rep
     let all: Vec<Loaded> = loaded.into_iter().flatten().collect();
     let users = Users::from_runs(&all);
     let mut comparison = Comparison::new(&all);
-    let stages = record.runs().map(|(run, state)| (&*run.folder, state.stage));
+    let statuses = record.runs().map(|(run, state)| (&*run.folder, state.status));
     // The caveat is "Shown without the runs of experiment … that are not done: …".
     comparison
         .caveats
-        .extend(unfinished_runs_note(record.name.as_str(), stages).map(|note| format!("Shown {note}.")));
+        .extend(unfinished_runs_note(record.name.as_str(), statuses).map(|note| format!("Shown {note}.")));
     // These are the differences that `peernet compare` prints.
     let differences = differences(&comparison, &all, default_baseline(&comparison), SEED);
     let tables = difference_tables(&comparison, &differences);
@@ -123,8 +123,8 @@ fn trust(runs: &[Vec<Loaded>]) -> String {
     lines.join("\n")
 }
 
-/// Counts the runs per subject of which the worst finding has this grade, the most frequent subject first. A subject may have a finding
-/// for each host; each run counts once for it.
+/// Counts, for each subject, the runs in which the worst finding on this subject has this grade. The most frequent subject is first. A run
+/// may have several findings on a subject, one for each host, and counts once.
 fn count_findings(runs: &[Vec<Loaded>], grade: Grade) -> Vec<(&str, usize)> {
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
     for edges in runs {

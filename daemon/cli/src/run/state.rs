@@ -6,7 +6,7 @@ use peernet_logger::Slug;
 use serde::{Deserialize, Serialize};
 
 use super::plan::{Plan, Run};
-use crate::experiment::{FORMAT, Stage};
+use crate::experiment::{FORMAT, RunStatus};
 
 /// Record of an experiment.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -32,8 +32,9 @@ pub(super) struct Record {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct State {
-    /// Stage of the run.
-    pub(super) stage: Stage,
+    /// Status of the run.
+    #[serde(rename = "stage")]
+    pub(super) status: RunStatus,
     /// Number of attempts.
     pub(super) attempts: u32,
     /// Exit code of the process; the first that is not 0 if there are several.
@@ -50,7 +51,7 @@ pub(super) struct State {
 /// Result of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct RunResult {
-    pub(super) stage: Stage,
+    pub(super) status: RunStatus,
     pub(super) exit: Option<i32>,
     pub(super) reason: Option<String>,
     pub(super) seconds: f64,
@@ -84,20 +85,20 @@ impl Record {
 
     /// Returns the selected runs that are not done, in order.
     pub(super) fn to_do(&self, is_selected: impl Fn(&Run) -> bool) -> Vec<Run> {
-        let unfinished = self.runs().filter(|(run, state)| !state.stage.is_done() && is_selected(run));
+        let unfinished = self.runs().filter(|(run, state)| !state.status.is_done() && is_selected(run));
         unfinished.map(|(run, _)| run.clone()).collect()
     }
 
-    /// Returns the number of runs at a stage.
-    pub(super) fn count(&self, stage: Stage) -> usize {
-        self.states.iter().filter(|state| state.stage == stage).count()
+    /// Returns the number of runs with a status.
+    pub(super) fn count(&self, status: RunStatus) -> usize {
+        self.states.iter().filter(|state| state.status == status).count()
     }
 
     /// Records that a run begins.
     pub(super) fn start_run(&mut self, run: &Run) {
         if let Some(state) = self.state(run) {
             *state = State {
-                stage: Stage::Running,
+                status: RunStatus::Running,
                 attempts: state.attempts.saturating_add(1),
                 ..State::default()
             };
@@ -107,8 +108,8 @@ impl Record {
     /// Records the result of a run.
     pub(super) fn end_run(&mut self, run: &Run, result: RunResult) {
         if let Some(state) = self.state(run) {
-            let RunResult { stage, exit, reason, seconds } = result;
-            *state = State { stage, exit, reason, seconds: Some(seconds), ..*state };
+            let RunResult { status, exit, reason, seconds } = result;
+            *state = State { status, exit, reason, seconds: Some(seconds), ..*state };
         }
     }
 

@@ -5,7 +5,7 @@ use peernet_analysis::table::Table;
 use super::estimate::Estimates;
 use super::plan::Run;
 use super::state::Record;
-use crate::experiment::Stage;
+use crate::experiment::RunStatus;
 use crate::foreground::duration;
 use crate::short::shorten_label;
 
@@ -38,8 +38,8 @@ pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
         cells.extend(configuration.labels.iter().map(|(_, label)| shorten_label(label)));
         cells.extend(has_repeats.then(|| (run.repeat + 1).to_string()));
         cells.extend(has_users_column.then(|| configuration.users.to_string()));
-        cells.push(state.stage.name().to_owned());
-        let measured_s = state.seconds.filter(|_| state.stage == Stage::Finished);
+        cells.push(state.status.name().to_owned());
+        let measured_s = state.seconds.filter(|_| state.status == RunStatus::Finished);
         let time_s = measured_s.or_else(|| estimates.duration_s(run.configuration));
         cells.push(time_s.map_or_else(|| UNKNOWN.to_owned(), duration));
         cells

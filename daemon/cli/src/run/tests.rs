@@ -49,8 +49,13 @@ fn numbers(runs: &[Run]) -> Vec<usize> {
     runs.iter().map(|run| run.number).collect()
 }
 
-fn ended(stage: Stage) -> RunResult {
-    RunResult { stage, exit: Some(if stage == Stage::Finished { 0 } else { 69 }), reason: None, seconds: 1.5 }
+fn ended(status: RunStatus) -> RunResult {
+    RunResult {
+        status,
+        exit: Some(if status == RunStatus::Finished { 0 } else { 69 }),
+        reason: None,
+        seconds: 1.5,
+    }
 }
 
 #[test]
@@ -59,9 +64,9 @@ fn only_unfinished_runs_are_repeated() {
     let folder = Folder::open(&temporary.path().join("results")).expect("is new");
     let mut record = record(temporary.path());
     let runs = record.plan.runs.clone();
-    for (run, stage) in runs.iter().zip([Stage::Finished, Stage::Failed, Stage::Interrupted]) {
+    for (run, status) in runs.iter().zip([RunStatus::Finished, RunStatus::Failed, RunStatus::Interrupted]) {
         record.start_run(run);
-        record.end_run(run, ended(stage));
+        record.end_run(run, ended(status));
     }
     record.start_run(&runs[3]);
     folder.save(&record).expect("writable");
@@ -70,7 +75,7 @@ fn only_unfinished_runs_are_repeated() {
     assert_eq!(loaded, record);
     assert_eq!(numbers(&loaded.to_do(|_| true)), [2, 3, 4]);
     loaded.start_run(&runs[1]);
-    loaded.end_run(&runs[1], ended(Stage::Finished));
+    loaded.end_run(&runs[1], ended(RunStatus::Finished));
     assert_eq!(numbers(&loaded.to_do(|_| true)), [3, 4]);
     assert_eq!((loaded.states[1].attempts, loaded.states[1].seconds), (2, Some(1.5)));
     loaded.reset_run(&runs[0]);
@@ -334,18 +339,18 @@ fn exit_code_reports_failed_and_incomplete_runs() {
     let runs = record.plan.runs.clone();
     for run in &runs {
         record.start_run(run);
-        record.end_run(run, ended(Stage::Finished));
+        record.end_run(run, ended(RunStatus::Finished));
     }
     assert!(verdict(&record, &runs, false).is_ok());
-    record.end_run(&runs[1], RunResult { exit: Some(75), ..ended(Stage::Finished) });
+    record.end_run(&runs[1], RunResult { exit: Some(75), ..ended(RunStatus::Finished) });
     let code = |record: &Record, interrupted| verdict(record, &runs, interrupted).expect_err("not well");
     assert!(code(&record, false).to_string().contains("1 run with failed iterations"));
-    record.end_run(&runs[0], ended(Stage::Failed));
+    record.end_run(&runs[0], ended(RunStatus::Failed));
     let failed = code(&record, false);
     assert!(failed.exit == Exit::Incomplete && failed.to_string().contains("1 run failed"), "{failed}");
     assert_eq!(code(&record, true).exit, Exit::Interrupted);
     // A figure that cannot be written is no failure of the run, and takes precedence as an exit code.
-    record.end_run(&runs[0], RunResult { exit: Some(73), ..ended(Stage::Finished) });
+    record.end_run(&runs[0], RunResult { exit: Some(73), ..ended(RunStatus::Finished) });
     let unwritten = code(&record, false);
     assert!(unwritten.exit == Exit::Unwritten, "{unwritten}");
     for text in ["1 run with failed iterations", "1 run without all figures", "peernet plot"] {
@@ -364,8 +369,8 @@ fn run_without_figures_is_finished() {
         reason: Some("not all figures are drawn: the disk is full".to_owned()),
     };
     let process_results = ProcessResults { exits: vec![unwritten], interrupted: false };
-    let stage = || run_result(&folder, &record, run, &process_results, 1.0).stage;
-    assert_eq!(stage(), Stage::Failed, "there are no results");
+    let status = || run_result(&folder, &record, run, &process_results, 1.0).status;
+    assert_eq!(status(), RunStatus::Failed, "there are no results");
     let [path] = folder.results(&record.plan, run).try_into().expect("one user");
     std::fs::create_dir_all(&path).expect("writable");
     let record_json = json!({
@@ -373,11 +378,11 @@ fn run_without_figures_is_finished() {
     });
     std::fs::write(path.join("run.json"), record_json.to_string()).expect("writable");
     std::fs::write(path.join("data.csv"), "iteration,sensing,outcome\n1,0.5,ok\n").expect("writable");
-    assert_eq!(stage(), Stage::Failed, "rows are missing");
+    assert_eq!(status(), RunStatus::Failed, "rows are missing");
     std::fs::write(path.join("data.csv"), "iteration,sensing,outcome\n1,0.5,ok\n2,0.5,ok\n")
         .expect("writable");
     let result = run_result(&folder, &record, run, &process_results, 1.0);
-    assert_eq!((result.stage, result.exit), (Stage::Finished, Some(73)));
+    assert_eq!((result.status, result.exit), (RunStatus::Finished, Some(73)));
     assert!(result.reason.expect("it is told").contains("not all figures are drawn"));
 }
 
@@ -387,7 +392,7 @@ fn experiment_of_another_build_is_reported() {
     let mut record = record(folder.path());
     let runs = record.plan.runs.clone();
     assert_eq!(version_change_note(&record, &runs, "2"), None, "nothing is measured yet");
-    record.end_run(&runs[0], ended(Stage::Finished));
+    record.end_run(&runs[0], ended(RunStatus::Finished));
     let message = version_change_note(&record, &runs[1..], "2").expect("there are two");
     assert!(message.starts_with("started by PEERNet 1, and continued by 2: "), "{message}");
     assert_eq!(

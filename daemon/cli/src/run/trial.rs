@@ -20,7 +20,7 @@ use super::estimate::Pace;
 use super::file::Configuration;
 use super::plan::{Plan, describe_labels};
 use crate::foreground::{Progress, Signals, duration};
-use crate::measure::Order;
+use crate::measure::RunRequest;
 use crate::short::shorten_label;
 
 /// Number of iterations of a trial: the first may be slow, the others give the pace.
@@ -44,7 +44,7 @@ pub(super) struct TrialResults {
 
 /// A trial and the indexes of all configurations for which it is the same.
 struct Trial {
-    order: Order,
+    request: RunRequest,
     configurations: Vec<usize>,
 }
 
@@ -72,10 +72,10 @@ pub(super) async fn configurations(
     let mut unreachable: Vec<(Address, ProcessResult)> = Vec::new();
     let trials = trials(plan, indexes);
     let mut progress = Progress::new(quiet, clock.mono());
-    for (done, Trial { order, configurations }) in trials.iter().enumerate() {
+    for (done, Trial { request, configurations }) in trials.iter().enumerate() {
         let descriptions = || configurations.iter().map(|index| describe_configuration(plan, *index));
         let state = format!("trying {} of {}: {}", done + 1, trials.len(), describe_group(descriptions()));
-        let peer = peer(order);
+        let peer = peer(request);
         if let Some((address, exit)) = unreachable.iter().find(|(other, _)| Some(other) == peer.as_ref()) {
             if !quiet {
                 progress.print_line(format_args!("{state}: skipped, {address} is unreachable"));
@@ -88,9 +88,9 @@ pub(super) async fn configurations(
         }
         let results_dir = folder.path().join(done.to_string());
         let began = clock.mono();
-        let orders = [Order { folder: results_dir.clone(), ..order.clone() }];
+        let requests = [RunRequest { folder: results_dir.clone(), ..request.clone() }];
         let share = done as f64 / trials.len() as f64;
-        let mut process_results = children::execute(&orders, signals, |event| match event {
+        let mut process_results = children::execute(&requests, signals, |event| match event {
             ChildEvent::Line(_, line) | ChildEvent::Ending(line) => progress.print_line(line),
             ChildEvent::ProgressReport(reports) => {
                 let (now, trouble) =
@@ -113,10 +113,10 @@ pub(super) async fn configurations(
                 configurations.iter().for_each(|index| results.paces[*index] = pace);
             }
             Some(exit) => {
-                let exit = describe_failure(order, exit);
+                let exit = describe_failure(request, exit);
                 // A trial that took as long as the timeout failed because it waited for the peer; a shorter one
                 // failed for another reason, which says nothing about the peer.
-                if duration_s >= order.peer_timeout_s.unwrap_or(PEER_TIMEOUT_S) {
+                if duration_s >= request.peer_timeout_s.unwrap_or(PEER_TIMEOUT_S) {
                     unreachable.extend(peer.map(|peer| (peer, exit.clone())));
                 }
                 results.unavailable.extend(descriptions().map(|description| (description, exit.clone())));
@@ -137,15 +137,15 @@ fn trials(plan: &Plan, indexes: &BTreeSet<usize>) -> Vec<Trial> {
     let mut trials: Vec<Trial> = Vec::new();
     let configurations = indexes.iter().filter_map(|index| Some((*index, plan.configurations.get(*index)?)));
     for (index, configuration) in configurations {
-        let order = order(plan, configuration);
-        // `order` has removed everything from the agent's configuration that a trial does not test, so equal ones are
+        let request = trial_request(plan, configuration);
+        // `trial_request` has removed everything from the agent's configuration that a trial does not test, so equal ones are
         // the same trial.
         let is_same = |trial: &&mut Trial| {
-            trial.order.agent == order.agent && trial.order.tried_actuator == order.tried_actuator
+            trial.request.agent == request.agent && trial.request.tried_actuator == request.tried_actuator
         };
         match trials.iter_mut().find(is_same) {
             Some(trial) => trial.configurations.push(index),
-            None => trials.push(Trial { order, configurations: vec![index] }),
+            None => trials.push(Trial { request, configurations: vec![index] }),
         }
     }
     trials
@@ -171,16 +171,16 @@ fn describe_group(mut descriptions: impl ExactSizeIterator<Item = String>) -> St
 }
 
 /// Returns the address of the peer.
-fn peer(order: &Order) -> Option<Address> {
-    match &order.agent.pipelines.first()?.placement {
+fn peer(request: &RunRequest) -> Option<Address> {
+    match &request.agent.pipelines.first()?.placement {
         PlacementConfig::Remote(remote) => Some(remote.peer.clone()),
         PlacementConfig::Local { .. } | PlacementConfig::None {} | PlacementConfig::Observe(_) => None,
     }
 }
 
 /// Adds to the failure of a sensor that the trial had no actuator, on which the sensor may depend.
-fn describe_failure(order: &Order, exit: ProcessResult) -> ProcessResult {
-    let has_actuator = order.tried_actuator.as_ref().is_some_and(ActuatorKind::acts);
+fn describe_failure(request: &RunRequest, exit: ProcessResult) -> ProcessResult {
+    let has_actuator = request.tried_actuator.as_ref().is_some_and(ActuatorKind::acts);
     let explain = |reason: String| match reason.contains(SENSOR) && has_actuator {
         true => format!(
             "{reason}; a trial runs without the actuator, so the sensor must give samples before the first action \
@@ -191,8 +191,8 @@ fn describe_failure(order: &Order, exit: ProcessResult) -> ProcessResult {
     ProcessResult { reason: exit.reason.map(explain), ..exit }
 }
 
-/// Makes the order of a trial: the configuration with few iterations, without an actuator and without an aggregator.
-fn order(plan: &Plan, configuration: &Configuration) -> Order {
+/// Makes the request for a trial: the configuration with few iterations, without an actuator and without an aggregator.
+fn trial_request(plan: &Plan, configuration: &Configuration) -> RunRequest {
     // Users' code may need the variables of the runs.
     let mut agent = plan.seeded_agent(configuration, 0, 0);
     // Dashboards show no trials.
@@ -207,7 +207,7 @@ fn order(plan: &Plan, configuration: &Configuration) -> Order {
         // No robot moves before the user has confirmed the runs.
         tried_actuator = Some(std::mem::take(&mut pipeline.actuator)).filter(ActuatorKind::acts);
     }
-    Order {
+    RunRequest {
         agent,
         title: describe_labels(&configuration.labels),
         folder: std::path::PathBuf::new(),

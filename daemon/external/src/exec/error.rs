@@ -104,7 +104,7 @@ pub enum CommandError {
         program: String,
     },
     /// The path of the program leads to no file.
-    #[error("there is no program {}; correct its path, which is relative to the key folder", .0.display())]
+    #[error("there is no program {}; correct its path, which is relative to the value of the key `folder`", .0.display())]
     NoFile(PathBuf),
     /// The file of the program cannot be executed.
     #[error("the program {path} is not executable; run chmod +x {path}", path = .0.display())]
@@ -124,8 +124,8 @@ pub enum ProgramCallError {
     #[error(transparent)]
     Command(#[from] CommandError),
     /// The program replied with an error and still runs.
-    #[error("{}", refusal_text(.0))]
-    Refused(String),
+    #[error("{}", error_reply_text(.0))]
+    ErrorReply(String),
     /// The program cannot be started.
     #[error("{0}")]
     Start(ProcessError),
@@ -195,7 +195,7 @@ pub enum ProgramCallError {
 }
 
 /// Returns the message about a reply that reports an error.
-fn refusal_text(text: &str) -> String {
+fn error_reply_text(text: &str) -> String {
     if text.trim().is_empty() {
         "the program reported an error without a text; write its reason as: error TEXT".to_owned()
     } else {

@@ -12,7 +12,8 @@
 //! from an actuator  done | error TEXT
 //! ```
 //!
-//! A sensor or an actuator may be sent `reset` before an episode, and replies with `done | error TEXT`.
+//! A sensor sends its sample as `answer`, as a model sends its answer. A sensor or an actuator may be sent `reset` before
+//! an episode, and replies with `done | error TEXT`.
 //!
 //! `part` instead of `sample` or `answer` announces that another part of the same sample or answer follows. `partial`
 //! announces a partial answer: the whole answer follows later. Before its reply a program may write lines that begin with
@@ -34,7 +35,7 @@ pub use arguments::{FingerprintKey, hide_arguments, hide_arguments_in_facts, wit
 pub use command::{CommandLine, ExecConfig};
 pub use error::{CommandError, FramingError, ProgramCallError};
 pub use program::{Program, ProgramCall};
-pub use reply::{Reply, ReplyAssembler, ReplyInput, ReplyNotes, ReplyOutcome};
+pub use reply::{AssemblyStep, Reply, ReplyAssembler, ReplyNotes, ReplyOutcome};
 pub use request::Request;
 pub use timeline::TimedStage;
 

@@ -6,7 +6,7 @@ use peernet_sample::Part;
 
 use super::text_line::shorten;
 use super::{
-    ExecConfig, MAX_LINE_BYTES, ProgramCallError, Reply, ReplyAssembler, ReplyInput, ReplyNotes,
+    AssemblyStep, ExecConfig, MAX_LINE_BYTES, ProgramCallError, Reply, ReplyAssembler, ReplyNotes,
     ReplyOutcome, Request, Role, VERSION,
 };
 use crate::process::{Launch, Process, ProcessError, RestartBackoff, StderrLog};
@@ -131,7 +131,7 @@ impl Program {
                 self.restart_backoff.record_success();
                 self.is_finished = outcome == ReplyOutcome::End;
                 match outcome {
-                    ReplyOutcome::Error(text) => Err(ProgramCallError::Refused(text)),
+                    ReplyOutcome::Error(text) => Err(ProgramCallError::ErrorReply(text)),
                     outcome => Ok(ProgramCall { restarted_at, started_at, ended_at, notes, outcome }),
                 }
             }
@@ -203,8 +203,8 @@ fn send_and_receive(
     on_partial_answer: &mut dyn FnMut(Part) -> bool,
 ) -> Result<Reply, ProgramCallError> {
     let mut until = deadline();
-    // Output that precedes the request would be mistaken for the reply to it, and from then on each reply for the reply to the
-    // next request.
+    // Output that precedes the request would be mistaken for the reply to it. From then on, each reply would be mistaken for the
+    // reply to the next request.
     if process.has_more() {
         return Err(ProgramCallError::UnsolicitedOutput(shorten(&process.peek_line())));
     }
@@ -215,20 +215,20 @@ fn send_and_receive(
         Request::Reset => ReplyAssembler::for_reset(role),
         _ => ReplyAssembler::new(role),
     };
-    let mut input = ReplyInput::Line;
+    let mut step = AssemblyStep::ReadLine;
     loop {
-        input = match input {
-            ReplyInput::Line => assembler.push_line(&process.read_line(MAX_LINE_BYTES, until)?)?,
-            ReplyInput::LineAfter(part) => {
+        step = match step {
+            AssemblyStep::ReadLine => assembler.push_line(&process.read_line(MAX_LINE_BYTES, until)?)?,
+            AssemblyStep::DeliverPartial(part) => {
                 if !on_partial_answer(part) {
                     return Err(ProgramCallError::Cancelled);
                 }
                 until = deadline();
-                ReplyInput::Line
+                AssemblyStep::ReadLine
             }
-            ReplyInput::Bytes(0) => assembler.push_bytes(Bytes::new()),
+            AssemblyStep::ReadBytes(0) => assembler.push_bytes(Bytes::new()),
             // The count is at most `MAX_SAMPLE_BYTES`, which fits into a usize.
-            ReplyInput::Bytes(count) => {
+            AssemblyStep::ReadBytes(count) => {
                 let announced = count as usize;
                 let bytes = process.read_exact(announced, until).map_err(|error| match error {
                     ProcessError::ProcessEnd(end) => {
@@ -238,7 +238,7 @@ fn send_and_receive(
                 });
                 assembler.push_bytes(bytes?)
             }
-            ReplyInput::Reply(reply) => return Ok(reply),
+            AssemblyStep::Complete(reply) => return Ok(reply),
         }
     }
 }

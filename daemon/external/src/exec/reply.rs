@@ -55,17 +55,17 @@ pub struct ReplyNotes {
     pub episode_ended: bool,
 }
 
-/// Input that the assembler needs next.
+/// What the caller of a [`ReplyAssembler`] has to do next.
 #[derive(Clone, Debug, PartialEq)]
-pub enum ReplyInput {
-    /// A line, up to `\n`.
-    Line,
-    /// The given number of bytes.
-    Bytes(u64),
-    /// A line, after the caller has passed on this partial answer of a model.
-    LineAfter(Part),
+pub enum AssemblyStep {
+    /// Read a line, up to `\n`.
+    ReadLine,
+    /// Read the given number of bytes.
+    ReadBytes(u64),
+    /// Pass on this partial answer of a model, and then read a line.
+    DeliverPartial(Part),
     /// Nothing: the reply is complete.
-    Reply(Reply),
+    Complete(Reply),
 }
 
 /// State machine that assembles one reply. Its caller reads the lines and bytes that the state machine asks for.
@@ -117,7 +117,7 @@ impl ReplyAssembler {
     ///
     /// # Errors
     /// If the line does not follow the framing.
-    pub fn push_line(&mut self, line: &[u8]) -> Result<ReplyInput, FramingError> {
+    pub fn push_line(&mut self, line: &[u8]) -> Result<AssemblyStep, FramingError> {
         self.line_count += 1;
         if self.line_count > MAX_LINES {
             return Err(FramingError::TooManyLines);
@@ -182,19 +182,19 @@ impl ReplyAssembler {
             }
             _ => return Err(self.unknown_word(line)),
         }
-        Ok(ReplyInput::Line)
+        Ok(AssemblyStep::ReadLine)
     }
 
-    /// Processes the bytes that [`ReplyInput::Bytes`] asked for.
-    pub fn push_bytes(&mut self, bytes: Bytes) -> ReplyInput {
-        let Some((description, position)) = self.pending_part.take() else { return ReplyInput::Line };
+    /// Processes the bytes that [`AssemblyStep::ReadBytes`] asked for.
+    pub fn push_bytes(&mut self, bytes: Bytes) -> AssemblyStep {
+        let Some((description, position)) = self.pending_part.take() else { return AssemblyStep::ReadLine };
         let part = Part { description, bytes };
         match position {
             Position::Partial => {
                 // An answer may have any number of partial answers, which do not add up in memory.
                 self.line_count -= 1;
                 self.bytes -= part.bytes.len() as u64;
-                return ReplyInput::LineAfter(part);
+                return AssemblyStep::DeliverPartial(part);
             }
             Position::Inner => self.parts.push(part),
             Position::Last => {
@@ -203,11 +203,15 @@ impl ReplyAssembler {
                 return self.finish(ReplyOutcome::Parts(parts));
             }
         }
-        ReplyInput::Line
+        AssemblyStep::ReadLine
     }
 
-    /// Parses `BYTES [MEDIA-TYPE [SHAPE]]`. The error `None` means that the form is form_error.
-    fn announce_part(&mut self, rest: &str, position: Position) -> Result<ReplyInput, Option<FramingError>> {
+    /// Parses `BYTES [MEDIA-TYPE [SHAPE]]`. The error `None` means that the line does not have this form.
+    fn announce_part(
+        &mut self,
+        rest: &str,
+        position: Position,
+    ) -> Result<AssemblyStep, Option<FramingError>> {
         let mut words = rest.split_ascii_whitespace();
         let bytes: u64 = words.next().and_then(|word| word.parse().ok()).ok_or(None)?;
         let media = words.next().map_or(MediaType::Bytes, MediaType::from_iana);
@@ -228,11 +232,11 @@ impl ReplyAssembler {
             return Err(Some(FramingError::TooManyParts));
         }
         self.pending_part = Some((description, position));
-        Ok(ReplyInput::Bytes(bytes))
+        Ok(AssemblyStep::ReadBytes(bytes))
     }
 
-    fn finish(&mut self, outcome: ReplyOutcome) -> ReplyInput {
-        ReplyInput::Reply(Reply { notes: std::mem::take(&mut self.notes), outcome })
+    fn finish(&mut self, outcome: ReplyOutcome) -> AssemblyStep {
+        AssemblyStep::Complete(Reply { notes: std::mem::take(&mut self.notes), outcome })
     }
 
     fn unknown_word(&self, line: &str) -> FramingError {

@@ -67,13 +67,13 @@ impl ProgramCall {
         let timed_stage = |name: &str, from, to| TimedStage { name: name.to_owned(), from, to };
         let is_stage = |name: &String| SUMMED_STAGES.contains(&name.as_str());
         let summed = self.notes.stages.iter().filter(|(name, _)| is_stage(name));
-        let reported: Span = summed.map(|(_, span)| *span).sum();
-        if reported > self.duration() + ROUNDING_TOLERANCE {
-            let (stages, whole) = (reported.to_duration(), self.duration().to_duration());
+        let reported_sum: Span = summed.map(|(_, span)| *span).sum();
+        if reported_sum > self.duration() + ROUNDING_TOLERANCE {
+            let (stages, whole) = (reported_sum.to_duration(), self.duration().to_duration());
             return Err(ProgramCallError::Stages { stages, whole });
         }
         let stages_start = match self.restarted_at {
-            Some(from) => from + (self.ended_at - from - reported).max(Span::ZERO),
+            Some(from) => from + (self.ended_at - from - reported_sum).max(Span::ZERO),
             None => self.started_at,
         };
         let (mut stages, mut next_start) = (Vec::new(), stages_start);

@@ -13,8 +13,8 @@ use crate::process::{Launch, Process, ProcessError, StderrLog, find_program};
 const PYTHON_VARIABLE: &str = "PEERNET_PYTHON";
 /// Environment variable that contains the device for which the model is configured.
 const DEVICE_VARIABLE: &str = "PEERNET_DEVICE";
-/// Python code that reads the source from standard input and then runs the source. The first argument is the length of the
-/// source. The code reads no byte beyond the source, because messages follow.
+/// Python code that reads the source of PEERNet's worker program from standard input, and runs it. The first argument is the length of the
+/// source. No byte beyond the source is read, because messages follow.
 const BOOTSTRAP: &str = "import os, sys\n\
     assert sys.version_info >= (3, 8), 'Python 3.8 or newer is needed, this is %s' % sys.version\n\
     source = b''\n\

@@ -78,7 +78,7 @@ impl SharedMemory {
         }
         for (part, at) in parts.iter().zip(&positions) {
             let Some(at) = *at else { continue };
-            #[expect(unsafe_code, reason = "memory that another process may write to has no slice")]
+            #[expect(unsafe_code, reason = "no slice may refer to memory that another process may write to")]
             // SAFETY: `at + len <= end <= map.len()`; nobody else here has a pointer into the map.
             unsafe {
                 ptr::copy_nonoverlapping(
@@ -103,7 +103,7 @@ impl SharedMemory {
             return Ok(None);
         }
         let mut bytes: Vec<u8> = Vec::with_capacity(length);
-        #[expect(unsafe_code, reason = "memory that another process may write to has no slice")]
+        #[expect(unsafe_code, reason = "no slice may refer to memory that another process may write to")]
         // SAFETY: `at + length <= map.len()`, and the file can only grow; any bytes are initialised bytes.
         unsafe {
             ptr::copy_nonoverlapping(self.map.as_ptr().add(at), bytes.as_mut_ptr(), length);

@@ -34,7 +34,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
         let directions = DIRECTIONS.map(|name| DirectionSizes::from_rows(name, &counted));
         PayloadStudy::new(&link, directions, notes.into_iter().flatten())
     });
-    let studies = PayloadStudy::drawn(studies);
+    let studies = PayloadStudy::select_drawable(studies);
     if studies.is_empty() {
         return Err(MissingData::MessageSizes);
     }

@@ -138,7 +138,7 @@ impl Sizes {
 pub(crate) enum TreeDeltaError {
     #[error(transparent)]
     Frame(#[from] TreeFrameError),
-    #[error("the tree delta closes another node than upload")]
+    #[error("the cloud's nodes belong to another node of the tree than upload")]
     OtherNodeClosed,
     #[error("the tree delta is of another host than the cloud")]
     OtherHost,

@@ -70,8 +70,8 @@ struct LinkState {
     is_listed: bool,
     publisher_state: PublisherState,
     counts: ReceiveCounts,
-    /// Name of the publisher's node, if only messages of another node are accepted.
-    unexpected: Option<Arc<str>>,
+    /// Name of the publisher's node, if its messages are rejected because another node is expected.
+    rejected_node: Option<Arc<str>>,
 }
 
 impl PublisherLink {
@@ -80,7 +80,7 @@ impl PublisherLink {
             is_listed: true,
             publisher_state: PublisherState::Connecting,
             counts: ReceiveCounts::default(),
-            unexpected: None,
+            rejected_node: None,
         };
         Self { uri, state: Mutex::new(state), listing_changed: Notify::new() }
     }
@@ -99,7 +99,7 @@ impl PublisherLink {
             uri: Arc::clone(&self.uri),
             state: state.publisher_state.clone(),
             counts: state.counts,
-            unexpected: state.unexpected.clone(),
+            rejected_node: state.rejected_node.clone(),
         }
     }
 
@@ -154,7 +154,7 @@ impl PublisherLink {
                 }
                 (last_reason, was_closed) = (reason.clone(), is_closed);
             }
-            self.state().unexpected = match error {
+            self.state().rejected_node = match error {
                 LinkError::UnexpectedPublisher { node, .. } => Some(node),
                 _ => None,
             };

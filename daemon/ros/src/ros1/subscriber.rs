@@ -105,9 +105,9 @@ pub struct PublisherStatus {
     pub state: PublisherState,
     /// Counts of the publisher's messages.
     pub counts: ReceiveCounts,
-    /// Name of the publisher's node, if messages are only accepted from another node
-    /// ([`SubscriberOptions::publisher`]).
-    pub unexpected: Option<Arc<str>>,
+    /// Name of the publisher's node, if its messages are rejected because it is not the node that
+    /// [`SubscriberOptions::publisher`] names.
+    pub rejected_node: Option<Arc<str>>,
 }
 
 /// Receives the messages of a topic from all its publishers. Dropping it ends the connections and unregisters the

@@ -131,9 +131,9 @@ fn absolute_name(namespace: &str, name: &str) -> Result<String, NodeListError> {
     if is_valid { Ok(absolute) } else { Err(NodeListError::InvalidName) }
 }
 
-/// Our entry of the node list.
+/// This process's entry in the node list.
 #[derive(Debug)]
-pub(super) struct NodeEntry {
+pub(super) struct OwnEntry {
     pub(super) participant: EndpointId,
     pub(super) namespace: String,
     pub(super) name: String,
@@ -142,7 +142,7 @@ pub(super) struct NodeEntry {
     pub(super) endpoints: Vec<(EndpointRole, EndpointId)>,
 }
 
-impl NodeEntry {
+impl OwnEntry {
     /// Returns the CDR form of the entry with its encapsulation header.
     pub(super) fn to_payload(&self) -> Bytes {
         let mut cdr = BytesMut::from(&[0, 1, 0, 0][..]);

@@ -2,7 +2,7 @@
 //! microsecond, because no clock of another host is known more precisely.
 
 use super::milliseconds::default_decimals;
-use super::{EXACT, SPACE, decimals, fixed, join_ends, measured, milliseconds, signed};
+use super::{EXACT, SPACE, decimals, fixed, fixed_or_less_than, join_ends, milliseconds, signed};
 
 /// Number of decimals for a resolution of a microsecond.
 const MAX_DECIMALS: usize = 3;
@@ -22,7 +22,7 @@ pub fn bound_ms(half_width: f64) -> String {
     if half_width == 0.0 {
         return EXACT.to_owned();
     }
-    format!("±{}", measured(half_width * 1e3, decimals(half_width * 1e3, 2).min(MAX_DECIMALS)))
+    format!("±{}", fixed_or_less_than(half_width * 1e3, decimals(half_width * 1e3, 2).min(MAX_DECIMALS)))
 }
 
 /// Formats the largest error of a value with its unit: `±0.65 ms`, `exact`.

@@ -1,6 +1,6 @@
 //! Formatting of longer durations.
 
-use super::{NONE, SPACE, count, measured};
+use super::{NONE, SPACE, count, fixed_or_less_than};
 
 /// Formats a duration: `0.4 s`, `35 s`, `4 min 12 s`, `2 h 5 min`, `3 d 4 h`.
 pub fn length(seconds: f64) -> String {
@@ -9,7 +9,7 @@ pub fn length(seconds: f64) -> String {
     }
     // From here on, one decimal would be rounded to `10.0`.
     if seconds < 9.95 {
-        return format!("{}{SPACE}s", measured(seconds, 1));
+        return format!("{}{SPACE}s", fixed_or_less_than(seconds, 1));
     }
     let whole = seconds.round() as u64;
     let (days, hours, minutes, rest) = (whole / 86_400, whole / 3_600 % 24, whole / 60 % 60, whole % 60);

@@ -1,6 +1,6 @@
 //! Formatting of durations, in ms where they are compared.
 
-use super::{Quantity, decimals, figure, fixed, join_ends, measured, signed};
+use super::{Quantity, decimals, figure, fixed, fixed_or_less_than, join_ends, signed};
 
 /// Largest number of decimals of a value in ms: a nanosecond.
 const MAX_DECIMALS: usize = 6;
@@ -39,20 +39,20 @@ pub fn short_duration(seconds: f64) -> Quantity {
     Quantity::new(milliseconds(seconds), "ms")
 }
 
-/// Format of the durations of one table, in ms: two decimals; three if the total's deviation needs them for its second digit; or as many as show three
-/// significant digits of a short total.
+/// Format of the durations of one table, in ms, by its total: three significant digits of a total below 0.1 ms, otherwise two decimals, or three if the
+/// deviation's second significant digit is the third decimal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct StageColumn {
+pub struct DurationFormat {
     decimals: usize,
 }
 
-impl Default for StageColumn {
+impl Default for DurationFormat {
     fn default() -> Self {
         Self { decimals: MIN_COLUMN_DECIMALS }
     }
 }
 
-impl StageColumn {
+impl DurationFormat {
     /// Returns the format for a table whose total has this mean and deviation.
     pub fn for_total(mean: Option<f64>, std: Option<f64>) -> Self {
         let short = mean.map(|seconds| seconds * 1e3).filter(|ms| ms.abs() < SHORT_DURATION_MS);
@@ -63,7 +63,7 @@ impl StageColumn {
 
     /// Formats a duration; a value that would be rounded to zero is `<0.01`.
     pub fn duration(self, seconds: f64) -> String {
-        measured(seconds * 1e3, self.decimals)
+        fixed_or_less_than(seconds * 1e3, self.decimals)
     }
 
     /// Formats a time, or a deviation, that may be zero or negative.
@@ -81,13 +81,13 @@ impl StageColumn {
 pub fn total_ms(seconds: f64) -> String {
     let ms = seconds * 1e3;
     // From here on, three significant digits are rounded to at least `1.00`.
-    measured(ms, if ms.abs() < 0.999_5 { default_decimals(ms) } else { 1 })
+    fixed_or_less_than(ms, if ms.abs() < 0.999_5 { default_decimals(ms) } else { 1 })
 }
 
 /// Formats mean and deviation, or value and margin, in ms: `16.2` and `1.1`.
 ///
-/// Both end with the second significant digit of the deviation, at most at a tenth of a microsecond, or later if the mean
-/// itself needs more decimals. Without a deviation the mean has three significant digits.
+/// Both are rounded to the second significant digit of the deviation, but no finer than a tenth of a microsecond, or than three
+/// significant digits of the mean where these are finer. Without a deviation the mean has three significant digits.
 pub fn mean_std_ms(mean: f64, std: Option<f64>) -> (String, Option<String>) {
     let std = std.filter(|std| std.is_finite());
     let decimals = match std {
@@ -132,7 +132,7 @@ pub fn column_decimals(half_width: Option<f64>) -> usize {
 /// the microsecond: `0.018`.
 pub fn trip_ms(seconds: f64) -> String {
     let ms = seconds * 1e3;
-    measured(ms, if ms.abs() < 0.095 { 3 } else { decimals(ms, 3).min(2) })
+    fixed_or_less_than(ms, if ms.abs() < 0.095 { 3 } else { decimals(ms, 3).min(2) })
 }
 
 /// Formats an error in seconds, in ms with two significant digits.

@@ -17,7 +17,7 @@ pub use bounds::{bound, bound_ms, ends_ms, interval_ms, offset_ms, shift_ms, sig
 pub use estimate::Estimate;
 pub use length::{length, roughly};
 pub use milliseconds::{
-    StageColumn, column_decimals, duration, error_ms, mean_std, mean_std_ms, milliseconds, range_ms,
+    DurationFormat, column_decimals, duration, error_ms, mean_std, mean_std_ms, milliseconds, range_ms,
     short_duration, total_ms, trip_ms,
 };
 pub use quantity::{
@@ -111,7 +111,7 @@ pub fn figure(value: f64) -> String {
 }
 
 /// Formats a measured number that is not negative: `0` is exactly zero, `<0.01` is a small number.
-pub fn measured(value: f64, decimals: usize) -> String {
+pub fn fixed_or_less_than(value: f64, decimals: usize) -> String {
     let smallest = 10f64.powi(-(decimals as i32));
     if value == 0.0 {
         "0".to_owned()

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::{SPACE, decimals, fixed, measured, significant};
+use super::{SPACE, decimals, fixed, fixed_or_less_than, significant};
 
 /// Largest number of decimals of a throughput in MB/s: a byte per second.
 const MAX_DECIMALS: usize = 6;
@@ -39,7 +39,7 @@ pub fn percent(share: f64) -> String {
     let value = share * 100.0;
     match value {
         // Each limit is where the decimals of the line would be rounded up to one more digit: `1.00`, `10.0`.
-        value if value < 0.995 => measured(value, 2),
+        value if value < 0.995 => fixed_or_less_than(value, 2),
         value if value < 9.95 => fixed(value, 1),
         value => fixed(value, 0),
     }
@@ -47,7 +47,7 @@ pub fn percent(share: f64) -> String {
 
 /// Formats a share of a whole in percent with one decimal: `29.0`.
 pub fn share(share: f64) -> String {
-    measured(share * 100.0, 1)
+    fixed_or_less_than(share * 100.0, 1)
 }
 
 /// Formats a load, such as that of a processor, in whole percent: `29`.
@@ -111,7 +111,7 @@ pub fn bytes(value: f64) -> Quantity {
 
 /// Formats bytes in gigabytes with one decimal: `5.2`.
 pub fn gigabytes(bytes: u64) -> String {
-    measured(bytes as f64 / 1e9, 1)
+    fixed_or_less_than(bytes as f64 / 1e9, 1)
 }
 
 /// Formats a ratio: `1.9 ×`.

@@ -57,16 +57,16 @@ fn durations_have_three_significant_digits() {
 
 #[test]
 fn table_keeps_decimals_and_distinguishes_small_from_zero() {
-    let stage_ms = |seconds| StageColumn::default().duration(seconds);
+    let stage_ms = |seconds| DurationFormat::default().duration(seconds);
     assert_eq!(stage_ms(0.004_70), "4.70");
     assert_eq!(stage_ms(0.033_46), "33.46");
     assert_eq!(stage_ms(1.204_18), "1,204.18");
     assert_eq!(stage_ms(0.0), "0");
     assert_eq!(stage_ms(0.000_004), "<0.01");
     assert_eq!(stage_ms(0.000_006), "0.01");
-    let column = StageColumn::for_total(Some(0.018_94), Some(0.001_1));
+    let column = DurationFormat::for_total(Some(0.018_94), Some(0.001_1));
     assert_eq!([0.018_94, 4e-6].map(|it| column.duration(it)), ["18.94", "<0.01"]);
-    let short = StageColumn::for_total(Some(18.31e-6), None);
+    let short = DurationFormat::for_total(Some(18.31e-6), None);
     assert_eq!(
         [18.31e-6, 4.2e-6, 0.0, 1e-8].map(|it| short.duration(it)),
         ["0.0183", "0.0042", "0", "<0.0001"]
@@ -76,14 +76,14 @@ fn table_keeps_decimals_and_distinguishes_small_from_zero() {
         ("\u{2212}0.0021", "0.0000")
     );
     // A run's page has `0.126 ± 0.012` in its header and in the row of its total.
-    let column = StageColumn::for_total(Some(126e-6), Some(12e-6));
+    let column = DurationFormat::for_total(Some(126e-6), Some(12e-6));
     assert_eq!([column.duration(126e-6), column.number(12e-6)], ["0.126", "0.012"]);
     assert_eq!([0.018_94, 126e-6, 40e-6, 0.0].map(total_ms), ["18.9", "0.126", "0.0400", "0"]);
 }
 
 #[test]
 fn differences_carry_their_sign_and_zero_has_none() {
-    let difference = |seconds| StageColumn::default().difference(seconds);
+    let difference = |seconds| DurationFormat::default().difference(seconds);
     assert_eq!(difference(0.000_03), "+0.03");
     assert_eq!(difference(-0.000_02), "\u{2212}0.02");
     assert_eq!(difference(0.000_002), "0.00");
@@ -175,7 +175,7 @@ fn durations_are_formatted_in_two_units() {
 #[test]
 fn nan_is_shown_as_dash() {
     assert_eq!(fixed(f64::NAN, 2), NONE);
-    assert_eq!(StageColumn::default().duration(f64::INFINITY), NONE);
+    assert_eq!(DurationFormat::default().duration(f64::INFINITY), NONE);
 }
 
 proptest! {

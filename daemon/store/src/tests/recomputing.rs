@@ -217,12 +217,12 @@ async fn sides_of_step_are_judged_separately() {
         |simulation| simulation.cloud_ahead += Span::from_seconds(3),
         |simulation| simulation.edge_ahead += Span::from_seconds(-7),
     ];
-    for (step, halfway) in steps.into_iter().flat_map(|step| [(step, false), (step, true)]) {
+    for (step, at_half_second) in steps.into_iter().flat_map(|step| [(step, false), (step, true)]) {
         let mut test_store = TestStore::new().await;
         let simulated = simulate(&mut test_store, SECONDS, |second, simulation| {
             simulation.congestion = if second < 5 { Span::from_millis(40) } else { Span::ZERO };
             match second {
-                30 if halfway => simulation.halfway = Some(step),
+                30 if at_half_second => simulation.at_half_second = Some(step),
                 30 => step(simulation),
                 _ => {}
             }
@@ -257,7 +257,7 @@ async fn unreported_jump_does_not_change_earlier_delays() {
                 let forward: fn(&mut Simulation) =
                     |simulation| simulation.cloud_ahead += Span::from_millis(3);
                 let back: fn(&mut Simulation) = |simulation| simulation.cloud_ahead += Span::from_millis(-3);
-                simulation.halfway = Some(if jump > 0 { forward } else { back });
+                simulation.at_half_second = Some(if jump > 0 { forward } else { back });
             }
         })
         .await;

@@ -53,7 +53,7 @@ async fn wall_clock_steps_leave_delays_by_raw_stamps_unchanged() {
         let simulated = simulate_by(&mut test_store, RelatedClocks::Raw, SECONDS, |second, simulation| {
             slow_first_seconds(second, simulation);
             if second == 30 {
-                simulation.halfway = Some(step);
+                simulation.at_half_second = Some(step);
             }
         })
         .await;

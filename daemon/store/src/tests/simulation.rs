@@ -35,7 +35,7 @@ pub(super) struct Simulation {
     /// `true` if all samples name one window, like the samples of agents that did not detect jumps.
     pub(super) is_one_window: bool,
     /// Change in the middle of a second.
-    pub(super) halfway: Option<fn(&mut Self)>,
+    pub(super) at_half_second: Option<fn(&mut Self)>,
     best: (Option<Exchange>, Option<Exchange>),
     /// Number of the first window.
     pub(super) first_window: u64,
@@ -65,7 +65,7 @@ impl Simulation {
             epochs: (0, 0),
             congestion: Span::ZERO,
             is_one_window: false,
-            halfway: None,
+            at_half_second: None,
             best: (None, None),
             first_window: 1 << 63,
             window: 1 << 63,
@@ -95,7 +95,7 @@ impl Simulation {
     pub(super) fn second(&mut self, run: Option<RunId>) -> (Vec<Iteration>, Event) {
         let mut iterations = Vec::new();
         for turn in 0..10 {
-            if let Some(change) = self.halfway.take_if(|_| turn == 5) {
+            if let Some(change) = self.at_half_second.take_if(|_| turn == 5) {
                 change(self);
             }
             let probe = self.exchange((self.congestion, self.congestion), Span::from_micros(20)).stamps;

@@ -4,7 +4,9 @@ use std::collections::{HashMap, HashSet};
 
 use peernet_clock::WallTime;
 use peernet_logger::HostId;
-use peernet_stream::{BatchHead, Chain, Hello, Mark, MissingPreviousBatches, StreamId, StreamRecord};
+use peernet_stream::{
+    BatchHead, Chain, Hello, MissingPreviousBatches, StoredPosition, StreamId, StreamRecord,
+};
 use sqlx::{Arguments, FromRow, SqliteConnection};
 
 use super::entities::id;
@@ -16,8 +18,8 @@ use crate::stored::StoredCounts;
 /// The streams in the database.
 #[derive(Clone, Debug, Default)]
 pub struct Streams {
-    /// Mark of each stream with stored batches.
-    pub marks: HashMap<StreamId, Mark>,
+    /// StoredPosition of each stream with stored batches.
+    pub marks: HashMap<StreamId, StoredPosition>,
     /// All streams with which any host ever introduced itself.
     introduced: HashSet<StreamId>,
     /// The stream with which each host introduced itself last.
@@ -95,7 +97,7 @@ impl Streams {
             let stored = u64::try_from(stored).map_err(|error| sqlx::Error::Decode(error.into()))?;
             let (chain, process) = (Chain::from_bytes(chain), process.map(i64::cast_unsigned));
             let events = events.map(count);
-            streams.marks.insert(stream, Mark { host, stored, chain, process, events });
+            streams.marks.insert(stream, StoredPosition { host, stored, chain, process, events });
         }
         Ok(streams)
     }
@@ -163,8 +165,8 @@ impl AdvancedStreams {
     }
 
     /// Returns the new mark of a stream, if this transaction advances the stream.
-    pub(super) fn new_mark(&self, stream: StreamId) -> Option<Mark> {
-        self.marks.get(&stream).map(|(_, head)| Mark::from(*head))
+    pub(super) fn new_mark(&self, stream: StreamId) -> Option<StoredPosition> {
+        self.marks.get(&stream).map(|(_, head)| StoredPosition::from(*head))
     }
 
     /// Writes the marks and returns them.
@@ -172,7 +174,7 @@ impl AdvancedStreams {
         &mut self,
         connection: &mut SqliteConnection,
         now: WallTime,
-    ) -> Result<HashMap<StreamId, Mark>, sqlx::Error> {
+    ) -> Result<HashMap<StreamId, StoredPosition>, sqlx::Error> {
         self.upsert
             .run(connection, &self.marks, |(stream, (host, head)), to| {
                 to.add(stream.to_string())?;
@@ -185,7 +187,7 @@ impl AdvancedStreams {
                 to.add(now.unix_nanos())
             })
             .await?;
-        Ok(self.marks.drain().map(|(stream, (_, head))| (stream, Mark::from(head))).collect())
+        Ok(self.marks.drain().map(|(stream, (_, head))| (stream, StoredPosition::from(head))).collect())
     }
 
     /// Discards the state that is only in memory, because the transaction failed.

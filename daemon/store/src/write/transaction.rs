@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use peernet_clock::{Stamp, WallTime};
-use peernet_stream::{BatchHead, Event, Mark, MissingBatches, StreamId};
+use peernet_stream::{BatchHead, Event, MissingBatches, StoredPosition, StreamId};
 use sqlx::SqliteConnection;
 
 use super::clock::Links;
@@ -46,7 +46,7 @@ impl Staging {
         &mut self,
         connection: &mut SqliteConnection,
         work: &[Work],
-        marks: &HashMap<StreamId, Mark>,
+        marks: &HashMap<StreamId, StoredPosition>,
         (storage_clock, stamp): (&StorageClock, Stamp),
         quarantine_reason: Option<&str>,
     ) -> Result<CommitResult, Refusal> {

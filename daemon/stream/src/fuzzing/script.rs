@@ -3,7 +3,8 @@
 use peernet_clock::{ClockIdentity, WallTime};
 
 use crate::{
-    BatchHead, Chain, Hardware, Hello, HelloExtension, HostDescription, Mark, STREAM_VERSIONS, StreamId,
+    BatchHead, Chain, Hardware, Hello, HelloExtension, HostDescription, STREAM_VERSIONS, StoredPosition,
+    StreamId,
 };
 use peernet_logger::HostId;
 
@@ -57,10 +58,10 @@ impl Script<'_> {
         Chain::from_bytes(bytes)
     }
 
-    pub(super) fn mark(&mut self, host: HostId) -> Mark {
+    pub(super) fn mark(&mut self, host: HostId) -> StoredPosition {
         let stored = self.number();
         let (chain, process) = (self.chain(stored), (stored & 4 == 0).then_some(stored & 3));
-        Mark { host, stored, chain, process, events: (stored & 8 == 0).then(|| self.number()) }
+        StoredPosition { host, stored, chain, process, events: (stored & 8 == 0).then(|| self.number()) }
     }
 
     pub(super) fn head(&mut self) -> BatchHead {

@@ -55,7 +55,7 @@ impl ReceivingConfig {
 
 /// Stored position of a stream. It is written in the transaction that stores the batch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Mark {
+pub struct StoredPosition {
     /// Host that the stream belongs to.
     pub host: HostId,
     /// Number up to which all batches are stored.
@@ -69,7 +69,7 @@ pub struct Mark {
     pub events: Option<u64>,
 }
 
-impl From<BatchHead> for Mark {
+impl From<BatchHead> for StoredPosition {
     /// Returns the mark of the stream after this batch is stored.
     fn from(head: BatchHead) -> Self {
         Self {
@@ -82,7 +82,7 @@ impl From<BatchHead> for Mark {
     }
 }
 
-impl From<MissingBatches> for Mark {
+impl From<MissingBatches> for StoredPosition {
     /// Returns the mark of the stream after the gap in place of these batches is stored.
     fn from(missing: MissingBatches) -> Self {
         let MissingBatches { host, through, chain, process, events_through, .. } = missing;
@@ -93,14 +93,14 @@ impl From<MissingBatches> for Mark {
 /// State of the database for a host that sends a hello, including batches that are about to be stored.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StreamRecord {
-    /// Mark of the hello's stream.
-    pub mark: Option<Mark>,
+    /// StoredPosition of the hello's stream.
+    pub mark: Option<StoredPosition>,
     /// `true` if the host used that stream before.
     pub was_used: bool,
     /// Stream that the host used most recently.
     pub last_stream: Option<StreamId>,
-    /// Mark of the stream that the hello's stream continues.
-    pub previous_mark: Option<Mark>,
+    /// StoredPosition of the stream that the hello's stream continues.
+    pub previous_mark: Option<StoredPosition>,
     /// Position in the order in which hosts were first stored: smaller for older hosts; `None` for a host of which
     /// nothing is stored.
     pub seniority: Option<u64>,
@@ -392,7 +392,7 @@ impl Receiving {
     /// Only batches that the connected agent is known to hold are acknowledged. Batches that an earlier process sent may
     /// differ from the connected agent's batches with the same numbers, and an acknowledgement makes the agent delete its
     /// batches.
-    pub fn handle_stored(&mut self, stream: StreamId, mark: Mark) -> Option<(HostId, ToAgent)> {
+    pub fn handle_stored(&mut self, stream: StreamId, mark: StoredPosition) -> Option<(HostId, ToAgent)> {
         let window = self.window(mark.host);
         let reply = self.streams.get_mut(&stream)?.record_stored(stream, mark, window);
         let receiver = self.current_sender(stream);

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use super::super::MAX_IN_FLIGHT_BATCHES;
-use super::{Arrival, BatchHead, Chain, Hello, Mark, MissingBatches, StreamId, ToAgent};
+use super::{Arrival, BatchHead, Chain, Hello, MissingBatches, StoredPosition, StreamId, ToAgent};
 use peernet_logger::HostId;
 
 /// Largest accepted batch number: the largest integer of SQLite.
@@ -24,8 +24,8 @@ struct Position {
     events: Option<u64>,
 }
 
-impl From<Mark> for Position {
-    fn from(mark: Mark) -> Self {
+impl From<StoredPosition> for Position {
+    fn from(mark: StoredPosition) -> Self {
         Self { number: mark.stored, chain: Some(mark.chain), events: mark.events }
     }
 }
@@ -36,8 +36,8 @@ pub(super) struct Progress {
     pub(super) host: HostId,
     /// Process that sent the last hello.
     process: u64,
-    /// Mark in the database; if `None`, `stored` is the position before the first batch of the stream.
-    mark: Option<Mark>,
+    /// StoredPosition in the database; if `None`, `stored` is the position before the first batch of the stream.
+    mark: Option<StoredPosition>,
     stored: Position,
     accepted: Position,
     /// Number of the last batch that has the same content here and at the connected agent. This is known because the agent
@@ -53,7 +53,7 @@ pub(super) struct Progress {
 }
 
 impl Progress {
-    pub(super) fn new(hello: &Hello, mark: Option<Mark>) -> Self {
+    pub(super) fn new(hello: &Hello, mark: Option<StoredPosition>) -> Self {
         let start = Position {
             number: hello.first.saturating_sub(1),
             // `hello.chain_before_oldest` is the chain before the oldest batch, which is the first one only if none was deleted.
@@ -79,7 +79,7 @@ impl Progress {
     pub(super) fn handle_hello(
         &mut self,
         hello: &Hello,
-        mark: Option<Mark>,
+        mark: Option<StoredPosition>,
         is_same_process: bool,
     ) -> Option<MissingBatches> {
         if let Some(mark) = mark {
@@ -107,7 +107,7 @@ impl Progress {
 
     /// Returns the number of the last stored batch, and the mark that the agent compares with its own batches. If no batch
     /// is stored, the number is the one before the first batch.
-    pub(super) const fn stored(&self) -> (u64, Option<Mark>) {
+    pub(super) const fn stored(&self) -> (u64, Option<StoredPosition>) {
         (self.stored.number, self.mark)
     }
 
@@ -191,14 +191,19 @@ impl Progress {
 
     /// Records that the mark is on disk. Returns an acknowledgement for the connected agent if more batches can be
     /// acknowledged.
-    pub(super) fn record_stored(&mut self, stream: StreamId, mark: Mark, window: u32) -> Option<ToAgent> {
+    pub(super) fn record_stored(
+        &mut self,
+        stream: StreamId,
+        mark: StoredPosition,
+        window: u32,
+    ) -> Option<ToAgent> {
         let previous = self.acknowledged_through();
         self.apply_mark(mark);
         (self.acknowledged_through() > previous).then(|| self.acknowledgement(stream, window))
     }
 
     /// Applies a mark of the database.
-    fn apply_mark(&mut self, mark: Mark) {
+    fn apply_mark(&mut self, mark: StoredPosition) {
         if self.mark.is_some() && mark.stored <= self.stored.number {
             return;
         }

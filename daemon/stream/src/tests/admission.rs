@@ -24,12 +24,12 @@ pub(super) fn chain(number: u64) -> Chain {
     (0..number).fold(Chain::START, |chain, _| chain.next(1, b"event"))
 }
 
-pub(super) fn mark(host: HostId, stored: u64) -> Mark {
-    Mark { host, stored, chain: chain(stored), process: Some(1), events: Some(stored) }
+pub(super) fn mark(host: HostId, stored: u64) -> StoredPosition {
+    StoredPosition { host, stored, chain: chain(stored), process: Some(1), events: Some(stored) }
 }
 
 /// Returns the database's state for one stream.
-pub(super) fn record_with(mark: Option<Mark>) -> StreamRecord {
+pub(super) fn record_with(mark: Option<StoredPosition>) -> StreamRecord {
     StreamRecord { mark, was_used: mark.is_some(), ..StreamRecord::default() }
 }
 

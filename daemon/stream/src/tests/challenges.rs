@@ -1,4 +1,4 @@
-//! Challenges at the aggregator's end, and the hellos that they confirm.
+//! Challenges at the aggregator, and the hellos that they confirm.
 
 use std::collections::BTreeMap;
 
@@ -30,73 +30,82 @@ fn some_hello() -> Hello {
 
 #[test]
 fn unknown_host_is_enrolled_with_proven_secret() {
-    let (mut end, hello, secret) = (challenges(), some_hello(), HostSecret::random());
-    let challenge = end.challenge(1, hello.clone(), true, nonce(1), at(0).mono);
-    let proven = end.check_proof(&1, proof(&secret, &hello, &challenge), None);
+    let (mut challenges, hello, secret) = (challenges(), some_hello(), HostSecret::random());
+    let challenge = challenges.challenge(1, hello.clone(), true, nonce(1), at(0).mono);
+    let proven = challenges.check_proof(&1, proof(&secret, &hello, &challenge), None);
     assert_eq!(proven, ProofResult::Valid { hello: Box::new(hello), enrolled: Some(secret) });
-    assert!(end.is_empty());
+    assert!(challenges.is_empty());
 }
 
 #[test]
 fn proof_of_known_host_contains_no_secret() {
-    let (mut end, hello, secret) = (challenges(), some_hello(), HostSecret::random());
-    let challenge = end.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
+    let (mut challenges, hello, secret) = (challenges(), some_hello(), HostSecret::random());
+    let challenge = challenges.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
     let proof = proof(&secret, &hello, &challenge);
     assert_eq!(proof.secret, None);
     assert_eq!(
-        end.check_proof(&1, proof, Some(&secret)),
+        challenges.check_proof(&1, proof, Some(&secret)),
         ProofResult::Valid { hello: Box::new(hello), enrolled: None }
     );
 }
 
 #[test]
 fn other_secret_is_refused_even_if_proof_contains_it() {
-    let (mut end, hello, stored_secret) = (challenges(), some_hello(), HostSecret::random());
+    let (mut challenges, hello, stored_secret) = (challenges(), some_hello(), HostSecret::random());
     let impostor = HostSecret::random();
-    let challenge = end.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
+    let challenge = challenges.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
     let claimed_proof = Proof { secret: Some(impostor.clone()), ..proof(&impostor, &hello, &challenge) };
     assert_eq!(
-        end.check_proof(&1, claimed_proof, Some(&stored_secret)),
+        challenges.check_proof(&1, claimed_proof, Some(&stored_secret)),
         ProofResult::Invalid(Box::new(hello.clone()))
     );
     // The host was enrolled on another connection after the secret was requested on this connection.
-    let challenge = end.challenge(1, hello.clone(), true, nonce(2), at(0).mono);
+    let challenge = challenges.challenge(1, hello.clone(), true, nonce(2), at(0).mono);
     let claimed_proof = proof(&impostor, &hello, &challenge);
     assert_eq!(
-        end.check_proof(&1, claimed_proof, Some(&stored_secret)),
+        challenges.check_proof(&1, claimed_proof, Some(&stored_secret)),
         ProofResult::Invalid(Box::new(hello))
     );
 }
 
 #[test]
 fn proof_is_valid_once_and_only_on_its_own_connection() {
-    let (mut end, hello, secret) = (challenges(), some_hello(), HostSecret::random());
-    let challenge = end.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
+    let (mut challenges, hello, secret) = (challenges(), some_hello(), HostSecret::random());
+    let challenge = challenges.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
     let overheard = proof(&secret, &hello, &challenge);
-    end.challenge(2, hello, false, nonce(2), at(0).mono);
-    assert_eq!(end.check_proof(&2, overheard.clone(), Some(&secret)), ProofResult::Unsolicited);
+    challenges.challenge(2, hello, false, nonce(2), at(0).mono);
+    assert_eq!(challenges.check_proof(&2, overheard.clone(), Some(&secret)), ProofResult::Unsolicited);
     let replayed = Proof { nonce: nonce(2), ..overheard.clone() };
-    assert!(matches!(end.check_proof(&2, replayed, Some(&secret)), ProofResult::Invalid(_)));
-    assert!(matches!(end.check_proof(&1, overheard.clone(), Some(&secret)), ProofResult::Valid { .. }));
-    assert_eq!(end.check_proof(&1, overheard, Some(&secret)), ProofResult::Unsolicited);
+    assert!(matches!(challenges.check_proof(&2, replayed, Some(&secret)), ProofResult::Invalid(_)));
+    assert!(matches!(
+        challenges.check_proof(&1, overheard.clone(), Some(&secret)),
+        ProofResult::Valid { .. }
+    ));
+    assert_eq!(challenges.check_proof(&1, overheard, Some(&secret)), ProofResult::Unsolicited);
 }
 
 #[test]
 fn cleared_secret_is_requested_again() {
-    let (mut end, hello, secret) = (challenges(), some_hello(), HostSecret::random());
-    let challenge = end.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
-    assert_eq!(end.check_proof(&1, proof(&secret, &hello, &challenge), None), ProofResult::Unsolicited);
+    let (mut challenges, hello, secret) = (challenges(), some_hello(), HostSecret::random());
+    let challenge = challenges.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
+    assert_eq!(
+        challenges.check_proof(&1, proof(&secret, &hello, &challenge), None),
+        ProofResult::Unsolicited
+    );
 }
 
 #[test]
 fn repeated_hello_gets_the_same_challenge() {
-    let (mut end, hello) = (challenges(), some_hello());
-    let first = end.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
-    assert_eq!(end.challenge(1, hello.clone(), false, nonce(2), at(1_000).mono), first);
-    assert_ne!(end.challenge(1, Hello { process: 9, ..hello }, false, nonce(2), at(1_000).mono), first);
-    assert_eq!(end.len(), 1, "one challenge for each connection");
-    end.remove_expired(at(16_001).mono);
-    assert!(end.is_empty(), "memory of silent connections is freed");
+    let (mut challenges, hello) = (challenges(), some_hello());
+    let first = challenges.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
+    assert_eq!(challenges.challenge(1, hello.clone(), false, nonce(2), at(1_000).mono), first);
+    assert_ne!(
+        challenges.challenge(1, Hello { process: 9, ..hello }, false, nonce(2), at(1_000).mono),
+        first
+    );
+    assert_eq!(challenges.len(), 1, "one challenge for each connection");
+    challenges.remove_expired(at(16_001).mono);
+    assert!(challenges.is_empty(), "memory of silent connections is freed");
 }
 
 proptest! {
@@ -108,12 +117,12 @@ proptest! {
     ) {
         let hosts: Vec<Hello> = (0..3).map(|n| hello(HostId::from_bytes([n; 16]), "edge", 1, StreamId::from_bytes([n; 16]), 1)).collect();
         let secret = |host: u8| HostSecret::from_bytes([host; 32]);
-        let (mut end, mut open_challenges) = (challenges(), BTreeMap::<u8, (u8, ToAgent)>::new());
+        let (mut challenges, mut open_challenges) = (challenges(), BTreeMap::<u8, (u8, ToAgent)>::new());
         for (turn, (action, connection, host, uses_right_secret)) in (0_u8..).zip(steps) {
             let hello_of_host = hosts[usize::from(host)].clone();
             match action {
                 0 | 1 => {
-                    let challenge = end.challenge(connection, hello_of_host, false, nonce(turn), at(0).mono);
+                    let challenge = challenges.challenge(connection, hello_of_host, false, nonce(turn), at(0).mono);
                     open_challenges.insert(connection, (host, challenge));
                 }
                 2 => {
@@ -130,7 +139,7 @@ proptest! {
                     let is_expected_valid =
                         uses_right_secret && challenged == host && own_challenge == Some((host, challenge.clone()));
                     let proof = Proof { host: hello_of_host.host.id, nonce: *nonce, code, secret: None };
-                    let proven = end.check_proof(&connection, proof, Some(&secret(host)));
+                    let proven = challenges.check_proof(&connection, proof, Some(&secret(host)));
                     let is_valid = matches!(
                         &proven,
                         ProofResult::Valid { hello, .. } if hello.host.id == hello_of_host.host.id
@@ -138,11 +147,11 @@ proptest! {
                     prop_assert_eq!(is_valid, is_expected_valid);
                 }
                 _ => {
-                    end.forget(&connection);
+                    challenges.forget(&connection);
                     open_challenges.remove(&connection);
                 }
             }
-            prop_assert!(end.len() <= 3);
+            prop_assert!(challenges.len() <= 3);
         }
     }
 }

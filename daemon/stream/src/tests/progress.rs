@@ -246,8 +246,13 @@ fn agent_that_ignores_window_is_limited() {
 fn largest_batch_numbers_are_handled() {
     let last = i64::MAX as u64;
     let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
-    let stored =
-        |number| Mark { host: id, stored: number, chain: Chain::START, process: None, events: Some(number) };
+    let stored = |number| StoredPosition {
+        host: id,
+        stored: number,
+        chain: Chain::START,
+        process: None,
+        events: Some(number),
+    };
     let hello = Hello { oldest: last, chain_before_oldest: Chain::START, ..hello(id, "edge", 1, stream, 1) };
     let greeting = end.handle_hello(&hello, record_with(None), at(0).mono);
     assert!(matches!(greeting, HelloResult::Welcome { missing: Some(MissingBatches { from: 1, .. }), .. }));

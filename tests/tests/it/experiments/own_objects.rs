@@ -194,5 +194,5 @@ fn repeats_and_users_have_their_own_seeds() {
     }
     assert_eq!(seeds.len(), 12, "all are different: {told}");
     let table = fs::read_to_string(folder.path().join("results/told/compare.txt")).expect("it was written");
-    assert!(table.contains("standard deviation 0.5 ms, seed of each run"), "{table}");
+    assert!(table.contains("standard deviation 0.5 ms, a seed of its own for each run"), "{table}");
 }

@@ -25,8 +25,9 @@ pub(crate) struct Recomputed {
     pub run: i64,
     /// Stored clock samples that were used.
     pub samples: u64,
-    /// Clocks whose stamps the recomputation used: `raw`, `raw-to-wall`, or `wall` for runs that were recorded before release 0.3.0, whose
-    /// delays depend on steps and slews of wall clocks. Empty if no delay was recomputed.
+    /// Clocks whose stamps the recomputation used: `raw`, `raw-to-wall` (the free-running clock of the edge, the wall clock of the cloud), or
+    /// `wall` for runs that were recorded before release 0.3.0, whose delays depend on steps and slews of wall clocks. Empty if no delay was
+    /// recomputed.
     pub clocks: Vec<&'static str>,
     /// `upload`, `download`.
     pub stages: Vec<RecomputedStage>,
@@ -42,7 +43,7 @@ pub(crate) struct RecomputedStage {
     pub after: Judgement,
 }
 
-/// Delays and their accuracy.
+/// Statistics of delays and of their accuracy, judged at one time.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Judgement {
     /// Delays that have a value, seconds.

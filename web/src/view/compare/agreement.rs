@@ -1,4 +1,4 @@
-//! Tests that a page states the same numbers of stored runs as tables and figures state of the files of these runs.
+//! Tests that a page shows the same values for stored runs as tables and figures show for the files of these runs.
 
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::message_sizes::line_through_medians;
@@ -41,7 +41,7 @@ fn counted(run: &Loaded) -> Vec<RowRef<'_>> {
     run.rows.iter().filter(RowRef::is_counted).collect()
 }
 
-/// Returns the stored statistics of the same run, as its own configuration.
+/// Returns a configuration that has only this run, with its statistics as the store returns them.
 fn stored((index, run): (usize, &Loaded)) -> Configuration {
     let mut mergeable = MergeableStatistics::default();
     for (column, value) in counted(run).iter().flat_map(RowRef::values) {
@@ -84,14 +84,17 @@ fn page(runs: &[Loaded]) -> (Comparison, RunMeans) {
 #[test]
 fn page_and_table_have_equal_ranking() {
     let wave = |iteration: u64| 1.0 + 0.1 * (iteration as f64).sin();
-    let fast = loaded("fast", |at| vec![("total", 0.010 * wave(at)), ("stages-total", 0.009 * wave(at))]);
-    // By the totals it is slower, but some of its iterations have none.
-    let partial = loaded("partial", |at| {
-        let total = (at % 3 > 0).then_some(("total", 0.012 * wave(at)));
-        total.into_iter().chain([("stages-total", 0.005 * wave(at))]).collect()
+    let fast = loaded("fast", |iteration| {
+        vec![("total", 0.010 * wave(iteration)), ("stages-total", 0.009 * wave(iteration))]
     });
-    let same =
-        loaded("same", |at| vec![("total", 0.010 * wave(at + 7)), ("stages-total", 0.005 * wave(at + 7))]);
+    // By the totals it is slower, but some of its iterations have none.
+    let partial = loaded("partial", |iteration| {
+        let total = (iteration % 3 > 0).then_some(("total", 0.012 * wave(iteration)));
+        total.into_iter().chain([("stages-total", 0.005 * wave(iteration))]).collect()
+    });
+    let same = loaded("same", |iteration| {
+        vec![("total", 0.010 * wave(iteration + 7)), ("stages-total", 0.005 * wave(iteration + 7))]
+    });
     let nothing = loaded("nothing", |_| Vec::new());
     for runs in [vec![fast.clone(), partial.clone()], vec![fast, partial, same.clone()], vec![same, nothing]]
     {
@@ -103,34 +106,38 @@ fn page_and_table_have_equal_ranking() {
             (Some(ranking.best), ranking.ties(), ranking.untested(), ranking.unranked),
             (table.best, table.ties, table.untested, table.unranked)
         );
-        for (line, one) in table.lines.iter().zip(&comparison.configurations) {
-            let means = (line.latency(table.total_column.name()), comparison.total(one));
+        for (line, configuration) in table.lines.iter().zip(&comparison.configurations) {
+            let means = (line.latency(table.total_column.name()), comparison.total(configuration));
             let means = (means.0.map(|latency| latency.mean), means.1.map(|latency| latency.mean));
             assert_eq!(means.0.is_some(), means.1.is_some());
             let difference = means.0.unwrap_or_default() - means.1.unwrap_or_default();
-            assert!(difference.abs() < 1e-12 && line.count == one.iterations(), "{means:?}");
+            assert!(difference.abs() < 1e-12 && line.count == configuration.iterations(), "{means:?}");
         }
     }
 }
 
 #[test]
 fn page_and_figure_have_equal_qualities() {
-    let scored = loaded("scored", |at| {
-        let mut values = vec![("total", 0.010), ("top-1", f64::from(at % 3 == 0)), ("mean-iou", 0.5)];
-        if at % 20 == 0 {
-            values.extend([("episode-success", f64::from(at % 40 == 0)), ("episode-return", -(at as f64))]);
+    let scored = loaded("scored", |iteration| {
+        let mut values = vec![("total", 0.010), ("top-1", f64::from(iteration % 3 == 0)), ("mean-iou", 0.5)];
+        if iteration % 20 == 0 {
+            values.extend([
+                ("episode-success", f64::from(iteration % 40 == 0)),
+                ("episode-return", -(iteration as f64)),
+            ]);
         }
         values
     });
-    let detector = loaded("detector", |at| {
-        vec![("total", 0.012), ("map-50", at as f64 / ROWS as f64), ("mean-iou", 0.7)]
+    let detector = loaded("detector", |iteration| {
+        vec![("total", 0.012), ("map-50", iteration as f64 / ROWS as f64), ("mean-iou", 0.7)]
     });
     let runs = [scored, detector];
     let (comparison, _) = page(&runs);
     let close = |a: f64, b: f64| (a - b).abs() < 1e-9;
-    for (run, one) in runs.iter().zip(&comparison.configurations) {
+    for (run, configuration) in runs.iter().zip(&comparison.configurations) {
         for quality in Quality::ALL {
-            let (file, page) = (quality.from_rows(|| run.rows.iter()), qualities::estimate(one, quality));
+            let (file, page) =
+                (quality.from_rows(|| run.rows.iter()), qualities::estimate(configuration, quality));
             let Some((file, page)) = file.zip(page) else {
                 assert_eq!((file, page), (None, None), "{quality:?}");
                 continue;
@@ -140,8 +147,8 @@ fn page_and_figure_have_equal_qualities() {
             assert!(ends.into_iter().all(|(file, page)| close(file, page)), "{file:?} {page:?}");
         }
     }
-    let known = |one: &Configuration| {
-        let is_known = |quality: &Quality| qualities::estimate(one, *quality).is_some();
+    let known = |configuration: &Configuration| {
+        let is_known = |quality: &Quality| qualities::estimate(configuration, *quality).is_some();
         Quality::ALL.into_iter().filter(is_known).collect::<Vec<_>>()
     };
     let scored = vec![Quality::Top1, Quality::MeanIou, Quality::Success, Quality::Return];
@@ -151,19 +158,19 @@ fn page_and_figure_have_equal_qualities() {
     );
 }
 
-/// Returns the studies of the files of these runs, which are over one link.
+/// Returns the studies of the files of these runs, all over the same link.
 fn studies_of_files(runs: &[Loaded]) -> Vec<PayloadStudy> {
     let rows: Vec<RowRef<'_>> = runs.iter().flat_map(counted).collect();
     let directions = DIRECTIONS.map(|name| DirectionSizes::from_rows(name, &rows));
-    PayloadStudy::drawn([PayloadStudy::new(&Link::from(&runs[0].record), directions, None)])
+    PayloadStudy::select_drawable([PayloadStudy::new(&Link::from(&runs[0].record), directions, None)])
 }
 
 #[test]
 fn page_and_figure_have_equal_latencies_against_payload() {
     // 0.8 ms and 11.2 MB/s; one upload in twenty waits 50 ms.
     let run = |payload: f64| {
-        loaded("sized", move |at| {
-            let late = if at % 20 == 0 { 50e-3 } else { (at * 37 % 200) as f64 * 1e-6 };
+        loaded("sized", move |iteration| {
+            let late = if iteration % 20 == 0 { 50e-3 } else { (iteration * 37 % 200) as f64 * 1e-6 };
             let delay = 0.8e-3 + (payload + 120.0) / 11.2e6 + late;
             vec![("upload", delay), ("upload-bytes", payload), ("upload-logger-bytes", 120.0)]
         })
@@ -184,7 +191,7 @@ fn page_and_figure_have_equal_latencies_against_payload() {
     }
     let line = |study: &[DirectionSizes]| line_through_medians(&study[0].sizes).expect("four sizes");
     let (file, page) = (line(file), line(page));
-    // Each end of the line is as far from the other line as medians are. The means of the delays give 3.3 ms.
+    // The two lines differ by no more than the medians do. A line through the means would have an intercept of 3.3 ms.
     assert!(relative(page.at(1_120.0), file.at(1_120.0)) < 0.01, "{file:?} {page:?}");
     assert!(relative(page.slope.value, file.slope.value) < 0.015, "{file:?} {page:?}");
     assert!((page.intercept.value - 0.9e-3).abs() < 0.05e-3, "{page:?}");
@@ -193,10 +200,10 @@ fn page_and_figure_have_equal_latencies_against_payload() {
 #[test]
 fn page_and_figure_draw_equal_selections_of_payloads() {
     let run = |payload: f64| {
-        loaded("sized", move |at| {
+        loaded("sized", move |iteration| {
             let download = [1e3, 9e3][usize::from(payload > 1e6)];
             vec![
-                ("upload", 1e-3 + payload * 1e-7 * (at % 7) as f64),
+                ("upload", 1e-3 + payload * 1e-7 * (iteration % 7) as f64),
                 ("upload-bytes", payload),
                 ("download", 1e-3),
                 ("download-bytes", download),
@@ -211,14 +218,17 @@ fn page_and_figure_draw_equal_selections_of_payloads() {
         ((1..=30).map(|size| f64::from(size) * 1e3).collect(), vec!["upload"]),
     ] {
         let runs: Vec<Loaded> = sizes.into_iter().map(run).collect();
-        let drawn = |studies: &[PayloadStudy]| {
+        let sizes_by_direction = |studies: &[PayloadStudy]| {
             let all = studies.iter().flat_map(|study| &study.directions);
-            let sizes = |one: &DirectionSizes| {
-                one.sizes.iter().map(|size| (size.payload_bytes, size.count)).collect()
+            let sizes = |direction: &DirectionSizes| {
+                direction.sizes.iter().map(|size| (size.payload_bytes, size.count)).collect()
             };
-            all.map(|one| (one.name, sizes(one))).collect::<Vec<(&str, Vec<(u64, u64)>)>>()
+            all.map(|direction| (direction.name, sizes(direction))).collect::<Vec<(&str, Vec<(u64, u64)>)>>()
         };
-        let (file, page) = (drawn(&studies_of_files(&runs)), drawn(&payload::studies(&page(&runs).0)));
+        let (file, page) = (
+            sizes_by_direction(&studies_of_files(&runs)),
+            sizes_by_direction(&payload::studies(&page(&runs).0)),
+        );
         assert_eq!(file.iter().map(|(name, _)| *name).collect::<Vec<_>>(), directions);
         assert_eq!(file, page);
     }

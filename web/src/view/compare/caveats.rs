@@ -66,13 +66,13 @@ pub(crate) fn caveats(comparison: &Comparison) -> Vec<(Chip, String)> {
 
 /// Returns the name of a run: `#11`, or `#11 + #12` if the stored runs of an experiment are those of edges that measured at the same time. They
 /// are one run in the tables of files.
-fn name_with_other_edges(comparison: &Comparison, one: &Configuration, run: &RunSummary) -> String {
+fn name_with_other_edges(comparison: &Comparison, configuration: &Configuration, run: &RunSummary) -> String {
     let is_same = |other: &&RunSummary| {
         let is_edge = comparison.experiment.is_some() && other.experiment == run.experiment;
         other.number == run.number || is_edge
     };
     let numbers: Vec<String> =
-        one.runs.iter().filter(is_same).map(|other| format!("#{}", other.number)).collect();
+        configuration.runs.iter().filter(is_same).map(|other| format!("#{}", other.number)).collect();
     numbers.join(" + ")
 }
 

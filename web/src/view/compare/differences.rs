@@ -71,11 +71,12 @@ impl Differences {
     pub(crate) fn of(comparison: &Comparison, means: &RunMeans, baseline: impl Into<Option<usize>>) -> Self {
         let names = compared_stages();
         let all = &comparison.configurations;
-        let estimate = |one: &Configuration, name: &Name| {
-            // A run without values says nothing; a run with values has no buckets if they are deleted.
+        let estimate = |configuration: &Configuration, name: &Name| {
+            // A run without values is left out. A run with values is not, even if its buckets are deleted.
             let has_values = |run: &&RunSummary| comparison.summary(run.number, name).is_some();
-            let runs = one.runs.iter().filter(has_values).map(|run| buckets(means, run.number, name));
-            Some(MeanEstimate::from_buckets(one.statistics(name)?.mean, &runs.collect::<Vec<_>>()))
+            let runs =
+                configuration.runs.iter().filter(has_values).map(|run| buckets(means, run.number, name));
+            Some(MeanEstimate::from_buckets(configuration.statistics(name)?.mean, &runs.collect::<Vec<_>>()))
         };
         let estimates: Vec<Vec<Option<MeanEstimate>>> =
             all.iter().map(|one| names.iter().map(|name| estimate(one, name)).collect()).collect();

@@ -37,12 +37,12 @@ struct VaryingLengths<'a> {
 }
 
 impl<'a> VaryingLengths<'a> {
-    fn of(one: &'a Configuration) -> Option<Self> {
-        let names = one.stages.iter().map(|statistics: &StageStatistics| statistics.stage.as_str());
+    fn of(configuration: &'a Configuration) -> Option<Self> {
+        let names = configuration.stages.iter().map(|statistics: &StageStatistics| statistics.stage.as_str());
         let length = answer_length(names);
-        let (lengths, latencies) = (one.summary(length)?, one.summary(LATENCY)?);
+        let (lengths, latencies) = (configuration.summary(length)?, configuration.summary(LATENCY)?);
         varies(lengths.moments.min, lengths.moments.max).then_some(Self {
-            configuration: one,
+            configuration,
             length,
             lengths,
             latencies,

@@ -170,8 +170,10 @@ impl Configuration {
 
 impl Comparison {
     /// Returns the statistics of the latency by which configurations are compared, seconds, or of `sensing` for a pipeline that only senses.
-    pub(crate) fn total<'a>(&self, one: &'a Configuration) -> Option<&'a QuantityStatistics> {
-        one.statistics(self.total_column.name()).or_else(|| one.statistics(&stage::SENSING))
+    pub(crate) fn total<'a>(&self, configuration: &'a Configuration) -> Option<&'a QuantityStatistics> {
+        configuration
+            .statistics(self.total_column.name())
+            .or_else(|| configuration.statistics(&stage::SENSING))
     }
 
     /// Returns the index of the chosen baseline: the configuration of the run with the number `run`; `None` if no number is given.

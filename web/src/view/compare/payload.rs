@@ -54,7 +54,7 @@ pub(super) fn studies(comparison: &Comparison) -> Vec<PayloadStudy> {
         });
         PayloadStudy::new(&link, directions, pooled_note(&comparison.axes, &labels))
     });
-    PayloadStudy::drawn(studies)
+    PayloadStudy::select_drawable(studies)
 }
 
 fn link_of(run: &RunSummary) -> Link {

@@ -85,26 +85,31 @@ pub(crate) fn stacks(comparison: &Comparison, best: Option<usize>) -> (Vec<Stack
 }
 
 /// Returns the mean latency of a configuration with its parts; `None` without a successful iteration.
-pub(super) fn latency_bar(comparison: &Comparison, one: &Configuration) -> Option<LatencyBar> {
+pub(super) fn latency_bar(comparison: &Comparison, configuration: &Configuration) -> Option<LatencyBar> {
     let latency_of = |name: &str| {
-        let QuantityStatistics { count, mean, std, .. } = *one.statistics(name)?;
+        let QuantityStatistics { count, mean, std, .. } = *configuration.statistics(name)?;
         Some(Latency { mean, std, count })
     };
     LatencyBar::new(
         comparison.total_column,
-        one.iterations(),
-        DelayAccuracy::sent_messages(&one.bounds),
+        configuration.iterations(),
+        DelayAccuracy::sent_messages(&configuration.bounds),
         latency_of,
     )
 }
 
-fn label(one: &Configuration, bar: &LatencyBar) -> String {
+fn label(configuration: &Configuration, bar: &LatencyBar) -> String {
     if bar.parts.is_empty() {
-        return format!("{}: nothing measured", one.name);
+        return format!("{}: nothing measured", configuration.name);
     }
     let stages = bar.parts.iter().map(|(name, seconds)| format!("{name} {}", duration(*seconds)));
     let stages = stages.collect::<Vec<_>>().join(", ");
-    format!("{}: mean {} of {} iterations. {stages}.", one.name, duration(bar.total), one.iterations())
+    format!(
+        "{}: mean {} of {} iterations. {stages}.",
+        configuration.name,
+        duration(bar.total),
+        configuration.iterations()
+    )
 }
 
 /// Returns the routes of all runs of some configurations: `user-1, user-2 → rack-a`.

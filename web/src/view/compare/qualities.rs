@@ -22,8 +22,10 @@ pub(crate) struct QualityPlot {
 }
 
 /// Returns the estimate of a quality of a configuration; `None` if it was not measured.
-pub(super) fn estimate(one: &Configuration, quality: Quality) -> Option<QualityEstimate> {
-    quality.from_statistics(|name| one.statistics(name).map(|values| (values.count, values.mean, values.std)))
+pub(super) fn estimate(configuration: &Configuration, quality: Quality) -> Option<QualityEstimate> {
+    quality.from_statistics(|name| {
+        configuration.statistics(name).map(|values| (values.count, values.mean, values.std))
+    })
 }
 
 /// Returns the title of a quality in tables, and its unit.
@@ -50,9 +52,9 @@ pub(crate) fn qualities(comparison: &Comparison) -> Vec<QualityPlot> {
 }
 
 fn plot(comparison: &Comparison, quality: Quality) -> Option<QualityPlot> {
-    let score = |one: &Configuration| {
-        let (estimate, total) = (estimate(one, quality)?, comparison.total(one)?);
-        Some(Score { label: one.name.clone(), estimate, median: total.p50, p95: total.p95 })
+    let score = |configuration: &Configuration| {
+        let (estimate, total) = (estimate(configuration, quality)?, comparison.total(configuration)?);
+        Some(Score { label: configuration.name.clone(), estimate, median: total.p50, p95: total.p95 })
     };
     let mut scores: Vec<Score> = comparison.configurations.iter().filter_map(score).collect();
     let all = scores.len();

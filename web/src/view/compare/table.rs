@@ -128,11 +128,13 @@ impl QualityColumn {
     }
 
     /// Returns the estimate of a configuration and its interval; `None` if it was not measured.
-    fn cell(&self, one: &Configuration) -> Option<(String, Option<String>)> {
+    fn cell(&self, configuration: &Configuration) -> Option<(String, Option<String>)> {
         match self {
-            Self::Quality(quality) => Some(qualities::texts(*quality, &qualities::estimate(one, *quality)?)),
+            Self::Quality(quality) => {
+                Some(qualities::texts(*quality, &qualities::estimate(configuration, *quality)?))
+            }
             Self::Top5 => {
-                let accuracy = one.statistics(look::ACCURACIES[1].0)?;
+                let accuracy = configuration.statistics(look::ACCURACIES[1].0)?;
                 Some((share(accuracy.mean), accuracy::interval(accuracy)))
             }
         }
@@ -140,10 +142,10 @@ impl QualityColumn {
 }
 
 /// Returns the miss rate of a configuration.
-fn missed(one: &Configuration) -> Cell {
-    let Some(misses) = one.misses() else { return Cell::none("no deadline") };
+fn missed(configuration: &Configuration) -> Cell {
+    let Some(misses) = configuration.misses() else { return Cell::none("no deadline") };
     let Some(rate) = misses.rate() else { return Cell::none("no iteration") };
-    let deadline = match one.deadline_s() {
+    let deadline = match configuration.deadline_s() {
         Some(deadline) => format!("longer than {}", duration(deadline)),
         None => "longer than the deadline of their run".to_owned(),
     };

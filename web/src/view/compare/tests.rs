@@ -68,8 +68,12 @@ pub(crate) fn configuration(at: usize, kind: PlacementKind, scale: f64, bytes: f
 pub(crate) fn comparison(configurations: Vec<Configuration>) -> Comparison {
     let axes = vec!["size".to_owned(), "where".to_owned()];
     let experiment = Some(("sizes".to_owned(), "a".to_owned()));
-    let mergeable = |one: &Configuration| {
-        one.runs.iter().map(|run| (run.number, Arc::clone(&one.mergeable))).collect::<Vec<_>>()
+    let mergeable = |configuration: &Configuration| {
+        configuration
+            .runs
+            .iter()
+            .map(|run| (run.number, Arc::clone(&configuration.mergeable)))
+            .collect::<Vec<_>>()
     };
     let statistics_by_run = configurations.iter().flat_map(mergeable).collect();
     let (settings, long_settings, left_out) = (Vec::new(), Vec::new(), Vec::new());
@@ -113,19 +117,19 @@ pub(crate) fn course(mean: f64, buckets: usize) -> Vec<StageMeans> {
     vec![StageMeans { stage: stage::TOTAL, buckets }]
 }
 
-/// Returns a minute of each run, one point a second but for a gap, in four episodes of which the first and a second of the third are warm-up; the run with
-/// the smallest number has no answer three times.
+/// Returns a minute of each run, with one point per second except for a gap. The minute has four episodes. The first episode and one second
+/// of the third are warm-up. Three iterations of the run with the smallest number have no answer.
 pub(crate) fn run_time_series(comparison: &Comparison) -> TimeSeriesByRun {
     let first = comparison.runs().map(|run| run.number).min();
     let moment = |seconds: i64| samples::NOW + Span::from_seconds(seconds);
     let seconds = || (15..60_i64).filter(|second| !(30..33).contains(second));
-    let series_of = |one: &Configuration, run: &RunSummary| {
-        let mean = comparison.total(one)?.mean;
+    let series_of = |configuration: &Configuration, run: &RunSummary| {
+        let mean = comparison.total(configuration)?.mean;
         let point = |second: i64| {
             let p50 = mean * (1.0 + 0.1 * (second as f64).sin());
             SeriesPoint { at: moment(second), count: 60, mean: p50, p50, p95: Some(p50 * 1.2) }
         };
-        let means = one.stages.iter().filter(|stage| stage.unit == "s").map(|stage| StageMeans {
+        let means = configuration.stages.iter().filter(|stage| stage.unit == "s").map(|stage| StageMeans {
             stage: stage.stage.clone(),
             buckets: seconds()
                 .map(|second| MeanBucket { at: moment(second), count: 60, mean: stage.statistics.mean })
@@ -155,14 +159,16 @@ pub(crate) fn run_time_series(comparison: &Comparison) -> TimeSeriesByRun {
 
 /// Returns users that all measured for 59 s, 300 answers each.
 pub(crate) fn measured_users(comparison: &Comparison) -> users::MeasuredUsers {
-    let edge = |one: &Configuration| {
-        let totals = one.summary(&stage::TOTAL).cloned().unwrap_or_default();
+    let edge = |configuration: &Configuration| {
+        let totals = configuration.summary(&stage::TOTAL).cloned().unwrap_or_default();
         EdgeMeasured { starts: 300, totals }
     };
-    let repeats = |one: &Configuration| {
-        let edges =
-            one.runs.iter().filter(|run| run.experiment.as_ref().is_none_or(|place| place.repeat == 0));
-        vec![Repeat { seconds: Some(59.0), edges: edges.map(|_| edge(one)).collect() }]
+    let repeats = |configuration: &Configuration| {
+        let edges = configuration
+            .runs
+            .iter()
+            .filter(|run| run.experiment.as_ref().is_none_or(|place| place.repeat == 0));
+        vec![Repeat { seconds: Some(59.0), edges: edges.map(|_| edge(configuration)).collect() }]
     };
     let repeats = comparison.configurations.iter().map(repeats).collect();
     users::MeasuredUsers { repeats, resolution_s: 0 }
@@ -192,8 +198,12 @@ fn addresses_name_runs_or_an_experiment() {
 
 /// Returns series of the configurations' totals with this number of buckets each.
 pub(crate) fn totals(comparison: &Comparison, buckets: usize) -> RunMeans {
-    let number_and_mean = |one: &Configuration| {
-        one.runs.first().zip(comparison.total(one)).map(|(run, total)| (run.number, total.mean))
+    let number_and_mean = |configuration: &Configuration| {
+        configuration
+            .runs
+            .first()
+            .zip(comparison.total(configuration))
+            .map(|(run, total)| (run.number, total.mean))
     };
     let measured = comparison.configurations.iter().filter_map(number_and_mean);
     measured.map(|(run, mean)| (run, course(mean, buckets))).collect()

@@ -6,7 +6,7 @@ use peernet_clock::WallTime;
 use peernet_figures::drawing::{MAX_CURVES, Sharing, SharingCurve, Unit};
 use peernet_logger::stage;
 use peernet_statistics::Summary;
-use peernet_statistics::number::{NONE, count, duration, length, mean_std_ms, measured, rate};
+use peernet_statistics::number::{NONE, count, duration, fixed_or_less_than, length, mean_std_ms, rate};
 use peernet_store::{MeasuredTime, RunSummary, Store};
 
 use super::differences::CONCURRENT_READS;
@@ -75,10 +75,10 @@ pub(crate) async fn measured_users(
 }
 
 /// Returns the runs of each repeat of a configuration. Repeats that lack a user are left out.
-fn complete_repeats(one: &Configuration) -> Vec<Vec<&RunSummary>> {
+fn complete_repeats(configuration: &Configuration) -> Vec<Vec<&RunSummary>> {
     let repeat_of = |run: &RunSummary| run.experiment.as_ref().map_or(0, |place| place.repeat);
     let mut repeats: Vec<Vec<&RunSummary>> = Vec::new();
-    for run in &one.runs {
+    for run in &configuration.runs {
         match repeats.iter_mut().find(|repeat| repeat_of(repeat[0]) == repeat_of(run)) {
             Some(repeat) => repeat.push(run),
             None => repeats.push(vec![run]),
@@ -147,16 +147,17 @@ pub(crate) fn users(comparison: &Comparison, measured: &MeasuredUsers) -> Option
 }
 
 /// Returns the answers per second of each user of a configuration, and the totals of all its users.
-fn line(one: &Configuration, repeats: &[Repeat<Summary>]) -> UsersLine {
-    let edges = complete_repeats(one).first().map_or(0, Vec::len);
+fn line(configuration: &Configuration, repeats: &[Repeat<Summary>]) -> UsersLine {
+    let edges = complete_repeats(configuration).first().map_or(0, Vec::len);
     let mut totals = Summary::default();
     if edges == 1 {
-        // A user alone has all its totals. They are measured totals, as those of several users, also if the table has sums of stages.
-        one.summary(&stage::TOTAL).into_iter().for_each(|total| totals.merge(total));
+        // A single user shares its time with nobody, so all its totals count. They are measured totals, as those of several users, even
+        // if the table has sums of stages.
+        configuration.summary(&stage::TOTAL).into_iter().for_each(|total| totals.merge(total));
     } else {
         repeats.iter().flat_map(|repeat| &repeat.edges).for_each(|edge| totals.merge(&edge.totals));
     }
-    UsersLine::new(one.values.clone(), edges, repeats, Totals::from_summary(&totals))
+    UsersLine::new(configuration.values.clone(), edges, repeats, Totals::from_summary(&totals))
 }
 
 /// Draws latency and fairness against the number of users, at most [`MAX_CURVES`] curves in a picture.
@@ -189,16 +190,16 @@ fn users_of(line: &UsersLine) -> String {
     crate::view::counted(line.edges, "user", "users")
 }
 
-fn row(line: &UsersLine, one: &Configuration) -> UsersRow {
+fn row(line: &UsersLine, configuration: &Configuration) -> UsersRow {
     let or_dash = |value: Option<f64>, form: fn(f64) -> String| value.map_or_else(|| NONE.to_owned(), form);
     UsersRow {
-        name: one.name.clone(),
+        name: configuration.name.clone(),
         users: count(line.edges as u64),
         rate: or_dash(line.rate, rate),
         each: line
             .rate_range()
             .map_or_else(|| NONE.to_owned(), |(least, most)| format!("{} – {}", rate(least), rate(most))),
-        fairness: or_dash(line.fairness, |index| measured(index, 3)),
+        fairness: or_dash(line.fairness, |index| fixed_or_less_than(index, 3)),
         total: line.totals.mean.map_or_else(|| NONE.to_owned(), |mean| mean_std_ms(mean, None).0),
     }
 }

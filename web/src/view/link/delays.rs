@@ -18,8 +18,8 @@ pub(crate) struct Delays {
     pub count: u64,
     /// Median, with the medians of all lower and of all upper bounds.
     pub median: Option<DelayPoint>,
-    /// Worst verdict that the seconds with at least 5 % of the delays have. A second has the worst verdict that 5 % of its delays have, because
-    /// the verdicts of single delays are not reported.
+    /// Verdict that prevails among the delays: at least 5 % of them have this verdict or a worse one. A delay counts with the prevailing verdict
+    /// of its second, because the verdicts of single delays are not reported.
     pub verdict: Option<Verdict>,
 }
 

@@ -5,8 +5,8 @@
 //! receives them.
 //!
 //! `pairing` and `arrivals` compute without I/O. `source` and `topic` subscribe, in either version of ROS; in ROS 2 a
-//! subscription needs a type, which discovery learns from a publisher. `record` builds the tree of an iteration. Its
-//! stage is `inference`, so that live statistics, store and pages need no special case. `session` is the loop of a run,
+//! subscription needs a type, which discovery learns from a publisher. `record` builds the tree of an iteration. The
+//! observed latency is recorded as the stage `inference`, so that live statistics, store and pages need no special case. `session` is the loop of a run,
 //! and `life` connects and restarts it.
 //!
 //! `stamps` keeps the stamps that agents on other hosts may query. `peer` queries such an agent, which observes the same

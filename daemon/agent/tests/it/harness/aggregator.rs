@@ -9,8 +9,8 @@ use peernet_clock::{MonoTime, SharedClock};
 use peernet_logger::HostId;
 use peernet_stream::{
     Arrival, BatchHead, ClockSample, Event, Gap, Hello, HelloResult, Incident, IncidentKind, Iteration,
-    LiveUpdate, Mark, MissingBatches, Receiving, ReceivingConfig, RunDescription, RunEnded, StreamId,
-    StreamRecord, ToAgent, ToAggregator, codec,
+    LiveUpdate, MissingBatches, Receiving, ReceivingConfig, RunDescription, RunEnded, StoredPosition,
+    StreamId, StreamRecord, ToAgent, ToAggregator, codec,
 };
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -27,8 +27,8 @@ pub(crate) struct ReceivedEvents {
     /// All events, each once, in order.
     pub(crate) events: Vec<Event>,
     pub(crate) lives: Vec<LiveUpdate>,
-    /// Mark up to which each stream is stored.
-    marks: HashMap<StreamId, Mark>,
+    /// StoredPosition up to which each stream is stored.
+    marks: HashMap<StreamId, StoredPosition>,
     /// Streams of the hellos, in this order.
     pub(crate) streams: Vec<StreamId>,
     /// Batches that were reported as missing.
@@ -289,7 +289,12 @@ impl AggregatorState {
         }
     }
 
-    fn store(&mut self, seen: &mut ReceivedEvents, stream: StreamId, mark: Mark) -> Option<ToAgent> {
+    fn store(
+        &mut self,
+        seen: &mut ReceivedEvents,
+        stream: StreamId,
+        mark: StoredPosition,
+    ) -> Option<ToAgent> {
         seen.marks.insert(stream, mark);
         self.receiving.handle_stored(stream, mark).map(|(_, reply)| reply)
     }

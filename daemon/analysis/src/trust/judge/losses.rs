@@ -184,20 +184,26 @@ fn judge_missing_events(counts: &Counts, missing: &[MissingEvents]) -> Finding {
     if missing.is_empty() {
         return finding(about, Grade::Good, "No event was dropped.");
     }
-    let number = MissingCount::from_gaps(missing.iter().map(|gap| gap.count));
+    let missing_count = MissingCount::from_gaps(missing.iter().map(|gap| gap.count));
     let mut reasons: Vec<&str> = Vec::new();
     for gap in missing {
         if !reasons.contains(&gap.reason.as_str()) {
             reasons.push(&gap.reason);
         }
     }
-    let expected = counts.measured() + counts.warm_up + number.known;
-    let share = number.known as f64 / expected.max(1) as f64;
-    // The share of an unknown number would be too small.
-    let share_text = if number.is_incomplete { String::new() } else { format!(" ({})", percent(share)) };
-    let text = format!("{}{share_text} never reached the store: {}.", number.subject(), reasons.join("; "));
+    let expected = counts.measured() + counts.warm_up + missing_count.known;
+    let share = missing_count.known as f64 / expected.max(1) as f64;
+    // Without the events of gaps that have no count, the share would understate the loss.
+    let share_text =
+        if missing_count.is_incomplete { String::new() } else { format!(" ({})", percent(share)) };
+    let text = format!(
+        "{}{share_text} never reached the store: {}.",
+        missing_count.sentence_start(),
+        reasons.join("; ")
+    );
     let advice = "events are dropped under load: check that the disk, the spool and the program keep up, and repeat the run";
     // A gap of unknown size may be most of the run.
-    let grade = if number.is_incomplete || share >= MAX_MISSING_SHARE { Grade::Bad } else { Grade::Doubtful };
+    let grade =
+        if missing_count.is_incomplete || share >= MAX_MISSING_SHARE { Grade::Bad } else { Grade::Doubtful };
     with_advice(finding(about, grade, text), advice)
 }

@@ -10,10 +10,10 @@ use crate::exec::{MAX_LINE_BYTES, Request};
 fn feed(role: Role, output_bytes: &[u8]) -> Result<Option<(Reply, usize)>, FramingError> {
     let mut output = Cursor::new(output_bytes);
     let mut assembler = ReplyAssembler::new(role);
-    let mut next = ReplyInput::Line;
+    let mut next = AssemblyStep::ReadLine;
     loop {
         next = match next {
-            ReplyInput::Line => {
+            AssemblyStep::ReadLine => {
                 let mut line = Vec::new();
                 output.read_until(b'\n', &mut line).expect("memory can be read");
                 if line.pop() != Some(b'\n') {
@@ -21,7 +21,7 @@ fn feed(role: Role, output_bytes: &[u8]) -> Result<Option<(Reply, usize)>, Frami
                 }
                 assembler.push_line(&line)?
             }
-            ReplyInput::Bytes(count) => {
+            AssemblyStep::ReadBytes(count) => {
                 let mut bytes = Vec::new();
                 output.by_ref().take(count).read_to_end(&mut bytes).expect("memory can be read");
                 if bytes.len() as u64 != count {
@@ -29,8 +29,8 @@ fn feed(role: Role, output_bytes: &[u8]) -> Result<Option<(Reply, usize)>, Frami
                 }
                 assembler.push_bytes(bytes.into())
             }
-            ReplyInput::LineAfter(_) => ReplyInput::Line,
-            ReplyInput::Reply(reply) => return Ok(Some((reply, output.position() as usize))),
+            AssemblyStep::DeliverPartial(_) => AssemblyStep::ReadLine,
+            AssemblyStep::Complete(reply) => return Ok(Some((reply, output.position() as usize))),
         }
     }
 }
@@ -122,7 +122,7 @@ fn roles_accept_different_words() {
 fn reset_is_replied_to_with_done_or_error() {
     for role in [Role::Sensor, Role::Actuator] {
         let outcome = |line: &[u8]| ReplyAssembler::for_reset(role).push_line(line);
-        let reply = |outcome| ReplyInput::Reply(Reply { notes: ReplyNotes::default(), outcome });
+        let reply = |outcome| AssemblyStep::Complete(Reply { notes: ReplyNotes::default(), outcome });
         assert_eq!(outcome(b"done"), Ok(reply(ReplyOutcome::Done)));
         assert_eq!(outcome(b"error stuck"), Ok(reply(ReplyOutcome::Error("stuck".to_owned()))));
         let wrong = outcome(b"answer 3").expect_err("is no sample").to_string();
@@ -170,7 +170,7 @@ fn lines_and_parts_are_bounded() {
     let longest_header = format!("answer {MAX_SAMPLE_BYTES}\n");
     assert_eq!(
         ReplyAssembler::new(Role::Model).push_line(longest_header.trim_end().as_bytes()),
-        Ok(ReplyInput::Bytes(MAX_SAMPLE_BYTES))
+        Ok(AssemblyStep::ReadBytes(MAX_SAMPLE_BYTES))
     );
     let mut assembler = ReplyAssembler::new(Role::Model);
     assembler.push_line(b"part 1").expect("is small");
@@ -231,10 +231,10 @@ fn feed_without_source(written: &[u8]) -> (Vec<Part>, usize) {
         let mut line = Vec::new();
         output.read_until(b'\n', &mut line).expect("memory can be read");
         let line = line.strip_suffix(b" -\n").expect("the source is empty");
-        let Ok(ReplyInput::Bytes(count)) = assembler.push_line(line) else { panic!("announces bytes") };
+        let Ok(AssemblyStep::ReadBytes(count)) = assembler.push_line(line) else { panic!("announces bytes") };
         let mut bytes = Vec::new();
         output.by_ref().take(count).read_to_end(&mut bytes).expect("memory can be read");
-        if let ReplyInput::Reply(Reply { outcome: ReplyOutcome::Parts(parts), .. }) =
+        if let AssemblyStep::Complete(Reply { outcome: ReplyOutcome::Parts(parts), .. }) =
             assembler.push_bytes(bytes.into())
         {
             return (parts, output.position() as usize);

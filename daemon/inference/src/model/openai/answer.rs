@@ -177,7 +177,7 @@ impl StreamedAnswer {
         self.is_done
     }
 
-    /// Checks the answer at its end or that of the connection. A server may leave out the last event if it has given a reason
+    /// Checks the answer when the answer or the connection has ended. A server may leave out the last event if it has given a reason
     /// for the end. An answer with a reason may have no text; for example, one that calls a tool.
     ///
     /// # Errors

@@ -106,7 +106,7 @@ fn trusted_roots() -> Result<RootCertStore, String> {
     if trusted == 0 {
         let errors = if errors.is_empty() { String::new() } else { format!(": {errors}") };
         return Err(format!(
-            "TLS needs the certificates of trusted authorities, and {} of {} could be read{errors}; install the package \
+            "TLS needs the certificates of trusted authorities, and {} could be read from {}{errors}; install the package \
              ca-certificates, or name a PEM file in the environment variable SSL_CERT_FILE",
             if unreadable == 0 { "none".to_owned() } else { format!("0 of {unreadable}") },
             source_of_roots(),

@@ -61,7 +61,7 @@ impl Server {
     /// authorities cannot be read.
     pub(super) fn new(url: &str, key: Option<ApiKey>) -> Result<Self, String> {
         let uri: Uri = url.parse().map_err(|error| format!("{url:?} is not a URL: {error}"))?;
-        // Both would be secrets in the file, and the URL is published with the results.
+        // A user or a query may contain a secret, and the URL is published with the results.
         if uri.authority().is_some_and(|authority| authority.as_str().contains('@')) || uri.query().is_some()
         {
             return Err(

@@ -43,7 +43,8 @@ impl<'a> Waits<'a> {
         part: impl Future<Output = T>,
     ) -> Result<T, RequestError> {
         let (remaining, late) = self.remaining(answer);
-        // `timeout` returns a part that is there without a look at the limit. A server that always has one would have no limit.
+        // `timeout` returns a part that has already arrived without checking the limit. A server whose parts always arrive early would
+        // have no limit.
         if remaining.is_zero() {
             return Err(late);
         }

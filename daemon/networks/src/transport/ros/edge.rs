@@ -44,7 +44,7 @@ const MAX_INCOMPLETE_MESSAGES: u64 = 6;
 /// Maximum number of deliveries that wait to be received.
 const MAX_QUEUED_DELIVERIES: usize = 64;
 
-/// Opens a virtual connection to the cloud with the address's name.
+/// Opens a virtual connection to the cloud that the address names.
 pub(crate) async fn dial(
     address: &Address,
     settings: &SessionSettings,
@@ -64,7 +64,7 @@ pub(crate) async fn dial(
         cloud: address.listener_name().unwrap_or_default().to_owned(),
         request: TopicPair::request(&pipeline),
         response: TopicPair::response(&pipeline),
-        pipeline_prefix: prefix,
+        node_name_prefix: prefix,
     };
     let cloud = node.find_cloud(&topics).await?;
     let budget = MemoryBudget::new(settings.max_message_bytes.saturating_mul(MAX_INCOMPLETE_MESSAGES));
@@ -72,18 +72,19 @@ pub(crate) async fn dial(
     let subscriber_options = limits.subscriber_options(settings, &cloud);
     let opened = open_topics(&topics, &**node, settings, subscriber_options).await?;
     let clock = SharedClock::clone(context.clock);
-    let sending = (opened.request_info, topics.request.payload);
-    let channel = Channel::new((Arc::clone(&node.node), clock), id.clone(), settings, budget, sending);
+    let request_outputs = (opened.request_companions, topics.request.payload);
+    let channel =
+        Channel::new((Arc::clone(&node.node), clock), id.clone(), settings, budget, request_outputs);
     let hello_message = SessionHello {
         node: node.name().to_owned(),
         host: hello.host.to_string(),
         pipeline,
         ..SessionHello::default()
     };
-    let (mut response_info, mut refusals) = (opened.response_info, opened.refusals);
+    let (mut response_companions, mut refusals) = (opened.response_companions, opened.refusals);
     exchange_hellos(
         &channel,
-        (&mut *response_info, &mut *refusals),
+        (&mut *response_companions, &mut *refusals),
         &*opened.sessions,
         (&cloud, hello_message),
     )
@@ -93,7 +94,7 @@ pub(crate) async fn dial(
     let (stop, abort) = (CancellationToken::new(), CancellationToken::new());
     let connection_task = ConnectionTask {
         channel: Arc::clone(&channel),
-        companion_subscriber: response_info,
+        companion_subscriber: response_companions,
         payload_subscriber: Some(opened.response),
         sink: EdgeSink,
         deliveries: delivery_sender,
@@ -118,8 +119,8 @@ impl From<NodeFailure> for DialFailure {
 /// Publishers and subscribers of an edge for one connection.
 struct OpenTopics {
     sessions: Box<dyn SessionPublisher>,
-    request_info: Box<dyn SessionPublisher>,
-    response_info: Box<dyn SessionSubscriber>,
+    request_companions: Box<dyn SessionPublisher>,
+    response_companions: Box<dyn SessionSubscriber>,
     response: Box<dyn SessionSubscriber>,
     /// Topic on which the cloud refuses connections.
     refusals: Box<dyn SessionSubscriber>,
@@ -139,12 +140,12 @@ async fn open_topics(
     let sessions = (TopicPurpose::Sessions, TopicType::from_message::<SessionHello>());
     // All topics are opened before the hello is sent, so that no answer is missed.
     Ok(OpenTopics {
-        response_info: node
+        response_companions: node
             .subscribe(&topics.response.info, companions.clone(), subscriber_options.clone())
             .await?,
         response: node.subscribe(&topics.response.payload, payloads, subscriber_options.clone()).await?,
         refusals: node.subscribe(&refusals_topic(&topics.cloud), refusals, subscriber_options).await?,
-        request_info: node.publish(&topics.request.info, companions, queue).await?,
+        request_companions: node.publish(&topics.request.info, companions, queue).await?,
         sessions: node.publish(&sessions_topic(&topics.cloud), sessions, queue).await?,
     })
 }
@@ -152,7 +153,7 @@ async fn open_topics(
 /// Says hello until the cloud answers.
 async fn exchange_hellos(
     channel: &Channel,
-    (response_info, refusals): (&mut dyn SessionSubscriber, &mut dyn SessionSubscriber),
+    (response_companions, refusals): (&mut dyn SessionSubscriber, &mut dyn SessionSubscriber),
     sessions: &dyn SessionPublisher,
     (cloud, mut hello): (&Arc<str>, SessionHello),
 ) -> Result<(), DialFailure> {
@@ -171,7 +172,7 @@ async fn exchange_hellos(
                 next_hello = Instant::now() + interval;
                 interval = (interval * 2).min(MAX_HELLO_INTERVAL);
             }
-            message = response_info.recv() => {
+            message = response_companions.recv() => {
                 let message = message?;
                 let Ok(info) = MessageInfo::decode(channel.node.form(), message.bytes) else { continue };
                 if !is_from_cloud(&info, &message.publisher) {

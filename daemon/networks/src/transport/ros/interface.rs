@@ -97,7 +97,7 @@ pub(super) struct EdgeTopics {
     pub(super) request: TopicPair,
     pub(super) response: TopicPair,
     /// Common prefix of the names of all nodes of this pipeline.
-    pub(super) pipeline_prefix: String,
+    pub(super) node_name_prefix: String,
 }
 
 /// A node of either version of ROS.

@@ -55,7 +55,7 @@ impl Ros1Node {
             )));
         };
         // Earlier nodes of this pipeline may still be registered.
-        let is_of_other_program = |node: &&String| !base_name(node).starts_with(&topics.pipeline_prefix);
+        let is_of_other_program = |node: &&String| !base_name(node).starts_with(&topics.node_name_prefix);
         for topic in [&topics.request.info, &topics.request.payload] {
             let other_publishers: Vec<String> =
                 state.publishers_of(topic).iter().filter(is_of_other_program).cloned().collect();
@@ -243,7 +243,7 @@ impl SessionSubscriber for Subscriber {
     }
 
     fn other_publishers(&self) -> Vec<Arc<str>> {
-        self.publishers().into_iter().filter_map(|publisher| publisher.unexpected).collect()
+        self.publishers().into_iter().filter_map(|publisher| publisher.rejected_node).collect()
     }
 
     fn watch(&self) -> Box<dyn PublisherChanges> {

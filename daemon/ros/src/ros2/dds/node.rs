@@ -22,7 +22,7 @@ use super::sequence_tracker::SequenceTracker;
 use super::subscription::Ros2Subscription;
 use crate::ros2::discovery::{DiscoveryEvent, DiscoveryState};
 use crate::ros2::names::{absolute_topic, dds_topic, dds_type};
-use crate::ros2::node_list::{self, ListEntry, NodeEntry};
+use crate::ros2::node_list::{self, ListEntry, OwnEntry};
 use crate::ros2::{
     Durability, EndpointId, EndpointRole, ParticipantId, QosProfile, ReceiveCounts, Ros2Error, Ros2Settings,
     SocketBufferWarning,
@@ -71,7 +71,7 @@ const MAX_UNREAD_ENTRIES: u32 = 1_024;
 /// Publisher of our entry of the node list.
 struct NodeListPublisher {
     writer: DataWriter<RawMessage, RawAdapter>,
-    entry: NodeEntry,
+    entry: OwnEntry,
 }
 
 impl Ros2Node {
@@ -339,7 +339,7 @@ impl NodeListPublisher {
         let qos = qos_policies(EndpointRole::Publisher, &qos);
         let (topic, type_name) = (node_list::TOPIC.to_owned(), node_list::TYPE_NAME.to_owned());
         let topic = participant.create_topic(topic, type_name, &qos, TopicKind::NoKey)?;
-        let entry = NodeEntry {
+        let entry = OwnEntry {
             participant: endpoint_id(participant.guid()),
             namespace: settings.namespace.clone(),
             name: settings.node_name.clone(),

@@ -5,13 +5,13 @@ use proptest::sample::Index;
 
 use super::*;
 
-fn entry(identifier_length: usize) -> NodeEntry {
+fn entry(identifier_length: usize) -> OwnEntry {
     let endpoint_id = |byte: u8, last: u8| {
         let mut id = [byte; 16];
         id[15] = last;
         EndpointId(id)
     };
-    NodeEntry {
+    OwnEntry {
         participant: endpoint_id(1, 0xc1),
         namespace: "/robot1".into(),
         name: "camera".into(),
@@ -44,20 +44,20 @@ fn entry_with_foreign_endpoints_or_names_is_refused() {
     );
     for (namespace, name) in [("/", ""), ("robot", "camera"), ("/", "a\nb"), ("/", &*"n".repeat(600))] {
         let entry_with_invalid_name =
-            NodeEntry { namespace: namespace.into(), name: name.into(), ..entry(16) };
+            OwnEntry { namespace: namespace.into(), name: name.into(), ..entry(16) };
         assert_eq!(
             ListEntry::decode(&entry_with_invalid_name.to_payload()),
             Err(NodeListError::InvalidName),
             "{namespace} {name}"
         );
     }
-    let entry_in_root_namespace = NodeEntry { namespace: "/".into(), ..entry(16) };
+    let entry_in_root_namespace = OwnEntry { namespace: "/".into(), ..entry(16) };
     assert_eq!(ListEntry::decode(&entry_in_root_namespace.to_payload()).unwrap().nodes[0].name, "/camera");
 }
 
 #[test]
 fn announcement_has_the_form_of_rmw_dds_common() {
-    let entry = NodeEntry {
+    let entry = OwnEntry {
         participant: EndpointId([1; 16]),
         namespace: "/".into(),
         name: "peernet".into(),
@@ -78,12 +78,12 @@ fn announcement_has_the_form_of_rmw_dds_common() {
     expected.extend([1, 0, 0, 0]);
     expected.extend(padded_identifier(2));
     assert_eq!(entry.to_payload()[..], expected);
-    let entry_with_short_identifiers = NodeEntry { identifier_length: 16, ..entry };
+    let entry_with_short_identifiers = OwnEntry { identifier_length: 16, ..entry };
     assert_eq!(entry_with_short_identifiers.to_payload().len(), expected.len() - 3 * 8);
 }
 
 /// Returns an entry of several nodes, made of entries of single nodes.
-fn multi_node_entry(entries: &[NodeEntry]) -> Vec<u8> {
+fn multi_node_entry(entries: &[OwnEntry]) -> Vec<u8> {
     let Some(first) = entries.first() else { return Vec::new() };
     let start = 4 + first.identifier_length;
     let mut cdr = first.to_payload()[..start].to_vec();
@@ -94,7 +94,7 @@ fn multi_node_entry(entries: &[NodeEntry]) -> Vec<u8> {
     cdr
 }
 
-fn any_entry(length: usize) -> impl Strategy<Value = NodeEntry> {
+fn any_entry(length: usize) -> impl Strategy<Value = OwnEntry> {
     let id = |last: u8| {
         let mut id = [1; 16];
         id[15] = last;
@@ -107,7 +107,7 @@ fn any_entry(length: usize) -> impl Strategy<Value = NodeEntry> {
                 |publishes| if publishes { EndpointRole::Publisher } else { EndpointRole::Subscription };
             let endpoints =
                 endpoints.into_iter().map(|(publishes, last)| (role(publishes), id(last))).collect();
-            NodeEntry { participant: id(0xc1), namespace, name, identifier_length: length, endpoints }
+            OwnEntry { participant: id(0xc1), namespace, name, identifier_length: length, endpoints }
         },
     )
 }

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use super::super::super::{Arrival, HelloResult, Mark, Receiving, ReceivingConfig, StreamRecord};
+use super::super::super::{Arrival, HelloResult, Receiving, ReceivingConfig, StoredPosition, StreamRecord};
 use super::*;
 
 /// Length of a live update of one pipeline without compression.
@@ -167,8 +167,10 @@ impl Link {
         }
         for head in std::mem::take(&mut self.committing.0) {
             self.stored += u64::from(head.events);
-            let (_, reply) =
-                self.receiving.handle_stored(head.stream, Mark::from(head)).expect("the agent is connected");
+            let (_, reply) = self
+                .receiving
+                .handle_stored(head.stream, StoredPosition::from(head))
+                .expect("the agent is connected");
             self.reply(reply);
         }
         if !self.waiting.is_empty() {

@@ -10,7 +10,7 @@ use super::super::tests::{comparison, configuration};
 use super::*;
 
 /// Returns a configuration with answers of these lengths, counted as `name`, and the seconds they took.
-pub(crate) fn talking(at: usize, name: &str, points: &[(f64, f64)]) -> Configuration {
+pub(crate) fn answers_of_lengths(at: usize, name: &str, points: &[(f64, f64)]) -> Configuration {
     let mut one = configuration(at, Remote, 1.0, 1e3);
     let (mut x, mut y) = (Summary::default(), Summary::default());
     points.iter().for_each(|(length, seconds)| {
@@ -64,7 +64,7 @@ fn with(points: Vec<(f64, f64)>, is_whole: bool) -> Vec<Answers> {
 #[test]
 fn cost_of_a_token_has_an_interval() {
     let points = answered(800);
-    let one = comparison(vec![talking(0, "completion-tokens", &points)]);
+    let one = comparison(vec![answers_of_lengths(0, "completion-tokens", &points)]);
     let found = lengths(&one, &with(points, true)).expect("answers of all lengths");
     let sentences = &found.rows[0].sentences;
     assert_eq!(sentences[0], "Median 1.73\u{202f}s; answers of 20 to 320 tokens, median 169 tokens.");
@@ -87,9 +87,9 @@ fn cost_of_a_token_has_an_interval() {
 #[test]
 fn sample_has_number_of_all_and_deleted_iterations() {
     let points = answered(800);
-    let mut one = talking(0, "tokens", &points);
-    let amount = |one: &Configuration, points: &[(f64, f64)], is_whole| {
-        let found = lengths(&comparison(vec![one.clone()]), &with(points.to_vec(), is_whole));
+    let mut one = answers_of_lengths(0, "tokens", &points);
+    let amount = |configuration: &Configuration, points: &[(f64, f64)], is_whole| {
+        let found = lengths(&comparison(vec![configuration.clone()]), &with(points.to_vec(), is_whole));
         found.expect("lengths").rows[0]
             .sentences
             .iter()
@@ -135,7 +135,7 @@ fn too_few_or_flat_points_give_no_growth() {
 #[test]
 fn missing_line_is_explained_with_numbers() {
     let points = answered(37);
-    let one = comparison(vec![talking(0, "tokens", &points)]);
+    let one = comparison(vec![answers_of_lengths(0, "tokens", &points)]);
     let found = lengths(&one, &with(points, true)).expect("lengths");
     let sentences = &found.rows[0].sentences;
     assert_eq!(sentences[1], "No line: it needs 60 answers, and there are 37.");
@@ -145,7 +145,7 @@ fn missing_line_is_explained_with_numbers() {
 #[test]
 fn server_without_usage_is_named_with_remedy() {
     let points = answered(80);
-    let chunks = talking(0, "output-chunks", &points);
+    let chunks = answers_of_lengths(0, "output-chunks", &points);
     let found = lengths(&comparison(vec![chunks]), &[]).expect("a sentence");
     assert!(found.rows.is_empty());
     assert_eq!(
@@ -154,7 +154,7 @@ fn server_without_usage_is_named_with_remedy() {
             "A: the server sent no `usage`; use --x output-chunks with peernet plot --kind length on the files of the runs."
         )
     );
-    let counted = comparison(vec![talking(0, "output-tokens", &points)]);
+    let counted = comparison(vec![answers_of_lengths(0, "output-tokens", &points)]);
     assert_eq!(lengths(&counted, &[]).expect("lengths").without_usage, None);
 }
 
@@ -219,7 +219,7 @@ fn iterations_without_valid_length_are_counted() {
     for (n, (length, _)) in points.iter_mut().enumerate() {
         *length = [1e308, -5.0, 0.0, 1e-320, 1e300, 3.0, -1e308][n % 7];
     }
-    let one = comparison(vec![talking(0, "tokens", &points)]);
+    let one = comparison(vec![answers_of_lengths(0, "tokens", &points)]);
     let counted: Vec<(f64, f64)> =
         points.iter().copied().filter(|(length, _)| is_included(*length)).collect();
     assert_eq!(counted.len(), 168);
@@ -241,7 +241,7 @@ fn iterations_without_valid_length_are_counted() {
 #[test]
 fn repeated_lengths_of_an_iteration_count_once() {
     let points = answered(80);
-    let mut one = talking(0, "tokens", &points);
+    let mut one = answers_of_lengths(0, "tokens", &points);
     let mut mergeable = MergeableStatistics::clone(&one.mergeable);
     let lengths_again = mergeable.summary("tokens").expect("lengths").clone();
     mergeable.add(Name::from("tokens"), "", &lengths_again);
@@ -255,10 +255,13 @@ fn repeated_lengths_of_an_iteration_count_once() {
 fn at_most_six_configurations_with_varying_lengths_are_drawn() {
     let points = answered(100);
     let equal_lengths: Vec<(f64, f64)> = points.iter().map(|(x, y)| (96.0 + x % 4.0, *y)).collect();
-    let mut all: Vec<Configuration> = (0..8).map(|at| talking(at, "download-bytes", &points)).collect();
-    assert!(lengths(&comparison(vec![talking(0, "download-bytes", &equal_lengths)]), &[]).is_none());
+    let mut all: Vec<Configuration> =
+        (0..8).map(|at| answers_of_lengths(at, "download-bytes", &points)).collect();
+    assert!(
+        lengths(&comparison(vec![answers_of_lengths(0, "download-bytes", &equal_lengths)]), &[]).is_none()
+    );
     assert!(lengths(&comparison(Vec::new()), &[]).is_none());
-    all[1] = talking(1, "download-bytes", &equal_lengths);
+    all[1] = answers_of_lengths(1, "download-bytes", &equal_lengths);
     let found = lengths(&comparison(all.clone()), &read(&comparison(all))).expect("lengths");
     let names: Vec<&str> = found.rows.iter().map(|row| row.name.as_str()).collect();
     assert_eq!((names.join(""), found.others.as_deref()), ("ACDEFG".to_owned(), Some("H")));
@@ -268,7 +271,10 @@ fn at_most_six_configurations_with_varying_lengths_are_drawn() {
 fn tokens_and_bytes_have_separate_axes() {
     let points = answered(450);
     let many: Vec<(f64, f64)> = points.iter().map(|(x, y)| (x * 1e3, y * 2.0)).collect();
-    let both = comparison(vec![talking(0, "tokens", &points), talking(1, "download-bytes", &many)]);
+    let both = comparison(vec![
+        answers_of_lengths(0, "tokens", &points),
+        answers_of_lengths(1, "download-bytes", &many),
+    ]);
     let found = lengths(&both, &read(&both)).expect("lengths");
     assert!(found.is_counted, "450 are many");
     let [tokens, bytes] = [0, 1].map(|at| found.rows[at].plot.to_string());

@@ -85,7 +85,7 @@ impl PeerTask {
         self.abandon();
     }
 
-    /// Queries the peer through one connection. Returns the reason of its end, or `None` if the observer has closed its channel.
+    /// Queries the peer through one connection. Returns the reason for its end, or `None` if the observer has closed its channel.
     async fn query_through(&mut self, connection: &PeerConnection) -> Option<CloseReason> {
         let connector = Arc::clone(&self.connector);
         let mut closed = pin!(connection.closed());

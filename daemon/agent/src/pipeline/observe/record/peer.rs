@@ -69,7 +69,7 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
         }
     }
     let missing = [(PEER_INPUT_MISSING, peer_stamps.input()), (PEER_OUTPUT_MISSING, peer_stamps.output())];
-    // Counted only when the peer answered: otherwise it is unknown what it received.
+    // Counted only if the peer answered. Without an answer it is not known which messages the peer received.
     for (name, _) in missing.into_iter().filter(|(_, stamp): &(Name, Option<HostStamp>)| stamp.is_none()) {
         count(recorder.tree_mut(), name, total, 1);
     }

@@ -1,4 +1,4 @@
-//! Order: description of one run to be measured.
+//! Request to measure one run.
 
 use std::path::PathBuf;
 
@@ -14,10 +14,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::foreground::PeerWait;
 
-/// Description of one run.
+/// Request to measure one run. `peernet measure --order` reads it as JSON.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct Order {
+pub(crate) struct RunRequest {
     /// The agent, with one pipeline that has a limit.
     pub(crate) agent: AgentConfig,
     /// Title of figures and tables.
@@ -48,7 +48,7 @@ pub(crate) struct Order {
     pub(crate) tried_actuator: Option<ActuatorConfig>,
 }
 
-impl Order {
+impl RunRequest {
     /// Returns the pipeline.
     ///
     /// # Errors
@@ -106,7 +106,7 @@ mod any_path {
         struct Holder(#[serde(with = "super")] PathBuf);
 
         #[test]
-        fn paths_of_any_bytes_survive_order() {
+        fn paths_of_any_bytes_survive_serialisation() {
             for bytes in [&b"results/a"[..], b"res\xff\xfe"] {
                 let path = Holder(OsString::from_vec(bytes.to_vec()).into());
                 let text = serde_json::to_string(&path).expect("can be written");
