@@ -29,8 +29,8 @@ pub struct AggregatorConfig {
     pub database: PathBuf,
     /// Longest time that a batch waits for others before the commit, 1 to 10,000 ms.
     pub commit_interval_ms: u64,
-    /// Number of tree nodes (rows) at which a commit starts without waiting, 1 to 1,000,000. The sync is a small part of
-    /// the cost of such a large commit. Other batches that are ready join the commit.
+    /// Number of tree nodes (rows) at which a commit starts without waiting, 1 to 1,000,000. The sync is a small part
+    /// of the cost of such a large commit. Other batches that are ready join the commit.
     pub commit_nodes: usize,
     /// Number of connections that readers share, 1 to 64.
     pub readers: u32,

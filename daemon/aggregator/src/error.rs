@@ -1,4 +1,5 @@
-//! Errors of the aggregator. Each message states what was attempted and on which object, and what to do if something can be done.
+//! Errors of the aggregator. Each message states what was attempted and on which object, and what to do if something
+//! can be done.
 
 use peernet_store::OpenError;
 

@@ -153,11 +153,11 @@ pub struct HostSnapshot {
 }
 
 impl HostSnapshot {
-    /// Returns the number of the host's events that are missing in the database for ever. Events that another database stored before this
-    /// one knew the host are not counted.
+    /// Returns the number of the host's events that are missing in the database for ever. Events that another database
+    /// stored before this one knew the host are not counted.
     pub fn missing_events(&self) -> u64 {
-        // Both numbers count the gaps that the agent reported. The aggregator also counts batches that it found missing, and the agent also counts
-        // events whose gap it has not sent yet.
+        // Both numbers count the gaps that the agent reported. The aggregator also counts batches that it found
+        // missing, and the agent also counts events whose gap it has not sent yet.
         self.accounting.dropped.max(self.stored.missing.saturating_sub(self.stored.missing_before))
     }
 }
@@ -200,8 +200,8 @@ pub struct PipelineSnapshot {
     pub total_p95: PercentileSeries,
 }
 
-/// The 95th percentile of the total latency over time. Each value is the percentile of all iterations of its bucket, whose
-/// sketches are merged.
+/// The 95th percentile of the total latency over time. Each value is the percentile of all iterations of its bucket,
+/// whose sketches are merged.
 ///
 /// The bucket's length is the shortest of 1, 2, 5, 10, 20, 30, 60, 120, 300 and 600 s with enough iterations at the
 /// pipeline's rate.
@@ -239,7 +239,8 @@ pub struct Window {
     pub counts: OutcomeCounts,
     /// Iterations of any outcome per second.
     pub rate_hz: f64,
-    /// Fraction of failed iterations (outcome `failed`, `lost` or `timeout`), 0 to 1; `None` if there were no iterations.
+    /// Fraction of failed iterations (outcome `failed`, `lost` or `timeout`), 0 to 1; `None` if there were no
+    /// iterations.
     pub lost_fraction: Option<f64>,
     /// Fraction of iterations that missed their deadline or failed, 0 to 1; `None` without a deadline or
     /// without iterations.
@@ -266,7 +267,8 @@ pub struct LiveSecond {
     pub counts: OutcomeCounts,
     /// Means by node name in SI units, in the order of [`Window::values`].
     pub means: Vec<(Name, f64)>,
-    /// Parts that add up to the mean of the total, seconds: see [`StageSplit`](peernet_analysis::stage_split::StageSplit).
+    /// Parts that add up to the mean of the total, seconds: see
+    /// [`StageSplit`](peernet_analysis::stage_split::StageSplit).
     pub parts: Vec<(Name, f64)>,
     /// 95th percentile of the total latency in this second, seconds; `None` if fewer than 60 iterations succeeded.
     pub total_p95: Option<f64>,

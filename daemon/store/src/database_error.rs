@@ -58,8 +58,8 @@ impl DatabaseError {
         }
     }
 
-    /// Returns whether the error is transient: the database is full or locked by another program, and the same statement may
-    /// succeed later.
+    /// Returns whether the error is transient: the database is full or locked by another program, and the same
+    /// statement may succeed later.
     pub fn is_transient(&self) -> bool {
         /// Primary result codes: BUSY, LOCKED, FULL.
         const TRANSIENT: [i32; 3] = [5, 6, 13];

@@ -1,8 +1,8 @@
 //! Detection of a log (`-wal`) that belongs to another database file.
 //!
-//! SQLite applies any log that lies beside the file. If a backup replaces a database, SQLite would apply the old file's log to
-//! the backup: the backup would be damaged, and the log lost. Therefore each file has a random id in the header field that
-//! SQLite leaves to programs (`user_version`). <https://www.sqlite.org/fileformat2.html#the_write_ahead_log>
+//! SQLite applies any log that lies beside the file. If a backup replaces a database, SQLite would apply the old file's
+//! log to the backup: the backup would be damaged, and the log lost. Therefore each file has a random id in the header
+//! field that SQLite leaves to programs (`user_version`). <https://www.sqlite.org/fileformat2.html#the_write_ahead_log>
 
 use std::ffi::OsString;
 use std::fs::{self, File};
@@ -34,8 +34,8 @@ pub struct ForeignLog(pub(crate) PathBuf);
 
 /// Gives the file an id if it has none.
 ///
-/// Always writes page 1, so that the write-ahead log contains the id. Commits that change only other pages, such as the commits of an
-/// aggregator without agents, would not write page 1.
+/// Always writes page 1, so that the write-ahead log contains the id. Commits that change only other pages, such as the
+/// commits of an aggregator without agents, would not write page 1.
 pub(crate) async fn assign_id(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     let id: i32 = sqlx::query_scalar("PRAGMA user_version").fetch_one(&mut *connection).await?;
     let id = if id == 0 { random_id() } else { id };
@@ -53,10 +53,12 @@ fn random_id() -> i32 {
     ((Uuid::new_v4().as_u128() & 0x7fff_ffff) as i32).max(1)
 }
 
-/// Refuses the write-ahead log beside a database if it belongs to another file. Has to be called before SQLite opens the file.
+/// Refuses the write-ahead log beside a database if it belongs to another file. Has to be called before SQLite opens
+/// the file.
 ///
-/// The descriptor has to stay open as long as SQLite's (see [`DatabaseLock`](super::lock::DatabaseLock)). A file of an earlier
-/// version has no id and is not checked. Read errors are only logged here; SQLite reports them when it opens the file.
+/// The descriptor has to stay open as long as SQLite's (see [`DatabaseLock`](super::lock::DatabaseLock)). A file of an
+/// earlier version has no id and is not checked. Read errors are only logged here; SQLite reports them when it opens
+/// the file.
 pub(crate) fn refuse_foreign_log(database: &Path, file: &File) -> Result<(), ForeignLog> {
     let mut log = fs::canonicalize(database).map_or_else(|_| database.into(), OsString::from);
     log.push("-wal");
@@ -85,8 +87,9 @@ fn read_id(file: &File) -> io::Result<Option<u32>> {
     Ok(Some(be32(&header, ID_OFFSET)).filter(|id| is_database && *id != 0))
 }
 
-/// Returns whether the write-ahead log belongs to another database. The log contains copies of page 1, which have the database's id. It
-/// belongs to another database if, in the part that SQLite would apply, at least one copy has another id and none has this id.
+/// Returns whether the write-ahead log belongs to another database. The log contains copies of page 1, which have the
+/// database's id. It belongs to another database if, in the part that SQLite would apply, at least one copy has another
+/// id and none has this id.
 fn is_foreign(log: &Path, database_id: u32) -> io::Result<bool> {
     let log = match File::open(log) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(false),
@@ -109,7 +112,8 @@ fn is_foreign(log: &Path, database_id: u32) -> io::Result<bool> {
         let (head, page) = frame.split_at(FRAME_HEADER);
         checksum.add(&head[..8]);
         checksum.add(page);
-        // The frames after this one are older than the start of the write-ahead log, or were not written completely. SQLite stops here, too.
+        // The frames after this one are older than the start of the write-ahead log, or were not written completely.
+        // SQLite stops here, too.
         if head[8..16] != header[16..24] || !checksum.equals_stored(&head[16..]) {
             break;
         }

@@ -8,8 +8,8 @@ use crate::types::AggregatorIncidentKind;
 
 /// Maximum number of stored incidents of the aggregator: at one per hour they cover more than a year.
 const MAX_STORED: i64 = 10_000;
-/// Number of incidents that may wait while the database cannot be written. Later incidents are dropped, because the first ones are
-/// the most useful.
+/// Number of incidents that may wait while the database cannot be written. Later incidents are dropped, because the
+/// first ones are the most useful.
 const MAX_PENDING: usize = 64;
 
 const INSERT: &str = "INSERT INTO incident (host, at_ns, kind, text) VALUES (NULL, ?1, ?2, ?3)";
@@ -30,8 +30,8 @@ pub(crate) async fn record(
     Ok(id)
 }
 
-/// Incidents of the aggregator that wait to be stored. They are stored within a second, or as soon as the database can be
-/// written, and are kept while the database is reopened.
+/// Incidents of the aggregator that wait to be stored. They are stored within a second, or as soon as the database can
+/// be written, and are kept while the database is reopened.
 #[derive(Debug)]
 pub struct PendingIncidents {
     wall_clock: WallClockWatch,

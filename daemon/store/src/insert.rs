@@ -7,8 +7,8 @@ use sqlx::error::BoxDynError;
 use sqlx::sqlite::SqliteArguments;
 use sqlx::{Arguments, AssertSqlSafe, SqliteConnection};
 
-/// Numbers of rows per statement, largest first. There are few sizes, so that every statement stays prepared. For up to 31
-/// columns the largest statement has fewer than 32,766 parameters, which is SQLite's limit.
+/// Numbers of rows per statement, largest first. There are few sizes, so that every statement stays prepared. For up to
+/// 31 columns the largest statement has fewer than 32,766 parameters, which is SQLite's limit.
 const SIZES: [usize; 5] = [1024, 256, 32, 4, 1];
 
 /// Statement for one table in all sizes.

@@ -97,7 +97,8 @@ impl Store {
         read::runs::runs(&self.readers, filter).await
     }
 
-    /// Returns one run, or `None` when no run has this number. The other queries about one run also return `None` for an unknown number.
+    /// Returns one run, or `None` when no run has this number. The other queries about one run also return `None` for
+    /// an unknown number.
     pub async fn run(&self, number: i64) -> Result<Option<RunDetail>, StoreError> {
         read::runs::run(&self.readers, number).await
     }
@@ -112,8 +113,8 @@ impl Store {
         read::runs::experiments(&self.readers, limit).await
     }
 
-    /// Returns the values of node names over the time of a run, each as at most `max_buckets` summaries, in the order of
-    /// `stages`. Names without samples are omitted.
+    /// Returns the values of node names over the time of a run, each as at most `max_buckets` summaries, in the order
+    /// of `stages`. Names without samples are omitted.
     pub async fn stage_buckets(
         &self,
         run: i64,
@@ -123,8 +124,8 @@ impl Store {
         read::statistics::stage_buckets(&self.readers, run, stages, max_buckets).await
     }
 
-    /// Returns counts and means over the time of a run, in the buckets of [`Store::stage_buckets`]. Takes a tenth of the time of
-    /// `stage_buckets`.
+    /// Returns counts and means over the time of a run, in the buckets of [`Store::stage_buckets`]. Takes a tenth of
+    /// the time of `stage_buckets`.
     pub async fn stage_means(
         &self,
         run: i64,
@@ -144,7 +145,8 @@ impl Store {
         Ok(self.statistics(&[run]).await?.pop().unwrap_or_default())
     }
 
-    /// Returns the distribution of one node name in the bins of [`Binning`](peernet_statistics::histogram::Binning), at most `bins`.
+    /// Returns the distribution of one node name in the bins of [`Binning`](peernet_statistics::histogram::Binning), at
+    /// most `bins`.
     pub async fn histogram(
         &self,
         run: i64,
@@ -154,8 +156,9 @@ impl Store {
         read::statistics::histogram(&self.readers, run, stage, bins).await
     }
 
-    /// Returns the values of node names over the time of a run, in at most `max_points` buckets of 1, 2, 5, 10, 20, 30, 60 …
-    /// seconds. If retention deleted the fine buckets of a part of the run, all points are made from coarser buckets.
+    /// Returns the values of node names over the time of a run, in at most `max_points` buckets of 1, 2, 5, 10, 20, 30,
+    /// 60 … seconds. If retention deleted the fine buckets of a part of the run, all points are made from coarser
+    /// buckets.
     pub async fn series(&self, run: i64, stages: &[Name], max_points: usize) -> Result<Series, StoreError> {
         read::statistics::series(&self.readers, run, stages, max_points).await
     }
@@ -179,10 +182,12 @@ impl Store {
         read::iterations::iterations(&self.readers, run, filter).await
     }
 
-    /// Returns the values of two node names in at most `max_pairs` iterations, evenly spread over the stored iterations.
+    /// Returns the values of two node names in at most `max_pairs` iterations, evenly spread over the stored
+    /// iterations.
     ///
-    /// The value of a standard name is the sum of the nodes of this name directly below the root. The value of any other name, which a
-    /// user defined, is the value of its first node. Both are as in `data.csv`. Only a few iterations of a long run are read.
+    /// The value of a standard name is the sum of the nodes of this name directly below the root. The value of any
+    /// other name, which a user defined, is the value of its first node. Both are as in `data.csv`. Only a few
+    /// iterations of a long run are read.
     pub async fn value_pairs(
         &self,
         run: i64,
@@ -192,13 +197,14 @@ impl Store {
         read::pairs::value_pairs(&self.readers, run, names, max_pairs).await
     }
 
-    /// Returns the time in which a run measured; `None` without a successful iteration after the warm-up, and if too little is stored to say.
+    /// Returns the time in which a run measured; `None` without a successful iteration after the warm-up, and if too
+    /// little is stored to say.
     pub async fn measured_time(&self, run: &RunSummary) -> Result<Option<MeasuredTime>, StoreError> {
         read::measured_time::measured_time(&self.readers, run).await
     }
 
-    /// Returns the iterations of a run that started from one time to before another time. Both times must be multiples of the
-    /// [resolution](MeasuredTime::resolution_s), unless it is 0. Counts are exact, quantiles within 1 %.
+    /// Returns the iterations of a run that started from one time to before another time. Both times must be multiples
+    /// of the [resolution](MeasuredTime::resolution_s), unless it is 0. Counts are exact, quantiles within 1 %.
     pub async fn measured_within(
         &self,
         run: i64,
@@ -208,7 +214,8 @@ impl Store {
         read::measured_time::measured_within(&self.readers, run, (from, to)).await
     }
 
-    /// Returns the values that the trust findings of a run are computed from, with its time series in at most 120 buckets.
+    /// Returns the values that the trust findings of a run are computed from, with its time series in at most 120
+    /// buckets.
     pub async fn trust_input(&self, run: &RunDetail) -> Result<TrustInput, StoreError> {
         read::trust::trust_input(&self.readers, run).await
     }
@@ -218,8 +225,9 @@ impl Store {
         read::iterations::iteration(&self.readers, run, number).await
     }
 
-    /// Returns the next iterations after a number, as the agent sent them, by ascending number. The first part of the result is the
-    /// last number that was examined, the argument of the next call. Returns `None` after the last iteration.
+    /// Returns the next iterations after a number, as the agent sent them, by ascending number. The first part of the
+    /// result is the last number that was examined, the argument of the next call. Returns `None` after the last
+    /// iteration.
     pub async fn full_iterations(
         &self,
         run: &RunSummary,
@@ -228,8 +236,8 @@ impl Store {
         read::whole::full_iterations(&self.readers, run, after).await
     }
 
-    /// Returns the first iteration of each shape of tree among the next few thousand iterations. Arguments and result are those of
-    /// [`Store::full_iterations`]. These iterations have all columns that a table of the run needs.
+    /// Returns the first iteration of each shape of tree among the next few thousand iterations. Arguments and result
+    /// are those of [`Store::full_iterations`]. These iterations have all columns that a table of the run needs.
     pub async fn iterations_by_shape(
         &self,
         run: &RunSummary,

@@ -27,13 +27,14 @@ pub enum LockError {
     },
 }
 
-/// Lock of a database for writing: a lock on the file itself, which is released when this value is dropped or the process ends.
+/// Lock of a database for writing: a lock on the file itself, which is released when this value is dropped or the
+/// process ends.
 ///
 /// A file has one lock under all its names (symbolic link, hard link, another mount).
 //
-// The lock is made with flock(2), because SQLite makes its locks with fcntl(2). When SQLite closes another descriptor of the file,
-// this lock stays. The reverse does not hold: closing *this* descriptor would release the locks that SQLite holds with fcntl in this
-// process. So this descriptor is closed after SQLite's last connection.
+// The lock is made with flock(2), because SQLite makes its locks with fcntl(2). When SQLite closes another descriptor
+// of the file, this lock stays. The reverse does not hold: closing *this* descriptor would release the locks that
+// SQLite holds with fcntl in this process. So this descriptor is closed after SQLite's last connection.
 #[derive(Debug)]
 pub struct DatabaseLock {
     file: Arc<File>,
@@ -73,7 +74,8 @@ impl DatabaseLock {
     }
 
     /// Returns the locked file for reading. The caller has to drop the returned value before the lock.
-    // Readers use this descriptor, because SQLite loses its own locks on a file when the process closes any other descriptor of it.
+    // Readers use this descriptor, because SQLite loses its own locks on a file when the process closes any other
+    // descriptor of it.
     pub(crate) fn file(&self) -> Arc<File> {
         Arc::clone(&self.file)
     }

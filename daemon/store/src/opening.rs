@@ -1,8 +1,8 @@
 //! Opening of the database for writing, at the start and after the file was moved, replaced or unmounted.
 //!
-//! Reopening assumes nothing about the contents of the file. It therefore works in the same way for a descriptor that became
-//! read-only, and for a file that was moved, replaced or unmounted. It takes the same steps as the start, but never accepts an
-//! empty or missing file.
+//! Reopening assumes nothing about the contents of the file. It therefore works in the same way for a descriptor that
+//! became read-only, and for a file that was moved, replaced or unmounted. It takes the same steps as the start, but
+//! never accepts an empty or missing file.
 
 use std::path::{Path, PathBuf};
 
@@ -61,7 +61,8 @@ pub enum ReopenError {
     /// The file at the path is empty.
     #[error("the database file {} is empty; put the right file there, or restart the aggregator to create a new database in it", .0.display())]
     Empty(PathBuf),
-    /// The write-ahead log at the path belongs to another database, which was at this path before. SQLite would apply it to the new file.
+    /// The write-ahead log at the path belongs to another database, which was at this path before. SQLite would apply
+    /// it to the new file.
     #[error(transparent)]
     ForeignLog(ForeignLog),
     /// Another process holds the lock, or the file cannot be opened for writing.
@@ -110,8 +111,8 @@ impl OpenDatabase {
         }
         let (mut database, state) = Self::open_locked(lock, path, retention, integrity).await?;
         if let Err(source) = database.writer.write_nothing().await {
-            // If the connection is only dropped, it keeps the file open for some time. Until then the lock is held, and the file system
-            // cannot be unmounted.
+            // If the connection is only dropped, it keeps the file open for some time. Until then the lock is held, and
+            // the file system cannot be unmounted.
             let (_, closed) = database.close().await;
             if let Err(error) = closed {
                 tracing::debug!(%error, database = %path.display(), "cannot close the database cleanly");
@@ -150,8 +151,8 @@ impl OpenDatabase {
         Ok((Self { writer, check, lock }, state))
     }
 
-    /// Closes the connection and releases the lock. If it is the last connection to the file, SQLite checkpoints the write-ahead log into the file
-    /// and removes the log. Returns the identities of the files, for reopening.
+    /// Closes the connection and releases the lock. If it is the last connection to the file, SQLite checkpoints the
+    /// write-ahead log into the file and removes the log. Returns the identities of the files, for reopening.
     pub async fn close(self) -> (FormerFiles, Result<(), DatabaseError>) {
         let Self { writer, check, lock } = self;
         check.stop().await;

@@ -1,11 +1,11 @@
-//! Removal of impossible values from agents' reports about clocks. The store and the live state share these functions, so that both
-//! show the same values.
+//! Removal of impossible values from agents' reports about clocks. The store and the live state share these functions,
+//! so that both show the same values.
 
 use peernet_clock::{DelaySource, Interval, Offset, Span};
 use peernet_stream::{DelayPoint, DelaySecond, EstimateBasis};
 
-/// Returns the offset with each source once, and without sources whose bounds are reversed. Returns `None` if the estimate is outside
-/// the offset's own bounds.
+/// Returns the offset with each source once, and without sources whose bounds are reversed. Returns `None` if the
+/// estimate is outside the offset's own bounds.
 pub fn offset(offset: &Offset) -> Option<Offset> {
     if !offset.bounds.contains(offset.estimate) {
         return None;
@@ -20,7 +20,8 @@ pub fn offset(offset: &Offset) -> Option<Offset> {
     Some(Offset { sources, skew_ppm, ..*offset })
 }
 
-/// Returns the basis without numbers that are infinite, NaN or negative, and without a proven skew whose ends are reversed.
+/// Returns the basis without numbers that are infinite, NaN or negative, and without a proven skew whose ends are
+/// reversed.
 pub fn basis(basis: EstimateBasis) -> EstimateBasis {
     let is_valid_change = |change: &f64| change.is_finite() && *change >= 0.0;
     let is_valid_skew = |(min, max): &(f64, f64)| min.is_finite() && max.is_finite() && min <= max;
@@ -32,7 +33,8 @@ pub fn basis(basis: EstimateBasis) -> EstimateBasis {
     }
 }
 
-/// Returns the second without implausible values: a median delay that is negative or outside its bounds, and an impossible data rate.
+/// Returns the second without implausible values: a median delay that is negative or outside its bounds, and an
+/// impossible data rate.
 pub fn delays(second: DelaySecond) -> DelaySecond {
     let is_valid_rate = |rate: &f64| rate.is_finite() && *rate >= 0.0;
     let median =

@@ -63,7 +63,8 @@ pub struct DelayAccuracy {
     pub stage: Name,
     /// Half the width of the interval that contains the delay, seconds; `None` when no delay had one.
     pub half_width: Option<QuantityStatistics>,
-    /// Lower ends and upper ends of the intervals of the delays that have a value, seconds; `None` if an earlier version recorded the delays.
+    /// Lower ends and upper ends of the intervals of the delays that have a value, seconds; `None` if an earlier
+    /// version recorded the delays.
     pub ends: Option<[QuantityStatistics; 2]>,
     /// Number of delays per verdict, in the order of [`Verdict::ALL`]; verdicts without delays are omitted.
     pub verdicts: Vec<(Verdict, u64)>,
@@ -83,12 +84,14 @@ impl DelayAccuracy {
         self.half_width.map(|width| width.p50)
     }
 
-    /// Returns the interval of the median of these delays, whose statistics are `delay`. `None` unless every delay has an interval.
+    /// Returns the interval of the median of these delays, whose statistics are `delay`. `None` unless every delay has
+    /// an interval.
     pub fn interval_of_median(&self, delay: &QuantityStatistics) -> Option<ClockInterval> {
         self.interval(delay, |statistics| statistics.p50)
     }
 
-    /// Returns the interval of the mean of these delays, whose statistics are `delay`. `None` unless every delay has an interval.
+    /// Returns the interval of the mean of these delays, whose statistics are `delay`. `None` unless every delay has an
+    /// interval.
     pub fn interval_of_mean(&self, delay: &QuantityStatistics) -> Option<ClockInterval> {
         self.interval(delay, |statistics| statistics.mean)
     }
@@ -125,8 +128,8 @@ pub fn rank(name: &str) -> (usize, &str) {
         stage::UPLOAD_LOGGER_BYTES,
         stage::DOWNLOAD_LOGGER_BYTES,
     ];
-    // The first stage is `sensing`. Its two parts follow it, as children do in a tree, so that the positions of the standard names
-    // are multiples of three.
+    // The first stage is `sensing`. Its two parts follow it, as children do in a tree, so that the positions of the
+    // standard names are multiples of three.
     let standard_position = || {
         let index = stage::ORDER.iter().chain(&NAMES_AFTER_STAGES).position(|standard| standard == name)?;
         Some(3 * index)

@@ -1,7 +1,7 @@
 //! Transactions on a connection that stays usable even if SQLite rolls a transaction back by itself.
 //!
-//! SQLite rolls a transaction back by itself when the disk is full, for example. sqlx's `Transaction` still considers the
-//! transaction open and cannot begin another one on this connection, so these statements are sent directly.
+//! SQLite rolls a transaction back by itself when the disk is full, for example. sqlx's `Transaction` still considers
+//! the transaction open and cannot begin another one on this connection, so these statements are sent directly.
 
 use sqlx::SqliteConnection;
 

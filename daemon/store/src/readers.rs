@@ -35,8 +35,8 @@ pub struct Readers {
 impl Readers {
     /// Creates at most `connections` connections to the file, which is opened at the first query.
     ///
-    /// `limit` bounds each statement, from the moment it gets the connection until its last row was read. Damage that a statement
-    /// encounters is recorded in `integrity`.
+    /// `limit` bounds each statement, from the moment it gets the connection until its last row was read. Damage that a
+    /// statement encounters is recorded in `integrity`.
     pub fn open(
         path: &Path,
         connections: u32,

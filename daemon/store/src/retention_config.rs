@@ -10,8 +10,8 @@ const MIN_SIZE_LIMIT_BYTES: u64 = 16 << 20;
 
 /// The `[aggregator.retention]` table.
 ///
-/// The age of data is the time since it was stored, without the time in which no aggregator ran or stored into the database. Wall
-/// clocks do not matter. Pinned runs are exempt.
+/// The age of data is the time since it was stored, without the time in which no aggregator ran or stored into the
+/// database. Wall clocks do not matter. Pinned runs are exempt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RetentionConfig {
@@ -27,8 +27,8 @@ pub struct RetentionConfig {
     pub hours_days: u32,
     /// Samples of the relation between two hosts' clocks, one per second.
     pub clock_samples_days: u32,
-    /// Bytes that the database may use; 0 for no limit. Above it, the oldest nodes are deleted, then the oldest of the finer
-    /// statistics, at any age.
+    /// Bytes that the database may use; 0 for no limit. Above it, the oldest nodes are deleted, then the oldest of the
+    /// finer statistics, at any age.
     pub size_limit_bytes: u64,
 }
 

@@ -1,13 +1,13 @@
 //! The storage clock: it counts the time during which an aggregator ran and stored into a database.
 //!
-//! Its reading is stored in the database. It advances with the monotonic clock alone, so that a wrong wall clock cannot make data
-//! appear old.
+//! Its reading is stored in the database. It advances with the monotonic clock alone, so that a wrong wall clock cannot
+//! make data appear old.
 
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
 use sqlx::SqliteConnection;
 
-/// Longest advance between two transactions. Longer times do not count, because the process was stopped, or the database refused to
-/// store.
+/// Longest advance between two transactions. Longer times do not count, because the process was stopped, or the
+/// database refused to store.
 const LONGEST_ADVANCE: Span = Span::from_seconds(60);
 /// Longest time between two stored readings. After `kill -9` the stored reading is behind by at most this time.
 const STORE_INTERVAL: Span = Span::from_seconds(30);
@@ -21,8 +21,8 @@ const ADVANCE: &str = "INSERT INTO storage_clock (id, elapsed_ns, wall_ns) VALUE
 /// The part of the reading that is not yet in the database.
 #[derive(Debug, Default)]
 pub(crate) struct StorageClock {
-    /// Time of the last transaction, up to which the stored reading is complete. `None` before the first transaction of this process;
-    /// time before it does not count.
+    /// Time of the last transaction, up to which the stored reading is complete. `None` before the first transaction of
+    /// this process; time before it does not count.
     advanced_at: Option<MonoTime>,
 }
 
@@ -37,7 +37,8 @@ impl StorageClock {
         Ok(Span::from_nanos(stored.unwrap_or(0)) + self.elapsed(now))
     }
 
-    /// Advances the stored reading within a transaction and returns it. [`Self::record_commit`] has to be called after the commit.
+    /// Advances the stored reading within a transaction and returns it. [`Self::record_commit`] has to be called after
+    /// the commit.
     pub(crate) async fn advance(
         &self,
         connection: &mut SqliteConnection,

@@ -140,8 +140,8 @@ pub struct GapRow {
 
 /// Distribution of one node name over a run, in bins of equal width.
 ///
-/// It is made from a sketch whose bins are 2 % wide. The count of each bin of the sketch is spread evenly over the bins of the
-/// histogram that the bin overlaps.
+/// It is made from a sketch whose bins are 2 % wide. The count of each bin of the sketch is spread evenly over the bins
+/// of the histogram that the bin overlaps.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Histogram {
     /// The node's name.
@@ -200,7 +200,8 @@ pub struct SeriesPoint {
 /// Selection of the iterations of a run to list, by ascending number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct IterationFilter {
-    /// Selects the iterations with a greater number than this: the last number of the previous page; 0 for the first page.
+    /// Selects the iterations with a greater number than this: the last number of the previous page; 0 for the first
+    /// page.
     pub after: u64,
     /// Maximum number of iterations, 1 to 1,000.
     pub limit: u32,
@@ -236,15 +237,16 @@ pub struct IterationRow {
     /// `total` divided by the run's median of `total`.
     pub factor: Option<f64>,
     /// Causes of the slow iteration, the largest excess first: stages, `lateness`, `unattributed`, or
-    /// [`BOTH_DIRECTIONS`](peernet_analysis::slowness::BOTH_DIRECTIONS). Empty if it took less than 1.05 times the run's median.
+    /// [`BOTH_DIRECTIONS`](peernet_analysis::slowness::BOTH_DIRECTIONS). Empty if it took less than 1.05 times the
+    /// run's median.
     pub causes: Vec<Cause>,
     /// Seconds per stage, in the order of the stages; several nodes of one stage are added up.
     pub stages: Vec<(Name, f64)>,
     /// Seconds of the total outside of all stages, as the agent measured them; `None` if the agent did not
     /// record them.
     pub unattributed: Option<f64>,
-    /// Seconds of `upload` and `download` together if they are not known separately: the total minus the other stages and
-    /// `unattributed`. `None` if each is known, or if nothing was sent.
+    /// Seconds of `upload` and `download` together if they are not known separately: the total minus the other stages
+    /// and `unattributed`. `None` if each is known, or if nothing was sent.
     pub both_ways: Option<f64>,
     /// The judged one-way delays, in the order of the tree.
     pub delays: Vec<DelayRow>,
@@ -265,8 +267,8 @@ pub struct DelayRow {
     pub source: DelaySource,
     /// Trust in the estimate.
     pub verdict: Verdict,
-    /// Assumptions behind the bounds; `None` if no clock sample of the time of the delay is stored, or if sender and receiver read one
-    /// clock.
+    /// Assumptions behind the bounds; `None` if no clock sample of the time of the delay is stored, or if sender and
+    /// receiver read one clock.
     pub assumptions: Option<DelayAssumptions>,
 }
 
@@ -305,11 +307,11 @@ pub struct IterationDetail {
     pub row: IterationRow,
     /// The tree as the agent sent it.
     pub tree: Tree,
-    /// Names of the hosts of the tree's anchors, in the order of the anchors; `None` for a host that never reported here and is not
-    /// the run's server.
+    /// Names of the hosts of the tree's anchors, in the order of the anchors; `None` for a host that never reported
+    /// here and is not the run's server.
     pub hosts: Vec<Option<Slug>>,
-    /// Rank among the slowest successful iterations of the run, from 1; `None` beyond the 1,000 slowest, and for iterations
-    /// that are excluded from statistics.
+    /// Rank among the slowest successful iterations of the run, from 1; `None` beyond the 1,000 slowest, and for
+    /// iterations that are excluded from statistics.
     pub rank: Option<u64>,
     /// Number of the previous stored iteration.
     pub previous: Option<u64>,
@@ -357,8 +359,8 @@ pub struct IncidentRow {
     pub id: i64,
     /// Time on the reporting host's wall clock.
     pub at: WallTime,
-    /// Kind of the incident. Of a host: `disconnected`, `connected`, `refused`, `model-loaded`, `model-unloaded`, `clock-step`,
-    /// `gap`, `pipeline-failed`, `control`. Of the aggregator: the names of [`AggregatorIncidentKind`].
+    /// Kind of the incident. Of a host: `disconnected`, `connected`, `refused`, `model-loaded`, `model-unloaded`,
+    /// `clock-step`, `gap`, `pipeline-failed`, `control`. Of the aggregator: the names of [`AggregatorIncidentKind`].
     pub kind: String,
     /// The reporting host; `None` for the aggregator itself.
     pub host: Option<HostId>,
@@ -459,8 +461,8 @@ pub struct ClockSeries {
     pub points: Vec<ClockPoint>,
 }
 
-/// The one-way delays of a run: as they were judged during the run, and as they are judged from all exchanges, including exchanges
-/// after the delays. The recorded stamps stay unchanged.
+/// The one-way delays of a run: as they were judged during the run, and as they are judged from all exchanges,
+/// including exchanges after the delays. The recorded stamps stay unchanged.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RecomputedDelays {
     /// The number of the run.
@@ -469,14 +471,15 @@ pub struct RecomputedDelays {
     pub samples: u64,
     /// Clocks by whose stamps delays were judged again; empty if all delays keep their first judgement.
     ///
-    /// Delays of runs that were recorded before free-running clocks were stamped are judged by wall clocks, whose steps and slews
-    /// affect these delays.
+    /// Delays of runs that were recorded before free-running clocks were stamped are judged by wall clocks, whose steps
+    /// and slews affect these delays.
     pub clocks: Vec<RelatedClocks>,
     /// `upload` and `download`.
     pub stages: Vec<RecomputedStage>,
 }
 
-/// The delays of one direction, as first judged and as judged again. Only successful iterations without the warm-up are included.
+/// The delays of one direction, as first judged and as judged again. Only successful iterations without the warm-up are
+/// included.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RecomputedStage {
     /// The node's name.

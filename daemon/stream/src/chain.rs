@@ -7,8 +7,9 @@ use sha2::{Digest, Sha256};
 
 /// SHA-256 over the chain of the previous batch, the number of events and their bytes, truncated to 128 bits.
 ///
-/// If a spool was copied (a copied machine, a restored disk) and both copies continue, their batches have the same stream
-/// and numbers but different chains. The comparison of one chain therefore detects a difference at any earlier batch.
+/// If a spool was copied (a copied machine, a restored disk) and both copies continue, their batches have the same
+/// stream and numbers but different chains. The comparison of one chain therefore detects a difference at any earlier
+/// batch.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Chain(#[serde(with = "serde_bytes")] [u8; 16]);
 

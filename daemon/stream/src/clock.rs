@@ -101,8 +101,8 @@ impl Serialize for ClockSample {
 pub struct DelaySecond {
     /// Number of delays that were judged.
     pub count: u32,
-    /// Median of the delays that have a value, with the medians of their lower and of their upper bounds; `None` if no delay has a value. Agents before
-    /// 0.3.0 send the bounds of the median delay.
+    /// Median of the delays that have a value, with the medians of their lower and of their upper bounds; `None` if no
+    /// delay has a value. Agents before 0.3.0 send the bounds of the median delay.
     pub median: Option<DelayPoint>,
     /// Worst verdict that applies to at least a twentieth of the judged delays.
     pub verdict: Verdict,
@@ -180,7 +180,8 @@ pub struct LinkLive {
     pub peer: HostId,
     /// Name of the cloud.
     pub peer_name: Slug,
-    /// Kinds of network that the link uses, at most [`MAX_NETWORKS`]. This version sends one: [`network`](Self::network).
+    /// Kinds of network that the link uses, at most [`MAX_NETWORKS`]. This version sends one:
+    /// [`network`](Self::network).
     #[serde(deserialize_with = "at_most::<MAX_NETWORKS, _, _>")]
     pub networks: Vec<String>,
     /// Pipelines that use the link, at most [`MAX_PIPELINES`].
@@ -230,8 +231,8 @@ impl Serialize for LinkLive {
     }
 }
 
-/// Current state of a STAMP reflector that an edge's configuration names for a cloud. The reflector's clock may differ from
-/// the cloud's clock. No delay of data is therefore computed with it.
+/// Current state of a STAMP reflector that an edge's configuration names for a cloud. The reflector's clock may differ
+/// from the cloud's clock. No delay of data is therefore computed with it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ReflectorLive {
     /// Configured address: `udp://host:port`.

@@ -30,8 +30,8 @@ use peernet_logger::HostId;
 pub(super) use self::parts::PART_HEAD_BYTES;
 pub use self::parts::{Part, decode_part, encode_part};
 
-/// Longest message that is read, and longest body of a batch, bytes. Usual batches are far shorter; an event with a tree of
-/// the largest size fits.
+/// Longest message that is read, and longest body of a batch, bytes. Usual batches are far shorter; an event with a
+/// tree of the largest size fits.
 pub const MAX_MESSAGE_BYTES: usize = 4 * 1024 * 1024;
 
 /// Number of bytes of a batch's frame before its body.

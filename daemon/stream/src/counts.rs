@@ -33,8 +33,8 @@ pub struct SubmittedEvents {
     pub last: Option<WallTime>,
 }
 
-/// Numbers of events that were submitted to a process, counted at the time of submission. The counts are in shared memory,
-/// which outlives the process.
+/// Numbers of events that were submitted to a process, counted at the time of submission. The counts are in shared
+/// memory, which outlives the process.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct CountedEvents {
     /// Number of all events.
@@ -130,8 +130,8 @@ impl SubmittedEvents {
 }
 
 impl CountedEvents {
-    /// Returns the gaps for `lost` events. `accounted` is a number of events that need no gap although they are not in the
-    /// spool: the aggregator has stored them, or they were reported as lost. Their runs are unknown.
+    /// Returns the gaps for `lost` events. `accounted` is a number of events that need no gap although they are not in
+    /// the spool: the aggregator has stored them, or they were reported as lost. Their runs are unknown.
     pub(super) fn gaps(&self, settled: &SettledEvents, accounted: u64, lost: u64) -> Vec<Gap> {
         let mut unassigned = lost;
         let gap = |pipeline, run, count, to: WallTime| {
@@ -142,7 +142,8 @@ impl CountedEvents {
         for CountedRun { run, pipeline, events, last } in &self.runs {
             let count = events
                 .saturating_sub(settled.events.events_of(*run))
-                // All accounted events may be of this run, because their runs are unknown. The rest is reported without a run.
+                // All accounted events may be of this run, because their runs are unknown. The rest is reported without
+                // a run.
                 .saturating_sub(accounted)
                 .min(unassigned);
             unassigned -= count;

@@ -3,8 +3,8 @@
 use peernet_clock::{RawTime, RelatedClocks, Span};
 use serde::{Deserialize, Serialize};
 
-/// Assumptions and evidence from which the bounds of a second of a link are computed, in addition to its exchanges and the
-/// limit of drift.
+/// Assumptions and evidence from which the bounds of a second of a link are computed, in addition to its exchanges and
+/// the limit of drift.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EstimateBasis {
     /// Clocks that stamped the exchanges.
@@ -12,8 +12,8 @@ pub struct EstimateBasis {
     /// Free-running clock of the edge at the end of the second, when its wall clock showed the sample's time; `None` if
     /// it was not read.
     pub at_raw: Option<RawTime>,
-    /// Limit of the change of the rate between the two clocks, parts per million per second; `None` if no limit is assumed.
-    /// Without it, an exchange bounds the offset at other times by the limit of drift only.
+    /// Limit of the change of the rate between the two clocks, parts per million per second; `None` if no limit is
+    /// assumed. Without it, an exchange bounds the offset at other times by the limit of drift only.
     pub max_drift_change_ppm_per_s: Option<f64>,
     /// Lowest and highest rate between the two clocks that the exchanges allow, parts per million; `None` if they prove
     /// nothing.

@@ -121,8 +121,8 @@ pub enum Outcome {
     Failed(String),
     /// The answer will never arrive, because the connection ended; the text gives details.
     Lost(String),
-    /// The answer did not arrive in time; the text states what was waited for, how long, and what to do. Agents before 0.3.0
-    /// send no text.
+    /// The answer did not arrive in time; the text states what was waited for, how long, and what to do. Agents before
+    /// 0.3.0 send no text.
     Timeout(String),
 }
 

@@ -10,8 +10,8 @@ pub struct ExperimentPlace {
     pub name: String,
     /// Random id of the execution of the experiment, which all its runs share.
     pub id: String,
-    /// Difference between this configuration and the other configurations: pairs of an axis' name and the value's label, in
-    /// the order of the file.
+    /// Difference between this configuration and the other configurations: pairs of an axis' name and the value's
+    /// label, in the order of the file.
     pub configuration: Vec<(String, String)>,
     /// Repetition of the configuration, from 0.
     pub repeat: u32,

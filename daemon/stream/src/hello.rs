@@ -23,7 +23,8 @@ random_id! {
 
 /// First message of an agent, which describes its host and its stream.
 ///
-/// It is sent before a version is chosen. Its form therefore never changes: fields of later versions are in the extension.
+/// It is sent before a version is chosen. Its form therefore never changes: fields of later versions are in the
+/// extension.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Hello {
     /// Oldest version of the event stream that the agent supports.
@@ -78,7 +79,8 @@ pub struct HelloExtension {
 impl HelloExtension {
     /// Returns the extension for an agent that supports these versions; `None` if none is needed.
     pub fn from_versions(versions: &VersionRange) -> Option<Self> {
-        // PEERNet 0.1.0 cannot read a hello with an extension. An agent that supports only version 5 therefore omits it.
+        // PEERNet 0.1.0 cannot read a hello with an extension. An agent that supports only version 5 therefore omits
+        // it.
         let is_first_only = (versions.oldest(), versions.newest()) == (FIRST_VERSION, FIRST_VERSION);
         (!is_first_only).then_some(Self { newest: versions.newest, since: versions.since })
     }

@@ -9,8 +9,9 @@
 //! whatever the transport loses, repeats or reorders, and whichever end restarts. It requires that the aggregator
 //! stores a batch and its stream's mark in one transaction.
 //!
-//! There are two exceptions. If a spool was copied, events that are in both copies may be stored twice, in two streams. If
-//! a spool was restored from an old copy, the events in that copy may be stored twice, too. No event is lost in either case.
+//! There are two exceptions. If a spool was copied, events that are in both copies may be stored twice, in two streams.
+//! If a spool was restored from an old copy, the events in that copy may be stored twice, too. No event is lost in
+//! either case.
 //!
 //! Events that did not fit into the spool are counted, and a gap is sent in their place.
 //!
@@ -21,8 +22,9 @@
 //!   the agent still holds. An aggregator whose database was deleted or restored thus learns how many events it lacks.
 //! - *Exactly once* follows from the mark: a batch at or below the mark is acknowledged and not stored.
 //! - *The identity of a spool* is its chain of hashes ([`Chain`]). Numbers alone cannot distinguish a restored disk, a
-//!   copied machine, or a spool that lost its last batches in a power failure, from the original spool. Both ends compare the chain at the mark
-//!   at each welcome, before anything is deleted. If it differs, the agent continues in a new stream.
+//!   copied machine, or a spool that lost its last batches in a power failure, from the original spool. Both ends
+//!   compare the chain at the mark at each welcome, before anything is deleted. If it differs, the agent continues in a
+//!   new stream.
 //! - *Memory* is bounded everywhere: the agent's queue, the memory before the spool, the spool, the bytes in flight,
 //!   and the aggregator's queue. When nothing else is left, the newest event is dropped, counted for its run, and
 //!   reported in a gap. `produced = stored + waiting + dropped` always holds.

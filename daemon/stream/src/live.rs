@@ -1,5 +1,5 @@
-//! Messages of the live lane. Each update contains the state itself and not a change of it, so that a lost update has no
-//! lasting effect.
+//! Messages of the live lane. Each update contains the state itself and not a change of it, so that a lost update has
+//! no lasting effect.
 
 use peernet_clock::WallTime;
 use peernet_statistics::Summary;
@@ -147,18 +147,19 @@ pub struct Second {
     pub at: i64,
     /// Iterations by outcome, without warm-up.
     pub counts: OutcomeCounts,
-    /// Summaries by name of the node in SI units: the stages, `total`, `unattributed`, throughputs and sizes. A throughput's
-    /// summary is over the throughputs of single iterations. Failed iterations and warm-up are not included.
+    /// Summaries by name of the node in SI units: the stages, `total`, `unattributed`, throughputs and sizes. A
+    /// throughput's summary is over the throughputs of single iterations. Failed iterations and warm-up are not
+    /// included.
     pub values: Vec<(Name, Summary)>,
-    /// Half-widths of the clock bounds of `upload` and `download` in seconds; and the bounds themselves, named by [`end_names`], which agents of
-    /// earlier versions do not report.
+    /// Half-widths of the clock bounds of `upload` and `download` in seconds; and the bounds themselves, named by
+    /// [`end_names`], which agents of earlier versions do not report.
     pub bounds: Vec<(Name, Summary)>,
     /// Verdicts of the one-way delays: node, name of the verdict, count.
     pub verdicts: Vec<(Name, Name, u64)>,
 }
 
-/// Returns the names under which [`Second::bounds`] has the lower and the upper bounds of a delay, as the columns of `data.csv`. `None` for
-/// names that are no delays of a message.
+/// Returns the names under which [`Second::bounds`] has the lower and the upper bounds of a delay, as the columns of
+/// `data.csv`. `None` for names that are no delays of a message.
 pub fn end_names(stage: &str) -> Option<[Name; 2]> {
     match stage {
         "upload" => Some([Name::from_static("upload-lo"), Name::from_static("upload-hi")]),
@@ -193,7 +194,8 @@ pub struct Accounting {
     pub stored: u64,
     /// Number of events that the agent holds, in memory or in the spool.
     pub waiting: u64,
-    /// Number of events that were dropped because no space was left, or lost when the agent was killed. Gaps report them.
+    /// Number of events that were dropped because no space was left, or lost when the agent was killed. Gaps report
+    /// them.
     pub dropped: u64,
     /// Number of gaps that were reported.
     pub gaps: u64,
@@ -205,8 +207,8 @@ pub struct Accounting {
     pub memory_bytes: u64,
     /// Time of the oldest waiting event on the agent's wall clock; its age is the storage lag.
     pub oldest: Option<WallTime>,
-    /// `true` if batches are compressed: because compression is configured, or because batches wait for acknowledgements
-    /// over a slow link or from a slow store.
+    /// `true` if batches are compressed: because compression is configured, or because batches wait for
+    /// acknowledgements over a slow link or from a slow store.
     pub compressed: bool,
     /// Error that prevents writing or reading the spool. Events wait in memory meanwhile.
     pub trouble: Option<String>,

@@ -15,11 +15,12 @@ pub fn batch_weight(body_bytes: usize) -> u64 {
     body_bytes.max(1_024) as u64
 }
 
-/// Messages from the agent to the aggregator. The message itself contains the host id; the transport's routing id does not.
+/// Messages from the agent to the aggregator. The message itself contains the host id; the transport's routing id does
+/// not.
 ///
-/// Batches of the durable lane are frames of another kind ([`super::codec::encode_batch`]): their hash is checked before
-/// they are decoded. A batch that is long for its link is sent in parts ([`super::codec::encode_part`]), so that live
-/// updates can be sent between them.
+/// Batches of the durable lane are frames of another kind ([`super::codec::encode_batch`]): their hash is checked
+/// before they are decoded. A batch that is long for its link is sent in parts ([`super::codec::encode_part`]), so that
+/// live updates can be sent between them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ToAggregator {
     /// Opens the connection; repeated after each reconnect. The answer is [`ToAgent::Challenge`].

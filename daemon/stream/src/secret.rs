@@ -3,7 +3,8 @@
 //! The aggregator answers a hello with a challenge, and the agent answers that with a proof: HMAC-SHA-256 (RFC 2104)
 //! with its secret as the key, over the challenge's nonce and the claims of the hello. A hello by itself changes
 //! nothing. The secret is sent only if the aggregator asks for it, because the aggregator has no secret of that host
-//! (trust on first use). Until the event stream is encrypted, whoever can read the network at that moment can read the secret.
+//! (trust on first use). Until the event stream is encrypted, whoever can read the network at that moment can read the
+//! secret.
 
 use std::fmt;
 use std::str::FromStr;

@@ -90,13 +90,14 @@ pub struct SpoolState {
     pub waiting_usage: Usage,
     /// Totals up to the newest batch.
     pub totals: Totals,
-    /// Newest batch that each process may have sent from this spool. A process that is not listed is assumed to have sent
-    /// from a copy of the spool.
+    /// Newest batch that each process may have sent from this spool. A process that is not listed is assumed to have
+    /// sent from a copy of the spool.
     pub newest_sent: Vec<NewestSentBatch>,
-    /// Gaps of earlier processes that are not reported yet: events that were dropped, or lost when a process was killed.
+    /// Gaps of earlier processes that are not reported yet: events that were dropped, or lost when a process was
+    /// killed.
     pub unreported: Vec<Gap>,
-    /// The last batches of an earlier process, if only the aggregator knows whether they are stored. No loss is reported
-    /// until this is known.
+    /// The last batches of an earlier process, if only the aggregator knows whether they are stored. No loss is
+    /// reported until this is known.
     pub unresolved: Option<UnresolvedBatches>,
 }
 
@@ -122,10 +123,10 @@ impl SpoolState {
 }
 
 impl SpoolState {
-    /// Records the losses of an earlier process. `counted` are the events that were submitted to that process; `settled`
-    /// are those events that are in the spool or counted as dropped. The other events were lost when the process was
-    /// killed. Returns the number of lost events; `None` if the process sent batches that are not in the spool, so
-    /// only the aggregator knows which events are lost ([`Self::unresolved`]).
+    /// Records the losses of an earlier process. `counted` are the events that were submitted to that process;
+    /// `settled` are those events that are in the spool or counted as dropped. The other events were lost when the
+    /// process was killed. Returns the number of lost events; `None` if the process sent batches that are not in the
+    /// spool, so only the aggregator knows which events are lost ([`Self::unresolved`]).
     ///
     /// The total is exact. The losses of a run that was not counted separately are reported in a gap without a run.
     pub fn record_losses_of_killed_process(

@@ -6,9 +6,9 @@ use crate::counts::SubmittedEvents;
 /// Newest batch that a process may have sent.
 ///
 /// The record is written to the file before the batches are sent. The recorded process or an earlier process sent the
-/// batches in the file up to this number. If the aggregator has a later batch of the recorded process, all batches in the
-/// file are therefore stored: the file lost its end (a power failure, a failed disk), or is an older copy. A batch of a
-/// process that is not recorded in the file proves nothing about the file.
+/// batches in the file up to this number. If the aggregator has a later batch of the recorded process, all batches in
+/// the file are therefore stored: the file lost its end (a power failure, a failed disk), or is an older copy. A batch
+/// of a process that is not recorded in the file proves nothing about the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NewestSentBatch {
     /// Random number of the process ([`super::Hello::process`]).
@@ -17,8 +17,8 @@ pub struct NewestSentBatch {
     pub number: u64,
 }
 
-/// Counts since the spool was created. They are written in the same transaction as the batches, so that counts and batches
-/// agree whenever the process is killed.
+/// Counts since the spool was created. They are written in the same transaction as the batches, so that counts and
+/// batches agree whenever the process is killed.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Totals {
     /// Number of events that were submitted.
@@ -27,8 +27,8 @@ pub struct Totals {
     pub dropped: u64,
     /// Number of gaps that were reported.
     pub gaps: u64,
-    /// Number of dropped events that gaps have reported. The other dropped events must still be reported, after a restart
-    /// as well.
+    /// Number of dropped events that gaps have reported. The other dropped events must still be reported, after a
+    /// restart as well.
     pub reported_drops: u64,
     /// Events that were submitted to the current process.
     pub submitted: SubmittedEvents,

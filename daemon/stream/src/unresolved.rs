@@ -9,8 +9,8 @@ use crate::counts::{CountedEvents, SentUnspooled, SettledEvents};
 use crate::totals::Totals;
 use crate::{Gap, MAX_IN_FLIGHT_BATCHES};
 
-/// Number of batches for which [`SentUnspooled`] must be kept: the batches that may be in flight, and the last acknowledged
-/// one.
+/// Number of batches for which [`SentUnspooled`] must be kept: the batches that may be in flight, and the last
+/// acknowledged one.
 pub const MAX_SENT_UNSPOOLED: usize = MAX_IN_FLIGHT_BATCHES + 1;
 
 /// The last batches of a process, some of which may be stored although its spool does not contain them.
@@ -69,9 +69,9 @@ impl UnresolvedBatches {
         }
     }
 
-    /// Updates the losses that no gap reports yet: the gaps in `earlier_gaps`, `earlier_drops` events that earlier processes
-    /// dropped, and the losses of the process itself. Losses that stored gaps of the process reported are removed, the oldest
-    /// first.
+    /// Updates the losses that no gap reports yet: the gaps in `earlier_gaps`, `earlier_drops` events that earlier
+    /// processes dropped, and the losses of the process itself. Losses that stored gaps of the process reported are
+    /// removed, the oldest first.
     pub(super) fn update_unreported(
         &self,
         resolved: &ResolvedBatches,
@@ -128,8 +128,8 @@ mod tests {
 
     const PROCESS: u64 = 7;
 
-    /// Returns a spool with the batches up to 3, which contain 10 of 30 events. Two further batches were sent: batch 4 with 6
-    /// events, and batch 5 with 3 events and a gap of 2 events.
+    /// Returns a spool with the batches up to 3, which contain 10 of 30 events. Two further batches were sent: batch 4
+    /// with 6 events, and batch 5 with 3 events and a gap of 2 events.
     fn unresolved(run: RunId) -> (SpoolState, UnresolvedBatches) {
         let mut state = SpoolState::new(StreamId::random());
         (state.totals.produced, state.totals.dropped, state.totals.reported_drops) = (15, 3, 1);

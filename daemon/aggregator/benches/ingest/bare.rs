@@ -1,5 +1,5 @@
-//! The bare loop, with which the aggregator is compared. It inserts the same rows in the order of their arrival, with many
-//! rows per statement, and maintains no roll-ups.
+//! The bare loop, with which the aggregator is compared. It inserts the same rows in the order of their arrival, with
+//! many rows per statement, and maintains no roll-ups.
 
 use std::path::Path;
 use std::sync::Arc;

@@ -52,8 +52,8 @@ pub(crate) async fn run(address: &str, plan: &LoadPlan, speed: Option<f64>) {
     report((clock.mono() - started_at).seconds());
 }
 
-/// Keeps as many batches in flight as the window allows, until all are acknowledged. If the aggregator requests an earlier
-/// batch, continues from it.
+/// Keeps as many batches in flight as the window allows, until all are acknowledged. If the aggregator requests an
+/// earlier batch, continues from it.
 async fn send(socket: Socket, load: Load, mut window: u32, batch_interval: Duration) {
     let started_at = Instant::now();
     let (mut next, mut stored) = (0, 0);

@@ -42,8 +42,8 @@ pub(crate) struct Load {
 }
 
 impl Load {
-    /// Returns how many batches from index `from` on may be in flight together if the window has `window_bytes` bytes; at least
-    /// one.
+    /// Returns how many batches from index `from` on may be in flight together if the window has `window_bytes` bytes;
+    /// at least one.
     pub(crate) fn count_within(&self, from: usize, mut window_bytes: u64) -> usize {
         let waiting = self.frames[from..].iter().take(MAX_IN_FLIGHT_BATCHES);
         let fits = |frame: &Bytes| {

@@ -285,7 +285,8 @@ async fn check_and_maintain(
 
 /// Deletes a small part of the expired data. A failed deletion is retried in the next step.
 async fn retain(writer: &mut Writer, context: &TaskContext) -> Step {
-    // Deletion writes to freed pages. In a damaged file freed pages must stay unchanged, because a repair may read rows from them.
+    // Deletion writes to freed pages. In a damaged file freed pages must stay unchanged, because a repair may read rows
+    // from them.
     if context.integrity.damage().is_some() {
         return Step::Done;
     }

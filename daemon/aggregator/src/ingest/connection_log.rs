@@ -1,8 +1,8 @@
 //! Selects the statistics of connections that are stored: one sample per minute, and the last one of a connection that
 //! has ended.
 //!
-//! The samples come from the live state. Agents do not send them as events, because an older aggregator could not read such
-//! an event. A missed sample loses no totals, because the totals are cumulative and the next sample contains them.
+//! The samples come from the live state. Agents do not send them as events, because an older aggregator could not read
+//! such an event. A missed sample loses no totals, because the totals are cumulative and the next sample contains them.
 
 use std::collections::HashMap;
 

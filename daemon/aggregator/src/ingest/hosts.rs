@@ -1,9 +1,9 @@
 //! The known hosts: stored hosts with their secrets, and newcomers.
 //!
-//! A newcomer is a host whose hello was accepted and of which nothing is stored yet. A newcomer exists
-//! only in memory and only while it is connected; its first batch makes it a stored host. Therefore hosts that somebody
-//! invents do not fill the database or the pages. The number of newcomers is limited to `max_hosts`; beyond that, the oldest newcomer is dropped. A
-//! genuine agent has its first event stored within a second.
+//! A newcomer is a host whose hello was accepted and of which nothing is stored yet. A newcomer exists only in memory
+//! and only while it is connected; its first batch makes it a stored host. Therefore hosts that somebody invents do not
+//! fill the database or the pages. The number of newcomers is limited to `max_hosts`; beyond that, the oldest newcomer
+//! is dropped. A genuine agent has its first event stored within a second.
 
 use std::collections::HashMap;
 
@@ -166,8 +166,8 @@ impl Hosts {
         dropped_newcomer
     }
 
-    /// Turns a newcomer into a stored host, because its first batch is about to be stored. Returns `None` if the host is
-    /// no newcomer.
+    /// Turns a newcomer into a stored host, because its first batch is about to be stored. Returns `None` if the host
+    /// is no newcomer.
     pub(super) fn promote_newcomer(&mut self, host: HostId) -> Option<Newcomer> {
         let newcomer = self.newcomers.remove(&host)?;
         let seniority = self.stored_hosts.values().map(|host| host.seniority + 1).max().unwrap_or(0);

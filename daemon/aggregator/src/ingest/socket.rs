@@ -119,9 +119,9 @@ pub(crate) async fn run(
     Ok(())
 }
 
-/// Sends the replies, and passes on the live events. A reply that does not fit into the queue of its connection is dropped
-/// and sent again when the agent asks again. A live event waits for room in the queue of the live state, whose task empties
-/// the queue without waiting for anything else.
+/// Sends the replies, and passes on the live events. A reply that does not fit into the queue of its connection is
+/// dropped and sent again when the agent asks again. A live event waits for room in the queue of the live state, whose
+/// task empties the queue without waiting for anything else.
 async fn deliver(sender: &ZmtpSender, session: &mut IngestSession, live_events: &mpsc::Sender<LiveEvent>) {
     // Admitted before the replies are sent, because a welcomed agent sends at once.
     for admission in session.take_admissions() {

@@ -1,8 +1,8 @@
 //! The current state of one host.
 //!
-//! A host is connected, has said goodbye, or is away. An agent that stops in order sends a last live update and a goodbye, so
-//! its pipelines have ended. A host that became silent without a goodbye is away: it is unknown whether its pipelines
-//! still run.
+//! A host is connected, has said goodbye, or is away. An agent that stops in order sends a last live update and a
+//! goodbye, so its pipelines have ended. A host that became silent without a goodbye is away: it is unknown whether its
+//! pipelines still run.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -71,8 +71,8 @@ impl Host {
         self.snapshot = None;
     }
 
-    /// Processes a goodbye. All pipelines in the host's latest update have ended, even if that update shows them as running.
-    /// The host's other pipelines are away.
+    /// Processes a goodbye. All pipelines in the host's latest update have ended, even if that update shows them as
+    /// running. The host's other pipelines are away.
     pub(super) fn goodbye(&mut self) {
         let last_update = self.presence.sent_by_current();
         for pipeline in self.pipelines.values_mut() {
@@ -171,8 +171,8 @@ impl Host {
         self.pipelines.values().filter_map(Pipeline::run)
     }
 
-    /// Applies the passing of time. Pipelines and links that were not reported for `timeout` are removed. Returns whether
-    /// anything visible changed.
+    /// Applies the passing of time. Pipelines and links that were not reported for `timeout` are removed. Returns
+    /// whether anything visible changed.
     pub(super) fn expire(&mut self, now: Stamp, timeout: Span) -> bool {
         let mut changed = false;
         if self.presence.is_overdue(now.mono) {

@@ -1,5 +1,5 @@
-//! Limits on an agent's reports. Texts and lists are cut before the live state keeps them, so that its memory is bounded
-//! whatever an agent sends.
+//! Limits on an agent's reports. Texts and lists are cut before the live state keeps them, so that its memory is
+//! bounded whatever an agent sends.
 //!
 //! `left_out` counts the items of reports that are not taken over. Cut texts are not counted.
 

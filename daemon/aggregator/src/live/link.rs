@@ -95,8 +95,8 @@ impl Link {
     }
 }
 
-/// Returns the start of the second of a report at `at`, in Unix seconds. A report at the end of a second belongs to that
-/// second.
+/// Returns the start of the second of a report at `at`, in Unix seconds. A report at the end of a second belongs to
+/// that second.
 fn second_of(at: WallTime) -> i64 {
     (at - Span::from_nanos(1)).unix_seconds()
 }

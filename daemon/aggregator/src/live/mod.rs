@@ -1,8 +1,8 @@
-//! The live state: the current state of all agents, from the live lane alone, so that it stays current regardless of how many
-//! batches wait to be stored. Free of I/O; [`task`] owns the [`LiveTracker`] and publishes its snapshots.
+//! The live state: the current state of all agents, from the live lane alone, so that it stays current regardless of
+//! how many batches wait to be stored. Free of I/O; [`task`] owns the [`LiveTracker`] and publishes its snapshots.
 //!
-//! Memory is bounded whatever agents send: there are limits for the number of hosts, of pipelines and links per host, and of
-//! names per second. Values beyond a limit are discarded and counted.
+//! Memory is bounded whatever agents send: there are limits for the number of hosts, of pipelines and links per host,
+//! and of names per second. Values beyond a limit are discarded and counted.
 
 mod event_account;
 mod host;

@@ -11,9 +11,9 @@ use crate::live_state::{PercentilePoint, PercentileSeries};
 const MAX_BUCKET_S: u32 = 600;
 /// Safety factor for the number of iterations of a bucket, because they are not spread evenly over the buckets.
 const COUNT_MARGIN: f64 = 1.1;
-/// Longest pause between two seconds with iterations that counts completely as running time. Of a longer pause only this
-/// part counts, because the pause is an interruption, which must not lower the rate. A pipeline with longer intervals
-/// between its iterations has too few iterations for a percentile even in the longest bucket.
+/// Longest pause between two seconds with iterations that counts completely as running time. Of a longer pause only
+/// this part counts, because the pause is an interruption, which must not lower the rate. A pipeline with longer
+/// intervals between its iterations has too few iterations for a percentile even in the longest bucket.
 const MAX_PAUSE_S: i64 = 10;
 
 /// Summaries of the total latency, one per second, and the percentiles of the buckets.

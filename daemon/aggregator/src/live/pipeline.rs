@@ -17,13 +17,13 @@ use crate::live_state::{LiveSecond, PipelineSnapshot, Window};
 const WINDOWS: [u32; 3] = [1, 10, 60];
 /// Seconds that are kept with their sketches: the longest window and the incomplete second.
 const SKETCH_LENGTH_S: i64 = 61;
-/// Length of the ring of the seconds with sketches. The three seconds beyond [`SKETCH_LENGTH_S`] are for an agent's clock that
-/// decreases by at most [`MAX_CLOCK_DECREASE`].
+/// Length of the ring of the seconds with sketches. The three seconds beyond [`SKETCH_LENGTH_S`] are for an agent's
+/// clock that decreases by at most [`MAX_CLOCK_DECREASE`].
 const RING_LENGTH_S: usize = 64;
 /// Seconds that are kept as points of the live charts.
 const CHART_LENGTH_S: i64 = 600;
-/// Largest decrease of the agent's clock between two updates that the ring absorbs. After a larger decrease, the seconds
-/// that the clock shows again are removed.
+/// Largest decrease of the agent's clock between two updates that the ring absorbs. After a larger decrease, the
+/// seconds that the clock shows again are removed.
 const MAX_CLOCK_DECREASE: Span = Span::from_seconds(2);
 /// Silence after which the windows continue without the agent. Updates arrive four times a second.
 const MAX_UPDATE_AGE: Span = Span::from_seconds(1);
@@ -47,7 +47,8 @@ pub(super) struct Pipeline {
 }
 
 impl Pipeline {
-    /// Creates the state at the pipeline's first update. Adds to `left_out` the items of the update that are not taken over.
+    /// Creates the state at the pipeline's first update. Adds to `left_out` the items of the update that are not taken
+    /// over.
     pub(super) fn new(live: PipelineLive, sent: WallTime, now: Stamp, left_out: &mut u64) -> Self {
         let mut pipeline = Self {
             state: PipelineState::Starting,
@@ -65,8 +66,8 @@ impl Pipeline {
         pipeline
     }
 
-    /// Applies an update. The report of a second replaces an earlier report of the same second, because each report of a
-    /// second covers the second from its start. Adds to `left_out` the seconds and names that are not taken over.
+    /// Applies an update. The report of a second replaces an earlier report of the same second, because each report of
+    /// a second covers the second from its start. Adds to `left_out` the seconds and names that are not taken over.
     pub(super) fn update(&mut self, mut live: PipelineLive, sent: WallTime, now: Stamp, left_out: &mut u64) {
         limits::limit_state(&mut live.state);
         limits::limit_placement(&mut live.placement);
@@ -107,8 +108,8 @@ impl Pipeline {
         self.last_seen.mono
     }
 
-    /// Discards the snapshot if the agent is silent and a window has iterations: the windows then end at the present, so
-    /// their values change with time. Returns whether it discarded the snapshot.
+    /// Discards the snapshot if the agent is silent and a window has iterations: the windows then end at the present,
+    /// so their values change with time. Returns whether it discarded the snapshot.
     pub(super) fn expire(&mut self, now: Stamp) -> bool {
         let is_empty = |snapshot: &Arc<PipelineSnapshot>| {
             snapshot.windows.iter().all(|window| window.counts.total() == 0)

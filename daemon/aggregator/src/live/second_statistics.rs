@@ -19,7 +19,8 @@ pub(super) struct SecondStatistics {
     counts: OutcomeCounts,
     /// Summaries by the name of the quantity: a node of the iteration's tree.
     values: Vec<(Name, Summary)>,
-    /// Clock bounds of each direction: half widths under the name of the stage, lower and upper ends under its two [`end_names`].
+    /// Clock bounds of each direction: half widths under the name of the stage, lower and upper ends under its two
+    /// [`end_names`].
     bounds: Vec<(Name, Summary)>,
     /// Number of iterations by stage and clock verdict.
     verdicts: Vec<(Name, Verdict, u64)>,

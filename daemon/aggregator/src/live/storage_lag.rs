@@ -1,5 +1,5 @@
-//! Estimates how fast storing catches up with measuring, from the storage lag at each live update. The storage lag is the
-//! age of the oldest event that is not stored yet.
+//! Estimates how fast storing catches up with measuring, from the storage lag at each live update. The storage lag is
+//! the age of the oldest event that is not stored yet.
 
 use peernet_clock::{MonoTime, Span};
 
@@ -17,8 +17,8 @@ const MIN_BACKLOG: Span = Span::from_seconds(5);
 /// Smallest rate at which the lag falls, in seconds per second, for an estimate.
 const MIN_RATE: f64 = 0.02;
 
-/// Exponentially weighted sums, from which the rates are computed. They need constant memory. The rates are unbiased from
-/// the first second on, because the sums and the observed time decay equally.
+/// Exponentially weighted sums, from which the rates are computed. They need constant memory. The rates are unbiased
+/// from the first second on, because the sums and the observed time decay equally.
 #[derive(Debug, Default)]
 pub(super) struct StorageLag {
     /// The previous update: its time, the lag, and the number of stored events.
@@ -32,8 +32,8 @@ pub(super) struct StorageLag {
 }
 
 impl StorageLag {
-    /// Adds an observation: the storage lag, and the number of events stored until then. The estimate restarts if no event
-    /// waits (`None`).
+    /// Adds an observation: the storage lag, and the number of events stored until then. The estimate restarts if no
+    /// event waits (`None`).
     pub(super) fn observe(&mut self, lag: Option<Span>, stored: u64, now: MonoTime) {
         let Some(lag) = lag else {
             *self = Self::default();

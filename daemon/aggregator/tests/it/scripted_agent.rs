@@ -116,8 +116,8 @@ impl ScriptedAgent {
         while !matches!(self.socket.receive().await, ToAgent::Ack { through, .. } if through == number) {}
     }
 
-    /// Returns whether no message arrives for 50 ms. On a slow machine the result may be `true` although a message would
-    /// have arrived later.
+    /// Returns whether no message arrives for 50 ms. On a slow machine the result may be `true` although a message
+    /// would have arrived later.
     pub(crate) async fn is_silent(&self) -> bool {
         tokio::time::timeout(Duration::from_millis(50), self.socket.receive()).await.is_err()
     }

@@ -17,9 +17,9 @@ const MAGIC: u32 = 0x377f_0682;
 
 /// The newest version of each page that is in the write-ahead log.
 ///
-/// A checkpoint copies pages from the log into the main file one after the other. It leaves out pages whose older version readers
-/// still need, so the main file alone may mix versions of different times. Checksums are not verified, so this value may
-/// contain pages of a transaction that is not committed.
+/// A checkpoint copies pages from the log into the main file one after the other. It leaves out pages whose older
+/// version readers still need, so the main file alone may mix versions of different times. Checksums are not verified,
+/// so this value may contain pages of a transaction that is not committed.
 #[derive(Debug)]
 pub(super) struct LogPages {
     file: File,
@@ -28,7 +28,8 @@ pub(super) struct LogPages {
     offsets: HashMap<u32, u64>,
 }
 
-/// Returns the path of the write-ahead log of a database. A symbolic link is resolved, because the log lies beside the file itself.
+/// Returns the path of the write-ahead log of a database. A symbolic link is resolved, because the log lies beside the
+/// file itself.
 pub(crate) fn log_path(database: &Path) -> PathBuf {
     let mut path = std::fs::canonicalize(database).unwrap_or_else(|_| database.to_owned()).into_os_string();
     path.push("-wal");

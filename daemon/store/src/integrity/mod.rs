@@ -1,11 +1,12 @@
 //! Damage of the database's file: its detection, and the record that stops all storing into it.
 //!
-//! The check reads the main file with `pread` through the descriptor that holds the lock: closing another descriptor would release
-//! SQLite's locks in this process. The check reads page by page at a bounded rate and parses the pages as SQLite's file format
-//! describes them. SQLite's own `quick_check` of a table is one read transaction, which for a large table would keep the write-ahead log from
-//! being checkpointed. It also goes through a cache and costs several times as much. Page checksums would also find a changed
-//! value, but SQLite's `cksumvfs` is not in the bundled library. Checksums beside the file would have to be written with every
-//! checkpoint, which needs a virtual file system of our own.
+//! The check reads the main file with `pread` through the descriptor that holds the lock: closing another descriptor
+//! would release SQLite's locks in this process. The check reads page by page at a bounded rate and parses the pages as
+//! SQLite's file format describes them. SQLite's own `quick_check` of a table is one read transaction, which for a
+//! large table would keep the write-ahead log from being checkpointed. It also goes through a cache and costs several
+//! times as much. Page checksums would also find a changed value, but SQLite's `cksumvfs` is not in the bundled
+//! library. Checksums beside the file would have to be written with every checkpoint, which needs a virtual file system
+//! of our own.
 
 mod log_pages;
 mod page_check;
@@ -31,8 +32,8 @@ use self::pages::PageFile;
 
 /// Record of the damage of one database, shared by everything that reads or writes it.
 ///
-/// The record is also kept in a file beside the database, `<database>-damaged`, because the damaged page may be rarely read. An
-/// aggregator that finds this file stores nothing until the whole database was checked.
+/// The record is also kept in a file beside the database, `<database>-damaged`, because the damaged page may be rarely
+/// read. An aggregator that finds this file stores nothing until the whole database was checked.
 #[derive(Clone, Debug)]
 pub struct Integrity {
     database: Arc<Path>,
@@ -140,8 +141,8 @@ impl Integrity {
     }
 }
 
-/// Returns the advice for a damaged database. Without its list of tables no row can be found, and a repair has nothing to
-/// salvage.
+/// Returns the advice for a damaged database. Without its list of tables no row can be found, and a repair has nothing
+/// to salvage.
 pub(crate) fn remedy(database: &Path, is_repairable: bool) -> String {
     if is_repairable {
         format!("stop the aggregator and run `peernetd doctor --repair --database {}`", database.display())
@@ -159,7 +160,8 @@ pub(crate) fn has_table_list(file: Arc<File>) -> bool {
     matches!(first_page, Ok(Some(page)) if page.kind.is_table())
 }
 
-/// Returns the path of the file that records damage. A symbolic link is resolved, because the file lies beside the database itself.
+/// Returns the path of the file that records damage. A symbolic link is resolved, because the file lies beside the
+/// database itself.
 fn marker_path(database: &Path) -> PathBuf {
     let mut path = fs::canonicalize(database).unwrap_or_else(|_| database.to_owned()).into_os_string();
     path.push("-damaged");

@@ -11,16 +11,17 @@ use super::pages::{PageFile, be32};
 
 /// One pass over the file, some pages at a time.
 ///
-/// A page of a b-tree is well-formed if its header, its cell pointers and the headers of all its records are well-formed. Overflow
-/// pages (on which long records continue) and free pages may contain any bytes. They are recognised by the pages that refer to them.
+/// A page of a b-tree is well-formed if its header, its cell pointers and the headers of all its records are
+/// well-formed. Overflow pages (on which long records continue) and free pages may contain any bytes. They are
+/// recognised by the pages that refer to them.
 #[derive(Debug)]
 pub(crate) struct PageCheck {
     file: PageFile,
     log: PathBuf,
     /// Number of the page that is examined next.
     next: u32,
-    /// Pages that are not well-formed pages of a b-tree, with their first four bytes. In an overflow page these bytes are the number
-    /// of the next overflow page.
+    /// Pages that are not well-formed pages of a b-tree, with their first four bytes. In an overflow page these bytes
+    /// are the number of the next overflow page.
     other_pages: HashMap<u32, u32>,
     /// Overflow pages that are in use and were not yet removed from `other_pages`.
     overflow_pages: Vec<u32>,
@@ -41,8 +42,8 @@ impl PageCheck {
         }))
     }
 
-    /// Makes a whole pass over a file that no connection of this process has open ([`PageFile::open`]). Returns the numbers of
-    /// malformed pages.
+    /// Makes a whole pass over a file that no connection of this process has open ([`PageFile::open`]). Returns the
+    /// numbers of malformed pages.
     pub(crate) fn find_malformed(database: &Path) -> io::Result<Vec<u32>> {
         let file = Arc::new(File::open(database)?);
         let Some(mut check) = Self::start(file, log_path(database))? else { return Ok(vec![1]) };
@@ -70,9 +71,10 @@ impl PageCheck {
 
     /// Returns the malformed pages that are in use.
     ///
-    /// While an aggregator stores, a checkpoint may be in progress, so the main file may mix pages of different times. Therefore
-    /// pages to which the write-ahead log refers count as in use, too. A page is returned only if it is still malformed when it is read again.
-    /// The result may still contain pages that were moved during the pass; another pass does not find these pages again.
+    /// While an aggregator stores, a checkpoint may be in progress, so the main file may mix pages of different times.
+    /// Therefore pages to which the write-ahead log refers count as in use, too. A page is returned only if it is still
+    /// malformed when it is read again. The result may still contain pages that were moved during the pass; another
+    /// pass does not find these pages again.
     pub(crate) fn finish(mut self) -> io::Result<Vec<u32>> {
         let missing_page = self.file.first_missing_page()?;
         self.follow_overflows(None)?;
@@ -108,16 +110,16 @@ impl PageCheck {
             && malformed.iter().any(|number| log.contains(*number))
             && !self.is_checkpointed(log)?
         {
-            // SQLite reads the pages of the write-ahead log from the log. In the main file there may be an older version, a sparse range, or
-            // nothing yet.
+            // SQLite reads the pages of the write-ahead log from the log. In the main file there may be an older
+            // version, a sparse range, or nothing yet.
             malformed.retain(|number| !log.contains(*number));
         }
         malformed.sort_unstable();
         Ok(malformed)
     }
 
-    /// Removes the overflow pages from the pages that may be malformed. The chain of a record may end early, at a malformed or missing
-    /// page; this is not reported here.
+    /// Removes the overflow pages from the pages that may be malformed. The chain of a record may end early, at a
+    /// malformed or missing page; this is not reported here.
     fn follow_overflows(&mut self, log: Option<&LogPages>) -> io::Result<()> {
         let mut seen_in_log = HashSet::new();
         while let Some(page) = self.overflow_pages.pop() {
@@ -128,8 +130,9 @@ impl PageCheck {
         Ok(())
     }
 
-    /// Returns whether the main file has the same contents as the write-ahead log in all pages of the log, except for pages that may be malformed.
-    /// A log that was checkpointed stays until the next commit, and readers no longer use it.
+    /// Returns whether the main file has the same contents as the write-ahead log in all pages of the log, except for
+    /// pages that may be malformed. A log that was checkpointed stays until the next commit, and readers no longer use
+    /// it.
     fn is_checkpointed(&self, log: &LogPages) -> io::Result<bool> {
         // A truncated file has no page beyond its end.
         let is_well_formed =

@@ -14,7 +14,8 @@ const HEADER_BYTES: usize = 100;
 /// Offset of the bytes that SQLite locks. The page that contains these bytes is never used.
 const LOCK_BYTE: u64 = 1 << 30;
 
-/// A database's main file, read page by page without SQLite: without locks, transactions, or caches other than the kernel's.
+/// A database's main file, read page by page without SQLite: without locks, transactions, or caches other than the
+/// kernel's.
 #[derive(Debug)]
 pub(crate) struct PageFile {
     file: Arc<File>,
@@ -65,8 +66,8 @@ pub(crate) struct Cell<'a> {
 }
 
 impl PageFile {
-    /// Opens a file that no connection of this process has open: when the descriptor is closed, the system releases all locks
-    /// that SQLite holds on the file in this process.
+    /// Opens a file that no connection of this process has open: when the descriptor is closed, the system releases all
+    /// locks that SQLite holds on the file in this process.
     ///
     /// # Errors
     /// If the file cannot be read; this applies to the other functions, too.
@@ -112,7 +113,8 @@ impl PageFile {
         Ok(bytes)
     }
 
-    /// Returns the number of the first missing page if the file is truncated: the header states more pages than the file has.
+    /// Returns the number of the first missing page if the file is truncated: the header states more pages than the
+    /// file has.
     pub(crate) fn first_missing_page(&self) -> io::Result<Option<u32>> {
         let stated_pages = be32(&self.read(1, 1)?, 28);
         let pages = u32::try_from(self.file.metadata()?.len() / self.page_bytes as u64).unwrap_or(u32::MAX);
@@ -134,8 +136,8 @@ impl PageFile {
         BtreePage::parse(number, bytes, self.usable_bytes)
     }
 
-    /// Parses a page as part of a b-tree; `None` if its header, a cell pointer or a cell is malformed, or if it refers to a page
-    /// beyond the number `last`.
+    /// Parses a page as part of a b-tree; `None` if its header, a cell pointer or a cell is malformed, or if it refers
+    /// to a page beyond the number `last`.
     pub(crate) fn well_formed_page(&self, number: u32, bytes: Vec<u8>, last: u32) -> Option<BtreePage> {
         let page = self.btree_page(number, bytes)?;
         let exists = |page: Option<u32>| page.is_none_or(|page| (1..=last).contains(&page));
@@ -169,8 +171,8 @@ impl PageFile {
         Ok(next.is_none().then_some(record))
     }
 
-    /// Returns all free pages, or `None` if the list of free pages is broken. `read_newer` returns the newer version of a page, if
-    /// there is one.
+    /// Returns all free pages, or `None` if the list of free pages is broken. `read_newer` returns the newer version of
+    /// a page, if there is one.
     pub(crate) fn free_pages(
         &self,
         read_newer: impl Fn(u32) -> io::Result<Option<Vec<u8>>>,
@@ -294,16 +296,16 @@ impl PageKind {
         matches!(self, Self::IndexInterior | Self::TableInterior)
     }
 
-    /// Returns whether pages of this kind belong to a table with row ids. Otherwise they belong to an index, or to a table without
-    /// row ids.
+    /// Returns whether pages of this kind belong to a table with row ids. Otherwise they belong to an index, or to a
+    /// table without row ids.
     pub(crate) const fn is_table(self) -> bool {
         matches!(self, Self::TableInterior | Self::TableLeaf)
     }
 }
 
 impl Cell<'_> {
-    /// Returns whether the columns that the record's header declares take exactly as many bytes as the record has. A header that
-    /// continues on another page is not examined.
+    /// Returns whether the columns that the record's header declares take exactly as many bytes as the record has. A
+    /// header that continues on another page is not examined.
     fn is_record(&self) -> bool {
         let Some((header_bytes, mut types)) = varint(self.local) else { return false };
         let Ok(header_bytes) = usize::try_from(header_bytes) else { return false };

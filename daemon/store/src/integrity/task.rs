@@ -25,7 +25,8 @@ const FIRST_BYTES_PER_SECOND: u64 = 128 << 20;
 const BYTES_PER_SECOND: u64 = 16 << 20;
 /// Instructions of SQLite's virtual machine between two checks whether to stop.
 const INSTRUCTIONS_PER_CHECK: i32 = 10_000;
-/// SQLite checks the whole file only if a page looks malformed in this number of passes, because the check takes far longer than a pass.
+/// SQLite checks the whole file only if a page looks malformed in this number of passes, because the check takes far
+/// longer than a pass.
 const MAX_PASSES: usize = 3;
 /// Pause between two passes.
 const PAUSE: Duration = Duration::from_secs(2);
@@ -41,8 +42,8 @@ pub(crate) struct IntegrityCheck {
 }
 
 impl IntegrityCheck {
-    /// Starts the check. When the check finds damage, it records the damage, which stops all writing. When the database is not
-    /// damaged, the check removes an earlier record of damage.
+    /// Starts the check. When the check finds damage, it records the damage, which stops all writing. When the database
+    /// is not damaged, the check removes an earlier record of damage.
     pub(crate) fn start(integrity: Integrity, file: Arc<File>) -> Self {
         integrity.attach_file(&file);
         let stop = CancellationToken::new();
@@ -152,11 +153,11 @@ async fn check_once(
     Ok(())
 }
 
-/// Reads the whole file. Repeats this while pages look malformed, up to [`MAX_PASSES`] passes. Returns the pages that look
-/// malformed in each pass.
+/// Reads the whole file. Repeats this while pages look malformed, up to [`MAX_PASSES`] passes. Returns the pages that
+/// look malformed in each pass.
 ///
-/// While events are stored, records move from page to page during a pass, so an overflow page may look as if no record used
-/// it. Such pages differ from pass to pass, whereas a damaged page looks malformed in all passes.
+/// While events are stored, records move from page to page during a pass, so an overflow page may look as if no record
+/// used it. Such pages differ from pass to pass, whereas a damaged page looks malformed in all passes.
 pub(super) async fn malformed_pages(
     database: &Path,
     file: &Arc<File>,

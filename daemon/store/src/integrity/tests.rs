@@ -136,8 +136,8 @@ async fn pages_referenced_only_by_log_are_in_use() {
     let mut reader = SqliteConnectOptions::new().filename(&path).connect().await.expect("opens");
     run(&mut reader, "BEGIN; SELECT count(*) FROM long").await;
     run(&mut writer, &long_records(300)).await;
-    // The checkpoint copies what the reader sees, without the pages of which the write-ahead log has a newer version: the long records are copied,
-    // but not what refers to them.
+    // The checkpoint copies what the reader sees, without the pages of which the write-ahead log has a newer version:
+    // the long records are copied, but not what refers to them.
     run(&mut writer, "PRAGMA wal_checkpoint(PASSIVE)").await;
     assert_ne!(malformed(&path, folder.path().join("none")), Vec::<u32>::new());
     assert_eq!(malformed(&path, log_path(&path)), Vec::<u32>::new());

@@ -104,8 +104,8 @@ pub struct Backup {
 }
 
 impl Backup {
-    /// Checks that `database` can be read, that `target` does not exist, and that the target's disk has space. The copy is first
-    /// written under the name `<target>.partial`.
+    /// Checks that `database` can be read, that `target` does not exist, and that the target's disk has space. The copy
+    /// is first written under the name `<target>.partial`.
     ///
     /// # Errors
     /// When a check fails.
@@ -197,8 +197,8 @@ struct UnfinishedCopy {
 }
 
 impl UnfinishedCopy {
-    /// Creates and locks the file. A file that a killed process left behind is emptied. Fails if a running process writes to the
-    /// file.
+    /// Creates and locks the file. A file that a killed process left behind is emptied. Fails if a running process
+    /// writes to the file.
     fn create(target: &Path) -> Result<Self, BackupError> {
         let mut path = target.as_os_str().to_owned();
         path.push(".partial");

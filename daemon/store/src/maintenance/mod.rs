@@ -1,5 +1,5 @@
-//! Commands of an operator on the database's file. Backup and examination work while an aggregator runs. For a rebuild of the
-//! roll-ups and for a repair the aggregator must be stopped.
+//! Commands of an operator on the database's file. Backup and examination work while an aggregator runs. For a rebuild
+//! of the roll-ups and for a repair the aggregator must be stopped.
 
 mod backup;
 mod doctor;

@@ -42,8 +42,8 @@ pub enum RebuildError {
     },
 }
 
-/// Makes the roll-ups of one run, or of all runs (`None`), from the nodes that still exist. `progress` is called after every few
-/// hundred iterations, and after each run.
+/// Makes the roll-ups of one run, or of all runs (`None`), from the nodes that still exist. `progress` is called after
+/// every few hundred iterations, and after each run.
 ///
 /// # Errors
 /// When the aggregator runs, or the database cannot be read or written. Finished runs stay finished.

@@ -65,10 +65,11 @@ pub struct ClearedSecret {
     pub existed: bool,
 }
 
-/// Clears the secret of the host with this id or name, so that the secret of the next agent with this host id is stored.
+/// Clears the secret of the host with this id or name, so that the secret of the next agent with this host id is
+/// stored.
 ///
-/// A running aggregator notices the change when the host proves a secret that the aggregator does not know: it then reads the
-/// secret again.
+/// A running aggregator notices the change when the host proves a secret that the aggregator does not know: it then
+/// reads the secret again.
 ///
 /// # Errors
 /// When there is no such database or host, or the database cannot be written.

@@ -1,5 +1,5 @@
-//! Episodes, warm-up and failed iterations of a run. They are computed from single rows of iterations, which are found by
-//! number. The number of rows that are read does not depend on the length of the run.
+//! Episodes, warm-up and failed iterations of a run. They are computed from single rows of iterations, which are found
+//! by number. The number of rows that are read does not depend on the length of the run.
 
 use std::collections::HashMap;
 
@@ -64,7 +64,8 @@ pub(super) async fn first_measured_start(
     Ok(rows_by_number(readers, run, &end).await?.first().map(|row| wall(row.started_ns)))
 }
 
-/// Returns the start of the last iteration that is not warm-up. `None` if the run ended with more than [`MAX_WARM_UP`] iterations of warm-up.
+/// Returns the start of the last iteration that is not warm-up. `None` if the run ended with more than [`MAX_WARM_UP`]
+/// iterations of warm-up.
 pub(super) async fn last_measured_start(readers: &Readers, run: i64) -> Result<Option<WallTime>, StoreError> {
     let Some(last) = last_row(readers, run).await? else { return Ok(None) };
     if !last.warm_up {
@@ -101,8 +102,8 @@ fn first_number(row: &Row, steps: i64) -> i64 {
     i64::from(row.episode) * steps + 1
 }
 
-/// Returns the number of iterations per episode, which follows from an iteration's number, episode and step. Returns `None` for an
-/// iteration of the first episode, and if no number of steps agrees with the values.
+/// Returns the number of iterations per episode, which follows from an iteration's number, episode and step. Returns
+/// `None` for an iteration of the first episode, and if no number of steps agrees with the values.
 fn steps(row: &Row) -> Option<i64> {
     let (episode, step) = (i64::from(row.episode), i64::from(row.step));
     // Number of iterations in all earlier episodes.
@@ -111,8 +112,8 @@ fn steps(row: &Row) -> Option<i64> {
     (steps > step && steps * episode == earlier_iterations).then_some(steps)
 }
 
-/// Returns the number of the first stored iteration of each episode, except for the first episode. The numbers are found by
-/// one common bisection, so the number of queries grows only with the logarithm of the run's length.
+/// Returns the number of the first stored iteration of each episode, except for the first episode. The numbers are
+/// found by one common bisection, so the number of queries grows only with the logarithm of the run's length.
 async fn first_numbers(readers: &Readers, run: i64, last: &Row) -> Result<Vec<i64>, StoreError> {
     // Numbers before and at the first iteration that belongs to the episode or to a later one. Retention deletes the
     // oldest iterations, so a missing iteration is before the stored iterations.
@@ -153,8 +154,8 @@ async fn warm_up(
     Ok(warm_up_periods(rows.into_iter().map(|row| (wall(row.started_ns), row.warm_up))))
 }
 
-/// Returns the number of the first iteration that is not warm-up, from each of these numbers on; `None` if it is not among the next
-/// [`MAX_WARM_UP`] iterations.
+/// Returns the number of the first iteration that is not warm-up, from each of these numbers on; `None` if it is not
+/// among the next [`MAX_WARM_UP`] iterations.
 async fn measured_after(
     readers: &Readers,
     run: i64,
@@ -169,8 +170,8 @@ async fn measured_after(
         .map_err(readers.failed(WHAT))
 }
 
-/// Returns the failed iterations that charts mark, and the number of all failed iterations. The number is at most one more
-/// than `MAX_COUNTED`, which then means "more than that".
+/// Returns the failed iterations that charts mark, and the number of all failed iterations. The number is at most one
+/// more than `MAX_COUNTED`, which then means "more than that".
 async fn failed(readers: &Readers, run: i64, last: i64) -> Result<(Vec<Row>, u64), StoreError> {
     let max_marked = Episodes::MAX_FAILED;
     let failed: Vec<Row> = sqlx::query_as(sql::ITERATIONS_WITHOUT_ANSWER)

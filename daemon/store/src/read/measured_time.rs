@@ -1,5 +1,5 @@
-//! Times in which a run measured. The number of rows that are read does not depend on the length of the run: within a time, whole buckets are
-//! read, each as wide as possible, and single iterations only in the seconds of both ends.
+//! Times in which a run measured. The number of rows that are read does not depend on the length of the run: within a
+//! time, whole buckets are read, each as wide as possible, and single iterations only in the seconds of both ends.
 
 use peernet_clock::WallTime;
 use peernet_logger::stage;
@@ -113,8 +113,8 @@ async fn add_iterations(
     Ok(())
 }
 
-/// Divides whole seconds into buckets of the stored widths, as wide as possible. Returns ranges of buckets: width, begin of the first bucket,
-/// and end of the last bucket.
+/// Divides whole seconds into buckets of the stored widths, as wide as possible. Returns ranges of buckets: width,
+/// begin of the first bucket, and end of the last bucket.
 fn widest_buckets((mut first_s, mut end_s): (i64, i64)) -> Vec<(i64, i64, i64)> {
     let mut ranges = Vec::new();
     for (index, width_s) in WIDTHS_S.into_iter().enumerate() {

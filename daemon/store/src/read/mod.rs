@@ -38,7 +38,8 @@ pub(super) fn name(what: &'static str, text: Option<&str>) -> Result<Option<Slug
     text.map(|text| parse(what, text)).transpose()
 }
 
-/// Returns the value for a number of the table `source` or `verdict`. The rows of these tables are in the order of `all`.
+/// Returns the value for a number of the table `source` or `verdict`. The rows of these tables are in the order of
+/// `all`.
 pub(super) fn value_of_number<T: Copy>(what: &'static str, all: &[T], number: u8) -> Result<T, StoreError> {
     let value = all.get(usize::from(number)).copied();
     value.ok_or_else(|| corrupt_data(what, format_args!("source or verdict {number}")))

@@ -14,8 +14,8 @@ use crate::types::ValuePairs;
 const WHAT: &str = "pairs of values";
 /// Number of parts of the sample that are read concurrently.
 const CONCURRENT_READS: usize = 4;
-/// The golden ratio. From one interval to the next, the position within the interval moves by this share of the interval's length.
-/// The positions therefore never repeat.
+/// The golden ratio. From one interval to the next, the position within the interval moves by this share of the
+/// interval's length. The positions therefore never repeat.
 const GOLDEN_RATIO: f64 = 0.618_033_988_749_895;
 
 /// A node with one of the two names, or a node `sensing`, which is the parent of some of them.
@@ -48,8 +48,9 @@ impl Values {
         }
     }
 
-    /// Returns the value of the iteration: the sum of all nodes that count for the name. Pages group nodes by name, so nodes that a user logged
-    /// under one name at several places are one quantity here; `data.csv` has a column for each of them.
+    /// Returns the value of the iteration: the sum of all nodes that count for the name. Pages group nodes by name, so
+    /// nodes that a user logged under one name at several places are one quantity here; `data.csv` has a column for
+    /// each of them.
     fn get(&self, name: &str) -> Option<f64> {
         let other = || Some(self.others.iter().find(|(other, _)| other == name)?.1);
         self.of_iteration.get(name).or_else(other)
@@ -84,7 +85,8 @@ pub(crate) async fn value_pairs(
             .await
             .map_err(readers.failed(WHAT))
     };
-    // The iterations are read concurrently: in a long run they are far from each other in the file, and each read waits for the disk.
+    // The iterations are read concurrently: in a long run they are far from each other in the file, and each read waits
+    // for the disk.
     let part_length = numbers.len().div_ceil(CONCURRENT_READS).max(1);
     let rows = try_join_all(numbers.chunks(part_length).map(read)).await?;
     let mut by_iteration = BTreeMap::<i64, Values>::new();
@@ -107,8 +109,8 @@ const fn length(first: i64, last: i64) -> u64 {
 /// Returns at most `max_pairs` numbers from the first to the last, in ascending order: all of them, or one from each of
 /// `max_pairs` intervals of equal length.
 ///
-/// The position within the interval changes from one interval to the next. If a run repeats its data set, evenly spaced iterations
-/// would always belong to the same few samples of the data set.
+/// The position within the interval changes from one interval to the next. If a run repeats its data set, evenly spaced
+/// iterations would always belong to the same few samples of the data set.
 fn sample_numbers(first: i64, last: i64, max_pairs: u32) -> Vec<i64> {
     let total = length(first, last);
     if total <= u64::from(max_pairs) {

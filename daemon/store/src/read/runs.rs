@@ -152,8 +152,8 @@ async fn actuator_results(
     Ok(numbers.iter().map(|number| (*number, results(number))).collect())
 }
 
-/// Returns the summaries of `DEADLINE_MISSED` for the runs with a deadline. Each successful iteration has a sample: 1 if it was
-/// late, 0 otherwise.
+/// Returns the summaries of `DEADLINE_MISSED` for the runs with a deadline. Each successful iteration has a sample: 1
+/// if it was late, 0 otherwise.
 async fn late_answers(readers: &Readers, rows: &[RunRow]) -> Result<HashMap<i64, NameSummary>, StoreError> {
     let with_deadline = rows.iter().filter(|row| deadline_s(&row.configuration).is_some());
     let numbers: Vec<i64> = with_deadline.map(|row| row.number).collect();
@@ -163,8 +163,8 @@ async fn late_answers(readers: &Readers, rows: &[RunRow]) -> Result<HashMap<i64,
     statistics::whole_runs(readers, &numbers, DEADLINE_MISSED).await
 }
 
-/// Reads the deadline in seconds from the pipeline's table of the configuration. The agent writes the table's own keys before its
-/// sub-tables.
+/// Reads the deadline in seconds from the pipeline's table of the configuration. The agent writes the table's own keys
+/// before its sub-tables.
 fn deadline_s(configuration: &str) -> Option<f64> {
     // Only this line is needed, and a list has many runs, so the text is not parsed.
     let keys = configuration.lines().take_while(|line| !line.starts_with('['));
@@ -194,7 +194,8 @@ pub(crate) async fn run(readers: &Readers, number: i64) -> Result<Option<RunDeta
     }))
 }
 
-/// Returns the gaps of a run, oldest first. Further gaps after the first 1,000 are combined, so that the number of missing events is that of all gaps.
+/// Returns the gaps of a run, oldest first. Further gaps after the first 1,000 are combined, so that the number of
+/// missing events is that of all gaps.
 pub(crate) async fn gaps(readers: &Readers, run: i64) -> Result<Vec<GapRow>, StoreError> {
     let mut rows: Vec<(i64, i64, i64, String)> = Vec::new();
     for query in [sql::GAPS, sql::FURTHER_GAPS] {

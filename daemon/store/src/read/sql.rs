@@ -107,8 +107,8 @@ statements! {
     ROLLUPS_OVER_TIME = "SELECT run, resolution_s, bucket_s, name, quantity, count, mean, m2, min, max, sketch \
                          FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND quantity = 0 \
                          AND name IN (SELECT value FROM json_each(?3)) ORDER BY bucket_s";
-    /// Summaries of some names within a time: ?1 run, ?2 resolution, ?3 the names' ids, a JSON array, ?4 and ?5 begin of the first bucket and
-    /// of the bucket after the last.
+    /// Summaries of some names within a time: ?1 run, ?2 resolution, ?3 the names' ids, a JSON array, ?4 and ?5 begin
+    /// of the first bucket and of the bucket after the last.
     ROLLUPS_WITHIN = "SELECT run, resolution_s, bucket_s, name, quantity, count, mean, m2, min, max, sketch \
                       FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s >= ?4 AND bucket_s < ?5 AND quantity = 0 \
                       AND name IN (SELECT value FROM json_each(?3))";
@@ -120,7 +120,8 @@ statements! {
     VERDICTS = "SELECT verdict_count.run, name.text, verdict_count.verdict, verdict_count.count FROM verdict_count \
                 JOIN name ON name.id = verdict_count.name \
                 WHERE verdict_count.run IN (SELECT value FROM json_each(?1)) ORDER BY verdict_count.verdict";
-    /// For each resolution: its first and last bucket, and whether buckets were deleted. ?1 run, ?2 the resolutions, a JSON array.
+    /// For each resolution: its first and last bucket, and whether buckets were deleted. ?1 run, ?2 the resolutions, a
+    /// JSON array.
     EXTENTS = "SELECT width.value, \
                (SELECT min(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = width.value), \
                (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = width.value), \
@@ -136,8 +137,9 @@ statements! {
         "WHERE run = ?1 AND number > ?2 AND outcome <> 0 ORDER BY number LIMIT ?3");
     /// ?1 run.
     LAST_ITERATION = concat!(iteration_columns!(), "WHERE run = ?1 AND number > 0 ORDER BY number DESC LIMIT 1");
-    /// The number of the first iteration that is not warm-up, from each of these numbers on. `+warm_up` makes SQLite find iterations by
-    /// number and not by the index that contains `warm_up`. ?1 run, ?2 numbers, a JSON array, ?3 how many further numbers to look at.
+    /// The number of the first iteration that is not warm-up, from each of these numbers on. `+warm_up` makes SQLite
+    /// find iterations by number and not by the index that contains `warm_up`. ?1 run, ?2 numbers, a JSON array, ?3 how
+    /// many further numbers to look at.
     WARM_UP_ENDS = "SELECT (SELECT number FROM iteration \
                     WHERE run = ?1 AND number BETWEEN start.value AND start.value + ?3 AND +warm_up = 0 \
                     ORDER BY number LIMIT 1) FROM json_each(?2) AS start";
@@ -151,8 +153,8 @@ statements! {
     LAST_COUNTED = concat!(iteration_columns!(),
         "WHERE run = ?1 AND number > (SELECT max(number) FROM iteration WHERE run = ?1 AND number > 0) - ?2 \
          AND +warm_up = 0 AND +outcome = 0 ORDER BY number DESC LIMIT 1");
-    /// The number of the first iteration that did not start before a time, or the number after the last; found by bisection, because
-    /// iterations are stored by number. ?1 run, ?2 time.
+    /// The number of the first iteration that did not start before a time, or the number after the last; found by
+    /// bisection, because iterations are stored by number. ?1 run, ?2 time.
     FIRST_NUMBER_SINCE = "WITH RECURSIVE search(low, high) AS ( \
                           SELECT 0, (SELECT max(number) FROM iteration WHERE run = ?1 AND number > 0) + 1 \
                           UNION ALL SELECT \
@@ -167,8 +169,8 @@ statements! {
     /// Number of failed iterations, counted up to a limit: ?1 run, ?2 limit.
     COUNT_WITHOUT_ANSWER = "SELECT count(*) FROM (SELECT 1 FROM iteration INDEXED BY iteration_without_answer \
                             WHERE run = ?1 AND number > 0 AND outcome <> 0 LIMIT ?2)";
-    /// The first number of a failed iteration in each part of a run: ?1 run, ?2 the parts' first and last numbers, a JSON array
-    /// of pairs.
+    /// The first number of a failed iteration in each part of a run: ?1 run, ?2 the parts' first and last numbers, a
+    /// JSON array of pairs.
     FIRST_WITHOUT_ANSWER = "SELECT (SELECT number FROM iteration INDEXED BY iteration_without_answer \
                             WHERE run = ?1 AND number BETWEEN part.value ->> 0 AND part.value ->> 1 AND outcome <> 0 \
                             ORDER BY number LIMIT 1) FROM json_each(?2) AS part";
@@ -179,8 +181,9 @@ statements! {
                  FROM node CROSS JOIN name ON name.id = node.name \
                  WHERE node.run = ?1 AND node.iteration IN (SELECT value FROM json_each(?2)) \
                  AND node.value IS NOT NULL AND name.unit = 's' ORDER BY node.iteration, node.node";
-    /// The nodes with one of two names, and the nodes `sensing`, in iterations that statistics include. Iterations are found by their numbers and not by the
-    /// index with `warm_up` and `outcome`, which has all iterations of a run. ?1 run, ?2 numbers, a JSON array, ?3 and ?4 the names.
+    /// The nodes with one of two names, and the nodes `sensing`, in iterations that statistics include. Iterations are
+    /// found by their numbers and not by the index with `warm_up` and `outcome`, which has all iterations of a run. ?1
+    /// run, ?2 numbers, a JSON array, ?3 and ?4 the names.
     PAIRS = "SELECT node.iteration, node.node, node.parent, node.value, \
              (SELECT text FROM name WHERE id = node.name) AS text \
              FROM iteration CROSS JOIN node ON node.run = iteration.run AND node.iteration = iteration.number \
@@ -265,8 +268,9 @@ statements! {
     /// ?1 link, ?2 from, ?3 to.
     CLOCK_SAMPLES = concat!("SELECT ", clock_columns!(),
         " FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3 ORDER BY at_ns, window");
-    /// The same samples in JSON, one row for each part of the time. Throughputs are rounded to whole numbers, because writing
-    /// fractions would take a fifth of the time. ?1 link, ?2 first and last moments of the parts, a JSON array of pairs.
+    /// The same samples in JSON, one row for each part of the time. Throughputs are rounded to whole numbers, because
+    /// writing fractions would take a fifth of the time. ?1 link, ?2 first and last moments of the parts, a JSON array
+    /// of pairs.
     CLOCK_PARTS = concat!("SELECT (SELECT json_group_array(json_array(", clock_columns!("CAST(", " AS INTEGER)"),
         ")) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN part.value ->> 0 AND part.value ->> 1) \
          FROM json_each(?2) AS part");
@@ -275,8 +279,8 @@ statements! {
                           iif(id = (SELECT max(id) FROM clock_window WHERE link = ?1), 9223372036854775807, last_ns) AS last_ns \
                           FROM clock_window WHERE link = ?1 AND first_ns <= ?3 \
                           AND (last_ns >= ?2 OR id = (SELECT max(id) FROM clock_window WHERE link = ?1)) ORDER BY id";
-    /// Assumptions of the windows of all links of an edge over a network, in the order of their arrival: ?1 edge, ?2 network, ?3 from, ?4
-    /// to.
+    /// Assumptions of the windows of all links of an edge over a network, in the order of their arrival: ?1 edge, ?2
+    /// network, ?3 from, ?4 to.
     ASSUMED_WINDOWS = "SELECT link.cloud, first_ns, last_ns, clocks, max_drift_ppm, max_drift_change_ppm_per_s, claims_trusted, probes_authenticated \
                        FROM link CROSS JOIN clock_window ON clock_window.link = link.id \
                        WHERE link.edge = ?1 AND link.network = ?2 AND first_ns <= ?4 AND last_ns >= ?3 \
@@ -287,17 +291,17 @@ statements! {
     /// The edge of a run and its network: ?1 run.
     RUN_LINKS = "SELECT pipeline.host, coalesce(run.network, 'zmq-tcp') AS network FROM run \
                  JOIN pipeline ON pipeline.id = run.pipeline WHERE run.number = ?1";
-    /// The edge of a run and its network, the starts of its first and last iterations, and its first and last minutes with successful
-    /// iterations. If the edge's clock was set back, the first is not the earliest. ?1 run.
+    /// The edge of a run and its network, the starts of its first and last iterations, and its first and last minutes
+    /// with successful iterations. If the edge's clock was set back, the first is not the earliest. ?1 run.
     RUN_EXTENT = "SELECT pipeline.host, coalesce(run.network, 'zmq-tcp') AS network, run.model, \
                   (SELECT started_ns FROM iteration WHERE run = ?1 ORDER BY number LIMIT 1) AS first_ns, \
                   (SELECT started_ns FROM iteration WHERE run = ?1 ORDER BY number DESC LIMIT 1) AS last_ns, \
                   (SELECT min(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 60) AS first_s, \
                   (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 60) AS last_s \
                   FROM run JOIN pipeline ON pipeline.id = run.pipeline WHERE run.number = ?1";
-    /// A page of the one-way delays that statistics include. The cloud is the tree's second host. `CROSS JOIN` fixes the order of
-    /// the joins, because SQLite would have to sort the rows after any other order. ?1 run, ?2 and ?3 iteration and node of the last
-    /// delay of the previous page, ?4 limit.
+    /// A page of the one-way delays that statistics include. The cloud is the tree's second host. `CROSS JOIN` fixes
+    /// the order of the joins, because SQLite would have to sort the rows after any other order. ?1 run, ?2 and ?3
+    /// iteration and node of the last delay of the previous page, ?4 limit.
     RUN_DELAYS = "SELECT transit.iteration, transit.node, name.text, transit.sent_ns, transit.received_ns, \
                   transit.raw_ns, transit.source, transit.verdict, transit.sent_raw_ns, transit.received_raw_ns, \
                   node.value, node.lo, node.hi, \
@@ -313,8 +317,8 @@ statements! {
                   ORDER BY transit.iteration, transit.node LIMIT ?4";
     /// ?1 edge, ?2 cloud, as numbers, ?3 network.
     LINK_OF = "SELECT id FROM link WHERE edge = ?1 AND cloud = ?2 AND network = ?3";
-    /// The windows of a link: their first and last samples and exchanges, by the edge's clock that the window relates. ?1 link, ?2
-    /// from, ?3 to, by the edge's wall clock, ?4 limit.
+    /// The windows of a link: their first and last samples and exchanges, by the edge's clock that the window relates.
+    /// ?1 link, ?2 from, ?3 to, by the edge's wall clock, ?4 limit.
     CLOCK_WINDOWS = "SELECT coalesce(clocks, 2) AS clocks, window, \
                      min(iif(clocks < 2, at_raw_ns, at_ns)) AS first_ns, max(iif(clocks < 2, at_raw_ns, at_ns)) AS last_ns, \
                      min(min(coalesce(upper_sent_ns, lower_sent_ns), coalesce(lower_sent_ns, upper_sent_ns))) AS sent_ns, \
@@ -331,8 +335,8 @@ statements! {
     CLOCK_EXCHANGES = concat!("SELECT at_ns AS time_ns, ", exchange_columns!(),
         " FROM clock_sample WHERE link = ?1 AND window = ?2 AND at_ns > ?3 AND max_drift_ppm IS NOT NULL \
          ORDER BY at_ns LIMIT ?4");
-    /// A page of the exchanges of one window of free-running clocks, in the order of the edge's raw clock, because the wall clock of
-    /// the edge may have been set back within the window. Parameters as in `CLOCK_EXCHANGES`.
+    /// A page of the exchanges of one window of free-running clocks, in the order of the edge's raw clock, because the
+    /// wall clock of the edge may have been set back within the window. Parameters as in `CLOCK_EXCHANGES`.
     CLOCK_EXCHANGES_BY_RAW = concat!("SELECT at_raw_ns AS time_ns, ", exchange_columns!(),
         " FROM clock_sample INDEXED BY clock_sample_by_raw WHERE link = ?1 AND window = ?2 AND at_raw_ns > ?3 \
          AND max_drift_ppm IS NOT NULL ORDER BY at_raw_ns LIMIT ?4");

@@ -70,8 +70,8 @@ pub(super) type StoredTree = (Tree, Vec<Option<Slug>>);
 
 /// Returns trees of iterations as they were sent, with the names of their hosts.
 ///
-/// `iterations` has the number and the start of each iteration, in ascending order. The result is `None` for an iteration that was
-/// deleted meanwhile.
+/// `iterations` has the number and the start of each iteration, in ascending order. The result is `None` for an
+/// iteration that was deleted meanwhile.
 pub(super) async fn trees(
     readers: &Readers,
     run: i64,
@@ -96,8 +96,8 @@ pub(super) async fn trees(
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
-    // The nodes are read last. If retention deletes an iteration meanwhile, the iteration then has no nodes, but never nodes without
-    // their stamps.
+    // The nodes are read last. If retention deletes an iteration meanwhile, the iteration then has no nodes, but never
+    // nodes without their stamps.
     let nodes: Vec<NodeRow> = sqlx::query_as(sql::NODES)
         .bind(run)
         .bind(&numbers)
@@ -138,7 +138,8 @@ fn tree(
     let mut hosts = vec![name(WHAT, tree_hosts.name.as_deref())?];
     for (index, anchor) in other_anchors.iter().enumerate() {
         anchors.push(Anchor { host: parse(WHAT, &anchor.uuid)?, wall: wall(anchor.wall_ns) });
-        // A server that does not report to this aggregator has no name of its own here. It gets the name that the edge has for it.
+        // A server that does not report to this aggregator has no name of its own here. It gets the name that the edge
+        // has for it.
         let peer = tree_hosts.peer.as_ref().filter(|_| index == 0);
         hosts.push(name(WHAT, anchor.name.as_ref().or(peer).map(String::as_str))?);
     }

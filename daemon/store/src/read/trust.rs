@@ -38,8 +38,8 @@ pub(crate) async fn trust_input(readers: &Readers, run: &RunDetail) -> Result<Tr
     Ok(TrustInput { two_modes: two_modes(readers, number, &run_statistics).await?, ..input })
 }
 
-/// Returns the length of the standstill of a run, seconds. `buckets` are those of the total. `None` without a standstill, and if events of the
-/// run are missing.
+/// Returns the length of the standstill of a run, seconds. `buckets` are those of the total. `None` without a
+/// standstill, and if events of the run are missing.
 async fn standstill_length(
     readers: &Readers,
     run: &RunDetail,
@@ -81,10 +81,11 @@ async fn two_modes(
     Ok(found)
 }
 
-/// Reads the time series of the total latency. If the run has no totals, because it only reads a sensor, reads the time series of
-/// sensing instead.
+/// Reads the time series of the total latency. If the run has no totals, because it only reads a sensor, reads the time
+/// series of sensing instead.
 ///
-/// The stages are read only if the total changed notably during the run, because over a day the stages have tens of thousands of rows.
+/// The stages are read only if the total changed notably during the run, because over a day the stages have tens of
+/// thousands of rows.
 async fn stages_over_time(readers: &Readers, run: i64) -> Result<Vec<StageBuckets>, StoreError> {
     let mut stages = stage_buckets(readers, run, &[stage::TOTAL], BUCKETS).await?;
     let has_notable_change = |stage: &StageBuckets| {
@@ -98,7 +99,8 @@ async fn stages_over_time(readers: &Readers, run: i64) -> Result<Vec<StageBucket
     Ok(stages)
 }
 
-/// Collects the values from which the trust findings of a run are computed. `stages_over_time` is the result of the function of that name.
+/// Collects the values from which the trust findings of a run are computed. `stages_over_time` is the result of the
+/// function of that name.
 fn collect(
     run: &RunDetail,
     times: StartTimes,
@@ -125,7 +127,8 @@ fn collect(
         stages.iter().position(|(name, _)| name == stage::TOTAL.as_str()).map(|index| stages.remove(index).1);
     let sensing =
         || stages.iter().find(|(name, _)| name == stage::SENSING.as_str()).map(|(_, series)| series.clone());
-    // An agent of another version may write the configuration in another form. The report then contains no limit and no rate.
+    // An agent of another version may write the configuration in another form. The report then contains no limit and no
+    // rate.
     let configured: Option<ConfiguredParts> = toml::from_str(&run.configuration).ok();
     let input = TrustInput {
         conditions: run.conditions.clone(),

@@ -1,7 +1,7 @@
 //! Statistics per minute and hour for runs that were stored when buckets of ten seconds were the coarsest.
 //!
-//! SQL cannot merge quantile sketches. So the migration leaves a list of runs (the table `rollup_debt`), and this code processes the
-//! list when the file is opened, before anything else reads or writes.
+//! SQL cannot merge quantile sketches. So the migration leaves a list of runs (the table `rollup_debt`), and this code
+//! processes the list when the file is opened, before anything else reads or writes.
 
 use sqlx::{Connection, SqliteConnection};
 
@@ -17,7 +17,8 @@ const RUNS_PER_LOG_LINE: u64 = 100;
 pub(super) const TENS: &str = "SELECT run, resolution_s, bucket_s, name, quantity, count, mean, m2, min, max, sketch \
      FROM rollup WHERE run = ?1 AND resolution_s = 10 AND bucket_s >= ?2 AND bucket_s < ?3";
 
-/// Makes the missing statistics. Each run has its own transaction, so that an interrupted call continues with the next run.
+/// Makes the missing statistics. Each run has its own transaction, so that an interrupted call continues with the next
+/// run.
 ///
 /// # Errors
 /// When the database cannot be read or written.

@@ -1,4 +1,5 @@
-//! Rebuilding of roll-ups from the nodes, and of coarser roll-ups from finer roll-ups. No other process may write meanwhile.
+//! Rebuilding of roll-ups from the nodes, and of coarser roll-ups from finer roll-ups. No other process may write
+//! meanwhile.
 
 mod coarser;
 mod nodes;
@@ -16,8 +17,8 @@ pub struct Rebuilt {
     pub runs: u64,
     /// Number of successful iterations that were read, without the warm-up.
     pub iterations: u64,
-    /// Number of those runs of which retention has deleted nodes. Their statistics over the whole run are left unchanged, and also the
-    /// buckets of which nodes are deleted.
+    /// Number of those runs of which retention has deleted nodes. Their statistics over the whole run are left
+    /// unchanged, and also the buckets of which nodes are deleted.
     pub in_part: u64,
 }
 
@@ -25,8 +26,8 @@ pub struct Rebuilt {
 const NEXT_RUN: &str = "SELECT min(number) FROM run WHERE number > ?1";
 /// Second before which nodes are deleted: ?1 run.
 const FIRST_COMPLETE_SECOND: &str = "SELECT before_s FROM trimmed WHERE run = ?1 AND kind = 0";
-/// Counts the skipped starts of a run in the same way as the migration that added the column: ?1 run. Skipped starts before answered
-/// iterations are in the roll-up of the whole run; the others are read from the nodes.
+/// Counts the skipped starts of a run in the same way as the migration that added the column: ?1 run. Skipped starts
+/// before answered iterations are in the roll-up of the whole run; the others are read from the nodes.
 const SKIPPED_STARTS: &str = "UPDATE run SET skipped_starts = CAST(coalesce(max(0.0, min(9007199254740992.0, round( \
      (SELECT total(rollup.count * rollup.mean) FROM rollup \
      WHERE rollup.run = run.number AND rollup.resolution_s = 0 AND rollup.bucket_s = 0 AND rollup.quantity = 0 \
@@ -40,8 +41,8 @@ const SKIPPED_STARTS: &str = "UPDATE run SET skipped_starts = CAST(coalesce(max(
 
 /// Makes the roll-ups of a run, or of all runs, from the nodes that still exist.
 ///
-/// Each run has its own transaction, so a run has either its old statistics or its new statistics. `progress` is called after
-/// every few hundred iterations, and after each run.
+/// Each run has its own transaction, so a run has either its old statistics or its new statistics. `progress` is called
+/// after every few hundred iterations, and after each run.
 ///
 /// # Errors
 /// When the database cannot be read or written. Runs whose rebuild is complete keep their new statistics.

@@ -14,12 +14,13 @@ const PAGE_ITERATIONS: i64 = 500;
 /// Number of pending summaries at which they are written.
 const MAX_PENDING_SUMMARIES: usize = 20_000;
 
-/// The last iteration of a page, and the number of iterations that statistics include: ?1 run, ?2 the last iteration of the previous
-/// page, ?3 limit.
+/// The last iteration of a page, and the number of iterations that statistics include: ?1 run, ?2 the last iteration of
+/// the previous page, ?3 limit.
 pub(super) const PAGE: &str = "SELECT max(number), count(*) FILTER (WHERE warm_up = 0 AND outcome = 0) FROM \
      (SELECT number, warm_up, outcome FROM iteration WHERE run = ?1 AND number > ?2 ORDER BY number LIMIT ?3)";
-/// The nodes of the successful iterations of a page, without the warm-up, and all values of episodes: ?1 run, ?2 last iteration of
-/// the previous page, ?3 last iteration of this page. The joins follow the key that all these tables have: run, iteration, node.
+/// The nodes of the successful iterations of a page, without the warm-up, and all values of episodes: ?1 run, ?2 last
+/// iteration of the previous page, ?3 last iteration of this page. The joins follow the key that all these tables have:
+/// run, iteration, node.
 pub(super) const NUMBERS: &str = "SELECT node.iteration, iteration.started_ns, node.node, node.parent, node.name, \
      (SELECT text FROM name WHERE id = node.name) AS text, node.value, node.lo, node.hi, transit.verdict \
      FROM iteration CROSS JOIN node ON node.run = iteration.run AND node.iteration = iteration.number \
@@ -80,8 +81,8 @@ impl PageStatistics {
     }
 }
 
-/// Writes the roll-ups of a run for the buckets without deleted nodes. `first_complete_s` is the second before which nodes are deleted.
-/// `progress` is called after each page with the number of its iterations that statistics include.
+/// Writes the roll-ups of a run for the buckets without deleted nodes. `first_complete_s` is the second before which
+/// nodes are deleted. `progress` is called after each page with the number of its iterations that statistics include.
 ///
 /// Verdicts are counted over the whole run, so they are written only if no node of the run is deleted.
 pub(super) async fn sum_up(

@@ -1,7 +1,7 @@
 //! The table `arrival`: it records when each range of data arrived, and so which data has to be deleted next.
 //!
-//! If a later row of the same owner covers a part of the range, that part is kept until the later row is due. A jump of a robot's
-//! clock during a run therefore leads to no early deletion.
+//! If a later row of the same owner covers a part of the range, that part is kept until the later row is due. A jump of
+//! a robot's clock during a run therefore leads to no early deletion.
 
 use sqlx::SqliteConnection;
 
@@ -49,8 +49,8 @@ pub(super) const STATEMENTS: [(&str, &str); 8] = [
     ("POSTPONE", POSTPONE),
 ];
 
-/// Pins a run, so that none of its data is deleted, or releases it, so that its retention periods begin now. Returns whether the run
-/// exists. Data that was deleted before stays deleted.
+/// Pins a run, so that none of its data is deleted, or releases it, so that its retention periods begin now. Returns
+/// whether the run exists. Data that was deleted before stays deleted.
 pub(crate) async fn pin(
     connection: &mut SqliteConnection,
     run: i64,
@@ -112,8 +112,8 @@ pub(super) struct TrimResult {
     pub(super) is_complete: bool,
 }
 
-/// Deletes data that had arrived by `before_s`, a second of the storage clock, in the order of arrival. Stops at a cost of about
-/// `max_cost`.
+/// Deletes data that had arrived by `before_s`, a second of the storage clock, in the order of arrival. Stops at a cost
+/// of about `max_cost`.
 pub(super) async fn trim(
     connection: &mut SqliteConnection,
     (kind, cause): (Kind, Cause),
@@ -142,8 +142,8 @@ pub(super) async fn trim(
 }
 
 impl Arrival {
-    /// Deletes data that only this arrival covers, at a cost of about `max_cost`. When all such data is deleted, the arrival is removed.
-    /// If pinned data remains, the arrival is kept, and its period begins again.
+    /// Deletes data that only this arrival covers, at a cost of about `max_cost`. When all such data is deleted, the
+    /// arrival is removed. If pinned data remains, the arrival is kept, and its period begins again.
     async fn delete(
         self,
         connection: &mut SqliteConnection,

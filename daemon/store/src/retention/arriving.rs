@@ -1,8 +1,8 @@
 //! Conversion of recent arrivals to rows of the table `arrival`.
 //!
-//! In each transaction the writer records which iterations of a run and which samples of a link arrived (the columns `arriving_*`).
-//! After a sixty-fourth of the retention period this record becomes a row of `arrival`, or extends the newest row. So each kind of
-//! data has few rows within its period.
+//! In each transaction the writer records which iterations of a run and which samples of a link arrived (the columns
+//! `arriving_*`). After a sixty-fourth of the retention period this record becomes a row of `arrival`, or extends the
+//! newest row. So each kind of data has few rows within its period.
 
 use sqlx::{FromRow, SqliteConnection};
 
@@ -26,13 +26,13 @@ const RUN_DONE: &str = "UPDATE run SET arriving_from_s = NULL, arriving_first_nu
 /// Clears the record of a link: ?1 link.
 const LINK_DONE: &str =
     "UPDATE link SET arriving_from_s = NULL, arriving_first_ns = NULL, arriving_last_ns = NULL WHERE id = ?1";
-/// Extends the newest row of `arrival` if the row began after a given second: ?1 kind, ?2 owner, ?3 now, ?4 and ?5 first and last, ?6
-/// the given second.
+/// Extends the newest row of `arrival` if the row began after a given second: ?1 kind, ?2 owner, ?3 now, ?4 and ?5
+/// first and last, ?6 the given second.
 const EXTEND: &str = "UPDATE arrival SET to_s = max(to_s, ?3), first = min(first, ?4), last = max(last, ?5) \
      WHERE kind = ?1 AND owner = ?2 AND from_s > ?6 \
        AND from_s = (SELECT max(newest.from_s) FROM arrival AS newest WHERE newest.kind = ?1 AND newest.owner = ?2)";
-/// Inserts a row of `arrival`: ?1 kind, ?2 owner, ?3 from, ?4 now, ?5 and ?6 first and last. A row with this key may exist, namely the
-/// row for all earlier data, whose key begins at 0.
+/// Inserts a row of `arrival`: ?1 kind, ?2 owner, ?3 from, ?4 now, ?5 and ?6 first and last. A row with this key may
+/// exist, namely the row for all earlier data, whose key begins at 0.
 const INSERT: &str = "INSERT INTO arrival (kind, owner, from_s, to_s, first, last) VALUES (?1, ?2, ?3, ?4, ?5, ?6) \
      ON CONFLICT (kind, owner, from_s) DO UPDATE SET to_s = max(to_s, excluded.to_s), \
      first = min(first, excluded.first), last = max(last, excluded.last)";
@@ -67,8 +67,8 @@ pub(super) async fn has_arrivals(
     sqlx::query_scalar(ANY).bind(since_s).fetch_one(connection).await
 }
 
-/// Converts the records of arriving data that began at `since_s` or before, of up to `limit` runs and up to `limit` links. Returns the
-/// number of runs and links.
+/// Converts the records of arriving data that began at `since_s` or before, of up to `limit` runs and up to `limit`
+/// links. Returns the number of runs and links.
 pub(super) async fn close(
     connection: &mut SqliteConnection,
     periods: &Periods,

@@ -7,7 +7,8 @@ use super::{DeletedRows, Kind};
 use crate::column::column;
 use crate::extent::Extent;
 
-/// Cost of deleting a row of the table `rollup`, in rows of the table `node`. A row of `rollup` is several times as large.
+/// Cost of deleting a row of the table `rollup`, in rows of the table `node`. A row of `rollup` is several times as
+/// large.
 const BUCKET_COST: u64 = 3;
 
 /// The oldest bucket: ?1 run, ?2 width, ?3 and ?4 first and last.

@@ -104,7 +104,8 @@ impl Deletions {
         self.group = None;
     }
 
-    /// Logs deletions while no data is to be deleted: the first deletions of an hour at once, and all deletions of the hour at its end.
+    /// Logs deletions while no data is to be deleted: the first deletions of an hour at once, and all deletions of the
+    /// hour at its end.
     pub(super) fn log_when_idle(&mut self, now_s: i64) {
         if let Some(group) = &mut self.group
             && group.logged_text.is_none()

@@ -1,10 +1,11 @@
-//! Retention: the writer's task deletes old data between its commits. It deletes a little at a time, so that no commit waits for
-//! long, and it does not examine all runs.
+//! Retention: the writer's task deletes old data between its commits. It deletes a little at a time, so that no commit
+//! waits for long, and it does not examine all runs.
 //!
-//! The age of data is the time since its arrival on the storage clock. A wrong wall clock, the aggregator's or a robot's, therefore
-//! deletes no data early. The table `arrival` holds the times of arrival of each run or link and each kind of data. An index gives
-//! the row that is due next, so a step with nothing to do costs a few index lookups, at most once a second. The table `trimmed` tells
-//! readers and a rebuild up to which time data of a run is deleted. Deletions are recorded as an incident.
+//! The age of data is the time since its arrival on the storage clock. A wrong wall clock, the aggregator's or a
+//! robot's, therefore deletes no data early. The table `arrival` holds the times of arrival of each run or link and
+//! each kind of data. An index gives the row that is due next, so a step with nothing to do costs a few index lookups,
+//! at most once a second. The table `trimmed` tells readers and a rebuild up to which time data of a run is deleted.
+//! Deletions are recorded as an incident.
 
 mod arrivals;
 mod arriving;
@@ -26,15 +27,16 @@ use crate::retention_config::{RetentionConfig, period_s};
 use crate::rollups::WIDTHS_S;
 use crate::storage_clock::StorageClock;
 
-/// Approximate cost of the data that a step deletes, in rows of the table `node`. A step takes some tens of milliseconds.
+/// Approximate cost of the data that a step deletes, in rows of the table `node`. A step takes some tens of
+/// milliseconds.
 pub(crate) const MAX_STEP_COST: u32 = 20_000;
 /// Pause after a step with nothing to do.
 const IDLE_PAUSE: Span = Span::from_seconds(1);
-/// Number of parts of a period. Data that arrives within one part is deleted together, so that a kind has few rows in the
-/// table `arrival`.
+/// Number of parts of a period. Data that arrives within one part is deleted together, so that a kind has few rows in
+/// the table `arrival`.
 const PARTS: i64 = 64;
-/// Length of a part for data that is kept without limit, seconds. The arrivals of such data are needed for the size limit, and for a
-/// period that may be configured later.
+/// Length of a part for data that is kept without limit, seconds. The arrivals of such data are needed for the size
+/// limit, and for a period that may be configured later.
 const UNLIMITED_RESOLUTION_S: i64 = 3_600;
 /// Maximum number of runs and of links whose arrivals one transaction converts.
 const MAX_CONVERTED: u32 = 64;
@@ -270,7 +272,8 @@ impl Retention {
                 arrivals::trim(connection, (kind, Cause::Age), before_s, now_s, max_cost, deletions).await?;
             }
             Work::TooLarge => {
-                // When no older iterations remain, data that is still arriving is converted, so that it can be deleted, too.
+                // When no older iterations remain, data that is still arriving is converted, so that it can be deleted,
+                // too.
                 if !arrivals::has_due(connection, Kind::Nodes, i64::MAX).await? {
                     arriving::close(connection, &self.periods, i64::MAX, now_s, MAX_CONVERTED).await?;
                 }
@@ -286,7 +289,8 @@ impl Retention {
 /// Work of one transaction.
 #[derive(Debug)]
 enum Work {
-    /// Convert the records of arriving data that began at this second of the storage clock or before to rows of the table `arrival`.
+    /// Convert the records of arriving data that began at this second of the storage clock or before to rows of the
+    /// table `arrival`.
     Arriving { since_s: i64 },
     /// Delete data of this kind that had arrived by this second, which is a whole period ago.
     Aged { kind: Kind, before_s: i64 },

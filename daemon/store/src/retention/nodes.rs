@@ -10,7 +10,8 @@ use crate::extent::Extent;
 const PAGE: i64 = 500;
 /// Estimated cost of an iteration before the first iterations are deleted, in rows of `node`.
 const FIRST_COST_ESTIMATE: u64 = 32;
-/// Cost of an iteration without its nodes, in rows of `node`: the row is in two indexes and has rows in two more tables.
+/// Cost of an iteration without its nodes, in rows of `node`: the row is in two indexes and has rows in two more
+/// tables.
 const ITERATION_COST: u64 = 4;
 
 /// The oldest iterations: ?1 run, ?2 and ?3 first and last number, ?4 limit.

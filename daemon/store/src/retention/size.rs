@@ -45,8 +45,8 @@ impl SizeLimit {
         Ok(self.limit > 0 && !is_paused && used_bytes(connection).await? > self.limit)
     }
 
-    /// Deletes the data that arrived first, at any age, of the kinds that may be deleted and of runs that are not pinned. Returns whether
-    /// more such data may remain.
+    /// Deletes the data that arrived first, at any age, of the kinds that may be deleted and of runs that are not
+    /// pinned. Returns whether more such data may remain.
     pub(super) async fn reduce(
         &mut self,
         connection: &mut SqliteConnection,

@@ -8,7 +8,8 @@ use super::packed::PackedSummary;
 use super::table::{self, RollupRow};
 use super::{Addition, Series, WHOLE_RUN, WIDTHS_S, bucket};
 
-/// Number of buckets of a width that are kept. More than one is kept, because iterations may end in another order than they started.
+/// Number of buckets of a width that are kept. More than one is kept, because iterations may end in another order than
+/// they started.
 const KEPT_BUCKETS: usize = 2;
 /// Approximate memory of a run in addition to its rows, bytes.
 const OVERHEAD: usize = 512;

@@ -1,12 +1,12 @@
 //! Roll-ups: statistics that are updated in the same transaction in which nodes are stored.
 //!
-//! They are moments and sketches in buckets of 1 s, 10 s, 1 min, 1 h and the whole run, by the iteration's start. Their key is
-//! run, width, bucket, name, so that a commit appends rows and a page reads one range of rows.
+//! They are moments and sketches in buckets of 1 s, 10 s, 1 min, 1 h and the whole run, by the iteration's start. Their
+//! key is run, width, bucket, name, so that a commit appends rows and a page reads one range of rows.
 //!
-//! With a thousand agents the cost per row matters, because each agent changes a bucket of every width and name in each commit.
-//! Four measures keep this cost low: the values of a commit are summed up before rows are changed; no rows are read for a bucket that
-//! is certainly new; the buckets that still grow are kept in memory in their stored form; and all rows are written with a few
-//! large statements, in the order of the table's key.
+//! With a thousand agents the cost per row matters, because each agent changes a bucket of every width and name in each
+//! commit. Four measures keep this cost low: the values of a commit are summed up before rows are changed; no rows are
+//! read for a bucket that is certainly new; the buckets that still grow are kept in memory in their stored form; and
+//! all rows are written with a few large statements, in the order of the table's key.
 
 mod growing;
 mod packed;
@@ -29,8 +29,8 @@ use self::table::Upserts;
 pub(crate) const WIDTHS_S: [i64; 4] = [1, 10, 60, 3600];
 /// Width that stands for the whole run.
 pub(crate) const WHOLE_RUN: i64 = 0;
-/// Maximum memory for growing buckets, bytes. Beyond it, the buckets of the runs that were written least recently are removed and
-/// read again when needed. It is enough for some thousand runs with usual trees.
+/// Maximum memory for growing buckets, bytes. Beyond it, the buckets of the runs that were written least recently are
+/// removed and read again when needed. It is enough for some thousand runs with usual trees.
 const MAX_CACHE_BYTES: usize = 96 << 20;
 
 /// Quantity of a node of which statistics are made.
@@ -42,8 +42,8 @@ pub(crate) enum Quantity {
     HalfWidth = 1,
     /// Lower end of the bounds of the node's value.
     LowerEnd = 2,
-    /// Upper end of the bounds of the node's value. An infinite end has no place in a summary, so that a throughput may have fewer upper ends
-    /// than lower ends.
+    /// Upper end of the bounds of the node's value. An infinite end has no place in a summary, so that a throughput may
+    /// have fewer upper ends than lower ends.
     UpperEnd = 3,
 }
 
@@ -188,7 +188,8 @@ impl Rollups {
                 let covered: Vec<Addition> = additions.iter().filter(is_covered).cloned().collect();
                 growing.add(connection, width_s, &covered, &mut rows).await?;
             }
-            // The rows are sorted in the order of the table's primary key, so that neighbouring rows are on the same page.
+            // The rows are sorted in the order of the table's primary key, so that neighbouring rows are on the same
+            // page.
             rows[first_row..].sort_unstable_by_key(RollupRow::key);
             growing.shrink(self.transaction);
             self.bytes += growing.bytes();
@@ -210,8 +211,8 @@ impl Rollups {
         self.bytes = 0;
     }
 
-    /// If the buckets take more than `max_bytes` of memory, removes the runs that were written least recently, until the memory is a
-    /// tenth below the limit.
+    /// If the buckets take more than `max_bytes` of memory, removes the runs that were written least recently, until
+    /// the memory is a tenth below the limit.
     fn evict(&mut self, max_bytes: usize) {
         if self.bytes <= max_bytes {
             return;

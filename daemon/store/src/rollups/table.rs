@@ -30,8 +30,8 @@ impl RollupRow {
         packed: PackedSummary,
     ) -> Self {
         let Moments { count, mean, m2, min, max } = packed.moments;
-        // An earlier version accepted numbers close to infinity, from which NaN may result. The table rejects NaN, but later values
-        // must not be refused because of it. Such a row has an infinite mean until a rebuild.
+        // An earlier version accepted numbers close to infinity, from which NaN may result. The table rejects NaN, but
+        // later values must not be refused because of it. Such a row has an infinite mean until a rebuild.
         let without_nan = |number: f64| if number.is_nan() { f64::INFINITY } else { number };
         let (mean, m2) = (without_nan(mean), without_nan(m2));
         Self {

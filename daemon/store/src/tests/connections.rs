@@ -1,4 +1,5 @@
-//! Statistics of connections: their times are limited to the times of their link's clock samples, and both are deleted together.
+//! Statistics of connections: their times are limited to the times of their link's clock samples, and both are deleted
+//! together.
 
 use peernet_clock::{Span, WallTime};
 use peernet_logger::HostId;

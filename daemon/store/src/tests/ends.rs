@@ -120,7 +120,8 @@ async fn live_event_names_run_known_by_iterations_once() {
 async fn events_of_quarantined_batches_count_as_missing() {
     let mut test_store = TestStore::new().await;
     let run = test_store.run_of(5).await;
-    // A batch with an iteration three times, a truncated batch, and one whose head claims more events than it has bytes.
+    // A batch with an iteration three times, a truncated batch, and one whose head claims more events than it has
+    // bytes.
     let repeated = [6, 6, 6].map(|n| iterations(&test_store, run, n..=n)).concat();
     let repeated = test_store.batch(repeated);
     let mut unreadable = |events: u32| {

@@ -8,7 +8,8 @@ use peernet_stream::{Event, Iteration, Outcome, RunDescription};
 use super::{NOW, TestStore, generate};
 use crate::rebuild::rebuild;
 
-/// Stores a run with these facts: three episodes, of which the first ends with a lost answer and the second with a warm-up step.
+/// Stores a run with these facts: three episodes, of which the first ends with a lost answer and the second with a
+/// warm-up step.
 async fn store(test_store: &mut TestStore, facts: &[(&str, &str)]) {
     let run = RunId::random();
     let Event::RunStarted(description) = generate::run_started(run, "line", NOW) else {

@@ -14,7 +14,8 @@ fn set_episode(iteration: &mut Iteration, steps: u64) {
     (iteration.episode, iteration.step) = ((preceding / steps) as u32, (preceding % steps) as u32);
 }
 
-/// Stores a run of `iterations` iterations, five a second. `change` may change each one, or return `false` to leave it out.
+/// Stores a run of `iterations` iterations, five a second. `change` may change each one, or return `false` to leave it
+/// out.
 async fn store_run(test_store: &mut TestStore, iterations: u64, change: impl Fn(&mut Iteration) -> bool) {
     let (run, hosts, mut numbers) = (RunId::random(), test_store.hosts(), generate::Numbers::new(7));
     let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];

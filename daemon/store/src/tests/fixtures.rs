@@ -1,7 +1,8 @@
-//! The databases in `tests/fixtures/databases`, one of each migration, which must stay readable. They are stored as SQL text.
+//! The databases in `tests/fixtures/databases`, one of each migration, which must stay readable. They are stored as SQL
+//! text.
 //!
-//! After a new migration, `cargo test -p peernet-store write_missing_fixtures -- --ignored` writes its file. An existing file
-//! is never overwritten.
+//! After a new migration, `cargo test -p peernet-store write_missing_fixtures -- --ignored` writes its file. An
+//! existing file is never overwritten.
 
 use std::fs;
 use std::path::{Path, PathBuf};

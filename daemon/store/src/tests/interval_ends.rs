@@ -1,4 +1,5 @@
-//! Intervals of medians by the clock bounds: the same from statistics of the store and from single values, as files have them.
+//! Intervals of medians by the clock bounds: the same from statistics of the store and from single values, as files
+//! have them.
 
 use peernet_analysis::delays::{ClockInterval, ClockedSummaries, IntervalMethod};
 use peernet_analysis::rows::{Row, Rows};
@@ -23,8 +24,8 @@ const QUANTITIES: [(Name, Name); 4] = [
 ];
 
 impl TestStore {
-    /// Makes an iteration whose delays lie near the lower ends of their bounds. Two fifths of the lower ends are cut at zero; downloads are
-    /// negative, as those of an observed system may be. Sizes and widths vary.
+    /// Makes an iteration whose delays lie near the lower ends of their bounds. Two fifths of the lower ends are cut at
+    /// zero; downloads are negative, as those of an observed system may be. Sizes and widths vary.
     fn iteration_with_uneven_bounds(&self, run: RunId, number: u64) -> Iteration {
         let mut iteration =
             generate::iteration(run, number, self.hosts(), &mut generate::Numbers::new(number));

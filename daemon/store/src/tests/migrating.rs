@@ -18,7 +18,8 @@ use crate::types::{IterationFilter, RunFilter};
 /// The last version with statistics of two widths only.
 const LAST_COARSE: i64 = 4;
 
-/// Copies the data into a file of an earlier version: only the columns of that version, and only the statistics that it kept.
+/// Copies the data into a file of an earlier version: only the columns of that version, and only the statistics that it
+/// kept.
 pub(super) async fn as_of_version(test_store: &TestStore, version: i64) -> PathBuf {
     let path = test_store.path.with_file_name(format!("version-{version}.sqlite"));
     let mut old = database::write_options(&path).connect().await.expect("makes");

@@ -11,8 +11,8 @@ use super::{NOW, TestStore, generate};
 const COUNT: u64 = 20;
 
 impl TestStore {
-    /// Makes an iteration with the nodes that the agent writes for a pair of messages with stamps of the peer. The delays of the first
-    /// iterations are unknown, because a clock was stepped; one of the others is negative.
+    /// Makes an iteration with the nodes that the agent writes for a pair of messages with stamps of the peer. The
+    /// delays of the first iterations are unknown, because a clock was stepped; one of the others is negative.
     fn observed_iteration(&self, run: RunId, number: u64) -> Iteration {
         let mut iteration =
             generate::iteration(run, number, self.hosts(), &mut generate::Numbers::new(number));

@@ -21,7 +21,8 @@ const LARGE: [(&str, &[&str]); 7] = [
     ("clock_sample", &["link=? AND at_ns", "link=? AND window=? AND at_raw_ns"]),
 ];
 
-/// Statements that read more than they return on purpose: name, table, and the reason why the number of rows is bounded.
+/// Statements that read more than they return on purpose: name, table, and the reason why the number of rows is
+/// bounded.
 const EXCEPTIONS: [(&str, &str, &str); 4] = [
     ("SHAPES", "node", "the nodes of a few thousand iterations, from one number to another"),
     ("RUN_EXTENT", "iteration", "the first and the last row of the run, LIMIT 1"),

@@ -243,8 +243,8 @@ async fn sides_of_step_are_judged_separately() {
     }
 }
 
-/// The cloud's clock jumps by less than a round trip, and the cloud does not report it. Agents then begin another window.
-/// Agents of earlier versions did not; their stored samples are judged by exchanges alone.
+/// The cloud's clock jumps by less than a round trip, and the cloud does not report it. Agents then begin another
+/// window. Agents of earlier versions did not; their stored samples are judged by exchanges alone.
 #[tokio::test]
 async fn unreported_jump_does_not_change_earlier_delays() {
     for (is_one_window, jump) in [(false, 3), (false, -3), (true, 3), (true, -3)] {

@@ -1,5 +1,5 @@
-//! Judging runs with raw stamps again: by the raw stamps alone, whatever happens to wall clocks, and separately for each
-//! start of a machine.
+//! Judging runs with raw stamps again: by the raw stamps alone, whatever happens to wall clocks, and separately for
+//! each start of a machine.
 
 use peernet_clock::{RelatedClocks, Span, Verdict};
 
@@ -70,8 +70,8 @@ async fn wall_clock_steps_leave_delays_by_raw_stamps_unchanged() {
     }
 }
 
-/// Makes a simulation in which both machines were restarted `after` the start of the first one, with free-running clocks that
-/// show the same times.
+/// Makes a simulation in which both machines were restarted `after` the start of the first one, with free-running
+/// clocks that show the same times.
 fn simulation_after_restart(test_store: &TestStore, after: Span) -> Simulation {
     let mut restarted = Simulation::new(test_store.hosts(), RelatedClocks::Raw);
     restarted.now = after;

@@ -9,8 +9,8 @@ use sqlx::{ConnectOptions, Connection, SqliteConnection};
 use super::{NOW, TestStore};
 use crate::maintenance::{Examination, RepairError, examine, repair};
 
-/// Sums that must agree after any loss: iterations by rows, by the runs' counters and by their gaps, incomplete trees, and nodes
-/// by rows and by the hosts' counters.
+/// Sums that must agree after any loss: iterations by rows, by the runs' counters and by their gaps, incomplete trees,
+/// and nodes by rows and by the hosts' counters.
 const SUMS: &str = "SELECT (SELECT count(*) FROM iteration), (SELECT sum(ok + failed + lost + timeout + warm_up) FROM run), \
      (SELECT coalesce(sum(count), 0) FROM gap), (SELECT coalesce(sum(missing), 0) FROM host), \
      (SELECT count(*) FROM (SELECT run, iteration, count(*) AS n, max(node) AS last FROM node GROUP BY run, iteration) \
@@ -28,7 +28,8 @@ async fn database_is_whole_after_repair_of_any_page() {
     test_store.run_of(60).await;
     let mut other = test_store.second_connection().await;
     sqlx::query("UPDATE storage_clock SET elapsed_ns = 123456789").execute(&mut other).await.expect("sets");
-    // A connection that is only dropped closes later, and keeps the others from carrying the write-ahead log over into the file.
+    // A connection that is only dropped closes later, and keeps the others from carrying the write-ahead log over into
+    // the file.
     other.close().await.expect("closes");
     let TestStore { _folder, path: intact_path, writer, store, .. } = test_store;
     store.close().await;

@@ -148,7 +148,8 @@ async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
     let must_stay = |((run, width_s, bucket_s, ..), _): &(&(i64, i64, i64, i64, i64), &_)| {
         *run == 2 || *width_s == 0 || bucket_s + width_s > now_s - period_s(*width_s)
     };
-    // An iteration arrives at most an hour after it began. It is deleted with the iterations that arrived within the next hour.
+    // An iteration arrives at most an hour after it began. It is deleted with the iterations that arrived within the
+    // next hour.
     let may_stay = |((_, width_s, bucket_s, ..), _): &(&(i64, i64, i64, i64, i64), &_)| {
         bucket_s + width_s + 2 * RESOLUTION_S + 60 > now_s - period_s(*width_s)
     };

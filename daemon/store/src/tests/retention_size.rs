@@ -68,8 +68,8 @@ async fn oldest_unpinned_rows_are_deleted_above_limit() {
     );
 }
 
-/// Stores concurrent runs: their names, the hours in which they are measured, and the iterations per hour. All iterations of an
-/// hour arrive at its end.
+/// Stores concurrent runs: their names, the hours in which they are measured, and the iterations per hour. All
+/// iterations of an hour arrive at its end.
 async fn store_concurrent_runs(
     test_store: &mut TestStore,
     runs: &[(&str, std::ops::Range<u32>, u32)],

@@ -1,5 +1,5 @@
-//! Growing roll-ups: the table contains the sum of all added values, in any order, and even if any part of the memory is
-//! dropped in between.
+//! Growing roll-ups: the table contains the sum of all added values, in any order, and even if any part of the memory
+//! is dropped in between.
 
 use std::collections::BTreeMap;
 

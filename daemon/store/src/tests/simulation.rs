@@ -1,5 +1,5 @@
-//! Simulation of an edge and a cloud with their clocks, of a network between them, and of the relation that a real agent would
-//! keep: the delays were judged by the same code that judges them again.
+//! Simulation of an edge and a cloud with their clocks, of a network between them, and of the relation that a real
+//! agent would keep: the delays were judged by the same code that judges them again.
 
 use peernet_clock::{
     Discipline, Exchange, ExchangeObservation, Interval, JudgedExchange, LearnResult, OneWayDelay, RawTime,
@@ -91,7 +91,8 @@ impl Simulation {
         self.relation.set_claims(exact, claim);
     }
 
-    /// Simulates a second with ten probes and, if there is a run, ten iterations. Returns them with the sample at its end.
+    /// Simulates a second with ten probes and, if there is a run, ten iterations. Returns them with the sample at its
+    /// end.
     pub(super) fn second(&mut self, run: Option<RunId>) -> (Vec<Iteration>, Event) {
         let mut iterations = Vec::new();
         for turn in 0..10 {

@@ -12,8 +12,8 @@ use super::{NOW, TestStore, generate};
 /// Number of iterations, ten per second. The first and the last ten are warm-up, as in episodes.
 const COUNT: u64 = 300;
 
-/// Returns the times of a run according to its stored iterations and to its files. `start` returns the start of an iteration, `outcome` its
-/// outcome.
+/// Returns the times of a run according to its stored iterations and to its files. `start` returns the start of an
+/// iteration, `outcome` its outcome.
 async fn times(
     start: impl Fn(u64) -> WallTime,
     outcome: impl Fn(u64) -> Outcome,

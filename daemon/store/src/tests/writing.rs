@@ -1,4 +1,5 @@
-//! Promises of the writer: each batch is stored exactly once, an invalid one is quarantined, and nothing is half stored.
+//! Promises of the writer: each batch is stored exactly once, an invalid one is quarantined, and nothing is half
+//! stored.
 
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{
@@ -126,7 +127,8 @@ async fn iterations_repeated_in_another_stream_are_left_out() {
     let mut test_store = TestStore::new().await;
     let run = test_store.run_of(20).await;
     let stranger = RunId::random();
-    // A copy of the spool is in use as well: half of the iterations that it sends are stored, some belong to an unknown run.
+    // A copy of the spool is in use as well: half of the iterations that it sends are stored, some belong to an unknown
+    // run.
     test_store.stream = StreamId::random();
     let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
     events.extend(iterations(&test_store, run, 11..=30));

@@ -3,25 +3,28 @@
 use peernet_analysis::warm_up::MAX_EPISODE_BORDERS;
 use peernet_clock::WallTime;
 
-/// Episodes, warm-up and failed iterations of a run. Times are on the edge's wall clock. Iterations that retention deleted, or that
-/// never reached the store, have no times.
+/// Episodes, warm-up and failed iterations of a run. Times are on the edge's wall clock. Iterations that retention
+/// deleted, or that never reached the store, have no times.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Episodes {
     /// Start of the first iteration, if it is still stored.
     pub first: Option<WallTime>,
     /// Number of started episodes: 1 for a run that is not divided into episodes, 0 without iterations.
     pub count: u64,
-    /// Number of iterations of each episode except the last; `None` if there is only one episode, or if episodes have different lengths.
+    /// Number of iterations of each episode except the last; `None` if there is only one episode, or if episodes have
+    /// different lengths.
     pub steps: Option<u64>,
     /// Starts of all episodes except the first. Empty if there are more than [`Episodes::MAX_BORDERS`].
     pub borders: Vec<WallTime>,
-    /// Periods of warm-up, at the start of the run and of each episode in `borders`: the start of the first iteration, and that of the next
-    /// iteration that is not warm-up, or of the last iteration. Periods whose beginning or end is not stored are left out.
+    /// Periods of warm-up, at the start of the run and of each episode in `borders`: the start of the first iteration,
+    /// and that of the next iteration that is not warm-up, or of the last iteration. Periods whose beginning or end is
+    /// not stored are left out.
     pub warm_up: Vec<(WallTime, WallTime)>,
     /// Starts of failed iterations, including the warm-up. If there are more than [`Episodes::MAX_FAILED`], the
     /// run is divided into this number of parts, and the list has the first such start of each part.
     pub failed_starts: Vec<WallTime>,
-    /// Number of stored failed iterations. At most one more than [`Episodes::MAX_COUNTED`], which means "more than that".
+    /// Number of stored failed iterations. At most one more than [`Episodes::MAX_COUNTED`], which means "more than
+    /// that".
     pub failed_count: u64,
 }
 
@@ -30,6 +33,7 @@ impl Episodes {
     pub const MAX_BORDERS: u32 = MAX_EPISODE_BORDERS;
     /// Maximum number of failed iterations in a chart. More could not be distinguished.
     pub const MAX_FAILED: usize = 300;
-    /// Limit of the count of failed iterations, which bounds the time of the query in a run in which every iteration failed.
+    /// Limit of the count of failed iterations, which bounds the time of the query in a run in which every iteration
+    /// failed.
     pub const MAX_COUNTED: u64 = 10_000;
 }

@@ -3,15 +3,17 @@
 use peernet_clock::WallTime;
 use peernet_statistics::Summary;
 
-/// Time in which a run measured: from its first successful iteration after the warm-up to its last, by the edge's wall clock.
+/// Time in which a run measured: from its first successful iteration after the warm-up to its last, by the edge's wall
+/// clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MeasuredTime {
     /// Start of the first of these iterations.
     pub first: WallTime,
     /// Start of the last.
     pub last: WallTime,
-    /// Resolution of both times and of [`Store::measured_within`](crate::Store::measured_within), seconds; 0 if single iterations are stored.
-    /// Retention deletes them first, and then the buckets of seconds. The run measured at least from `first` to `last`.
+    /// Resolution of both times and of [`Store::measured_within`](crate::Store::measured_within), seconds; 0 if single
+    /// iterations are stored. Retention deletes them first, and then the buckets of seconds. The run measured at least
+    /// from `first` to `last`.
     pub resolution_s: u32,
 }
 

@@ -23,8 +23,8 @@ pub struct StageStatistics {
     pub is_stage: bool,
     /// Statistics of the values.
     pub statistics: QuantityStatistics,
-    /// Share of the nodes with this name in the mean of `total`, 0 to 1; `None` if they measure no duration. An unknown delay counts as the
-    /// mean of the known delays. The share of a child is also part of its parent's share.
+    /// Share of the nodes with this name in the mean of `total`, 0 to 1; `None` if they measure no duration. An unknown
+    /// delay counts as the mean of the known delays. The share of a child is also part of its parent's share.
     pub share: Option<f64>,
     /// Accuracy of one-way delays; `None` for other names.
     pub bound: Option<DelayAccuracy>,
@@ -35,8 +35,8 @@ pub struct StageStatistics {
 pub struct RunStatistics {
     /// Statistics of each node name, in the order in which tables list the names: stages first.
     pub stages: Vec<StageStatistics>,
-    /// Accuracy of the one-way delays: `upload`, `download`. A direction is present even if none of its delays has a value; `stages` then
-    /// lacks the name.
+    /// Accuracy of the one-way delays: `upload`, `download`. A direction is present even if none of its delays has a
+    /// value; `stages` then lacks the name.
     pub bounds: Vec<DelayAccuracy>,
     /// The mergeable sums from which `stages` and `bounds` were made.
     pub mergeable: Arc<MergeableStatistics>,
@@ -68,8 +68,8 @@ impl From<MergeableStatistics> for RunStatistics {
     }
 }
 
-/// Mergeable statistics of runs: counts, values, widths of intervals. Merged statistics are the same as if all values had been added to
-/// one.
+/// Mergeable statistics of runs: counts, values, widths of intervals. Merged statistics are the same as if all values
+/// had been added to one.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MergeableStatistics {
     values: HashMap<Name, NameSummary>,
@@ -102,13 +102,14 @@ impl MergeableStatistics {
         self.values.get(name).map(|entry| &entry.summary)
     }
 
-    /// Returns half the widths, in seconds, of the intervals of the delays of one direction; `None` if no delay has an interval.
+    /// Returns half the widths, in seconds, of the intervals of the delays of one direction; `None` if no delay has an
+    /// interval.
     pub fn half_widths(&self, name: &str) -> Option<&Summary> {
         self.half_widths.get(name)
     }
 
-    /// Returns the lower ends and the upper ends, in the SI unit, of the intervals of a delay or throughput. Infinite ends are left out. `None`
-    /// if no value has an interval, or if an earlier version stored the values.
+    /// Returns the lower ends and the upper ends, in the SI unit, of the intervals of a delay or throughput. Infinite
+    /// ends are left out. `None` if no value has an interval, or if an earlier version stored the values.
     pub fn ends(&self, name: &str) -> Option<&[Summary; 2]> {
         self.ends.get(name)
     }

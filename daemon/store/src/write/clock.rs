@@ -21,8 +21,8 @@ use crate::plausible;
 /// Maximum number of links in memory. When it is reached, all are discarded and read again when needed.
 const MAX_CACHED_LINKS: usize = 10_000;
 
-/// The row of a second replaces an earlier row of the same second, as in the live state: each report of a second is complete up to the
-/// time of the report.
+/// The row of a second replaces an earlier row of the same second, as in the live state: each report of a second is
+/// complete up to the time of the report.
 const INSERT: &str = "INSERT OR REPLACE INTO clock_sample (link, at_ns, window, max_drift_ppm, \
      upper_sent_ns, upper_received_ns, upper_replied_ns, upper_returned_ns, upper_uncertainty_ns, \
      lower_sent_ns, lower_received_ns, lower_replied_ns, lower_returned_ns, lower_uncertainty_ns, \
@@ -35,16 +35,16 @@ const INSERT: &str = "INSERT OR REPLACE INTO clock_sample (link, at_ns, window, 
      VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, \
      ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)";
 
-/// Selects the time at which a sample of a window is stored. A wall clock that was set back shows the same times again, while the
-/// window of free-running clocks continues. Each further sample with such a time is stored a nanosecond earlier than the previous
-/// one; this time is still in the same second.
-/// ?1 link, ?2 the sample's time, ?3 window, ?4 the reading of the free-running clock at that time.
+/// Selects the time at which a sample of a window is stored. A wall clock that was set back shows the same times again,
+/// while the window of free-running clocks continues. Each further sample with such a time is stored a nanosecond
+/// earlier than the previous one; this time is still in the same second. ?1 link, ?2 the sample's time, ?3 window, ?4
+/// the reading of the free-running clock at that time.
 const FREE_TIME: &str = "SELECT coalesce( \
      (SELECT max(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 - 999 AND ?2 AND window = ?3 AND at_raw_ns = ?4), \
      ?2 - (SELECT count(*) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 - 999 AND ?2 AND window = ?3 AND at_raw_ns <> ?4))";
 
-/// The assumptions of a window are those of its newest sample. Probes count as authenticated only if the probes of all samples were
-/// authenticated.
+/// The assumptions of a window are those of its newest sample. Probes count as authenticated only if the probes of all
+/// samples were authenticated.
 const WINDOW: &str = "INSERT INTO clock_window (link, window, first_ns, last_ns, clocks, max_drift_ppm, \
      max_drift_change_ppm_per_s, claims_trusted, probes_authenticated) VALUES (?1, ?2, ?3, ?3, ?4, ?5, ?6, ?7, ?8) \
      ON CONFLICT (link, window) DO UPDATE SET first_ns = min(first_ns, excluded.first_ns), \
@@ -68,7 +68,8 @@ pub(super) struct Links {
 }
 
 impl Links {
-    /// Stores one second of the relation between an edge's clock and a cloud's clock. If the cloud is unknown, it is added.
+    /// Stores one second of the relation between an edge's clock and a cloud's clock. If the cloud is unknown, it is
+    /// added.
     pub(super) async fn store(
         &mut self,
         connection: &mut SqliteConnection,

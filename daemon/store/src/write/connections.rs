@@ -22,8 +22,9 @@ pub struct ConnectionSample {
     pub connection: Connection,
 }
 
-/// A link has a row in `link` from the first sample of its clocks on. The time comes from a live update, which may claim any time. It
-/// is therefore moved into the range of the link's stored clock samples, because retention deletes both together.
+/// A link has a row in `link` from the first sample of its clocks on. The time comes from a live update, which may
+/// claim any time. It is therefore moved into the range of the link's stored clock samples, because retention deletes
+/// both together.
 const INSERT: &str = "INSERT OR REPLACE INTO connection_sample (link, at_ns, pipeline, local_address, remote_address, \
      interface, interface_type, mtu_bytes, \
      sent_bytes, sent_messages, sent_datagrams, sent_lost, sent_duplicated, sent_reordered, sent_retransmitted, \

@@ -15,12 +15,12 @@ use crate::extent::Extent;
 use crate::insert::Insert;
 use crate::stored::{StoredCounts, missing_before};
 
-/// Maximum number of hosts whose counters are in memory: the largest value of `[aggregator] max_hosts`. If there are more,
-/// all are discarded and read again when needed.
+/// Maximum number of hosts whose counters are in memory: the largest value of `[aggregator] max_hosts`. If there are
+/// more, all are discarded and read again when needed.
 const MAX_CACHED_HOSTS: usize = 65_536;
 
-/// Maximum number of skipped starts of a run. An agent may report any number, and neither the column nor a sum of runs may
-/// overflow.
+/// Maximum number of skipped starts of a run. An agent may report any number, and neither the column nor a sum of runs
+/// may overflow.
 const MAX_SKIPPED_STARTS: u64 = 1 << 53;
 
 /// Additions of a transaction to the counters of a host.
@@ -62,8 +62,8 @@ impl Default for Counters {
             hosts: HashMap::new(),
             runs: HashMap::new(),
             totals: HashMap::new(),
-            // An agent may report any number of missing events, and the column may not overflow. So the totals are added in Rust,
-            // where the addition saturates, and the statement only writes them.
+            // An agent may report any number of missing events, and the column may not overflow. So the totals are
+            // added in Rust, where the addition saturates, and the statement only writes them.
             write_hosts: Insert::new(
                 "UPDATE host SET last_seen_ns = now.column2, events = now.column3, nodes = now.column4, \
                  gaps = now.column5, missing = now.column6, quarantined = now.column7 FROM (",
@@ -96,8 +96,8 @@ impl Counters {
         counts
     }
 
-    /// Returns whether the database knew nothing of a host before this transaction; `id` is its row. Its gaps from before the database
-    /// do not count.
+    /// Returns whether the database knew nothing of a host before this transaction; `id` is its row. Its gaps from
+    /// before the database do not count.
     pub(super) async fn is_first_contact(
         &mut self,
         connection: &mut SqliteConnection,
@@ -201,8 +201,8 @@ impl HostCounts {
 }
 
 impl StoredCounts {
-    /// Makes the counts from the columns of `host` and the sum of its gaps from before the database: events, nodes, gaps, missing,
-    /// quarantined, missing before.
+    /// Makes the counts from the columns of `host` and the sum of its gaps from before the database: events, nodes,
+    /// gaps, missing, quarantined, missing before.
     pub(super) fn from_columns(
         (events, nodes, gaps, missing, quarantined, missing_before): (i64, i64, i64, i64, i64, i64),
     ) -> Self {

@@ -4,14 +4,14 @@ use sqlx::SqliteConnection;
 
 use super::Refusal;
 
-/// Reason of an end that was not reported. It is stored and compared, so the text must never change. It is also used if a new run of
-/// a pipeline shows that the previous run has ended, although the agent may still be running then.
+/// Reason of an end that was not reported. It is stored and compared, so the text must never change. It is also used if
+/// a new run of a pipeline shows that the previous run has ended, although the agent may still be running then.
 ///
 /// Iterations of the run that arrive later move this end. A reported end that arrives later replaces it.
 pub(super) const UNREPORTED_END: &str = "the agent ended without saying so";
 
-/// Ends of runs that follow from the events of a transaction. They are written at the end of the transaction, after the last
-/// iterations are counted.
+/// Ends of runs that follow from the events of a transaction. They are written at the end of the transaction, after the
+/// last iterations are counted.
 #[derive(Debug, Default)]
 pub(super) struct RunEnds {
     /// Hosts whose process ended, with the newest run that may belong to that process.
@@ -21,8 +21,8 @@ pub(super) struct RunEnds {
 }
 
 impl RunEnds {
-    /// Records the process with which a host introduced itself. If it differs from the host's previous process, the runs of the
-    /// previous process have ended.
+    /// Records the process with which a host introduced itself. If it differs from the host's previous process, the
+    /// runs of the previous process have ended.
     pub(super) async fn record_process(
         &mut self,
         connection: &mut SqliteConnection,

@@ -19,7 +19,8 @@ pub(crate) const UNKNOWN: &str = "unknown";
 
 /// The host whose batch or message is being stored.
 ///
-/// Runs are looked up by their reporter, never by their id alone: no kind of event can find or change the run of another host.
+/// Runs are looked up by their reporter, never by their id alone: no kind of event can find or change the run of
+/// another host.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Reporter {
     pub(super) id: HostId,
@@ -44,8 +45,8 @@ pub(super) struct Entities {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct KnownRun {
     pub(super) number: i64,
-    /// Id under which the run is stored. It differs from the reported id if another host used that id first. So no host can prevent
-    /// another host from storing a run by using the run's id first.
+    /// Id under which the run is stored. It differs from the reported id if another host used that id first. So no host
+    /// can prevent another host from storing a run by using the run's id first.
     uuid: RunId,
 }
 
@@ -235,8 +236,8 @@ impl Entities {
         Ok((self.remember(reporter, run.run, KnownRun { number, uuid }), pipeline))
     }
 
-    /// Stores a run's name from a live update. The description in the run's start event takes precedence, whether it arrived before or
-    /// arrives later.
+    /// Stores a run's name from a live update. The description in the run's start event takes precedence, whether it
+    /// arrived before or arrives later.
     pub(super) async fn name_run(
         &mut self,
         connection: &mut SqliteConnection,
@@ -315,7 +316,8 @@ impl Entities {
 }
 
 impl Lookup {
-    /// Returns the id under which the reporter's run is stored. If the reporter uses another id for this run, also returns that id.
+    /// Returns the id under which the reporter's run is stored. If the reporter uses another id for this run, also
+    /// returns that id.
     fn ids(&self, run: RunId) -> (RunId, Option<RunId>) {
         let uuid = match self.reporters_run {
             Some(reporters_run) => reporters_run.uuid,
@@ -377,7 +379,8 @@ pub(crate) async fn read_unnamed_runs(
     rows.iter().map(|(host, run)| Ok((id(host)?, id(run)?))).collect()
 }
 
-/// Returns the counts of the hosts that were seen last. A host without a name is only named by others and has never reported.
+/// Returns the counts of the hosts that were seen last. A host without a name is only named by others and has never
+/// reported.
 pub(crate) async fn read_host_counts(
     connection: &mut SqliteConnection,
     limit: u32,

@@ -1,7 +1,7 @@
 //! Check that the paths of the database and of its log still name the open files.
 //!
-//! The writer makes this check before and after each commit, and once a second, because data that is written to a moved or deleted
-//! file would be lost.
+//! The writer makes this check before and after each commit, and once a second, because data that is written to a moved
+//! or deleted file would be lost.
 
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -14,7 +14,8 @@ pub enum CommitError {
     /// The path names another file or no file: data that is written now is lost when this process ends.
     #[error("the database file {} was deleted, moved or replaced, or its file system is not mounted; put it back, or restart the aggregator to use the file that is there now", .0.display())]
     Moved(PathBuf),
-    /// The path of the write-ahead log names another file or no file: data that is written now is lost when this process is killed.
+    /// The path of the write-ahead log names another file or no file: data that is written now is lost when this
+    /// process is killed.
     #[error("the write-ahead log {} of the database was deleted, moved or replaced while it was in use", .0.display())]
     LogMoved(PathBuf),
     /// The file is damaged. The text describes the damage and what to do.
@@ -36,9 +37,9 @@ pub enum CommitError {
 impl CommitError {
     /// Returns whether the connection is still usable: the database is full, or another program locks it.
     ///
-    /// A connection to a damaged file is kept until another file is put in its place. After any other error the file has to be opened
-    /// again. The error may come from the descriptors: they stay read-only, or lead to a file system that is no longer mounted, even if
-    /// the path is usable again.
+    /// A connection to a damaged file is kept until another file is put in its place. After any other error the file
+    /// has to be opened again. The error may come from the descriptors: they stay read-only, or lead to a file system
+    /// that is no longer mounted, even if the path is usable again.
     pub fn leaves_connection_usable(&self) -> bool {
         match self {
             Self::Database(error) => error.is_transient(),
@@ -57,8 +58,9 @@ pub(super) struct DatabaseFile {
     path: PathBuf,
     identity: Identity,
     log_path: PathBuf,
-    /// Identity of the write-ahead log. SQLite creates the log with the first connection and removes it with the last connection. While the writer
-    /// is connected, the log is the same file, even if it is checkpointed and written from its start again.
+    /// Identity of the write-ahead log. SQLite creates the log with the first connection and removes it with the last
+    /// connection. While the writer is connected, the log is the same file, even if it is checkpointed and written from
+    /// its start again.
     log: Log,
 }
 
@@ -67,7 +69,8 @@ pub(super) struct DatabaseFile {
 enum Log {
     /// The write-ahead log was not examined since the connection was made.
     Unknown,
-    /// Identity when the write-ahead log was examined; `None` if there was no log although something had been committed.
+    /// Identity when the write-ahead log was examined; `None` if there was no log although something had been
+    /// committed.
     Examined(Option<Identity>),
 }
 
@@ -102,7 +105,8 @@ impl DatabaseFile {
         }
     }
 
-    /// Checks that the paths still name the files. The check reads only the file system's cache, which is cheap compared with a commit.
+    /// Checks that the paths still name the files. The check reads only the file system's cache, which is cheap
+    /// compared with a commit.
     pub(super) fn check(&self) -> Result<(), CommitError> {
         if identity(&self.path).ok() != Some(self.identity) {
             return Err(CommitError::Moved(self.path.clone()));
@@ -124,7 +128,8 @@ impl FormerFiles {
         Self(file)
     }
 
-    /// Returns the path of the write-ahead log if another file is at the database's path but the log is still the former one and not empty.
+    /// Returns the path of the write-ahead log if another file is at the database's path but the log is still the
+    /// former one and not empty.
     pub fn leftover_log(&self) -> Option<PathBuf> {
         let Self(file) = self;
         let is_replaced = identity(&file.path).ok() != Some(file.identity);

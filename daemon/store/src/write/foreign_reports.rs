@@ -1,7 +1,7 @@
 //! Reports of hosts on runs of other hosts.
 //!
-//! Such reports do not change the runs of other hosts, because runs are looked up by their reporter ([`Reporter`]). The attempt is
-//! recorded as an incident of the reporting host.
+//! Such reports do not change the runs of other hosts, because runs are looked up by their reporter ([`Reporter`]). The
+//! attempt is recorded as an incident of the reporting host.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 
@@ -13,7 +13,8 @@ use sqlx::SqliteConnection;
 use super::Refusal;
 use super::entities::{Entities, Reporter};
 
-/// Maximum number of runs that are remembered as reported. When it is reached, all are discarded and may be reported again.
+/// Maximum number of runs that are remembered as reported. When it is reached, all are discarded and may be reported
+/// again.
 const MAX_REMEMBERED_REPORTS: usize = 10_000;
 
 /// Foreign runs that the current transaction found, and foreign runs that are already recorded in incidents.

@@ -1,8 +1,9 @@
 //! The only writing connection: it stores many batches in one transaction and returns the streams' new marks.
 //!
-//! The mark of a stream is the number up to which its batches are stored. A batch and the new mark are committed together, and a
-//! batch at or below the mark is acknowledged but not stored. So each batch is stored exactly once. The tables of an iteration's tree
-//! have no foreign keys: they would cost a check per node, and they are not needed, because one writer owns the tables.
+//! The mark of a stream is the number up to which its batches are stored. A batch and the new mark are committed
+//! together, and a batch at or below the mark is acknowledged but not stored. So each batch is stored exactly once. The
+//! tables of an iteration's tree have no foreign keys: they would cost a check per node, and they are not needed,
+//! because one writer owns the tables.
 
 mod clock;
 mod connections;
@@ -77,8 +78,8 @@ pub struct CommitResult {
 
 /// Owner of the writing connection.
 ///
-/// The connection is never replaced. After an error that may come from the connection, the whole writer is replaced, together with all
-/// its caches of the database.
+/// The connection is never replaced. After an error that may come from the connection, the whole writer is replaced,
+/// together with all its caches of the database.
 #[derive(Debug)]
 pub struct Writer {
     file: DatabaseFile,
@@ -86,12 +87,13 @@ pub struct Writer {
     staging: Staging,
     retention: Retention,
     storage_clock: StorageClock,
-    /// The aggregator's wall clock at the last commit before this writer. `None` after it was compared with the current time.
+    /// The aggregator's wall clock at the last commit before this writer. `None` after it was compared with the current
+    /// time.
     last_wall: Option<WallTime>,
     /// State of the streams as committed.
     streams: Streams,
-    /// Results of the parts of a group that were committed before another part failed. They are returned when the group is
-    /// committed again.
+    /// Results of the parts of a group that were committed before another part failed. They are returned when the group
+    /// is committed again.
     unreported: CommitResult,
 }
 
@@ -121,8 +123,9 @@ impl Writer {
     pub async fn close(mut self) -> (FormerFiles, Result<(), DatabaseError>) {
         self.retention.finish();
         if self.file.check().is_err() {
-            // SQLite leaves the write-ahead log of a moved file behind, and would apply it to any file that takes the place of the moved file. The
-            // log is therefore checkpointed now, through the open descriptors, so that the moved file is complete without it.
+            // SQLite leaves the write-ahead log of a moved file behind, and would apply it to any file that takes the
+            // place of the moved file. The log is therefore checkpointed now, through the open descriptors, so that the
+            // moved file is complete without it.
             if let Err(error) = sqlx::query(CHECKPOINT_AND_TRUNCATE).execute(&mut self.connection).await {
                 tracing::warn!(%error, log = %self.file.log_path().display(), "cannot checkpoint the write-ahead log into the database that was moved");
             }
@@ -136,16 +139,17 @@ impl Writer {
         &self.streams
     }
 
-    /// Stores all of `work` in one transaction. Only batches that cannot be stored are quarantined. If a batch repeats stored
-    /// iterations, its other iterations are stored.
+    /// Stores all of `work` in one transaction. Only batches that cannot be stored are quarantined. If a batch repeats
+    /// stored iterations, its other iterations are stored.
     ///
     /// # Errors
     /// When the database cannot store anything now. The same work may be committed again: with this writer if the error
-    /// [leaves the connection usable](CommitError::leaves_connection_usable), otherwise with a new writer. Also when the file
-    /// or its log is no longer at its path; the work then does not count as stored.
+    /// [leaves the connection usable](CommitError::leaves_connection_usable), otherwise with a new writer. Also when
+    /// the file or its log is no longer at its path; the work then does not count as stored.
     pub async fn commit(&mut self, work: &[Work], now: Stamp) -> Result<CommitResult, CommitError> {
         self.check_file()?;
-        // The remaining parts of the group. A part with an invalid batch is halved until the batch is alone in its part.
+        // The remaining parts of the group. A part with an invalid batch is halved until the batch is alone in its
+        // part.
         let mut parts = vec![work];
         while let Some(part) = parts.pop() {
             let committed = match self.attempt(part, now, None).await {
@@ -189,8 +193,9 @@ impl Writer {
         self.roll_back_on_error(result).await.map_err(DatabaseError::new)
     }
 
-    /// Checks the wall clock for steps. Stores the pending incidents of the aggregator together with the readings of the storage clock
-    /// and the wall clock. Without pending incidents, stores the readings only if nothing was stored for a while.
+    /// Checks the wall clock for steps. Stores the pending incidents of the aggregator together with the readings of
+    /// the storage clock and the wall clock. Without pending incidents, stores the readings only if nothing was stored
+    /// for a while.
     pub async fn store_clock_readings(
         &mut self,
         now: Stamp,
@@ -240,10 +245,12 @@ impl Writer {
         Ok(())
     }
 
-    /// Checkpoints the write-ahead log and truncates it if its file has more bytes than `max_bytes`, unless a reader is active.
+    /// Checkpoints the write-ahead log and truncates it if its file has more bytes than `max_bytes`, unless a reader is
+    /// active.
     ///
-    /// SQLite writes the log from its start again only if no reader uses the log at the moment of a commit. One long reader, or many
-    /// short readers that overlap, therefore make the log grow. Without further commits the log keeps its size.
+    /// SQLite writes the log from its start again only if no reader uses the log at the moment of a commit. One long
+    /// reader, or many short readers that overlap, therefore make the log grow. Without further commits the log keeps
+    /// its size.
     pub async fn bound_log(&mut self, max_bytes: u64) -> Result<(), CommitError> {
         let bytes = std::fs::metadata(self.file.log_path()).map_or(0, |log| log.len());
         if bytes <= max_bytes {
@@ -289,8 +296,8 @@ impl Writer {
         sqlx::raw_sql(sqlx::AssertSqlSafe(limit)).execute(&mut self.connection).await.expect("limits");
     }
 
-    /// Stores one batch that was refused because of `reason`. If some of its iterations are already stored, the other iterations are
-    /// stored. Otherwise the batch is quarantined.
+    /// Stores one batch that was refused because of `reason`. If some of its iterations are already stored, the other
+    /// iterations are stored. Otherwise the batch is quarantined.
     async fn store_single_batch(
         &mut self,
         part: &[Work],
@@ -362,7 +369,8 @@ impl Writer {
         result
     }
 
-    /// Rolls back an unfinished transaction and reads the names again, because the names that it added do not exist any more.
+    /// Rolls back an unfinished transaction and reads the names again, because the names that it added do not exist any
+    /// more.
     async fn roll_back(&mut self) -> Result<(), sqlx::Error> {
         raw_transaction::roll_back(&mut self.connection).await?;
         self.staging.names = Names::load(&mut self.connection).await?;

@@ -8,8 +8,8 @@ use sqlx::SqliteConnection;
 use super::Refusal;
 use super::prepared::NameKey;
 
-/// Maximum number of distinct names in the store. Beyond it, batches with new names are quarantined. A program that puts
-/// numbers into its names would otherwise fill the memory and the table.
+/// Maximum number of distinct names in the store. Beyond it, batches with new names are quarantined. A program that
+/// puts numbers into its names would otherwise fill the memory and the table.
 const MAX_NAMES: usize = 65_536;
 
 /// The writer's copy of the table `name`.

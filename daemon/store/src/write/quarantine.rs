@@ -1,4 +1,5 @@
-//! Quarantine of batches that cannot be stored. Such a batch is kept as it arrived, and its events are recorded as missing.
+//! Quarantine of batches that cannot be stored. Such a batch is kept as it arrived, and its events are recorded as
+//! missing.
 
 use std::collections::BTreeMap;
 
@@ -41,9 +42,9 @@ impl<'a> RejectedBatch<'a> {
         self.reason
     }
 
-    /// Stores the frame and records its events as missing. If the events can be decoded, there is a gap for each run. Otherwise there is
-    /// one gap with the number of events in the head, or without a number if the frame is too short for that many events. Returns
-    /// the additions to the counters of the host.
+    /// Stores the frame and records its events as missing. If the events can be decoded, there is a gap for each run.
+    /// Otherwise there is one gap with the number of events in the head, or without a number if the frame is too short
+    /// for that many events. Returns the additions to the counters of the host.
     pub(super) async fn store(
         self,
         connection: &mut SqliteConnection,

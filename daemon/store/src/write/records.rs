@@ -79,7 +79,8 @@ async fn run_number(
     }
 }
 
-/// Stores a gap for batches of a stream that will never arrive. `is_first_contact` tells whether the database knew nothing of the host.
+/// Stores a gap for batches of a stream that will never arrive. `is_first_contact` tells whether the database knew
+/// nothing of the host.
 pub(super) async fn insert_missing_batches(
     connection: &mut SqliteConnection,
     host: i64,
@@ -98,8 +99,8 @@ pub(super) async fn insert_missing_batches(
     insert_unattributed_gap(connection, host, &reason, *events, now).await
 }
 
-/// Returns the reason of a gap of batches that were stored before this database knew their host. `missing_before!` finds it by its
-/// beginning.
+/// Returns the reason of a gap of batches that were stored before this database knew their host. `missing_before!`
+/// finds it by its beginning.
 pub(super) fn describe_batches_before_database(stream: &StreamId, from: u64, through: u64) -> String {
     format!(
         "{}batches {from} to {through} of stream {stream} were stored in another database, and their agent has deleted them from its spool",
@@ -107,8 +108,8 @@ pub(super) fn describe_batches_before_database(stream: &StreamId, from: u64, thr
     )
 }
 
-/// Stores a gap of `events` events whose runs are unknown, and an incident with the reason, because no run shows it. If the number of
-/// events is unknown (`None`), the table has 0. Returns the additions to the counters of the host.
+/// Stores a gap of `events` events whose runs are unknown, and an incident with the reason, because no run shows it. If
+/// the number of events is unknown (`None`), the table has 0. Returns the additions to the counters of the host.
 pub(super) async fn insert_unattributed_gap(
     connection: &mut SqliteConnection,
     host: i64,

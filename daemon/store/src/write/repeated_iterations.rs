@@ -1,8 +1,8 @@
-//! Detection of iterations that are already stored although their batch is new. Two copies of one spool that are used alternately
-//! send the same iterations in two streams.
+//! Detection of iterations that are already stored although their batch is new. Two copies of one spool that are used
+//! alternately send the same iterations in two streams.
 //!
-//! The other events of such a batch are stored. Runs and clock samples replace the rows that are already stored. Incidents and gaps
-//! cannot be identified as repeated, so they appear twice.
+//! The other events of such a batch are stored. Runs and clock samples replace the rows that are already stored.
+//! Incidents and gaps cannot be identified as repeated, so they appear twice.
 
 use std::collections::HashSet;
 
@@ -11,8 +11,8 @@ use sqlx::SqliteConnection;
 
 use super::prepared::PreparedBatch;
 
-/// Selects the stored iterations among some numbers: ?1 run, ?2 host, ?3 numbers, a JSON array. Each number is looked up by the key of
-/// the table.
+/// Selects the stored iterations among some numbers: ?1 run, ?2 host, ?3 numbers, a JSON array. Each number is looked
+/// up by the key of the table.
 const STORED: &str = "SELECT iteration.number FROM run \
      JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
      CROSS JOIN json_each(?3) AS requested \

@@ -81,8 +81,8 @@ impl Inserts {
         self.iterations.run(connection, iterations, bind_iteration).await?;
         let nodes = Rows::new(batches, |batch| &batch.nodes);
         let bind = |(batch, row): (&ResolvedBatch<'_>, &NodeRow), to: &mut SqliteArguments| {
-            // At its first node the statistics of a batch are added to the roll-ups. This is done while values are bound, because
-            // the values of the next statement are bound while SQLite executes the current one.
+            // At its first node the statistics of a batch are added to the roll-ups. This is done while values are
+            // bound, because the values of the next statement are bound while SQLite executes the current one.
             if (row.iteration, row.node) == (0, 0) {
                 batch.add_to_rollups(rollups);
             }

@@ -1,5 +1,5 @@
-//! Secrets of hosts. A secret is stored with the host's first events (trust on first use), and read at the start and after a wrong
-//! proof.
+//! Secrets of hosts. A secret is stored with the host's first events (trust on first use), and read at the start and
+//! after a wrong proof.
 
 use std::collections::HashMap;
 
@@ -42,8 +42,8 @@ pub(super) async fn read_host_secret(
     row.map(secret).transpose()
 }
 
-/// Returns the hosts that have introduced themselves and have stored events, gaps or quarantined batches, by ascending row id, with
-/// their secrets. Other rows are of hosts that only other hosts' events name.
+/// Returns the hosts that have introduced themselves and have stored events, gaps or quarantined batches, by ascending
+/// row id, with their secrets. Other rows are of hosts that only other hosts' events name.
 pub(crate) async fn read_host_secrets(
     connection: &mut SqliteConnection,
 ) -> Result<Vec<(HostId, Option<HostSecret>)>, sqlx::Error> {

@@ -60,7 +60,8 @@ struct Row {
 }
 
 impl Streams {
-    /// Returns the record from which a hello is answered. `seniority` is the rank of the host by age among the stored hosts.
+    /// Returns the record from which a hello is answered. `seniority` is the rank of the host by age among the stored
+    /// hosts.
     pub fn record(&self, hello: &Hello, seniority: Option<u64>) -> StreamRecord {
         let mark_of = |stream| self.marks.get(&stream).copied();
         StreamRecord {
@@ -90,7 +91,8 @@ impl Streams {
         for Row { uuid, host, stored, chain, process, events } in rows {
             let (stream, host) = (id(&uuid)?, id(&host)?);
             streams.record_hello(host, stream);
-            // A stream without a chain has no stored batches, or was stored by a version in which a stream ended with its agent.
+            // A stream without a chain has no stored batches, or was stored by a version in which a stream ended with
+            // its agent.
             let Some(chain) = chain else { continue };
             let chain = <[u8; 16]>::try_from(chain)
                 .map_err(|_| invalid_column("a chain that is not 16 bytes long"))?;
@@ -106,8 +108,8 @@ impl Streams {
 impl AdvancedStreams {
     /// Stores that a host introduced itself with a stream.
     ///
-    /// For a new stream a gap is stored if the stream does not continue the host's previous stream, or if batches of the previous stream
-    /// are missing here. Returns the additions of the gaps to the counters.
+    /// For a new stream a gap is stored if the stream does not continue the host's previous stream, or if batches of
+    /// the previous stream are missing here. Returns the additions of the gaps to the counters.
     pub(super) async fn introduce(
         &mut self,
         connection: &mut SqliteConnection,

@@ -21,7 +21,8 @@ use crate::raw_transaction;
 use crate::rollups::Rollups;
 use crate::storage_clock::StorageClock;
 
-/// State that transactions share: caches of the small tables, and additions that are written at the end of a transaction.
+/// State that transactions share: caches of the small tables, and additions that are written at the end of a
+/// transaction.
 #[derive(Debug, Default)]
 pub(super) struct Staging {
     pub(super) names: Names,
@@ -40,8 +41,8 @@ impl Staging {
         Self { names, ..Self::default() }
     }
 
-    /// Stores all of `work`, and advances the storage clock. If `quarantine_reason` is given, the batches are quarantined for that
-    /// reason instead. `marks` are the committed marks.
+    /// Stores all of `work`, and advances the storage clock. If `quarantine_reason` is given, the batches are
+    /// quarantined for that reason instead. `marks` are the committed marks.
     pub(super) async fn run(
         &mut self,
         connection: &mut SqliteConnection,
@@ -138,7 +139,8 @@ impl Staging {
             self.advanced_streams.advance(host, head);
         }
         committed.nodes = batches.iter().map(|batch| batch.batch.nodes.len() as u64).sum();
-        // The batches of one run are inserted one after the other, because the rows of one run are adjacent in the tables.
+        // The batches of one run are inserted one after the other, because the rows of one run are adjacent in the
+        // tables.
         batches.sort_by_key(|batch| batch.runs.first().copied());
         self.inserts.run(connection, &batches, &mut self.rollups).await?;
         self.rollups.write(connection).await?;

@@ -92,7 +92,8 @@ impl Work {
         }
     }
 
-    /// Returns the weight of the work in tree nodes (rows of the table `node`). The sizes of commits are limited by weight.
+    /// Returns the weight of the work in tree nodes (rows of the table `node`). The sizes of commits are limited by
+    /// weight.
     pub fn weight(&self) -> usize {
         if let Self::Batch(batch) = self { batch.weight() } else { 1 }
     }
@@ -108,7 +109,8 @@ pub(crate) enum Refusal {
 }
 
 impl From<sqlx::Error> for Refusal {
-    /// Attributes SQLite's errors about data to the batch, and all other errors (full, locked, read-only …) to the database.
+    /// Attributes SQLite's errors about data to the batch, and all other errors (full, locked, read-only …) to the
+    /// database.
     fn from(error: sqlx::Error) -> Self {
         /// Primary result codes: TOOBIG, CONSTRAINT, MISMATCH, RANGE.
         const DATA_ERRORS: [u32; 4] = [18, 19, 20, 25];

@@ -11,13 +11,13 @@ use crate::codec::{self, CodecError, MAX_MESSAGE_BYTES, Message};
 use crate::{BatchHead, Chain, StreamId, ToAgent, ToAggregator};
 use peernet_logger::HostId;
 
-/// Bits of the first byte of [`any_batch`]. They select how the other bytes are treated, so that some random inputs pass
-/// the check of the hash.
+/// Bits of the first byte of [`any_batch`]. They select how the other bytes are treated, so that some random inputs
+/// pass the check of the hash.
 const AS_BODY: u8 = 1;
 const COMPRESSED: u8 = 2;
 
-/// Reads arbitrary bytes as a batch. The first byte selects whether the other bytes are the frame of a batch or the body
-/// of an intact batch.
+/// Reads arbitrary bytes as a batch. The first byte selects whether the other bytes are the frame of a batch or the
+/// body of an intact batch.
 ///
 /// # Panics
 /// If a guarantee is violated: a body is accepted that does not match its chain or is too long, or a frame is read

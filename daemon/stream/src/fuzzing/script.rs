@@ -29,8 +29,8 @@ impl Script<'_> {
         bytes.to_vec()
     }
 
-    /// Returns a number that is usually small, so that some numbers are consecutive, and otherwise near the largest value
-    /// of `i64` or `u64`.
+    /// Returns a number that is usually small, so that some numbers are consecutive, and otherwise near the largest
+    /// value of `i64` or `u64`.
     pub(super) fn number(&mut self) -> u64 {
         match self.byte() {
             small @ 0..200 => u64::from(small % 16),

@@ -15,8 +15,8 @@ pub(super) fn version_mismatch(hello: &Hello) -> Option<String> {
     Some(mismatch.describe("the event stream", "the aggregator", &agent))
 }
 
-/// Returns whether a host has been in the database for longer than another host. A host that is not in it has the lowest
-/// seniority. Smaller numbers are more senior ([`StreamRecord::seniority`]).
+/// Returns whether a host has been in the database for longer than another host. A host that is not in it has the
+/// lowest seniority. Smaller numbers are more senior ([`StreamRecord::seniority`]).
 const fn is_senior(host: Option<u64>, other: Option<u64>) -> bool {
     match (host, other) {
         (Some(host), Some(other)) => host < other,
@@ -69,8 +69,8 @@ impl Receiving {
         }
     }
 
-    /// Returns the reason to refuse a hello that holds regardless of another process that is connected with the same host
-    /// id.
+    /// Returns the reason to refuse a hello that holds regardless of another process that is connected with the same
+    /// host id.
     fn refusal_reason(&self, hello: &Hello, record: StreamRecord, now: MonoTime) -> Option<String> {
         if let Some(reason) = version_mismatch(hello) {
             return Some(reason);

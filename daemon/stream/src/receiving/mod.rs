@@ -20,8 +20,8 @@ use super::codec::Part;
 use super::{BatchHead, Chain, Hello, StreamId, ToAgent};
 use peernet_logger::{HostId, Slug};
 
-/// Maximum number of streams of one host with batches that are accepted and not stored: the current stream and the host's
-/// earlier streams.
+/// Maximum number of streams of one host with batches that are accepted and not stored: the current stream and the
+/// host's earlier streams.
 const MAX_UNSTORED_STREAMS: usize = 8;
 
 /// Configuration of the receiving end.
@@ -120,8 +120,8 @@ pub enum HelloResult {
         /// the events that the old spool still held are lost. To be stored as a gap of unknown count.
         replaced: Option<StreamId>,
         /// Batches of the previous stream, which this stream continues, that are missing in this database: this is an
-        /// older copy of the database that stored the batches. To be stored as a gap. The mark of the previous stream does
-        /// not change, because another copy of the spool may still hold the batches.
+        /// older copy of the database that stored the batches. To be stored as a gap. The mark of the previous stream
+        /// does not change, because another copy of the spool may still hold the batches.
         missing_previous: Option<MissingPreviousBatches>,
         /// Another host that was connected with the same name. Its session ended, because this host has been stored for
         /// longer.
@@ -189,11 +189,11 @@ pub enum Arrival {
     Duplicate(ToAgent),
     /// The batch is already accepted, and about to be stored.
     Pending,
-    /// Batches before this batch are missing, or it was damaged in transit. The message, if any, requests the missing or
-    /// damaged batches again.
+    /// Batches before this batch are missing, or it was damaged in transit. The message, if any, requests the missing
+    /// or damaged batches again.
     Rejected(Option<ToAgent>),
-    /// The process has no session with the batch's stream, or the batch contradicts accepted batches. The message requests
-    /// a hello.
+    /// The process has no session with the batch's stream, or the batch contradicts accepted batches. The message
+    /// requests a hello.
     Unknown(ToAgent),
 }
 
@@ -243,8 +243,8 @@ impl Receiving {
     /// hello with a stream.
     ///
     /// The mark takes precedence over the agent's statement. Batches after the mark that the agent does not hold are
-    /// [`MissingBatches`], even if the agent states that its stream began later than the mark. A hello whose oldest held
-    /// batch is before the stream's first batch is refused.
+    /// [`MissingBatches`], even if the agent states that its stream began later than the mark. A hello whose oldest
+    /// held batch is before the stream's first batch is refused.
     pub fn handle_hello(&mut self, hello: &Hello, record: StreamRecord, now: MonoTime) -> HelloResult {
         let StreamRecord { mark, last_stream, seniority, .. } = record;
         let (host, stream) = (hello.host.id, hello.stream);
@@ -312,8 +312,8 @@ impl Receiving {
         is_full || other_streams.count() >= MAX_UNSTORED_STREAMS
     }
 
-    /// Decides about a batch. `is_intact` tells whether its bytes match its hash ([`super::codec::decode_batch_body`]). An intact
-    /// batch is accepted even if it cannot be decoded; it is quarantined later.
+    /// Decides about a batch. `is_intact` tells whether its bytes match its hash ([`super::codec::decode_batch_body`]).
+    /// An intact batch is accepted even if it cannot be decoded; it is quarantined later.
     pub fn handle_batch(&mut self, head: &BatchHead, is_intact: bool, now: MonoTime) -> Arrival {
         let window = self.window(head.host);
         let session = self.hosts.get_mut(&head.host);
@@ -333,8 +333,8 @@ impl Receiving {
         self.parts.add(part)
     }
 
-    /// Returns the answer to a request for an echo; the answer is to be sent at once. `bytes` is the position of the request
-    /// in the connection.
+    /// Returns the answer to a request for an echo; the answer is to be sent at once. `bytes` is the position of the
+    /// request in the connection.
     pub fn handle_echo(&mut self, host: HostId, bytes: u64, now: MonoTime) -> ToAgent {
         self.handle_live(host, now).unwrap_or(ToAgent::Echo { bytes })
     }
@@ -389,9 +389,9 @@ impl Receiving {
 
     /// Records that the mark of a stream is on disk. Returns the acknowledgement and the host that receives it.
     ///
-    /// Only batches that the connected agent is known to hold are acknowledged. Batches that an earlier process sent may
-    /// differ from the connected agent's batches with the same numbers, and an acknowledgement makes the agent delete its
-    /// batches.
+    /// Only batches that the connected agent is known to hold are acknowledged. Batches that an earlier process sent
+    /// may differ from the connected agent's batches with the same numbers, and an acknowledgement makes the agent
+    /// delete its batches.
     pub fn handle_stored(&mut self, stream: StreamId, mark: StoredPosition) -> Option<(HostId, ToAgent)> {
         let window = self.window(mark.host);
         let reply = self.streams.get_mut(&stream)?.record_stored(stream, mark, window);
@@ -422,9 +422,9 @@ impl Receiving {
         silent_hosts.into_iter().for_each(|host| self.handle_goodbye(host));
     }
 
-    /// Returns the window of a host in units of its batches: its share of the budget. The share depends on the number of
-    /// connected hosts and on the host's own batch length, not on the batch lengths of other hosts: a host that has or
-    /// claims large batches does not slow down the others.
+    /// Returns the window of a host in units of its batches: its share of the budget. The share depends on the number
+    /// of connected hosts and on the host's own batch length, not on the batch lengths of other hosts: a host that has
+    /// or claims large batches does not slow down the others.
     fn window(&self, host: HostId) -> u32 {
         let batch_bytes = self.hosts.get(&host).map_or(1, |session| session.batch_bytes);
         // Each connected host gets an equal share of the memory, so that all of them together stay within the budget.
@@ -438,8 +438,8 @@ impl Receiving {
         self.hosts.get(&host).is_some_and(|session| session.stream == stream).then_some(host)
     }
 
-    /// Removes a stream from memory if no host sends it and all its accepted batches are stored. Its mark remains in the
-    /// database.
+    /// Removes a stream from memory if no host sends it and all its accepted batches are stored. Its mark remains in
+    /// the database.
     fn forget_if_stored(&mut self, stream: StreamId) {
         if self.current_sender(stream).is_none() {
             self.deferred.remove(stream);

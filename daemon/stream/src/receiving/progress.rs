@@ -40,8 +40,8 @@ pub(super) struct Progress {
     mark: Option<StoredPosition>,
     stored: Position,
     accepted: Position,
-    /// Number of the last batch that has the same content here and at the connected agent. This is known because the agent
-    /// compared the chains when it was welcomed, or because it has sent the batch since then.
+    /// Number of the last batch that has the same content here and at the connected agent. This is known because the
+    /// agent compared the chains when it was welcomed, or because it has sent the batch since then.
     confirmed: u64,
     /// Accepted batches that are not both stored and confirmed, in ascending order. A gap is represented by its last
     /// number.
@@ -56,7 +56,8 @@ impl Progress {
     pub(super) fn new(hello: &Hello, mark: Option<StoredPosition>) -> Self {
         let start = Position {
             number: hello.first.saturating_sub(1),
-            // `hello.chain_before_oldest` is the chain before the oldest batch, which is the first one only if none was deleted.
+            // `hello.chain_before_oldest` is the chain before the oldest batch, which is the first one only if none was
+            // deleted.
             chain: (hello.oldest == hello.first).then_some(hello.chain_before_oldest),
             events: hello.events_before_first,
         };
@@ -105,8 +106,8 @@ impl Progress {
         })
     }
 
-    /// Returns the number of the last stored batch, and the mark that the agent compares with its own batches. If no batch
-    /// is stored, the number is the one before the first batch.
+    /// Returns the number of the last stored batch, and the mark that the agent compares with its own batches. If no
+    /// batch is stored, the number is the one before the first batch.
     pub(super) const fn stored(&self) -> (u64, Option<StoredPosition>) {
         (self.stored.number, self.mark)
     }
@@ -141,7 +142,8 @@ impl Progress {
         let Some((_, chain)) = pending_batch else {
             return Arrival::Pending;
         };
-        // The batch has the same number and other content: the spool is a copy or was restored. The hello compares both ends.
+        // The batch has the same number and other content: the spool is a copy or was restored. The hello compares both
+        // ends.
         if *chain != head.chain {
             return Arrival::Unknown(ToAgent::Unknown);
         }
@@ -234,7 +236,8 @@ impl Progress {
     /// Returns a request for the next batch; `None` if that batch was already requested.
     pub(super) fn request_next(&mut self, stream: StreamId) -> Option<ToAgent> {
         let from = self.next();
-        // One request for each range of missing batches: otherwise each later batch in flight would cause another request.
+        // One request for each range of missing batches: otherwise each later batch in flight would cause another
+        // request.
         let is_new = self.requested != Some(from);
         self.requested = Some(from);
         is_new.then_some(ToAgent::Resend { stream, from })

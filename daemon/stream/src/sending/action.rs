@@ -16,8 +16,8 @@ pub enum Action {
     /// [`Sending::on_append_failed`].
     ///
     /// Batches that were written while disconnected are sent only after an action without batches has recorded that
-    /// they may be sent ([`Totals::newest_sent`]). This record should be on the medium, not only in the system's memory,
-    /// before the action is answered.
+    /// they may be sent ([`Totals::newest_sent`]). This record should be on the medium, not only in the system's
+    /// memory, before the action is answered.
     Append {
         /// Batches, contiguous and following the newest in the spool; empty if only the totals changed.
         batches: Vec<SpooledBatch>,
@@ -35,8 +35,8 @@ pub enum Action {
     /// Delete the batches up to a number and keep the chain of that batch. Answer: [`Sending::on_deleted`], or
     /// [`Sending::on_delete_failed`], after which the deletion is requested again later.
     ///
-    /// The number may be beyond the newest batch in the spool if batches were sent from memory and stored while the spool
-    /// failed. It is then the newest number used so far, and the next appended batch has the number after it.
+    /// The number may be beyond the newest batch in the spool if batches were sent from memory and stored while the
+    /// spool failed. It is then the newest number used so far, and the next appended batch has the number after it.
     Delete {
         /// Number of the last batch.
         through: u64,

@@ -18,8 +18,8 @@ pub(super) struct Appends {
     written: Totals,
     /// `true` if the last attempt failed.
     has_failed: bool,
-    /// `true` after a failure to write batches: the number of dropped events is then written alone before the batches are
-    /// tried again.
+    /// `true` after a failure to write batches: the number of dropped events is then written alone before the batches
+    /// are tried again.
     were_batches_refused: bool,
     /// Start of the last transaction.
     started_at: MonoTime,
@@ -147,8 +147,8 @@ impl Appends {
         Some(())
     }
 
-    /// Returns the time at which the number of dropped events is written without batches, because a full spool accepts no
-    /// batch.
+    /// Returns the time at which the number of dropped events is written without batches, because a full spool accepts
+    /// no batch.
     pub(super) fn losses_due(&self, dropped: u64) -> Option<MonoTime> {
         (dropped != self.written.dropped && !self.job.is_in_progress())
             .then(|| self.started_at + LOSS_WRITE_INTERVAL)

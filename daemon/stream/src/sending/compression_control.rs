@@ -4,9 +4,9 @@ use peernet_clock::{MonoTime, Span};
 
 use super::Compression;
 
-/// A link is slow if its rate in bytes per second is lower than this. An agent at full speed produces a few megabytes of events per
-/// second, which is little for a cable and too much for a poor radio link. Above this rate, compression would have no
-/// benefit and would use processor time of a host that is being measured.
+/// A link is slow if its rate in bytes per second is lower than this. An agent at full speed produces a few megabytes
+/// of events per second, which is little for a cable and too much for a poor radio link. Above this rate, compression
+/// would have no benefit and would use processor time of a host that is being measured.
 const SLOW_BYTES_PER_S: f64 = (4 << 20) as f64;
 
 /// A slow link stops being slow if its rate is higher than this. This limit is well above `SLOW_BYTES_PER_S`, so that a
@@ -126,8 +126,8 @@ mod tests {
         MonoTime::default() + Span::from_millis(millis)
     }
 
-    /// Simulates a number of seconds in which the window is always full and `rate` bytes per second are acknowledged. Returns
-    /// the time of its end.
+    /// Simulates a number of seconds in which the window is always full and `rate` bytes per second are acknowledged.
+    /// Returns the time of its end.
     fn acknowledge_steadily(
         compression_control: &mut CompressionControl,
         from: i64,

@@ -181,8 +181,8 @@ impl Sending {
     fn handle_resend(&mut self, from: u64, now: MonoTime) {
         let ConnectionState::Up { next, last_progress } = self.session.state else { return };
         if from < self.spooler.backlog.oldest() {
-            // The aggregator lacks batches that this agent no longer holds. The hello states so, and the aggregator records
-            // the gap.
+            // The aggregator lacks batches that this agent no longer holds. The hello states so, and the aggregator
+            // records the gap.
             self.schedule_hello(now);
         } else {
             self.session.state = ConnectionState::Up { next: next.min(from), last_progress };
@@ -217,7 +217,8 @@ impl Sending {
             }
             _ => return,
         }
-        // The welcome states whether the batches of an earlier process are stored, even if this end leaves the stream afterwards.
+        // The welcome states whether the batches of an earlier process are stored, even if this end leaves the stream
+        // afterwards.
         self.spooler.resolve_earlier(welcome.last_stored, welcome.process);
         if welcome.last_stored > self.spooler.backlog.newest() {
             return self.leave_stream(&welcome, now);
@@ -264,7 +265,8 @@ impl Sending {
         }
     }
 
-    /// Starts sending if the chain hash of the aggregator's last batch equals `own_chain`, and leaves the stream otherwise.
+    /// Starts sending if the chain hash of the aggregator's last batch equals `own_chain`, and leaves the stream
+    /// otherwise.
     fn compare_chains(
         &mut self,
         welcome: Welcome,
@@ -286,9 +288,9 @@ impl Sending {
         }
     }
 
-    /// Returns whether this process or an earlier process of this spool sent the aggregator's last batch, which the spool
-    /// no longer contains. If not, a copy of this spool sent the batch, and its chain cannot be compared: the aggregator's
-    /// database may be a backup from a time when it received the batches of that copy.
+    /// Returns whether this process or an earlier process of this spool sent the aggregator's last batch, which the
+    /// spool no longer contains. If not, a copy of this spool sent the batch, and its chain cannot be compared: the
+    /// aggregator's database may be a backup from a time when it received the batches of that copy.
     fn has_sent(&self, welcome: &Welcome) -> bool {
         let is_sender = |newest_sent: &NewestSentBatch| {
             Some(newest_sent.process) == welcome.process && newest_sent.number >= welcome.last_stored
@@ -311,8 +313,8 @@ impl Sending {
     ///
     /// The process that sent the aggregator's last batch decides what is known:
     ///
-    /// - The process wrote to this spool. The spool then lost its last batches, or it is a copy, made before that process
-    ///   wrote its last batches to the original. All batches that this spool has from the process are stored
+    /// - The process wrote to this spool. The spool then lost its last batches, or it is a copy, made before that
+    ///   process wrote its last batches to the original. All batches that this spool has from the process are stored
     ///   ([`NewestSentBatch`]); later batches of the spool were never stored.
     /// - The process never wrote to this spool. The spool is then a copy of unknown age. All of its batches are sent,
     ///   because it is better to store events twice, in two streams, than not at all.

@@ -11,7 +11,8 @@ const MAX_WAITING_BATCHES: u64 = 64;
 /// Longest time that stored batches wait for their deletion.
 const MAX_WAIT: Span = Span::from_seconds(1);
 
-/// Deletion of batches from the spool: the number up to which batches are deleted, and the batches that wait for deletion.
+/// Deletion of batches from the spool: the number up to which batches are deleted, and the batches that wait for
+/// deletion.
 #[derive(Clone, Debug)]
 pub(super) struct Deletions {
     job: Job<RunningDeletion>,
@@ -60,8 +61,8 @@ impl Deletions {
         self.job.may_start(now)
     }
 
-    /// Returns whether the batches up to `through` are to be deleted now: because they are many, because they have at least
-    /// `many_bytes` bytes, or because they have waited long enough.
+    /// Returns whether the batches up to `through` are to be deleted now: because they are many, because they have at
+    /// least `many_bytes` bytes, or because they have waited long enough.
     pub(super) fn is_due(&self, through: u64, many_bytes: u64, now: MonoTime) -> bool {
         through - self.through >= MAX_WAITING_BATCHES
             || self.waiting_bytes >= many_bytes
@@ -85,8 +86,8 @@ impl Deletions {
         self.job.start(RunningDeletion { through, bytes });
     }
 
-    /// Ends the deletion successfully. Returns the last batch and the number of deleted bytes; `None` if no deletion is in
-    /// progress.
+    /// Ends the deletion successfully. Returns the last batch and the number of deleted bytes; `None` if no deletion is
+    /// in progress.
     pub(super) fn finish(&mut self) -> Option<((u64, Chain), u64)> {
         let RunningDeletion { through, bytes } = self.job.end()?;
         self.through = through.0;

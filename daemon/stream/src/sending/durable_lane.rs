@@ -11,8 +11,8 @@ use super::partial_batch::PartialBatch;
 use super::spooler::EventSpooler;
 use crate::{ToAggregator, batch_weight, codec};
 
-/// Maximum number of bytes of batches that are sent and not stored, in units of the allowance. It is larger than 1 because
-/// storing takes time, and because the allowance counts compressed bytes.
+/// Maximum number of bytes of batches that are sent and not stored, in units of the allowance. It is larger than 1
+/// because storing takes time, and because the allowance counts compressed bytes.
 const UNSTORED_PER_ALLOWANCE: u64 = 8;
 
 /// The batches in flight to the aggregator, and the flow control of both lanes.
@@ -50,8 +50,8 @@ impl DurableLane {
         }
     }
 
-    /// Returns the next frame of the durable lane: batch `next` or its first part, a further part of the previous batch, or
-    /// a request for an echo.
+    /// Returns the next frame of the durable lane: batch `next` or its first part, a further part of the previous
+    /// batch, or a request for an echo.
     pub(super) fn next(
         &mut self,
         next: u64,

@@ -4,8 +4,8 @@ use super::super::unresolved::ResolvedBatches;
 use super::super::{Gap, SentUnspooled, Totals, UnresolvedBatches};
 
 /// The last batches of an earlier process, until it is known whether they are stored. They are unresolved until the
-/// aggregator's first welcome. The result is then written to the spool. Losses are reported only after this write, so that
-/// each loss is reported once even if a process is killed in between.
+/// aggregator's first welcome. The result is then written to the spool. Losses are reported only after this write, so
+/// that each loss is reported once even if a process is killed in between.
 #[derive(Clone, Debug)]
 pub(super) struct EarlierProcess {
     unresolved: Option<UnresolvedBatches>,
@@ -29,7 +29,8 @@ impl EarlierProcess {
         self.unwritten.as_ref()
     }
 
-    /// Returns the number of submitted events and the number of dropped events, including events of the earlier process.
+    /// Returns the number of submitted events and the number of dropped events, including events of the earlier
+    /// process.
     pub(super) const fn submitted_and_dropped(&self, totals: &Totals) -> (u64, u64) {
         let ResolvedBatches { stored, lost, .. } = self.resolved;
         (totals.produced + stored + lost, totals.dropped + lost)

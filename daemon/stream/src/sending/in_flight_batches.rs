@@ -23,8 +23,8 @@ pub(super) struct InFlightBatches {
 }
 
 impl InFlightBatches {
-    /// Returns whether a batch with a body of `body_bytes` must wait, if batches of a total weight of at most `window` may be
-    /// in flight.
+    /// Returns whether a batch with a body of `body_bytes` must wait, if batches of a total weight of at most `window`
+    /// may be in flight.
     pub(super) fn is_full(&self, body_bytes: usize, window: u64) -> bool {
         let exceeds_limit =
             self.weight + batch_weight(body_bytes) > window || self.batches.len() >= MAX_IN_FLIGHT_BATCHES;
@@ -38,7 +38,8 @@ impl InFlightBatches {
         self.batches.push_back(InFlightBatch { number, weight, frame_bytes: frame_bytes as u64, end: 0 });
     }
 
-    /// Records that the last batch is completely handed over. `end` is the position in the connection after its last byte.
+    /// Records that the last batch is completely handed over. `end` is the position in the connection after its last
+    /// byte.
     pub(super) fn record_handed_over(&mut self, end: u64) {
         if let Some(batch) = self.batches.back_mut() {
             batch.end = end;

@@ -103,14 +103,15 @@ impl Sending {
         self.spooler.record_loss(gap, now);
     }
 
-    /// Handles the passage of time: closes the batch under construction if it is old enough, reports losses, and sends a
-    /// hello if no acknowledgement arrived for too long.
+    /// Handles the passage of time: closes the batch under construction if it is old enough, reports losses, and sends
+    /// a hello if no acknowledgement arrived for too long.
     pub fn tick(&mut self, now: Stamp) {
         self.spooler.tick(now);
         self.check_ack_timeout(now.mono);
     }
 
-    /// Returns the time at which [`tick`](Self::tick) or [`next`](Self::next) must be called even if nothing else happens.
+    /// Returns the time at which [`tick`](Self::tick) or [`next`](Self::next) must be called even if nothing else
+    /// happens.
     pub fn deadline(&self) -> Option<MonoTime> {
         let retry_times = [self.reader.retry_at(), self.renewal.retry_at()];
         let times = [self.spooler.deadline(), self.connection_deadline()].into_iter().chain(retry_times);
@@ -183,8 +184,8 @@ impl Sending {
         self.durable_lane.is_compressing()
     }
 
-    /// Returns the version of the event stream that was chosen for the connection; before it is chosen, the oldest supported
-    /// version.
+    /// Returns the version of the event stream that was chosen for the connection; before it is chosen, the oldest
+    /// supported version.
     pub const fn version(&self) -> u16 {
         self.session.version()
     }

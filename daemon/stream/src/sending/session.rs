@@ -7,7 +7,8 @@ use super::SendingConfig;
 use super::spool_reader::SpoolScan;
 use crate::{AGENT_STREAM_VERSIONS, Chain};
 
-/// Number of hellos without progress that are sent without a pause. Each later hello waits longer than the previous one.
+/// Number of hellos without progress that are sent without a pause. Each later hello waits longer than the previous
+/// one.
 const HELLOS_WITHOUT_PAUSE: u32 = 3;
 
 /// State of the connection.
@@ -15,7 +16,8 @@ const HELLOS_WITHOUT_PAUSE: u32 = 3;
 pub(super) enum ConnectionState {
     /// No connection.
     Down,
-    /// The aggregator has not accepted this host yet. The next hello is due at `retry_at`, and the second next hello `pause` later.
+    /// The aggregator has not accepted this host yet. The next hello is due at `retry_at`, and the second next hello
+    /// `pause` later.
     Handshake { retry_at: MonoTime, pause: Span },
     /// Welcomed. The file is being read to compare both ends' batches.
     Comparing { scan: SpoolScan, purpose: ScanPurpose },
@@ -196,7 +198,8 @@ impl Session {
     }
 
     /// Returns the time until which an acknowledgement must arrive; `None` if no batch is in flight. `oldest` is the
-    /// oldest batch without an acknowledgement, and `last_arrival_at` the time at which bytes of the durable lane last arrived.
+    /// oldest batch without an acknowledgement, and `last_arrival_at` the time at which bytes of the durable lane last
+    /// arrived.
     pub(super) fn ack_deadline(&self, oldest: u64, last_arrival_at: MonoTime) -> Option<MonoTime> {
         match self.state {
             // Batches on a slow link are not lost while their bytes arrive.

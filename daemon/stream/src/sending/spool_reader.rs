@@ -63,9 +63,10 @@ impl SpoolScan {
 
 /// A gap in the file: batches that should be in it and are missing, because they were deleted or the medium failed.
 ///
-/// The first batch after the gap is lost, too. The chain hash stored with this batch cannot be verified, because the chain
-/// hash of the batch before it is unknown. But later batches can be verified against this stored hash, so the stream
-/// continues with the second batch after the gap. The hello states so, and the aggregator records the missing batches.
+/// The first batch after the gap is lost, too. The chain hash stored with this batch cannot be verified, because the
+/// chain hash of the batch before it is unknown. But later batches can be verified against this stored hash, so the
+/// stream continues with the second batch after the gap. The hello states so, and the aggregator records the missing
+/// batches.
 #[derive(Clone, Copy, Debug)]
 enum SpoolGap {
     /// The end of the gap is not known yet; it is searched for from this number on.
@@ -174,8 +175,8 @@ impl SpoolReader {
         self.gap = None;
     }
 
-    /// Returns the number of the first batch that can be sent after the gap, and the chain before it, when the aggregator
-    /// has stored everything before the gap. The gap is then forgotten.
+    /// Returns the number of the first batch that can be sent after the gap, and the chain before it, when the
+    /// aggregator has stored everything before the gap. The gap is then forgotten.
     pub(super) fn pass_gap(&mut self, backlog: &Backlog) -> Option<(u64, Chain)> {
         let Some(SpoolGap::Closed(resume, previous_chain)) = self.gap else { return None };
         // Batches before the gap are still in memory and will be stored first.

@@ -181,8 +181,8 @@ impl EventSpooler {
         self.intake.forget_run(run);
     }
 
-    /// Returns the totals without the events that are in memory only, so that the totals remain correct if the process is
-    /// killed.
+    /// Returns the totals without the events that are in memory only, so that the totals remain correct if the process
+    /// is killed.
     fn persistent_totals(&self) -> Totals {
         let (counted, settled) = (self.intake.totals(), self.backlog.settled_totals());
         let unspooled_events = self.unspooled_events();
@@ -321,9 +321,10 @@ impl EventSpooler {
 
     /// Returns the number up to which batches may be sent, and whether they may be sent from memory.
     ///
-    /// Before batches are sent, the file records that they may be sent, because later writes may be lost. While the file
-    /// cannot be written, its batches are sent without such a record: otherwise a disk that is full of batches would never
-    /// have space again. Batches that are not in the file are sent only if the file has the record for all batches in it.
+    /// Before batches are sent, the file records that they may be sent, because later writes may be lost. While the
+    /// file cannot be written, its batches are sent without such a record: otherwise a disk that is full of batches
+    /// would never have space again. Batches that are not in the file are sent only if the file has the record for all
+    /// batches in it.
     pub(super) fn sendable(&self) -> (u64, bool) {
         match self.appends.has_failed() {
             false => (self.appends.written().newest_sent.map_or(0, |newest_sent| newest_sent.number), false),
@@ -342,8 +343,8 @@ impl EventSpooler {
         self.backlog.send(number, include_unspooled, (host, self.process))
     }
 
-    /// Returns the next deletion or append. `leaves_stream` is `true` while the stream is being left: stored batches must
-    /// then be deleted first.
+    /// Returns the next deletion or append. `leaves_stream` is `true` while the stream is being left: stored batches
+    /// must then be deleted first.
     pub(super) fn next(&mut self, leaves_stream: bool, now: MonoTime) -> Option<Action> {
         // Deletions come first: they free space in the file, and some appends may only follow a deletion
         // ([`Self::has_unspooled_stored`]).

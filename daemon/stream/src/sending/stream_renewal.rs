@@ -58,8 +58,8 @@ impl StreamRenewal {
         self.job.retry_at()
     }
 
-    /// Ends the move successfully, and returns the new stream, in which no earlier process has sent. `None` if no move was
-    /// requested.
+    /// Ends the move successfully, and returns the new stream, in which no earlier process has sent. `None` if no move
+    /// was requested.
     pub(super) fn finish(&mut self) -> Option<StreamId> {
         let stream = self.job.end()?;
         (self.requested, self.newest_sent_by_earlier_processes) = (None, Vec::new());

@@ -1,16 +1,16 @@
 //! Exhaustive exploration of a small model: one batch with two faults, and two batches without a fault.
 //!
-//! The model consists of the real state machines of both ends, a spool file and a database, from the moment at which the
-//! batches are closed. In each state every move is tried: a message in flight arrives (so that messages overtake one
-//! another in every order), the disk completes an action, the writer commits one work. While faults are left, every
+//! The model consists of the real state machines of both ends, a spool file and a database, from the moment at which
+//! the batches are closed. In each state every move is tried: a message in flight arrives (so that messages overtake
+//! one another in every order), the disk completes an action, the writer commits one work. While faults are left, every
 //! fault is tried as well: a message is lost, or arrives and stays in flight; a commit fails; the aggregator is killed,
 //! before a commit or between a commit and its acknowledgement; the agent is killed, before or after the disk performed
 //! its actions; the connection is reopened; time passes until the next deadline. States that were reached before are
 //! not explored again: messages in flight count as a set, and a state is identified by a hash of 64 bits.
 //!
-//! Checks: in each state the checks of [`Simulation::check`]; at each deletion in the spool that all deleted batches are stored;
-//! at each commit that it continues its stream; and from each state in which only faults are possible, that both ends settle in
-//! bounded time with each spooled event in the database exactly once and in order.
+//! Checks: in each state the checks of [`Simulation::check`]; at each deletion in the spool that all deleted batches
+//! are stored; at each commit that it continues its stream; and from each state in which only faults are possible, that
+//! both ends settle in bounded time with each spooled event in the database exactly once and in order.
 
 use std::collections::{HashSet, VecDeque};
 use std::fmt::{self, Write as _};

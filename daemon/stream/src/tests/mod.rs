@@ -1,5 +1,5 @@
-//! Tests of both ends: each end alone with readable examples, both together with generated faults in a [`simulation`], and
-//! exhaustively on a small model.
+//! Tests of both ends: each end alone with readable examples, both together with generated faults in a [`simulation`],
+//! and exhaustively on a small model.
 
 mod admission;
 mod challenges;

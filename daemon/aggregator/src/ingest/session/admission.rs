@@ -15,7 +15,8 @@ impl IngestSession {
     /// Processes a hello. Nothing about the host changes until its identity is proven.
     pub(super) fn handle_hello(&mut self, from: &Peer, mut hello: Hello, now: Stamp) {
         let host = hello.host.id;
-        // The description is cut to the size that is displayed, because it is kept before the host has proven its identity.
+        // The description is cut to the size that is displayed, because it is kept before the host has proven its
+        // identity.
         limits::limit_description(&mut hello.host, &mut 0);
         let reason = Receiving::version_refusal(&hello)
             .or_else(|| self.routes.limit_refusal(from.connection, host))
@@ -68,8 +69,8 @@ impl IngestSession {
             return;
         };
         let record = self.store.streams.record(&hello, self.hosts.seniority(host));
-        // A welcome acknowledges all batches up to the stream's mark. While the database is closed, it is unknown whether
-        // they are still stored, so the agent has to wait.
+        // A welcome acknowledges all batches up to the stream's mark. While the database is closed, it is unknown
+        // whether they are still stored, so the agent has to wait.
         if !self.store.is_open() && record.mark.is_some_and(|mark| hello.oldest <= mark.stored) {
             return;
         }
@@ -92,7 +93,8 @@ impl IngestSession {
                     );
                 }
                 if let Some(missing) = missing {
-                    // Logged as information: an agent deletes only acknowledged batches, so another database has stored these.
+                    // Logged as information: an agent deletes only acknowledged batches, so another database has stored
+                    // these.
                     tracing::info!(
                         host = %name, from = missing.from, through = missing.through, events = missing.events,
                         "batches of this host are missing in this database and are recorded as a gap: another aggregator \

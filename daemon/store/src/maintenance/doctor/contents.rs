@@ -29,9 +29,9 @@ const ROLLUPS: &str = "SELECT width.column1 AS resolution_s, \
 const OPEN_RUNS: &str = "SELECT run.number, pipeline.name AS pipeline, host.name AS host, host.last_seen_ns \
      FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
      WHERE run.ended_ns IS NULL AND host.last_seen_ns < ?1 ORDER BY run.number LIMIT 1000";
-/// Estimates the numbers of stored iterations and nodes with a few lookups per run. The number of iterations of a run is the range
-/// from the first stored number to the last, but at most the run's counter. The number of nodes per iteration is the average of
-/// the newest 20 iterations.
+/// Estimates the numbers of stored iterations and nodes with a few lookups per run. The number of iterations of a run
+/// is the range from the first stored number to the last, but at most the run's counter. The number of nodes per
+/// iteration is the average of the newest 20 iterations.
 const STORED_ROWS: &str = "WITH kept AS ( \
        SELECT number AS run, ok + failed + lost + timeout + warm_up AS counted, \
          (SELECT min(iteration.number) FROM iteration WHERE iteration.run = run.number) AS oldest, \

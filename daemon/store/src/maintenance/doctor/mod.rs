@@ -54,8 +54,8 @@ pub enum DoctorError {
 /// Settings of an examination.
 #[derive(Clone, Copy, Debug)]
 pub struct Examination {
-    /// `true` if indexes are also compared with their tables, and references between tables are checked. This takes several times as
-    /// long.
+    /// `true` if indexes are also compared with their tables, and references between tables are checked. This takes
+    /// several times as long.
     pub full: bool,
     /// Present time of this machine's wall clock.
     pub now: WallTime,
@@ -214,7 +214,8 @@ impl Report {
         }
     }
 
-    /// Runs SQLite's own checks: the quick check, and the full check if `full` is `true` and the quick check found nothing.
+    /// Runs SQLite's own checks: the quick check, and the full check if `full` is `true` and the quick check found
+    /// nothing.
     async fn check_integrity(&mut self, connection: &mut SqliteConnection, full: bool) {
         self.integrity.full = full;
         // The full check takes several times as long, and finds no more than the quick check in damaged trees.

@@ -36,8 +36,8 @@ pub struct Report {
     pub schema: Option<Schema>,
     /// Result of SQLite's own check of the file.
     pub integrity: Integrity,
-    /// Numbers of malformed pages; the first page of the file is 1. A malformed page that is not in use does no harm: `integrity`
-    /// shows whether any of them is in use.
+    /// Numbers of malformed pages; the first page of the file is 1. A malformed page that is not in use does no harm:
+    /// `integrity` shows whether any of them is in use.
     pub malformed_pages: Vec<u32>,
     /// Rows per table.
     pub tables: Vec<TableRows>,

@@ -1,8 +1,8 @@
 //! Repair of a damaged database: everything that can be read is written to a new file, which replaces the damaged file.
 //!
-//! The b-trees are read with the parser of the integrity check, because SQLite's recovery extension is not in the bundled library.
-//! Rows are decoded and checked against the types of the columns; unreadable rows are omitted. [`reconcile`] then makes the tables
-//! agree and records the gaps.
+//! The b-trees are read with the parser of the integrity check, because SQLite's recovery extension is not in the
+//! bundled library. Rows are decoded and checked against the types of the columns; unreadable rows are omitted.
+//! [`reconcile`] then makes the tables agree and records the gaps.
 
 mod reconcile;
 mod rows;
@@ -126,7 +126,8 @@ pub struct SalvagedTable {
     pub unreadable: u64,
 }
 
-/// Replaces a damaged database by a new file with everything that can be read. Returns `None` if the database is not damaged.
+/// Replaces a damaged database by a new file with everything that can be read. Returns `None` if the database is not
+/// damaged.
 ///
 /// The damaged file is kept as `<database>.damaged-<stamp>`. `progress` is called with each table before it is read.
 ///
@@ -146,7 +147,8 @@ pub async fn repair(
     // A symbolic link is resolved, because the other files lie beside the database itself.
     let path = fs::canonicalize(database).map_err(|source| file_error(database, source))?;
     let recorded_damage = recorded_damage(&path).map_err(|source| file_error(&path, source))?;
-    // The write-ahead log has the newest data, and only SQLite can apply it; the file is read without SQLite afterwards.
+    // The write-ahead log has the newest data, and only SQLite can apply it; the file is read without SQLite
+    // afterwards.
     let without_log = !checkpoint_log(&path).await?;
     // The record of a damage may be obsolete: an intact database is not rewritten.
     let damage = find_damage_with_sqlite(&path, &CancellationToken::new())
@@ -221,8 +223,9 @@ impl OldFile {
         Ok(Self { file, roots, version })
     }
 
-    /// Returns the root page of a table. If the page is unknown, the root page in the new file is returned, provided that all known
-    /// root pages are the same in both files. They are the same if the same migrations created both files.
+    /// Returns the root page of a table. If the page is unknown, the root page in the new file is returned, provided
+    /// that all known root pages are the same in both files. They are the same if the same migrations created both
+    /// files.
     fn root(&self, table: &str, new_roots: &BTreeMap<String, u32>) -> Option<u32> {
         let is_same_layout =
             || self.roots.iter().all(|(table, root)| new_roots.get(table).is_none_or(|new| new == root));
@@ -230,8 +233,8 @@ impl OldFile {
     }
 }
 
-/// Checkpoints the write-ahead log into the file, as the next start of the aggregator would. Returns whether the log is empty or missing
-/// afterwards.
+/// Checkpoints the write-ahead log into the file, as the next start of the aggregator would. Returns whether the log is
+/// empty or missing afterwards.
 async fn checkpoint_log(path: &Path) -> Result<bool, RepairError> {
     let options =
         SqliteConnectOptions::new().filename(path).busy_timeout(BUSY_TIMEOUT).disable_statement_logging();
@@ -242,7 +245,8 @@ async fn checkpoint_log(path: &Path) -> Result<bool, RepairError> {
     };
     match checkpoint.await {
         Ok(()) => {}
-        // A damaged database is why this function is called; the length of the write-ahead log shows whether the log was applied.
+        // A damaged database is why this function is called; the length of the write-ahead log shows whether the log
+        // was applied.
         Err(error) if is_damage(&error) => {}
         Err(error) => {
             return Err(RepairError::Write { path: path.to_owned(), source: DatabaseError::new(error) });
@@ -287,7 +291,8 @@ async fn salvage(
     Ok(result)
 }
 
-/// Creates the tables of the new file and copies all readable rows. Returns the tables and the number of lost iterations.
+/// Creates the tables of the new file and copies all readable rows. Returns the tables and the number of lost
+/// iterations.
 async fn fill(
     connection: &mut SqliteConnection,
     old: &OldFile,
@@ -379,8 +384,8 @@ async fn continue_numbering(connection: &mut SqliteConnection, old: &OldFile) ->
     Ok(())
 }
 
-/// Renames the damaged file, and renames the new file to `path`. A file with the name `path` exists at all times. Returns the path of
-/// the damaged file.
+/// Renames the damaged file, and renames the new file to `path`. A file with the name `path` exists at all times.
+/// Returns the path of the damaged file.
 fn replace_database(path: &Path, new: &Path, stamp: &str) -> io::Result<PathBuf> {
     let old_metadata = fs::metadata(path)?;
     fs::set_permissions(new, old_metadata.permissions())?;

@@ -17,8 +17,8 @@ const RANDOM_ID: &str = "lower(hex(randomblob(4)) || '-' || hex(randomblob(2)) |
 /// Tables with rows of an iteration's tree.
 const TREES: [&str; 3] = ["node", "transit", "anchor"];
 
-/// Tables and conditions of rows that are deleted because they refer to lost rows. An agent whose stream is lost sends the events in
-/// its spool again, as after a restored backup.
+/// Tables and conditions of rows that are deleted because they refer to lost rows. An agent whose stream is lost sends
+/// the events in its spool again, as after a restored backup.
 const ORPHANS: [(&str, &str); 7] = [
     ("stream", "host NOT IN (SELECT id FROM host)"),
     ("quarantine", "host NOT IN (SELECT id FROM host)"),
@@ -57,8 +57,8 @@ struct IncompleteRun {
     in_gaps: i64,
 }
 
-/// Statement that reads an [`IncompleteRun`]; ?1 is the number of the run. The first iteration has the number 1, or a later number if
-/// retention has deleted iterations.
+/// Statement that reads an [`IncompleteRun`]; ?1 is the number of the run. The first iteration has the number 1, or a
+/// later number if retention has deleted iterations.
 const RUN: &str = "SELECT run.number, pipeline.host, pipeline.name AS pipeline, run.nodes_from AS last_deleted_iteration, \
      run.warm_up + run.ok + run.failed + run.lost + run.timeout AS counted, \
      (SELECT count(*) FROM iteration WHERE run = ?1) AS stored, \
@@ -123,8 +123,8 @@ impl Reconciliation<'_> {
                  (SELECT coalesce(max(arriving_from_s), 0) FROM link)))",
             )
             .await?;
-            // These entries cover all rows and are older than all other entries. A row that a later entry also covers belongs to the
-            // later entry.
+            // These entries cover all rows and are older than all other entries. A row that a later entry also covers
+            // belongs to the later entry.
             self.execute(
                 "INSERT OR IGNORE INTO arrival (kind, owner, from_s, to_s, first, last) \
                  SELECT owner.kind, owner.id, 0, elapsed_ns / 1000000000, -9223372036854775808, 9223372036854775807 \
@@ -191,8 +191,8 @@ impl Reconciliation<'_> {
         Ok(())
     }
 
-    /// Inserts substitutes for lost names. Otherwise a new name could get the id of a lost name, and old values would appear under
-    /// the new name.
+    /// Inserts substitutes for lost names. Otherwise a new name could get the id of a lost name, and old values would
+    /// appear under the new name.
     async fn restore_names(&mut self) -> Result<(), sqlx::Error> {
         self.execute(
             "INSERT INTO name (id, text, kind, custom, unit) SELECT name, 'lost-name-' || name, 'value', 0, '' FROM \
@@ -205,8 +205,8 @@ impl Reconciliation<'_> {
 
     /// Deletes the iterations whose nodes are not numbered from 0 without a gap. Returns their number.
     ///
-    /// If the key of a row was overwritten, the row may look like a row of another tree. It is then missing in its own tree, but no range
-    /// of the file is unreadable.
+    /// If the key of a row was overwritten, the row may look like a row of another tree. It is then missing in its own
+    /// tree, but no range of the file is unreadable.
     async fn delete_torn_trees(&mut self) -> Result<u64, sqlx::Error> {
         self.execute(
             "DELETE FROM iteration WHERE (run, number) IN (SELECT run, iteration FROM node GROUP BY run, iteration \
@@ -248,8 +248,8 @@ impl Reconciliation<'_> {
         Ok(())
     }
 
-    /// Records the lost iterations of each run as a gap, so that they no longer count as stored. Returns the number of lost
-    /// iterations.
+    /// Records the lost iterations of each run as a gap, so that they no longer count as stored. Returns the number of
+    /// lost iterations.
     async fn record_gaps(&mut self) -> Result<i64, sqlx::Error> {
         let runs: Vec<i64> = sqlx::query_scalar("SELECT number FROM run ORDER BY number")
             .fetch_all(&mut *self.connection)
@@ -258,8 +258,9 @@ impl Reconciliation<'_> {
         for run in runs {
             let run: IncompleteRun = sqlx::query_as(RUN).bind(run).fetch_one(&mut *self.connection).await?;
             let is_untrimmed = run.last_deleted_iteration == 0;
-            // The run's own counters were stored with its iterations. They are not usable if retention has deleted iterations of
-            // the run, or if the run is a substitute of a lost run. For these runs only the missing numbers show how many iterations are lost.
+            // The run's own counters were stored with its iterations. They are not usable if retention has deleted
+            // iterations of the run, or if the run is a substitute of a lost run. For these runs only the missing
+            // numbers show how many iterations are lost.
             let lost = if is_untrimmed && run.counted > 0 {
                 run.counted - run.stored
             } else {
@@ -322,7 +323,8 @@ impl Reconciliation<'_> {
         Ok(())
     }
 
-    /// Counts the nodes of each host again. If retention has deleted nodes of a host, the count of this host stays unchanged.
+    /// Counts the nodes of each host again. If retention has deleted nodes of a host, the count of this host stays
+    /// unchanged.
     async fn recount_nodes(&mut self) -> Result<(), sqlx::Error> {
         let runs: Vec<(i64, i64, i64)> = sqlx::query_as(
             "SELECT pipeline.host, run.number, run.nodes_from FROM run JOIN pipeline ON pipeline.id = run.pipeline",

@@ -30,7 +30,8 @@ pub(super) struct Table {
     columns: Vec<Column>,
     /// Indexes of the columns in the order in which a record has them.
     record_columns: Vec<usize>,
-    /// Number of columns at the start of `record_columns` that are the key of a clustered table; 0 for a table with row ids.
+    /// Number of columns at the start of `record_columns` that are the key of a clustered table; 0 for a table with row
+    /// ids.
     key_columns: usize,
     /// Index of the column that is the row id.
     rowid: Option<usize>,
@@ -57,8 +58,8 @@ struct Row {
 
 /// A range of rows that could not be read, between two readable rows.
 ///
-/// `before` and `after` are the first three columns of the keys of these two rows. They are `None` at the start and the end of the
-/// table.
+/// `before` and `after` are the first three columns of the keys of these two rows. They are `None` at the start and the
+/// end of the table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct UnreadableRange {
     pub(super) before: Option<[i64; 3]>,
@@ -124,7 +125,8 @@ impl Table {
         Ok(Self { name, columns, record_columns, key_columns, rowid, has_rowids: !clustered, is_seeded })
     }
 
-    /// Copies all readable rows from the tree with this root. If the root is unknown (`None`), all rows count as unreadable.
+    /// Copies all readable rows from the tree with this root. If the root is unknown (`None`), all rows count as
+    /// unreadable.
     pub(super) async fn copy(
         &self,
         connection: &mut SqliteConnection,
@@ -148,7 +150,8 @@ impl Table {
             let last = rows.last().or(last_written.as_ref());
             let is_ordered = row.as_ref().zip(last).is_none_or(|(row, last)| self.precedes(last, row));
             if !is_ordered {
-                // The keys of a tree ascend. One of these two rows was overwritten. It is unknown which of them, so neither row is copied.
+                // The keys of a tree ascend. One of these two rows was overwritten. It is unknown which of them, so
+                // neither row is copied.
                 rows.pop();
             }
             let before = rows.last().or(last_written.as_ref()).map(|row| self.key(row));
@@ -241,8 +244,8 @@ impl Table {
 }
 
 impl Column {
-    /// Returns `Some` if the value is of the column's type. SQLite stores REAL numbers without a fraction as integers; such a value is
-    /// converted back.
+    /// Returns `Some` if the value is of the column's type. SQLite stores REAL numbers without a fraction as integers;
+    /// such a value is converted back.
     fn accept(&self, value: &mut Value) -> Option<()> {
         if let (Value::Integer(integer), "REAL") = (&*value, self.kind.as_str()) {
             *value = Value::Real(*integer as f64);

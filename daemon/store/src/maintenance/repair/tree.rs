@@ -28,8 +28,8 @@ pub(super) struct Walk<'a> {
 /// A page on the path from the root to the current page.
 struct Level {
     page: BtreePage,
-    /// On a leaf: index of the next cell. On an interior page: twice the index of the next cell, plus one if the cell's child was
-    /// visited.
+    /// On a leaf: index of the next cell. On an interior page: twice the index of the next cell, plus one if the cell's
+    /// child was visited.
     step: usize,
 }
 

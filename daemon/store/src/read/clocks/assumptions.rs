@@ -9,8 +9,9 @@ use crate::read::{sql, value_of_number};
 use crate::readers::Readers;
 use crate::types::{DelayAssumptions, LinkKey};
 
-/// Tolerance around the times of a window's samples. A sample is stamped with the end of its second, so a message may be older than
-/// the window's first sample. The delays of a message are judged when its answer arrives, which may be after the last sample.
+/// Tolerance around the times of a window's samples. A sample is stamped with the end of its second, so a message may
+/// be older than the window's first sample. The delays of a message are judged when its answer arrives, which may be
+/// after the last sample.
 const TOLERANCE: Span = Span::from_seconds(60);
 
 /// A window of a link with its assumptions.
@@ -68,10 +69,11 @@ impl WindowAssumptions {
         Ok(Self(windows))
     }
 
-    /// Returns the assumptions for a message between the edge and a cloud. `at` is the time on the edge's wall clock when the edge sent
-    /// or received the message. Returns `None` if no window has samples around that time.
+    /// Returns the assumptions for a message between the edge and a cloud. `at` is the time on the edge's wall clock
+    /// when the edge sent or received the message. Returns `None` if no window has samples around that time.
     ///
-    /// If the edge's clock was set back, several windows may contain that time. The window that arrived last is used then.
+    /// If the edge's clock was set back, several windows may contain that time. The window that arrived last is used
+    /// then.
     pub(in crate::read) fn at(
         &self,
         cloud: i64,

@@ -149,8 +149,8 @@ pub(crate) async fn series(
     Ok(ClockSeries { bucket_s: width, points: points.into_points() })
 }
 
-/// Returns the first and the last time of each bucket, as JSON. A query that returns one row per bucket costs far less than a query
-/// that returns one row per second.
+/// Returns the first and the last time of each bucket, as JSON. A query that returns one row per bucket costs far less
+/// than a query that returns one row per second.
 fn bucket_ranges(first: i64, last: i64, width: u32) -> Result<String, StoreError> {
     let nanos = i64::from(width) * 1_000_000_000;
     let mut from = first;
@@ -195,7 +195,8 @@ impl Points {
     }
 }
 
-/// Returns the smallest width with at most `max_points` buckets. Beyond the last of [`BUCKET_WIDTHS_S`], each width is twice the previous width.
+/// Returns the smallest width with at most `max_points` buckets. Beyond the last of [`BUCKET_WIDTHS_S`], each width is
+/// twice the previous width.
 fn width(first: i64, last: i64, max_points: u32) -> u32 {
     let [.., day] = BUCKET_WIDTHS_S;
     let wider_widths = successors(day.checked_mul(2), |width| width.checked_mul(2));

@@ -17,8 +17,8 @@ struct Window {
     last_ns: i64,
 }
 
-/// Windows that contain times that an earlier window contains, too. Only the later window is used for these times, because the samples
-/// of the earlier window were taken before the clock was set back.
+/// Windows that contain times that an earlier window contains, too. Only the later window is used for these times,
+/// because the samples of the earlier window were taken before the clock was set back.
 #[derive(Debug, Default)]
 pub(super) struct RepeatedTimes {
     /// Position of each window in the order of arrival.

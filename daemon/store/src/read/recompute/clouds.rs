@@ -1,6 +1,7 @@
 //! Relations between the clocks of a run's edge and of each cloud, from stored samples.
 //!
-//! A window relates one pair of clocks. Times of free-running clocks and times of wall clocks are therefore looked up separately.
+//! A window relates one pair of clocks. Times of free-running clocks and times of wall clocks are therefore looked up
+//! separately.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -19,11 +20,11 @@ const WHAT: &str = "clock samples";
 const MAX_ITERATION: Span = Span::from_seconds(600);
 /// Maximum number of windows of one link within a run; later windows are ignored.
 const MAX_WINDOWS: u32 = 10_000;
-/// Maximum number of clouds of one run in memory, and of relations of one cloud. When it is reached, all are discarded and read again
-/// when needed.
+/// Maximum number of clouds of one run in memory, and of relations of one cloud. When it is reached, all are discarded
+/// and read again when needed.
 const MAX_CACHED: usize = 16;
-/// Tolerance when the difference between the edge's wall clock and its raw clock is compared with this difference in a window's
-/// samples. The wall clock may be slewed between two samples.
+/// Tolerance when the difference between the edge's wall clock and its raw clock is compared with this difference in a
+/// window's samples. The wall clock may be slewed between two samples.
 const MAX_SLEW: Span = Span::from_seconds(1);
 
 /// A time of the edge, as a transit's stamp states it.
@@ -47,15 +48,16 @@ struct Window {
     last_ns: i64,
     sent_ns: i64,
     returned_ns: i64,
-    /// Range of the difference between the edge's wall clock and its raw clock; `None` if the window relates wall clocks.
+    /// Range of the difference between the edge's wall clock and its raw clock; `None` if the window relates wall
+    /// clocks.
     ahead_min_ns: Option<i64>,
     ahead_max_ns: Option<i64>,
     samples: i64,
 }
 
 impl Window {
-    /// Returns whether the difference of the edge's two clocks is the same as in the window. After a restart of the machine the raw
-    /// clock may show the same times again, but with another difference.
+    /// Returns whether the difference of the edge's two clocks is the same as in the window. After a restart of the
+    /// machine the raw clock may show the same times again, but with another difference.
     fn matches_clocks(&self, time: EdgeTime) -> bool {
         let ahead = time.wall.unix_nanos().saturating_sub(time.at.nanos());
         let tolerance = MAX_SLEW.nanos();
@@ -113,7 +115,8 @@ impl Windows {
 }
 
 impl<'a> Clouds<'a> {
-    /// Creates an empty cache for a run of an edge over a network; the times are the starts of the run's first and last iterations.
+    /// Creates an empty cache for a run of an edge over a network; the times are the starts of the run's first and last
+    /// iterations.
     pub(super) fn new(
         readers: &'a Readers,
         (edge, network): (i64, &'a str),
@@ -129,7 +132,8 @@ impl<'a> Clouds<'a> {
         }
     }
 
-    /// Returns the relation of the edge's and a cloud's clocks at a time of the edge's clock, or `None` if no sample covers that time.
+    /// Returns the relation of the edge's and a cloud's clocks at a time of the edge's clock, or `None` if no sample
+    /// covers that time.
     pub(super) async fn relation(
         &mut self,
         cloud: i64,
@@ -154,13 +158,14 @@ impl<'a> Clouds<'a> {
         cloud.rolling.entry(key).or_insert_with(new_window).at(self.readers, time.at).await
     }
 
-    /// Returns the number of stored samples in the windows that were used, including samples shortly before and after the run.
+    /// Returns the number of stored samples in the windows that were used, including samples shortly before and after
+    /// the run.
     pub(super) fn samples(&self) -> u64 {
         self.used_windows.iter().map(|(.., samples)| count(*samples)).sum()
     }
 
-    /// Reads the link over the run's network, and its windows. The relation belongs to the pair of hosts: while the run used the link, the link's
-    /// samples also contain exchanges over other networks.
+    /// Reads the link over the run's network, and its windows. The relation belongs to the pair of hosts: while the run
+    /// used the link, the link's samples also contain exchanges over other networks.
     async fn read_cloud(&self, cloud: i64) -> Result<Option<Cloud>, StoreError> {
         let link: Option<i64> = sqlx::query_scalar(sql::LINK_OF)
             .bind(self.edge)

@@ -1,8 +1,8 @@
 //! Judges a run's one-way delays again, including the exchanges after the delays.
 //!
-//! The stored stamps and judgements do not change. The new bounds are the intersection of the earlier bounds and of the bounds from
-//! the stored exchanges, so no interval gets wider. A delay keeps its judgement if both ends read one clock, if it was near a step,
-//! or if there are no samples of its time.
+//! The stored stamps and judgements do not change. The new bounds are the intersection of the earlier bounds and of the
+//! bounds from the stored exchanges, so no interval gets wider. A delay keeps its judgement if both ends read one
+//! clock, if it was near a step, or if there are no samples of its time.
 
 mod clouds;
 mod delay_sums;
@@ -59,8 +59,8 @@ struct Extent {
 }
 
 impl Extent {
-    /// Returns the starts of the earliest and of the latest iteration on the edge's wall clock. They are exact to the minute if
-    /// the clock was set back in between.
+    /// Returns the starts of the earliest and of the latest iteration on the edge's wall clock. They are exact to the
+    /// minute if the clock was set back in between.
     fn times(&self) -> (WallTime, WallTime) {
         let nanos = |seconds: i64| seconds.saturating_mul(1_000_000_000);
         let (first, last) = (self.first_ns.unwrap_or(0), self.last_ns.unwrap_or(0));
@@ -117,8 +117,8 @@ pub(crate) async fn recompute(readers: &Readers, run: i64) -> Result<Option<Reco
     Ok(Some(RecomputedDelays { number: run, samples, clocks: clocks.collect(), stages }))
 }
 
-/// Judges the delays on which a run's statistics are based, and calls `each` with every delay in the order of iterations and nodes.
-/// Returns the number of samples that were used, or `None` for an unknown run.
+/// Judges the delays on which a run's statistics are based, and calls `each` with every delay in the order of
+/// iterations and nodes. Returns the number of samples that were used, or `None` for an unknown run.
 pub(crate) async fn rejudge_delays(
     readers: &Readers,
     run: i64,
@@ -210,9 +210,9 @@ fn combine(earlier: Option<OneWayDelay>, new: OneWayDelay) -> OneWayDelay {
 }
 
 impl Row {
-    /// Returns the stamps by which the delay is judged, and their clocks. They are stamps of the free-running clocks if both ends have
-    /// such stamps, and otherwise stamps of the wall clocks. A cloud that cannot read a free-running clock reports stamps of its wall
-    /// clock in the columns of the raw stamps.
+    /// Returns the stamps by which the delay is judged, and their clocks. They are stamps of the free-running clocks if
+    /// both ends have such stamps, and otherwise stamps of the wall clocks. A cloud that cannot read a free-running
+    /// clock reports stamps of its wall clock in the columns of the raw stamps.
     fn stamps(&self, direction: Direction, sent: WallTime, received: WallTime) -> (RelatedClocks, RawStamps) {
         let wall_stamps =
             RawStamps { sent: RawTime::from_wall(sent), received: RawTime::from_wall(received) };

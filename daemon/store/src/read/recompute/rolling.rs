@@ -14,10 +14,11 @@ use crate::error::StoreError;
 use crate::readers::Readers;
 
 const WHAT: &str = "clock samples";
-/// Time before and after a delay within which exchanges are used. The agent itself uses exchanges of the same time before a delay,
-/// unless configured otherwise.
+/// Time before and after a delay within which exchanges are used. The agent itself uses exchanges of the same time
+/// before a delay, unless configured otherwise.
 pub(super) const SPAN: Span = Span::from_seconds(10);
-/// Longest time by which a delay may be earlier than the delay that was judged before it. An iteration may take as long as that.
+/// Longest time by which a delay may be earlier than the delay that was judged before it. An iteration may take as long
+/// as that.
 const MAX_DISORDER: Span = Span::from_seconds(60);
 /// Number of samples that are read at once.
 const PAGE: u32 = 1_000;
@@ -143,8 +144,8 @@ impl RollingWindow {
                 trust_time_daemons: true,
                 ..RelationSettings::default()
             };
-            // A delay between hosts that proved that they read one clock is stored as such and not judged again, so the settings for
-            // this proof do not matter.
+            // A delay between hosts that proved that they read one clock is stored as such and not judged again, so the
+            // settings for this proof do not matter.
             Relation::new(settings)
         });
         let mut exchanges = [row.upper(), row.lower()];

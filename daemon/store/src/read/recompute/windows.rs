@@ -2,15 +2,16 @@
 
 use peernet_clock::{RawTime, Span};
 
-/// Time for which the first window is extended before its start, and the last window after its end. The bounds of an exchange hold
-/// for some seconds around the exchange if there is no sign of a step.
+/// Time for which the first window is extended before its start, and the last window after its end. The bounds of an
+/// exchange hold for some seconds around the exchange if there is no sign of a step.
 const REACH: Span = Span::from_seconds(10);
 /// Length of the period before a sample's time that the sample describes.
 const SECOND: Span = Span::from_seconds(1);
-/// Time after a window's last sample for which the window is still possible. The second of a step has a sample only of the later
-/// window, and that sample may be late.
+/// Time after a window's last sample for which the window is still possible. The second of a step has a sample only of
+/// the later window, and that sample may be late.
 const MAX_UNSAMPLED: Span = Span::from_seconds(2);
-/// Upper limit of an exchange's duration. Stamps that are further from the window's samples are invalid and are clamped.
+/// Upper limit of an exchange's duration. Stamps that are further from the window's samples are invalid and are
+/// clamped.
 const MAX_EXCHANGE: Span = Span::from_seconds(60);
 
 /// Range of the stored exchanges of one window, by the edge's clock that stamped them.
@@ -26,13 +27,13 @@ pub(super) struct Extent {
     pub(super) returned: RawTime,
 }
 
-/// The time of a clock of the edge, divided into intervals. Each interval has the window that is possible in it, if exactly one
-/// window is possible.
+/// The time of a clock of the edge, divided into intervals. Each interval has the window that is possible in it, if
+/// exactly one window is possible.
 ///
-/// A window is certain from its first exchange to its last exchange. It is possible for the whole seconds of its samples. Two windows
-/// may be possible at one time: free-running clocks count from the start of the machine, so a time may occur after two starts;
-/// and the edge's wall clock may have been set back. Such a time belongs to neither window. A time in the gap between two windows, in
-/// which a step happened, belongs to neither window either.
+/// A window is certain from its first exchange to its last exchange. It is possible for the whole seconds of its
+/// samples. Two windows may be possible at one time: free-running clocks count from the start of the machine, so a time
+/// may occur after two starts; and the edge's wall clock may have been set back. Such a time belongs to neither window.
+/// A time in the gap between two windows, in which a step happened, belongs to neither window either.
 #[derive(Debug, Default)]
 pub(super) struct Timeline {
     /// Start of each interval, with the window if exactly one is possible.
@@ -74,7 +75,8 @@ impl Timeline {
             changes.push((end + Span::from_nanos(1), false, window));
         }
         changes.sort_unstable();
-        // Only the number of open windows and the sum of their indexes are kept. If one window is open, the sum is its index.
+        // Only the number of open windows and the sum of their indexes are kept. If one window is open, the sum is its
+        // index.
         let (mut open_windows, mut index_sum) = (0_usize, 0_usize);
         let mut intervals = Vec::with_capacity(changes.len());
         for (at, opens, window) in changes {
@@ -88,7 +90,8 @@ impl Timeline {
         Self { intervals, certain_ranges }
     }
 
-    /// Returns the index of the window of a time, or `None` if no window is certain at that time, or another one is possible.
+    /// Returns the index of the window of a time, or `None` if no window is certain at that time, or another one is
+    /// possible.
     pub(super) fn window(&self, at: RawTime) -> Option<usize> {
         let next_interval = self.intervals.partition_point(|(start, _)| *start <= at);
         let window = self.intervals.get(next_interval.checked_sub(1)?)?.1?;

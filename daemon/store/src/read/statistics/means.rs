@@ -28,7 +28,8 @@ pub(crate) async fn stage_means(
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
-    // For each stage: point, number of samples and their sum. A name with several kinds of measure has several rows in one point.
+    // For each stage: point, number of samples and their sum. A name with several kinds of measure has several rows in
+    // one point.
     let mut sums: Vec<Vec<(i64, u64, f64)>> = vec![Vec::new(); stages.len()];
     for (name, point, count, sum) in rows {
         let Some(points) = name_ids.indexes.get(&name).and_then(|index| sums.get_mut(*index)) else {

@@ -1,4 +1,5 @@
-//! Statistics of any number of whole runs in two statements. A statement for each run would cost more than reading the run's rows.
+//! Statistics of any number of whole runs in two statements. A statement for each run would cost more than reading the
+//! run's rows.
 
 use std::collections::HashMap;
 

@@ -1,5 +1,5 @@
-//! Statistics over the time of a run, from buckets of a suitable width. The number of rows that are read depends on the number of
-//! points and names, not on the length of the run.
+//! Statistics over the time of a run, from buckets of a suitable width. The number of rows that are read depends on the
+//! number of points and names, not on the length of the run.
 
 use std::collections::HashMap;
 
@@ -62,23 +62,26 @@ impl StoredWidths {
         Ok(Self(widths))
     }
 
-    /// Returns the finest width of which no bucket was deleted, with its first and last bucket; `None` without a bucket.
+    /// Returns the finest width of which no bucket was deleted, with its first and last bucket; `None` without a
+    /// bucket.
     pub(in crate::read) fn finest_complete(&self) -> Option<(i64, (i64, i64))> {
         self.0.iter().filter(|width| width.is_complete).find_map(|width| Some((width.width_s, width.extent?)))
     }
 
-    /// Chooses the smallest width of a point with which the whole run has at most `max_points` points. The points are made from the
-    /// coarsest stored width that divides the width of a point. Returns the width of a point and the stored width.
+    /// Chooses the smallest width of a point with which the whole run has at most `max_points` points. The points are
+    /// made from the coarsest stored width that divides the width of a point. Returns the width of a point and the
+    /// stored width.
     ///
-    /// A stored width of which buckets were deleted is skipped, so that all points of a line are made from one width. Buckets of an
-    /// hour are the exception: the remaining buckets are used even if some buckets were deleted.
+    /// A stored width of which buckets were deleted is skipped, so that all points of a line are made from one width.
+    /// Buckets of an hour are the exception: the remaining buckets are used even if some buckets were deleted.
     pub(super) fn choose(&self, max_points: usize) -> (i64, i64) {
         let complete_extent = self.0.iter().filter(|width| width.is_complete).find_map(|width| width.extent);
         let remaining_extent = || {
             let extents = self.0.iter().filter_map(|width| width.extent);
             extents.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
         };
-        // The number of points depends on the duration of the whole run. A width with deleted buckets covers only a part of it.
+        // The number of points depends on the duration of the whole run. A width with deleted buckets covers only a
+        // part of it.
         let (from, to) = complete_extent.or_else(remaining_extent).unwrap_or((0, 0));
         let max_points = i64::try_from(max_points.max(1)).unwrap_or(i64::MAX);
         let hour = WIDTHS_S[WIDTHS_S.len() - 1];

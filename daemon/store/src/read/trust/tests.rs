@@ -190,7 +190,8 @@ fn unknown_number_of_missing_events_is_not_reported() {
     assert_eq!(end(&run), Some((Grade::Unknown, open.to_owned())));
 }
 
-/// Returns the row of an iteration of a run in an open loop: its delays are known unless its number is a multiple of five.
+/// Returns the row of an iteration of a run in an open loop: its delays are known unless its number is a multiple of
+/// five.
 fn row(iteration: u64) -> Row {
     let milliseconds = |value: f64| value / 1e3;
     let noise = (iteration % 7) as f64 / 10.0;

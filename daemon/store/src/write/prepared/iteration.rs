@@ -81,8 +81,8 @@ impl BatchBuilder {
         Ok(edge.wall)
     }
 
-    /// Adds the iteration to the counters of its run. `skipped_starts` is the number of starts that were skipped before it. Returns the
-    /// position of the run in the batch's runs.
+    /// Adds the iteration to the counters of its run. `skipped_starts` is the number of starts that were skipped before
+    /// it. Returns the position of the run in the batch's runs.
     fn run(&mut self, iteration: &Iteration, started: WallTime, skipped_starts: Option<f64>) -> u32 {
         let numbers = Extent::single(iteration.number.cast_signed());
         let seconds = Extent::single(started.unix_seconds());
@@ -166,7 +166,8 @@ fn transit_row(iteration: u32, id: NodeId, transit: &Transit) -> TransitRow {
     }
 }
 
-/// Returns the number of a source or verdict in its table. The rows of the tables `source` and `verdict` are in the order of `all`.
+/// Returns the number of a source or verdict in its table. The rows of the tables `source` and `verdict` are in the
+/// order of `all`.
 pub(crate) fn position<T: PartialEq + Copy>(all: &[T], value: T) -> Option<u8> {
     all.iter().position(|other| *other == value).and_then(|position| u8::try_from(position).ok())
 }

@@ -1,7 +1,8 @@
-//! Preparation of batches: all work that needs no database is done here, in parallel with the writer and SQLite's thread.
+//! Preparation of batches: all work that needs no database is done here, in parallel with the writer and SQLite's
+//! thread.
 //!
-//! Rows refer to runs, names and hosts by positions in lists of the batch; the writer looks up their ids in the database. A batch
-//! that can never be stored is detected here.
+//! Rows refer to runs, names and hosts by positions in lists of the batch; the writer looks up their ids in the
+//! database. A batch that can never be stored is detected here.
 
 mod iteration;
 mod names;

@@ -25,8 +25,8 @@ pub(super) struct Summaries {
     pub(super) list: Vec<SummaryPart>,
     /// Position in `list`, by run, name, quantity and second.
     positions: HashMap<(u32, u32, Quantity, i64), usize>,
-    /// Position in `list` of the summary to which a value was added last, by name and quantity. The next value mostly belongs to the
-    /// same run and second.
+    /// Position in `list` of the summary to which a value was added last, by name and quantity. The next value mostly
+    /// belongs to the same run and second.
     last_positions: Vec<[usize; Quantity::COUNT]>,
 }
 

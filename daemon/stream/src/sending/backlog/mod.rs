@@ -228,8 +228,8 @@ impl Backlog {
         }
     }
 
-    /// Adds batches read from the file. Batches that do not continue the ready batches are ignored. Returns the number of
-    /// added batches.
+    /// Adds batches read from the file. Batches that do not continue the ready batches are ignored. Returns the number
+    /// of added batches.
     pub(super) fn add_loaded(&mut self, batches: Vec<SpooledBatch>) -> usize {
         let previous_len = self.ready.len();
         for batch in batches {
@@ -288,7 +288,8 @@ impl Backlog {
         Some((head, body))
     }
 
-    /// Returns the number of events in the unacknowledged batches before batch `number`. These batches must be in memory.
+    /// Returns the number of events in the unacknowledged batches before batch `number`. These batches must be in
+    /// memory.
     fn events_before(&self, number: u64) -> u64 {
         let earlier = self.ready.iter().chain(self.pending.iter()).take_while(|batch| batch.number < number);
         earlier.map(|batch| u64::from(batch.events)).sum()
@@ -331,8 +332,8 @@ impl Backlog {
         (self.oldest.number, self.oldest.previous_chain) = (batch.number + 1, batch.chain);
     }
 
-    /// Returns the chain of a batch, and the scan result for the batches up to it that are in the file only; `None` if the
-    /// file must be read first.
+    /// Returns the chain of a batch, and the scan result for the batches up to it that are in the file only; `None` if
+    /// the file must be read first.
     pub(super) fn find_in_memory(&self, number: u64) -> Option<(Chain, Option<ScanResult>)> {
         let chain = self.chain(number)?;
         if number < self.first_unloaded() || self.first_unloaded() > self.spooled.0 {
@@ -354,8 +355,8 @@ impl Backlog {
         self.oldest = OldestBatch { number: resume, previous_chain, since: None };
     }
 
-    /// Removes batches that should be in the file and are missing, once no other batch is in the file only. Returns their
-    /// size.
+    /// Removes batches that should be in the file and are missing, once no other batch is in the file only. Returns
+    /// their size.
     pub(super) fn remove_missing(&mut self) -> Usage {
         if self.first_unloaded() <= self.spooled.0 {
             return Usage::default();

@@ -27,8 +27,8 @@ impl ReadyBatches {
         self.usage
     }
 
-    /// Returns the number of bytes that are read at once: a quarter of the budget, so that the next batches are read while
-    /// earlier batches are in flight.
+    /// Returns the number of bytes that are read at once: a quarter of the budget, so that the next batches are read
+    /// while earlier batches are in flight.
     pub(super) const fn part_bytes(&self) -> u64 {
         self.budget / 4
     }

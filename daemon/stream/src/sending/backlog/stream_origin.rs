@@ -21,8 +21,8 @@ impl StreamOrigin {
         Self { stream, previous_stream, first: first.max(1), events_before_first }
     }
 
-    /// Returns the origin of the stream that replaces this one from batch `first` on. All batches before `first` contain
-    /// `events_before` events.
+    /// Returns the origin of the stream that replaces this one from batch `first` on. All batches before `first`
+    /// contain `events_before` events.
     pub(super) const fn renewed(&self, stream: StreamId, first: u64, events_before: u64) -> Self {
         Self { stream, previous_stream: Some(self.stream), first, events_before_first: Some(events_before) }
     }

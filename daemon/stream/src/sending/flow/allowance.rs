@@ -75,8 +75,8 @@ impl Allowance {
         (self.bytes / 4).max(MIN_PART_BYTES)
     }
 
-    /// Updates the allowance. The echo of a request behind `bytes` bytes in flight arrived after `round_trip`; `shortest` is
-    /// the shortest round trip.
+    /// Updates the allowance. The echo of a request behind `bytes` bytes in flight arrived after `round_trip`;
+    /// `shortest` is the shortest round trip.
     pub(super) fn observe(&mut self, bytes: u64, round_trip: Span, shortest: Span, now: MonoTime) {
         // Our own queue can cause a delay of up to `MAX_QUEUEING`; a longer delay has another cause.
         let is_late = round_trip > shortest + MAX_QUEUEING;

@@ -35,8 +35,8 @@ impl MinRoundTrip {
         }
     }
 
-    /// Adds the round trip of the echo of the request at a position. The echo of the probe replaces a shortest round trip
-    /// that is outdated.
+    /// Adds the round trip of the echo of the request at a position. The echo of the probe replaces a shortest round
+    /// trip that is outdated.
     pub(super) fn observe_echo(&mut self, position: u64, round_trip: Span, now: MonoTime) {
         if self.probe.take_if(|probe| *probe <= position) == Some(position) && self.is_outdated(now) {
             self.shortest = Some((round_trip, now));

@@ -3,16 +3,16 @@
 //! Data that was handed to the connection cannot be overtaken: on a slow link, a window of batches in the socket's
 //! buffer would delay every later live update by a minute. Both lanes therefore hand over no more than an *allowance*.
 //! The allowance starts with a few kilobytes and follows the capacity of the path. The agent requests an echo from the
-//! aggregator from time to time. The delay of the echo shows how long the bytes before the request took. This is delay-based congestion control as in
-//! LEDBAT (RFC 6817), with the rate of delivery as in BBR (draft-ietf-ccwg-bbr): the allowance is the amount that
-//! crosses in the shortest round trip plus a short queue.
+//! aggregator from time to time. The delay of the echo shows how long the bytes before the request took. This is
+//! delay-based congestion control as in LEDBAT (RFC 6817), with the rate of delivery as in BBR (draft-ietf-ccwg-bbr):
+//! the allowance is the amount that crosses in the shortest round trip plus a short queue.
 //!
-//! Two connections with small socket buffers would be simpler but are not sufficient (`docs/measurements.md`). On 50 kbit/s
-//! live figures become up to 15 s old with `SO_SNDBUF` alone, and up to 82 s old with `TCP_NOTSENT_LOWAT` alone. `SO_SNDBUF`
-//! also loses most of the throughput on 500 kbit/s with a round trip of 600 ms. Two connections are equivalent only
-//! with `TCP_NOTSENT_LOWAT`, Reno congestion control, and live updates that wait for TCP's acknowledgement. The ZeroMQ
-//! library supports none of the three. This module can go when the library gives access to the socket; the protocol
-//! then needs a second connection that the same proof covers.
+//! Two connections with small socket buffers would be simpler but are not sufficient (`docs/measurements.md`). On 50
+//! kbit/s live figures become up to 15 s old with `SO_SNDBUF` alone, and up to 82 s old with `TCP_NOTSENT_LOWAT` alone.
+//! `SO_SNDBUF` also loses most of the throughput on 500 kbit/s with a round trip of 600 ms. Two connections are
+//! equivalent only with `TCP_NOTSENT_LOWAT`, Reno congestion control, and live updates that wait for TCP's
+//! acknowledgement. The ZeroMQ library supports none of the three. This module can go when the library gives access to
+//! the socket; the protocol then needs a second connection that the same proof covers.
 
 mod allowance;
 mod echoes;
@@ -122,11 +122,11 @@ impl FlowControl {
         self.durable_share = 0;
     }
 
-    /// Returns the position of an echo that is to be requested now; `None` if no echo is due. `is_waiting` is `true` if a
-    /// frame does not fit into the allowance yet, `starts_batch` if a batch is about to be handed over.
+    /// Returns the position of an echo that is to be requested now; `None` if no echo is due. `is_waiting` is `true` if
+    /// a frame does not fit into the allowance yet, `starts_batch` if a batch is about to be handed over.
     ///
-    /// If the shortest round trip is outdated, the durable lane sends nothing until the path is nearly empty (it *drains*
-    /// the path). Then an echo request, the *probe*, measures the shortest round trip again.
+    /// If the shortest round trip is outdated, the durable lane sends nothing until the path is nearly empty (it
+    /// *drains* the path). Then an echo request, the *probe*, measures the shortest round trip again.
     pub(super) fn request_echo(
         &mut self,
         is_waiting: bool,

@@ -9,8 +9,8 @@ use peernet_logger::{RunId, Slug};
 /// pipelines and few reasons.
 const MAX_LOSSES: usize = 64;
 
-/// Interval between the reports of a continuing loss, which is also reported at its end. Losses between two reports form
-/// one gap.
+/// Interval between the reports of a continuing loss, which is also reported at its end. Losses between two reports
+/// form one gap.
 const REPORT_INTERVAL: Span = Span::from_seconds(1);
 
 /// Dropped events by pipeline, run and reason.
@@ -93,8 +93,8 @@ impl Losses {
         due.map(|loss| loss.take_gap(now))
     }
 
-    /// Returns the next gap of the losses that end now: the losses of `run`, or all losses if it is `None`. Records the gap
-    /// as reported.
+    /// Returns the next gap of the losses that end now: the losses of `run`, or all losses if it is `None`. Records the
+    /// gap as reported.
     pub(super) fn take_ended(&mut self, run: Option<RunId>, now: MonoTime) -> Option<Gap> {
         let is_ended = |loss: &&mut Loss| loss.gap.count > 0 && (run.is_none() || loss.gap.run == run);
         self.entries.iter_mut().find(is_ended).map(|loss| loss.take_gap(now))

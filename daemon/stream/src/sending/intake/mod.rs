@@ -23,7 +23,8 @@ const GAP_REPORT: Usage = Usage { events: 1, bytes: 512 };
 /// Longest event: the largest tree and the fields around it.
 const MAX_EVENT_BYTES: usize = MAX_TREE_BYTES + 16 * 1024;
 
-/// Maximum length of a batch. A larger configured value has no effect, because the aggregator must be able to read its frame.
+/// Maximum length of a batch. A larger configured value has no effect, because the aggregator must be able to read its
+/// frame.
 const MAX_BATCH_BYTES: usize = codec::MAX_MESSAGE_BYTES - codec::BATCH_HEAD_BYTES;
 
 /// State machine that accepts events, counts them, and groups them into batches without numbers.
@@ -305,8 +306,8 @@ impl Intake {
         self.open.since.map(|since| since.mono + self.config.batch_age)
     }
 
-    /// Counts the batch under construction and `further_events` events as dropped; `retained` are the accepted events that
-    /// remain.
+    /// Counts the batch under construction and `further_events` events as dropped; `retained` are the accepted events
+    /// that remain.
     pub(super) fn give_up(&mut self, further_events: u64, retained: &RunCounts) {
         self.totals.dropped += u64::from(self.open.events) + further_events;
         self.totals.submitted.give_up(retained);

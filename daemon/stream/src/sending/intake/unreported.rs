@@ -17,7 +17,8 @@ pub(super) struct UnreportedLosses {
     earlier_gaps: VecDeque<Gap>,
     /// Number of events that an earlier process dropped and did not report.
     earlier_drops: u64,
-    /// `true` until it is known which batches of an earlier process the aggregator stored. No loss is reported until then.
+    /// `true` until it is known which batches of an earlier process the aggregator stored. No loss is reported until
+    /// then.
     is_unresolved: bool,
 }
 
@@ -42,8 +43,8 @@ impl UnreportedLosses {
         self.losses.add_gap(gap, now);
     }
 
-    /// Adds the events that earlier processes dropped and did not report. Only the first call after [`resolve`](Self::resolve)
-    /// adds any.
+    /// Adds the events that earlier processes dropped and did not report. Only the first call after
+    /// [`resolve`](Self::resolve) adds any.
     pub(super) fn add_earlier_drops(&mut self, now: Stamp) {
         if self.is_unresolved {
             return;
@@ -78,15 +79,16 @@ impl UnreportedLosses {
         self.earlier_gaps.pop_front().or_else(|| self.losses.take_due(now))
     }
 
-    /// Returns the next gap of the losses that end now: the losses of `run`, or all losses if it is `None`. Records the gap
-    /// as reported.
+    /// Returns the next gap of the losses that end now: the losses of `run`, or all losses if it is `None`. Records the
+    /// gap as reported.
     pub(super) fn take_ended(&mut self, run: Option<RunId>, now: MonoTime) -> Option<Gap> {
-        // The spool stores only the number of reported events, so the order is fixed: losses of earlier processes first.
+        // The spool stores only the number of reported events, so the order is fixed: losses of earlier processes
+        // first.
         self.earlier_gaps.pop_front().or_else(|| self.losses.take_ended(run, now))
     }
 
-    /// Records which batches of an earlier process the aggregator stored. Returns the losses of all earlier processes that
-    /// no gap reports.
+    /// Records which batches of an earlier process the aggregator stored. Returns the losses of all earlier processes
+    /// that no gap reports.
     pub(super) fn resolve(&mut self, unresolved: &UnresolvedBatches, resolved: &ResolvedBatches) -> Vec<Gap> {
         unresolved.update_unreported(resolved, &mut self.earlier_gaps, &mut self.earlier_drops);
         self.earlier_gaps.iter().cloned().collect()

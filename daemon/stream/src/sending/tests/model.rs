@@ -153,8 +153,8 @@ impl Simulation {
         self.run();
     }
 
-    /// Starts a new process with the file after a kill, which loses the requested actions, or after a power failure, which
-    /// also loses writes that were not synced. The new process connects if `connect` is set.
+    /// Starts a new process with the file after a kill, which loses the requested actions, or after a power failure,
+    /// which also loses writes that were not synced. The new process connects if `connect` is set.
     fn start(&mut self, file: File, connect: bool) {
         self.up.clear();
         self.down.clear();

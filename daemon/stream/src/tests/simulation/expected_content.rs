@@ -164,8 +164,8 @@ impl ExpectedContent {
         }
     }
 
-    /// Returns whether an event that is missing in a restored database is covered by a gap, or its spool was deleted. With two
-    /// copies, different batches with the same numbers may be missing in the database.
+    /// Returns whether an event that is missing in a restored database is covered by a gap, or its spool was deleted.
+    /// With two copies, different batches with the same numbers may be missing in the database.
     fn is_accounted(&self, event_number: u64, database: &Database) -> bool {
         self.places.get(&event_number).into_iter().flatten().any(|(stream, number)| {
             let entries = database.entries.get(stream).into_iter().flatten();

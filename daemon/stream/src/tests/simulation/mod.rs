@@ -248,8 +248,8 @@ impl Simulation {
         });
     }
 
-    /// Kills the agent and starts an agent at a site. Before the kill, the disk has performed `done` further actions whose
-    /// completion the agent did not learn of.
+    /// Kills the agent and starts an agent at a site. Before the kill, the disk has performed `done` further actions
+    /// whose completion the agent did not learn of.
     pub(super) fn start_agent(&mut self, site: usize, done: usize) {
         let jobs: Vec<Action> = self.jobs.drain(..).take(if self.broken { 0 } else { done }).collect();
         jobs.iter().for_each(|job| drop(self.apply(job)));
@@ -327,7 +327,8 @@ impl Simulation {
             }
             let is_at_rest = self.sending.is_idle() && self.sending.has_reported_all();
             if self.sending.is_up() && is_at_rest && self.file().batches.is_empty() {
-                // The aggregator may have been killed after its welcome. The live lane then reports that it has no session.
+                // The aggregator may have been killed after its welcome. The live lane then reports that it has no
+                // session.
                 self.live();
                 if self.down.is_empty() {
                     return;
