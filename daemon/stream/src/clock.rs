@@ -36,7 +36,7 @@ pub struct ClockSample {
     pub max_drift_ppm: f64,
     /// Exchange of this second with the lowest upper bound of the offset; `None` without exchanges.
     pub upper: Option<Exchange>,
-    /// Exchange of this second with the highest lower bound of the offset.
+    /// Exchange of this second with the highest lower bound of the offset; `None` without exchanges.
     pub lower: Option<Exchange>,
     /// Offset at the end of the second; `None` if it is unknown.
     pub offset: Option<Offset>,
@@ -48,7 +48,7 @@ pub struct ClockSample {
     pub round_trip: Option<RoundTrip>,
     /// Delays of data from edge to cloud that were judged in this second; `None` if no delay was judged.
     pub up: Option<DelaySecond>,
-    /// Delays of data from cloud to edge that were judged in this second.
+    /// Delays of data from cloud to edge that were judged in this second; `None` if no delay was judged.
     pub down: Option<DelaySecond>,
     /// Network of the link. Its serialised form is omitted if it is `zmq-tcp` and no later field follows.
     #[serde(default)]
@@ -115,7 +115,7 @@ pub struct DelayPoint {
     pub value: Span,
     /// Interval that contains the true delay.
     pub bounds: Interval,
-    /// Size divided by the estimate, bits per second; `None` if the size is unknown.
+    /// Size of the message divided by the estimated delay, bits per second; `None` if the size is unknown.
     pub bits_per_second: Option<f64>,
 }
 

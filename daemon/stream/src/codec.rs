@@ -37,11 +37,12 @@ pub const MAX_MESSAGE_BYTES: usize = 4 * 1024 * 1024;
 /// Number of bytes of a batch's frame before its body.
 pub(super) const BATCH_HEAD_BYTES: usize = 2 + 16 + 16 + 8 + 8 + 16 + 16 + 8 + 4 + 4;
 
-/// Deepest nesting of MessagePack values. Nodes do not count: a tree is one byte string.
+/// Deepest nesting of MessagePack values. The nodes of a tree add no levels, because a whole tree is one byte string.
 // The decoder recurses for each level, and the peer chooses the depth.
 const MAX_NESTING: usize = 32;
 
-/// First byte of a batch's frame.
+/// First byte of the frame of a batch, of a part of a batch, and of a compressed message. The second byte, the form,
+/// tells them apart.
 const BATCH: u8 = 0xC1;
 
 /// Form byte of a body that is not compressed.
@@ -57,8 +58,9 @@ const COMPRESSED: u8 = 3;
 /// Fastest of the usual levels of Zstandard. It compresses events to about a third; level 3 compresses little more.
 const ZSTD_LEVEL: i32 = 1;
 
-/// Largest capacity that is reserved at once for events, because the number in the head comes from an untrusted peer.
-const EXPECTED_EVENTS: usize = 4096;
+/// Maximum number of events for which memory is reserved before they are decoded. The number in the head may be larger:
+/// it comes from an untrusted peer.
+const MAX_RESERVED_EVENTS: usize = 4096;
 
 /// Reason why bytes are not a message.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -215,7 +217,7 @@ pub fn decode_events(body: &[u8], count: u32) -> Result<Vec<Event>, CodecError> 
     if count > body.len() {
         return Err(CodecError::Malformed(format!("{} bytes cannot hold {count} events", body.len())));
     }
-    let mut events = Vec::with_capacity(count.min(EXPECTED_EVENTS));
+    let mut events = Vec::with_capacity(count.min(MAX_RESERVED_EVENTS));
     // Borrows trees from the input, without a copy of their bytes.
     let mut reader = rmp_serde::Deserializer::from_read_ref(body);
     reader.set_max_depth(MAX_NESTING);
@@ -223,7 +225,7 @@ pub fn decode_events(body: &[u8], count: u32) -> Result<Vec<Event>, CodecError> 
         events.push(Event::deserialize(&mut reader).map_err(|error| malformed_error(&error))?);
     }
     match IgnoredAny::deserialize(&mut reader) {
-        // No first byte of another value follows.
+        // The body ends here: no first byte of a further value follows.
         Err(rmp_serde::decode::Error::InvalidMarkerRead(_)) => Ok(events),
         _ => Err(CodecError::Malformed(format!("bytes follow the {count} events of the batch"))),
     }

@@ -113,7 +113,7 @@ impl SubmittedEvents {
         SettledEvents { events, batched: self.batched.total, last: self.last }
     }
 
-    /// Counts the batched events that are not in `retained` as dropped.
+    /// Counts as dropped the batched events that are not in `retained`.
     pub(super) fn give_up(&mut self, retained: &RunCounts) {
         let batched = std::mem::replace(&mut self.batched, retained.clone());
         self.dropped.total += batched.total.saturating_sub(retained.total);

@@ -250,9 +250,9 @@ impl fmt::Display for IncidentKind {
 /// Events that were dropped, for example because a queue was full: measuring never waits for storing.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Gap {
-    /// Pipeline whose events are missing; `None` for incidents.
+    /// Pipeline whose events are missing; `None` if they belong to no pipeline or to several.
     pub pipeline: Option<Slug>,
-    /// Run whose events are missing; `None` for incidents.
+    /// Run whose events are missing; `None` if they belong to no run or to several.
     pub run: Option<RunId>,
     /// Time of the first dropped event.
     pub from: WallTime,
@@ -260,7 +260,7 @@ pub struct Gap {
     pub to: WallTime,
     /// Number of dropped events.
     pub count: u64,
-    /// Reason why they were dropped.
+    /// Reason why the events were dropped.
     pub reason: String,
 }
 

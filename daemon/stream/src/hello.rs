@@ -17,7 +17,8 @@ pub const AGENT_STREAM_VERSIONS: VersionRange = VersionRange::new(7, 7, Release(
 const FIRST_VERSION: u16 = 5;
 
 random_id! {
-    /// Identifier of a stream of batches. It is drawn with the agent's spool, so that a new spool is recognised.
+    /// Identifier of a stream of batches. The number is drawn at random when the agent's spool is created, so that a
+    /// new spool is recognised.
     StreamId
 }
 
@@ -48,8 +49,8 @@ pub struct Hello {
     pub events_before_oldest: u64,
     /// Number of events in all batches of the spool before `first`, in earlier streams; `None` if it is unknown.
     pub events_before_first: Option<u64>,
-    /// Configured length of a batch's body, bytes; a single larger event makes a longer batch. Windows are counted in
-    /// the weight of such a batch.
+    /// Configured length of a batch's body, bytes; a single larger event makes a longer batch. A window is counted in
+    /// batches of this length.
     pub batch_bytes: u32,
     /// Random number of the process. It distinguishes a reconnect from a second process with a copied host id.
     pub process: u64,
@@ -81,8 +82,8 @@ impl HelloExtension {
     pub fn from_versions(versions: &VersionRange) -> Option<Self> {
         // PEERNet 0.1.0 cannot read a hello with an extension. An agent that supports only version 5 therefore omits
         // it.
-        let is_first_only = (versions.oldest(), versions.newest()) == (FIRST_VERSION, FIRST_VERSION);
-        (!is_first_only).then_some(Self { newest: versions.newest, since: versions.since })
+        let supports_first_version_only = (versions.oldest(), versions.newest()) == (FIRST_VERSION, FIRST_VERSION);
+        (!supports_first_version_only).then_some(Self { newest: versions.newest, since: versions.since })
     }
 }
 

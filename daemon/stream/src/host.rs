@@ -68,6 +68,6 @@ pub struct HostMetrics {
 pub struct ModelMetrics {
     /// Number of loaded models, of all kinds.
     pub loaded: u32,
-    /// Sum of the growth of the agent's resident memory while each of them was loaded, bytes.
+    /// Sum over the loaded models: growth of the agent's resident memory while the model was loaded, bytes.
     pub memory_bytes: u64,
 }

@@ -3,11 +3,11 @@
 //! One connection carries two lanes. The live lane is small and may lose data: it sends the agent's own one-second
 //! summaries every 250 ms, newest first. The durable lane sends numbered batches of finished events, which are
 //! acknowledged after they are stored. The state machines of the two ends, [`Sending`] and [`Receiving`], do no I/O:
-//! their methods report what happened, and return what to do.
+//! their callers report by a method call what happened, and the method returns what to do.
 //!
 //! Guarantee of the durable lane: every event in the agent's spool is stored exactly once and in order. This holds
 //! whatever the transport loses, repeats or reorders, and whichever end restarts. It requires that the aggregator
-//! stores a batch and its stream's mark in one transaction.
+//! stores a batch and its stream's mark ([`StoredPosition`]) in one transaction.
 //!
 //! There are two exceptions. If a spool was copied, events that are in both copies may be stored twice, in two streams.
 //! If a spool was restored from an old copy, the events in that copy may be stored twice, too. No event is lost in
@@ -17,16 +17,18 @@
 //!
 //! The guarantee is achieved by the following means:
 //!
-//! - *Missing events* are counted as a difference. The head of each batch states the number of events in all batches
-//!   before it. The stream's row in the database stores this number, and a hello states it for the oldest batch that
-//!   the agent still holds. An aggregator whose database was deleted or restored thus learns how many events it lacks.
-//! - *Exactly once* follows from the mark: a batch at or below the mark is acknowledged and not stored.
+//! - *Missing events* are counted as the difference between two numbers. The head of each batch states the number of
+//!   events in all batches before it. The stream's row in the database stores this number, and a hello states it for
+//!   the oldest batch that the agent still holds. An aggregator whose database was deleted or restored thus learns how
+//!   many events it lacks.
+//! - *Exactly once* follows from the mark: a batch whose number is not above the mark is acknowledged and not stored
+//!   again.
 //! - *The identity of a spool* is its chain of hashes ([`Chain`]). Numbers alone cannot distinguish a restored disk, a
 //!   copied machine, or a spool that lost its last batches in a power failure, from the original spool. Both ends
 //!   compare the chain at the mark at each welcome, before anything is deleted. If it differs, the agent continues in a
 //!   new stream.
 //! - *Memory* is bounded everywhere: the agent's queue, the memory before the spool, the spool, the bytes in flight,
-//!   and the aggregator's queue. When nothing else is left, the newest event is dropped, counted for its run, and
+//!   and the aggregator's queue. When all of them are full, the newest event is dropped, counted for its run, and
 //!   reported in a gap. `produced = stored + waiting + dropped` always holds.
 //!
 //! The tests in `tests` run both state machines against a transport that loses, repeats, reorders and alters frames,

@@ -151,15 +151,16 @@ pub struct Second {
     /// throughput's summary is over the throughputs of single iterations. Failed iterations and warm-up are not
     /// included.
     pub values: Vec<(Name, Summary)>,
-    /// Half-widths of the clock bounds of `upload` and `download` in seconds; and the bounds themselves, named by
-    /// [`end_names`], which agents of earlier versions do not report.
+    /// Clock bounds of the delays, in seconds. There are two kinds of entries: the half-widths under the names of the
+    /// stages, `upload` and `download`; and the lower and upper bounds under the names that [`end_names`] returns for
+    /// each stage. Agents of earlier versions report the half-widths only.
     pub bounds: Vec<(Name, Summary)>,
     /// Verdicts of the one-way delays: node, name of the verdict, count.
     pub verdicts: Vec<(Name, Name, u64)>,
 }
 
-/// Returns the names under which [`Second::bounds`] has the lower and the upper bounds of a delay, as the columns of
-/// `data.csv`. `None` for names that are no delays of a message.
+/// Returns the names under which [`Second::bounds`] has the lower and the upper bounds of a delay; the columns of
+/// `data.csv` have the same names. `None` if the stage is not the delay of a message.
 pub fn end_names(stage: &str) -> Option<[Name; 2]> {
     match stage {
         "upload" => Some([Name::from_static("upload-lo"), Name::from_static("upload-hi")]),

@@ -108,7 +108,7 @@ impl UnresolvedBatches {
 
 impl Totals {
     /// Returns the totals with the result for the earlier process.
-    pub(super) fn with(self, resolved: &ResolvedBatches) -> Self {
+    pub(super) fn with_resolved(self, resolved: &ResolvedBatches) -> Self {
         Self {
             produced: self.produced + resolved.stored + resolved.lost,
             dropped: self.dropped + resolved.lost,
@@ -185,7 +185,7 @@ mod tests {
         assert_eq!((both_stored.stored, both_stored.lost, both_stored.reported_drops), (10, 11, 2));
         let (named, unnamed) = gaps(&unresolved, &both_stored, 2);
         assert_eq!(named + unnamed, 11, "the gap in batch 5 reported both unreported losses");
-        let totals = state.totals.with(&both_stored);
+        let totals = state.totals.with_resolved(&both_stored);
         assert_eq!((totals.produced, totals.dropped, totals.reported_drops), (36, 14, 3));
     }
 

@@ -31,7 +31,7 @@ pub fn any_conversation(data: &[u8]) {
 
 fn drive_receiving(script: &mut Script<'_>) {
     let mut receiving = Receiving::new(ReceivingConfig::new("base".parse().expect("a name")));
-    // Last reported accepted number of each stream.
+    // For each stream, the number of the last batch that was reported as accepted.
     let mut accepted: BTreeMap<StreamId, u64> = BTreeMap::new();
     let mut now = MonoTime::from_nanos(0);
     for _ in 0..MAX_STEPS {
@@ -41,7 +41,7 @@ fn drive_receiving(script: &mut Script<'_>) {
         match script.byte() % 10 {
             0 => {
                 let hello = script.hello();
-                let mark = (script.byte() & 1 == 0).then(|| script.host()).map(|owner| script.mark(owner));
+                let mark = (script.byte() & 1 == 0).then(|| script.host()).map(|owner| script.stored_position(owner));
                 let last_stream = (script.byte() & 1 == 0).then(|| script.stream());
                 let (was_used, previous_mark) =
                     (last_stream == Some(hello.stream), mark.filter(|mark| mark.stored & 1 == 0));
@@ -83,7 +83,7 @@ fn drive_receiving(script: &mut Script<'_>) {
             }
             6 => {
                 let (stream, owner) = (script.stream(), script.host());
-                let mark = script.mark(owner);
+                let mark = script.stored_position(owner);
                 receiving.handle_stored(stream, mark);
                 accepted.entry(stream).and_modify(|number| *number = mark.stored.max(*number));
             }
@@ -225,7 +225,7 @@ impl Agent {
 fn random_message(script: &mut Script<'_>, (mut stream, chain, number): (StreamId, Chain, u64)) -> ToAgent {
     let choice = script.byte();
     let (mut number, mut chain, window) = (number, Some(chain), u32::from(script.byte()));
-    // Usually the answer of an aggregator that stored everything that was sent.
+    // Without this bit, the message is that of an aggregator that stored everything that was sent.
     if choice & 0x40 != 0 {
         number = script.number();
         chain = (choice & 0x20 != 0).then(|| script.chain(number));

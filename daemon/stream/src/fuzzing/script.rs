@@ -35,6 +35,7 @@ impl Script<'_> {
         match self.byte() {
             small @ 0..200 => u64::from(small % 16),
             near @ 200..228 => u64::MAX - u64::from(near - 200),
+            // // From 14 below the largest `i64` to 13 above it.
             near => i64::MAX as u64 + u64::from(near) - 242,
         }
     }
@@ -58,7 +59,7 @@ impl Script<'_> {
         Chain::from_bytes(bytes)
     }
 
-    pub(super) fn mark(&mut self, host: HostId) -> StoredPosition {
+    pub(super) fn stored_position(&mut self, host: HostId) -> StoredPosition {
         let stored = self.number();
         let (chain, process) = (self.chain(stored), (stored & 4 == 0).then_some(stored & 3));
         StoredPosition { host, stored, chain, process, events: (stored & 8 == 0).then(|| self.number()) }

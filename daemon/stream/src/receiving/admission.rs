@@ -15,8 +15,8 @@ pub(super) fn version_mismatch(hello: &Hello) -> Option<String> {
     Some(mismatch.describe("the event stream", "the aggregator", &agent))
 }
 
-/// Returns whether a host has been in the database for longer than another host. A host that is not in it has the
-/// lowest seniority. Smaller numbers are more senior ([`StreamRecord::seniority`]).
+/// Returns whether a host has been in the database for longer than another host. A host that is not in the database has
+/// the lowest seniority. Smaller numbers are more senior ([`StreamRecord::seniority`]).
 const fn is_senior(host: Option<u64>, other: Option<u64>) -> bool {
     match (host, other) {
         (Some(host), Some(other)) => host < other,
@@ -34,8 +34,8 @@ pub(super) struct Session {
     pub(super) last_message_at: MonoTime,
     /// Weight of a batch of the usual length, as stated in the hello; at most the longest message.
     pub(super) batch_bytes: u64,
-    /// Another process that claims to be this host, and the time of its first hello.
-    challenger: Option<(u64, MonoTime)>,
+    /// Number of another process that claims to be this host, and the time of that process's first hello.
+    rival_process: Option<(u64, MonoTime)>,
 }
 
 impl Session {
@@ -47,7 +47,7 @@ impl Session {
             stream: hello.stream,
             last_message_at: now,
             batch_bytes: batch_weight(MAX_MESSAGE_BYTES.min(hello.batch_bytes as usize)),
-            challenger: None,
+            rival_process: None,
         }
     }
 }
@@ -65,7 +65,7 @@ impl Receiving {
     pub(super) fn admission(&mut self, hello: &Hello, record: StreamRecord, now: MonoTime) -> Admission {
         match self.refusal_reason(hello, record, now) {
             Some(reason) => Admission::Refused(reason),
-            None => self.challenge(hello, now),
+            None => self.admit_process(hello, now),
         }
     }
 
@@ -122,19 +122,19 @@ impl Receiving {
 
     /// Decides between two processes with one host id. The new process takes over if the old one is silent. If both are
     /// active, one of them uses a copied state directory, and the new process is refused.
-    fn challenge(&mut self, hello: &Hello, now: MonoTime) -> Admission {
+    fn admit_process(&mut self, hello: &Hello, now: MonoTime) -> Admission {
         let host: HostId = hello.host.id;
         let process_timeout = self.config.process_timeout;
         let other = self.hosts.get_mut(&host).filter(|session| session.process != hello.process);
         let Some(session) = other.filter(|session| now - session.last_message_at <= process_timeout) else {
             return Admission::Granted;
         };
-        match session.challenger {
+        match session.rival_process {
             // The old process sent something after the new one's first hello: both are alive.
             Some((process, first_hello_at))
                 if process == hello.process && session.last_message_at > first_hello_at =>
             {
-                session.challenger = None;
+                session.rival_process = None;
                 return Admission::Refused(format!(
                     "another agent with the host id {host} is running: one of the two uses a copy of the other's state \
                      directory; stop the copy and give it another [agent] state_dir, so that it gets a host id of its \
@@ -142,7 +142,7 @@ impl Receiving {
                 ));
             }
             Some((process, _)) if process == hello.process => {}
-            _ => session.challenger = Some((hello.process, now)),
+            _ => session.rival_process = Some((hello.process, now)),
         }
         Admission::Later
     }

@@ -1,4 +1,4 @@
-//! Streams with a deferred batch: the queue had no capacity for it when it arrived.
+//! Streams with a deferred batch: the queue had no capacity for the batch when the batch arrived.
 
 use std::collections::{BTreeSet, VecDeque};
 

@@ -36,7 +36,7 @@ pub struct ReceivingConfig {
     /// Bytes of batches in flight from all agents together, which limit the aggregator's memory. Each agent is allowed
     /// at least one batch.
     pub budget_bytes: u64,
-    /// Largest window of one agent, in units of its batches' usual length.
+    /// Largest window of one agent, in batches of the length that its hello states.
     pub max_window: u32,
 }
 
@@ -53,7 +53,8 @@ impl ReceivingConfig {
     }
 }
 
-/// Stored position of a stream. It is written in the transaction that stores the batch.
+/// The mark of a stream: the position up to which its batches are stored. It is written in the transaction that stores
+/// the batch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StoredPosition {
     /// Host that the stream belongs to.
@@ -93,13 +94,14 @@ impl From<MissingBatches> for StoredPosition {
 /// State of the database for a host that sends a hello, including batches that are about to be stored.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StreamRecord {
-    /// StoredPosition of the hello's stream.
+    /// Mark of the hello's stream; `None` if no batch of the stream is stored.
     pub mark: Option<StoredPosition>,
     /// `true` if the host used that stream before.
     pub was_used: bool,
-    /// Stream that the host used most recently.
+    /// Stream that the host used most recently; `None` for a new host.
     pub last_stream: Option<StreamId>,
-    /// StoredPosition of the stream that the hello's stream continues.
+    /// Mark of the stream that the hello's stream continues; `None` if there is no such stream or none of its batches
+    /// is stored.
     pub previous_mark: Option<StoredPosition>,
     /// Position in the order in which hosts were first stored: smaller for older hosts; `None` for a host of which
     /// nothing is stored.
@@ -203,8 +205,8 @@ pub enum Arrival {
 /// stream's mark is on disk. Accepted batches are known in memory only, until the process ends; marks come from the
 /// database.
 ///
-/// Its memory is bounded: it holds a session for each recently active host, and for each stream the chains of the
-/// batches that are accepted and not stored. Their number is little more than twice
+/// The memory of this state machine is bounded: it holds a session for each recently active host, and for each stream
+/// the chains of the batches that are accepted and not stored. The number of these batches is little more than twice
 /// [`MAX_IN_FLIGHT_BATCHES`](super::MAX_IN_FLIGHT_BATCHES).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Receiving {
@@ -261,7 +263,8 @@ impl Receiving {
         if self.has_too_many_unstored(host, stream) || self.streams.get(&stream).is_some_and(has_unstored) {
             return HelloResult::Wait;
         }
-        // A stream is new only once. Its gap is therefore recorded once, even if the agent reconnects often.
+        // A stream is new only at its first hello. A gap is therefore recorded once, even if the agent reconnects
+        // often.
         let is_new = !record.was_used && mark.is_none() && !self.streams.contains_key(&stream);
         let replaced =
             last_stream.filter(|last| is_new && *last != stream && Some(*last) != hello.previous_stream);
@@ -410,9 +413,9 @@ impl Receiving {
         receiver.map(|host| (host, request))
     }
 
-    /// Returns whether the host has a session and was active within the last `within`.
-    pub fn is_alive(&self, host: HostId, within: Span, now: MonoTime) -> bool {
-        self.hosts.get(&host).is_some_and(|session| now - session.last_message_at <= within)
+    /// Returns whether the host has a session and its last message is at most `max_silence` old.
+    pub fn is_alive(&self, host: HostId, max_silence: Span, now: MonoTime) -> bool {
+        self.hosts.get(&host).is_some_and(|session| now - session.last_message_at <= max_silence)
     }
 
     /// Ends sessions of hosts that were silent for longer than `silence`. They are asked for a hello when they return.
@@ -422,9 +425,9 @@ impl Receiving {
         silent_hosts.into_iter().for_each(|host| self.handle_goodbye(host));
     }
 
-    /// Returns the window of a host in units of its batches: its share of the budget. The share depends on the number
-    /// of connected hosts and on the host's own batch length, not on the batch lengths of other hosts: a host that has
-    /// or claims large batches does not slow down the others.
+    /// Returns the window of a host, counted in batches of the length that its hello states: the host's share of the
+    /// budget. The share depends on the number of connected hosts and on the host's own batch length, not on the batch
+    /// lengths of other hosts: a host that has or claims large batches does not slow down the others.
     fn window(&self, host: HostId) -> u32 {
         let batch_bytes = self.hosts.get(&host).map_or(1, |session| session.batch_bytes);
         // Each connected host gets an equal share of the memory, so that all of them together stay within the budget.

@@ -29,8 +29,8 @@ impl PartAssembler {
         Self { incomplete: BTreeMap::new(), bytes: 0, max_bytes }
     }
 
-    /// Adds a part. Returns the frame of the batch that it completes. A part that does not follow the previous one
-    /// discards the batch.
+    /// Adds a part. Returns the frame of the batch if the part completes the batch. A part that does not follow the
+    /// previous one discards the batch.
     pub(super) fn add(&mut self, part: &Part) -> Option<Bytes> {
         if part.offset == 0 {
             self.forget(part.host);

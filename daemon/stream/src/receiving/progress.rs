@@ -36,15 +36,15 @@ pub(super) struct Progress {
     pub(super) host: HostId,
     /// Process that sent the last hello.
     process: u64,
-    /// StoredPosition in the database; if `None`, `stored` is the position before the first batch of the stream.
+    /// Mark in the database; if `None`, `stored` is the position before the first batch of the stream.
     mark: Option<StoredPosition>,
     stored: Position,
     accepted: Position,
     /// Number of the last batch that has the same content here and at the connected agent. This is known because the
     /// agent compared the chains when it was welcomed, or because it has sent the batch since then.
     confirmed: u64,
-    /// Accepted batches that are not both stored and confirmed, in ascending order. A gap is represented by its last
-    /// number.
+    /// Number and chain of each accepted batch that is not stored or not confirmed, in ascending order. A gap is
+    /// represented by its last batch.
     pending: VecDeque<(u64, Chain)>,
     /// Number of the first batch that was requested again; `None` once this batch arrives.
     requested: Option<u64>,

@@ -15,7 +15,7 @@ const LOSS_WRITE_INTERVAL: Span = Span::from_seconds(1);
 pub(super) struct Appends {
     job: Job<RunningAppend>,
     /// Totals that were written last.
-    written: Totals,
+    written_totals: Totals,
     /// `true` if the last attempt failed.
     has_failed: bool,
     /// `true` after a failure to write batches: the number of dropped events is then written alone before the batches
@@ -28,13 +28,13 @@ pub(super) struct Appends {
 /// A transaction in progress.
 #[derive(Clone, Debug)]
 struct RunningAppend {
-    /// Last batch and its chain; `None` if only the totals are written.
+    /// Number and chain of the last batch; `None` if only the totals are written.
     last: Option<(u64, Chain)>,
     /// Bytes of the written bodies.
     bytes: u64,
     /// Number of written bytes whose batches the aggregator stored meanwhile.
     freed_bytes: u64,
-    /// Totals up to the last batch, without the additions of [`Totals::with`].
+    /// Totals up to the last batch, without the additions of [`Totals::with_resolved`].
     totals: Totals,
     /// `true` if the transaction records the result for an earlier process.
     resolves_earlier_process: bool,
@@ -43,7 +43,7 @@ struct RunningAppend {
 /// Result of a transaction.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct AppendResult {
-    /// Last batch and its chain; `None` if only the totals were written.
+    /// Number and chain of the last batch; `None` if only the totals were written.
     pub(super) last: Option<(u64, Chain)>,
     pub(super) bytes: u64,
     /// Number of written bytes whose batches the aggregator stored meanwhile.
@@ -53,10 +53,10 @@ pub(super) struct AppendResult {
 }
 
 impl Appends {
-    pub(super) fn new(written: Totals) -> Self {
+    pub(super) fn new(written_totals: Totals) -> Self {
         Self {
             job: Job::default(),
-            written,
+            written_totals,
             has_failed: false,
             were_batches_refused: false,
             started_at: MonoTime::default(),
@@ -64,8 +64,8 @@ impl Appends {
     }
 
     /// Returns the totals that were written last.
-    pub(super) const fn written(&self) -> &Totals {
-        &self.written
+    pub(super) const fn written_totals(&self) -> &Totals {
+        &self.written_totals
     }
 
     /// Returns whether the last attempt failed.
@@ -74,7 +74,7 @@ impl Appends {
     }
 
     /// Returns whether batches could not be written and nothing was written since.
-    pub(super) const fn were_refused(&self) -> bool {
+    pub(super) const fn were_batches_refused(&self) -> bool {
         self.were_batches_refused
     }
 
@@ -128,8 +128,8 @@ impl Appends {
     pub(super) fn finish(&mut self) -> Option<AppendResult> {
         let RunningAppend { last, bytes, freed_bytes, totals, resolves_earlier_process } = self.job.end()?;
         // A transaction without a record of sent batches leaves the record in the file unchanged.
-        let newest_sent = totals.newest_sent.or(self.written.newest_sent);
-        self.written = Totals { newest_sent, ..totals };
+        let newest_sent = totals.newest_sent.or(self.written_totals.newest_sent);
+        self.written_totals = Totals { newest_sent, ..totals };
         Some(AppendResult { last, bytes, freed_bytes, resolves_earlier_process })
     }
 
@@ -149,13 +149,13 @@ impl Appends {
 
     /// Returns the time at which the number of dropped events is written without batches, because a full spool accepts
     /// no batch.
-    pub(super) fn losses_due(&self, dropped: u64) -> Option<MonoTime> {
-        (dropped != self.written.dropped && !self.job.is_in_progress())
+    pub(super) fn losses_due_at(&self, dropped: u64) -> Option<MonoTime> {
+        (dropped != self.written_totals.dropped && !self.job.is_in_progress())
             .then(|| self.started_at + LOSS_WRITE_INTERVAL)
     }
 
     /// Returns whether the file records for all its batches, up to `spooled`, that this process may send them.
     pub(super) fn has_sent_record(&self, spooled: u64) -> bool {
-        self.written.newest_sent.is_some_and(|newest_sent| newest_sent.number >= spooled)
+        self.written_totals.newest_sent.is_some_and(|newest_sent| newest_sent.number >= spooled)
     }
 }

@@ -29,13 +29,13 @@ const IDLE_BEFORE_STOP: Span = Span::from_seconds(10);
 pub(super) struct CompressionControl {
     compression: Compression,
     is_compressing: bool,
-    /// Start of the time in which the window has been full.
+    /// Start of the current wait, in which the window has been full; `None` if it is not full.
     full_since: Option<MonoTime>,
     /// Last time at which the window was full.
     last_full: MonoTime,
     /// Time in which the window was full.
     full_time: Span,
-    /// Bytes that were acknowledged in this time.
+    /// Bytes that were acknowledged in `full_time`.
     full_bytes: u64,
     /// Longest wait, and the bytes that were acknowledged after it.
     longest_wait: (Span, u64),

@@ -224,7 +224,7 @@ impl Sending {
             return self.leave_stream(&welcome, now);
         }
         if welcome.last_stored < acknowledged {
-            return match self.has_sent(&welcome) {
+            return match self.has_sent_last_stored(&welcome) {
                 true => self.begin_sending(welcome, true, now),
                 false => self.leave_stream(&welcome, now),
             };
@@ -291,7 +291,7 @@ impl Sending {
     /// Returns whether this process or an earlier process of this spool sent the aggregator's last batch, which the
     /// spool no longer contains. If not, a copy of this spool sent the batch, and its chain cannot be compared: the
     /// aggregator's database may be a backup from a time when it received the batches of that copy.
-    fn has_sent(&self, welcome: &Welcome) -> bool {
+    fn has_sent_last_stored(&self, welcome: &Welcome) -> bool {
         let is_sender = |newest_sent: &NewestSentBatch| {
             Some(newest_sent.process) == welcome.process && newest_sent.number >= welcome.last_stored
         };

@@ -31,6 +31,7 @@ pub(super) struct DurableLane {
 /// Output of the durable lane.
 #[derive(Clone, Debug, Default)]
 pub(super) struct LaneOutput {
+    /// Frame to be sent; `None` if nothing can be sent now.
     pub(super) frame: Option<Vec<u8>>,
     /// `true` if the frame begins a batch.
     pub(super) starts_batch: bool,
@@ -76,7 +77,7 @@ impl DurableLane {
             self.flow.clear_durable_share();
             return without_batch_start(self.request_echo(host, false, false, now));
         };
-        if self.in_flight.is_full(body_bytes, self.allowance()) {
+        if self.in_flight.is_full(body_bytes, self.max_weight_in_flight()) {
             self.compression.record_full_window(now);
             self.flow.clear_durable_share();
             return without_batch_start(self.request_echo(host, false, false, now));
@@ -125,7 +126,7 @@ impl DurableLane {
 
     /// Returns the largest total weight of the batches in flight. On a slow link it is reduced, because batches that
     /// could not be stored must be sent over the link again.
-    fn allowance(&self) -> u64 {
+    fn max_weight_in_flight(&self) -> u64 {
         let window = u64::from(self.window) * batch_weight(self.config.batch_bytes);
         if self.flow.is_slow() { window.min(UNSTORED_PER_ALLOWANCE * self.flow.allowance()) } else { window }
     }

@@ -16,8 +16,8 @@ const HELLOS_WITHOUT_PAUSE: u32 = 3;
 pub(super) enum ConnectionState {
     /// No connection.
     Down,
-    /// The aggregator has not accepted this host yet. The next hello is due at `retry_at`, and the second next hello
-    /// `pause` later.
+    /// The aggregator has not accepted this host yet. The next hello is due at `retry_at`, and the following hello
+    /// `pause` after it.
     Handshake { retry_at: MonoTime, pause: Span },
     /// Welcomed. The file is being read to compare both ends' batches.
     Comparing { scan: SpoolScan, purpose: ScanPurpose },

@@ -98,7 +98,7 @@ impl EventSpooler {
     /// Returns the time at which a batch is closed, a loss is reported, or the file is written or deleted from.
     pub(super) fn deadline(&self) -> Option<MonoTime> {
         let deletion = self.may_delete().then(|| self.deletions.due_at()).flatten();
-        let writes = [self.appends.retry_at(), self.deletions.retry_at(), deletion, self.losses_due()];
+        let writes = [self.appends.retry_at(), self.deletions.retry_at(), deletion, self.losses_due_at()];
         writes.into_iter().chain([self.intake.deadline(&self.capacity())]).flatten().min()
     }
 
@@ -106,7 +106,7 @@ impl EventSpooler {
         let lost = self.backlog.give_up();
         self.intake.give_up(lost, &self.backlog.settled_totals().submitted.batched);
         let unreported = self.earlier.unwritten_gaps().cloned();
-        Totals { unreported, ..self.persistent_totals().with(self.earlier.resolved()) }
+        Totals { unreported, ..self.persistent_totals().with_resolved(self.earlier.resolved()) }
     }
 
     /// Returns whether a write to the spool is in progress.
@@ -158,7 +158,7 @@ impl EventSpooler {
         let events = |submitted: &SubmittedEvents, run| {
             submitted.batched.events_of(run) + submitted.dropped.events_of(run)
         };
-        let (counted, written) = (&self.intake.totals().submitted, &self.appends.written().submitted);
+        let (counted, written) = (&self.intake.totals().submitted, &self.appends.written_totals().submitted);
         let ended = self.intake.ended_runs().iter().map(|run| (*run, events(counted, *run)));
         ended.filter(|(run, count)| events(written, *run) == *count).collect()
     }
@@ -169,7 +169,7 @@ impl EventSpooler {
     }
 
     pub(super) const fn settled_events(&self) -> u64 {
-        let submitted = &self.appends.written().submitted;
+        let submitted = &self.appends.written_totals().submitted;
         submitted.batched.total + submitted.dropped.total
     }
 
@@ -194,7 +194,7 @@ impl EventSpooler {
             gaps: settled.gaps,
             reported_drops: settled.reported_drops,
             submitted,
-            newest_sent: self.appends.written().newest_sent,
+            newest_sent: self.appends.written_totals().newest_sent,
             unreported: None,
         }
     }
@@ -267,7 +267,7 @@ impl EventSpooler {
         self.deletions.add(0, now);
     }
 
-    /// Counts the events of batches that should be in the file and are missing as dropped.
+    /// Counts as dropped the events of batches that should be in the file and are missing.
     pub(super) fn drop_missing(&mut self, now: Stamp) {
         let missing = self.backlog.remove_missing();
         if missing.events > 0 {
@@ -327,7 +327,7 @@ impl EventSpooler {
     /// batches in it.
     pub(super) fn sendable(&self) -> (u64, bool) {
         match self.appends.has_failed() {
-            false => (self.appends.written().newest_sent.map_or(0, |newest_sent| newest_sent.number), false),
+            false => (self.appends.written_totals().newest_sent.map_or(0, |newest_sent| newest_sent.number), false),
             true if self.has_sent_record() => (u64::MAX, true),
             true => (self.backlog.spooled(), false),
         }
@@ -384,24 +384,24 @@ impl EventSpooler {
         let (batches, totals) = self.next_append(now)?;
         let unreported = self.earlier.unwritten_gaps().cloned();
         self.appends.start(&batches, &totals, unreported.is_some(), now);
-        let totals = Totals { unreported, ..totals.with(self.earlier.resolved()) };
+        let totals = Totals { unreported, ..totals.with_resolved(self.earlier.resolved()) };
         Some(Action::Append { batches, totals })
     }
 
     /// Returns the batches and totals that are to be written now.
     fn next_append(&self, now: MonoTime) -> Option<(Vec<SpooledBatch>, Totals)> {
-        let (written, spooled) = (self.appends.written(), self.backlog.spooled());
+        let (written, spooled) = (self.appends.written_totals(), self.backlog.spooled());
         let resolves_earlier_process = self.earlier.unwritten_gaps().is_some();
         // This record comes first, because no batch may be sent before the file contains it.
         if resolves_earlier_process || self.is_accepted && !self.has_sent_record() {
             let newest_sent = self.newest_sent_record(spooled);
             return Some((Vec::new(), Totals { newest_sent, ..written.clone() }));
         }
-        if self.appends.were_refused() && self.intake.totals().dropped != written.dropped {
+        if self.appends.were_batches_refused() && self.intake.totals().dropped != written.dropped {
             return Some((Vec::new(), self.persistent_totals()));
         }
         let Some((batches, totals)) = self.backlog.next_append(MAX_APPENDED, MAX_APPENDED_BYTES) else {
-            let is_due = self.is_closing || self.losses_due().is_some_and(|due| now >= due);
+            let is_due = self.is_closing || self.losses_due_at().is_some_and(|due| now >= due);
             let totals = is_due.then(|| self.persistent_totals()).filter(|totals| totals != written);
             return totals.map(|totals| (Vec::new(), totals));
         };
@@ -410,8 +410,8 @@ impl EventSpooler {
     }
 
     /// Returns the time at which the number of dropped events is written alone.
-    fn losses_due(&self) -> Option<MonoTime> {
-        self.appends.losses_due(self.intake.totals().dropped)
+    fn losses_due_at(&self) -> Option<MonoTime> {
+        self.appends.losses_due_at(self.intake.totals().dropped)
     }
 
     /// Returns the record that this process may send batches up to `number`; `None` before the aggregator has accepted

@@ -24,7 +24,7 @@ const MIN_QUEUED_BYTES: f64 = (4 << 10) as f64;
 /// Longest queueing delay that indicates a path with much more capacity. The allowance then grows faster.
 const NEGLIGIBLE_QUEUEING: Span = Span::from_millis(10);
 
-/// Minimum time for which a rate of delivery is used; it is used for at most twice that time.
+/// A rate of delivery is used for at least this time, and for at most twice this time.
 const RATE_LIFETIME: Span = Span::from_seconds(5);
 
 /// Number of late echoes in a row after which the link counts as slow. A single late echo may be due to a lost packet.

@@ -54,7 +54,7 @@ impl Losses {
             let gap = Gap { pipeline, run, from: now.wall, to: now.wall, count, reason };
             self.entries.push(Loss { gap, reported_at: None });
         } else {
-            // The number of events stays exact; only their origin is lost.
+            // The number of events stays exact; only their pipeline, run and reason become unknown.
             let loss = &mut self.entries[MAX_LOSSES - 1];
             (loss.gap.pipeline, loss.gap.run, loss.gap.reason) =
                 (None, None, "several reasons, too many to list".into());

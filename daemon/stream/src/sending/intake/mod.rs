@@ -131,7 +131,7 @@ impl Intake {
                 if let Event::RunEnded(ended) = event {
                     self.report_ended(Some(ended.run), capacity, now);
                 }
-                self.append_event(weight(event), now);
+                self.append_event(node_count(event), now);
                 self.totals.submitted.batched.add(run, 1);
             }
             Some(reason) => {
@@ -174,7 +174,7 @@ impl Intake {
             if let Err(error) = iteration.tree.check(0) {
                 return Some(format!("the iteration cannot be sent: {error}"));
             }
-            added_usage = added_usage + self.reserve();
+            added_usage = added_usage + self.reserved_usage();
         }
         if self.encoded.len() > MAX_EVENT_BYTES {
             return Some(format!("the event is longer than {MAX_EVENT_BYTES} bytes"));
@@ -185,7 +185,7 @@ impl Intake {
     }
 
     /// Returns the capacity that is reserved for events other than iterations.
-    fn reserve(&self) -> Usage {
+    fn reserved_usage(&self) -> Usage {
         let events = self.config.reserve_events;
         // Bytes and events have the same share, so that neither is exhausted before the other. The share is at most an
         // eighth, so that a small configuration still has capacity for iterations.
@@ -306,8 +306,8 @@ impl Intake {
         self.open.since.map(|since| since.mono + self.config.batch_age)
     }
 
-    /// Counts the batch under construction and `further_events` events as dropped; `retained` are the accepted events
-    /// that remain.
+    /// Counts as dropped the events of the batch under construction and `further_events` other events; `retained` are
+    /// the accepted events that are kept.
     pub(super) fn give_up(&mut self, further_events: u64, retained: &RunCounts) {
         self.totals.dropped += u64::from(self.open.events) + further_events;
         self.totals.submitted.give_up(retained);
@@ -351,8 +351,8 @@ impl Intake {
     }
 }
 
-/// Returns the weight of an event for the limit of nodes per batch.
-fn weight(event: &Event) -> usize {
+/// Returns the number of nodes with which an event counts towards [`SendingConfig::batch_nodes`].
+fn node_count(event: &Event) -> usize {
     match event {
         Event::Iteration(iteration) => iteration.tree.nodes().len(),
         _ => 1,
