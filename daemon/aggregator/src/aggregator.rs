@@ -120,7 +120,8 @@ impl Aggregator {
             integrity.clone(),
         ));
 
-        // It is a child token, because a failed task stops the others and must not stop the rest of the program.
+        // `stop` becomes a child token, because a failed task stops the other tasks and must not stop the rest of the
+        // program.
         let stop = stop.child_token();
         let mut running = RunningAggregator {
             handle: Self {

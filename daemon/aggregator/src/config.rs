@@ -22,7 +22,7 @@ pub struct AggregatorConfig {
     /// Longest time that a connection may exist without an accepted hello, 10 to 86,400,000 ms.
     pub hello_timeout_ms: u64,
     /// Memory for the incomplete messages of all agents together, 65,536 to 2^40 bytes. A connection whose message
-    /// exceeds it is closed. A connection without an accepted hello may hold 64 KiB.
+    /// would exceed this memory is closed. A connection without an accepted hello may hold 64 KiB.
     pub max_unfinished_bytes: u64,
     /// Path of the SQLite file. It is created with its folder if it does not exist; SQLite adds `-wal` and `-shm` files
     /// in the same folder.
@@ -128,7 +128,7 @@ fn address_problem(address: &str) -> Option<String> {
 /// folder above it, must be writable.
 fn database_problem(path: &Path) -> Option<String> {
     let text = path.to_string_lossy();
-    // SQLite would accept these and lose acknowledged data at the end of the program.
+    // SQLite would accept these paths and lose acknowledged data at the end of the program.
     if text.is_empty() || text.starts_with(":memory:") || text.starts_with("file:") {
         return Some(format!(
             "{text:?} is not the path of a file, and acknowledged events must survive a restart: name a file, such as \

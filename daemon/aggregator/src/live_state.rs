@@ -107,7 +107,7 @@ pub struct RefusedHost {
     pub address: Option<String>,
     /// Reason of the refusal, and the remedy.
     pub reason: String,
-    /// Time of its latest attempt on the aggregator's wall clock.
+    /// Time of the host's latest attempt on the aggregator's wall clock.
     pub at: WallTime,
 }
 
@@ -140,13 +140,14 @@ pub struct HostSnapshot {
     pub metrics: HostMetrics,
     /// The metrics of the last ten minutes, one point per five seconds, oldest first.
     pub history: Vec<Arc<MetricsPoint>>,
-    /// Counts of its events, as reported by the host.
+    /// Counts of the host's events, as reported by the host.
     pub accounting: Accounting,
-    /// Counts of its events in the database.
+    /// Counts of the host's events in the database.
     pub stored: StoredCounts,
     /// Batches that arrived and were not stored.
     pub arrivals: Arrivals,
-    /// Time of its newest stored event on its clock; `None` if nothing was stored since the aggregator's start.
+    /// Time of the host's newest stored event on the host's clock; `None` if nothing was stored since the aggregator's
+    /// start.
     pub newest_stored: Option<WallTime>,
     /// Number of pipelines, links, names and seconds of live updates that exceeded the limits and were discarded.
     pub live_left_out: u64,

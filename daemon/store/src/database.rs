@@ -17,7 +17,7 @@ use crate::error::OpenError;
 /// value means KiB.
 const CACHE: &str = "-65536";
 
-/// Number of pages in the log (WAL) before they are checkpointed into the file: 64 MiB of them.
+/// Number of pages in the log (WAL) at which SQLite checkpoints them into the file: about 64 MiB.
 ///
 /// A commit of 100,000 nodes from a thousand agents changes some thousand pages; the next commit changes most of them
 /// again. With SQLite's default of 1,000 pages every commit would checkpoint, sync the file once more, and take a third
@@ -25,7 +25,8 @@ const CACHE: &str = "-65536";
 const CHECKPOINT_PAGES: &str = "16000";
 
 /// Size in bytes to which SQLite truncates the write-ahead log's file when it begins to write the log from its start
-/// again. A reader may have made the file grow. This is the usual size: 16,000 pages with their frames' headers.
+/// again. A reader may have made the file grow. This is the usual size: the log's header, and 16,000 pages with their
+/// frames' headers.
 const TRUNCATED_WAL_BYTES: &str = "65920032";
 
 pub(crate) static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations");
@@ -62,8 +63,8 @@ pub(crate) async fn open_existing(path: &Path) -> Result<SqliteConnection, OpenE
 async fn prepare(path: &Path, options: SqliteConnectOptions) -> Result<SqliteConnection, OpenError> {
     let cannot_open = |source| OpenError::cannot_open(path, source);
     let mut connection = options.connect().await.map_err(cannot_open)?;
-    // A read-only file can be opened without an error, and the first batch would fail. This transaction fails already
-    // now.
+    // A read-only file can be opened without an error, and the first batch would fail. This transaction shows the error
+    // at once.
     sqlx::raw_sql("BEGIN IMMEDIATE; ROLLBACK").execute(&mut connection).await.map_err(cannot_open)?;
     let kind = FileKind::detect(&mut connection).await.map_err(cannot_open)?;
     if let (true, Some(what)) = (kind != FileKind::Empty, kind.other_kind()) {

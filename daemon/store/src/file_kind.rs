@@ -15,7 +15,8 @@ pub enum FileKind {
     Other,
 }
 
-/// Counts all tables except the table of migrations, then the tables of the aggregator, then the tables of a spool.
+/// Selects three counts: of all tables except the table of migrations, of the tables of an aggregator's database, and
+/// of the tables of a spool.
 const TABLES: &str = "SELECT count(*), coalesce(sum(name IN ('host', 'run', 'iteration')), 0), \
      coalesce(sum(name IN ('stream', 'batch', 'reached', 'unreported', 'unresolved')), 0) \
      FROM sqlite_schema WHERE type = 'table' AND name NOT LIKE '\\_%' ESCAPE '\\' AND name NOT LIKE 'sqlite\\_%' ESCAPE '\\'";
@@ -37,7 +38,7 @@ impl FileKind {
         })
     }
 
-    /// Returns what the file is instead of an aggregator's database; `None` if it is one.
+    /// Returns what the file is instead of an aggregator's database; `None` if the file is an aggregator's database.
     pub(crate) fn other_kind(self) -> Option<&'static str> {
         match self {
             Self::Database => None,

@@ -43,7 +43,7 @@ pub(crate) async fn assign_id(connection: &mut SqliteConnection) -> Result<(), s
     Ok(())
 }
 
-/// Gives a copied file without a log a new id. No connection may have the file open.
+/// Gives a new id to a copied file, which has no log. No connection may have the file open.
 pub(crate) fn assign_new_id(file: &File) -> io::Result<()> {
     file.write_all_at(&random_id().to_be_bytes(), ID_OFFSET as u64)
 }

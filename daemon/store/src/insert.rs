@@ -11,7 +11,7 @@ use sqlx::{Arguments, AssertSqlSafe, SqliteConnection};
 /// 31 columns the largest statement has fewer than 32,766 parameters, which is SQLite's limit.
 const SIZES: [usize; 5] = [1024, 256, 32, 4, 1];
 
-/// Statement for one table in all sizes.
+/// Statement that inserts rows into one table, once for each number of rows in [`SIZES`].
 #[derive(Debug)]
 pub(crate) struct Insert {
     statements: [Arc<str>; SIZES.len()],

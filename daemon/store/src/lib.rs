@@ -226,8 +226,8 @@ impl Store {
     }
 
     /// Returns the next iterations after a number, as the agent sent them, by ascending number. The first part of the
-    /// result is the last number that was examined, the argument of the next call. Returns `None` after the last
-    /// iteration.
+    /// result is the number of the last examined iteration, which is the argument `after` of the next call. Returns
+    /// `None` after the last iteration.
     pub async fn full_iterations(
         &self,
         run: &RunSummary,

@@ -23,9 +23,9 @@ use crate::retention_config::RetentionConfig;
 use crate::stored::StoredCounts;
 
 /// Number of newest runs that are read at the opening, because agents may still be executing them.
-const RUNS: u32 = 1_000;
+const MAX_RUNS: u32 = 1_000;
 /// Number of hosts whose stored counts are read at the opening.
-const HOSTS: u32 = 4_096;
+const MAX_HOSTS: u32 = 4_096;
 
 /// A database that this process may write.
 #[derive(Debug)]
@@ -135,10 +135,10 @@ impl OpenDatabase {
         // Taking the lock has created the file. If the file was removed since then, it must not be created again.
         let mut connection =
             database::open_existing(path).await.map_err(|error| error.with_file(&lock.file()))?;
-        let runs = read_newest_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
-        let unnamed_runs = read_unnamed_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
+        let runs = read_newest_runs(&mut connection, MAX_RUNS).await.map_err(cannot_open)?;
+        let unnamed_runs = read_unnamed_runs(&mut connection, MAX_RUNS).await.map_err(cannot_open)?;
         let host_secrets = read_host_secrets(&mut connection).await.map_err(cannot_open)?;
-        let hosts = read_host_counts(&mut connection, HOSTS).await.map_err(cannot_open)?;
+        let hosts = read_host_counts(&mut connection, MAX_HOSTS).await.map_err(cannot_open)?;
         let writer = Writer::new(path.to_owned(), connection, retention).await.map_err(cannot_open)?;
         // The locked file could have been replaced before SQLite opened it.
         if !lock.is_lock_of(path).map_err(|error| cannot_open(error.into()))? {

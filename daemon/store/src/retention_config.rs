@@ -15,17 +15,18 @@ const MIN_SIZE_LIMIT_BYTES: u64 = 16 << 20;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RetentionConfig {
-    /// Iterations with their trees of nodes, days. For this and the other periods, 0 means no limit.
+    /// Time for which iterations with their trees of nodes are kept, days. Here and for the other times, 0 means no
+    /// limit.
     pub nodes_days: u32,
-    /// Statistics per second.
+    /// Time for which statistics per second are kept, days.
     pub seconds_days: u32,
-    /// Statistics per ten seconds.
+    /// Time for which statistics per ten seconds are kept, days.
     pub ten_seconds_days: u32,
-    /// Statistics per minute.
+    /// Time for which statistics per minute are kept, days.
     pub minutes_days: u32,
-    /// Statistics per hour. Statistics of whole runs are never deleted.
+    /// Time for which statistics per hour are kept, days. Statistics of whole runs are never deleted.
     pub hours_days: u32,
-    /// Samples of the relation between two hosts' clocks, one per second.
+    /// Time for which samples of the relation between two hosts' clocks (one per second) are kept, days.
     pub clock_samples_days: u32,
     /// Bytes that the database may use; 0 for no limit. Above it, the oldest nodes are deleted, then the oldest of the
     /// finer statistics, at any age.

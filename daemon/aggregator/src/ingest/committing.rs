@@ -201,7 +201,7 @@ async fn serve(
                 first = context.queue.recv() => first,
                 // Retention runs only while no work waits.
                 () = std::future::ready(()), if retention_step == Step::More => {
-                    retention_step = retain(writer, context).await;
+                    retention_step = run_retention_step(writer, context).await;
                     continue;
                 }
                 _ = check_interval.tick() => {
@@ -247,7 +247,7 @@ async fn serve(
         commits += 1;
         retention_step = Step::More;
         if commits.is_multiple_of(COMMITS_PER_RETENTION) {
-            retention_step = retain(writer, context).await;
+            retention_step = run_retention_step(writer, context).await;
             match check_and_maintain(writer, context, state).await {
                 // The next commit reports the damage.
                 Ok(()) | Err(CommitError::Damaged(_)) => {}
@@ -284,7 +284,7 @@ async fn check_and_maintain(
 }
 
 /// Deletes a small part of the expired data. A failed deletion is retried in the next step.
-async fn retain(writer: &mut Writer, context: &TaskContext) -> Step {
+async fn run_retention_step(writer: &mut Writer, context: &TaskContext) -> Step {
     // Deletion writes to freed pages. In a damaged file freed pages must stay unchanged, because a repair may read rows
     // from them.
     if context.integrity.damage().is_some() {

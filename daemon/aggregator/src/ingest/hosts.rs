@@ -24,8 +24,8 @@ pub(crate) struct Hosts {
     max_hosts: usize,
     stored_hosts: HashMap<HostId, StoredHost>,
     newcomers: HashMap<HostId, Newcomer>,
-    /// Number of newcomers so far.
-    arrival_number: u64,
+    /// Number of the latest newcomer in the order of arrival.
+    last_arrival_number: u64,
 }
 
 /// A host that is in the database.
@@ -54,7 +54,7 @@ impl Hosts {
     /// Creates the table of the stored hosts, oldest first. At most `max_hosts` hosts are stored.
     pub(crate) fn new(max_hosts: usize, stored: Vec<(HostId, Option<HostSecret>)>) -> Self {
         let mut hosts =
-            Self { max_hosts, stored_hosts: HashMap::new(), newcomers: HashMap::new(), arrival_number: 0 };
+            Self { max_hosts, stored_hosts: HashMap::new(), newcomers: HashMap::new(), last_arrival_number: 0 };
         hosts.replace_stored(stored);
         hosts
     }
@@ -72,8 +72,8 @@ impl Hosts {
 
     /// Returns the reason for refusing a host that is not stored, if the number of stored hosts has reached its limit.
     pub(super) fn limit_refusal(&self, host: HostId) -> Option<String> {
-        let full = !self.is_stored(host) && self.stored_hosts.len() >= self.max_hosts;
-        full.then(|| {
+        let is_full = !self.is_stored(host) && self.stored_hosts.len() >= self.max_hosts;
+        is_full.then(|| {
             format!(
                 "{} hosts are stored, the maximum of [aggregator] max_hosts: raise max_hosts to admit another host. \
                  Until then this agent keeps its events",
@@ -141,8 +141,8 @@ impl Hosts {
         missing: Option<MissingBatches>,
     ) -> Option<Newcomer> {
         let host = introduction.host.id;
-        self.arrival_number += 1;
-        let mut newcomer = Newcomer { introduction, missing, arrival_number: self.arrival_number };
+        self.last_arrival_number += 1;
+        let mut newcomer = Newcomer { introduction, missing, arrival_number: self.last_arrival_number };
         let earlier_entry = self.newcomers.remove(&host);
         let mut dropped_newcomer = None;
         match earlier_entry {

@@ -53,7 +53,7 @@ pub(crate) fn run(runtime: &Handle, mut queue: mpsc::Receiver<QueueItem>, prepar
             AdmittedWork::Work(work) => work,
             AdmittedWork::Batch(head, body) => Work::from_batch(head, body),
         };
-        // It takes at most all permits, so that an item larger than the whole capacity passes, too.
+        // An item takes at most all permits, so that an item larger than the whole capacity passes, too.
         let weight = u32::try_from(work.weight()).unwrap_or(u32::MAX).min(prepared.max_nodes);
         let permits = runtime.block_on(Arc::clone(&prepared.node_permits).acquire_many_owned(weight));
         // The semaphore is closed only after the writer ended.

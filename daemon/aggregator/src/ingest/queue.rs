@@ -79,7 +79,7 @@ pub(crate) fn queue() -> (Queue, mpsc::Receiver<QueueItem>) {
 impl Queue {
     /// Reserves a slot for `bytes`; `None` if the queue is full.
     pub(super) fn reserve(&self, bytes: usize) -> Option<QueueSlot<'_>> {
-        // It takes at least one permit, so that work without bytes, such as a goodbye, is limited as well.
+        // The slot takes at least one permit, so that work without bytes, such as a goodbye, is limited as well.
         let capacity = self.acquire(bytes / BYTES_PER_PERMIT + 1)?;
         Some(QueueSlot { queue: self, permit: self.sender.as_ref()?.try_reserve().ok()?, capacity, bytes })
     }

@@ -36,7 +36,7 @@ impl Reopening {
         context: &mut TaskContext,
         backoff: &mut Backoff,
     ) -> Option<OpenDatabase> {
-        // Set before the files are closed, which may take long.
+        // The readiness is set before the files are closed, because closing may take long.
         set_readiness(&context.readiness, not_storing(error));
         // The receiver is closed only while the aggregator ends, here and below.
         let _ended = context.store_events.send(StoreEvent::Closed).await;
@@ -63,11 +63,11 @@ impl Reopening {
 
 /// Waits for `pause` and refuses requests meanwhile. Returns `None` if the aggregator is stopped before the end.
 async fn pause(pause: Duration, context: &mut TaskContext) -> Option<()> {
-    let end = tokio::time::sleep(pause);
-    tokio::pin!(end);
+    let timeout = tokio::time::sleep(pause);
+    tokio::pin!(timeout);
     loop {
         tokio::select! {
-            () = &mut end => return Some(()),
+            () = &mut timeout => return Some(()),
             () = context.stop.cancelled() => return None,
             Some(request) = context.requests.recv() => refuse(request),
         }

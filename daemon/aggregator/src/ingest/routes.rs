@@ -76,7 +76,7 @@ impl Routes {
 
     /// Demotes a connection that a host left, unless other hosts use it.
     fn demote(&mut self, former: Option<ConnectionId>) {
-        let is_empty = |former: &ConnectionId| !self.connections.values().any(|other| other == former);
-        self.admissions.extend(former.filter(is_empty).map(Admission::Demote));
+        let has_no_host = |former: &ConnectionId| !self.connections.values().any(|other| other == former);
+        self.admissions.extend(former.filter(has_no_host).map(Admission::Demote));
     }
 }

@@ -76,7 +76,7 @@ pub(crate) async fn run(
     // After a stall, one pass is enough.
     expiry_interval.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
     // One line is written per interval. With one line per message a hostile peer could fill the log.
-    let mut reported = RejectedCounts::default();
+    let mut last_reported = RejectedCounts::default();
     loop {
         tokio::select! {
             () = context.stop.cancelled() => break,
@@ -104,7 +104,7 @@ pub(crate) async fn run(
             },
             _ = expiry_interval.tick() => {
                 session.expire(context.clock.stamp());
-                report(session.rejected(), &mut reported);
+                report(session.rejected(), &mut last_reported);
             }
         }
         deliver(&sender, &mut session, &context.live_events).await;
@@ -141,17 +141,17 @@ async fn deliver(sender: &ZmtpSender, session: &mut IngestSession, live_events: 
     }
 }
 
-/// Logs the messages rejected since the last report.
-fn report(rejected: RejectedCounts, reported: &mut RejectedCounts) {
-    if rejected != *reported {
+/// Logs the messages that were rejected since the last report. `last_reported` are the counts at the last report.
+fn report(rejected: RejectedCounts, last_reported: &mut RejectedCounts) {
+    if rejected != *last_reported {
         tracing::warn!(
-            deferred = rejected.deferred - reported.deferred,
-            damaged = rejected.damaged - reported.damaged,
-            unreadable = rejected.unreadable - reported.unreadable,
-            strangers = rejected.strangers - reported.strangers,
+            deferred = rejected.deferred - last_reported.deferred,
+            damaged = rejected.damaged - last_reported.damaged,
+            unreadable = rejected.unreadable - last_reported.unreadable,
+            strangers = rejected.strangers - last_reported.strangers,
             "messages were rejected: deferred because the queue was full (requested again), damaged in transit (requested \
              again), unreadable, or from hosts without a session (strangers)"
         );
-        *reported = rejected;
+        *last_reported = rejected;
     }
 }

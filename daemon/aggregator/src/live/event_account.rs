@@ -41,7 +41,7 @@ impl EventAccount {
         self.stored.duplicates += 1;
     }
 
-    /// Counts a batch that arrived and was not stored. `count` increments its count.
+    /// Counts a batch that arrived and was not stored. `count` increments the count of the batch's kind.
     pub(super) fn add_unstored(&mut self, count: impl FnOnce(&mut Arrivals)) {
         count(&mut self.arrivals);
     }

@@ -154,7 +154,7 @@ impl Host {
         self.snapshot = None;
     }
 
-    /// Counts a batch that arrived and was not stored. `count` increments its count.
+    /// Counts a batch that arrived and was not stored. `count` increments the count of the batch's kind.
     pub(super) fn record_unstored(&mut self, count: impl FnOnce(&mut Arrivals)) {
         self.events.add_unstored(count);
         self.snapshot = None;
@@ -244,7 +244,7 @@ impl Host {
         // A link is connected only if the edge's latest message contained it.
         let last_message = self.is_connected().then_some(self.presence.last_seen().mono);
         let mut links: Vec<(&(HostId, NetworkName), &mut Link)> = self.links.iter_mut().collect();
-        links.sort_by(|(a, x), (b, y)| (x.cloud(), a).cmp(&(y.cloud(), b)));
+        links.sort_by(|(a, link_a), (b, link_b)| (link_a.cloud(), a).cmp(&(link_b.cloud(), b)));
         let snapshots = links
             .into_iter()
             .map(|(_, link)| link.snapshot(self.description.id, &self.description.name, last_message));

@@ -93,8 +93,8 @@ pub(crate) struct LiveTracker {
     host_timeout: Span,
     hosts: HashMap<HostId, Host>,
     refused_hosts: VecDeque<(Stamp, RefusedHost)>,
-    /// Keyed by the host and the id under which it reports the run.
-    numbers: HashMap<(HostId, RunId), i64>,
+    /// Numbers of the runs in the store, by the host and the id under which the host reports the run.
+    run_numbers: HashMap<(HostId, RunId), i64>,
     /// Stored counts of hosts that are not in the live state.
     stored_counts: HashMap<HostId, StoredCounts>,
     totals: Totals,
@@ -109,7 +109,7 @@ impl LiveTracker {
             host_timeout,
             hosts: HashMap::new(),
             refused_hosts: VecDeque::new(),
-            numbers: HashMap::new(),
+            run_numbers: HashMap::new(),
             stored_counts: HashMap::new(),
             totals: Totals::default(),
         }
@@ -123,10 +123,10 @@ impl LiveTracker {
             LiveEvent::Reopened { runs, hosts } => self.restart(runs, hosts),
             LiveEvent::Run(host, run, number) => {
                 // A hostile agent can start any number of runs.
-                if self.numbers.len() >= MAX_RUN_NUMBERS {
+                if self.run_numbers.len() >= MAX_RUN_NUMBERS {
                     self.forget_numbers();
                 }
-                self.numbers.insert((host, run), number);
+                self.run_numbers.insert((host, run), number);
                 self.update_host(host, |host| host.refresh_run(run));
             }
             LiveEvent::Forget(host) => {
@@ -163,16 +163,16 @@ impl LiveTracker {
     fn forget_numbers(&mut self) {
         let shown_runs: HashSet<(HostId, RunId)> =
             self.hosts.iter().flat_map(|(id, host)| host.runs().map(|run| (*id, run))).collect();
-        self.numbers.retain(|run, _| shown_runs.contains(run));
+        self.run_numbers.retain(|run, _| shown_runs.contains(run));
         // With more numbers left, each of the next runs would soon cause this search again.
-        if self.numbers.len() > MAX_RUN_NUMBERS / 2 {
-            self.numbers.clear();
+        if self.run_numbers.len() > MAX_RUN_NUMBERS / 2 {
+            self.run_numbers.clear();
         }
     }
 
     /// Replaces the counts and run numbers of the previous database by the values of the reopened database.
     fn restart(&mut self, runs: Vec<(HostId, RunId, i64)>, hosts: Vec<(HostId, StoredCounts)>) {
-        self.numbers = runs.into_iter().map(|(host, run, number)| ((host, run), number)).collect();
+        self.run_numbers = runs.into_iter().map(|(host, run, number)| ((host, run), number)).collect();
         for host in self.hosts.values_mut() {
             let shown_runs: Vec<RunId> = host.runs().collect();
             shown_runs.into_iter().for_each(|run| host.refresh_run(run));
@@ -269,13 +269,13 @@ impl LiveTracker {
 
     /// Returns a snapshot.
     pub(crate) fn snapshot(&mut self, now: Stamp) -> LiveState {
-        let numbers = &self.numbers;
+        let run_numbers = &self.run_numbers;
         let mut by_name: BTreeMap<(Slug, HostId), &mut Host> =
             self.hosts.iter_mut().map(|(id, host)| ((host.name().clone(), *id), host)).collect();
         let mut hosts = Vec::with_capacity(by_name.len());
         let (mut pipelines, mut links) = (Vec::new(), Vec::new());
         for ((_, id), host) in &mut by_name {
-            let number = |run| numbers.get(&(*id, run)).copied();
+            let number = |run| run_numbers.get(&(*id, run)).copied();
             hosts.push(host.snapshot());
             pipelines.extend(host.pipelines(number, now));
             links.extend(host.links());

@@ -338,7 +338,7 @@ fn run_gets_its_number_from_store_event() {
     }
     testbed.live.apply(update(testbed.host, wall(0.4), vec![pipeline_live]), now(0.4));
     assert_eq!(testbed.snapshot(0.4).pipelines[0].run_number, Some(412));
-    assert!(testbed.live.numbers.len() <= MAX_RUN_NUMBERS);
+    assert!(testbed.live.run_numbers.len() <= MAX_RUN_NUMBERS);
 }
 
 #[test]
