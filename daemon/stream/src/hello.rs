@@ -82,7 +82,8 @@ impl HelloExtension {
     pub fn from_versions(versions: &VersionRange) -> Option<Self> {
         // PEERNet 0.1.0 cannot read a hello with an extension. An agent that supports only version 5 therefore omits
         // it.
-        let supports_first_version_only = (versions.oldest(), versions.newest()) == (FIRST_VERSION, FIRST_VERSION);
+        let supports_first_version_only =
+            (versions.oldest(), versions.newest()) == (FIRST_VERSION, FIRST_VERSION);
         (!supports_first_version_only).then_some(Self { newest: versions.newest, since: versions.since })
     }
 }

@@ -53,8 +53,12 @@ pub(super) struct Newcomer {
 impl Hosts {
     /// Creates the table of the stored hosts, oldest first. At most `max_hosts` hosts are stored.
     pub(crate) fn new(max_hosts: usize, stored: Vec<(HostId, Option<HostSecret>)>) -> Self {
-        let mut hosts =
-            Self { max_hosts, stored_hosts: HashMap::new(), newcomers: HashMap::new(), last_arrival_number: 0 };
+        let mut hosts = Self {
+            max_hosts,
+            stored_hosts: HashMap::new(),
+            newcomers: HashMap::new(),
+            last_arrival_number: 0,
+        };
         hosts.replace_stored(stored);
         hosts
     }

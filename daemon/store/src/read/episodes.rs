@@ -12,6 +12,7 @@ use crate::error::StoreError;
 use crate::readers::Readers;
 use crate::types::Episodes;
 
+/// Name of the requested data in errors.
 const WHAT: &str = "episodes";
 /// Number of iterations among which the end of a period of warm-up is searched.
 const MAX_WARM_UP: i64 = 10_000;
@@ -24,8 +25,8 @@ pub(crate) async fn episodes(readers: &Readers, run: i64) -> Result<Episodes, St
     let mut borders = Vec::new();
     if last.episode <= Episodes::MAX_BORDERS {
         if let Some(steps) = steps {
-            let first_numbers = (1..=i64::from(last.episode)).map(|episode| episode * steps + 1);
-            borders = rows_by_number(readers, run, &first_numbers.collect::<Vec<_>>()).await?;
+            let expected_numbers = (1..=i64::from(last.episode)).map(|episode| episode * steps + 1);
+            borders = rows_by_number(readers, run, &expected_numbers.collect::<Vec<_>>()).await?;
         }
         let is_border = |row: &Row, steps: i64| row.step == 0 && first_number(row, steps) == row.number;
         // An actuator may end episodes before their last step; then they have different lengths.
@@ -35,8 +36,8 @@ pub(crate) async fn episodes(readers: &Readers, run: i64) -> Result<Episodes, St
             borders.retain(|row| row.step == 0);
         }
     }
-    let warm_up = warm_up(readers, run, &first, &borders, &last).await?;
-    let (failed_starts, failed_count) = failed(readers, run, last.number).await?;
+    let warm_up = read_warm_up_periods(readers, run, &first, &borders, &last).await?;
+    let (failed_starts, failed_count) = failed_iterations(readers, run, last.number).await?;
     let start_times = |rows: Vec<Row>| rows.iter().map(|row| wall(row.started_ns)).collect();
     Ok(Episodes {
         first: (first.number == 1).then(|| wall(first.started_ns)),
@@ -60,7 +61,11 @@ pub(super) async fn first_measured_start(
     if !first.warm_up {
         return Ok(Some(wall(first.started_ns)));
     }
-    let end = measured_after(readers, run, &[first.number]).await?.into_iter().flatten().collect::<Vec<_>>();
+    let end = first_measured_numbers(readers, run, &[first.number])
+        .await?
+        .into_iter()
+        .flatten()
+        .collect::<Vec<_>>();
     Ok(rows_by_number(readers, run, &end).await?.first().map(|row| wall(row.started_ns)))
 }
 
@@ -81,7 +86,7 @@ pub(super) async fn last_measured_start(readers: &Readers, run: i64) -> Result<O
 /// Returns the starts of failed iterations, as charts mark them.
 pub(super) async fn failed_starts(readers: &Readers, run: i64) -> Result<Vec<WallTime>, StoreError> {
     let Some(last) = last_row(readers, run).await? else { return Ok(Vec::new()) };
-    let (rows, _) = failed(readers, run, last.number).await?;
+    let (rows, _) = failed_iterations(readers, run, last.number).await?;
     Ok(rows.iter().map(|row| wall(row.started_ns)).collect())
 }
 
@@ -115,8 +120,9 @@ fn steps(row: &Row) -> Option<i64> {
 /// Returns the number of the first stored iteration of each episode, except for the first episode. The numbers are
 /// found by one common bisection, so the number of queries grows only with the logarithm of the run's length.
 async fn first_numbers(readers: &Readers, run: i64, last: &Row) -> Result<Vec<i64>, StoreError> {
-    // Numbers before and at the first iteration that belongs to the episode or to a later one. Retention deletes the
-    // oldest iterations, so a missing iteration is before the stored iterations.
+    // For each episode: a number before the first iteration of the episode or of a later episode, and a number at or
+    // after this iteration. Retention deletes the oldest iterations, so a missing iteration is before the stored
+    // iterations.
     let mut ends: Vec<(i64, i64)> = (1..=last.episode).map(|_| (0, last.number)).collect();
     while ends.iter().any(|(before, at)| before + 1 < *at) {
         let middles: Vec<i64> = ends.iter().map(|(before, at)| before + (at - before) / 2).collect();
@@ -134,7 +140,7 @@ async fn first_numbers(readers: &Readers, run: i64, last: &Row) -> Result<Vec<i6
 }
 
 /// Returns the periods of warm-up at the start of a run and of the episodes that begin at `borders`.
-async fn warm_up(
+async fn read_warm_up_periods(
     readers: &Readers,
     run: i64,
     first: &Row,
@@ -145,7 +151,7 @@ async fn warm_up(
     let begins = std::iter::once(first).filter(|first| first.number == 1).chain(borders);
     let begins: Vec<&Row> = begins.filter(|row| row.warm_up).collect();
     let numbers: Vec<i64> = begins.iter().map(|row| row.number).collect();
-    let ends = measured_after(readers, run, &numbers).await?;
+    let ends = first_measured_numbers(readers, run, &numbers).await?;
     let end_rows = rows_by_number(readers, run, &ends.iter().copied().flatten().collect::<Vec<_>>()).await?;
     let is_known = |end: &Option<i64>| end.is_some() || last.warm_up;
     let begins = begins.into_iter().zip(&ends).filter(|(_, end)| is_known(end)).map(|(begin, _)| begin);
@@ -154,9 +160,9 @@ async fn warm_up(
     Ok(warm_up_periods(rows.into_iter().map(|row| (wall(row.started_ns), row.warm_up))))
 }
 
-/// Returns the number of the first iteration that is not warm-up, from each of these numbers on; `None` if it is not
-/// among the next [`MAX_WARM_UP`] iterations.
-async fn measured_after(
+/// For each of these numbers, returns the number of the first iteration from there on that is not warm-up; `None` if
+/// none of the next [`MAX_WARM_UP`] iterations is such an iteration.
+async fn first_measured_numbers(
     readers: &Readers,
     run: i64,
     numbers: &[i64],
@@ -172,7 +178,7 @@ async fn measured_after(
 
 /// Returns the failed iterations that charts mark, and the number of all failed iterations. The number is at most one
 /// more than `MAX_COUNTED`, which then means "more than that".
-async fn failed(readers: &Readers, run: i64, last: i64) -> Result<(Vec<Row>, u64), StoreError> {
+async fn failed_iterations(readers: &Readers, run: i64, last: i64) -> Result<(Vec<Row>, u64), StoreError> {
     let max_marked = Episodes::MAX_FAILED;
     let failed: Vec<Row> = sqlx::query_as(sql::ITERATIONS_WITHOUT_ANSWER)
         .bind(run)

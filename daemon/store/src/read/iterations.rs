@@ -15,11 +15,12 @@ use crate::quantity_statistics::medians;
 use crate::readers::Readers;
 use crate::types::{DelayRow, IterationDetail, IterationFilter, IterationRow};
 
+/// Name of the requested data in errors.
 const WHAT: &str = "iterations";
-/// Names of the rows of the table `outcome`.
+/// Names of the rows of the table `outcome`, in the order of their numbers.
 const OUTCOMES: [&str; 4] = ["ok", "failed", "lost", "timeout"];
-/// Number of slowest iterations that get a rank.
-const RANKED: i64 = 1_000;
+/// Largest rank among the slowest iterations; iterations beyond it get no rank.
+const MAX_RANK: i64 = 1_000;
 
 #[derive(FromRow)]
 pub(super) struct Row {
@@ -140,7 +141,7 @@ pub(crate) async fn iteration(
     Ok(Some(IterationDetail { row, tree, hosts, rank, previous, next, slower, faster, run_figures }))
 }
 
-/// Returns the rank of a successful iteration; no rank if it is not among the [`RANKED`] slowest.
+/// Returns the rank of a successful iteration; no rank if it is not among the [`MAX_RANK`] slowest.
 async fn rank(readers: &Readers, run: i64, (total, number): (f64, i64)) -> Result<Rank, StoreError> {
     let slower_count: i64 = sqlx::query_scalar(sql::SLOWER)
         .bind(run)
@@ -148,7 +149,7 @@ async fn rank(readers: &Readers, run: i64, (total, number): (f64, i64)) -> Resul
         .fetch_one(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
-    if slower_count >= RANKED {
+    if slower_count >= MAX_RANK {
         return Ok(Rank::default());
     }
     let neighbour = async |statement: &'static str| {

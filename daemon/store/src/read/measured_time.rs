@@ -12,6 +12,7 @@ use crate::readers::Readers;
 use crate::rollups::{RollupRow, WIDTHS_S};
 use crate::types::{MeasuredTime, MeasuredWithin, RunSummary};
 
+/// Name of the requested data in errors.
 const WHAT: &str = "measured times";
 /// Number of iterations at each end of a run among which the first and the last successful iteration is searched.
 const MAX_SEARCHED: i64 = 10_000;
@@ -52,14 +53,15 @@ pub(crate) async fn measured_within(
     (from, to): (WallTime, WallTime),
 ) -> Result<MeasuredWithin, StoreError> {
     let (from_ns, to_ns) = (from.unix_nanos(), to.unix_nanos());
-    let seconds = (-(-from_ns).div_euclid(SECOND_NS), to_ns.div_euclid(SECOND_NS));
+    // The whole seconds within the time: the start is rounded up, and the end is rounded down.
+    let (first_whole_s, end_whole_s) = (-(-from_ns).div_euclid(SECOND_NS), to_ns.div_euclid(SECOND_NS));
     let mut within = MeasuredWithin::default();
-    if seconds.0 >= seconds.1 {
+    if first_whole_s >= end_whole_s {
         add_iterations(readers, run, (from_ns, to_ns), &mut within).await?;
         return Ok(within);
     }
     let name_ids = NameIds::read(readers, &[stage::TOTAL]).await?.ids()?;
-    for (width_s, first_s, end_s) in widest_buckets(seconds) {
+    for (width_s, first_s, end_s) in widest_buckets((first_whole_s, end_whole_s)) {
         let rows: Vec<RollupRow> = sqlx::query_as(sql::ROLLUPS_WITHIN)
             .bind(run)
             .bind(width_s)
@@ -74,8 +76,8 @@ pub(crate) async fn measured_within(
         }
     }
     within.count = within.totals.count();
-    add_iterations(readers, run, (from_ns, seconds.0 * SECOND_NS), &mut within).await?;
-    add_iterations(readers, run, (seconds.1 * SECOND_NS, to_ns), &mut within).await?;
+    add_iterations(readers, run, (from_ns, first_whole_s * SECOND_NS), &mut within).await?;
+    add_iterations(readers, run, (end_whole_s * SECOND_NS, to_ns), &mut within).await?;
     Ok(within)
 }
 

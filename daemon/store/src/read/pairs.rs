@@ -11,6 +11,7 @@ use crate::error::StoreError;
 use crate::readers::Readers;
 use crate::types::ValuePairs;
 
+/// Name of the requested data in errors.
 const WHAT: &str = "pairs of values";
 /// Number of parts of the sample that are read concurrently.
 const CONCURRENT_READS: usize = 4;
@@ -32,7 +33,7 @@ struct Row {
 /// The values of an iteration by name.
 #[derive(Default)]
 struct Values {
-    of_iteration: IterationValues,
+    iteration_values: IterationValues,
     /// Sum of the values of each further name.
     others: Vec<(String, f64)>,
 }
@@ -40,7 +41,7 @@ struct Values {
 impl Values {
     /// Adds a node. Nodes are added in the order of their tree.
     fn add(&mut self, Row { node, parent, name, value, .. }: Row) {
-        let role = self.of_iteration.add(NodeId(node), parent.map(NodeId), &name, value);
+        let role = self.iteration_values.add(NodeId(node), parent.map(NodeId), &name, value);
         let (NodeRole::Other, Some(value)) = (role, value) else { return };
         match self.others.iter_mut().find(|(other, _)| *other == name) {
             Some((_, sum)) => *sum += value,
@@ -53,7 +54,7 @@ impl Values {
     /// each of them.
     fn get(&self, name: &str) -> Option<f64> {
         let other = || Some(self.others.iter().find(|(other, _)| other == name)?.1);
-        self.of_iteration.get(name).or_else(other)
+        self.iteration_values.get(name).or_else(other)
     }
 }
 
@@ -63,7 +64,7 @@ pub(crate) async fn value_pairs(
     [x, y]: [&str; 2],
     max_pairs: u32,
 ) -> Result<ValuePairs, StoreError> {
-    let end = async |statement: &'static str, from: i64| {
+    let neighbour = async |statement: &'static str, from: i64| {
         let number: Option<i64> = sqlx::query_scalar(statement)
             .bind(run)
             .bind(from)
@@ -72,7 +73,7 @@ pub(crate) async fn value_pairs(
             .map_err(readers.failed(WHAT))?;
         Ok(number)
     };
-    let ends = end(sql::NEXT, 0).await?.zip(end(sql::PREVIOUS, i64::MAX).await?);
+    let ends = neighbour(sql::NEXT, 0).await?.zip(neighbour(sql::PREVIOUS, i64::MAX).await?);
     let Some((first, last)) = ends else { return Ok(ValuePairs::default()) };
     let numbers = sample_numbers(first, last, max_pairs);
     let read = async |numbers: &[i64]| -> Result<Vec<Row>, StoreError> {

@@ -17,6 +17,7 @@ use crate::readers::Readers;
 use crate::types::{ExperimentSummary, GapRow, NameSummary, RunDetail, RunFilter, RunSummary};
 use crate::write::UNKNOWN;
 
+/// Name of the requested data in errors.
 const WHAT: &str = "runs";
 
 #[derive(FromRow)]

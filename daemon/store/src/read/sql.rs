@@ -70,9 +70,10 @@ macro_rules! iteration_columns {
 }
 
 statements! {
-    /// ?1 before, ?2 limit.
+    /// Runs, newest first: ?1 number below which runs are selected, ?2 limit.
     RUNS = concat!(run_columns!(), "WHERE run.number < ?1 ORDER BY run.number DESC LIMIT ?2");
-    /// ?1 before, ?2 limit, ?3 pipeline or NULL, ?4 host or NULL.
+    /// Runs of a pipeline or a host, newest first: ?1 number below which runs are selected, ?2 limit, ?3 pipeline or
+    /// NULL, ?4 host or NULL.
     RUNS_FILTERED = concat!(run_columns!(),
         "WHERE run.number < ?1 AND run.pipeline IN (SELECT pipeline.id FROM pipeline JOIN host ON host.id = pipeline.host \
          WHERE (?3 IS NULL OR pipeline.name = ?3) AND (?4 IS NULL OR host.uuid = ?4)) \
@@ -130,9 +131,9 @@ statements! {
     /// ?1 run, ?2 limit.
     SLOWEST = concat!(iteration_columns!(),
         "WHERE run = ?1 AND warm_up = 0 AND outcome = 0 AND total IS NOT NULL ORDER BY total DESC, number DESC LIMIT ?2");
-    /// ?1 run, ?2 after, ?3 limit.
+    /// ?1 run, ?2 number above which iterations are selected, ?3 limit.
     ITERATIONS = concat!(iteration_columns!(), "WHERE run = ?1 AND number > ?2 ORDER BY number LIMIT ?3");
-    /// ?1 run, ?2 after, ?3 limit.
+    /// ?1 run, ?2 number above which iterations are selected, ?3 limit.
     ITERATIONS_WITHOUT_ANSWER = concat!(iteration_columns!("iteration_without_answer"),
         "WHERE run = ?1 AND number > ?2 AND outcome <> 0 ORDER BY number LIMIT ?3");
     /// ?1 run.

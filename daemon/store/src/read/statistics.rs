@@ -22,6 +22,7 @@ pub(crate) use self::runs::statistics;
 pub(super) use self::series::{NameIds, StoredWidths};
 pub(crate) use self::series::{series, stage_buckets};
 
+/// Name of the requested data in errors.
 const WHAT: &str = "statistics";
 
 #[derive(FromRow)]

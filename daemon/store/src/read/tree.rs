@@ -10,6 +10,7 @@ use super::{StoredDelay, corrupt_data, name, parse, sql, wall};
 use crate::error::StoreError;
 use crate::readers::Readers;
 
+/// Name of the requested data in errors.
 const WHAT: &str = "an iteration's tree";
 
 #[derive(FromRow)]

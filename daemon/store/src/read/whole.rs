@@ -9,6 +9,7 @@ use crate::error::StoreError;
 use crate::readers::Readers;
 use crate::types::RunSummary;
 
+/// Name of the requested data in errors.
 const WHAT: &str = "whole iterations";
 /// Maximum number of iterations that are read at a time, because a tree may be large.
 const MAX_ITERATIONS: u32 = 200;

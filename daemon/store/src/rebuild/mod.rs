@@ -17,7 +17,7 @@ pub struct Rebuilt {
     pub runs: u64,
     /// Number of successful iterations that were read, without the warm-up.
     pub iterations: u64,
-    /// Number of those runs of which retention has deleted nodes. Their statistics over the whole run are left
+    /// Number of rebuilt runs of which retention has deleted nodes. Their statistics over the whole run are left
     /// unchanged, and also the buckets of which nodes are deleted.
     pub in_part: u64,
 }

@@ -102,18 +102,18 @@ pub(super) async fn sum_up(
             .await?;
         let Some(last) = last else { break };
         let mut statistics = PageStatistics::default();
-        let mut of_iteration = Vec::<NodeRow>::new();
+        let mut iteration_rows = Vec::<NodeRow>::new();
         let mut rows =
             sqlx::query_as(NUMBERS).bind(run).bind(previous_last).bind(last).fetch(&mut *connection);
         while let Some(row) = rows.try_next().await? {
             let row: NodeRow = row;
-            if of_iteration.last().is_some_and(|previous| previous.iteration != row.iteration) {
-                statistics.add_iteration(&of_iteration);
-                of_iteration.clear();
+            if iteration_rows.last().is_some_and(|previous| previous.iteration != row.iteration) {
+                statistics.add_iteration(&iteration_rows);
+                iteration_rows.clear();
             }
-            of_iteration.push(row);
+            iteration_rows.push(row);
         }
-        statistics.add_iteration(&of_iteration);
+        statistics.add_iteration(&iteration_rows);
         drop(rows);
         let PageStatistics { summaries, verdicts } = statistics;
         for ((name, quantity, second_s), summary) in summaries {

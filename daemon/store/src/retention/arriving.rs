@@ -69,7 +69,7 @@ pub(super) async fn has_arrivals(
 
 /// Converts the records of arriving data that began at `since_s` or before, of up to `limit` runs and up to `limit`
 /// links. Returns the number of runs and links.
-pub(super) async fn close(
+pub(super) async fn convert(
     connection: &mut SqliteConnection,
     periods: &Periods,
     since_s: i64,

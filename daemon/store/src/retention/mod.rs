@@ -175,7 +175,8 @@ impl Retention {
         }
     }
 
-    /// Deletes data at a cost of at most about `max_cost`, in its own transaction. No transaction may be open.
+    /// Deletes data in its own transaction, at a cost of at most about `max_cost` rows of the table `node`. No
+    /// transaction may be open.
     ///
     /// # Errors
     /// When the database cannot be read or written now. The step can be tried again.
@@ -201,7 +202,7 @@ impl Retention {
         match &result {
             Ok(()) => storage_clock.record_commit(now.mono),
             Err(_) => {
-                // Their record is rolled back together with the deleted data.
+                // The record of the deletions is rolled back together with the deletions.
                 self.deletions.forget();
                 raw_transaction::roll_back(connection).await?;
             }
@@ -266,7 +267,7 @@ impl Retention {
     ) -> Result<(), sqlx::Error> {
         match work {
             Work::Arriving { since_s } => {
-                arriving::close(connection, &self.periods, since_s, now_s, MAX_CONVERTED).await?;
+                arriving::convert(connection, &self.periods, since_s, now_s, MAX_CONVERTED).await?;
             }
             Work::Aged { kind, before_s } => {
                 arrivals::trim(connection, (kind, Cause::Age), before_s, now_s, max_cost, deletions).await?;
@@ -275,7 +276,7 @@ impl Retention {
                 // When no older iterations remain, data that is still arriving is converted, so that it can be deleted,
                 // too.
                 if !arrivals::has_due(connection, Kind::Nodes, i64::MAX).await? {
-                    arriving::close(connection, &self.periods, i64::MAX, now_s, MAX_CONVERTED).await?;
+                    arriving::convert(connection, &self.periods, i64::MAX, now_s, MAX_CONVERTED).await?;
                 }
                 if !self.size.reduce(connection, (now_s, now.wall), max_cost, deletions).await? {
                     self.size.give_up(now.mono);

@@ -9,11 +9,11 @@ use peernet_statistics::Summary;
 pub struct MeasuredTime {
     /// Start of the first of these iterations.
     pub first: WallTime,
-    /// Start of the last.
+    /// Start of the last of these iterations.
     pub last: WallTime,
     /// Resolution of both times and of [`Store::measured_within`](crate::Store::measured_within), seconds; 0 if single
-    /// iterations are stored. Retention deletes them first, and then the buckets of seconds. The run measured at least
-    /// from `first` to `last`.
+    /// iterations are stored. Retention deletes single iterations first, and then the buckets of seconds. The run
+    /// measured at least from `first` to `last`.
     pub resolution_s: u32,
 }
 
@@ -22,6 +22,6 @@ pub struct MeasuredTime {
 pub struct MeasuredWithin {
     /// Number of the iterations.
     pub count: u64,
-    /// Their totals, seconds.
+    /// Totals of the iterations, seconds.
     pub totals: Summary,
 }

@@ -39,7 +39,7 @@ const INSERT: &str = "INSERT OR REPLACE INTO clock_sample (link, at_ns, window, 
 /// while the window of free-running clocks continues. Each further sample with such a time is stored a nanosecond
 /// earlier than the previous one; this time is still in the same second. ?1 link, ?2 the sample's time, ?3 window, ?4
 /// the reading of the free-running clock at that time.
-const FREE_TIME: &str = "SELECT coalesce( \
+const STORAGE_TIME: &str = "SELECT coalesce( \
      (SELECT max(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 - 999 AND ?2 AND window = ?3 AND at_raw_ns = ?4), \
      ?2 - (SELECT count(*) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 - 999 AND ?2 AND window = ?3 AND at_raw_ns <> ?4))";
 
@@ -80,7 +80,7 @@ impl Links {
     ) -> Result<(), Refusal> {
         let link = self.link(connection, entities, edge, sample, now).await?;
         let basis = sample.basis.map(plausible::basis);
-        let at = free_time(connection, link, sample, basis.as_ref()).await?;
+        let at = storage_time(connection, link, sample, basis.as_ref()).await?;
         let values = values(link, at, sample, basis).map_err(sqlx::Error::Encode)?;
         sqlx::query_with(INSERT, values).execute(&mut *connection).await?;
         sqlx::query(WINDOW)
@@ -159,7 +159,7 @@ impl Links {
 }
 
 /// Returns the time at which a sample is stored, in nanoseconds of the edge's wall clock.
-async fn free_time(
+async fn storage_time(
     connection: &mut SqliteConnection,
     link: i64,
     sample: &ClockSample,
@@ -168,7 +168,7 @@ async fn free_time(
     let at = sample.at.unix_nanos();
     // Without this reading, a time that repeats cannot be distinguished from a second report of the same second.
     let Some(raw) = basis.and_then(|basis| basis.at_raw) else { return Ok(at) };
-    sqlx::query_scalar(FREE_TIME)
+    sqlx::query_scalar(STORAGE_TIME)
         .bind(link)
         .bind(at)
         .bind(sample.window.cast_signed())
@@ -190,18 +190,18 @@ fn values(
     // SQLite's integers are signed, so the same bits are stored as a signed number.
     to.add(sample.window.cast_signed())?;
     to.add(sample.max_drift_ppm)?;
-    exchange(sample.upper, &mut to)?;
-    exchange(sample.lower, &mut to)?;
+    add_exchange(sample.upper, &mut to)?;
+    add_exchange(sample.lower, &mut to)?;
     // An agent may report any number; implausible ones must not reach readers.
-    offset(sample.offset.as_ref().and_then(plausible::offset).as_ref(), &mut to)?;
+    add_offset(sample.offset.as_ref().and_then(plausible::offset).as_ref(), &mut to)?;
     to.add(sample.probes.sent)?;
     to.add(sample.probes.answered)?;
     to.add(sample.probes.lost)?;
     to.add(sample.probes.refused)?;
     to.add(sample.round_trip.map(|trip| trip.min.nanos()))?;
     to.add(sample.round_trip.map(|trip| trip.median.nanos()))?;
-    delay(sample.up, &mut to)?;
-    delay(sample.down, &mut to)?;
+    add_delays(sample.up, &mut to)?;
+    add_delays(sample.down, &mut to)?;
     let counts = &sample.exchanges;
     for count in [counts.accepted, counts.impossible, counts.outliers, counts.stepped] {
         to.add(column(count))?;
@@ -216,7 +216,7 @@ fn values(
     Ok(to)
 }
 
-fn exchange(exchange: Option<Exchange>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
+fn add_exchange(exchange: Option<Exchange>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
     let stamps = |exchange: Exchange| {
         let Exchange { sent, received, replied, returned, uncertainty } = exchange;
         let [sent, received, replied, returned] = [sent, received, replied, returned].map(RawTime::nanos);
@@ -225,7 +225,7 @@ fn exchange(exchange: Option<Exchange>, to: &mut SqliteArguments) -> Result<(), 
     exchange.map_or([None; 5], stamps).into_iter().try_for_each(|stamp| to.add(stamp))
 }
 
-fn offset(offset: Option<&Offset>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
+fn add_offset(offset: Option<&Offset>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
     to.add(offset.map(|offset| offset.estimate.nanos()))?;
     to.add(offset.map(|offset| offset.bounds.lo.nanos()))?;
     to.add(offset.map(|offset| offset.bounds.hi.nanos()))?;
@@ -249,7 +249,7 @@ fn sources(offset: &Offset) -> Option<Vec<(&'static str, i64, i64)>> {
     Some(offset.sources.iter().map(row).collect())
 }
 
-fn delay(second: Option<DelaySecond>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
+fn add_delays(second: Option<DelaySecond>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
     let second = second.map(plausible::delays);
     let median = second.and_then(|second| second.median);
     to.add(second.map(|second| second.count))?;

@@ -67,24 +67,27 @@ fn values(sample: &ConnectionSample) -> Result<SqliteArguments, BoxDynError> {
     to.add(interface.map(|interface| interface.name.clone()))?;
     to.add(interface.and_then(|interface| interface.kind.clone()))?;
     to.add(interface.and_then(|interface| interface.mtu_bytes))?;
-    direction(Some(&statistics.sent), &mut to)?;
-    direction(Some(&statistics.received), &mut to)?;
+    add_direction(Some(&statistics.sent), &mut to)?;
+    add_direction(Some(&statistics.received), &mut to)?;
     for count in [statistics.malformed_messages, statistics.late_messages, statistics.lost_messages] {
         to.add(column(count))?;
     }
-    round_trip(Some(statistics), &mut to)?;
+    add_round_trip(Some(statistics), &mut to)?;
     let cloud = connection.cloud.as_ref();
     // The upload comes first at both ends: the edge has sent it, and the cloud has received it.
-    direction(cloud.map(|cloud| &cloud.received), &mut to)?;
-    direction(cloud.map(|cloud| &cloud.sent), &mut to)?;
+    add_direction(cloud.map(|cloud| &cloud.received), &mut to)?;
+    add_direction(cloud.map(|cloud| &cloud.sent), &mut to)?;
     to.add(cloud.map(|cloud| column(cloud.malformed_messages)))?;
     to.add(cloud.map(|cloud| column(cloud.lost_messages)))?;
-    round_trip(cloud, &mut to)?;
+    add_round_trip(cloud, &mut to)?;
     Ok(to)
 }
 
 /// Adds the seven totals of a direction; NULL for totals that were not reported.
-fn direction(reported: Option<&DirectionStatistics>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
+fn add_direction(
+    reported: Option<&DirectionStatistics>,
+    to: &mut SqliteArguments,
+) -> Result<(), BoxDynError> {
     to.add(reported.map(|reported| column(reported.bytes)))?;
     to.add(reported.map(|reported| column(reported.messages)))?;
     let totals = reported.copied().unwrap_or_default();
@@ -94,7 +97,10 @@ fn direction(reported: Option<&DirectionStatistics>, to: &mut SqliteArguments) -
 }
 
 /// Adds the three numbers of a transport's round trip.
-fn round_trip(reported: Option<&ConnectionStatistics>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
+fn add_round_trip(
+    reported: Option<&ConnectionStatistics>,
+    to: &mut SqliteArguments,
+) -> Result<(), BoxDynError> {
     let trip = reported.and_then(|reported| reported.round_trip);
     to.add(trip.and_then(|trip| trip.min).map(Span::nanos))?;
     to.add(trip.map(|trip| trip.smoothed.nanos()))?;

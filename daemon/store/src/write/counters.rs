@@ -96,7 +96,7 @@ impl Counters {
         counts
     }
 
-    /// Returns whether the database knew nothing of a host before this transaction; `id` is its row. Its gaps from
+    /// Returns whether the database knew nothing of a host before this transaction; `id` is the host's row. Gaps from
     /// before the database do not count.
     pub(super) async fn is_first_contact(
         &mut self,
@@ -104,10 +104,10 @@ impl Counters {
         host: HostId,
         id: i64,
     ) -> Result<bool, sqlx::Error> {
-        // Kept, because a later read would count the gaps of this transaction, too.
+        // The counts are kept in `totals`, because a later read would count the gaps of this transaction, too.
         let mut counts = match self.totals.entry(id) {
             Entry::Occupied(entry) => *entry.get(),
-            Entry::Vacant(entry) => *entry.insert(total(connection, id).await?),
+            Entry::Vacant(entry) => *entry.insert(read_total(connection, id).await?),
         };
         if let Some(pending) = self.hosts.get(&host) {
             counts.add(&pending.added);
@@ -163,8 +163,8 @@ impl Counters {
             let total = match self.totals.entry(counts.id) {
                 Entry::Occupied(entry) => entry.into_mut(),
                 Entry::Vacant(entry) => {
-                    let mut stored = total(connection, counts.id).await?;
-                    // It is a sum of the table of gaps, which already has those of this transaction.
+                    let mut stored = read_total(connection, counts.id).await?;
+                    // `missing_before` is a sum over the table of gaps, which already has the gaps of this transaction.
                     stored.missing_before = stored.missing_before.saturating_sub(counts.added.missing_before);
                     entry.insert(stored)
                 }
@@ -223,7 +223,7 @@ impl StoredCounts {
 }
 
 /// Reads the counters of a host.
-async fn total(connection: &mut SqliteConnection, host: i64) -> Result<StoredCounts, sqlx::Error> {
+async fn read_total(connection: &mut SqliteConnection, host: i64) -> Result<StoredCounts, sqlx::Error> {
     let counts: (i64, i64, i64, i64, i64, i64) = sqlx::query_as(concat!(
         "SELECT events, nodes, gaps, missing, quarantined, ",
         missing_before!(),

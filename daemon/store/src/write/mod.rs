@@ -328,8 +328,8 @@ impl Writer {
         match self.attempt(part, now, Some(&reason)).await {
             Ok(committed) => Ok(committed),
             Err(Refusal::Database(error)) => Err(DatabaseError::new(error).into()),
-            // Not even the quarantine took the batch. As an error of the database, it is not lost but tried
-            // again.
+            // Not even the quarantine took the batch. The refusal is returned as an error of the database, so that the
+            // batch is not lost but tried again.
             Err(Refusal::Batch(reason)) => Err(DatabaseError::new(sqlx::Error::Protocol(reason)).into()),
         }
     }

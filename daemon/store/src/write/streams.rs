@@ -18,7 +18,7 @@ use crate::stored::StoredCounts;
 /// The streams in the database.
 #[derive(Clone, Debug, Default)]
 pub struct Streams {
-    /// StoredPosition of each stream with stored batches.
+    /// Mark of each stream with stored batches.
     pub marks: HashMap<StreamId, StoredPosition>,
     /// All streams with which any host ever introduced itself.
     introduced: HashSet<StreamId>,

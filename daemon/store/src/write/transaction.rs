@@ -187,7 +187,7 @@ impl Staging {
         let mut runs = vec![0; batch.runs.len()];
         for step in &batch.steps {
             match step {
-                Step::Event(event) => self.event(connection, event, reporter, now).await?,
+                Step::Event(event) => self.store_event(connection, event, reporter, now).await?,
                 Step::Run(run, started) => {
                     let part = &batch.runs[*run as usize];
                     let known =
@@ -210,7 +210,7 @@ impl Staging {
         Ok(ResolvedBatch { batch, runs, names, hosts })
     }
 
-    async fn event(
+    async fn store_event(
         &mut self,
         connection: &mut SqliteConnection,
         event: &Event,

@@ -41,7 +41,9 @@ fn drive_receiving(script: &mut Script<'_>) {
         match script.byte() % 10 {
             0 => {
                 let hello = script.hello();
-                let mark = (script.byte() & 1 == 0).then(|| script.host()).map(|owner| script.stored_position(owner));
+                let mark = (script.byte() & 1 == 0)
+                    .then(|| script.host())
+                    .map(|owner| script.stored_position(owner));
                 let last_stream = (script.byte() & 1 == 0).then(|| script.stream());
                 let (was_used, previous_mark) =
                     (last_stream == Some(hello.stream), mark.filter(|mark| mark.stored & 1 == 0));

@@ -327,7 +327,9 @@ impl EventSpooler {
     /// batches in it.
     pub(super) fn sendable(&self) -> (u64, bool) {
         match self.appends.has_failed() {
-            false => (self.appends.written_totals().newest_sent.map_or(0, |newest_sent| newest_sent.number), false),
+            false => {
+                (self.appends.written_totals().newest_sent.map_or(0, |newest_sent| newest_sent.number), false)
+            }
             true if self.has_sent_record() => (u64::MAX, true),
             true => (self.backlog.spooled(), false),
         }

@@ -191,7 +191,7 @@ impl Report {
         }
     }
 
-    /// Looks for malformed pages without SQLite. Whether such a page is in use, only SQLite's own check can tell.
+    /// Looks for malformed pages without SQLite. Only SQLite's own check can tell whether such a page is in use.
     fn find_malformed_pages(&mut self, database: &Path) {
         match PageCheck::find_malformed(database) {
             Ok(pages) => self.malformed_pages = pages,

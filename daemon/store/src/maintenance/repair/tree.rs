@@ -22,7 +22,7 @@ pub(super) struct Walk<'a> {
     visited: HashSet<u32>,
     stack: Vec<Level>,
     /// `true` if the root is unreadable and this was not reported yet.
-    no_root: bool,
+    must_report_root: bool,
 }
 
 /// A page on the path from the root to the current page.
@@ -36,8 +36,9 @@ struct Level {
 impl<'a> Walk<'a> {
     /// Starts a walk at a root page. `is_table` is `true` for a table with row ids.
     pub(super) fn start(file: &'a PageFile, root: u32, is_table: bool) -> Self {
-        let mut walk = Self { file, is_table, visited: HashSet::new(), stack: Vec::new(), no_root: false };
-        walk.no_root = !walk.descend(root);
+        let mut walk =
+            Self { file, is_table, visited: HashSet::new(), stack: Vec::new(), must_report_root: false };
+        walk.must_report_root = !walk.descend(root);
         walk
     }
 
@@ -69,7 +70,7 @@ impl Iterator for Walk<'_> {
     type Item = Item;
 
     fn next(&mut self) -> Option<Item> {
-        if std::mem::take(&mut self.no_root) {
+        if std::mem::take(&mut self.must_report_root) {
             return Some(Item::Unreadable);
         }
         loop {

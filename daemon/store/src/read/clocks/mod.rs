@@ -25,6 +25,7 @@ use crate::stored::ClockPoint;
 use crate::types::{ClockSeries, LinkKey, LinkRow};
 use crate::write::UNKNOWN;
 
+/// Name of the requested data in errors.
 const WHAT: &str = "clock samples";
 /// Maximum number of points in one answer.
 const MAX_POINTS: u32 = 10_000;
@@ -307,6 +308,7 @@ fn interval(lo: Option<i64>, hi: Option<i64>) -> Option<Interval> {
     lo.zip(hi).map(|(lo, hi)| Interval { lo: Span::from_nanos(lo), hi: Span::from_nanos(hi) })
 }
 
+/// Median delay, its lower and its upper bound, nanoseconds; and the data rate, bits per second.
 type Median = (Option<i64>, Option<i64>, Option<i64>, Option<f64>);
 
 fn delays(

@@ -9,12 +9,13 @@ use peernet_clock::{RawTime, RelatedClocks, Relation, Span, WallTime};
 use sqlx::FromRow;
 
 use super::super::{sql, value_of_number};
-use super::rolling::{RollingWindow, SPAN};
+use super::rolling::{EXCHANGE_RANGE, RollingWindow};
 use super::windows::{Extent, Timeline};
 use crate::column::count;
 use crate::error::StoreError;
 use crate::readers::Readers;
 
+/// Name of the requested data in errors.
 const WHAT: &str = "clock samples";
 /// Upper limit of an iteration's duration.
 const MAX_ITERATION: Span = Span::from_seconds(600);
@@ -178,8 +179,8 @@ impl<'a> Clouds<'a> {
         let (first, last) = self.first_and_last_start;
         let windows: Vec<Window> = sqlx::query_as(sql::CLOCK_WINDOWS)
             .bind(link)
-            .bind((first - SPAN).unix_nanos())
-            .bind((last + MAX_ITERATION + SPAN).unix_nanos())
+            .bind((first - EXCHANGE_RANGE).unix_nanos())
+            .bind((last + MAX_ITERATION + EXCHANGE_RANGE).unix_nanos())
             .bind(MAX_WINDOWS)
             .fetch_all(&self.readers.pool())
             .await

@@ -20,6 +20,7 @@ use crate::error::StoreError;
 use crate::readers::Readers;
 use crate::types::{RecomputedDelays, RecomputedStage};
 
+/// Name of the requested data in errors.
 const WHAT: &str = "a run's delays";
 /// Number of delays that are read at once.
 const PAGE: u32 = 2_000;

@@ -13,10 +13,11 @@ use super::super::{sql, value_of_number};
 use crate::error::StoreError;
 use crate::readers::Readers;
 
+/// Name of the requested data in errors.
 const WHAT: &str = "clock samples";
 /// Time before and after a delay within which exchanges are used. The agent itself uses exchanges of the same time
 /// before a delay, unless configured otherwise.
-pub(super) const SPAN: Span = Span::from_seconds(10);
+pub(super) const EXCHANGE_RANGE: Span = Span::from_seconds(10);
 /// Longest time by which a delay may be earlier than the delay that was judged before it. An iteration may take as long
 /// as that.
 const MAX_DISORDER: Span = Span::from_seconds(60);
@@ -76,7 +77,7 @@ impl RollingWindow {
             clocks,
             relation: None,
             unlearnt_rows: VecDeque::new(),
-            read_until_ns: (at - SPAN - MAX_DISORDER).nanos(),
+            read_until_ns: (at - EXCHANGE_RANGE - MAX_DISORDER).nanos(),
             is_complete: false,
             claims: VecDeque::new(),
             current_claim: None,
@@ -89,7 +90,7 @@ impl RollingWindow {
         readers: &Readers,
         at: RawTime,
     ) -> Result<Option<&Relation>, StoreError> {
-        let until = (at + SPAN).nanos();
+        let until = (at + EXCHANGE_RANGE).nanos();
         loop {
             while let Some(row) = self.unlearnt_rows.pop_front_if(|row| row.time_ns <= until) {
                 self.learn(&row)?;
@@ -138,8 +139,8 @@ impl RollingWindow {
                 clocks: self.clocks,
                 max_drift_ppm: row.max_drift_ppm,
                 max_drift_change_ppm_per_s: row.max_drift_change_ppm_per_s.unwrap_or(f64::INFINITY),
-                window: SPAN,
-                retention: SPAN + SPAN + MAX_DISORDER,
+                window: EXCHANGE_RANGE,
+                retention: EXCHANGE_RANGE + EXCHANGE_RANGE + MAX_DISORDER,
                 // The sources of a stored offset contain only claims that were used.
                 trust_time_daemons: true,
                 ..RelationSettings::default()

@@ -11,7 +11,7 @@ use crate::rollups::Quantity;
 
 impl BatchBuilder {
     /// Adds an iteration; returns the time of its start.
-    pub(super) fn iteration(&mut self, iteration: &Iteration) -> Result<WallTime, BatchError> {
+    pub(super) fn add_iteration(&mut self, iteration: &Iteration) -> Result<WallTime, BatchError> {
         let number =
             i64::try_from(iteration.number).map_err(|_| BatchError::IterationNumber(iteration.number))?;
         let tree = &iteration.tree;
@@ -19,10 +19,10 @@ impl BatchBuilder {
             return Err(BatchError::EmptyTree(number));
         };
         let counted_nodes = tree.counted_nodes();
-        let run = self.run(iteration, edge.wall, counted_nodes.get(&stage::SKIPPED_STARTS));
+        let run = self.add_to_run(iteration, edge.wall, counted_nodes.get(&stage::SKIPPED_STARTS));
         let index = self.batch.iterations.len() as u32;
         for (position, anchor) in (1..).zip(other_anchors) {
-            let (host, wall_ns) = (self.host(anchor.host), anchor.wall.unix_nanos());
+            let (host, wall_ns) = (self.host_position(anchor.host), anchor.wall.unix_nanos());
             self.batch.anchors.push(AnchorRow { iteration: index, position, host, wall_ns });
         }
         let is_in_statistics = iteration.outcome == Outcome::Ok && !iteration.warm_up;
@@ -82,8 +82,8 @@ impl BatchBuilder {
     }
 
     /// Adds the iteration to the counters of its run. `skipped_starts` is the number of starts that were skipped before
-    /// it. Returns the position of the run in the batch's runs.
-    fn run(&mut self, iteration: &Iteration, started: WallTime, skipped_starts: Option<f64>) -> u32 {
+    /// the iteration. Returns the position of the run in the batch's runs.
+    fn add_to_run(&mut self, iteration: &Iteration, started: WallTime, skipped_starts: Option<f64>) -> u32 {
         let numbers = Extent::single(iteration.number.cast_signed());
         let seconds = Extent::single(started.unix_seconds());
         let batch = &mut self.batch;
@@ -123,7 +123,7 @@ impl BatchBuilder {
     }
 
     /// Returns the position of a host other than the edge in the batch's hosts.
-    fn host(&mut self, host: HostId) -> u32 {
+    fn host_position(&mut self, host: HostId) -> u32 {
         *self.hosts.entry(host).or_insert_with(|| {
             self.batch.hosts.push(host);
             self.batch.hosts.len() as u32 - 1

@@ -187,7 +187,7 @@ impl BatchBuilder {
         self.batch.named_runs.extend(run);
         let at = match &event {
             Event::Iteration(iteration) => {
-                let start = self.iteration(iteration)?;
+                let start = self.add_iteration(iteration)?;
                 self.batch.newest = self.batch.newest.max(Some(start));
                 return Ok(());
             }
