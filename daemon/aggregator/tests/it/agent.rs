@@ -16,7 +16,7 @@ use crate::generate;
 use crate::spool::Spool;
 
 /// Longest time that a step may take before its test fails.
-const PATIENCE: Duration = Duration::from_secs(30);
+const STEP_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// A test agent: the agents' state machine with a spool in memory and a socket.
 pub(crate) struct Agent {
@@ -38,7 +38,7 @@ pub(crate) fn secret_of(host: HostId) -> HostSecret {
 pub(crate) struct AgentSocket(Socket);
 
 impl AgentSocket {
-    pub(crate) async fn to(address: &str) -> Self {
+    pub(crate) async fn connect(address: &str) -> Self {
         let socket = Socket::new(SocketType::Dealer, Options::default());
         socket.connect(address).await.expect("connects");
         Self(socket)
@@ -70,17 +70,17 @@ impl AgentSocket {
 
     pub(crate) async fn receive(&self) -> ToAgent {
         let message =
-            tokio::time::timeout(PATIENCE, self.0.recv()).await.expect("in time").expect("receives");
+            tokio::time::timeout(STEP_TIMEOUT, self.0.recv()).await.expect("in time").expect("receives");
         decode(message.part_slice(0).expect("a frame")).expect("a message")
     }
 }
 
 impl Agent {
     pub(crate) async fn new(name: &str, address: &str, clock: &SharedClock) -> Self {
-        Self::with(HostId::random(), name, address, clock).await
+        Self::with_id(HostId::random(), name, address, clock).await
     }
 
-    pub(crate) async fn with(id: HostId, name: &str, address: &str, clock: &SharedClock) -> Self {
+    pub(crate) async fn with_id(id: HostId, name: &str, address: &str, clock: &SharedClock) -> Self {
         let spool = Spool::new();
         // This socket does not report lost connections, so the agent detects them by its acknowledgement timeout.
         let ack_timeout = Span::from_millis(500);
@@ -89,7 +89,7 @@ impl Agent {
         let mut sending =
             Sending::new(config, generate::host(id, name), secret_of(id), process, spool.state());
         sending.on_connected(clock.mono());
-        let socket = AgentSocket::to(address).await;
+        let socket = AgentSocket::connect(address).await;
         Self { id, sending, notices: Vec::new(), spool, socket, clock: SharedClock::clone(clock) }
     }
 
@@ -108,8 +108,8 @@ impl Agent {
         events.into_iter().for_each(|event| self.sending.offer(&event, self.clock.stamp()));
     }
 
-    /// Exchanges messages with the aggregator until `is_done` is `true`; fails after `PATIENCE`. `what` describes the
-    /// condition in the panic message.
+    /// Exchanges messages with the aggregator until `is_done` is `true`; fails after `STEP_TIMEOUT`. `what` describes
+    /// the condition in the panic message.
     pub(crate) async fn until(&mut self, what: &str, mut is_done: impl FnMut(&Self) -> bool) {
         let exchange = async {
             loop {
@@ -125,11 +125,11 @@ impl Agent {
                         let notice = self.sending.on_message(&message, self.clock.stamp());
                         self.notices.extend(notice);
                     }
-                    () = tokio::time::sleep(pause.unwrap_or(PATIENCE).min(Duration::from_millis(50))) => {}
+                    () = tokio::time::sleep(pause.unwrap_or(STEP_TIMEOUT).min(Duration::from_millis(50))) => {}
                 }
             }
         };
-        assert!(tokio::time::timeout(PATIENCE, exchange).await.is_ok(), "waited in vain until {what}");
+        assert!(tokio::time::timeout(STEP_TIMEOUT, exchange).await.is_ok(), "waited in vain until {what}");
     }
 
     pub(crate) async fn until_up(&mut self) {

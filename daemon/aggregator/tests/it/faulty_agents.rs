@@ -37,7 +37,7 @@ async fn crashed_agent_reconnects_with_same_id() {
     crashed.until_up().await;
     let id = crashed.id;
     drop(crashed);
-    let mut restarted = Agent::with(id, "edge", &testbed.address, &testbed.clock).await;
+    let mut restarted = Agent::with_id(id, "edge", &testbed.address, &testbed.clock).await;
     restarted.until_up().await;
     assert!(
         restarted.notices.iter().all(|notice| !matches!(notice, Notice::Refused(_))),

@@ -105,10 +105,10 @@ async fn late_data_is_counted_in_buckets_of_its_time() {
     let wrong = testbed.count(
         "WITH width (s) AS (VALUES (1), (10), (60), (3600)), \
          truth AS (SELECT s, started_ns / 1000000000 / s * s AS bucket, count(*) AS count FROM width, iteration GROUP BY 1, 2), \
-         told AS (SELECT resolution_s, bucket_s, count FROM rollup JOIN name ON name.id = rollup.name \
+         stored AS (SELECT resolution_s, bucket_s, count FROM rollup JOIN name ON name.id = rollup.name \
                   WHERE name.text = 'total' AND quantity = 0 AND resolution_s > 0) \
-         SELECT (SELECT count(*) FROM (SELECT * FROM truth EXCEPT SELECT * FROM told)) \
-              + (SELECT count(*) FROM (SELECT * FROM told EXCEPT SELECT * FROM truth))",
+         SELECT (SELECT count(*) FROM (SELECT * FROM truth EXCEPT SELECT * FROM stored)) \
+              + (SELECT count(*) FROM (SELECT * FROM stored EXCEPT SELECT * FROM truth))",
     );
     assert_eq!(wrong.await, 0);
     testbed.stop().await;

@@ -45,7 +45,7 @@ async fn silent_connections_do_not_block_agents() {
 #[tokio::test]
 async fn hosts_per_connection_are_limited() {
     let mut testbed = Testbed::new().await;
-    let socket = AgentSocket::to(&testbed.address).await;
+    let socket = AgentSocket::connect(&testbed.address).await;
     for n in 0..65 {
         // Each hello is as if from an agent with a separate connection.
         let hello = ScriptedAgent::new(&testbed).await.hello(&format!("host-{n}"));
@@ -199,7 +199,8 @@ async fn unnamed_run_gets_name_from_live_lane() {
     testbed.stop().await;
     testbed.start().await;
     agent.until_up().await;
-    let mut new_process = crate::agent::Agent::with(agent.id, "edge", &testbed.address, &testbed.clock).await;
+    let mut new_process =
+        crate::agent::Agent::with_id(agent.id, "edge", &testbed.address, &testbed.clock).await;
     drop(agent);
     new_process.until_up().await;
     let second = testbed.clock.wall().unix_seconds();

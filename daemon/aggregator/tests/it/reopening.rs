@@ -38,7 +38,7 @@ async fn backup(testbed: &Testbed) -> PathBuf {
 }
 
 /// Waits until storing fails for a reason that contains `expected_text`.
-async fn not_storing(testbed: &Testbed, expected_text: &str) {
+async fn wait_until_not_storing(testbed: &Testbed, expected_text: &str) {
     let mut ready = testbed.aggregator().readiness();
     let is_not_storing =
         |ready: &Readiness| matches!(ready, Readiness::NotStoring(reason) if reason.contains(expected_text));
@@ -46,7 +46,7 @@ async fn not_storing(testbed: &Testbed, expected_text: &str) {
 }
 
 /// Waits until events are stored again.
-async fn ready(testbed: &Testbed) {
+async fn wait_until_ready(testbed: &Testbed) {
     let mut ready = testbed.aggregator().readiness();
     ready.wait_for(|ready| *ready == Readiness::Ready).await.expect("runs");
 }
@@ -91,9 +91,9 @@ async fn older_copy_is_compared_with_spools_again() {
     let before = testbed.aggregator().store().run(1).await.expect("answers").expect("exists");
     assert_eq!(before.summary.counts.ok, 50);
     move_away(&testbed.database);
-    not_storing(&testbed, "put it back").await;
+    wait_until_not_storing(&testbed, "put it back").await;
     std::fs::rename(&copy, &testbed.database).expect("restores");
-    ready(&testbed).await;
+    wait_until_ready(&testbed).await;
     pipeline.store(5).await;
     assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 15);
     assert_eq!(testbed.count("SELECT count(*) FROM gap").await, 1);
@@ -114,16 +114,16 @@ async fn missing_database_is_never_created_again() {
     let mut pipeline = TestPipeline::new(&testbed).await;
     pipeline.store(10).await;
     move_away(&testbed.database);
-    not_storing(&testbed, "its file system is not mounted").await;
+    wait_until_not_storing(&testbed, "its file system is not mounted").await;
     pipeline.offer(10);
     assert!(!testbed.database.exists());
     let refused = testbed.aggregator().store().run(1).await.expect_err("closed");
     assert!(matches!(refused, StoreError::Closed { .. }), "{refused}");
     assert!(testbed.aggregator().pin(1, true).await.is_err());
     std::fs::write(&testbed.database, "").expect("writes");
-    not_storing(&testbed, "is empty").await;
+    wait_until_not_storing(&testbed, "is empty").await;
     std::fs::write(&testbed.database, "no database at all").expect("writes");
-    not_storing(&testbed, "not a database").await;
+    wait_until_not_storing(&testbed, "not a database").await;
     assert_eq!(std::fs::read(&testbed.database).expect("reads"), b"no database at all");
     // The moved file is complete without its log.
     std::fs::rename(path_with_suffix(&testbed.database, "-away"), &testbed.database).expect("moves back");
@@ -145,10 +145,10 @@ async fn log_of_replaced_database_is_not_applied() {
     sqlx::raw_sql("BEGIN; SELECT count(*) FROM iteration").execute(&mut reader).await.expect("reads");
     pipeline.store(40).await;
     std::fs::rename(&copy, &testbed.database).expect("replaces");
-    not_storing(&testbed, "belongs to another database, which was at this path before").await;
+    wait_until_not_storing(&testbed, "belongs to another database, which was at this path before").await;
     reader.close().await.expect("closes");
     std::fs::remove_file(path_with_suffix(&testbed.database, "-wal")).expect("removes");
-    ready(&testbed).await;
+    wait_until_ready(&testbed).await;
     pipeline.store(5).await;
     assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 15);
     testbed.stop().await;
@@ -160,8 +160,8 @@ async fn removed_log_is_recreated_without_loss() {
     let mut pipeline = TestPipeline::new(&testbed).await;
     pipeline.store(10).await;
     std::fs::remove_file(path_with_suffix(&testbed.database, "-wal")).expect("removes");
-    not_storing(&testbed, "sqlite-wal").await;
-    ready(&testbed).await;
+    wait_until_not_storing(&testbed, "sqlite-wal").await;
+    wait_until_ready(&testbed).await;
     pipeline.store(10).await;
     assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 20);
     assert_eq!(testbed.count("SELECT count(*) FROM gap").await, 0);
@@ -174,7 +174,7 @@ async fn goodbye_during_outage_ends_runs() {
     let mut pipeline = TestPipeline::new(&testbed).await;
     pipeline.store(10).await;
     move_away(&testbed.database);
-    not_storing(&testbed, "put it back").await;
+    wait_until_not_storing(&testbed, "put it back").await;
     pipeline.agent.goodbye().await;
     testbed
         .snapshot("the disconnected host", |snapshot| {
@@ -182,7 +182,7 @@ async fn goodbye_during_outage_ends_runs() {
         })
         .await;
     std::fs::rename(path_with_suffix(&testbed.database, "-away"), &testbed.database).expect("moves back");
-    ready(&testbed).await;
+    wait_until_ready(&testbed).await;
     testbed.stop().await;
     assert_eq!(testbed.count("SELECT count(*) FROM run WHERE ended_ns IS NOT NULL").await, 1);
 }

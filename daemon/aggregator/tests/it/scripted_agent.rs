@@ -29,7 +29,7 @@ impl ScriptedAgent {
     /// Connects without sending a hello.
     pub(crate) async fn new(testbed: &Testbed) -> Self {
         Self {
-            socket: AgentSocket::to(&testbed.address).await,
+            socket: AgentSocket::connect(&testbed.address).await,
             host: HostId::random(),
             stream: StreamId::random(),
             run: RunId::random(),

@@ -9,7 +9,7 @@ use tokio_util::sync::CancellationToken;
 use crate::testbed::Testbed;
 
 /// Returns the error of a start with `config`.
-async fn refusal(testbed: &Testbed, config: AggregatorConfig) -> StartError {
+async fn start_error(testbed: &Testbed, config: AggregatorConfig) -> StartError {
     let stop = CancellationToken::new();
     Aggregator::start(config, Arc::clone(&testbed.clock), stop).await.expect_err("refuses")
 }
@@ -19,7 +19,7 @@ async fn port_in_use_is_named_in_error() {
     let mut testbed = Testbed::new().await;
     let config =
         AggregatorConfig { database: testbed.database.with_file_name("other.sqlite"), ..testbed.config() };
-    let error = refusal(&testbed, config).await;
+    let error = start_error(&testbed, config).await;
     assert!(matches!(&error, StartError::Listen { address, .. } if *address == testbed.address));
     assert!(error.to_string().starts_with(&format!("cannot listen on {}: ", testbed.address)), "{error}");
     testbed.stop().await;
@@ -34,7 +34,7 @@ async fn unusable_database_is_named_in_error() {
     std::fs::write(&file, "not a database, but long enough to be taken for the header of one by a reader")
         .expect("writes");
     let config = AggregatorConfig { database: file.clone(), listen: listen.clone(), ..testbed.config() };
-    let error = refusal(&testbed, config).await;
+    let error = start_error(&testbed, config).await;
     assert!(
         matches!(&error, StartError::Database(OpenError::Unrecognised { path, .. }) if *path == file),
         "{error}"
@@ -45,7 +45,7 @@ async fn unusable_database_is_named_in_error() {
         Aggregator::check(&config).iter().map(|problem| problem.key).collect::<Vec<_>>(),
         ["database"]
     );
-    let error = refusal(&testbed, config).await;
+    let error = start_error(&testbed, config).await;
     assert!(error.to_string().contains("notes.txt is not a folder; choose another path"), "{error}");
     testbed.stop().await;
 }

@@ -24,6 +24,7 @@ pub(super) fn chain(number: u64) -> Chain {
     (0..number).fold(Chain::START, |chain, _| chain.next(1, b"event"))
 }
 
+/// Returns the mark of a stream of which `stored` batches are stored.
 pub(super) fn mark(host: HostId, stored: u64) -> StoredPosition {
     StoredPosition { host, stored, chain: chain(stored), process: Some(1), events: Some(stored) }
 }
@@ -33,7 +34,8 @@ pub(super) fn record_with(mark: Option<StoredPosition>) -> StreamRecord {
     StreamRecord { mark, was_used: mark.is_some(), ..StreamRecord::default() }
 }
 
-pub(super) fn reason(greeting: HelloResult) -> String {
+/// Returns the reason of a refusal. Panics for any other result.
+pub(super) fn expect_refusal(greeting: HelloResult) -> String {
     match greeting {
         HelloResult::Refused { reply: ToAgent::Refused { reason: stated_reason }, reason }
             if stated_reason == reason =>
@@ -45,7 +47,8 @@ pub(super) fn reason(greeting: HelloResult) -> String {
 }
 
 /// Returns the number and the chain of the last stored batch, and the window, from a welcome that reports nothing else.
-pub(super) fn welcomed(greeting: &HelloResult) -> (u64, Option<Chain>, u32) {
+/// Panics for any other result.
+pub(super) fn expect_welcome(greeting: &HelloResult) -> (u64, Option<Chain>, u32) {
     match greeting {
         HelloResult::Welcome {
             reply: ToAgent::Welcome { stored, chain, window, .. },
@@ -60,12 +63,12 @@ pub(super) fn welcomed(greeting: &HelloResult) -> (u64, Option<Chain>, u32) {
 
 #[test]
 fn message_without_session_requests_hello() {
-    let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
-    assert_eq!(end.handle_live(id, at(0).mono), Some(ToAgent::Unknown));
-    welcomed(&end.handle_hello(&hello(id, "edge", 1, stream, 1), record_with(None), at(0).mono));
-    assert_eq!(end.handle_live(id, at(0).mono), None);
-    end.forget_silent(Span::from_seconds(60), at(60_001).mono);
-    assert_eq!(end.handle_live(id, at(60_001).mono), Some(ToAgent::Unknown));
+    let (mut aggregator, id, stream) = (receiving(), HostId::random(), StreamId::random());
+    assert_eq!(aggregator.handle_live(id, at(0).mono), Some(ToAgent::Unknown));
+    expect_welcome(&aggregator.handle_hello(&hello(id, "edge", 1, stream, 1), record_with(None), at(0).mono));
+    assert_eq!(aggregator.handle_live(id, at(0).mono), None);
+    aggregator.forget_silent(Span::from_seconds(60), at(60_001).mono);
+    assert_eq!(aggregator.handle_live(id, at(60_001).mono), Some(ToAgent::Unknown));
 }
 
 #[test]
@@ -73,29 +76,33 @@ fn hello_with_impossible_batch_numbers_is_refused() {
     let good = hello(HostId::random(), "edge", 1, StreamId::random(), 1);
     for (first, oldest) in [(0, 0), (0, 1), (5, 4), (u64::MAX, u64::MAX), (1, u64::MAX), (1, 1 << 63)] {
         let bad = Hello { first, oldest, ..good.clone() };
-        let reason = reason(receiving().handle_hello(&bad, record_with(None), at(0).mono));
+        let reason = expect_refusal(receiving().handle_hello(&bad, record_with(None), at(0).mono));
         assert!(reason.contains("spool of this agent is damaged"), "{reason}");
     }
 }
 
 #[test]
 fn second_connected_host_of_same_name_is_refused() {
-    let (mut end, first, second) = (receiving(), HostId::random(), HostId::random());
-    end.handle_hello(&hello(first, "edge", 1, StreamId::random(), 1), record_with(None), at(0).mono);
+    let (mut aggregator, first, second) = (receiving(), HostId::random(), HostId::random());
+    aggregator.handle_hello(&hello(first, "edge", 1, StreamId::random(), 1), record_with(None), at(0).mono);
     let second_hello = hello(second, "edge", 2, StreamId::random(), 1);
-    let reason = reason(end.handle_hello(&second_hello, record_with(None), at(9_000).mono));
+    let reason = expect_refusal(aggregator.handle_hello(&second_hello, record_with(None), at(9_000).mono));
     assert!(reason.contains("the name edge") && reason.contains(&first.to_string()), "{reason}");
-    welcomed(&end.handle_hello(&second_hello, record_with(None), at(10_001).mono));
+    expect_welcome(&aggregator.handle_hello(&second_hello, record_with(None), at(10_001).mono));
 }
 
 #[test]
 fn goodbye_frees_name_and_host_id_at_once() {
-    let (mut end, id) = (receiving(), HostId::random());
-    end.handle_hello(&hello(id, "edge", 1, StreamId::random(), 1), record_with(None), at(0).mono);
-    end.handle_goodbye(id);
-    welcomed(&end.handle_hello(&hello(id, "edge", 2, StreamId::random(), 1), record_with(None), at(1).mono));
-    end.handle_goodbye(id);
-    welcomed(&end.handle_hello(
+    let (mut aggregator, id) = (receiving(), HostId::random());
+    aggregator.handle_hello(&hello(id, "edge", 1, StreamId::random(), 1), record_with(None), at(0).mono);
+    aggregator.handle_goodbye(id);
+    expect_welcome(&aggregator.handle_hello(
+        &hello(id, "edge", 2, StreamId::random(), 1),
+        record_with(None),
+        at(1).mono,
+    ));
+    aggregator.handle_goodbye(id);
+    expect_welcome(&aggregator.handle_hello(
         &hello(HostId::random(), "edge", 3, StreamId::random(), 1),
         record_with(None),
         at(2).mono,
@@ -104,47 +111,57 @@ fn goodbye_frees_name_and_host_id_at_once() {
 
 #[test]
 fn second_process_of_host_is_refused_while_first_lives() {
-    let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
-    end.handle_hello(&hello(id, "edge", 1, stream, 1), record_with(None), at(0).mono);
+    let (mut aggregator, id, stream) = (receiving(), HostId::random(), StreamId::random());
+    aggregator.handle_hello(&hello(id, "edge", 1, stream, 1), record_with(None), at(0).mono);
     // A cloned machine also has the same stream.
     let copy = hello(id, "edge", 2, stream, 1);
-    assert_eq!(end.handle_live(id, at(200).mono), None);
-    assert_eq!(end.handle_hello(&copy, record_with(None), at(300).mono), HelloResult::Wait);
-    assert_eq!(end.handle_live(id, at(450).mono), None);
+    assert_eq!(aggregator.handle_live(id, at(200).mono), None);
+    assert_eq!(aggregator.handle_hello(&copy, record_with(None), at(300).mono), HelloResult::Wait);
+    assert_eq!(aggregator.handle_live(id, at(450).mono), None);
     assert!(
-        reason(end.handle_hello(&copy, record_with(None), at(550).mono))
+        expect_refusal(aggregator.handle_hello(&copy, record_with(None), at(550).mono))
             .contains("another agent with the host id")
     );
-    assert_eq!(end.handle_live(id, at(700).mono), None);
+    assert_eq!(aggregator.handle_live(id, at(700).mono), None);
 }
 
 #[test]
 fn crashed_agent_is_accepted_after_its_silence() {
-    let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
-    end.handle_hello(&hello(id, "edge", 1, stream, 1), record_with(None), at(0).mono);
-    end.handle_live(id, at(200).mono);
+    let (mut aggregator, id, stream) = (receiving(), HostId::random(), StreamId::random());
+    aggregator.handle_hello(&hello(id, "edge", 1, stream, 1), record_with(None), at(0).mono);
+    aggregator.handle_live(id, at(200).mono);
     let restarted = hello(id, "edge", 2, stream, 1);
-    assert_eq!(end.handle_hello(&restarted, record_with(None), at(300).mono), HelloResult::Wait);
-    assert_eq!(end.handle_hello(&restarted, record_with(None), at(550).mono), HelloResult::Wait);
-    welcomed(&end.handle_hello(&restarted, record_with(None), at(1_050).mono));
+    assert_eq!(aggregator.handle_hello(&restarted, record_with(None), at(300).mono), HelloResult::Wait);
+    assert_eq!(aggregator.handle_hello(&restarted, record_with(None), at(550).mono), HelloResult::Wait);
+    expect_welcome(&aggregator.handle_hello(&restarted, record_with(None), at(1_050).mono));
     // Long after a crash the new process is accepted at once.
-    welcomed(&end.handle_hello(&hello(id, "edge", 3, stream, 1), record_with(None), at(9_000).mono));
+    expect_welcome(&aggregator.handle_hello(
+        &hello(id, "edge", 3, stream, 1),
+        record_with(None),
+        at(9_000).mono,
+    ));
 }
 
 #[test]
 fn spool_of_another_host_is_refused() {
-    let (mut end, stream, owner) = (receiving(), StreamId::random(), HostId::random());
+    let (mut aggregator, stream, owner) = (receiving(), StreamId::random(), HostId::random());
     let copy = hello(HostId::random(), "edge-2", 2, stream, 1);
     let expected_reason = format!("the spool of this agent belongs to the host with the id {owner}");
     let stored = Some(mark(owner, 5));
-    assert!(reason(end.handle_hello(&copy, record_with(stored), at(0).mono)).contains(&expected_reason));
-    end.handle_hello(&hello(owner, "edge", 1, stream, 1), record_with(None), at(0).mono);
-    assert!(reason(end.handle_hello(&copy, record_with(None), at(1).mono)).contains(&expected_reason));
+    assert!(
+        expect_refusal(aggregator.handle_hello(&copy, record_with(stored), at(0).mono))
+            .contains(&expected_reason)
+    );
+    aggregator.handle_hello(&hello(owner, "edge", 1, stream, 1), record_with(None), at(0).mono);
+    assert!(
+        expect_refusal(aggregator.handle_hello(&copy, record_with(None), at(1).mono))
+            .contains(&expected_reason)
+    );
 }
 
 #[test]
 fn deleted_or_replaced_spool_is_reported_once() {
-    let (mut end, id) = (receiving(), HostId::random());
+    let (mut aggregator, id) = (receiving(), HostId::random());
     let (old, new) = (StreamId::random(), StreamId::random());
     let replaced = |greeting| match greeting {
         HelloResult::Welcome { replaced, .. } => replaced,
@@ -152,28 +169,28 @@ fn deleted_or_replaced_spool_is_reported_once() {
     };
     let last = |last_stream| StreamRecord { last_stream, ..StreamRecord::default() };
     let first = hello(id, "edge", 1, old, 1);
-    assert_eq!(replaced(end.handle_hello(&first, record_with(None), at(0).mono)), None);
-    end.handle_goodbye(id);
-    assert_eq!(replaced(end.handle_hello(&first, last(Some(old)), at(1).mono)), None);
-    end.handle_goodbye(id);
+    assert_eq!(replaced(aggregator.handle_hello(&first, record_with(None), at(0).mono)), None);
+    aggregator.handle_goodbye(id);
+    assert_eq!(replaced(aggregator.handle_hello(&first, last(Some(old)), at(1).mono)), None);
+    aggregator.handle_goodbye(id);
     let second = hello(id, "edge", 2, new, 1);
-    assert_eq!(replaced(end.handle_hello(&second, last(Some(old)), at(2).mono)), Some(old));
-    assert_eq!(replaced(end.handle_hello(&second, last(Some(old)), at(3).mono)), None);
-    end.handle_goodbye(id);
+    assert_eq!(replaced(aggregator.handle_hello(&second, last(Some(old)), at(2).mono)), Some(old));
+    assert_eq!(replaced(aggregator.handle_hello(&second, last(Some(old)), at(3).mono)), None);
+    aggregator.handle_goodbye(id);
     // A stream that continues the previous one replaces nothing, nor does a stream that was used before.
     let renewed = Hello { previous_stream: Some(old), ..second.clone() };
-    assert_eq!(replaced(end.handle_hello(&renewed, last(Some(old)), at(4).mono)), None);
-    end.handle_goodbye(id);
+    assert_eq!(replaced(aggregator.handle_hello(&renewed, last(Some(old)), at(4).mono)), None);
+    aggregator.handle_goodbye(id);
     let stored = StreamRecord { mark: Some(mark(id, 3)), ..last(Some(old)) };
-    assert_eq!(replaced(end.handle_hello(&second, stored, at(5).mono)), None);
-    end.handle_goodbye(id);
+    assert_eq!(replaced(aggregator.handle_hello(&second, stored, at(5).mono)), None);
+    aggregator.handle_goodbye(id);
     let was_used = StreamRecord { was_used: true, ..last(Some(old)) };
-    assert_eq!(replaced(end.handle_hello(&hello(id, "edge", 3, new, 1), was_used, at(6).mono)), None);
+    assert_eq!(replaced(aggregator.handle_hello(&hello(id, "edge", 3, new, 1), was_used, at(6).mono)), None);
 }
 
 #[test]
 fn batches_missing_in_older_database_are_reported_once() {
-    let (mut end, id) = (receiving(), HostId::random());
+    let (mut aggregator, id) = (receiving(), HostId::random());
     let (old, new) = (StreamId::random(), StreamId::random());
     let missing_previous = |greeting| match greeting {
         HelloResult::Welcome { missing_previous, .. } => missing_previous,
@@ -191,57 +208,57 @@ fn batches_missing_in_older_database_are_reported_once() {
         |from| Some(MissingPreviousBatches { stream: old, from, through: 7, events: Some(8 - from) });
     for (stored, missing) in [(Some(3), expected(4)), (None, expected(1)), (Some(7), None), (Some(9), None)] {
         let before = previous(stored.map(|stored| mark(id, stored)));
-        assert_eq!(missing_previous(end.handle_hello(&renewed, before, at(0).mono)), missing);
+        assert_eq!(missing_previous(aggregator.handle_hello(&renewed, before, at(0).mono)), missing);
         assert_eq!(
-            missing_previous(end.handle_hello(&renewed, before, at(1).mono)),
+            missing_previous(aggregator.handle_hello(&renewed, before, at(1).mono)),
             None,
             "the gap was reported for the previous hello"
         );
-        end.handle_goodbye(id);
+        aggregator.handle_goodbye(id);
         let was_used = StreamRecord { was_used: true, ..before };
         assert_eq!(
-            missing_previous(end.handle_hello(&renewed, was_used, at(2).mono)),
+            missing_previous(aggregator.handle_hello(&renewed, was_used, at(2).mono)),
             None,
             "the stream was used before"
         );
-        end.handle_goodbye(id);
+        aggregator.handle_goodbye(id);
     }
     // Batches after the seventh came from the memory of a dead process, and were stored in another database only.
     let renewed = Hello { events_before_first: Some(9), ..renewed };
     let before = previous(Some(mark(id, 7)));
     let expected = MissingPreviousBatches { stream: old, from: 8, through: 8, events: Some(2) };
-    assert_eq!(missing_previous(end.handle_hello(&renewed, before, at(3).mono)), Some(expected));
+    assert_eq!(missing_previous(aggregator.handle_hello(&renewed, before, at(3).mono)), Some(expected));
 }
 
 #[test]
 fn host_that_changes_its_streams_waits_for_writer() {
-    let (mut end, id) = (receiving(), HostId::random());
+    let (mut aggregator, id) = (receiving(), HostId::random());
     let mut streams: Vec<StreamId> = Vec::new();
     while let HelloResult::Welcome { missing, .. } =
-        end.handle_hello(&hello(id, "edge", 1, StreamId::random(), 5), record_with(None), at(0).mono)
+        aggregator.handle_hello(&hello(id, "edge", 1, StreamId::random(), 5), record_with(None), at(0).mono)
     {
         streams.push(missing.expect("four missing batches").stream);
         assert!(streams.len() < 100, "one host can fill the memory");
     }
-    streams.iter().for_each(|stream| drop(end.handle_stored(*stream, mark(id, 4))));
+    streams.iter().for_each(|stream| drop(aggregator.handle_stored(*stream, mark(id, 4))));
     let next = hello(id, "edge", 1, StreamId::random(), 1);
-    welcomed(&end.handle_hello(&next, record_with(None), at(1).mono));
+    expect_welcome(&aggregator.handle_hello(&next, record_with(None), at(1).mono));
 }
 
 #[test]
 fn windows_share_aggregators_memory() {
-    let mut end = receiving();
-    let window = |end: &mut Receiving, n: u64, batch_bytes| {
+    let mut aggregator = receiving();
+    let window = |aggregator: &mut Receiving, n: u64, batch_bytes| {
         let name = format!("edge-{n}");
         let hello = Hello { batch_bytes, ..hello(HostId::random(), &name, n, StreamId::random(), 1) };
-        welcomed(&end.handle_hello(&hello, record_with(None), at(0).mono)).2
+        expect_welcome(&aggregator.handle_hello(&hello, record_with(None), at(0).mono)).2
     };
-    assert_eq!(window(&mut end, 0, 512 * 1024), 8);
-    assert_eq!(window(&mut end, 1, 0), 8);
-    assert_eq!(window(&mut end, 2, u32::MAX), 5);
-    (3..32).for_each(|n| _ = window(&mut end, n, 512 * 1024));
-    assert_eq!(window(&mut end, 32, 512 * 1024), 3);
-    (33..1_000).for_each(|n| _ = window(&mut end, n, 512 * 1024));
-    assert_eq!(window(&mut end, 1_000, 512 * 1024), 1);
-    assert_eq!(window(&mut end, 1_001, 1_000), 8);
+    assert_eq!(window(&mut aggregator, 0, 512 * 1024), 8);
+    assert_eq!(window(&mut aggregator, 1, 0), 8);
+    assert_eq!(window(&mut aggregator, 2, u32::MAX), 5);
+    (3..32).for_each(|n| _ = window(&mut aggregator, n, 512 * 1024));
+    assert_eq!(window(&mut aggregator, 32, 512 * 1024), 3);
+    (33..1_000).for_each(|n| _ = window(&mut aggregator, n, 512 * 1024));
+    assert_eq!(window(&mut aggregator, 1_000, 512 * 1024), 1);
+    assert_eq!(window(&mut aggregator, 1_001, 1_000), 8);
 }

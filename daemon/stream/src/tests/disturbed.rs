@@ -21,15 +21,17 @@ pub(super) fn config() -> SendingConfig {
     }
 }
 
-/// Maximum number of works in the aggregator's queue.
+/// Maximum number of pieces of work in the aggregator's queue.
 const CAPACITY: usize = 5;
 
 /// Maximum number of machines with the same host id.
-const MAX_SITES: u8 = 3;
+const MAX_MACHINES: u8 = 3;
 
 #[derive(Clone, Debug)]
 enum Step {
+    /// A number of events is offered.
     Offer(u8),
+    /// A number of milliseconds passes.
     Pass(u16),
     /// The `nth` frame in flight arrives; with `keep`, it also stays in flight.
     Up {
@@ -70,21 +72,21 @@ enum Step {
     DeleteSpool,
 }
 
-/// State that the choice of the next step depends on. `ALL` adds faults caused by users: old backups, copies,
+/// State that the choice of the next step depends on. `USER_FAULTS` adds faults caused by users: old backups, copies,
 /// deletions.
 #[derive(Clone, Debug)]
-struct Plan<const ALL: bool> {
+struct Plan<const USER_FAULTS: bool> {
     broken: bool,
     backed_up: bool,
-    sites: u8,
+    machines: u8,
 }
 
-impl<const ALL: bool> ReferenceStateMachine for Plan<ALL> {
+impl<const USER_FAULTS: bool> ReferenceStateMachine for Plan<USER_FAULTS> {
     type State = Self;
     type Transition = Step;
 
     fn init_state() -> BoxedStrategy<Self> {
-        Just(Self { broken: false, backed_up: false, sites: 1 }).boxed()
+        Just(Self { broken: false, backed_up: false, machines: 1 }).boxed()
     }
 
     fn transitions(state: &Self) -> BoxedStrategy<Step> {
@@ -109,13 +111,13 @@ impl<const ALL: bool> ReferenceStateMachine for Plan<ALL> {
             (2, (0_u8..3).prop_map(|done| Step::KillAgent { done }).boxed()),
             (1, Just(Step::Disconnect).boxed()),
         ];
-        if ALL {
+        if USER_FAULTS {
             steps.push((1, Just(if state.backed_up { Step::Restore } else { Step::BackUp }).boxed()));
             steps.push((1, Just(Step::DeleteSpool).boxed()));
-            if state.sites < MAX_SITES {
+            if state.machines < MAX_MACHINES {
                 steps.push((1, Just(Step::Copy).boxed()));
             }
-            if state.sites > 1 {
+            if state.machines > 1 {
                 steps.push((2, (0_u8..3).prop_map(|done| Step::Move { done }).boxed()));
             }
         }
@@ -126,8 +128,8 @@ impl<const ALL: bool> ReferenceStateMachine for Plan<ALL> {
         match step {
             Step::SetBroken(broken) => *broken != state.broken,
             Step::Restore => state.backed_up,
-            Step::Move { .. } => state.sites > 1,
-            Step::Copy => state.sites < MAX_SITES,
+            Step::Move { .. } => state.machines > 1,
+            Step::Copy => state.machines < MAX_MACHINES,
             _ => true,
         }
     }
@@ -137,14 +139,14 @@ impl<const ALL: bool> ReferenceStateMachine for Plan<ALL> {
             Step::SetBroken(broken) => state.broken = *broken,
             Step::BackUp => state.backed_up = true,
             Step::Restore => state.backed_up = false,
-            Step::Copy => state.sites += 1,
+            Step::Copy => state.machines += 1,
             _ => {}
         }
         state
     }
 }
 
-impl<const ALL: bool> StateMachineTest for Plan<ALL> {
+impl<const USER_FAULTS: bool> StateMachineTest for Plan<USER_FAULTS> {
     type SystemUnderTest = Simulation;
     type Reference = Self;
 
@@ -167,12 +169,12 @@ impl<const ALL: bool> StateMachineTest for Plan<ALL> {
             Step::FailToCommit => simulation.fail_commit(),
             Step::CommitAndKill => simulation.commit(usize::MAX, false),
             Step::KillAggregator => simulation.aggregator.kill(),
-            Step::KillAgent { done } => simulation.start_agent(simulation.site, done.into()),
+            Step::KillAgent { done } => simulation.start_agent(simulation.machine, done.into()),
             Step::Disconnect => simulation.disconnect(),
             Step::BackUp => simulation.back_up(),
             Step::Restore => simulation.restore(),
             Step::Copy => simulation.copy(),
-            Step::Move { done } => simulation.start_next_site(done.into()),
+            Step::Move { done } => simulation.start_next_machine(done.into()),
             Step::DeleteSpool => simulation.delete_spool(),
         }
         simulation

@@ -19,6 +19,8 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use super::simulation::Simulation;
 use super::*;
 
+/// A transition of the model. The numbers are positions among the frames or messages in flight; with `KillAgent`, the
+/// number of actions that the disk has performed before the kill.
 #[derive(Clone, Copy, Debug)]
 enum Move {
     Up(usize),
@@ -82,7 +84,7 @@ fn apply(simulation: &mut Simulation, step: Move) {
         Move::FailToCommit => simulation.fail_commit(),
         Move::CommitAndKill => simulation.commit(1, false),
         Move::KillAggregator => simulation.aggregator.kill(),
-        Move::KillAgent(done) => simulation.start_agent(simulation.site, done),
+        Move::KillAgent(done) => simulation.start_agent(simulation.machine, done),
         Move::Disconnect => simulation.disconnect(),
         Move::Pass => simulation.pass_to_deadline(),
     }

@@ -1,6 +1,6 @@
 //! Handling of batches at the aggregator's end.
 
-use super::admission::{chain, hello, mark, record_with, welcomed};
+use super::admission::{chain, expect_welcome, hello, mark, record_with};
 use super::*;
 
 /// Window of a single agent.
@@ -15,13 +15,13 @@ struct AggregatorEnd {
 
 impl AggregatorEnd {
     /// Returns the end of an aggregator to which a host with `stored` stored batches sent a hello.
-    fn with(stored: u64) -> Self {
-        let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
+    fn with_stored_batches(stored: u64) -> Self {
+        let (mut aggregator, id, stream) = (receiving(), HostId::random(), StreamId::random());
         let mark = (stored > 0).then(|| mark(id, stored));
         let greeting =
-            end.handle_hello(&hello(id, "edge", 1, stream, stored + 1), record_with(mark), at(0).mono);
-        assert_eq!(welcomed(&greeting), (stored, mark.map(|mark| mark.chain), WINDOW));
-        Self { receiving: end, id, stream, process: 1 }
+            aggregator.handle_hello(&hello(id, "edge", 1, stream, stored + 1), record_with(mark), at(0).mono);
+        assert_eq!(expect_welcome(&greeting), (stored, mark.map(|mark| mark.chain), WINDOW));
+        Self { receiving: aggregator, id, stream, process: 1 }
     }
 
     fn head(&self, number: u64) -> BatchHead {
@@ -40,12 +40,12 @@ impl AggregatorEnd {
         }
     }
 
-    fn batch(&mut self, number: u64) -> Arrival {
+    fn receive_batch(&mut self, number: u64) -> Arrival {
         let head = self.head(number);
         self.receiving.handle_batch(&head, true, at(1).mono)
     }
 
-    fn stored(&mut self, number: u64) -> Option<ToAgent> {
+    fn report_stored(&mut self, number: u64) -> Option<ToAgent> {
         let (to, reply) = self.receiving.handle_stored(self.stream, mark(self.id, number))?;
         assert_eq!(to, self.id);
         Some(reply)
@@ -71,44 +71,47 @@ const UNKNOWN: Arrival = Arrival::Unknown(ToAgent::Unknown);
 
 #[test]
 fn batches_are_accepted_in_order_and_acknowledged_when_stored() {
-    let mut end = AggregatorEnd::with(2);
-    assert_eq!(end.batch(3), Arrival::Accept);
-    assert_eq!(end.batch(3), Arrival::Pending);
-    assert_eq!(end.batch(4), Arrival::Accept);
-    let ack = end.ack(3);
-    assert_eq!(end.stored(3), Some(ack.clone()));
-    assert_eq!(end.batch(1), Arrival::Duplicate(ack));
-    assert_eq!(end.batch(4), Arrival::Pending);
+    let mut aggregator = AggregatorEnd::with_stored_batches(2);
+    assert_eq!(aggregator.receive_batch(3), Arrival::Accept);
+    assert_eq!(aggregator.receive_batch(3), Arrival::Pending);
+    assert_eq!(aggregator.receive_batch(4), Arrival::Accept);
+    let ack = aggregator.ack(3);
+    assert_eq!(aggregator.report_stored(3), Some(ack.clone()));
+    assert_eq!(aggregator.receive_batch(1), Arrival::Duplicate(ack));
+    assert_eq!(aggregator.receive_batch(4), Arrival::Pending);
 }
 
 #[test]
 fn missing_batches_are_requested_once() {
-    let mut end = AggregatorEnd::with(0);
-    let (first, second) = (end.resend(1), end.resend(2));
-    assert_eq!(end.batch(2), Arrival::Rejected(Some(first)));
-    assert_eq!(end.batch(3), Arrival::Rejected(None));
-    assert_eq!(end.batch(1), Arrival::Accept);
-    assert_eq!(end.batch(3), Arrival::Rejected(Some(second)));
-    assert_eq!(end.batch(9), Arrival::Rejected(None));
+    let mut aggregator = AggregatorEnd::with_stored_batches(0);
+    let (first, second) = (aggregator.resend(1), aggregator.resend(2));
+    assert_eq!(aggregator.receive_batch(2), Arrival::Rejected(Some(first)));
+    assert_eq!(aggregator.receive_batch(3), Arrival::Rejected(None));
+    assert_eq!(aggregator.receive_batch(1), Arrival::Accept);
+    assert_eq!(aggregator.receive_batch(3), Arrival::Rejected(Some(second)));
+    assert_eq!(aggregator.receive_batch(9), Arrival::Rejected(None));
 }
 
 #[test]
 fn failed_batch_is_requested_again_with_later_ones() {
-    let mut end = AggregatorEnd::with(0);
-    (1..=3).for_each(|number| assert_eq!(end.batch(number), Arrival::Accept));
-    end.stored(1);
-    assert_eq!(end.receiving.handle_failed_store(end.stream), Some((end.id, end.resend(2))));
-    assert_eq!(end.batch(3), Arrival::Rejected(None));
-    assert_eq!(end.batch(2), Arrival::Accept);
+    let mut aggregator = AggregatorEnd::with_stored_batches(0);
+    (1..=3).for_each(|number| assert_eq!(aggregator.receive_batch(number), Arrival::Accept));
+    aggregator.report_stored(1);
+    assert_eq!(
+        aggregator.receiving.handle_failed_store(aggregator.stream),
+        Some((aggregator.id, aggregator.resend(2)))
+    );
+    assert_eq!(aggregator.receive_batch(3), Arrival::Rejected(None));
+    assert_eq!(aggregator.receive_batch(2), Arrival::Accept);
 }
 
 #[test]
 fn lost_batches_are_reported_missing_once() {
     for (stored, first, from) in [(3, 1, 4), (0, 1, 1), (0, 5, 5), (3, 6, 4)] {
-        let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
+        let (mut aggregator, id, stream) = (receiving(), HostId::random(), StreamId::random());
         let hello = Hello { first, events_before_first: Some(first - 1), ..hello(id, "edge", 1, stream, 8) };
         let record = record_with((stored > 0).then(|| mark(id, stored)));
-        let greeting = end.handle_hello(&hello, record, at(0).mono);
+        let greeting = aggregator.handle_hello(&hello, record, at(0).mono);
         let HelloResult::Welcome { missing, .. } = greeting else { panic!("{greeting:?}") };
         assert_eq!(
             missing,
@@ -123,92 +126,95 @@ fn lost_batches_are_reported_missing_once() {
                 events_through: 7
             })
         );
-        welcomed(&end.handle_hello(&hello, record, at(1).mono));
-        let mut end = AggregatorEnd { receiving: end, id, stream, process: 1 };
-        assert_eq!(end.batch(8), Arrival::Accept);
-        let ack = end.ack(7);
-        assert_eq!(end.stored(7), Some(ack));
+        expect_welcome(&aggregator.handle_hello(&hello, record, at(1).mono));
+        let mut aggregator = AggregatorEnd { receiving: aggregator, id, stream, process: 1 };
+        assert_eq!(aggregator.receive_batch(8), Arrival::Accept);
+        let ack = aggregator.ack(7);
+        assert_eq!(aggregator.report_stored(7), Some(ack));
     }
 }
 
 #[test]
 fn non_consecutive_batch_causes_request_for_hello() {
-    let mut end = AggregatorEnd::with(4);
-    let other = BatchHead { stream: StreamId::random(), ..end.head(5) };
-    assert_eq!(end.receiving.handle_batch(&other, true, at(1).mono), UNKNOWN);
-    let stranger = BatchHead { host: HostId::random(), ..end.head(5) };
-    assert_eq!(end.receiving.handle_batch(&stranger, true, at(1).mono), UNKNOWN);
-    let copied = BatchHead { previous_chain: chain(9), ..end.head(5) };
-    assert_eq!(end.receiving.handle_batch(&copied, true, at(1).mono), UNKNOWN);
-    assert_eq!(end.batch(5), Arrival::Accept);
+    let mut aggregator = AggregatorEnd::with_stored_batches(4);
+    let other = BatchHead { stream: StreamId::random(), ..aggregator.head(5) };
+    assert_eq!(aggregator.receiving.handle_batch(&other, true, at(1).mono), UNKNOWN);
+    let stranger = BatchHead { host: HostId::random(), ..aggregator.head(5) };
+    assert_eq!(aggregator.receiving.handle_batch(&stranger, true, at(1).mono), UNKNOWN);
+    let copied = BatchHead { previous_chain: chain(9), ..aggregator.head(5) };
+    assert_eq!(aggregator.receiving.handle_batch(&copied, true, at(1).mono), UNKNOWN);
+    assert_eq!(aggregator.receive_batch(5), Arrival::Accept);
 }
 
 #[test]
 fn batches_of_dead_process_are_stored_before_next_session() {
-    let mut end = AggregatorEnd::with(0);
-    (1..=3).for_each(|number| assert_eq!(end.batch(number), Arrival::Accept));
-    end.stored(1);
-    assert!(matches!(end.restart_agent(1), HelloResult::Wait), "batches 2 and 3 may still be stored");
-    end.stored(3);
-    let HelloResult::Welcome { reply: ToAgent::Welcome { stored, .. }, .. } = end.restart_agent(1) else {
+    let mut aggregator = AggregatorEnd::with_stored_batches(0);
+    (1..=3).for_each(|number| assert_eq!(aggregator.receive_batch(number), Arrival::Accept));
+    aggregator.report_stored(1);
+    assert!(matches!(aggregator.restart_agent(1), HelloResult::Wait), "batches 2 and 3 may still be stored");
+    aggregator.report_stored(3);
+    let HelloResult::Welcome { reply: ToAgent::Welcome { stored, .. }, .. } = aggregator.restart_agent(1)
+    else {
         panic!("no batch waits to be stored")
     };
     assert_eq!(stored, 3);
 
     // After storing failed, the next process may send a different batch with the same number.
-    let mut end = AggregatorEnd::with(1);
-    assert_eq!(end.batch(2), Arrival::Accept);
-    assert!(matches!(end.restart_agent(1), HelloResult::Wait));
-    end.receiving.handle_failed_store(end.stream);
-    welcomed(&end.restart_agent(1));
-    let other = BatchHead { chain: chain(9), process: 2, ..end.head(2) };
-    assert_eq!(end.receiving.handle_batch(&other, true, at(5_001).mono), Arrival::Accept);
+    let mut aggregator = AggregatorEnd::with_stored_batches(1);
+    assert_eq!(aggregator.receive_batch(2), Arrival::Accept);
+    assert!(matches!(aggregator.restart_agent(1), HelloResult::Wait));
+    aggregator.receiving.handle_failed_store(aggregator.stream);
+    expect_welcome(&aggregator.restart_agent(1));
+    let other = BatchHead { chain: chain(9), process: 2, ..aggregator.head(2) };
+    assert_eq!(aggregator.receiving.handle_batch(&other, true, at(5_001).mono), Arrival::Accept);
 }
 
 #[test]
 fn different_batch_of_same_number_causes_request_for_hello() {
-    let mut end = AggregatorEnd::with(1);
-    (2..=3).for_each(|number| assert_eq!(end.batch(number), Arrival::Accept));
-    let other = BatchHead { chain: chain(9), ..end.head(2) };
-    let next = BatchHead { previous_chain: chain(9), chain: chain(10), ..end.head(4) };
+    let mut aggregator = AggregatorEnd::with_stored_batches(1);
+    (2..=3).for_each(|number| assert_eq!(aggregator.receive_batch(number), Arrival::Accept));
+    let other = BatchHead { chain: chain(9), ..aggregator.head(2) };
+    let next = BatchHead { previous_chain: chain(9), chain: chain(10), ..aggregator.head(4) };
     for head in [other, next] {
-        assert_eq!(end.receiving.handle_batch(&head, true, at(5_001).mono), UNKNOWN);
+        assert_eq!(aggregator.receiving.handle_batch(&head, true, at(5_001).mono), UNKNOWN);
     }
 }
 
 #[test]
 fn damaged_batch_is_requested_twice_then_quarantined() {
-    let mut end = AggregatorEnd::with(0);
-    let (head, resend) = (end.head(1), Arrival::Rejected(Some(end.resend(1))));
-    assert_eq!(end.receiving.handle_batch(&head, false, at(1).mono), resend);
-    assert_eq!(end.batch(2), Arrival::Rejected(None));
-    assert_eq!(end.receiving.handle_batch(&head, false, at(1).mono), resend);
+    let mut aggregator = AggregatorEnd::with_stored_batches(0);
+    let (head, resend) = (aggregator.head(1), Arrival::Rejected(Some(aggregator.resend(1))));
+    assert_eq!(aggregator.receiving.handle_batch(&head, false, at(1).mono), resend);
+    assert_eq!(aggregator.receive_batch(2), Arrival::Rejected(None));
+    assert_eq!(aggregator.receiving.handle_batch(&head, false, at(1).mono), resend);
     // Different damage shows that the batch was damaged in transit.
     let other = BatchHead { events: 2, ..head };
-    assert_eq!(end.receiving.handle_batch(&other, false, at(1).mono), resend);
-    assert_eq!(end.receiving.handle_batch(&head, false, at(1).mono), resend);
-    assert_eq!(end.receiving.handle_batch(&head, false, at(1).mono), resend);
-    assert_eq!(end.receiving.handle_batch(&head, false, at(1).mono), Arrival::AcceptDamaged);
-    assert_eq!(end.batch(2), Arrival::Accept);
+    assert_eq!(aggregator.receiving.handle_batch(&other, false, at(1).mono), resend);
+    assert_eq!(aggregator.receiving.handle_batch(&head, false, at(1).mono), resend);
+    assert_eq!(aggregator.receiving.handle_batch(&head, false, at(1).mono), resend);
+    assert_eq!(aggregator.receiving.handle_batch(&head, false, at(1).mono), Arrival::AcceptDamaged);
+    assert_eq!(aggregator.receive_batch(2), Arrival::Accept);
 }
 
 #[test]
 fn batches_with_damaged_chains_cause_request_for_hello() {
-    let mut end = AggregatorEnd::with(0);
-    let (head, resend) =
-        (BatchHead { previous_chain: chain(7), ..end.head(1) }, Arrival::Rejected(Some(end.resend(1))));
+    let mut aggregator = AggregatorEnd::with_stored_batches(0);
+    let (head, resend) = (
+        BatchHead { previous_chain: chain(7), ..aggregator.head(1) },
+        Arrival::Rejected(Some(aggregator.resend(1))),
+    );
     for expected in [resend.clone(), resend.clone(), UNKNOWN, resend] {
-        assert_eq!(end.receiving.handle_batch(&head, false, at(1).mono), expected);
+        assert_eq!(aggregator.receiving.handle_batch(&head, false, at(1).mono), expected);
     }
 }
 
 #[test]
 fn deferred_streams_are_requested_oldest_first() {
-    let mut end = receiving();
+    let mut aggregator = receiving();
     let agents: Vec<(HostId, StreamId)> = (0..3)
         .map(|n| {
             let (id, stream) = (HostId::random(), StreamId::random());
-            welcomed(&end.handle_hello(
+            expect_welcome(&aggregator.handle_hello(
                 &hello(id, &format!("edge-{n}"), n, stream, 1),
                 record_with(None),
                 at(0).mono,
@@ -217,35 +223,36 @@ fn deferred_streams_are_requested_oldest_first() {
         })
         .collect();
     for agent in [2, 0, 2, 1] {
-        end.defer_batch(agents[agent].1);
+        aggregator.defer_batch(agents[agent].1);
     }
-    end.defer_batch(StreamId::random());
+    aggregator.defer_batch(StreamId::random());
     let request = |agent: usize| (agents[agent].0, ToAgent::Resend { stream: agents[agent].1, from: 1 });
-    assert_eq!(end.request_deferred(0), []);
-    assert_eq!(end.request_deferred(2), [request(2), request(0)]);
+    assert_eq!(aggregator.request_deferred(0), []);
+    assert_eq!(aggregator.request_deferred(2), [request(2), request(0)]);
     // Batches that a hello brings again are not requested.
-    end.handle_hello(&hello(agents[1].0, "edge-1", 1, agents[1].1, 1), record_with(None), at(1).mono);
-    assert_eq!(end.request_deferred(2), []);
+    aggregator.handle_hello(&hello(agents[1].0, "edge-1", 1, agents[1].1, 1), record_with(None), at(1).mono);
+    assert_eq!(aggregator.request_deferred(2), []);
     // The queue had no capacity for a requested batch again.
-    end.defer_batch(agents[2].1);
-    assert_eq!(end.request_deferred(9), [request(2)]);
-    end.defer_batch(agents[0].1);
-    end.handle_goodbye(agents[0].0);
-    assert_eq!(end.request_deferred(9), []);
+    aggregator.defer_batch(agents[2].1);
+    assert_eq!(aggregator.request_deferred(9), [request(2)]);
+    aggregator.defer_batch(agents[0].1);
+    aggregator.handle_goodbye(agents[0].0);
+    assert_eq!(aggregator.request_deferred(9), []);
 }
 
 #[test]
 fn agent_that_ignores_window_is_limited() {
-    let mut end = AggregatorEnd::with(0);
-    let accepted = (1..=10_000).take_while(|number| end.batch(*number) == Arrival::Accept).count();
+    let mut aggregator = AggregatorEnd::with_stored_batches(0);
+    let accepted =
+        (1..=10_000).take_while(|number| aggregator.receive_batch(*number) == Arrival::Accept).count();
     assert!((MAX_IN_FLIGHT_BATCHES..3_000).contains(&accepted), "{accepted}");
-    assert_eq!(end.restart_agent(0), HelloResult::Wait);
+    assert_eq!(aggregator.restart_agent(0), HelloResult::Wait);
 }
 
 #[test]
 fn largest_batch_numbers_are_handled() {
     let last = i64::MAX as u64;
-    let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
+    let (mut aggregator, id, stream) = (receiving(), HostId::random(), StreamId::random());
     let stored = |number| StoredPosition {
         host: id,
         stored: number,
@@ -254,7 +261,7 @@ fn largest_batch_numbers_are_handled() {
         events: Some(number),
     };
     let hello = Hello { oldest: last, chain_before_oldest: Chain::START, ..hello(id, "edge", 1, stream, 1) };
-    let greeting = end.handle_hello(&hello, record_with(None), at(0).mono);
+    let greeting = aggregator.handle_hello(&hello, record_with(None), at(0).mono);
     assert!(matches!(greeting, HelloResult::Welcome { missing: Some(MissingBatches { from: 1, .. }), .. }));
     let head = |number| {
         let (host, previous_chain, chain) = (id, Chain::START, chain(1));
@@ -269,14 +276,17 @@ fn largest_batch_numbers_are_handled() {
             events_before: number - 1,
         }
     };
-    assert_eq!(end.handle_batch(&head(last), true, at(1).mono), Arrival::Accept);
+    assert_eq!(aggregator.handle_batch(&head(last), true, at(1).mono), Arrival::Accept);
     assert_eq!(
-        end.handle_batch(&BatchHead { previous_chain: chain(1), ..head(last + 1) }, true, at(1).mono),
+        aggregator.handle_batch(&BatchHead { previous_chain: chain(1), ..head(last + 1) }, true, at(1).mono),
         Arrival::Rejected(None)
     );
-    assert!(end.handle_stored(stream, stored(u64::MAX)).is_some());
-    assert_eq!(end.handle_failed_store(stream), Some((id, ToAgent::Resend { stream, from: u64::MAX })));
-    assert_eq!(end.handle_batch(&head(u64::MAX), true, at(1).mono), UNKNOWN);
-    end.handle_goodbye(id);
-    welcomed(&end.handle_hello(&hello, record_with(Some(stored(u64::MAX))), at(2).mono));
+    assert!(aggregator.handle_stored(stream, stored(u64::MAX)).is_some());
+    assert_eq!(
+        aggregator.handle_failed_store(stream),
+        Some((id, ToAgent::Resend { stream, from: u64::MAX }))
+    );
+    assert_eq!(aggregator.handle_batch(&head(u64::MAX), true, at(1).mono), UNKNOWN);
+    aggregator.handle_goodbye(id);
+    expect_welcome(&aggregator.handle_hello(&hello, record_with(Some(stored(u64::MAX))), at(2).mono));
 }

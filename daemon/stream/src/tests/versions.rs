@@ -1,7 +1,7 @@
 //! Agents of other versions.
 
 use super::super::codec::{decode, encode};
-use super::admission::{hello, reason, record_with, welcomed};
+use super::admission::{expect_refusal, expect_welcome, hello, record_with};
 use super::*;
 
 /// Returns the hello of an agent that supports other versions.
@@ -16,8 +16,8 @@ fn extension(newest: u16) -> Option<HelloExtension> {
 
 /// Returns the version in the challenge to a hello.
 fn chosen_version(hello: &Hello) -> Option<u16> {
-    let mut end = Challenges::new("base".parse().expect("a name"));
-    match end.challenge(1, hello.clone(), false, Nonce::from_bytes([5; 32]), at(0).mono) {
+    let mut challenges = Challenges::new("base".parse().expect("a name"));
+    match challenges.challenge(1, hello.clone(), false, Nonce::from_bytes([5; 32]), at(0).mono) {
         ToAgent::Challenge { version, .. } => version,
         other => panic!("expected a challenge, got {other:?}"),
     }
@@ -27,7 +27,7 @@ fn chosen_version(hello: &Hello) -> Option<u16> {
 fn agent_of_first_version_gets_only_messages_of_that_version() {
     let old = hello_of(5, None);
     assert_eq!((chosen_version(&old), HelloExtension::from_versions(&VersionRange::single(5))), (None, None));
-    welcomed(&receiving().handle_hello(&old, record_with(None), at(0).mono));
+    expect_welcome(&receiving().handle_hello(&old, record_with(None), at(0).mono));
     let frame = encode(&ToAggregator::Hello(old.clone()));
     assert_eq!(decode(&frame), Ok(ToAggregator::Hello(old)));
 }
@@ -36,7 +36,7 @@ fn agent_of_first_version_gets_only_messages_of_that_version() {
 fn later_agent_is_served_in_newest_common_version() {
     let newest = STREAM_VERSIONS.newest();
     let later = hello_of(STREAM_VERSIONS.oldest(), extension(newest + 3));
-    welcomed(&receiving().handle_hello(&later, record_with(None), at(0).mono));
+    expect_welcome(&receiving().handle_hello(&later, record_with(None), at(0).mono));
     let (oldest, version) = (later.protocol, chosen_version(&later));
     assert_eq!(version.unwrap_or(oldest), newest);
     assert_eq!(chosen_version(&hello_of(newest - 1, extension(newest + 1))), Some(newest));
@@ -61,7 +61,7 @@ fn unknown_names_in_hello_are_ignored() {
 #[test]
 fn agent_without_common_version_is_refused_with_release() {
     let refusal = |hello: Hello| {
-        let stated_reason = reason(receiving().handle_hello(&hello, record_with(None), at(0).mono));
+        let stated_reason = expect_refusal(receiving().handle_hello(&hello, record_with(None), at(0).mono));
         assert_eq!(Receiving::version_refusal(&hello), Some(stated_reason.clone()));
         stated_reason
     };

@@ -30,7 +30,7 @@ fn state_after_updates(testbed: &mut Testbed, backlog: bool) -> LiveState {
             }
         }
         let event = update(testbed.host, wall(at), vec![pipeline("line", vec![second])]);
-        testbed.live.apply(with(event, accounting), now(at));
+        testbed.live.apply(with_accounting(event, accounting), now(at));
     }
     testbed.snapshot(9.8)
 }

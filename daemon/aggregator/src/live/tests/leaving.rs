@@ -6,7 +6,7 @@ use super::*;
 fn update_in_state(testbed: &Testbed, at: f64, state: PipelineState, waiting: u64) -> LiveEvent {
     let live = PipelineLive { state, ..pipeline("line", vec![]) };
     let accounting = Accounting { produced: 100, stored: 100 - waiting, waiting, ..Accounting::default() };
-    with(update(testbed.host, wall(at), vec![live]), accounting)
+    with_accounting(update(testbed.host, wall(at), vec![live]), accounting)
 }
 
 /// Returns whether the host is connected, whether it left in order, and the state of its only pipeline.

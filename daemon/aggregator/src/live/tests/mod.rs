@@ -83,7 +83,7 @@ fn update(host: HostId, sent: WallTime, pipelines: Vec<PipelineLive>) -> LiveEve
 }
 
 /// Replaces the accounting of an update.
-fn with(event: LiveEvent, accounting: Accounting) -> LiveEvent {
+fn with_accounting(event: LiveEvent, accounting: Accounting) -> LiveEvent {
     let LiveEvent::Update(mut update) = event else { panic!("an update") };
     update.accounting = accounting;
     LiveEvent::Update(update)
@@ -352,7 +352,9 @@ fn counts_of_host_and_database_are_shown() {
         trouble: Some("é".repeat(1_000)),
         ..Accounting::default()
     };
-    testbed.live.apply(with(update(testbed.host, wall(30.0), vec![]), accounting.clone()), now(30.0));
+    testbed
+        .live
+        .apply(with_accounting(update(testbed.host, wall(30.0), vec![]), accounting.clone()), now(30.0));
     let stored = StoredCounts { events: 4, nodes: 80, ..StoredCounts::default() };
     testbed.live.apply(LiveEvent::Stored(testbed.host, stored, Some(wall(12.0))), now(30.1));
     testbed.live.apply(LiveEvent::Duplicate(testbed.host), now(30.2));
@@ -363,7 +365,7 @@ fn counts_of_host_and_database_are_shown() {
     let cut = Some("é".repeat(256));
     assert_eq!(snapshot.hosts[0].accounting, Accounting { trouble: cut, ..accounting });
     let idle = Accounting { waiting: 0, ..accounting };
-    testbed.live.apply(with(update(testbed.host, wall(30.5), vec![]), idle), now(30.5));
+    testbed.live.apply(with_accounting(update(testbed.host, wall(30.5), vec![]), idle), now(30.5));
     assert_eq!(testbed.snapshot(30.5).hosts[0].behind, None, "nothing waits");
     assert!(testbed.live.apply(LiveEvent::Goodbye(testbed.host), now(31.0)));
     assert!(!testbed.snapshot(31.0).hosts[0].connected);
@@ -374,7 +376,7 @@ fn restarted_host_is_connected_from_first_update() {
     let mut testbed = Testbed::new();
     let account = |produced| Accounting { produced, ..Accounting::default() };
     let first = update(testbed.host, wall(1.0), vec![pipeline("line", vec![])]);
-    testbed.live.apply(with(first, account(10)), now(1.0));
+    testbed.live.apply(with_accounting(first, account(10)), now(1.0));
     let mut hello = |process, at| {
         testbed.live.apply(LiveEvent::Hello(Box::new(description(testbed.host, "edge")), process), now(at));
         let snapshot = testbed.live.snapshot(now(at));
@@ -387,7 +389,7 @@ fn restarted_host_is_connected_from_first_update() {
     // The same process on a new connection, then another process.
     assert_eq!(hello(1, 1.1), (true, 10, PipelineState::Running));
     assert_eq!(hello(2, 1.2), (false, 10, PipelineState::Away));
-    testbed.live.apply(with(update(testbed.host, wall(1.3), vec![]), account(12)), now(1.3));
+    testbed.live.apply(with_accounting(update(testbed.host, wall(1.3), vec![]), account(12)), now(1.3));
     let host = &testbed.snapshot(1.3).hosts[0];
     assert_eq!((host.connected, host.accounting.produced), (true, 12));
 }

@@ -4,7 +4,7 @@ use super::*;
 
 #[test]
 fn batch_is_complete_at_max_nodes_bytes_or_age() {
-    let mut agent = Agent::up(SendingConfig { batch_nodes: 3, ..config() });
+    let mut agent = Agent::new_welcomed(SendingConfig { batch_nodes: 3, ..config() });
     agent.offer(7);
     assert_eq!(agent.sent.iter().map(|head| head.events).collect::<Vec<_>>(), [3, 3]);
     assert_eq!(agent.sending.deadline(), Some(at(200).mono));
@@ -14,9 +14,10 @@ fn batch_is_complete_at_max_nodes_bytes_or_age() {
     assert_eq!(agent.sent.iter().map(|head| head.events).collect::<Vec<_>>(), [3, 3, 1]);
 
     let batch_bytes = agent.file.batches[&3].body.len();
-    let mut agent = Agent::up(SendingConfig { batch_nodes: 100, batch_bytes: 2 * batch_bytes, ..config() });
+    let mut agent =
+        Agent::new_welcomed(SendingConfig { batch_nodes: 100, batch_bytes: 2 * batch_bytes, ..config() });
     agent.offer(3);
-    assert_eq!(agent.numbers(), [1]);
+    assert_eq!(agent.take_sent_numbers(), [1]);
     let long = incident(&"x".repeat(10 * batch_bytes));
     agent.sending.offer(&long, agent.now());
     agent.sending.offer(&incident("event 0"), agent.now());
@@ -30,9 +31,9 @@ fn batch_is_complete_at_max_nodes_bytes_or_age() {
 
 #[test]
 fn batches_are_consecutive_and_spooled_before_sending() {
-    let mut agent = Agent::up(config());
-    agent.cut(3);
-    assert_eq!(agent.numbers(), [1, 2, 3]);
+    let mut agent = Agent::new_welcomed(config());
+    agent.offer_batches(3);
+    assert_eq!(agent.take_sent_numbers(), [1, 2, 3]);
     assert_eq!(agent.file.newest.0, 3);
     let state = agent.file.state();
     assert_eq!((state.waiting_usage.events, state.totals.produced), (3, 3));
@@ -56,10 +57,10 @@ fn batches_are_consecutive_and_spooled_before_sending() {
     );
     assert_eq!(totals.submitted.settled().events.total, 4);
     agent.ack(3);
-    assert_eq!(agent.numbers(), [0; 0], "batch 4 is not written yet");
+    assert_eq!(agent.take_sent_numbers(), [0; 0], "batch 4 is not written yet");
     agent.perform(Action::Append { batches, totals });
     agent.settle();
-    assert_eq!(agent.numbers(), [4]);
+    assert_eq!(agent.take_sent_numbers(), [4]);
 }
 
 #[test]

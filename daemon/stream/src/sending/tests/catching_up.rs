@@ -5,7 +5,7 @@ use super::*;
 /// Length of a body of which few fill the memory.
 const LONG_BODY_BYTES: usize = 1024;
 
-fn backlog(batches: usize) -> Agent {
+fn agent_with_backlog(batches: usize) -> Agent {
     let mut agent = Agent::new(SendingConfig { batch_bytes: LONG_BODY_BYTES, ..config() });
     for _ in 0..batches {
         agent.sending.offer(&incident(&"x".repeat(LONG_BODY_BYTES - 100)), agent.now());
@@ -16,15 +16,19 @@ fn backlog(batches: usize) -> Agent {
 }
 
 /// Returns the bytes of bodies in memory.
-fn in_memory(agent: &Agent) -> u64 {
+fn bytes_in_memory(agent: &Agent) -> u64 {
     agent.sending.spooler.backlog.waiting_usage().bytes
         - agent.sending.spooler.backlog.file_only_usage().bytes
 }
 
 #[test]
 fn backlog_is_not_kept_in_memory() {
-    let agent = backlog(200);
-    assert!(in_memory(&agent) <= 6 * LONG_BODY_BYTES as u64, "{} bytes in memory", in_memory(&agent));
+    let agent = agent_with_backlog(200);
+    assert!(
+        bytes_in_memory(&agent) <= 6 * LONG_BODY_BYTES as u64,
+        "{} bytes in memory",
+        bytes_in_memory(&agent)
+    );
     let accounting = agent.accounting();
     assert_eq!((accounting.waiting, accounting.spooled, accounting.memory_bytes), (200, 200, 0));
     assert_eq!(accounting.oldest, Some(at(0).wall));
@@ -33,10 +37,10 @@ fn backlog_is_not_kept_in_memory() {
 #[test]
 fn backlog_is_delivered_in_order_before_new_events() {
     for restart in [false, true] {
-        let mut agent = backlog(200);
+        let mut agent = agent_with_backlog(200);
         if restart {
             agent = agent.restart();
-            assert_eq!(in_memory(&agent), 0);
+            assert_eq!(bytes_in_memory(&agent), 0);
             assert_eq!(agent.accounting().oldest, Some(at(0).wall));
         }
         agent.connect();
@@ -54,24 +58,24 @@ fn backlog_is_delivered_in_order_before_new_events() {
 
 #[test]
 fn file_is_read_while_batches_are_in_flight() {
-    let mut agent = backlog(40).restart();
+    let mut agent = agent_with_backlog(40).restart();
     agent.connect();
     agent.welcome(0, None);
     let mut waited = 0;
     while !agent.sending.is_idle() {
-        let Some(last) = agent.numbers().last().copied() else { panic!("nothing is sent") };
+        let Some(last) = agent.take_sent_numbers().last().copied() else { panic!("nothing is sent") };
         // The answers of the disk come one round later than the answers of the aggregator.
         let (stream, now) = (agent.stream(), agent.now());
         agent.sending.on_message(&ToAgent::Ack { stream, through: last, window: 3 }, now);
         let mut jobs = Vec::new();
         while let Some(action) = agent.sending.next(now.mono) {
             match action {
-                Action::Send(frame) => agent.sent(frame.into()),
+                Action::Send(frame) => agent.record_frame(frame.into()),
                 job => jobs.push(job),
             }
         }
         waited += usize::from(agent.sent.is_empty() && last < 40);
-        assert!(in_memory(&agent) <= 6 * LONG_BODY_BYTES as u64);
+        assert!(bytes_in_memory(&agent) <= 6 * LONG_BODY_BYTES as u64);
         jobs.into_iter().for_each(|job| agent.perform(job));
         agent.settle();
     }
@@ -80,11 +84,11 @@ fn file_is_read_while_batches_are_in_flight() {
 
 #[test]
 fn unreadable_spool_is_read_again() {
-    let mut agent = backlog(20).restart();
+    let mut agent = agent_with_backlog(20).restart();
     agent.spool_is_broken = true;
     agent.connect();
     agent.welcome(0, None);
-    assert_eq!(agent.numbers(), [0; 0]);
+    assert_eq!(agent.take_sent_numbers(), [0; 0]);
     assert!(
         matches!(&agent.notices[..], [Notice::SpoolFailed(why), Notice::Welcomed { .. }] if why == "the disk is full")
     );

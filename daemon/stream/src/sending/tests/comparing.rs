@@ -8,10 +8,10 @@ const OTHER_CHAIN: Option<Chain> = Some(Chain::from_bytes([9; 16]));
 /// Returns an agent with batches in the file that were never acknowledged. The aggregator was connected while the first
 /// `before_restart` batches were created; then a process without a connection created `after_restart` batches.
 fn agent_with_unacknowledged(before_restart: usize, after_restart: usize) -> Agent {
-    let mut agent = Agent::up(config());
-    agent.cut(before_restart);
+    let mut agent = Agent::new_welcomed(config());
+    agent.offer_batches(before_restart);
     let mut agent = agent.restart();
-    agent.cut(after_restart);
+    agent.offer_batches(after_restart);
     agent.restart()
 }
 
@@ -66,7 +66,7 @@ fn nothing_is_deleted_or_sent_before_comparison() {
 fn spool_that_lost_its_end_sends_no_batch_twice() {
     // Ten batches were sent, acknowledged and not deleted yet. The aggregator has five more from the same process.
     let mut agent = agent_with_unacknowledged(10, 0);
-    agent.cut(2);
+    agent.offer_batches(2);
     let old_stream = agent.file.stream;
     agent.connect();
     agent.welcome_after(15, OTHER_CHAIN, Some(1));
@@ -84,7 +84,7 @@ fn spool_that_lost_its_end_sends_no_batch_twice() {
 fn unsent_batches_are_distinguished_from_sent_batches_after_restart() {
     // The same situation after a process without a connection.
     let mut agent = agent_with_unacknowledged(10, 3).restart();
-    agent.cut(2);
+    agent.offer_batches(2);
     agent.connect();
     agent.welcome_after(14, OTHER_CHAIN, Some(1));
     agent.welcome(10, None);
@@ -98,11 +98,11 @@ fn newest_sent_batch_is_recorded_per_process() {
     let mut agent = agent_with_unacknowledged(10, 0);
     agent.connect();
     agent.welcome(0, None);
-    agent.cut(4);
+    agent.offer_batches(4);
     for (process, first) in [(1, 11), (3, 15)] {
         let file = agent.file.clone();
         let mut agent = Agent::open(agent.config, agent.host, file);
-        agent.cut(1);
+        agent.offer_batches(1);
         agent.connect();
         agent.welcome_after(17, OTHER_CHAIN, Some(process));
         assert_eq!(agent.hellos.last().map(|hello| hello.first), Some(first));
@@ -166,18 +166,18 @@ fn aggregator_with_batches_of_copy_gets_new_stream() {
 /// Returns an agent with two batches that sends another hello. The batches before them are stored: four from its first
 /// process, and two from its second process.
 fn agent_with_deleted_batches() -> Agent {
-    let mut agent = Agent::up(config());
-    agent.cut(4);
+    let mut agent = Agent::new_welcomed(config());
+    agent.offer_batches(4);
     agent.deliver();
     agent.advance_ms(1_000);
     let mut agent = agent.restart();
     agent.connect();
     let chain = Some(agent.file.previous_chain);
     agent.welcome_after(4, chain, Some(1));
-    agent.cut(2);
+    agent.offer_batches(2);
     agent.deliver();
-    agent.cut(2);
-    agent.numbers();
+    agent.offer_batches(2);
+    agent.take_sent_numbers();
     agent.receive(&ToAgent::Unknown);
     agent
 }
@@ -190,7 +190,7 @@ fn nothing_is_sent_during_stream_renewal() {
     agent.welcome_after(9, OTHER_CHAIN, Some(1));
     assert_eq!(agent.notices.len(), 2, "{:?}", agent.notices);
     let hellos = agent.hellos.len();
-    agent.cut(3);
+    agent.offer_batches(3);
     agent.welcome(4, OTHER_CHAIN);
     agent.advance_ms(30_000);
     assert_eq!((agent.hellos.len(), agent.sent.len()), (hellos, 0));
@@ -203,8 +203,8 @@ fn nothing_is_sent_during_stream_renewal() {
 
 #[test]
 fn large_file_is_compared_without_being_kept_in_memory() {
-    let mut agent = Agent::up(SendingConfig { batch_bytes: 200, ..config() });
-    agent.cut(500);
+    let mut agent = Agent::new_welcomed(SendingConfig { batch_bytes: 200, ..config() });
+    agent.offer_batches(500);
     let mut agent = agent.restart();
     agent.connect();
     let chain = agent.chain(400);

@@ -3,9 +3,9 @@
 use super::*;
 
 /// Returns an agent whose disk fails after three batches were delivered.
-fn failing() -> Agent {
-    let mut agent = Agent::up(config());
-    agent.cut(3);
+fn agent_with_failing_disk() -> Agent {
+    let mut agent = Agent::new_welcomed(config());
+    agent.offer_batches(3);
     agent.deliver();
     agent.advance_ms(1_000);
     agent.spool_is_broken = true;
@@ -14,16 +14,16 @@ fn failing() -> Agent {
 
 #[test]
 fn batches_are_sent_from_memory_while_disk_is_full() {
-    let mut agent = failing();
-    agent.cut(7);
+    let mut agent = agent_with_failing_disk();
+    agent.offer_batches(7);
     let reason = "the disk is full";
     assert_eq!(agent.notices[1..], [Notice::SpoolFailed(reason.into())]);
-    assert_eq!(agent.numbers(), [4, 5, 6]);
+    assert_eq!(agent.take_sent_numbers(), [4, 5, 6]);
     let accounting = agent.accounting();
     assert_eq!((accounting.trouble.as_deref(), accounting.waiting, accounting.sent), (Some(reason), 7, 6));
     assert!(accounting.memory_bytes > 0);
     agent.ack(6);
-    assert_eq!(agent.numbers(), [7, 8, 9]);
+    assert_eq!(agent.take_sent_numbers(), [7, 8, 9]);
     agent.spool_is_broken = false;
     agent.actions.clear();
     agent.advance_ms(1_000);
@@ -52,8 +52,8 @@ fn batches_are_sent_from_memory_while_disk_is_full() {
 
 #[test]
 fn failure_and_recovery_are_reported_once() {
-    let mut agent = failing();
-    agent.cut(2);
+    let mut agent = agent_with_failing_disk();
+    agent.offer_batches(2);
     (0..20).for_each(|_| agent.advance_ms(1_000));
     assert!(agent.count_actions(|action| matches!(action, Action::Append { .. })) > 10);
     agent.spool_is_broken = false;
@@ -67,9 +67,9 @@ fn failure_and_recovery_are_reported_once() {
 #[test]
 fn acknowledgement_during_write_deletes_batch_after_write() {
     for fails in [false, true] {
-        let mut agent = failing();
-        agent.cut(2);
-        assert_eq!(agent.numbers(), [4, 5]);
+        let mut agent = agent_with_failing_disk();
+        agent.offer_batches(2);
+        assert_eq!(agent.take_sent_numbers(), [4, 5]);
         agent.millis += 1_000;
         let retry = agent.sending.next(agent.now().mono).expect("the write is tried again");
         assert!(matches!(&retry, Action::Append { batches, .. } if batches.len() == 2));
@@ -90,16 +90,16 @@ fn acknowledgement_during_write_deletes_batch_after_write() {
 #[test]
 fn process_killed_with_full_disk_repeats_no_batch() {
     // Two batches are in the file, acknowledged but not deleted; two more were stored from memory.
-    let mut agent = Agent::up(config());
-    agent.cut(2);
+    let mut agent = Agent::new_welcomed(config());
+    agent.offer_batches(2);
     agent.spool_is_broken = true;
     agent.deliver();
-    agent.cut(3);
-    assert_eq!(agent.numbers(), [3, 4, 5]);
+    agent.offer_batches(3);
+    assert_eq!(agent.take_sent_numbers(), [3, 4, 5]);
     agent.ack(4);
     let mut agent = agent.restart();
     assert_eq!((agent.file.newest.0, agent.file.batches.len()), (2, 2));
-    agent.cut(2);
+    agent.offer_batches(2);
     agent.connect();
     agent.welcome_after(4, Some(Chain::from_bytes([9; 16])), Some(1));
     agent.welcome(2, None);
@@ -117,13 +117,13 @@ fn unspooled_batches_wait_until_file_records_sending() {
     // A process without a connection wrote two batches. The next process meets the aggregator and a full disk at the
     // same time.
     let mut agent = Agent::new(config());
-    agent.cut(2);
+    agent.offer_batches(2);
     let mut agent = agent.restart();
     agent.spool_is_broken = true;
-    agent.cut(2);
+    agent.offer_batches(2);
     agent.connect();
     agent.welcome(0, None);
-    assert_eq!(agent.numbers(), [0; 0], "the file cannot be read either");
+    assert_eq!(agent.take_sent_numbers(), [0; 0], "the file cannot be read either");
     agent.spool_is_broken = false;
     agent.advance_ms(1_000);
     assert_eq!(agent.file.newest_sent, [NewestSentBatch { process: 2, number: 4 }]);
@@ -150,7 +150,7 @@ fn events_beyond_disk_and_memory_are_counted_as_dropped() {
 }
 
 /// Returns the number of events that the gaps in the file report.
-fn reported(file: &File) -> u64 {
+fn reported_losses(file: &File) -> u64 {
     let gap = |event: &Event| match event {
         Event::Gap(gap) => gap.count,
         _ => 0,
@@ -166,8 +166,8 @@ fn reported(file: &File) -> u64 {
 fn losses_are_counted_while_disk_is_full() {
     let memory = Usage { events: 6, bytes: 1 << 20 };
     let mut agent = Agent::new(SendingConfig { memory, ..config() });
-    agent.cut(2);
-    agent.full = true;
+    agent.offer_batches(2);
+    agent.rejects_batches = true;
     agent.offer(20);
     agent.advance_ms(1_000);
     agent.advance_ms(1_000);
@@ -178,10 +178,10 @@ fn losses_are_counted_while_disk_is_full() {
     assert_eq!((failed, agent.notices.len()), (1, 1), "{:?}", agent.notices);
     // After a kill the events in memory are unknown, but the file knows the number of events that were dropped before.
     let mut agent = agent.restart();
-    agent.cut(1);
+    agent.offer_batches(1);
     let accounting = agent.accounting();
     assert_eq!(
-        (accounting.produced, accounting.waiting, accounting.dropped, reported(&agent.file)),
+        (accounting.produced, accounting.waiting, accounting.dropped, reported_losses(&agent.file)),
         (18, 4, 14, 14)
     );
 }
@@ -190,14 +190,14 @@ fn losses_are_counted_while_disk_is_full() {
 fn events_lost_with_memory_are_reported_after_restart() {
     let memory = Usage { events: 6, bytes: 1 << 20 };
     let mut agent = Agent::new(SendingConfig { memory, ..config() });
-    agent.cut(2);
+    agent.offer_batches(2);
     // One loss is reported in a gap that is in the spool, the next one in a gap that is not.
     agent.spool_is_broken = true;
     agent.offer(8);
     agent.spool_is_broken = false;
     (0..2).for_each(|_| agent.advance_ms(1_000));
-    assert_eq!(reported(&agent.file), 2);
-    agent.full = true;
+    assert_eq!(reported_losses(&agent.file), 2);
+    agent.rejects_batches = true;
     agent.offer(8);
     agent.sending.flush(agent.now().wall);
     agent.settle();
@@ -214,6 +214,9 @@ fn events_lost_with_memory_are_reported_after_restart() {
     );
     assert_eq!(accounting.dropped, before.produced - accounting.waiting, "{accounting:?}");
     let mut agent = agent.restart();
-    agent.cut(1);
-    assert_eq!((agent.accounting().dropped, reported(&agent.file)), (accounting.dropped, accounting.dropped));
+    agent.offer_batches(1);
+    assert_eq!(
+        (agent.accounting().dropped, reported_losses(&agent.file)),
+        (accounting.dropped, accounting.dropped)
+    );
 }

@@ -22,7 +22,7 @@ fn usual_config() -> SendingConfig {
 }
 
 /// Returns the number of events stored within four seconds on a connection that is two seconds old, with a backlog.
-fn stored(settings: LinkSettings) -> u64 {
+fn stored_events(settings: LinkSettings) -> u64 {
     let mut link = Link::new(usual_config(), settings);
     link.run(4);
     link.connect();
@@ -51,8 +51,8 @@ fn fast_link_is_limited_by_store_only() {
             events_per_s: EVENTS_PER_S,
             text: long_text,
         };
-        let controlled = stored(settings);
-        let uncontrolled = stored(LinkSettings { controlled: false, ..settings });
+        let controlled = stored_events(settings);
+        let uncontrolled = stored_events(LinkSettings { controlled: false, ..settings });
         let description = format!(
             "{bytes_per_s} B/s, {one_way} ms, commits of {commit} ms, {busy_ms} ms away: {controlled} events, {uncontrolled} without \
              control"

@@ -6,16 +6,16 @@ use super::*;
 
 #[test]
 fn acknowledgement_of_unsent_batch_causes_new_hello() {
-    let mut agent = Agent::up(config());
-    agent.cut(5);
-    assert_eq!(agent.numbers(), [1, 2, 3]);
+    let mut agent = Agent::new_welcomed(config());
+    agent.offer_batches(5);
+    assert_eq!(agent.take_sent_numbers(), [1, 2, 3]);
     for through in [4, 5, 6, u64::MAX] {
         agent.ack(through);
         assert_eq!((agent.file.batches.len(), agent.accounting().stored), (5, 0));
         agent.advance_ms(60_000);
         agent.welcome(0, None);
     }
-    assert_eq!(agent.numbers().last(), Some(&3));
+    assert_eq!(agent.take_sent_numbers().last(), Some(&3));
 }
 
 fn message(stream: StreamId, kind: u8, number: u64, window: u32, chain: Option<Chain>) -> ToAgent {
@@ -37,13 +37,13 @@ proptest! {
         steps in prop::collection::vec((0_u8..11, prop_oneof![0_u64..14, Just(u64::MAX)], any::<u32>(), 0_u8..4), 1..60),
     ) {
         let mut agent = Agent::new(SendingConfig { batch_bytes: 200, ..config() });
-        agent.cut(8);
+        agent.offer_batches(8);
         let mut agent = agent.restart();
         agent.connect();
         for (kind, number, window, flags) in steps {
             agent.spool_is_broken = flags == 3;
             match kind {
-                7 => agent.cut(1),
+                7 => agent.offer_batches(1),
                 8 => agent.advance_ms(1_000),
                 9 => { agent.sending.on_disconnected(); agent.settle(); agent.connect(); }
                 10 => { agent.spool_is_broken = false; agent = agent.restart(); agent.connect(); }

@@ -7,7 +7,7 @@ use super::*;
 
 /// Length of a live update of one pipeline without compression.
 const LIVE_UPDATE_BYTES: usize = 1_500;
-const LIVE_EVERY_MS: i64 = 250;
+const LIVE_INTERVAL_MS: i64 = 250;
 
 /// One direction of a link.
 pub(super) struct OneWayPath<T> {
@@ -32,7 +32,7 @@ impl<T> OneWayPath<T> {
         self.in_flight.push_back((self.busy_us / 1_000 + self.delay_ms, message));
     }
 
-    fn arrived(&mut self, now_ms: i64) -> Option<T> {
+    fn pop_arrived(&mut self, now_ms: i64) -> Option<T> {
         let (_, message) = self.in_flight.pop_front_if(|(at, _)| *at <= now_ms)?;
         Some(message)
     }
@@ -69,8 +69,9 @@ pub(super) struct Link {
     pub(super) up: OneWayPath<SentMessage>,
     receiving: Receiving,
     down: OneWayPath<ToAgent>,
-    /// Batches that wait for the next commit; batches of the current commit, and its end.
+    /// Batches that wait for the next commit.
     waiting: Vec<BatchHead>,
+    /// Batches of the current commit, and the time at which the commit ends, milliseconds.
     committing: (Vec<BatchHead>, i64),
     pub(super) stored: u64,
     /// Time at which the newest received live update was made.
@@ -118,10 +119,10 @@ impl Link {
         self.agent.millis += self.settings.step;
         let now = self.agent.millis;
         self.offer();
-        while let Some(message) = self.down.arrived(now) {
+        while let Some(message) = self.down.pop_arrived(now) {
             self.agent.sending.on_message(&message, self.agent.now());
         }
-        self.is_live_due |= now % LIVE_EVERY_MS == 0;
+        self.is_live_due |= now % LIVE_INTERVAL_MS == 0;
         if self.is_live_due && self.agent.sending.may_send_live() {
             self.agent.sending.record_live_sent(LIVE_UPDATE_BYTES);
             self.up.send(LIVE_UPDATE_BYTES, SentMessage::Live(now), now);
@@ -129,7 +130,7 @@ impl Link {
         }
         self.send();
         let is_processing = now % 1_000 >= self.settings.busy_ms;
-        while is_processing && let Some(sent) = self.up.arrived(now) {
+        while is_processing && let Some(sent) = self.up.pop_arrived(now) {
             match sent {
                 SentMessage::Live(made_at) => self.newest_live_at = made_at,
                 SentMessage::Frame(frame) => self.receive(frame),

@@ -29,7 +29,7 @@ fn full_spool_drops_newest_events_and_reports_gap() {
 
 #[test]
 fn deletion_frees_capacity_for_new_events() {
-    let mut agent = Agent::up(SendingConfig { spool_bytes: 4_000, ..config() });
+    let mut agent = Agent::new_welcomed(SendingConfig { spool_bytes: 4_000, ..config() });
     for _ in 0..100 {
         agent.offer(1);
         agent.deliver();
@@ -52,7 +52,7 @@ fn events_wait_in_memory_for_slow_disk() {
 
 #[test]
 fn totals_continue_after_restart() {
-    let mut agent = Agent::up(SendingConfig { spool_bytes: 4_000, ..config() });
+    let mut agent = Agent::new_welcomed(SendingConfig { spool_bytes: 4_000, ..config() });
     agent.sending.on_disconnected();
     agent.offer(200);
     agent.sending.flush(agent.now().wall);

@@ -5,7 +5,7 @@ use super::*;
 /// Returns an agent whose file contained ten batches, of which the given ones are missing.
 fn agent_with_missing_batches(numbers: &[u64]) -> Agent {
     let mut agent = Agent::new(config());
-    agent.cut(10);
+    agent.offer_batches(10);
     numbers.iter().for_each(|number| assert!(agent.file.batches.remove(number).is_some()));
     let state = agent.file.state();
     let mut agent = agent.restart();
@@ -51,7 +51,7 @@ fn missing_batches_at_end_are_skipped() {
     agent.connect();
     agent.welcome(0, None);
     assert_eq!(agent.deliver(), (1..=7).collect::<Vec<_>>());
-    agent.cut(2);
+    agent.offer_batches(2);
     agent.welcome(7, None);
     assert_eq!(agent.deliver(), [11, 12, 13]);
     assert_eq!((agent.accounting().dropped, agent.accounting().waiting), (3, 0));

@@ -148,7 +148,7 @@ struct Agent {
     /// `true` while the spool fails.
     spool_is_broken: bool,
     /// `true` while the spool accepts no batches.
-    full: bool,
+    rejects_batches: bool,
     sent: Vec<BatchHead>,
     /// Received parts of a batch.
     parts: Vec<u8>,
@@ -184,7 +184,7 @@ impl Agent {
             sending,
             millis: 0,
             spool_is_broken: false,
-            full: false,
+            rejects_batches: false,
             sent,
             parts,
             hellos,
@@ -195,7 +195,7 @@ impl Agent {
     }
 
     /// Creates an agent that is connected and welcomed.
-    fn up(config: SendingConfig) -> Self {
+    fn new_welcomed(config: SendingConfig) -> Self {
         let mut agent = Self::new(config);
         agent.connect();
         agent.welcome(0, None);
@@ -216,7 +216,7 @@ impl Agent {
         while let Some(action) = self.sending.next(self.now().mono) {
             let _ = self.accounting();
             match action {
-                Action::Send(frame) => self.sent(frame.into()),
+                Action::Send(frame) => self.record_frame(frame.into()),
                 action => {
                     self.actions.push(action.clone());
                     self.perform(action);
@@ -230,7 +230,7 @@ impl Agent {
         );
     }
 
-    fn sent(&mut self, frame: Bytes) {
+    fn record_frame(&mut self, frame: Bytes) {
         if let Some(part) = codec::decode_part(&frame) {
             if part.offset == 0 {
                 self.parts.clear();
@@ -239,7 +239,7 @@ impl Agent {
             self.parts.extend_from_slice(&part.bytes);
             if self.parts.len() == part.total as usize {
                 let whole = std::mem::take(&mut self.parts);
-                self.sent(whole.into());
+                self.record_frame(whole.into());
             }
             return;
         }
@@ -263,7 +263,9 @@ impl Agent {
     fn perform(&mut self, action: Action) {
         let (now, reason) = (self.now(), "the disk is full".to_owned());
         let notice = match action {
-            Action::Append { batches, .. } if self.spool_is_broken || self.full && !batches.is_empty() => {
+            Action::Append { batches, .. }
+                if self.spool_is_broken || self.rejects_batches && !batches.is_empty() =>
+            {
                 self.sending.on_append_failed(reason, now)
             }
             Action::Load { .. } if self.spool_is_broken => self.sending.on_load_failed(reason, now),
@@ -300,7 +302,7 @@ impl Agent {
     }
 
     /// Offers events, one per batch, and closes the last batch.
-    fn cut(&mut self, batches: usize) {
+    fn offer_batches(&mut self, batches: usize) {
         self.offer(batches);
         self.advance_ms(self.config.batch_age.nanos() / 1_000_000);
     }
@@ -343,7 +345,7 @@ impl Agent {
     }
 
     /// Returns the numbers of the batches that were sent since the last call.
-    fn numbers(&mut self) -> Vec<u64> {
+    fn take_sent_numbers(&mut self) -> Vec<u64> {
         self.sent.drain(..).map(|head| head.number).collect()
     }
 
@@ -366,7 +368,7 @@ impl Agent {
     fn deliver(&mut self) -> Vec<u64> {
         let mut delivered: Vec<u64> = Vec::new();
         loop {
-            let numbers = self.numbers();
+            let numbers = self.take_sent_numbers();
             let Some(last) = numbers.last() else { return delivered };
             let last = *last;
             delivered.extend(numbers);

@@ -10,51 +10,51 @@ fn allow(agent: &mut Agent, through: u64, window: u32) {
 
 #[test]
 fn batches_in_flight_respect_windows_of_both_ends() {
-    let mut agent = Agent::up(config());
-    agent.cut(10);
-    assert_eq!(agent.numbers(), [1, 2, 3], "limited by the agent's own window");
+    let mut agent = Agent::new_welcomed(config());
+    agent.offer_batches(10);
+    assert_eq!(agent.take_sent_numbers(), [1, 2, 3], "limited by the agent's own window");
     allow(&mut agent, 1, 1);
-    assert_eq!(agent.numbers(), [0; 0], "limited by the aggregator's window");
+    assert_eq!(agent.take_sent_numbers(), [0; 0], "limited by the aggregator's window");
     allow(&mut agent, 3, 1);
-    assert_eq!(agent.numbers(), [4]);
+    assert_eq!(agent.take_sent_numbers(), [4]);
     allow(&mut agent, 4, 0);
-    assert_eq!(agent.numbers(), [5], "one batch is always allowed");
+    assert_eq!(agent.take_sent_numbers(), [5], "one batch is always allowed");
     allow(&mut agent, 5, u32::MAX);
-    assert_eq!(agent.numbers(), [6, 7, 8]);
+    assert_eq!(agent.take_sent_numbers(), [6, 7, 8]);
 }
 
 #[test]
 fn more_small_batches_than_large_batches_are_in_flight() {
     let config = SendingConfig { batch_bytes: 64 * 1_024, ..config() };
-    let mut agent = Agent::up(config);
-    agent.cut(300);
-    assert_eq!(agent.numbers(), (1..=3 * 64).collect::<Vec<_>>());
+    let mut agent = Agent::new_welcomed(config);
+    agent.offer_batches(300);
+    assert_eq!(agent.take_sent_numbers(), (1..=3 * 64).collect::<Vec<_>>());
     allow(&mut agent, 64, 1);
-    assert_eq!(agent.numbers(), [0; 0]);
+    assert_eq!(agent.take_sent_numbers(), [0; 0]);
     allow(&mut agent, 130, 1);
-    assert_eq!(agent.numbers(), [193, 194]);
+    assert_eq!(agent.take_sent_numbers(), [193, 194]);
     let stream = agent.stream();
     agent.receive(&ToAgent::Resend { stream, from: 150 });
-    assert_eq!(agent.numbers(), (150..=194).collect::<Vec<_>>());
+    assert_eq!(agent.take_sent_numbers(), (150..=194).collect::<Vec<_>>());
     // The number of batches is limited, even if they are small.
-    let mut agent = Agent::up(SendingConfig { batch_bytes: 1 << 20, ..config });
-    agent.cut(1_100);
-    assert_eq!(agent.numbers().len(), MAX_IN_FLIGHT_BATCHES);
+    let mut agent = Agent::new_welcomed(SendingConfig { batch_bytes: 1 << 20, ..config });
+    agent.offer_batches(1_100);
+    assert_eq!(agent.take_sent_numbers().len(), MAX_IN_FLIGHT_BATCHES);
 }
 
 #[test]
 fn requested_batch_is_sent_again() {
-    let mut agent = Agent::up(config());
-    agent.cut(4);
-    assert_eq!(agent.numbers(), [1, 2, 3]);
+    let mut agent = Agent::new_welcomed(config());
+    agent.offer_batches(4);
+    assert_eq!(agent.take_sent_numbers(), [1, 2, 3]);
     let stream = agent.stream();
     agent.receive(&ToAgent::Resend { stream, from: 2 });
-    assert_eq!(agent.numbers(), [2, 3]);
+    assert_eq!(agent.take_sent_numbers(), [2, 3]);
     agent.receive(&ToAgent::Resend { stream, from: 9 });
     agent.receive(&ToAgent::Resend { stream: StreamId::random(), from: 1 });
-    assert_eq!(agent.numbers(), [0; 0]);
+    assert_eq!(agent.take_sent_numbers(), [0; 0]);
     agent.ack(2);
-    assert_eq!(agent.numbers(), [4]);
+    assert_eq!(agent.take_sent_numbers(), [4]);
     let hellos = agent.hellos.len();
     agent.receive(&ToAgent::Resend { stream, from: 1 });
     assert_eq!(
@@ -66,9 +66,9 @@ fn requested_batch_is_sent_again() {
 
 #[test]
 fn unanswered_hello_is_repeated() {
-    let mut agent = Agent::up(config());
-    agent.cut(2);
-    assert_eq!(agent.numbers(), [1, 2]);
+    let mut agent = Agent::new_welcomed(config());
+    agent.offer_batches(2);
+    assert_eq!(agent.take_sent_numbers(), [1, 2]);
     agent.advance_ms(9_000 - agent.millis);
     assert_eq!(agent.hellos.len(), 1);
     assert_eq!(agent.sending.deadline(), Some(at(10_000).mono));
@@ -81,7 +81,7 @@ fn unanswered_hello_is_repeated() {
     assert_eq!(agent.hellos.len(), 4, "each pause is twice the previous pause");
     let chain = agent.chain(1);
     agent.welcome(1, chain);
-    assert_eq!(agent.numbers(), [2]);
+    assert_eq!(agent.take_sent_numbers(), [2]);
     assert_eq!(agent.accounting().stored, 1);
 }
 
@@ -99,8 +99,8 @@ fn refused_hello_is_repeated_later() {
 
 #[test]
 fn hellos_without_progress_become_rare() {
-    let mut agent = Agent::up(config());
-    agent.cut(1);
+    let mut agent = Agent::new_welcomed(config());
+    agent.offer_batches(1);
     for _ in 0..100 {
         agent.receive(&ToAgent::Unknown);
         agent.welcome(0, None);

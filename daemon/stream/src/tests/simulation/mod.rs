@@ -17,9 +17,9 @@ use super::*;
 const SECRET: HostSecret = HostSecret::from_bytes([7; 32]);
 
 /// Simulated milliseconds in which all waiting events must be stored after the faults end.
-const PATIENCE_MS: i64 = 300_000;
+const SETTLE_TIMEOUT_MS: i64 = 300_000;
 
-/// Maximum number of turns of both ends in `PATIENCE_MS`.
+/// Maximum number of turns of both ends in `SETTLE_TIMEOUT_MS`.
 const MAX_TURNS: usize = 5_000;
 
 #[derive(Clone, Debug)]
@@ -30,8 +30,8 @@ pub(super) struct Simulation {
     offered: u64,
     processes: u64,
     /// Machines with the same host id, each with its own spool file. One of them runs.
-    pub(super) sites: Vec<SpoolFile>,
-    pub(super) site: usize,
+    pub(super) machines: Vec<SpoolFile>,
+    pub(super) machine: usize,
     pub(super) sending: Sending,
     /// Actions for the spool, in order.
     pub(super) jobs: VecDeque<Action>,
@@ -55,8 +55,8 @@ impl Simulation {
             offered: 0,
             processes: 1,
             sending: Sending::new(config, super::host(host, "edge"), SECRET, 1, file.open()),
-            sites: vec![file],
-            site: 0,
+            machines: vec![file],
+            machine: 0,
             jobs: VecDeque::new(),
             broken: false,
             connection: 1,
@@ -70,7 +70,7 @@ impl Simulation {
     }
 
     pub(super) fn file(&self) -> &SpoolFile {
-        &self.sites[self.site]
+        &self.machines[self.machine]
     }
 
     /// Calls the sending end, and performs its actions.
@@ -80,7 +80,7 @@ impl Simulation {
             match action {
                 Action::Send(frame) => {
                     if let Some(sent) = self.sending.sent_unspooled() {
-                        self.sites[self.site].record_sent_unspooled(sent);
+                        self.machines[self.machine].record_sent_unspooled(sent);
                     }
                     let frame = Bytes::from(frame);
                     self.expected_content.record_sent(&frame);
@@ -95,7 +95,7 @@ impl Simulation {
     pub(super) fn offer(&mut self) {
         self.offered += 1;
         let event = incident(&self.offered.to_string());
-        self.sites[self.site].counted.total += 1;
+        self.machines[self.machine].counted.total += 1;
         self.agent(|sending, now| sending.offer(&event, now));
     }
 
@@ -146,7 +146,7 @@ impl Simulation {
 
     /// Applies an action to the file.
     fn apply(&mut self, job: &Action) -> Vec<SpooledBatch> {
-        let file = &mut self.sites[self.site];
+        let file = &mut self.machines[self.machine];
         match job {
             Action::Append { batches, totals } => {
                 file.append(batches, totals.clone());
@@ -248,15 +248,15 @@ impl Simulation {
         });
     }
 
-    /// Kills the agent and starts an agent at a site. Before the kill, the disk has performed `done` further actions
+    /// Kills the agent and starts an agent at a machine. Before the kill, the disk has performed `done` further actions
     /// whose completion the agent did not learn of.
-    pub(super) fn start_agent(&mut self, site: usize, done: usize) {
+    pub(super) fn start_agent(&mut self, machine: usize, done: usize) {
         let jobs: Vec<Action> = self.jobs.drain(..).take(if self.broken { 0 } else { done }).collect();
         jobs.iter().for_each(|job| drop(self.apply(job)));
-        self.site = site;
+        self.machine = machine;
         self.processes += 1;
         self.connection += 1;
-        let spool = self.sites[self.site].start();
+        let spool = self.machines[self.machine].start();
         self.sending =
             Sending::new(self.config, super::host(self.host, "edge"), SECRET, self.processes, spool);
         self.agent(|sending, now| sending.on_connected(now.mono));
@@ -267,13 +267,13 @@ impl Simulation {
         // The copy does not contain the shared memory.
         let mut copy = self.file().clone();
         copy.counted = CountedEvents::default();
-        self.sites.push(copy);
+        self.machines.push(copy);
         self.expected_content.copied = true;
     }
 
     /// Kills the agent and starts the next machine's agent, whose spool may be a copy of an older spool.
-    pub(super) fn start_next_site(&mut self, done: usize) {
-        self.start_agent((self.site + 1) % self.sites.len(), done);
+    pub(super) fn start_next_machine(&mut self, done: usize) {
+        self.start_agent((self.machine + 1) % self.machines.len(), done);
     }
 
     /// Stops the agent and deletes its spool.
@@ -282,9 +282,9 @@ impl Simulation {
         // A late hello of a dead process would count its stream as another abandoned stream.
         self.up.retain(|(_, frame)| codec::decode_batch_head(frame).is_some());
         let file = SpoolFile::new(StreamId::random());
-        let old = std::mem::replace(&mut self.sites[self.site], file);
+        let old = std::mem::replace(&mut self.machines[self.machine], file);
         self.expected_content.record_deleted_spool(&old);
-        self.start_agent(self.site, 0);
+        self.start_agent(self.machine, 0);
     }
 
     pub(super) fn back_up(&mut self) {
@@ -299,18 +299,18 @@ impl Simulation {
         }
     }
 
-    /// Ends all faults, and runs until everything in the spool of every site is stored.
+    /// Ends all faults, and runs until everything in the spool of every machine is stored.
     pub(super) fn settle(&mut self) {
         self.broken = false;
-        self.settle_site();
-        for other in (0..self.sites.len()).filter(|other| *other != self.site).collect::<Vec<_>>() {
+        self.settle_machine();
+        for other in (0..self.machines.len()).filter(|other| *other != self.machine).collect::<Vec<_>>() {
             self.start_agent(other, usize::MAX);
-            self.settle_site();
+            self.settle_machine();
         }
     }
 
-    fn settle_site(&mut self) {
-        let limit = self.now + PATIENCE_MS;
+    fn settle_machine(&mut self) {
+        let limit = self.now + SETTLE_TIMEOUT_MS;
         self.agent(|sending, now| sending.flush(now.wall));
         for _ in 0..MAX_TURNS {
             self.live();
@@ -336,7 +336,7 @@ impl Simulation {
                 continue;
             }
             self.pass_to_deadline();
-            assert!(self.now < limit, "events still wait after {PATIENCE_MS} ms: {self:#?}");
+            assert!(self.now < limit, "events still wait after {SETTLE_TIMEOUT_MS} ms: {self:#?}");
         }
         panic!("events still wait after {MAX_TURNS} turns: {self:#?}");
     }
@@ -355,7 +355,7 @@ impl Simulation {
         self.check();
         self.expected_content.check(&self.aggregator);
         self.expected_content.check_sum(self.offered, &self.aggregator);
-        assert!(self.sites.iter().all(|file| file.batches.is_empty()), "everything was acknowledged");
+        assert!(self.machines.iter().all(|file| file.batches.is_empty()), "everything was acknowledged");
     }
 }
 
