@@ -195,15 +195,15 @@ async fn no_page_stays_malformed_while_rows_are_written_and_read() {
             run(&mut writer, "PRAGMA wal_checkpoint(PASSIVE)").await;
         }
     });
-    let (reads, mut looks, mut alarms) = (TaskTracker::new(), 0, Vec::new());
+    let (reads, mut checks, mut findings) = (TaskTracker::new(), 0, Vec::new());
     while !busy.is_finished() {
         let malformed = malformed_pages(&path, &file, &reads, 64 << 20).await.expect("reads");
-        looks += 1;
-        alarms.extend(Some(malformed).filter(|pages| !pages.is_empty()));
+        checks += 1;
+        findings.extend(Some(malformed).filter(|pages| !pages.is_empty()));
     }
     busy.await.expect("writes");
-    assert!(looks > 5, "{looks} looks");
-    assert_eq!(alarms, Vec::<Vec<u32>>::new(), "in {looks} looks");
+    assert!(checks > 5, "{checks} checks");
+    assert_eq!(findings, Vec::<Vec<u32>>::new(), "in {checks} checks");
 }
 
 #[tokio::test]

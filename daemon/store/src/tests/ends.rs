@@ -18,7 +18,8 @@ fn hello(test_store: &TestStore, process: u64) -> Work {
     super::hello(generate::host(test_store.edge, "edge"), process)
 }
 
-async fn ends(test_store: &TestStore) -> Vec<Option<(f64, String)>> {
+/// Returns the time, in seconds, and the reason of the end of each run; `None` for a run that has not ended.
+async fn run_ends(test_store: &TestStore) -> Vec<Option<(f64, String)>> {
     let mut runs = test_store.store.runs(&crate::RunFilter::default()).await.expect("answers");
     runs.reverse();
     let end = |ended: peernet_clock::WallTime| (ended - generate::at(0.0)).seconds();
@@ -28,33 +29,33 @@ async fn ends(test_store: &TestStore) -> Vec<Option<(f64, String)>> {
 #[tokio::test]
 async fn new_process_ends_runs_of_previous_one_only() {
     let mut test_store = TestStore::new().await;
-    test_store.run_of(10).await;
+    test_store.store_run(10).await;
     let (repeated_hello, after_restart) = (hello(&test_store, 1), hello(&test_store, 1));
     test_store.commit(&[repeated_hello]).await;
     test_store.writer = open(&test_store.path).await;
     test_store.commit(&[after_restart]).await;
-    assert_eq!(ends(&test_store).await, [None]);
+    assert_eq!(run_ends(&test_store).await, [None]);
 
     // The hello of the next process and its first run are in one transaction.
     let (greeting, run) = (hello(&test_store, u64::MAX), RunId::random());
     let run_started = test_store.batch(vec![generate::run_started(run, "other", NOW)]);
     test_store.commit(&[greeting, run_started]).await;
-    assert_eq!(ends(&test_store).await, [Some((2.0, END_WITHOUT_REPORT.to_owned())), None]);
+    assert_eq!(run_ends(&test_store).await, [Some((2.0, END_WITHOUT_REPORT.to_owned())), None]);
 }
 
 #[tokio::test]
 async fn goodbye_ends_open_runs() {
     let mut test_store = TestStore::new().await;
-    let first = test_store.run_of(10).await;
+    let first = test_store.store_run(10).await;
     test_store.commit(&[Work::Goodbye(test_store.cloud)]).await;
-    assert_eq!(ends(&test_store).await, [None]);
+    assert_eq!(run_ends(&test_store).await, [None]);
     let end = RunEnded { run: first, ended: generate::at(9.0), reason: EndReason::Stopped };
     let ended = test_store.batch(vec![Event::RunEnded(end)]);
     let run_started =
         test_store.batch(vec![generate::run_started(RunId::random(), "line", generate::at(10.0))]);
     test_store.commit(&[ended, run_started, Work::Goodbye(test_store.edge)]).await;
     assert_eq!(
-        ends(&test_store).await,
+        run_ends(&test_store).await,
         [Some((9.0, "stopped".to_owned())), Some((10.0, END_WITHOUT_REPORT.to_owned()))]
     );
 }
@@ -62,7 +63,7 @@ async fn goodbye_ends_open_runs() {
 #[tokio::test]
 async fn new_run_of_pipeline_ends_previous_one() {
     let mut test_store = TestStore::new().await;
-    let first = test_store.run_of(10).await;
+    let first = test_store.store_run(10).await;
     let (second, other) = (RunId::random(), RunId::random());
     let run_started = test_store.batch(vec![
         generate::run_started(other, "other", NOW),
@@ -70,20 +71,20 @@ async fn new_run_of_pipeline_ends_previous_one() {
         generate::run_started(second, "line", NOW),
     ]);
     test_store.commit(&[run_started]).await;
-    assert_eq!(ends(&test_store).await, [Some((2.0, END_WITHOUT_REPORT.to_owned())), None, None]);
+    assert_eq!(run_ends(&test_store).await, [Some((2.0, END_WITHOUT_REPORT.to_owned())), None, None]);
 
     // Late iterations are stored and move the end; the reported end replaces it.
     let late = iterations(&test_store, first, 11..=15);
     let late = test_store.batch(late);
     test_store.commit(&[late]).await;
-    assert_eq!(ends(&test_store).await[0], Some((3.0, END_WITHOUT_REPORT.to_owned())));
+    assert_eq!(run_ends(&test_store).await[0], Some((3.0, END_WITHOUT_REPORT.to_owned())));
     assert_eq!(test_store.count("SELECT ok FROM run WHERE number = 1").await, 15);
     let end = RunEnded { run: first, ended: generate::at(2.5), reason: EndReason::Stopped };
     let later = iterations(&test_store, first, 16..=16);
     let reported_end = test_store.batch(vec![Event::RunEnded(end)]);
     let later = test_store.batch(later);
     test_store.commit(&[reported_end, later]).await;
-    assert_eq!(ends(&test_store).await[0], Some((2.5, "stopped".to_owned())));
+    assert_eq!(run_ends(&test_store).await[0], Some((2.5, "stopped".to_owned())));
 }
 
 #[tokio::test]
@@ -119,7 +120,7 @@ async fn live_event_names_run_known_by_iterations_once() {
 #[tokio::test]
 async fn events_of_quarantined_batches_count_as_missing() {
     let mut test_store = TestStore::new().await;
-    let run = test_store.run_of(5).await;
+    let run = test_store.store_run(5).await;
     // A batch with an iteration three times, a truncated batch, and one whose head claims more events than it has
     // bytes.
     let repeated = [6, 6, 6].map(|n| iterations(&test_store, run, n..=n)).concat();

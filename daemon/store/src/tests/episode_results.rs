@@ -25,12 +25,12 @@ async fn store(test_store: &mut TestStore, facts: &[(&str, &str)]) {
         (Outcome::Ok, false, vec![("episode-success", 1.0), ("episode-return", 6.0)]),
     ];
     for (number, (outcome, warm_up, values)) in (1..).zip(ends) {
-        let mut one =
+        let mut iteration =
             generate::iteration(run, number, test_store.hosts(), &mut generate::Numbers::new(number));
         for (name, value) in values {
-            one.tree.add(NodeId::ROOT, name.into(), Span::ZERO, Measure::Value(value, Unit::NONE));
+            iteration.tree.add(NodeId::ROOT, name.into(), Span::ZERO, Measure::Value(value, Unit::NONE));
         }
-        events.push(Event::Iteration(Iteration { outcome, warm_up, ..one }));
+        events.push(Event::Iteration(Iteration { outcome, warm_up, ..iteration }));
     }
     let work = test_store.batch(events);
     test_store.commit(&[work]).await;

@@ -142,7 +142,7 @@ async fn same_runs_are_excluded_in_store_and_in_files() {
 #[tokio::test]
 async fn buckets_hold_every_sample_in_order_of_time() {
     let mut test_store = TestStore::new().await;
-    test_store.run_of(500).await;
+    test_store.store_run(500).await;
     let names = [stage::TOTAL, Name::from_static("nothing"), stage::UPLOAD];
     let stages = test_store.store.stage_buckets(1, &names, 20).await.expect("answers");
     assert_eq!(stages.iter().map(|item| item.stage.as_str()).collect::<Vec<_>>(), ["total", "upload"]);
@@ -160,7 +160,7 @@ async fn buckets_hold_every_sample_in_order_of_time() {
 #[tokio::test]
 async fn stage_means_match_stage_buckets() {
     let mut test_store = TestStore::new().await;
-    test_store.run_of(500).await;
+    test_store.store_run(500).await;
     let names = [stage::TOTAL, Name::from_static("nothing"), stage::UPLOAD];
     for max_buckets in [1, 7, 20, 1_000] {
         let stages = test_store.store.stage_buckets(1, &names, max_buckets).await.expect("answers");

@@ -37,7 +37,7 @@ async fn page_content(store: &Store) -> String {
 }
 
 /// Migrates the newest fixture to a version, so that all of them hold the same data.
-async fn migrated(folder: &Path, version: i64) -> PathBuf {
+async fn migrate_fixture(folder: &Path, version: i64) -> PathBuf {
     let earlier = database::MIGRATIONS
         .iter()
         .map(|migration| migration.version)
@@ -63,7 +63,7 @@ async fn migrated(folder: &Path, version: i64) -> PathBuf {
 async fn write_missing_fixtures() {
     let folder = tempfile::tempdir().expect("a folder");
     for migration in database::MIGRATIONS.iter().filter(|migration| !fixture(migration.version).exists()) {
-        let path = migrated(folder.path(), migration.version).await;
+        let path = migrate_fixture(folder.path(), migration.version).await;
         let dump = Command::new("sqlite3").arg(&path).arg(".dump").output().expect("sqlite3 is installed");
         assert!(dump.status.success(), "{}", String::from_utf8_lossy(&dump.stderr));
         fs::write(fixture(migration.version), dump.stdout).expect("writes");

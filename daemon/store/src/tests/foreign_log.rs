@@ -35,8 +35,8 @@ async fn iterations(path: &Path) -> i64 {
     number(path, "SELECT count(*) FROM iteration").await
 }
 
-/// Returns the number in the file itself.
-fn file_number(path: &Path) -> [u8; 4] {
+/// Returns the id in the file itself, without its log.
+fn file_id(path: &Path) -> [u8; 4] {
     fs::read(path).expect("reads")[60..64].try_into().expect("four bytes")
 }
 
@@ -76,10 +76,10 @@ async fn start(path: &Path) -> Result<(), OpenError> {
 #[tokio::test]
 async fn backup_is_not_spoilt_by_log_of_previous_database() {
     let mut test_store = TestStore::new().await;
-    test_store.run_of(100).await;
+    test_store.store_run(100).await;
     checkpoint(&test_store).await;
     let copy = backup(&test_store, "copy.sqlite").await;
-    test_store.run_of(100).await;
+    test_store.store_run(100).await;
     let (_folder, path) = copy_as_killed(&test_store);
     fs::copy(&copy, path.with_file_name("copy.sqlite")).expect("copies");
     fs::rename(path.with_file_name("copy.sqlite"), &path).expect("takes its place");
@@ -116,7 +116,7 @@ async fn backup_is_not_spoilt_by_log_of_previous_database() {
 #[tokio::test]
 async fn log_of_idle_aggregator_identifies_its_database() {
     let mut test_store = TestStore::new().await;
-    test_store.run_of(10).await;
+    test_store.store_run(10).await;
     let copy = backup(&test_store, "copy.sqlite").await;
     test_store.writer.close().await.1.expect("closes");
     test_store.store.close().await;
@@ -136,21 +136,21 @@ async fn log_of_idle_aggregator_identifies_its_database() {
 #[tokio::test]
 async fn database_of_killed_process_opens_with_its_log() {
     let mut test_store = TestStore::new().await;
-    // The file itself has no number yet.
-    test_store.run_of(100).await;
+    // The file itself has no id yet.
+    test_store.store_run(100).await;
     let (_first, path) = copy_as_killed(&test_store);
-    assert_eq!(file_number(&path), [0; 4]);
+    assert_eq!(file_id(&path), [0; 4]);
     start(&path).await.expect("opens");
     assert_eq!(iterations(&path).await, 100);
 
     checkpoint(&test_store).await;
-    test_store.run_of(50).await;
+    test_store.store_run(50).await;
     let (_second, path) = copy_as_killed(&test_store);
-    assert_ne!(file_number(&path), [0; 4]);
+    assert_ne!(file_id(&path), [0; 4]);
     start(&path).await.expect("opens");
     assert_eq!(iterations(&path).await, 150);
 
-    // A database of an earlier version, whose log has the number first.
+    // A database of an earlier version, whose log has the id first.
     test_store.writer.close().await.1.expect("closes");
     test_store.store.close().await;
     fs::File::options()
@@ -161,35 +161,34 @@ async fn database_of_killed_process_opens_with_its_log() {
         .expect("writes");
     test_store.writer = open(&test_store.path).await;
     let (_third, path) = copy_as_killed(&test_store);
-    assert_eq!(file_number(&path), [0; 4]);
+    assert_eq!(file_id(&path), [0; 4]);
     start(&path).await.expect("opens");
-    assert_ne!(file_number(&path), [0; 4]);
+    assert_ne!(file_id(&path), [0; 4]);
     assert_eq!(iterations(&path).await, 150);
 }
 
 #[tokio::test]
-async fn each_file_has_own_number_and_keeps_it() {
+async fn each_file_has_own_id_and_keeps_it() {
     let folder = tempfile::tempdir().expect("a folder");
     let fresh = folder.path().join("peernet.sqlite");
     start(&fresh).await.expect("makes it");
-    let first = file_number(&fresh);
+    let first = file_id(&fresh);
     assert_ne!(first, [0; 4]);
     start(&fresh).await.expect("opens");
-    assert_eq!(file_number(&fresh), first);
+    assert_eq!(file_id(&fresh), first);
 
     let mut test_store = TestStore::new().await;
-    test_store.run_of(100).await;
+    test_store.store_run(100).await;
     let (first_copy, second_copy) =
         (backup(&test_store, "one.sqlite").await, backup(&test_store, "other.sqlite").await);
     checkpoint(&test_store).await;
-    let mut ids =
-        vec![first, file_number(&test_store.path), file_number(&first_copy), file_number(&second_copy)];
+    let mut ids = vec![first, file_id(&test_store.path), file_id(&first_copy), file_id(&second_copy)];
     let root = number(&first_copy, "SELECT rootpage FROM sqlite_schema WHERE name = 'node'").await;
     let file = fs::File::options().write(true).open(&first_copy).expect("opens");
     file.write_all_at(&[0xa5; 4096], (root.cast_unsigned() - 1) * 4096).expect("writes");
     drop(file);
     repair(&first_copy, NOW, "now", |_| {}).await.expect("repairs").expect("was damaged");
-    ids.push(file_number(&first_copy));
+    ids.push(file_id(&first_copy));
     assert!(!ids.contains(&[0; 4]), "{ids:?}");
     ids.sort_unstable();
     ids.dedup();

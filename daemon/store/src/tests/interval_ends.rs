@@ -120,7 +120,7 @@ async fn median_of_stored_run_has_interval_of_files() {
     let stored = test_store.store.statistics_of(1).await.expect("answers");
     assert_equal_to_rows(&stored.mergeable, &rows);
     assert!(median_bounds_of(&rows, "upload-throughput").is_some(), "infinite upper ends are bounds");
-    let of_upload = stored.bounds.iter().find(|bound| bound.stage == stage::UPLOAD).expect("a delay");
+    let upload_accuracy = stored.bounds.iter().find(|bound| bound.stage == stage::UPLOAD).expect("a delay");
     let delay = stored
         .stages
         .iter()
@@ -128,7 +128,7 @@ async fn median_of_stored_run_has_interval_of_files() {
         .expect("a delay")
         .statistics;
     assert_eq!(
-        of_upload.interval_of_median(&delay),
+        upload_accuracy.interval_of_median(&delay),
         interval(&stored.mergeable, &stage::UPLOAD, &stage::UPLOAD)
     );
     // Buckets over time have no ends.

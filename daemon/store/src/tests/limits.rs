@@ -14,7 +14,8 @@ use crate::readers::Readers;
 /// A query without an end.
 const ENDLESS: &str = "WITH RECURSIVE endless (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM endless) SELECT count(*) FROM endless";
 
-fn open_impatient_readers(path: &Path) -> Readers {
+/// Opens readers whose queries are stopped after 100 ms.
+fn open_readers_with_short_limit(path: &Path) -> Readers {
     let identity = ClockIdentity::from_system(ClockIdentity::SYSTEM).expect("linux has a boot id");
     Readers::open(
         path,
@@ -28,11 +29,11 @@ fn open_impatient_readers(path: &Path) -> Readers {
 #[tokio::test]
 async fn endless_query_is_stopped_while_writer_commits() {
     let mut test_store = TestStore::new().await;
-    let readers = open_impatient_readers(&test_store.path);
+    let readers = open_readers_with_short_limit(&test_store.path);
     let pool = readers.pool();
     let endless = sqlx::query_scalar::<_, i64>(ENDLESS).fetch_one(&pool);
     // The writer finishes; the query would not.
-    let (endless, _) = tokio::join!(endless, test_store.run_of(50));
+    let (endless, _) = tokio::join!(endless, test_store.store_run(50));
     let error = endless.map_err(readers.failed("everything")).expect_err("it has no end");
     assert!(matches!(error, StoreError::TooLong { what: "everything", .. }), "{error}");
     assert!(error.to_string().contains("longer than the 0.1 s of [aggregator] question_limit_ms"), "{error}");
@@ -52,8 +53,9 @@ async fn endless_query_is_stopped_while_writer_commits() {
 #[tokio::test]
 async fn readers_cannot_write() {
     let test_store = TestStore::new().await;
-    let refused =
-        sqlx::query("DELETE FROM host").execute(&open_impatient_readers(&test_store.path).pool()).await;
+    let refused = sqlx::query("DELETE FROM host")
+        .execute(&open_readers_with_short_limit(&test_store.path).pool())
+        .await;
     assert!(refused.is_err_and(|error| error.to_string().contains("readonly")));
 }
 
@@ -64,7 +66,7 @@ async fn log_is_emptied_after_last_reader() {
     let bytes = || std::fs::metadata(&log).expect("the log exists").len();
     let mut reader = test_store.second_connection().await;
     sqlx::raw_sql("BEGIN; SELECT count(*) FROM host").execute(&mut reader).await.expect("reads");
-    test_store.run_of(200).await;
+    test_store.store_run(200).await;
     let grown = bytes();
     // While a reader is active the write-ahead log keeps its size, and nothing waits.
     test_store.writer.bound_log(grown / 2).await.expect("tries");
@@ -74,6 +76,6 @@ async fn log_is_emptied_after_last_reader() {
     assert_eq!(bytes(), grown);
     test_store.writer.bound_log(grown / 2).await.expect("empties it");
     assert_eq!(bytes(), 0);
-    test_store.run_of(10).await;
+    test_store.store_run(10).await;
     assert_eq!(test_store.count("SELECT count(*) FROM iteration").await, 210);
 }

@@ -29,7 +29,7 @@ fn problems(report: &Report) -> Vec<&str> {
 #[tokio::test]
 async fn copy_is_consistent_and_overwrites_no_file() {
     let mut test_store = TestStore::new().await;
-    test_store.run_of(100).await;
+    test_store.store_run(100).await;
     let target = test_store.path.with_file_name("copy.sqlite");
     // A file that a killed backup left behind does not matter.
     std::fs::write(target.with_file_name("copy.sqlite.partial"), b"left behind").expect("writable");
@@ -38,7 +38,7 @@ async fn copy_is_consistent_and_overwrites_no_file() {
     let second_backup = Backup::prepare(&test_store.path, &target).await.expect_err("one is under way");
     assert!(matches!(second_backup, BackupError::UnderWay(_)), "{second_backup}");
     let copied = backup.run(CancellationToken::new()).await.expect("copies");
-    test_store.run_of(100).await;
+    test_store.store_run(100).await;
 
     assert_eq!(copied.path, target);
     assert_eq!(copied.bytes, std::fs::metadata(&target).expect("is there").len());
@@ -61,7 +61,7 @@ async fn copy_is_consistent_and_overwrites_no_file() {
 #[tokio::test]
 async fn stopped_copy_leaves_nothing() {
     let mut test_store = TestStore::new().await;
-    test_store.run_of(100).await;
+    test_store.store_run(100).await;
     let target = test_store.path.with_file_name("copy.sqlite");
     let backup = Backup::prepare(&test_store.path, &target).await.expect("can be read");
     let stop = CancellationToken::new();
@@ -76,7 +76,7 @@ async fn stopped_copy_leaves_nothing() {
 #[tokio::test]
 async fn healthy_database_is_examined_during_writing() {
     let mut test_store = TestStore::new().await;
-    test_store.run_of(100).await;
+    test_store.store_run(100).await;
     let report = examine(&test_store.path, QUICK).await.expect("opens");
     assert!(report.is_healthy(), "{report:?}");
     let rows = |table: &str| report.tables.iter().find(|rows| rows.table == table).expect("is there");
@@ -92,7 +92,7 @@ async fn healthy_database_is_examined_during_writing() {
 #[tokio::test]
 async fn row_counts_are_exact_after_deletions() {
     let mut test_store = TestStore::new().await;
-    test_store.run_of(100).await;
+    test_store.store_run(100).await;
     let mut connection =
         SqliteConnectOptions::new().filename(&test_store.path).connect().await.expect("opens");
     sqlx::raw_sql("DELETE FROM node WHERE iteration <= 60; DELETE FROM iteration WHERE number <= 60")
@@ -135,7 +135,7 @@ async fn spool_is_distinguished_from_database() {
 #[tokio::test]
 async fn damaged_page_is_reported() {
     let mut test_store = TestStore::new().await;
-    test_store.run_of(200).await;
+    test_store.store_run(200).await;
     let copy = test_store.path.with_file_name("copy.sqlite");
     let backup = Backup::prepare(&test_store.path, &copy).await.expect("can be read");
     backup.run(CancellationToken::new()).await.expect("copies");

@@ -5,13 +5,13 @@ use peernet_logger::RunId;
 use peernet_statistics::Summary;
 use peernet_stream::{Event, Outcome};
 
-use super::retention::{day, short_retention, two_runs, work_off};
+use super::retention::{day, run_until_done, short_retention, store_two_runs};
 use super::{TestStore, generate};
 use crate::retention::Retention;
 use crate::types::{IterationFilter, IterationRow, MeasuredTime, RunFilter};
 
 /// Returns the counted iterations of run 1.
-async fn counted(test_store: &TestStore) -> Vec<IterationRow> {
+async fn counted_iterations(test_store: &TestStore) -> Vec<IterationRow> {
     let filter = IterationFilter { limit: 1_000, ..IterationFilter::default() };
     let mut rows = test_store.store.iterations(1, &filter).await.expect("answers");
     rows.retain(|row| !row.warm_up && row.outcome == "ok");
@@ -48,7 +48,7 @@ async fn run_of_two_minutes() -> TestStore {
 #[tokio::test]
 async fn iterations_within_time_are_counted_exactly() {
     let test_store = run_of_two_minutes().await;
-    let rows = counted(&test_store).await;
+    let rows = counted_iterations(&test_store).await;
     let time = measured_time(&test_store, 1).await.expect("measured");
     let (first, last) = (rows[0].started, rows[rows.len() - 1].started);
     assert_eq!((time.first, time.last, time.resolution_s), (first, last, 0));
@@ -91,11 +91,11 @@ async fn run_without_answer_measured_at_no_time() {
 
 #[tokio::test]
 async fn resolution_is_that_of_remaining_buckets() {
-    let (test_store, _) = two_runs().await;
+    let (test_store, _) = store_two_runs().await;
     let exact = measured_time(&test_store, 1).await.expect("measured");
     let mut connection = test_store.second_connection().await;
     let mut retention = Retention::new(short_retention());
-    work_off(&mut retention, &mut connection, day(9.0)).await;
+    run_until_done(&mut retention, &mut connection, day(9.0)).await;
     let coarse = measured_time(&test_store, 1).await.expect("hours are never deleted");
     assert_eq!((exact.resolution_s, coarse.resolution_s), (0, 3_600));
     assert!(coarse.first >= exact.first && coarse.last <= exact.last, "{exact:?} {coarse:?}");

@@ -9,7 +9,7 @@ use sqlx::migrate::Migrator;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
 
 use super::clocks::sample;
-use super::retention::{day, work_off};
+use super::retention::{day, run_until_done};
 use super::rollups::{assert_same, table};
 use super::{TestStore, database, generate, open};
 use crate::retention::Retention;
@@ -94,7 +94,7 @@ async fn reopen(test_store: &mut TestStore, path: &Path) -> SqliteConnection {
 #[tokio::test]
 async fn database_without_experiments_is_migrated_unchanged() {
     let mut test_store = TestStore::new().await;
-    test_store.run_of(200).await;
+    test_store.store_run(200).await;
     let expected = (
         test_store.store.run(1).await.expect("answers"),
         test_store.store.statistics_of(1).await.expect("answers").stages,
@@ -108,7 +108,7 @@ async fn database_without_experiments_is_migrated_unchanged() {
     );
     assert_eq!(migrated, expected);
     assert_same(&table(&mut connection).await, &original_rollups);
-    test_store.run_of(20).await;
+    test_store.store_run(20).await;
     assert_eq!(test_store.store.runs(&RunFilter::default()).await.expect("answers").len(), 2);
 }
 
@@ -116,13 +116,13 @@ async fn database_without_experiments_is_migrated_unchanged() {
 async fn skipped_starts_of_stored_runs_are_counted_once() {
     for version in [1, 6] {
         let mut test_store = TestStore::new().await;
-        test_store.run_that_skips().await;
-        test_store.run_of(5).await;
+        test_store.store_run_with_skipped_starts().await;
+        test_store.store_run(5).await;
         let path = as_of_version(&test_store, version).await;
         reopen(&mut test_store, &path).await;
         assert_eq!(test_store.skipped_starts().await, [super::skipped::SKIPPED, 0], "version {version}");
         reopen(&mut test_store, &path).await;
-        test_store.run_that_skips().await;
+        test_store.store_run_with_skipped_starts().await;
         let expected = [super::skipped::SKIPPED, 0, super::skipped::SKIPPED];
         assert_eq!(test_store.skipped_starts().await, expected, "version {version}");
     }
@@ -132,7 +132,7 @@ async fn skipped_starts_of_stored_runs_are_counted_once() {
 async fn database_with_coarse_statistics_is_migrated_unchanged() {
     for version in 1..=LAST_COARSE {
         let mut test_store = TestStore::new().await;
-        test_store.run_of(1_000).await;
+        test_store.store_run(1_000).await;
         let work = test_store.batch(vec![Event::Clock(Box::new(sample(test_store.cloud, 0, 40)))]);
         test_store.commit(&[work]).await;
         let expected = page_content(&test_store).await;
@@ -162,7 +162,7 @@ async fn database_with_coarse_statistics_is_migrated_unchanged() {
         }
         // After an update, data of any age stays for its whole period, so that the user can pin runs.
         let mut retention = Retention::new(crate::retention_config::RetentionConfig::default());
-        let steps = work_off(&mut retention, &mut connection, day(0.9)).await;
+        let steps = run_until_done(&mut retention, &mut connection, day(0.9)).await;
         assert_eq!(test_store.count("SELECT count(*) FROM node").await, 1_000 * 21, "{steps} steps");
 
         let work = test_store.batch(vec![Event::Clock(Box::new(sample(test_store.cloud, 1, 40)))]);

@@ -122,7 +122,7 @@ impl TestStore {
     }
 
     /// Stores a run of `iterations` iterations.
-    async fn run_of(&mut self, iterations: u64) -> RunId {
+    async fn store_run(&mut self, iterations: u64) -> RunId {
         let run = RunId::random();
         let mut numbers = generate::Numbers::new(7);
         let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];

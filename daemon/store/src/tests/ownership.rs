@@ -21,7 +21,7 @@ fn ended(run: RunId) -> Event {
 }
 
 /// Continues as the other host, in another stream.
-fn as_other(test_store: &mut TestStore) {
+fn continue_as_other_host(test_store: &mut TestStore) {
     (test_store.edge, test_store.cloud) = (test_store.cloud, test_store.edge);
     (test_store.stream, test_store.next) = (StreamId::random(), 1);
 }
@@ -29,11 +29,11 @@ fn as_other(test_store: &mut TestStore) {
 #[tokio::test]
 async fn foreign_events_do_not_change_run() {
     let mut test_store = TestStore::new().await;
-    let run = test_store.run_of(3).await;
+    let run = test_store.store_run(3).await;
     let unchanged_run_query = "SELECT count(*) FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
                   WHERE run.number = 1 AND host.name = 'edge' AND pipeline.name = 'line' AND run.ok = 3 \
                   AND run.end_reason IS NULL";
-    as_other(&mut test_store);
+    continue_as_other_host(&mut test_store);
     let iteration = generate::iteration(run, 9, test_store.hosts(), &mut generate::Numbers::new(1));
     let start = generate::run_started(run, "taken", NOW);
     for event in [gap(run), incident(run), Event::Iteration(iteration), ended(run), start] {
@@ -55,10 +55,10 @@ async fn foreign_events_do_not_change_run() {
 async fn run_claimed_by_other_host_is_stored_for_owner() {
     let mut test_store = TestStore::new().await;
     let run = RunId::random();
-    as_other(&mut test_store);
+    continue_as_other_host(&mut test_store);
     let (gap, claim) = (test_store.batch(vec![gap(run)]), test_store.batch(vec![ended(run)]));
     test_store.commit(&[gap, claim]).await;
-    as_other(&mut test_store);
+    continue_as_other_host(&mut test_store);
     let start = test_store.batch(vec![generate::run_started(run, "line", NOW)]);
     let mut numbers = generate::Numbers::new(1);
     let iterations =

@@ -4,7 +4,7 @@ use peernet_clock::Span;
 use peernet_logger::{Measure, NodeId, RunId, Unit, stage};
 use peernet_stream::{Event, Iteration, Outcome};
 
-use super::retention::{day, short_retention, two_runs, work_off};
+use super::retention::{day, run_until_done, short_retention, store_two_runs};
 use super::{NOW, TestStore, generate};
 use crate::retention::Retention;
 use crate::types::ValuePairs;
@@ -136,13 +136,13 @@ async fn nodes_of_one_name_are_summed() {
 
 #[tokio::test]
 async fn deleted_iterations_are_not_sampled() {
-    let (test_store, _) = two_runs().await;
+    let (test_store, _) = store_two_runs().await;
     let mut connection = test_store.second_connection().await;
     let mut retention = Retention::new(short_retention());
-    work_off(&mut retention, &mut connection, day(0.0)).await;
+    run_until_done(&mut retention, &mut connection, day(0.0)).await;
     let before = test_store.pairs("upload-bytes", 20).await;
     assert_eq!((before.points.len(), before.stored_iterations), (20, 288));
-    work_off(&mut retention, &mut connection, day(4.0)).await;
+    run_until_done(&mut retention, &mut connection, day(4.0)).await;
     let remaining = test_store.count("SELECT 288 - nodes_from FROM run WHERE number = 1").await;
     assert!((50..200).contains(&remaining), "{remaining}");
     let after = test_store.pairs("upload-bytes", 20).await;

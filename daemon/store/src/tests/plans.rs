@@ -11,7 +11,7 @@ use crate::read::sql;
 
 /// Tables that grow with every iteration or second. A look-up in such a table must use at least one of these lists of
 /// columns, in the order of a key, so it finds a few rows only.
-const LARGE: [(&str, &[&str]); 7] = [
+const LARGE_TABLES: [(&str, &[&str]); 7] = [
     ("node", &["run=? AND iteration=?"]),
     ("transit", &["run=? AND iteration=?", "(run,iteration)"]),
     ("anchor", &["run=? AND iteration=?"]),
@@ -60,7 +60,7 @@ async fn plan(test_store: &TestStore, name: &str, statement: &str) -> Vec<String
 fn check_plan(name: &str, steps: &[String]) -> (Vec<String>, HashSet<String>) {
     let (mut faults, mut needed) = (Vec::new(), HashSet::new());
     for step in steps {
-        for (table, column_lists) in LARGE {
+        for (table, column_lists) in LARGE_TABLES {
             if step.split(' ').nth(1) != Some(table) {
                 continue;
             }
@@ -204,7 +204,7 @@ async fn extents_cost_the_same_in_long_run() {
     let mut test_store = TestStore::new().await;
     let mut costs = Vec::new();
     for iterations in [20, 1_000] {
-        test_store.run_of(iterations).await;
+        test_store.store_run(iterations).await;
         let run = test_store.count("SELECT max(number) FROM run").await;
         costs.push([
             instructions(&test_store, sql::RUN_EXTENT, &[run]).await,

@@ -10,7 +10,7 @@ use super::{TestStore, generate};
 use crate::quantity_statistics::QuantityStatistics;
 use crate::types::{IncidentFilter, IterationFilter, RunFilter, RunStatistics};
 
-/// Returns the values of one name in the iterations of [`TestStore::run_of`].
+/// Returns the values of one name in the iterations of [`TestStore::store_run`].
 fn values(test_store: &TestStore, run: RunId, iterations: u64, name: &str) -> Vec<f64> {
     let mut numbers = generate::Numbers::new(7);
     (1..=iterations)
@@ -26,7 +26,7 @@ fn is_close(a: f64, b: f64) -> bool {
 #[tokio::test]
 async fn statistics_of_run_are_those_of_its_iterations() {
     let mut test_store = TestStore::new().await;
-    let run = test_store.run_of(400).await;
+    let run = test_store.store_run(400).await;
     let stages = test_store.store.statistics_of(1).await.expect("answers").stages;
     for (name, statistics) in stages.iter().map(|statistics| (&statistics.stage, statistics)) {
         let Some(exact) = Some(values(&test_store, run, 400, name)).filter(|values| !values.is_empty())
@@ -68,7 +68,7 @@ async fn statistics_of_run_are_those_of_its_iterations() {
 async fn runs_read_together_equal_runs_read_alone() {
     let mut test_store = TestStore::new().await;
     for iterations in [40, 30, 20] {
-        test_store.run_of(iterations).await;
+        test_store.store_run(iterations).await;
     }
     let together = test_store.store.statistics(&[3, 9, 1, 2, 1]).await.expect("answers");
     let mut alone = Vec::new();
@@ -141,7 +141,7 @@ async fn warm_up_and_failures_are_stored_outside_statistics() {
 #[tokio::test]
 async fn iteration_is_read_as_sent() {
     let mut test_store = TestStore::new().await;
-    let run = test_store.run_of(20).await;
+    let run = test_store.store_run(20).await;
     let mut numbers = generate::Numbers::new(7);
     let sent: Vec<Iteration> =
         (1..=20).map(|n| generate::iteration(run, n, test_store.hosts(), &mut numbers)).collect();
@@ -160,7 +160,7 @@ async fn iteration_is_read_as_sent() {
 #[tokio::test]
 async fn slowest_iterations_come_first_with_causes() {
     let mut test_store = TestStore::new().await;
-    let run = test_store.run_of(300).await;
+    let run = test_store.store_run(300).await;
     let mut totals: Vec<(f64, u64)> = values(&test_store, run, 300, "total").into_iter().zip(1..).collect();
     totals.sort_by(|a, b| b.0.total_cmp(&a.0));
     let slowest = test_store.store.slowest_iterations(1, 10).await.expect("answers");
@@ -220,7 +220,7 @@ async fn slowest_iterations_come_first_with_causes() {
 async fn series_adds_up_to_run_for_any_buckets() {
     let mut test_store = TestStore::new().await;
     // 1,000 iterations of 0.2 s: 201 seconds, 21 buckets of 10 s.
-    test_store.run_of(1_000).await;
+    test_store.store_run(1_000).await;
     let names = [stage::UPLOAD, stage::TOTAL, "nonsense".into()];
     for (points, width) in [(201, 1), (200, 2), (100, 5), (21, 10), (8, 30), (4, 60), (1, 300)] {
         let series = test_store.store.series(1, &names, points).await.expect("answers");
@@ -240,7 +240,7 @@ async fn series_adds_up_to_run_for_any_buckets() {
 #[tokio::test]
 async fn histogram_counts_each_sample_once() {
     let mut test_store = TestStore::new().await;
-    let run = test_store.run_of(500).await;
+    let run = test_store.store_run(500).await;
     for (stage, bins) in [("upload", 40), ("total", 1), ("upload-bytes", 20), ("inference", 500)] {
         let histogram = test_store.store.histogram(1, stage, bins).await.expect("answers").expect("exists");
         assert!((1..=bins).contains(&histogram.counts.len()), "{stage}");
@@ -303,7 +303,7 @@ async fn run_with_clock_fault_is_marked_in_all_answers() {
 #[tokio::test]
 async fn listed_iterations_have_delays_or_their_sum() {
     let mut test_store = TestStore::new().await;
-    let run = test_store.run_of(100).await;
+    let run = test_store.store_run(100).await;
     let mut numbers = generate::Numbers::new(7);
     let mut stepped = generate::iteration(run, 101, test_store.hosts(), &mut numbers);
     let nodes = ["upload", "download"].map(|name| stepped.tree.find(&[name]).expect("there").0);
@@ -397,7 +397,7 @@ async fn incidents_are_in_order_of_time() {
 #[tokio::test]
 async fn views_answer_queries_of_sqlite_shell() {
     let mut test_store = TestStore::new().await;
-    test_store.run_of(5).await;
+    test_store.store_run(5).await;
     let stages = "SELECT count(*) FROM stage_ms WHERE run = 1 AND iteration = 3 AND name = 'upload' AND ms > 1 \
                   AND hi_ms > ms AND verdict = 'limited'";
     assert_eq!(test_store.count(stages).await, 1);

@@ -136,7 +136,7 @@ async fn extreme_values_are_stored_outside_statistics() {
 #[tokio::test]
 async fn invalid_statistics_do_not_block_writer_and_are_rebuilt() {
     let mut test_store = TestStore::new().await;
-    let run = test_store.run_of(60).await;
+    let run = test_store.store_run(60).await;
     let mut connection = test_store.second_connection().await;
     sqlx::query("UPDATE rollup SET mean = ?1, m2 = ?2, min = ?3, max = ?1 WHERE quantity = 0")
         .bind(f64::MAX)

@@ -24,22 +24,22 @@ async fn simulate(
     seconds: (i64, i64, i64),
     change: impl FnMut(i64, &mut Simulation),
 ) -> SimulatedRun {
-    simulate_by(test_store, RelatedClocks::Wall, seconds, change).await
+    simulate_with_clocks(test_store, RelatedClocks::Wall, seconds, change).await
 }
 
 /// Stores a run of a simulation of hosts whose clocks are related by `clocks`.
-pub(super) async fn simulate_by(
+pub(super) async fn simulate_with_clocks(
     test_store: &mut TestStore,
     clocks: RelatedClocks,
     seconds: (i64, i64, i64),
     change: impl FnMut(i64, &mut Simulation),
 ) -> SimulatedRun {
     let simulation = Simulation::new(test_store.hosts(), clocks);
-    simulate_further(test_store, simulation, seconds, change).await
+    continue_simulation(test_store, simulation, seconds, change).await
 }
 
 /// Stores a run of an existing simulation.
-pub(super) async fn simulate_further(
+pub(super) async fn continue_simulation(
     test_store: &mut TestStore,
     mut simulation: Simulation,
     seconds: (i64, i64, i64),
@@ -85,7 +85,11 @@ pub(super) async fn recompute_run(test_store: &TestStore, run: i64) -> Recompute
     recomputed
 }
 
-pub(super) fn stage<'a>(recomputed: &'a RecomputedDelays, name: &str) -> (&'a Judgement, &'a Judgement) {
+/// Returns the judgements of a stage before and after the recomputation.
+pub(super) fn judgements_of<'a>(
+    recomputed: &'a RecomputedDelays,
+    name: &str,
+) -> (&'a Judgement, &'a Judgement) {
     let found_stage = recomputed.stages.iter().find(|candidate| candidate.stage == name);
     found_stage.map(|candidate| (&candidate.before, &candidate.after)).expect("has the stage")
 }
@@ -134,7 +138,7 @@ async fn later_clock_samples_narrow_delays() {
     assert_eq!((recomputed.number, recomputed.samples), (1, 125));
     assert_eq!(recomputed.clocks, [RelatedClocks::Wall], "recorded without raw stamps");
     assert_sound(&test_store, &simulated).await;
-    let (before, after) = stage(&recomputed, "upload");
+    let (before, after) = judgements_of(&recomputed, "upload");
     let widest = |judgement: &Judgement| judgement.half_width.expect("has bounds").max;
     assert!(widest(before) > 1e-3 && widest(after) < 0.7e-3, "{before:?} {after:?}");
     assert!(verdict_count(after, Verdict::Ok) > verdict_count(before, Verdict::Ok));
@@ -152,7 +156,7 @@ async fn long_run_is_judged_in_pages() {
     let recomputed = recompute(&test_store).await;
     assert_eq!(recomputed.samples, 1_510);
     assert_sound(&test_store, &simulated).await;
-    let (_, after) = stage(&recomputed, "download");
+    let (_, after) = judgements_of(&recomputed, "download");
     assert_eq!(after.delay.expect("has values").count, 15_000);
     assert_eq!(verdict_count(after, Verdict::Stale), 0);
 }
@@ -160,7 +164,7 @@ async fn long_run_is_judged_in_pages() {
 #[tokio::test]
 async fn recomputing_with_one_clock_or_without_samples_changes_nothing() {
     let mut test_store = TestStore::new().await;
-    test_store.run_of(30).await;
+    test_store.store_run(30).await;
     let recomputed = recompute(&test_store).await;
     assert_eq!((recomputed.samples, recomputed.stages.len()), (0, 2));
     assert!(recomputed.stages.iter().all(|stage| stage.before == stage.after));
@@ -237,7 +241,7 @@ async fn sides_of_step_are_judged_separately() {
                 verdict_count(&stage.after, Verdict::Stepped)
             );
         }
-        let (before, after) = stage(&recomputed, "upload");
+        let (before, after) = judgements_of(&recomputed, "upload");
         let mean = |judgement: &Judgement| judgement.half_width.expect("has bounds").mean;
         assert!(mean(after) < mean(before));
     }
@@ -263,7 +267,7 @@ async fn unreported_jump_does_not_change_earlier_delays() {
         .await;
         assert_sound(&test_store, &simulated).await;
         let recomputed = recompute(&test_store).await;
-        let (_, after) = stage(&recomputed, "upload");
+        let (_, after) = judgements_of(&recomputed, "upload");
         assert_eq!(verdict_count(after, Verdict::Inconsistent), 0, "{jump} ms, one window: {is_one_window}");
     }
 }
@@ -282,7 +286,7 @@ async fn time_daemon_claims_are_used_as_in_first_judgement() {
         })
         .await;
         let recomputed = recompute(&test_store).await;
-        let (before, after) = stage(&recomputed, "upload");
+        let (before, after) = judgements_of(&recomputed, "upload");
         if error_ms == 0 {
             assert_sound(&test_store, &judged).await;
             assert_eq!(verdict_count(after, Verdict::Inconsistent), 0);

@@ -5,8 +5,8 @@ use peernet_clock::{RelatedClocks, Span, Verdict};
 
 use super::TestStore;
 use super::recomputing::{
-    SECONDS, assert_run_is_sound, assert_sound, recompute, recompute_run, simulate_by, simulate_further,
-    stage, verdict_count,
+    SECONDS, assert_run_is_sound, assert_sound, continue_simulation, judgements_of, recompute, recompute_run,
+    simulate_with_clocks, verdict_count,
 };
 use super::simulation::Simulation;
 use crate::types::{DelayAssumptions, RecomputedStage};
@@ -22,11 +22,11 @@ fn slow_first_seconds(second: i64, simulation: &mut Simulation) {
 async fn delays_are_judged_by_stored_raw_stamps() {
     for clocks in PAIRS {
         let mut test_store = TestStore::new().await;
-        let simulated = simulate_by(&mut test_store, clocks, SECONDS, slow_first_seconds).await;
+        let simulated = simulate_with_clocks(&mut test_store, clocks, SECONDS, slow_first_seconds).await;
         let recomputed = recompute(&test_store).await;
         assert_eq!((recomputed.samples, recomputed.clocks.as_slice()), (125, &[clocks][..]));
         assert_sound(&test_store, &simulated).await;
-        let (before, after) = stage(&recomputed, "upload");
+        let (before, after) = judgements_of(&recomputed, "upload");
         assert!(
             verdict_count(after, Verdict::Ok) > verdict_count(before, Verdict::Ok),
             "{before:?} {after:?}"
@@ -50,17 +50,18 @@ async fn wall_clock_steps_leave_delays_by_raw_stamps_unchanged() {
     ];
     for step in steps {
         let mut test_store = TestStore::new().await;
-        let simulated = simulate_by(&mut test_store, RelatedClocks::Raw, SECONDS, |second, simulation| {
-            slow_first_seconds(second, simulation);
-            if second == 30 {
-                simulation.at_half_second = Some(step);
-            }
-        })
-        .await;
+        let simulated =
+            simulate_with_clocks(&mut test_store, RelatedClocks::Raw, SECONDS, |second, simulation| {
+                slow_first_seconds(second, simulation);
+                if second == 30 {
+                    simulation.at_half_second = Some(step);
+                }
+            })
+            .await;
         assert_eq!(test_store.count("SELECT count(DISTINCT window) FROM clock_sample").await, 1);
         let recomputed = recompute(&test_store).await;
         assert_sound(&test_store, &simulated).await;
-        let (_, after) = stage(&recomputed, "upload");
+        let (_, after) = judgements_of(&recomputed, "upload");
         assert_eq!(
             (verdict_count(after, Verdict::Stepped), verdict_count(after, Verdict::Inconsistent)),
             (0, 0),
@@ -84,14 +85,14 @@ fn simulation_after_restart(test_store: &TestStore, after: Span) -> Simulation {
 #[tokio::test]
 async fn runs_of_two_starts_are_judged_by_their_own_windows() {
     let mut test_store = TestStore::new().await;
-    let first = simulate_by(&mut test_store, RelatedClocks::Raw, SECONDS, slow_first_seconds).await;
+    let first = simulate_with_clocks(&mut test_store, RelatedClocks::Raw, SECONDS, slow_first_seconds).await;
     let restarted = simulation_after_restart(&test_store, Span::from_seconds(1_000));
-    let second = simulate_further(&mut test_store, restarted, SECONDS, slow_first_seconds).await;
+    let second = continue_simulation(&mut test_store, restarted, SECONDS, slow_first_seconds).await;
     for (run, simulated) in [(1, &first), (2, &second)] {
         let recomputed = recompute_run(&test_store, run).await;
         assert_eq!(recomputed.samples, 125, "run {run}");
         assert_run_is_sound(&test_store, run, simulated).await;
-        let (before, after) = stage(&recomputed, "upload");
+        let (before, after) = judgements_of(&recomputed, "upload");
         assert!(verdict_count(after, Verdict::Ok) > verdict_count(before, Verdict::Ok), "run {run}");
     }
 }
@@ -99,11 +100,11 @@ async fn runs_of_two_starts_are_judged_by_their_own_windows() {
 #[tokio::test]
 async fn ambiguous_time_of_two_starts_is_not_judged() {
     let mut test_store = TestStore::new().await;
-    simulate_by(&mut test_store, RelatedClocks::Raw, SECONDS, slow_first_seconds).await;
+    simulate_with_clocks(&mut test_store, RelatedClocks::Raw, SECONDS, slow_first_seconds).await;
     // A machine without a battery: after its second start both of its clocks show the same times again.
     let mut restarted = simulation_after_restart(&test_store, Span::from_seconds(1_000));
     restarted.edge_ahead = Span::from_seconds(-1_000);
-    simulate_further(&mut test_store, restarted, SECONDS, slow_first_seconds).await;
+    continue_simulation(&mut test_store, restarted, SECONDS, slow_first_seconds).await;
     for run in [1, 2] {
         let recomputed = recompute_run(&test_store, run).await;
         assert_eq!((recomputed.samples, recomputed.clocks.len()), (0, 0), "run {run}");
@@ -123,7 +124,7 @@ async fn windows_of_other_clocks_or_starts_are_not_used() {
         "UPDATE clock_sample SET at_ns = at_ns + 5500000000",
     ] {
         let mut test_store = TestStore::new().await;
-        simulate_by(&mut test_store, RelatedClocks::Raw, (5, 20, 0), slow_first_seconds).await;
+        simulate_with_clocks(&mut test_store, RelatedClocks::Raw, (5, 20, 0), slow_first_seconds).await;
         assert!(recompute(&test_store).await.samples > 0);
         sqlx::raw_sql(other).execute(&mut test_store.second_connection().await).await.expect("changes");
         let recomputed = recompute(&test_store).await;
@@ -151,7 +152,7 @@ async fn each_delay_states_assumptions_of_its_bounds() {
     for (clocks, expected) in [(RelatedClocks::Raw, raw_assumptions), (RelatedClocks::Wall, wall_assumptions)]
     {
         let mut test_store = TestStore::new().await;
-        simulate_by(&mut test_store, clocks, (5, 20, 0), slow_first_seconds).await;
+        simulate_with_clocks(&mut test_store, clocks, (5, 20, 0), slow_first_seconds).await;
         let rows = test_store.store.slowest_iterations(1, 50).await.expect("answers");
         let delays = || rows.iter().flat_map(|row| &row.delays);
         assert_eq!(delays().count(), 100);
@@ -169,7 +170,7 @@ async fn each_delay_states_assumptions_of_its_bounds() {
         assert_eq!(assumptions.probes_authenticated, expected.probes_authenticated.map(|_| false));
     }
     let mut test_store = TestStore::new().await;
-    test_store.run_of(3).await;
+    test_store.store_run(3).await;
     let rows = test_store.store.slowest_iterations(1, 3).await.expect("answers");
     assert!(
         rows.iter().flat_map(|row| &row.delays).all(|delay| delay.assumptions.is_none()),

@@ -24,8 +24,8 @@ async fn connect(path: &Path) -> SqliteConnection {
 #[tokio::test]
 async fn database_is_whole_after_repair_of_any_page() {
     let mut test_store = TestStore::new().await;
-    test_store.run_of(60).await;
-    test_store.run_of(60).await;
+    test_store.store_run(60).await;
+    test_store.store_run(60).await;
     let mut other = test_store.second_connection().await;
     sqlx::query("UPDATE storage_clock SET elapsed_ns = 123456789").execute(&mut other).await.expect("sets");
     // A connection that is only dropped closes later, and keeps the others from carrying the write-ahead log over into
@@ -107,7 +107,7 @@ fn random_bytes(seed: u64, bytes: usize) -> Vec<u8> {
 #[tokio::test]
 async fn trees_are_whole_after_repair_of_single_rows() {
     let mut test_store = TestStore::new().await;
-    test_store.run_of(60).await;
+    test_store.store_run(60).await;
     let TestStore { _folder, path: intact_path, writer, store, .. } = test_store;
     store.close().await;
     writer.close().await.1.expect("takes its log over");

@@ -66,7 +66,7 @@ pub(super) async fn step(retention: &mut Retention, connection: &mut SqliteConne
 }
 
 /// Steps until there is nothing to do; returns the number of steps that did something.
-pub(super) async fn work_off(
+pub(super) async fn run_until_done(
     retention: &mut Retention,
     connection: &mut SqliteConnection,
     now: WallTime,
@@ -82,27 +82,27 @@ pub(super) async fn work_off(
 }
 
 /// Stores events at a time of the storage clock. Events that arrived an hour earlier are a separate arrival by then.
-pub(super) async fn arrive(test_store: &mut TestStore, events: Vec<Event>, at: WallTime) {
+pub(super) async fn store_arrival(test_store: &mut TestStore, events: Vec<Event>, at: WallTime) {
     let mut connection = test_store.second_connection().await;
-    work_off(&mut Retention::new(unlimited_retention()), &mut connection, at).await;
+    run_until_done(&mut Retention::new(unlimited_retention()), &mut connection, at).await;
     let work = test_store.batch(events);
     test_store.commit(&[work]).await;
 }
 
 /// Stores two equal runs of four days, the second one pinned, neither ended. Measurements arrive each hour.
-pub(super) async fn two_runs() -> (TestStore, [RunId; 2]) {
+pub(super) async fn store_two_runs() -> (TestStore, [RunId; 2]) {
     let mut test_store = TestStore::new().await;
     let runs = [RunId::random(), RunId::random()];
     let run_starts = runs.into_iter().zip(["line", "arm"]);
     let run_starts = run_starts.map(|(run, name)| generate::run_started(run, name, day(0.0))).collect();
-    arrive(&mut test_store, run_starts, day(0.0)).await;
+    store_arrival(&mut test_store, run_starts, day(0.0)).await;
     let mut connection = test_store.second_connection().await;
     assert!(pin(&mut connection, 2, true).await.expect("pins"));
     assert!(!pin(&mut connection, 3, true).await.expect("looks"));
     for first in (1..=288).step_by(ARRIVAL_ITERATIONS as usize) {
         let last = first + ARRIVAL_ITERATIONS - 1;
         let events = runs.iter().flat_map(|run| iterations(&test_store, *run, first..=last)).collect();
-        arrive(&mut test_store, events, generate::at(last as f64 * INTERVAL_S)).await;
+        store_arrival(&mut test_store, events, generate::at(last as f64 * INTERVAL_S)).await;
     }
     (test_store, runs)
 }
@@ -130,12 +130,12 @@ pub(super) fn short_retention() -> RetentionConfig {
 
 #[tokio::test]
 async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
-    let (test_store, _) = two_runs().await;
+    let (test_store, _) = store_two_runs().await;
     let mut connection = test_store.second_connection().await;
     let before = table(&mut connection).await;
     let stages = test_store.store.statistics_of(1).await.expect("answers").stages;
     let mut retention = Retention::new(short_retention());
-    work_off(&mut retention, &mut connection, day(4.0)).await;
+    run_until_done(&mut retention, &mut connection, day(4.0)).await;
 
     let now_s = (day(4.0) + Span::from_seconds(2)).unix_seconds();
     let period_s = |width_s: i64| match width_s {
@@ -204,13 +204,13 @@ async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
 
 #[tokio::test]
 async fn deletions_are_one_incident_with_counts() {
-    let (test_store, _) = two_runs().await;
+    let (test_store, _) = store_two_runs().await;
     let mut connection = test_store.second_connection().await;
     let seconds = "SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 1";
     let before = test_store.count(seconds).await;
     let mut retention =
         Retention::new(RetentionConfig { seconds_days: 1, nodes_days: 2, ..unlimited_retention() });
-    assert!(work_off(&mut retention, &mut connection, day(4.0)).await > 10);
+    assert!(run_until_done(&mut retention, &mut connection, day(4.0)).await > 10);
     let deleted = before - test_store.count(seconds).await;
     let iterations = 288 - test_store.count("SELECT count(*) FROM iteration WHERE run = 1").await;
     assert!(deleted > 0 && iterations > 0, "{deleted} {iterations}");
@@ -231,7 +231,7 @@ async fn deletions_are_one_incident_with_counts() {
         report.findings
     );
     // A day later another incident begins.
-    work_off(&mut retention, &mut connection, day(5.0)).await;
+    run_until_done(&mut retention, &mut connection, day(5.0)).await;
     assert_eq!(test_store.store.incidents(&IncidentFilter::newest(10)).await.expect("answers").len(), 2);
 }
 
@@ -241,7 +241,7 @@ async fn jump_of_robot_clock_deletes_nothing_early() {
         let mut test_store = TestStore::new().await;
         let run = RunId::random();
         let mut random = Numbers::new(5);
-        arrive(&mut test_store, vec![generate::run_started(run, "line", day(0.0))], day(0.0)).await;
+        store_arrival(&mut test_store, vec![generate::run_started(run, "line", day(0.0))], day(0.0)).await;
         // The robot's clock is wrong on the second of three days.
         for hour in 0..72_u32 {
             let arrived = generate::at(f64::from(hour) * 3_600.0);
@@ -249,7 +249,7 @@ async fn jump_of_robot_clock_deletes_nothing_early() {
             let started = generate::at(f64::from(hour) * 3_600.0 + clock_error_s);
             let number = u64::from(hour) + 1;
             let iteration = generate::iteration_at(run, number, test_store.hosts(), started, &mut random);
-            arrive(&mut test_store, vec![Event::Iteration(iteration)], arrived).await;
+            store_arrival(&mut test_store, vec![Event::Iteration(iteration)], arrived).await;
         }
         let mut connection = test_store.second_connection().await;
         let config =
@@ -258,7 +258,7 @@ async fn jump_of_robot_clock_deletes_nothing_early() {
         let stored = "SELECT count(DISTINCT bucket_s) FROM rollup WHERE resolution_s = 1";
         // From the third day on, data that arrived three days before is deleted each hour, up to two hours late.
         for hour in 72..150_i64 {
-            work_off(&mut retention, &mut connection, generate::at(hour as f64 * 3_600.0)).await;
+            run_until_done(&mut retention, &mut connection, generate::at(hour as f64 * 3_600.0)).await;
             let expected_rows = (72 - (hour - 72) - 1).clamp(0, 72);
             for remaining in
                 [test_store.count("SELECT count(*) FROM iteration").await, test_store.count(stored).await]
@@ -277,7 +277,7 @@ async fn jump_of_robot_clock_deletes_nothing_early() {
 
 #[tokio::test]
 async fn step_is_bounded_and_idle_step_writes_nothing() {
-    let (test_store, _) = two_runs().await;
+    let (test_store, _) = store_two_runs().await;
     let mut connection = test_store.second_connection().await;
     let mut retention = Retention::new(short_retention());
     let rows = "SELECT (SELECT count(*) FROM node) + (SELECT count(*) FROM rollup)";
@@ -314,13 +314,13 @@ async fn late_arrivals_are_kept_for_their_period() {
     let mut events = vec![generate::run_started(run, "line", day(0.0))];
     events.extend(iterations(&test_store, run, 1..=288));
     events.push(Event::RunEnded(RunEnded { run, ended: day(4.0), reason: EndReason::Stopped }));
-    arrive(&mut test_store, events, day(100.0)).await;
+    store_arrival(&mut test_store, events, day(100.0)).await;
     let mut connection = test_store.second_connection().await;
     let mut retention = Retention::new(short_retention());
-    work_off(&mut retention, &mut connection, day(100.9)).await;
+    run_until_done(&mut retention, &mut connection, day(100.9)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 288 * 21);
     assert!(test_store.count("SELECT count(*) FROM rollup WHERE resolution_s = 1").await > 288);
-    work_off(&mut retention, &mut connection, day(104.0)).await;
+    run_until_done(&mut retention, &mut connection, day(104.0)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 0);
     assert_eq!(
         test_store.count("SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s IN (1, 10, 60)").await,
@@ -330,7 +330,7 @@ async fn late_arrivals_are_kept_for_their_period() {
 
     // A batch of iterations from a time that is already deleted.
     let events = iterations(&test_store, run, 300..=310);
-    arrive(&mut test_store, events, day(104.0)).await;
+    store_arrival(&mut test_store, events, day(104.0)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 11 * 21);
     assert_eq!(test_store.count("SELECT ok FROM run WHERE number = 1").await, 299);
     assert!(test_store.store.iteration(1, 305).await.expect("answers").is_some());
@@ -342,59 +342,59 @@ async fn late_arrivals_are_kept_for_their_period() {
     assert_eq!(rebuilt.in_part, 1);
     assert_eq!(test_store.store.statistics_of(1).await.expect("answers").stages, whole);
     // The arrival is recorded within the hour.
-    work_off(&mut retention, &mut connection, day(104.1)).await;
-    work_off(&mut retention, &mut connection, day(108.0)).await;
+    run_until_done(&mut retention, &mut connection, day(104.1)).await;
+    run_until_done(&mut retention, &mut connection, day(108.0)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 0);
     assert_eq!(test_store.count("SELECT nodes_from FROM run WHERE number = 1").await, 310);
 }
 
 #[tokio::test]
 async fn rebuilt_statistics_are_deleted_after_their_period() {
-    let (test_store, _) = two_runs().await;
+    let (test_store, _) = store_two_runs().await;
     let mut connection = test_store.second_connection().await;
     let seconds = "SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 1";
     let before = test_store.count(seconds).await;
     let mut retention = Retention::new(RetentionConfig { seconds_days: 1, ..unlimited_retention() });
-    work_off(&mut retention, &mut connection, day(4.0)).await;
+    run_until_done(&mut retention, &mut connection, day(4.0)).await;
     let remaining = test_store.count(seconds).await;
     assert!(remaining < before / 3, "{remaining} of {before}");
     rebuild(&mut connection, Some(1), |_| {}).await.expect("rebuilds");
     assert_eq!(test_store.count(seconds).await, before);
     // The latest arrivals are recorded within the hour.
-    work_off(&mut retention, &mut connection, day(4.05)).await;
-    work_off(&mut retention, &mut connection, day(4.9)).await;
+    run_until_done(&mut retention, &mut connection, day(4.05)).await;
+    run_until_done(&mut retention, &mut connection, day(4.9)).await;
     assert!(test_store.count(seconds).await >= before - remaining);
-    work_off(&mut retention, &mut connection, day(5.2)).await;
+    run_until_done(&mut retention, &mut connection, day(5.2)).await;
     assert_eq!(test_store.count(seconds).await, 0);
 }
 
 #[tokio::test]
 async fn unpinned_run_is_kept_for_whole_period() {
-    let (test_store, _) = two_runs().await;
+    let (test_store, _) = store_two_runs().await;
     let mut connection = test_store.second_connection().await;
     // Pinned without the store, as with the sqlite3 shell.
     sqlx::query("UPDATE run SET pinned = 1 WHERE number = 1").execute(&mut connection).await.expect("pins");
     let mut retention = Retention::new(short_retention());
-    work_off(&mut retention, &mut connection, day(50.0)).await;
+    run_until_done(&mut retention, &mut connection, day(50.0)).await;
     assert!(pin(&mut connection, 2, false).await.expect("lets go"));
-    work_off(&mut retention, &mut connection, day(51.5)).await;
-    work_off(&mut retention, &mut connection, day(51.9)).await;
+    run_until_done(&mut retention, &mut connection, day(51.5)).await;
+    run_until_done(&mut retention, &mut connection, day(51.9)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM node").await, 2 * 288 * 21);
-    work_off(&mut retention, &mut connection, day(60.0)).await;
+    run_until_done(&mut retention, &mut connection, day(60.0)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 288 * 21);
     assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 2").await, 0);
 }
 
 #[tokio::test]
 async fn clock_samples_are_deleted_except_for_pinned_runs() {
-    let (mut test_store, [_, pinned]) = two_runs().await;
+    let (mut test_store, [_, pinned]) = store_two_runs().await;
     let seconds = |from: f64| (0..50).map(move |n| (from * DAY) as i64 + n);
     // The edge's clock does not determine when they arrive.
     for (from, arrived) in [(-1.0, 4.1), (1.0, 4.2), (4.0, 4.3), (6.0, 4.4), (11.9, 11.9)] {
         let samples =
             seconds(from).map(|second| Event::Clock(Box::new(sample(test_store.cloud, second, 40))));
         let events = samples.collect();
-        arrive(&mut test_store, events, day(arrived)).await;
+        store_arrival(&mut test_store, events, day(arrived)).await;
         if arrived < 5.0 {
             continue;
         }
@@ -413,17 +413,17 @@ async fn clock_samples_are_deleted_except_for_pinned_runs() {
     let config = RetentionConfig { clock_samples_days: 1, ..unlimited_retention() };
     let mut retention = Retention::new(config);
     // The pinned run may continue: all samples of its edge stay from its start on.
-    work_off(&mut retention, &mut connection, day(12.0)).await;
+    run_until_done(&mut retention, &mut connection, day(12.0)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 4 * 50);
     let ended = RunEnded { run: pinned, ended: day(4.0), reason: EndReason::Stopped };
     let work = test_store.batch(vec![Event::RunEnded(ended)]);
     test_store.commit(&[work]).await;
     // Samples that were kept for it are checked again a period later.
-    work_off(&mut retention, &mut connection, day(13.2)).await;
+    run_until_done(&mut retention, &mut connection, day(13.2)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 2 * 50);
     assert_eq!(test_store.count("SELECT count(*) FROM connection_sample").await, 2 * 50);
     assert!(pin(&mut connection, 2, false).await.expect("lets go"));
-    work_off(&mut retention, &mut connection, day(14.4)).await;
+    run_until_done(&mut retention, &mut connection, day(14.4)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 0);
     assert_eq!(test_store.count("SELECT count(*) FROM connection_sample").await, 0);
     assert_eq!(test_store.count("SELECT count(*) FROM clock_window").await, 1);

@@ -7,7 +7,9 @@ use peernet_stream::Event;
 
 use super::TestStore;
 use super::generate::{self, Numbers, at};
-use super::retention::{arrive, day, iterations, step, two_runs, unlimited_retention, work_off};
+use super::retention::{
+    day, iterations, run_until_done, step, store_arrival, store_two_runs, unlimited_retention,
+};
 use crate::retention::{Retention, Step};
 use crate::retention_config::RetentionConfig;
 use crate::types::IncidentFilter;
@@ -21,12 +23,12 @@ fn retention_with_size_limit(size_limit_bytes: u64) -> Retention {
 
 #[tokio::test]
 async fn oldest_unpinned_rows_are_deleted_above_limit() {
-    let (mut test_store, [run, _]) = two_runs().await;
+    let (mut test_store, [run, _]) = store_two_runs().await;
     let mut connection = test_store.second_connection().await;
     let used_bytes = test_store.count(USED).await.unsigned_abs();
     let limit = used_bytes - used_bytes / 20;
     let mut retention = retention_with_size_limit(limit);
-    work_off(&mut retention, &mut connection, day(4.0)).await;
+    run_until_done(&mut retention, &mut connection, day(4.0)).await;
     let first = test_store.count("SELECT min(number) FROM iteration WHERE run = 1").await;
     assert!((2..288).contains(&first), "{first}");
     assert_eq!(test_store.count("SELECT nodes_from FROM run WHERE number = 1").await, first - 1);
@@ -47,7 +49,7 @@ async fn oldest_unpinned_rows_are_deleted_above_limit() {
 
     // The limit cannot be reached: all data that may be deleted is deleted, and then retention stops.
     let mut retention = retention_with_size_limit(1);
-    work_off(&mut retention, &mut connection, day(4.1)).await;
+    run_until_done(&mut retention, &mut connection, day(4.1)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 0);
     assert_eq!(
         test_store.count("SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s IN (1, 10, 60)").await,
@@ -98,7 +100,7 @@ async fn store_concurrent_runs(
                 }));
             }
         }
-        arrive(test_store, events, at(f64::from(hour + 1) * 3_600.0)).await;
+        store_arrival(test_store, events, at(f64::from(hour + 1) * 3_600.0)).await;
     }
 }
 
@@ -158,10 +160,10 @@ async fn rows_from_future_are_deleted_too() {
             let started = at(9_000.0 + 2.0 * number as f64);
             Event::Iteration(generate::iteration_at(run, number, test_store.hosts(), started, &mut random))
         }));
-        arrive(&mut test_store, events, at(0.0)).await;
+        store_arrival(&mut test_store, events, at(0.0)).await;
     }
     let mut connection = test_store.second_connection().await;
-    work_off(&mut retention_with_size_limit(1), &mut connection, at(0.0)).await;
+    run_until_done(&mut retention_with_size_limit(1), &mut connection, at(0.0)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM node").await, 0);
     assert_eq!(test_store.count("SELECT count(*) FROM rollup WHERE resolution_s IN (1, 10, 60)").await, 0);
 }

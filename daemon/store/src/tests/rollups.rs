@@ -168,7 +168,7 @@ async fn memory_is_bounded_by_newest_buckets_of_each_run() {
 }
 
 /// Tables that grow without a limit.
-const LARGE: [&str; 12] = [
+const LARGE_TABLES: [&str; 12] = [
     "node",
     "iteration",
     "transit",
@@ -198,7 +198,7 @@ async fn rollup_and_retention_queries_use_keys() {
             .await
             .unwrap_or_else(|error| panic!("{name}: {error}"));
         for (_, _, _, step) in &steps {
-            let is_scan = LARGE.iter().any(|table| step.starts_with(&format!("SCAN {table}")));
+            let is_scan = LARGE_TABLES.iter().any(|table| step.starts_with(&format!("SCAN {table}")));
             // The few pinned runs have their own index, and so have the aggregator's few incidents.
             let is_small_table =
                 step.contains("INDEX run_pinned") || step.contains("INDEX incident_of_aggregator");

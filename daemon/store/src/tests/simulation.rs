@@ -11,10 +11,12 @@ use peernet_stream::{ClockSample, EstimateBasis, Event, Iteration, NetworkName, 
 use super::clocks::micros;
 use super::generate::{self, Numbers};
 
-/// Delays of data, plus up to [`JITTER`].
-const UP: Span = Span::from_millis(4);
-const DOWN: Span = Span::from_micros(600);
-const JITTER: Span = Span::from_micros(100);
+/// Shortest upload of data.
+const MIN_UPLOAD: Span = Span::from_millis(4);
+/// Shortest download of data.
+const MIN_DOWNLOAD: Span = Span::from_micros(600);
+/// Maximum time that a delay takes in addition to the shortest delay.
+const MAX_JITTER: Span = Span::from_micros(100);
 
 /// Both hosts and their relation over time.
 pub(super) struct Simulation {
@@ -36,7 +38,9 @@ pub(super) struct Simulation {
     pub(super) is_one_window: bool,
     /// Change in the middle of a second.
     pub(super) at_half_second: Option<fn(&mut Self)>,
-    best: (Option<Exchange>, Option<Exchange>),
+    /// The exchange with the lowest upper bound of the offset and the one with the highest lower bound, of the
+    /// exchanges in the current window since the last sample.
+    best_exchanges: (Option<Exchange>, Option<Exchange>),
     /// Number of the first window.
     pub(super) first_window: u64,
     window: u64,
@@ -66,7 +70,7 @@ impl Simulation {
             congestion: Span::ZERO,
             is_one_window: false,
             at_half_second: None,
-            best: (None, None),
+            best_exchanges: (None, None),
             first_window: 1 << 63,
             window: 1 << 63,
             true_delays: Vec::new(),
@@ -113,7 +117,8 @@ impl Simulation {
 
     fn iteration(&mut self, run: RunId) -> Iteration {
         let started = self.edge(self.now);
-        let Passage { stamps, wall, delays } = self.exchange((UP, DOWN), Span::from_millis(10));
+        let Passage { stamps, wall, delays } =
+            self.exchange((MIN_UPLOAD, MIN_DOWNLOAD), Span::from_millis(10));
         self.true_delays.push(delays);
         let number = self.true_delays.len() as u64;
         let JudgedExchange { learned, up, down } = self.relation.judge(&self.observation(stamps));
@@ -141,7 +146,7 @@ impl Simulation {
     /// Simulates a message and its answer with these delays plus jitter. Returns the stamps and the true delays.
     fn exchange(&mut self, (up, down): (Span, Span), processing_time: Span) -> Passage {
         let base = Span::from_micros(50);
-        let mut jitter = |delay: Span| delay + Span::from_nanos(self.numbers.between(0, JITTER.nanos()));
+        let mut jitter = |delay: Span| delay + Span::from_nanos(self.numbers.between(0, MAX_JITTER.nanos()));
         let (up, down) = (jitter(up.max(base)), jitter(down.max(base)));
         let (arrived, left) = (self.now + up, self.now + up + processing_time);
         let stamps = Exchange {
@@ -192,12 +197,12 @@ impl Simulation {
         let restarts = if self.is_one_window { 0 } else { self.relation.counts().restarts };
         let window = self.first_window + u64::from(restarts);
         if window != self.window {
-            (self.window, self.best) = (window, (None, None));
+            (self.window, self.best_exchanges) = (window, (None, None));
         }
         if let LearnResult::Refused(_) = learned {
             return;
         }
-        let (upper, lower) = &mut self.best;
+        let (upper, lower) = &mut self.best_exchanges;
         if upper.is_none_or(|best| exchange.upper() < best.upper()) {
             *upper = Some(exchange);
         }
@@ -217,7 +222,7 @@ impl Simulation {
             claims_trusted: true,
             probes_authenticated: Some(true),
         };
-        let (upper, lower) = std::mem::take(&mut self.best);
+        let (upper, lower) = std::mem::take(&mut self.best_exchanges);
         Event::Clock(Box::new(ClockSample {
             peer: self.hosts.1,
             peer_name: "cloud".parse().expect("a name"),

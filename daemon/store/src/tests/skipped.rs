@@ -7,7 +7,7 @@ use peernet_stream::{Event, Iteration, Outcome};
 use super::{NOW, TestStore, generate};
 use crate::rebuild::rebuild;
 
-/// Number of starts that were skipped in [`TestStore::run_that_skips`].
+/// Number of starts that were skipped in [`TestStore::store_run_with_skipped_starts`].
 pub(super) const SKIPPED: u64 = 3 + 4 + 5 + 6;
 
 impl TestStore {
@@ -21,7 +21,7 @@ impl TestStore {
     }
 
     /// Stores a run with skipped starts before the warm-up and before iterations of every outcome, in two commits.
-    pub(super) async fn run_that_skips(&mut self) -> RunId {
+    pub(super) async fn store_run_with_skipped_starts(&mut self) -> RunId {
         let run = RunId::random();
         let mut warm_up = self.late_iteration(run, 1, 100.0);
         warm_up.warm_up = true;
@@ -56,16 +56,16 @@ impl TestStore {
 #[tokio::test]
 async fn skipped_starts_before_unanswered_iterations_count() {
     let mut test_store = TestStore::new().await;
-    test_store.run_that_skips().await;
-    test_store.run_of(5).await;
+    test_store.store_run_with_skipped_starts().await;
+    test_store.store_run(5).await;
     assert_eq!(test_store.skipped_starts().await, [SKIPPED, 0]);
 }
 
 #[tokio::test]
 async fn rebuild_counts_skipped_starts_again() {
     let mut test_store = TestStore::new().await;
-    test_store.run_that_skips().await;
-    test_store.run_of(5).await;
+    test_store.store_run_with_skipped_starts().await;
+    test_store.store_run(5).await;
     let mut connection = test_store.second_connection().await;
     sqlx::query("UPDATE run SET skipped_starts = 7").execute(&mut connection).await.expect("spoils");
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");

@@ -135,7 +135,7 @@ async fn data_is_deleted_after_its_period_of_running_time() {
     let config = RetentionConfig { nodes_days: 1, seconds_days: 1, ..RetentionConfig::default() };
     let connection = database::open(&test_store.path).await.expect("opens");
     test_store.writer = Writer::new(test_store.path.clone(), connection, config).await.expect("reads");
-    test_store.run_of(50).await;
+    test_store.store_run(50).await;
     let mut check_each_minute = async |test_store: &mut TestStore, minutes: std::ops::Range<i64>| {
         for minute in minutes {
             // The wall clock runs a thousand times as fast.

@@ -13,7 +13,7 @@ async fn run(test_store: &TestStore) -> RunSummary {
 
 /// Stores a run of `iterations` iterations, then a lost one and one with an additional node; returns them all.
 async fn store_iterations(test_store: &mut TestStore, iterations: u64) -> Vec<Iteration> {
-    let run = test_store.run_of(iterations).await;
+    let run = test_store.store_run(iterations).await;
     let mut numbers = generate::Numbers::new(7);
     let mut next = |number| generate::iteration(run, number, test_store.hosts(), &mut numbers);
     let mut sent_iterations: Vec<Iteration> = (1..=iterations).map(&mut next).collect();

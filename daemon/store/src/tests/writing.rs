@@ -125,7 +125,7 @@ async fn bad_batch_is_quarantined_and_others_are_stored() {
 #[tokio::test]
 async fn iterations_repeated_in_another_stream_are_left_out() {
     let mut test_store = TestStore::new().await;
-    let run = test_store.run_of(20).await;
+    let run = test_store.store_run(20).await;
     let stranger = RunId::random();
     // A copy of the spool is in use as well: half of the iterations that it sends are stored, some belong to an unknown
     // run.
@@ -165,7 +165,7 @@ async fn iterations_repeated_in_another_stream_are_left_out() {
 #[tokio::test]
 async fn commit_without_log_is_not_acknowledged() {
     let mut test_store = TestStore::new().await;
-    test_store.run_of(3).await;
+    test_store.store_run(3).await;
     let work = [test_store.batch(vec![generate::run_started(RunId::random(), "line", NOW)])];
     let log = test_store.path.with_extension("sqlite-wal");
     std::fs::remove_file(&log).expect("there was one");
@@ -225,7 +225,7 @@ async fn iterations_of_run_without_start_are_kept() {
 #[tokio::test]
 async fn gap_is_stored_with_run_missing_batches_with_host() {
     let mut test_store = TestStore::new().await;
-    let run = test_store.run_of(3).await;
+    let run = test_store.store_run(3).await;
     let gap = Gap {
         pipeline: "line".parse().ok(),
         run: Some(run),
@@ -291,14 +291,14 @@ async fn events_before_first_contact_are_counted_apart() {
     let (stored, _) = committed.hosts[&host];
     assert_eq!((stored.gaps, stored.missing, stored.missing_before), (2, 45, 40));
     let hosts = test_store.store.hosts().await.expect("answers");
-    let edge = hosts.iter().find(|one| one.id == host).map(|one| one.stored);
+    let edge = hosts.iter().find(|row| row.id == host).map(|row| row.stored);
     assert_eq!(edge, Some(stored));
 }
 
 #[tokio::test]
 async fn missing_events_of_all_gaps_are_counted() {
     let mut test_store = TestStore::new().await;
-    let run = test_store.run_of(3).await;
+    let run = test_store.store_run(3).await;
     let gap = |index: u32| {
         Event::Gap(Gap {
             pipeline: "line".parse().ok(),

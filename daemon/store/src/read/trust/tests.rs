@@ -69,31 +69,33 @@ fn detail(configuration: &str, reason: &str) -> RunDetail {
     RunDetail { configuration: configuration.to_owned(), ..summary(reason).into() }
 }
 
-fn end(run: &RunDetail) -> Option<(Grade, String)> {
+/// Returns the grade and the text of the finding about the run's end.
+fn end_finding(run: &RunDetail) -> Option<(Grade, String)> {
     let report = report(run, Vec::new());
-    let found = report.findings.into_iter().find(|sentence| sentence.about == "end");
-    found.map(|sentence| (sentence.grade, sentence.text))
+    let found = report.findings.into_iter().find(|finding| finding.about == "end");
+    found.map(|finding| (finding.grade, finding.text))
 }
 
 #[test]
 fn run_that_ended_before_its_limit_is_reported() {
-    let of = |count: u32| format!("name = \"line\"\nmodel = \"m\"\n\n[limit]\niterations = {count}\n");
-    let said = |grade, text: &str| Some((grade, text.to_owned()));
+    let configuration =
+        |count: u32| format!("name = \"line\"\nmodel = \"m\"\n\n[limit]\niterations = {count}\n");
+    let finding = |grade, text: &str| Some((grade, text.to_owned()));
     assert_eq!(
-        end(&detail(&of(400), "stopped")),
-        said(Grade::Doubtful, "The run was interrupted after 300 of 400 iterations.")
+        end_finding(&detail(&configuration(400), "stopped")),
+        finding(Grade::Doubtful, "The run was interrupted after 300 of 400 iterations.")
     );
     assert_eq!(
-        end(&detail(&of(1_000), "the server went")),
-        said(Grade::Bad, "The run broke off after 300 of 1,000 iterations: the server went.")
+        end_finding(&detail(&configuration(1_000), "the server went")),
+        finding(Grade::Bad, "The run broke off after 300 of 1,000 iterations: the server went.")
     );
-    let seconds = "name = \"line\"\n\n[limit]\nduration_s = 80.0\n";
+    let with_duration = "name = \"line\"\n\n[limit]\nduration_s = 80.0\n";
     assert_eq!(
-        end(&detail(seconds, "stopped")),
-        said(Grade::Doubtful, "The run was interrupted after 59.0 of 80.0\u{202f}s.")
+        end_finding(&detail(with_duration, "stopped")),
+        finding(Grade::Doubtful, "The run was interrupted after 59.0 of 80.0\u{202f}s.")
     );
-    for whole in [&of(300), "name = \"line\"\n", "# cannot be written down: why\n", "= not TOML"] {
-        assert_eq!(end(&detail(whole, "stopped")), None, "{whole}");
+    for whole in [&configuration(300), "name = \"line\"\n", "# cannot be written down: why\n", "= not TOML"] {
+        assert_eq!(end_finding(&detail(whole, "stopped")), None, "{whole}");
     }
 }
 
@@ -101,22 +103,22 @@ fn run_that_ended_before_its_limit_is_reported() {
 fn answers_without_score_are_reported() {
     let run = detail("", "finished");
     let ok = run.summary.counts.ok;
-    let said = |count| {
+    let score_finding = |count| {
         let report = report(&run, vec![node("top-1", count, 0.75)]);
-        report.findings.into_iter().find(|sentence| sentence.text.contains("top-1"))
+        report.findings.into_iter().find(|finding| finding.text.contains("top-1"))
     };
-    let text = said(ok - 12).expect("a sentence").text;
+    let text = score_finding(ok - 12).expect("a finding").text;
     assert!(text.contains("12"), "{text}");
-    assert!(said(ok).is_none(), "all were scored");
+    assert!(score_finding(ok).is_none(), "all were scored");
 }
 
 #[test]
 fn restarted_process_is_reported() {
     let report = report(&detail("", "finished"), vec![node(&stage::RESTART, 2, 0.5)]);
-    let said = report.findings.iter().find(|sentence| sentence.about == "restarts").expect("said");
+    let finding = report.findings.iter().find(|finding| finding.about == "restarts").expect("a finding");
     assert!(
-        said.text.contains("The model's process was restarted in 2 iterations. The wait for it was 1,000"),
-        "{said:?}"
+        finding.text.contains("The model's process was restarted in 2 iterations. The wait for it was 1,000"),
+        "{finding:?}"
     );
 }
 
@@ -136,23 +138,26 @@ fn labels_outside_models_classes_are_reported() {
     let mut run = detail("", "finished");
     run.facts.push(("Classes".to_owned(), "4: good, dented".to_owned()));
     let report = report(&run, vec![node(UNKNOWN_LABEL, 12, 1.0)]);
-    let said = report.findings.iter().find(|sentence| sentence.about == "accuracy").expect("said");
-    assert!(said.text.starts_with("Not scored: 12 of") && said.text.contains("good, dented"), "{said:?}");
+    let finding = report.findings.iter().find(|finding| finding.about == "accuracy").expect("a finding");
+    assert!(
+        finding.text.starts_with("Not scored: 12 of") && finding.text.contains("good, dented"),
+        "{finding:?}"
+    );
 }
 
 #[test]
 fn skipped_starts_are_reported_with_ordered_rate() {
     let mut run = detail("name = \"line\"\n\n[load]\nmode = \"rate\"\nhz = 40\n", "finished");
-    let mut said = |skipped_starts| {
+    let mut skip_finding = |skipped_starts| {
         run.summary.skipped_starts = skipped_starts;
         let report = report(&run, Vec::new());
-        let found = report.findings.into_iter().find(|sentence| sentence.about == "skipped starts");
-        found.map(|sentence| (sentence.grade, sentence.text)).expect("said")
+        let found = report.findings.into_iter().find(|finding| finding.about == "skipped starts");
+        found.map(|finding| (finding.grade, finding.text)).expect("a finding")
     };
-    let (grade, text) = said(300);
+    let (grade, text) = skip_finding(300);
     let rates = "40.0\u{202f}Hz were configured, 5.07\u{202f}Hz achieved";
     assert!(grade == Grade::Bad && text.starts_with("300 of 600 starts") && text.contains(rates), "{text}");
-    assert_eq!(said(0).0, Grade::Good);
+    assert_eq!(skip_finding(0).0, Grade::Good);
 }
 
 #[test]
@@ -181,13 +186,13 @@ fn unknown_number_of_missing_events_is_not_reported() {
     let mut run = detail("[limit]\niterations = 400\n", "stopped");
     let gap = |count| GapRow { from: NOW, to: NOW + Span::from_seconds(1), count, reason: "full".to_owned() };
     run.gaps = vec![gap(100)];
-    assert_eq!(end(&run), None, "measured, though not stored");
+    assert_eq!(end_finding(&run), None, "measured, though not stored");
     run.gaps = vec![gap(0)];
-    assert_eq!(end(&run), None, "an unknown number");
+    assert_eq!(end_finding(&run), None, "an unknown number");
     run.gaps.clear();
     run.summary.ended = None;
     let open = "The run has not ended: the findings cover the iterations so far.";
-    assert_eq!(end(&run), Some((Grade::Unknown, open.to_owned())));
+    assert_eq!(end_finding(&run), Some((Grade::Unknown, open.to_owned())));
 }
 
 /// Returns the row of an iteration of a run in an open loop: its delays are known unless its number is a multiple of
@@ -208,7 +213,7 @@ fn row(iteration: u64) -> Row {
         }
     };
     let (up, down) = (delay(6.0 + noise), delay(2.0 + noise));
-    let delays = [("upload", up), ("download", down)].map(|(name, one)| (name, one.known_seconds()));
+    let delays = [("upload", up), ("download", down)].map(|(name, delay)| (name, delay.known_seconds()));
     let others = [
         ("sensing", Some(milliseconds(3.0))),
         ("inference", Some(milliseconds(9.0))),
@@ -257,12 +262,15 @@ fn rows_and_roll_ups_give_same_findings() {
     let bounds = directions.map(|(stage, delay)| {
         let delays = || rows.iter().filter_map(|row| delay(&row));
         let verdicts = [Verdict::Ok, Verdict::Unsynchronised]
-            .map(|verdict| (verdict, delays().filter(|one| one.verdict == verdict).count() as u64));
-        let mut half_widths = delays().filter_map(|one| one.known_bounds()).map(|(lo, hi)| (hi - lo) / 2.0);
-        let half_width = of_values(&stage, &mut half_widths).map(|one| one.statistics);
-        let bounds = || delays().filter_map(|one| one.known_bounds());
-        let end = |values: &mut dyn Iterator<Item = f64>| of_values(&stage, values).map(|one| one.statistics);
-        let ends = end(&mut bounds().map(|(lo, _)| lo)).zip(end(&mut bounds().map(|(_, hi)| hi)));
+            .map(|verdict| (verdict, delays().filter(|delay| delay.verdict == verdict).count() as u64));
+        let mut half_widths =
+            delays().filter_map(|delay| delay.known_bounds()).map(|(lo, hi)| (hi - lo) / 2.0);
+        let half_width = of_values(&stage, &mut half_widths).map(|row| row.statistics);
+        let bounds = || delays().filter_map(|delay| delay.known_bounds());
+        let statistics_of_ends =
+            |values: &mut dyn Iterator<Item = f64>| of_values(&stage, values).map(|row| row.statistics);
+        let ends = statistics_of_ends(&mut bounds().map(|(lo, _)| lo))
+            .zip(statistics_of_ends(&mut bounds().map(|(_, hi)| hi)));
         let ends = ends.map(|(lower, upper)| [lower, upper]);
         DelayAccuracy { half_width, ends, verdicts: verdicts.to_vec(), stage }
     });
@@ -280,8 +288,9 @@ fn rows_and_roll_ups_give_same_findings() {
         stored.split
     );
     assert!(near(input.split.lateness, stored.split.lateness) && near(input.overrun, stored.overrun));
-    let restarts =
-        |input: &TrustInput| input.restarts.iter().map(|one| (one.owner, one.count)).collect::<Vec<_>>();
+    let restarts = |input: &TrustInput| {
+        input.restarts.iter().map(|restarts| (restarts.owner, restarts.count)).collect::<Vec<_>>()
+    };
     assert_eq!(restarts(&input), restarts(&stored));
     for (rows, stored) in input.clocks.iter().zip(&stored.clocks) {
         assert_eq!((&rows.stage, &rows.verdicts), (&stored.stage, &stored.verdicts));
