@@ -116,12 +116,12 @@ impl Bank {
         self.loaded.get()
     }
 
-    /// Returns the names of the configured models, in the order of the configuration.
+    /// Returns the names of the configured models, in the order of the configuration, and of the built-in model.
     pub fn names(&self) -> Vec<Slug> {
         self.models().map(|model| model.name().clone()).collect()
     }
 
-    /// Returns the configurations of the models, in order.
+    /// Returns the configurations of the models whose [`names`](Self::names) are returned, in the same order.
     pub fn models(&self) -> impl Iterator<Item = &ModelConfig> {
         self.entries.iter().map(|entry| &entry.config)
     }
@@ -201,8 +201,8 @@ impl Bank {
     }
 
     fn load_entry(&self, entry: &CacheEntry) -> Result<Arc<Pool>, LoadError> {
-        let (pool, new) = entry.pool(|| self.start(&entry.config))?;
-        if let Some(observer) = self.on_load.as_ref().filter(|_| new) {
+        let (pool, is_new) = entry.pool(|| self.start(&entry.config))?;
+        if let Some(observer) = self.on_load.as_ref().filter(|_| is_new) {
             observer(&pool);
         }
         Ok(pool)
@@ -258,7 +258,8 @@ impl Bank {
         let deadline =
             self.clock.mono() + Span::from_nanos(i64::try_from(timeout.as_nanos()).unwrap_or(i64::MAX));
         let entries = self.all_entries();
-        // There is one place for each model: a thread that ends late must not wait for a receiver.
+        // The channel has a place for each model, so that a thread that ends after the deadline does not wait for a
+        // receiver.
         let (done, ended) = mpsc::sync_channel(entries.len());
         let mut running: Vec<(usize, Slug)> =
             entries.iter().enumerate().map(|(index, entry)| (index, entry.config.name().clone())).collect();
@@ -274,7 +275,8 @@ impl Bank {
                 tracing::error!(%error, "cannot start a thread to end a model");
             }
         }
-        // If a thread did not start, the channel closes with the others, and nothing is waited for in vain.
+        // The threads hold the only senders from here on, so that the loop ends as soon as all threads have ended,
+        // even if one did not start.
         drop(done);
         while !running.is_empty() {
             let remaining = (deadline - self.clock.mono()).nanos().max(0).unsigned_abs();
@@ -330,7 +332,8 @@ impl Unloader {
         pool.shutdown();
         // The pool owns the model, so that its memory is released before the second reading.
         drop(pool);
-        // At the end all models are unloaded at once, so that no model has a share of its own.
+        // At the end all models are unloaded at the same time, so that nobody can tell how much memory one of them
+        // released.
         let memory_before = memory_before.filter(|_| reason != UnloadReason::Shutdown);
         let memory_released =
             memory_before.zip(resident_memory()).map(|(before, after)| before.saturating_sub(after));

@@ -28,7 +28,7 @@ impl CurrentComputation {
         self.set(Some(Computation { started_at, requests }));
     }
 
-    /// Notes that the worker computes nothing.
+    /// Records that the worker computes nothing.
     pub(crate) fn end(&self) {
         self.set(None);
     }
@@ -50,12 +50,14 @@ impl CurrentComputation {
 pub(crate) struct BlockedWorkers {
     computations: Vec<Arc<CurrentComputation>>,
     clock: SharedClock,
+    /// The current or the last blockage.
     last: Mutex<Option<Blockage>>,
 }
 
 /// A time in which all workers compute cancelled requests.
 #[derive(Debug)]
 struct Blockage {
+    /// Start of the oldest of the computations.
     started_at: MonoTime,
     noticed_at: MonoTime,
     is_logged: bool,
@@ -76,8 +78,8 @@ impl BlockedWorkers {
         starts?.into_iter().min()
     }
 
-    /// Logs once for each computation that all workers compute cancelled requests, if they did so [`GRACE`] ago. Called for
-    /// each request. Returns whether it logged.
+    /// Logs that all workers compute cancelled requests, if this was already so [`GRACE`] ago; logs it once for each
+    /// such time. Called for each request. Returns whether it logged.
     pub(crate) fn check(&self, model: &Slug) -> bool {
         let Some(started_at) = self.started_at() else { return false };
         let now = self.clock.mono();

@@ -201,8 +201,8 @@ impl LoadError {
     /// nothing of this host's files and of the addresses of servers behind this host. `host` is the name of this host.
     pub fn to_peer(&self, model: &str, host: &str) -> String {
         match self {
-            // The peer waits until it succeeds, so that its user sees what is missing. Such a reason names no address, nor a variable
-            // with a key; a text of the server could.
+            // The peer tries again until loading succeeds, and shows this reason to its user meanwhile. The reason
+            // names neither an address nor the variable with a key, unless it quotes the server.
             Self::Server { url, is_transient: true, reason, .. } if !names_server(reason, url) => {
                 format!("model {model} cannot be loaded on host {host}: {reason}")
             }
@@ -360,12 +360,13 @@ impl InferenceError {
     }
 }
 
-/// Returns a text with `http://…` in place of URLs. A server's text or a redirect may have the address of a server.
+/// Returns a text with `http://…` in place of URLs. The text of a server or of a redirect may contain the address of
+/// a server.
 fn hide_urls(text: &str) -> String {
     let hide = |word: &str| {
         let schemes = ["http://", "https://"].into_iter();
-        let end = schemes.filter_map(|scheme| Some(word.find(scheme)? + scheme.len())).next()?;
-        (end < word.len()).then(|| format!("{}…", &word[..end]))
+        let scheme_end = schemes.filter_map(|scheme| Some(word.find(scheme)? + scheme.len())).next()?;
+        (scheme_end < word.len()).then(|| format!("{}…", &word[..scheme_end]))
     };
     text.split(' ').map(|word| hide(word).unwrap_or_else(|| word.to_owned())).collect::<Vec<_>>().join(" ")
 }

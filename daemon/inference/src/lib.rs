@@ -4,7 +4,7 @@
 //! [`Bank`] holds the models that a host offers. It loads a requested model once and returns its [`Pool`];
 //! [`Pool::submit`] accepts jobs, and each job's `reply` receives the result.
 //!
-//! A new kind is one file or folder in [`model`], registered in the `mod.rs` there.
+//! A new kind of model is one file or folder in [`model`], registered in `model/mod.rs`.
 
 pub mod bank;
 mod batching;
@@ -36,11 +36,11 @@ pub use requester::{Cancelled, PartError, Requester, UncancelledRequester};
 use peernet_logger::Recorder;
 use peernet_sample::Sample;
 
-/// A loaded model, as used by one thread.
+/// Computes answers with a loaded model; used by one thread at a time.
 pub trait Worker: Send {
-    /// Computes the answer, and records each of the stages `preprocessing`, `inference` and `postprocessing` that
-    /// the model has. May send partial answers to `requester`, and stops early, where it can, if the request is
-    /// cancelled.
+    /// Computes the answer to a sample, and records each of the stages `preprocessing`, `inference` and
+    /// `postprocessing` that the model has. May send partial answers to `requester`, and stops early, where it can,
+    /// if the request is cancelled.
     ///
     /// # Errors
     /// If this sample cannot be computed. The next sample may succeed.
@@ -51,8 +51,9 @@ pub trait Worker: Send {
         requester: &dyn Requester,
     ) -> Result<Sample, InferenceError>;
 
-    /// Computes the answers of several requests together, at most as many as [`Model::batching`] allows. Returns one result per
-    /// request, in their order. Each stage is recorded for all of them, from its start to its end for the whole batch.
+    /// Computes the answers of several requests together, at most as many as [`Model::batching`] allows. Returns one
+    /// result per request, in their order. Each stage is recorded with the same start and end for all requests: those
+    /// of the stage for the whole batch.
     ///
     /// The default is for models without batches: it calls [`infer`](Self::infer) for one request after the other.
     fn infer_batch(&mut self, requests: &mut [Request<'_>]) -> Vec<Result<Sample, InferenceError>> {

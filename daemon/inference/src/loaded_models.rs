@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Models that are loaded, of all kinds.
+/// Number and memory of the loaded models of all kinds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LoadedModels {
     /// Number of models.

@@ -129,7 +129,7 @@ impl Pool {
     }
 
     /// Answers the waiting jobs that were cancelled, which frees their places in the queue.
-    // While a worker computes for long, nobody else takes them out.
+    // Otherwise they would keep their places until a worker takes them, and a worker may compute for long.
     fn drop_cancelled(&self, queue: &Queue<Job>) {
         for Job { recorder, reply, .. } in queue.remove(|job| job.requester.cancellation().is_cancelled()) {
             let result = Err(InferenceError::Cancelled { model: self.name.to_string() });
@@ -138,7 +138,7 @@ impl Pool {
     }
 
     /// Ends the threads after their current samples, and answers all waiting jobs with [`InferenceError::Stopped`].
-    /// Blocks: not for an I/O thread.
+    /// Blocks, so that it must not be called on an I/O thread.
     pub fn shutdown(&self) {
         let Execution::Threads { queue, handles, .. } = &self.execution else { return };
         for Job { recorder, reply, .. } in queue.close() {

@@ -8,8 +8,9 @@ use std::time::Duration;
 ///
 /// At most `capacity` items wait. Each idle consumer allows one more item, because it takes the item at once.
 ///
-/// An item is *unfinished* from [`push`](Self::push) until [`finish`](Self::finish). A consumer waits for more items only until as many are
-/// unfinished as there were at the same time before. Then every producer probably waits for an answer, and adds nothing.
+/// An item is *unfinished* from [`push`](Self::push) until [`finish`](Self::finish). A consumer that collects a batch
+/// stops waiting when the number of unfinished items reaches the largest number seen before: then every producer
+/// probably waits for an answer, and none will add an item.
 // Channels of the standard library and of tokio do not count idle consumers.
 pub(crate) struct Queue<T> {
     capacity: usize,
@@ -20,11 +21,12 @@ pub(crate) struct Queue<T> {
 struct State<T> {
     waiting: VecDeque<T>,
     /// Number of items that waiting consumers will take as soon as they arrive.
-    idle: usize,
+    awaited_items: usize,
     /// Number of items that were added and are not finished.
     unfinished: usize,
-    /// Largest number of unfinished items since a consumer's wait last timed out. At this number a consumer waits no longer.
-    expected: usize,
+    /// Largest number of unfinished items since a consumer's wait last timed out. A consumer does not wait when this
+    /// number is reached.
+    max_unfinished: usize,
     closed: bool,
 }
 
@@ -38,8 +40,8 @@ pub(crate) enum Rejection {
 impl<T> Queue<T> {
     pub(crate) fn new(capacity: usize) -> Self {
         // Nothing is known about the producers yet, so the first batch waits.
-        let expected = usize::MAX;
-        let state = State { waiting: VecDeque::new(), idle: 0, unfinished: 0, expected, closed: false };
+        let max_unfinished = usize::MAX;
+        let state = State { waiting: VecDeque::new(), awaited_items: 0, unfinished: 0, max_unfinished, closed: false };
         Self { capacity, state: Mutex::new(state), changed: Condvar::new() }
     }
 
@@ -53,7 +55,7 @@ impl<T> Queue<T> {
     }
 
     fn is_full_in(&self, state: &State<T>) -> bool {
-        state.waiting.len() >= self.capacity + state.idle
+        state.waiting.len() >= self.capacity + state.awaited_items
     }
 
     /// Returns the number of waiting items.
@@ -75,8 +77,8 @@ impl<T> Queue<T> {
         }
         state.waiting.push_back(item);
         state.unfinished += 1;
-        state.expected = state.expected.max(state.unfinished);
-        let is_last_expected = state.unfinished >= state.expected;
+        state.max_unfinished = state.max_unfinished.max(state.unfinished);
+        let is_last_expected = state.unfinished >= state.max_unfinished;
         // This comes before the notification, so that the woken consumer does not wait for the lock.
         drop(state);
         if is_last_expected {
@@ -98,8 +100,8 @@ impl<T> Queue<T> {
         removed.into()
     }
 
-    /// Marks `count` of the items that were taken as finished. Call this before their producers learn the results: a producer that adds its next item
-    /// would otherwise count twice.
+    /// Marks `count` of the taken items as finished. Call this before their producers learn the results: a producer
+    /// that adds its next item would otherwise count twice.
     pub(crate) fn finish(&self, count: usize) {
         let mut state = self.lock();
         state.unfinished = state.unfinished.saturating_sub(count);
@@ -108,29 +110,29 @@ impl<T> Queue<T> {
     /// Waits for the next item; returns `None` once the queue is closed.
     pub(crate) fn pop(&self) -> Option<T> {
         let mut state = self.lock();
-        state.idle += 1;
+        state.awaited_items += 1;
         while state.waiting.is_empty() && !state.closed {
             state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
-        state.idle -= 1;
+        state.awaited_items -= 1;
         if state.closed { None } else { state.waiting.pop_front() }
     }
 
-    /// Adds waiting items to `items` until there are `size`. Waits at most `timeout` for more of them, and only while more are expected.
-    /// Takes none if the queue is closed.
+    /// Adds waiting items to `items` until there are `size`. Waits at most `timeout`, and only while more items are
+    /// expected; see [`Queue`]. Takes none if the queue is closed.
     pub(crate) fn pop_more(&self, items: &mut Vec<T>, size: usize, timeout: Duration) {
         let missing = size.saturating_sub(items.len());
         let mut state = self.lock();
         // This consumer takes all missing items as soon as they arrive, so the queue admits as many more items.
-        state.idle += missing;
+        state.awaited_items += missing;
         let is_short = |state: &mut State<T>| {
-            state.waiting.len() < missing && state.unfinished < state.expected && !state.closed
+            state.waiting.len() < missing && state.unfinished < state.max_unfinished && !state.closed
         };
         let waited = self.changed.wait_timeout_while(state, timeout, is_short);
         let (mut state, wait) = waited.unwrap_or_else(PoisonError::into_inner);
-        state.idle -= missing;
+        state.awaited_items -= missing;
         if wait.timed_out() {
-            state.expected = state.unfinished;
+            state.max_unfinished = state.unfinished;
         }
         if state.closed {
             return;

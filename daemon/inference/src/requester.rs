@@ -37,7 +37,7 @@ pub enum PartError {
     /// The request was cancelled.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
-    /// The requester cannot get it, for this reason.
+    /// The partial answer cannot be sent to the requester, for this reason.
     #[error("{0}")]
     Refused(String),
 }

@@ -47,7 +47,7 @@ impl WorkerSlot {
         let started_at = self.clock.mono();
         let is_batching = self.model.batching().is_on();
         for job in &mut jobs {
-            // A request of a batch may arrive after the first request was taken.
+            // A request that arrives after the first request of its batch was taken does not wait in the queue.
             let left_queue_at = if is_batching { taken_at.max(job.received) } else { started_at };
             job.recorder.record_timer(stage::QUEUE, job.received, left_queue_at);
             if is_batching {

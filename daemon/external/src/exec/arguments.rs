@@ -14,7 +14,7 @@ use super::CommandLine;
 /// probability 2⁻⁴⁸.
 const FINGERPRINT_DIGITS: usize = 12;
 
-/// Prefix of the fact about a program.
+/// Prefix of the value of the fact about a program.
 const PROGRAM_FACT_PREFIX: &str = "the program ";
 
 /// Names of the facts about programs.

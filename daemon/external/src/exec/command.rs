@@ -158,8 +158,8 @@ impl ExecConfig {
 
     /// Returns whether the shell itself has a command of this name, or finds it with the program's environment. Runs the shell only.
     fn is_shell_command(&self, name: &str) -> bool {
-        let is_name = !name.contains('/') && find_program(OsStr::new(name)).is_none();
-        is_name
+        let is_unknown_name = !name.contains('/') && find_program(OsStr::new(name)).is_none();
+        is_unknown_name
             && Command::new("sh")
                 .args(["-c", "command -v \"$0\"", name])
                 .envs(&self.env)

@@ -76,7 +76,7 @@ pub enum FramingError {
     Version(u32),
 }
 
-/// Command that cannot be run; found without running it.
+/// Reason why a command cannot be run, found without running it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CommandError {
     /// The timeout is longer than allowed.

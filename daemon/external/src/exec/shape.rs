@@ -2,6 +2,7 @@
 
 use peernet_sample::{Description, ElementType, MediaType};
 
+/// Types of elements that a shape can name.
 const ELEMENTS: [ElementType; 14] = [
     ElementType::U8,
     ElementType::F32,

@@ -7,8 +7,8 @@ use std::time::SystemTime;
 use crate::model::onnx;
 use crate::{LoadError, ModelConfig, Pool};
 
-/// One model on one device. The lock is held while the model loads, so that it is loaded only once and other models
-/// are not delayed.
+/// One model on one device. Each entry has its own lock, which is held while the model loads: the model is loaded
+/// only once, and other models are not delayed.
 pub(super) struct CacheEntry {
     pub(super) config: ModelConfig,
     /// State of the model's files when the entry was created; `None` if changes of the files are ignored.
@@ -40,7 +40,7 @@ impl CacheEntry {
     pub(super) fn is_idle(&self) -> bool {
         // The lock is held while the model loads.
         let Ok(pool) = self.pool.try_lock() else { return false };
-        // Counted by references to the pool, so that users need not return a model, and cannot forget to.
+        // Each user holds a reference to the pool, and need not announce the end of the use.
         pool.as_ref().is_none_or(|pool| Arc::strong_count(pool) == 1)
     }
 

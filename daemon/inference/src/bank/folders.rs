@@ -46,11 +46,11 @@ impl ModelFolders {
     /// Creates the list of these folders. A folder that occurs again, perhaps by another path, is left out.
     pub fn new(folders: impl IntoIterator<Item = PathBuf>) -> Self {
         let mut seen = HashSet::new();
-        let new = |folder: &PathBuf| seen.insert(folder.canonicalize().unwrap_or_else(|_| folder.clone()));
-        Self(folders.into_iter().filter(new).collect())
+        let is_new = |folder: &PathBuf| seen.insert(folder.canonicalize().unwrap_or_else(|_| folder.clone()));
+        Self(folders.into_iter().filter(is_new).collect())
     }
 
-    /// Returns the folders in order; some may not exist.
+    /// Returns the folders in the order in which they are searched; some may not exist.
     pub fn paths(&self) -> &[PathBuf] {
         &self.0
     }
@@ -147,7 +147,8 @@ impl ModelOnDisk {
         onnx::hash_model(&self.folder)
     }
 
-    /// Returns the size of these files, bytes; `None` if one is missing or `model.onnx` is not a model.
+    /// Returns the total size of `model.onnx` and the data files of its weights, bytes; `None` if a file is missing
+    /// or `model.onnx` is not a model.
     pub fn size(&self) -> Option<u64> {
         onnx::model_files(&self.folder).ok()?.iter().map(|file| Some(file.metadata().ok()?.len())).sum()
     }

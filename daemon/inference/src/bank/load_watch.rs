@@ -6,10 +6,10 @@ use std::time::Duration;
 
 use peernet_logger::Slug;
 
-/// Time after which the first line is logged. Each further line follows after twice the time.
+/// Time from the start of loading to the first line. The time between two lines doubles with each line.
 const FIRST_REPORT: Duration = Duration::from_secs(30);
 
-/// Log target of the lines. Programs that show no log show these.
+/// Log target of the lines. Programs that show no other log lines show these lines.
 pub const LOAD_LOG_TARGET: &str = "peernet_inference::loading";
 
 /// Logs that a model is still loading, until this is dropped.

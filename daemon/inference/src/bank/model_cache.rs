@@ -89,7 +89,7 @@ impl ModelCache {
             let (value, most) = (value as u64, most as u64);
             errors.push(("most_loaded", LoadError::AboveLimit { key: "most_loaded", value, most }));
         }
-        // The limits depend on the table only, so that any model shows them.
+        // The limited keys are those of `[bank]`, so the configuration of any model serves for the check.
         let probe = self.config.model(&Slug::any(), Path::new("."), "cpu");
         if let Err(LoadError::AboveLimit { key, value, most }) = probe.check_limits() {
             errors.push((key, LoadError::AboveLimit { key, value, most }));

@@ -28,7 +28,7 @@ pub enum UnloadReason {
     MakesRoomFor(Slug),
     /// The files of the model have changed.
     FilesChanged,
-    /// The host ends.
+    /// The agent stops.
     Shutdown,
 }
 

@@ -80,7 +80,8 @@ struct Exec {
     shared: SharedKeys,
     clock: SharedClock,
     facts: Vec<(String, String)>,
-    /// The process that loading started to check that it can be started; the first worker takes it.
+    /// Process that was started while the model was loaded, to check that the program can be started; the first
+    /// worker takes it.
     first: Mutex<Option<Program>>,
 }
 
@@ -122,15 +123,15 @@ impl Worker for ExecWorker {
         requester: &dyn Requester,
     ) -> Result<Sample, InferenceError> {
         let failed = |reason| InferenceError::Failed { model: self.model.clone(), reason };
-        let mut unsent = None;
+        let mut send_error = None;
         let called = self.program.call_with_partial_answers(Request::Sample(sample), &mut |part| {
             let part = Sample { parts: vec![part], source: String::new(), label: None };
-            unsent = requester.send_part(part).err();
-            unsent.is_none()
+            send_error = requester.send_part(part).err();
+            send_error.is_none()
         });
         let program_call = called.map_err(|error| match error {
             ProgramCallError::Cancelled => {
-                unsent.unwrap_or(PartError::Cancelled(Cancelled)).into_inference_error(&self.model)
+                send_error.unwrap_or(PartError::Cancelled(Cancelled)).into_inference_error(&self.model)
             }
             error => failed(error.to_string()),
         })?;

@@ -32,7 +32,8 @@ const MAX_WORKERS: usize = 256;
 /// Maximum number of samples that wait for one model.
 const MAX_QUEUE: usize = 65_536;
 
-/// Kind of model. It is implemented for the type that holds the own keys of the kind; the shared keys are in [`SharedKeys`].
+/// Kind of model. The type that holds the keys of this kind alone implements it; keys that several kinds share are in
+/// [`SharedKeys`].
 pub trait ModelKind {
     /// Returns the shared keys that a model of this kind has; `name` is one of them. Default: all.
     ///
@@ -79,7 +80,8 @@ pub trait ModelKind {
         None
     }
 
-    /// Returns the seed of what the model draws; `None` if the kind draws nothing.
+    /// Returns the seed of the model's random numbers, which the configuration may leave out; `None` if the kind uses
+    /// no random numbers.
     fn seed_mut(&mut self) -> Option<&mut Option<u64>> {
         None
     }
@@ -113,7 +115,7 @@ pub struct LoadContext<'a> {
     pub(crate) temp_dirs: &'a TempDirs,
     /// Clock for deadlines.
     pub(crate) clock: &'a SharedClock,
-    /// The configured models, of which one may use another.
+    /// All configured models. A model may use another one as its inner model.
     pub(crate) models: Vec<&'a ModelConfig>,
     /// Cancelled when the host stops.
     pub(crate) stop: &'a CancellationToken,
@@ -193,7 +195,8 @@ impl ModelConfig {
         self.kind_keys_mut().env_mut()
     }
 
-    /// Returns the configured seed of what the model draws; `None` if the kind draws nothing.
+    /// Returns the seed of the model's random numbers, which the configuration may leave out; `None` if the kind uses
+    /// no random numbers.
     pub fn seed_mut(&mut self) -> Option<&mut Option<u64>> {
         self.kind_keys_mut().seed_mut()
     }
@@ -208,8 +211,8 @@ impl ModelConfig {
     /// # Errors
     /// [`LoadError::AboveLimit`] for the first number above its limit.
     pub fn check_limits(&self) -> Result<(), LoadError> {
-        let of_all = [("workers", self.workers(), MAX_WORKERS), ("queue", self.queue(), MAX_QUEUE)];
-        match of_all.into_iter().chain(self.kind_keys().limits()).find(|(_, value, most)| value > most) {
+        let shared_limits = [("workers", self.workers(), MAX_WORKERS), ("queue", self.queue(), MAX_QUEUE)];
+        match shared_limits.into_iter().chain(self.kind_keys().limits()).find(|(_, value, most)| value > most) {
             Some((key, value, most)) => {
                 Err(LoadError::AboveLimit { key, value: value as u64, most: most as u64 })
             }

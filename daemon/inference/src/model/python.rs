@@ -65,7 +65,8 @@ struct Python {
     shared: SharedKeys,
     clock: SharedClock,
     facts: Vec<(String, String)>,
-    /// The object that loading created to check that it can be created; the first worker takes it.
+    /// Object that was created while the model was loaded, to check that it can be created; the first worker takes
+    /// it.
     first: Mutex<Option<PythonObject>>,
 }
 
@@ -106,11 +107,11 @@ impl Worker for PythonWorker {
         recorder: &mut Recorder,
         requester: &dyn Requester,
     ) -> Result<Sample, InferenceError> {
-        let mut unsent = None;
+        let mut send_error = None;
         let called = self.object.call_with_partial_answers(&sample.parts, &mut |parts| {
             let part = Sample { parts, source: String::new(), label: None };
-            unsent = requester.send_part(part).err();
-            unsent.is_none()
+            send_error = requester.send_part(part).err();
+            send_error.is_none()
         });
         let started_at = called.times.started_at;
         if let Some(from) = called.times.restarted_at {
@@ -128,7 +129,7 @@ impl Worker for PythonWorker {
             };
             recorder.record_timer(name, from, to);
         }
-        if let Some(error) = unsent {
+        if let Some(error) = send_error {
             return Err(error.into_inference_error(&self.model));
         }
         let failed = |reason| InferenceError::Failed { model: self.model.clone(), reason };

@@ -63,7 +63,7 @@ pub(super) fn read_latencies(file: &Path, columns: &Columns) -> Result<RecordedL
             .map_err(|reason| wrong(format!("line {line}: {reason}")))?;
         let Some(latency) = sum else { continue };
         latencies.push(latency);
-        // The column is not drawn from, so that a defect in it is no error.
+        // No latency is drawn from this column, so a defect in its cells is ignored.
         omitted.iter_mut().for_each(|stage| {
             stage.sum_s += latency_in_cell(&record, stage.at).ok().flatten().unwrap_or_default();
         });
@@ -92,7 +92,8 @@ struct OmittedStage {
     sum_s: f64,
 }
 
-/// Returns the other stages of a model whose `inference` is drawn. Other columns, such as `total`, may contain them.
+/// Returns the stages of the model that are not among the columns. Returns none if `inference` is not among them,
+/// because another column, such as `total`, may contain all stages.
 fn omitted_stages(
     columns: &Columns,
     position: impl Fn(&str) -> Result<Option<usize>, String>,

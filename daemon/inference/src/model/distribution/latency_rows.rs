@@ -6,7 +6,7 @@ use std::path::Path;
 
 use csv::StringRecord;
 
-/// Longest header and longest row, bytes. A row of PEERNet has some thousand.
+/// Longest header and longest row, bytes. A row that PEERNet writes has a few thousand bytes.
 const MAX_ROW_BYTES: usize = 64 << 10;
 
 /// Opens a regular file.
@@ -40,7 +40,8 @@ impl LatencyRows {
         let mut opened = open(file).map_err(|error| error.to_string())?;
         let is_complete = ends_with_line_feed(&mut opened).map_err(|error| error.to_string())?;
         let bounded = BoundedReader { file: opened, remaining: MAX_ROW_BYTES };
-        // A row with another number of cells is an error only if a running program did not leave it behind.
+        // An unfinished last row may have too few cells. `next_row` checks the number of cells, because it recognises
+        // that row.
         let mut reader = csv::ReaderBuilder::new().flexible(true).from_reader(bounded);
         let header = reader.headers().map_err(|error| format!("its header: {error}"))?.clone();
         let mut rows = Self { reader, header, next: None, is_complete };
@@ -60,7 +61,7 @@ impl LatencyRows {
     pub(super) fn next_row(&mut self) -> Result<Option<(u64, StringRecord)>, String> {
         let Some(row) = self.next.take() else { return Ok(None) };
         let following = self.read();
-        // A last line without a line feed was written by a program that was killed meanwhile.
+        // A last line without a line feed is unfinished: the program that writes it still runs, or was killed.
         if matches!(following, Ok(None)) && !self.is_complete {
             return Ok(None);
         }
@@ -74,7 +75,7 @@ impl LatencyRows {
 
     fn read(&mut self) -> Result<Option<StringRecord>, String> {
         let line = self.reader.position().line();
-        // The reader fetches bytes in advance, so that its buffer is added to what the row may have.
+        // The reader reads ahead, so that a row may exceed the limit by the size of the reader's buffer.
         self.reader.get_mut().remaining = MAX_ROW_BYTES;
         let mut row = StringRecord::new();
         match self.reader.read_record(&mut row) {

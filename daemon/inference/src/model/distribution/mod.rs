@@ -31,7 +31,7 @@ use run_folder::data_file;
 // peernet-analysis reads it by this name.
 const REPLAYED: &str = "Replayed";
 
-/// Latency that was drawn for an iteration, below `inference`, seconds.
+/// Node below `inference`: the latency that was drawn for the iteration, seconds.
 const DRAWN_LATENCY: Name = Name::from_static("drawn-latency");
 /// Node below `inference`: the time of the inner model. The stages of the inner model are below this node.
 const INNER_MODEL: Name = Name::from_static("inner-model");
@@ -114,7 +114,7 @@ impl ModelKind for DistributionConfig {
             hash.map_err(|error| LoadError::File { file, reason: error.to_string() })
         });
         let seed = self.seed.unwrap_or_else(|| {
-            // As many bits as every JSON and TOML program keeps, so that it can be written into a configuration.
+            // 53 bits: every JSON and TOML program keeps them, so that the seed can be written into a configuration.
             let seed = rand::random::<u64>() >> 11;
             tracing::info!(
                 model = %shared.name,
@@ -175,7 +175,7 @@ impl DistributionConfig {
         let wrong = |reason| LoadError::InvalidKey { model: shared.name.to_string(), key: "inner", reason };
         match context.models.iter().find(|model| model.name() == inner) {
             None => Err(wrong(format!("no [[model]] of this file is named {inner}"))),
-            // Two of them could name each other.
+            // Two models of this kind could name each other.
             Some(ModelConfig::Distribution(_)) => {
                 Err(wrong(format!("{inner} draws its latencies, too; name a model that computes")))
             }
@@ -253,19 +253,20 @@ impl Worker for DistributionWorker {
         inference.record_value(DRAWN_LATENCY, drawn.seconds(), Unit::SECONDS);
         let answer = match &mut self.inner {
             None => Sample::from_part(Description::bytes(), Bytes::new()),
-            // Its stages are below a node of their own, so they do not count as stages of the iteration.
+            // The inner model's stages are below a node of their own, so that they do not count as stages of the
+            // iteration.
             Some(inner) => inner.infer(sample, &mut inference.time(INNER_MODEL), requester)?,
         };
         let remaining = started_at + drawn - inference.clock().mono();
         requester
             .wait(Duration::from_nanos(u64::try_from(remaining.nanos()).unwrap_or(0)))
             .map_err(|_| InferenceError::Cancelled { model: self.name.clone() })?;
-        // After the wait, because a busy host also ends the wait late.
+        // Measured after the wait, because a busy host may end the wait late, too.
         let overrun = (inference.clock().mono() - started_at - drawn).max(Span::ZERO);
         inference.record_value(OVERRUN, overrun.seconds(), Unit::SECONDS);
         drop(inference);
         if recorder.tree().find(&[&stage::INFERENCE, &INNER_MODEL, &stage::UNKNOWN_LABEL]).is_some() {
-            // The edge looks for it below the root.
+            // The edge looks for this node directly below the root.
             recorder.record_value(stage::UNKNOWN_LABEL, 1.0, Unit::NONE);
         }
         Ok(answer)

@@ -23,7 +23,7 @@ pub(super) fn data_file(path: &Path) -> Result<PathBuf, LoadError> {
     }
     let file = path.join(FILE_NAME);
     let is_experiment = path.join(EXPERIMENT_FILE).is_file();
-    let runs = if is_experiment { runs_of_experiment(path) } else { with_data(folders(path)) };
+    let runs = if is_experiment { runs_of_experiment(path) } else { folders_with_data(folders(path)) };
     if file.exists() || !is_experiment && runs.is_empty() {
         return Ok(file);
     }
@@ -45,18 +45,18 @@ pub(super) fn data_file(path: &Path) -> Result<PathBuf, LoadError> {
 fn runs_of_experiment(path: &Path) -> Vec<String> {
     let runs = folders(&path.join(RUNS_FOLDER));
     let users = runs.iter().flat_map(|run| folders(run)).collect::<Vec<_>>();
-    with_data(runs.into_iter().chain(users))
+    folders_with_data(runs.into_iter().chain(users))
 }
 
 /// Returns the names of those folders that have a `data.csv`, sorted.
-fn with_data(folders: impl IntoIterator<Item = PathBuf>) -> Vec<String> {
+fn folders_with_data(folders: impl IntoIterator<Item = PathBuf>) -> Vec<String> {
     let finished = folders.into_iter().filter(|folder| folder.join(FILE_NAME).is_file());
     let mut names: Vec<String> = finished.map(|folder| folder.display().to_string()).collect();
     names.sort();
     names
 }
 
-/// Returns what a folder contains.
+/// Returns the paths of the entries of a folder.
 fn folders(path: &Path) -> Vec<PathBuf> {
     // A folder that cannot be listed has no runs to name; the error about the path remains.
     fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path()).collect()

@@ -21,33 +21,33 @@ pub(super) fn answer(
     let transform = transform.ok_or(OutputError::NoPicture);
     let parts = match &card.task {
         Task::Classification(task) => {
-            let numbers = classes(&outputs.get(&task.name)?, task.labels.len())?;
-            vec![json(classify(task, &mut numbers.into_owned())?)]
+            let numbers = class_numbers(&outputs.get(&task.name)?, task.labels.len())?;
+            vec![json_part(classify(task, &mut numbers.into_owned())?)]
         }
-        Task::Detection(task) => vec![json(detection::detect(task, outputs, transform?)?)],
+        Task::Detection(task) => vec![json_part(detection::detect(task, outputs, transform?)?)],
         Task::Segmentation(task) => segment::segment(task, outputs, transform?)?,
         Task::Embedding(task) => vec![embedding(task, &outputs.get(&task.name)?)?],
         Task::Tensors(tensors) => {
-            tensors.iter().map(|tensor| part(&declared(tensor, outputs)?)).collect::<Result<_, _>>()?
+            tensors.iter().map(|tensor| tensor_part(&declared_output(tensor, outputs)?)).collect::<Result<_, _>>()?
         }
     };
     Ok(Sample { parts, source: String::new(), label: None })
 }
 
-/// Checks the outputs of a run whose numbers mean nothing: their names, types and shapes.
+/// Checks only the names, types and shapes of the outputs, for a run on an example input, whose numbers mean nothing.
 pub(super) fn check(card: &Card, outputs: &Outputs<'_, '_>) -> Result<(), OutputError> {
     let size = || card.picture().map(|picture| picture.size).ok_or(OutputError::NoPicture);
     match &card.task {
-        Task::Classification(task) => classes(&outputs.get(&task.name)?, task.labels.len()).map(drop),
+        Task::Classification(task) => class_numbers(&outputs.get(&task.name)?, task.labels.len()).map(drop),
         Task::Detection(task) => detection::check(task, outputs, size()?),
         Task::Segmentation(task) => segment::check(task, outputs),
         Task::Embedding(task) => outputs.get(&task.name)?.unbatched::<1>("[1, n]").map(drop),
-        Task::Tensors(tensors) => tensors.iter().try_for_each(|tensor| declared(tensor, outputs).map(drop)),
+        Task::Tensors(tensors) => tensors.iter().try_for_each(|tensor| declared_output(tensor, outputs).map(drop)),
     }
 }
 
 /// Returns a classifier's numbers, which may be NaN.
-fn classes<'a>(output: &Output<'a>, labels: usize) -> Result<std::borrow::Cow<'a, [f32]>, OutputError> {
+fn class_numbers<'a>(output: &Output<'a>, labels: usize) -> Result<std::borrow::Cow<'a, [f32]>, OutputError> {
     let expected = format!("[1, {labels}] (`labels` of the card has {labels})");
     if output.unbatched(&expected)? != [labels] {
         return Err(output.wrong_shape(&expected));
@@ -56,7 +56,7 @@ fn classes<'a>(output: &Output<'a>, labels: usize) -> Result<std::borrow::Cow<'a
 }
 
 /// Returns an output of the type and shape that the card gives.
-fn declared<'a>(tensor: &'a TensorOutput, outputs: &Outputs<'a, '_>) -> Result<Output<'a>, OutputError> {
+fn declared_output<'a>(tensor: &'a TensorOutput, outputs: &Outputs<'a, '_>) -> Result<Output<'a>, OutputError> {
     let output = outputs.get(&tensor.name)?;
     if output.shape != tensor.shape {
         return Err(output.wrong_shape(&format!("{:?}", tensor.shape)));
@@ -84,13 +84,13 @@ fn embedding(task: &Embedding, output: &Output<'_>) -> Result<Part, OutputError>
 }
 
 /// Returns an output as a part: an array with its type and shape.
-fn part(output: &Output<'_>) -> Result<Part, OutputError> {
+fn tensor_part(output: &Output<'_>) -> Result<Part, OutputError> {
     let shape = output.shape.iter().map(|length| u32::try_from(*length).unwrap_or(u32::MAX)).collect();
     let element = Some(output.data_type.element());
     let description = Description { media: MediaType::Tensor, shape, element };
     Ok(Part { description, bytes: output.bytes()?.into() })
 }
 
-fn json(text: Vec<u8>) -> Part {
+fn json_part(text: Vec<u8>) -> Part {
     Part { description: Description::unshaped(MediaType::Json), bytes: Bytes::from(text) }
 }

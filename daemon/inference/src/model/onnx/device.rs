@@ -23,17 +23,17 @@ impl FromStr for Device {
     type Err = LoadError;
 
     fn from_str(text: &str) -> Result<Self, LoadError> {
-        let no_such = || LoadError::InvalidDevice(text.to_owned());
+        let invalid_device = || LoadError::InvalidDevice(text.to_owned());
         let number = |text: &str| match text.parse() {
             Ok(number) if number >= 0 => Ok(number),
-            _ => Err(no_such()),
+            _ => Err(invalid_device()),
         };
         match text.split_once(':') {
             None if text == "cpu" => Ok(Self::Cpu),
             Some(("cuda", index)) => number(index).map(Self::Cuda),
             Some(("tensorrt", index)) => number(index).map(Self::TensorRt),
             Some(("openvino", name)) if !name.is_empty() => Ok(Self::OpenVino(name.to_owned())),
-            _ => Err(no_such()),
+            _ => Err(invalid_device()),
         }
     }
 }
@@ -50,8 +50,8 @@ impl fmt::Display for Device {
 }
 
 impl Device {
-    /// Returns the execution provider of the device; `None` for the CPU, which every build has. An error of the
-    /// provider is an error of the session.
+    /// Returns the execution provider of the device; `None` for the CPU, which every build has. If the provider
+    /// fails, opening the session fails.
     pub(super) fn provider(&self) -> Option<ExecutionProviderDispatch> {
         let provider = match self {
             Self::Cpu => return None,
@@ -59,7 +59,7 @@ impl Device {
             Self::TensorRt(index) => ep::TensorRT::default().with_device_id(*index).build(),
             Self::OpenVino(name) => ep::OpenVINO::default().with_device_type(name).build(),
         };
-        // Without it, `ort` logs the error and runs the model on the CPU.
+        // Without `error_on_failure`, `ort` logs the error and runs the model on the CPU.
         Some(provider.error_on_failure())
     }
 

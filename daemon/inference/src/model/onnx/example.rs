@@ -18,12 +18,12 @@ const SIZE: (u32, u32) = (1280, 720);
 /// If the card is invalid.
 pub(crate) fn example_sample(folder: &Path) -> Result<Sample, LoadError> {
     let card = Card::read(&folder.join(CARD))?;
-    let parts = card.inputs.iter().filter_map(part).collect();
+    let parts = card.inputs.iter().filter_map(example_part).collect();
     Ok(Sample { parts, source: String::new(), label: None })
 }
 
 /// Returns a part for an input; `None` if the input takes none.
-fn part(input: &Input) -> Option<Part> {
+fn example_part(input: &Input) -> Option<Part> {
     match &input.source {
         Source::Picture(picture) => {
             // Without resizing, only a picture of the input's size is accepted.
@@ -41,8 +41,9 @@ fn part(input: &Input) -> Option<Part> {
     }
 }
 
-/// Returns pixels without regularity, so that nothing has to be decoded.
+/// Returns uncompressed pixels of generated noise, so that nothing has to be decoded.
 fn pixels(width: u32, height: u32) -> Part {
+    // Multiplicative hashing with the prime 2,654,435,761, which is about 2³² divided by the golden ratio (D. E. Knuth).
     let noise = |at: u32| (at.wrapping_mul(2_654_435_761) >> 24) as u8;
     let bytes: Bytes = (0..width * height * 3).map(noise).collect::<Vec<u8>>().into();
     Part { description: Description::pixels(PixelFormat::Rgb8, width, height), bytes }

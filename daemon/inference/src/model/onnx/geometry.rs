@@ -86,7 +86,7 @@ impl Geometry {
         let original = size(picture);
         let mut offset = (0.0, 0.0);
         if let Some(resize) = self.resize {
-            let (width, height, scaling) = target(resize, original);
+            let (width, height, scaling) = target_size(resize, original);
             // A picture that has the size already is not copied.
             if (width, height) != original {
                 self.resizer.resize(picture, width, height, scaling, &mut self.resized)?;
@@ -115,7 +115,8 @@ impl Geometry {
             return Err(InputError::Size { actual, expected });
         }
         let ratio = |resized: u32, original: u32| resized as f32 / original as f32;
-        // The sides were rounded, so the factors follow from them and not from the configuration.
+        // The sides were rounded to whole pixels, so the factors are computed from the sides and not from the
+        // configuration.
         let scale = (ratio(resized.0, original.0), ratio(resized.1, original.1));
         Ok(PictureTransform { picture: original, input: expected, scale, offset })
     }
@@ -142,7 +143,7 @@ fn rectangle(CentreCrop { width, height, rounding }: CentreCrop, picture: &Pictu
 }
 
 /// Returns the size to scale a picture of this width and height to, and the kind of scaling.
-fn target(resize: Resize, (width, height): (u32, u32)) -> (u32, u32, Scaling) {
+fn target_size(resize: Resize, (width, height): (u32, u32)) -> (u32, u32, Scaling) {
     match resize {
         Resize::Exact { width, height, filter, antialias } => (width, height, Scaling { filter, antialias }),
         Resize::Shortest { size, filter, antialias } => {
@@ -162,7 +163,7 @@ fn target(resize: Resize, (width, height): (u32, u32)) -> (u32, u32, Scaling) {
     }
 }
 
-/// Returns what surrounds a picture that was resized to `size`; `None` if nothing does.
+/// Returns the padding around a picture that was resized to this width and height; `None` if it needs none.
 fn padding(resize: Resize, (resized_width, resized_height): (u32, u32)) -> Option<Padding> {
     let Resize::Letterbox { width, height, fill, position, .. } = resize else { return None };
     let before = |whole: u32, part: u32| position.before(whole.saturating_sub(part));

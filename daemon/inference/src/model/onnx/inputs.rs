@@ -71,7 +71,7 @@ impl ModelInputs {
         let part_buffers = || self.inputs.iter().filter(|buffer| buffer.takes_part());
         let is_tree = |part: &Part| part.description.media.iana() == TREE;
         if sample.parts.iter().any(is_tree) {
-            let expected: Vec<String> = part_buffers().map(InputBuffer::in_python).collect();
+            let expected: Vec<String> = part_buffers().map(InputBuffer::describe_for_python).collect();
             let is_tuple = expected.len() > 1;
             return Err(InputError::PythonObject { expected: expected.join(", "), is_tuple });
         }
@@ -166,7 +166,7 @@ impl InputBuffer {
 
     /// Returns whether the input has a row for each sample of a batch.
     fn is_batched(&self) -> bool {
-        // With a largest batch of 1, the shape of the card needs no change.
+        // If the largest batch has one sample, this is `false`: the shape in the card fits as it is.
         self.numbers.len() > self.input.count()
     }
 
@@ -180,32 +180,32 @@ impl InputBuffer {
         row * count..(row + 1) * count
     }
 
-    /// Returns the array that fills a row.
-    fn array(&self) -> Description {
+    /// Returns the description of the array that fills a row.
+    fn array_description(&self) -> Description {
         let shape =
             self.input.shape.iter().map(|length| u32::try_from(*length).unwrap_or(u32::MAX)).collect();
         Description { media: MediaType::Tensor, shape, element: Some(self.input.data_type.element()) }
     }
 
-    /// Returns what a sensor in Python returns for this input.
-    fn in_python(&self) -> String {
+    /// Returns a text that says what a sensor in Python must return for this input.
+    fn describe_for_python(&self) -> String {
         let name = &self.input.name;
         if self.takes_picture() {
             format!("for {name:?} a PIL image, or a JPEG or PNG as bytes")
         } else {
-            format!("for {name:?} a numpy array of {}", text(&self.array()))
+            format!("for {name:?} a numpy array of {}", describe_array(&self.array_description()))
         }
     }
 
     fn fill_from_array(&mut self, range: Range<usize>, part: &Part) -> Result<(), InputError> {
         let Part { description, bytes } = part;
-        let expected = self.array();
+        let expected = self.array_description();
         if description.media != MediaType::Tensor {
             let actual = description.media.iana().into_owned();
-            return Err(InputError::NotAnArray { actual, expected: text(&expected) });
+            return Err(InputError::NotAnArray { actual, expected: describe_array(&expected) });
         }
         if *description != expected {
-            return Err(InputError::Array { actual: text(description), expected: text(&expected) });
+            return Err(InputError::Array { actual: describe_array(description), expected: describe_array(&expected) });
         }
         let (actual, expected) = (bytes.len() as u64, expected.shaped_bytes().unwrap_or(u64::MAX));
         if actual != expected {
@@ -222,7 +222,7 @@ fn is_file(part: &Part) -> bool {
 }
 
 /// Returns type and shape of an array in the words of cards: `float32 [1, 7]`.
-fn text(Description { shape, element, .. }: &Description) -> String {
+fn describe_array(Description { shape, element, .. }: &Description) -> String {
     let name = |element: &ElementType| match DataType::from_element(*element) {
         Some(data_type) => format!("{data_type} "),
         None => format!("{element:?} ").to_lowercase(),

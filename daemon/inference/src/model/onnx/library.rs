@@ -25,8 +25,9 @@ pub(super) struct Runtime {
 static USES: AtomicUsize = AtomicUsize::new(0);
 
 /// Use of the library by a thread, from before it opens a session until after it has released the session.
-// Opening a session cannot be terminated, unlike a run. If the process ends meanwhile, the destructors of the library's static objects
-// would run under the call: a graph of 100,000 nodes ended 2 of 40 stops with a segmentation fault.
+// Opening a session cannot be terminated, unlike a run. If the process ends meanwhile, the destructors of the
+// library's static objects would run while the call still uses these objects: with a graph of 100,000 nodes, 2 of 40
+// stops ended with a segmentation fault.
 #[derive(Debug)]
 pub(super) struct LibraryUse(());
 
@@ -131,8 +132,8 @@ impl Runtime {
         origin: &'static str,
         clock: &SharedClock,
     ) -> Result<Self, LibraryError> {
-        // To create the environment already sends an event; both programs therefore set
-        // `ORT_DISABLE_TELEMETRY` as well.
+        // The creation of the environment already sends a telemetry event; therefore both programs also set
+        // `ORT_DISABLE_TELEMETRY`.
         let log = LibraryLog::new(clock);
         let log = move |level, _: &str, _: &str, place: &str, message: &str| log.log(level, place, message);
         let environment =

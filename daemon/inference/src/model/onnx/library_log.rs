@@ -8,7 +8,8 @@ use peernet_clock::{LogThrottle, MonoTime, SharedClock};
 /// Text of the message about a run that this program has terminated, which is no error.
 const TERMINATED: &str = "Exiting due to terminate flag";
 
-/// Log of the library's messages: of each kind, one line per minute. A sample that a model refuses leads to a message each time.
+/// Writes the library's messages into this program's log: at most one line per minute for each kind, because every
+/// sample that a model refuses leads to a message.
 pub(super) struct LibraryLog {
     clock: SharedClock,
     throttle: Mutex<LogThrottle>,
@@ -19,7 +20,8 @@ impl LibraryLog {
         Self { clock: Arc::clone(clock), throttle: Mutex::default() }
     }
 
-    /// Logs a message. Messages that are left out are logged at level `debug`.
+    /// Logs a message. The level is `debug` if the message is no warning or error, is about a terminated run, or
+    /// follows within a minute of a line of its kind.
     pub(super) fn log(&self, level: LogLevel, place: &str, message: &str) {
         let messages = self.messages_since_last_line(level, (place, message), self.clock.mono());
         let repeated = match messages {
@@ -35,7 +37,8 @@ impl LibraryLog {
         }
     }
 
-    /// Returns the number of messages of this kind since the last line; `None` if the message is left out.
+    /// Returns the number of messages of this kind since the last line; `None` if this message is logged at level
+    /// `debug` only.
     fn messages_since_last_line(
         &self,
         level: LogLevel,

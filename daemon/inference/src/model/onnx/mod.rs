@@ -155,7 +155,7 @@ impl Plan {
     fn has_classes_of(&self, label: &str) -> bool {
         let Some(classes) = &self.classes else { return true };
         let has = |class: &str| classes.contains(&normalized_label(class));
-        // The mask is on the host of the sensor, which scores the answer.
+        // The classes of a mask are known only on the sensor's host, which scores the answer.
         if MaskLabel::parse(label).is_some() {
             return true;
         }
@@ -191,7 +191,7 @@ impl Model for Onnx {
             Some((CARD_HASH, self.card_hash.clone())),
             Some(("Task", card.description.clone())),
             Some(("Input", card.summary().input)),
-            card.task.labels().map(|labels| (CLASSES, classes(labels))),
+            card.task.labels().map(|labels| (CLASSES, describe_classes(labels))),
             Some(("Device", device.to_string())),
             Some(("Threads per worker", format!("{intra_threads} within operators, {inter_threads} across"))),
             Some(("ONNX Runtime", self.runtime.describe())),
@@ -201,6 +201,6 @@ impl Model for Onnx {
 }
 
 /// Returns the number of classes and the first of their names.
-fn classes(labels: &[String]) -> String {
+fn describe_classes(labels: &[String]) -> String {
     format!("{}: {}", labels.len(), list_examples(labels.iter().map(String::as_str)))
 }

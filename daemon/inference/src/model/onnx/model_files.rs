@@ -14,7 +14,8 @@ use std::path::{Component, Path, PathBuf};
 use super::{MODEL, regular_file};
 use crate::LoadError;
 
-/// Largest depth of messages within messages. A graph within an attribute of a node, as in loops, has three more levels.
+/// Maximum depth of nested messages. A graph in an attribute of a node, such as the body of a loop, is three levels
+/// deeper than the graph of the node.
 const MAX_DEPTH: u32 = 100;
 
 /// Beginning of a file that Git LFS puts in place of a large file until the large file is fetched.
@@ -40,6 +41,7 @@ enum Message {
 impl Message {
     /// Returns the message in a field, if it leads to a tensor.
     fn in_field(self, number: u64) -> Option<Self> {
+        // The numbers of the fields are those of onnx.proto3.
         Some(match (self, number) {
             (Self::Model, 7) | (Self::Attribute, 6 | 11) => Self::Graph,
             (Self::Model, 25) => Self::Function,
@@ -98,6 +100,7 @@ fn data_files(file: &Path) -> Result<BTreeSet<PathBuf>, ModelFileError> {
 /// Reader of `model.onnx`, with the number of graphs and the names of data files that it has found so far.
 struct ModelReader {
     file: BufReader<File>,
+    /// Position in the file, bytes.
     at: u64,
     graphs: u64,
     names: BTreeSet<PathBuf>,
@@ -169,7 +172,7 @@ impl ModelReader {
             _ => return Err(ModelFileError::Form("it has a field of an unknown type")),
         };
         match field_end {
-            // The number before the field may itself cross the end.
+            // The tag or the length may itself extend beyond the end of the message.
             Some(field_end) if field_end <= end && self.at <= end => Ok((tag >> 3, field_end)),
             _ => Err(ModelFileError::Form("a field is longer than its message")),
         }

@@ -19,7 +19,7 @@ pub(super) trait Element: Copy {
     /// Returns the nearest 32-bit float.
     fn to_f32(self) -> f32;
 
-    /// Returns whether it is not a number.
+    /// Returns whether this is NaN. Integers and truth values never are.
     fn is_nan(self) -> bool {
         false
     }
@@ -183,12 +183,12 @@ impl Numbers {
         }
     }
 
-    /// Returns how many there are.
+    /// Returns the number of elements.
     pub(super) fn len(&self) -> usize {
         for_elements!(self, elements => elements.len())
     }
 
-    /// Replaces all numbers by given ones, which are repeated.
+    /// Replaces all numbers by `values`, which are repeated as often as necessary.
     pub(super) fn fill(&mut self, values: &[f64]) {
         for_elements!(self, elements => fill(elements, values));
     }

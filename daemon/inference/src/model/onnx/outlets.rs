@@ -35,7 +35,7 @@ enum Elements {
     Exactly(DataType),
     /// Any float.
     Floats,
-    /// Any type of a card.
+    /// Any type that cards can name.
     Any,
 }
 
@@ -74,16 +74,17 @@ pub(super) fn check(card: &Card, inputs: &[Outlet], outputs: &[Outlet]) -> Resul
 fn check_outputs(task: &Task, outlets: &[Outlet]) -> Result<(), MismatchError> {
     let check =
         |name: &str, elements, shapes: &[&[Length]]| check_outlet("output", outlets, name, elements, shapes);
-    // The batch of 1 may be left out where the rest is unambiguous.
+    // The dimension of the batch, which has the length 1, may be left out where the rest is unambiguous.
     let one = Some(1);
     match task {
-        Task::Classification(task) => with_labels(task.labels.len(), |classes| {
+        Task::Classification(task) => check_with_labels(task.labels.len(), |classes| {
             check(&task.name, Elements::Floats, &[&[one, classes], &[classes]])
         }),
         Task::Detection(task) => check_detection(task, &check),
         Task::Segmentation(task) => {
-            // A float is a score; whether a shape fits the type is checked with the first run.
-            with_labels(task.labels.len(), |classes| {
+            // Floats are scores, other numbers are classes. Whether the shape fits the type is checked in the first
+            // run.
+            check_with_labels(task.labels.len(), |classes| {
                 let scores = [one, classes, None, None];
                 check(&task.name, Elements::Any, &[&scores, &[one, None, None], &[one, one, None, None]])
             })
@@ -103,17 +104,17 @@ fn check_detection(
     let (one, four, labels) = (Some(1), Some(4), task.labels.len());
     match &task.outputs {
         // Each candidate has four coordinates, an objectness, and a score for each class.
-        DetectionOutputs::Yolov5 { name, .. } => with_labels(labels, |classes| {
+        DetectionOutputs::Yolov5 { name, .. } => check_with_labels(labels, |classes| {
             check(name, Elements::Floats, &[&[one, None, classes.map(|classes| 5 + classes)]])
         }),
         // No objectness, and candidates are columns.
-        DetectionOutputs::Yolov8 { name, .. } => with_labels(labels, |classes| {
+        DetectionOutputs::Yolov8 { name, .. } => check_with_labels(labels, |classes| {
             check(name, Elements::Floats, &[&[one, classes.map(|classes| 4 + classes), None]])
         }),
         // Four coordinates, the score and the number of the class: the number of labels does not show in the shape.
         DetectionOutputs::Yolov10 { name } => check(name, Elements::Floats, &[&[one, None, Some(6)]]),
         DetectionOutputs::Detr { scores, boxes, is_softmax } => {
-            with_labels(labels, |classes| {
+            check_with_labels(labels, |classes| {
                 // With softmax, the last logit means "no object".
                 let logits = classes.map(|classes| classes + usize::from(*is_softmax));
                 check(scores, Elements::Floats, &[&[one, None, logits]])
@@ -132,9 +133,9 @@ fn check_detection(
     }
 }
 
-/// Checks an output with a length that the number of labels gives. If only this length does not fit, the error names `labels`, because
-/// the card has labels and no shape.
-fn with_labels(
+/// Checks an output with a length that depends on the number of labels. If only this length does not fit, the error
+/// names `labels`, because the card has labels and no shape.
+fn check_with_labels(
     labels: usize,
     check: impl Fn(Length) -> Result<(), MismatchError>,
 ) -> Result<(), MismatchError> {
@@ -161,13 +162,13 @@ fn check_outlet(
         return Err(MismatchError::Name { what, name, names });
     };
     let dtype = outlet.dtype();
-    let fits = |actual: &[i64]| {
+    let fits_any_shape = |actual: &[i64]| {
         // A model that does not declare a shape appears to have no dimension; the first run then shows its shape.
         let is_undeclared = actual.is_empty() && what == "output";
-        is_undeclared || shapes.iter().any(|shape| fits(actual, shape))
+        is_undeclared || shapes.iter().any(|shape| shape_fits(actual, shape))
     };
     if dtype.tensor_type().is_some_and(|onnx| elements.contain(onnx))
-        && dtype.tensor_shape().is_some_and(|shape| fits(shape))
+        && dtype.tensor_shape().is_some_and(|shape| fits_any_shape(shape))
     {
         return Ok(());
     }
@@ -187,11 +188,11 @@ fn form(dtype: &ValueType) -> String {
 }
 
 /// Returns whether a declared shape fits; the model leaves a length of -1 open.
-fn fits(actual: &[i64], shape: &[Length]) -> bool {
-    let fits = |(actual, length): (&i64, &Length)| {
+fn shape_fits(actual: &[i64], shape: &[Length]) -> bool {
+    let length_fits = |(actual, length): (&i64, &Length)| {
         *actual < 0 || length.is_none_or(|length| i64::try_from(length) == Ok(*actual))
     };
-    actual.len() == shape.len() && actual.iter().zip(shape).all(fits)
+    actual.len() == shape.len() && actual.iter().zip(shape).all(length_fits)
 }
 
 /// Formats a shape: `[1, 84, n]`.
@@ -232,7 +233,7 @@ mod tests {
             (&[4], &[Some(1), Some(4)], false),
             (&[], &[], true),
         ] {
-            assert_eq!(fits(actual, shape), is_fitting, "{actual:?} {shape:?}");
+            assert_eq!(shape_fits(actual, shape), is_fitting, "{actual:?} {shape:?}");
         }
         assert_eq!(text(&[Some(1), None]), "[1, n]");
     }

@@ -9,7 +9,7 @@ use ort::value::{DynValue, TensorElementType, ValueType};
 use super::data_type::DataType;
 use super::numbers::Element;
 
-/// Reason that outputs cannot be converted to an answer.
+/// Reason that outputs cannot be convert to an answer.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum OutputError {
     /// Error of ONNX Runtime.
@@ -61,7 +61,7 @@ pub(super) struct Outputs<'a, 'run> {
 /// Position of a sample in the batch of a run.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Row {
-    /// From 0.
+    /// Position of the sample, from 0.
     pub(super) index: usize,
     /// Number of samples in the batch.
     pub(super) batch: usize,
@@ -114,10 +114,11 @@ impl<'a, 'run> Outputs<'a, 'run> {
 }
 
 impl<'a> Output<'a> {
-    /// Returns the shape without its batch: without leading lengths of 1, as many as it has more than `rank` lengths.
+    /// Returns the last `RANK` lengths of the shape. The lengths before them belong to the batch and must be 1.
     ///
     /// # Errors
-    /// If that is not possible. The message says that `expected` is required.
+    /// If a length of the batch is not 1, or the shape has fewer than `RANK` lengths. The message says that
+    /// `expected` is required.
     pub(super) fn unbatched<const RANK: usize>(&self, expected: &str) -> Result<[usize; RANK], OutputError> {
         let surplus = self.shape.len().saturating_sub(RANK);
         let (batch, shape) = self.shape.split_at(surplus);
@@ -153,17 +154,17 @@ impl<'a> Output<'a> {
     pub(super) fn unchecked_numbers(&self) -> Result<Cow<'a, [f32]>, OutputError> {
         Ok(match self.data_type {
             DataType::Float32 => Cow::Borrowed(self.elements::<f32>()?),
-            DataType::Float16 => self.converted::<f16>()?,
-            DataType::Float64 => self.converted::<f64>()?,
-            DataType::Int8 => self.converted::<i8>()?,
-            DataType::Int16 => self.converted::<i16>()?,
-            DataType::Int32 => self.converted::<i32>()?,
-            DataType::Int64 => self.converted::<i64>()?,
-            DataType::Uint8 => self.converted::<u8>()?,
-            DataType::Uint16 => self.converted::<u16>()?,
-            DataType::Uint32 => self.converted::<u32>()?,
-            DataType::Uint64 => self.converted::<u64>()?,
-            DataType::Bool => self.converted::<bool>()?,
+            DataType::Float16 => self.convert::<f16>()?,
+            DataType::Float64 => self.convert::<f64>()?,
+            DataType::Int8 => self.convert::<i8>()?,
+            DataType::Int16 => self.convert::<i16>()?,
+            DataType::Int32 => self.convert::<i32>()?,
+            DataType::Int64 => self.convert::<i64>()?,
+            DataType::Uint8 => self.convert::<u8>()?,
+            DataType::Uint16 => self.convert::<u16>()?,
+            DataType::Uint32 => self.convert::<u32>()?,
+            DataType::Uint64 => self.convert::<u64>()?,
+            DataType::Bool => self.convert::<bool>()?,
         })
     }
 
@@ -174,7 +175,7 @@ impl<'a> Output<'a> {
         Ok(&elements[self.row.index * count..][..count])
     }
 
-    fn converted<T: Element + ort::value::PrimitiveTensorElementType>(
+    fn convert<T: Element + ort::value::PrimitiveTensorElementType>(
         &self,
     ) -> Result<Cow<'a, [f32]>, OutputError> {
         let elements = self.elements::<T>()?;

@@ -98,6 +98,7 @@ struct PixelNormalisation {
 
 #[derive(Clone, Copy)]
 struct Channel {
+    /// Position of the channel in a pixel of the picture.
     from: usize,
     factor: f32,
     offset: f32,
@@ -117,7 +118,8 @@ impl PicturePreprocessor {
         self.transform = self.geometry.apply(part, self.normalisation.format);
     }
 
-    /// Converts the picture that was read last to the numbers of an input at `range`. Returns the relation between the two.
+    /// Converts the picture that was read last to the numbers of an input at `range`. Returns the relation between
+    /// the picture and the input.
     ///
     /// # Errors
     /// If it could not be read.

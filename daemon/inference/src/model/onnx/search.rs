@@ -27,8 +27,11 @@ pub(super) struct Candidate {
     pub(super) origin: &'static str,
 }
 
+/// Path of the library's folder below each folder that is searched.
 const FOLDER: &str = "onnxruntime/lib";
+/// Folder in which the package installs the library.
 const INSTALLED: &str = "/usr/lib/peernet";
+/// Names of the library's file; the first one is preferred.
 const NAMES: [&str; 2] = ["libonnxruntime.so", "libonnxruntime.so.1"];
 
 impl SearchSettings {

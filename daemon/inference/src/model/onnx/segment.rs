@@ -74,7 +74,7 @@ pub(super) fn segment(
     ])
 }
 
-/// Checks the output of a run whose numbers mean nothing: its type and shape.
+/// Checks only the type and shape of the output, for a run on an example input, whose numbers mean nothing.
 pub(super) fn check(segmentation: &Segmentation, outputs: &Outputs<'_, '_>) -> Result<(), OutputError> {
     match ClassMap::read(segmentation, outputs) {
         Ok(_) | Err(OutputError::NotANumber(_) | OutputError::UnknownClass { .. }) => Ok(()),
@@ -83,7 +83,8 @@ pub(super) fn check(segmentation: &Segmentation, outputs: &Outputs<'_, '_>) -> R
 }
 
 impl ClassMap {
-    /// Reads scores `[1, classes, height, width]`, of which the largest decides, or integers `[1, height, width]`.
+    /// Reads scores `[1, classes, height, width]`, of which the largest of a pixel decides its class, or the classes
+    /// themselves, integers `[1, height, width]`.
     fn read(segmentation: &Segmentation, outputs: &Outputs<'_, '_>) -> Result<Self, OutputError> {
         let output = outputs.get(&segmentation.name)?;
         let labels = segmentation.labels.len();
@@ -101,9 +102,9 @@ impl ClassMap {
         let mut classes = vec![0; width * height];
         // The scores are read class by class, because the scores of one class are contiguous.
         for (class, scores) in scores.chunks_exact(width * height).enumerate().skip(1) {
-            for ((best, named), score) in best.iter_mut().zip(&mut classes).zip(scores) {
+            for ((best, best_class), score) in best.iter_mut().zip(&mut classes).zip(scores) {
                 if *score > *best {
-                    (*best, *named) = (*score, class as u8);
+                    (*best, *best_class) = (*score, class as u8);
                 }
             }
         }

@@ -8,10 +8,10 @@ use ort::session::RunOptions;
 use peernet_clock::{MonoTime, SharedClock};
 use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
 
-/// Options of one run, which is terminated as soon as all of its requests are cancelled, one of them is cancelled although the run is overdue,
-/// or the host stops.
-// A thread that still computes must not keep the process from stopping in time. Opening a session cannot be terminated; `LibraryUse` is for
-// that.
+/// Options of one run, which is terminated as soon as one of three conditions is true: all of its requests are
+/// cancelled; one of them is cancelled and the run is overdue; the host stops.
+// A thread that still computes must not keep the process from stopping in time. Opening a session cannot be
+// terminated; `LibraryUse` makes that safe.
 pub(super) struct TerminableRun {
     conditions: Arc<Conditions>,
     /// Futures that were polled once, so that each token wakes `conditions` when it is cancelled.
@@ -25,8 +25,8 @@ struct Conditions {
     requests: Vec<CancellationToken>,
     stop: CancellationToken,
     clock: SharedClock,
-    /// Time from which one cancelled request terminates the run of all.
-    // Before it, the run probably ends soon, and computing the other requests again would take longer.
+    /// Time from which on one cancelled request terminates the run of all requests.
+    // Before this time, the run probably ends soon, and computing the other requests again would take longer.
     overdue_at: MonoTime,
 }
 

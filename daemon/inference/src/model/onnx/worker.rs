@@ -16,7 +16,7 @@ use super::termination::TerminableRun;
 use super::{Plan, answer, outlets};
 use crate::{InferenceError, LoadError, Request, Requester, Worker};
 
-/// Number of samples of a run, below `inference`. Recorded where batches are on.
+/// Node below `inference`: the number of samples of the run. Recorded if the model computes batches.
 const BATCH_SIZE: Name = Name::from_static("batch-size");
 
 pub(super) struct OnnxWorker {
@@ -26,9 +26,10 @@ pub(super) struct OnnxWorker {
     /// Cancelled when the host stops.
     stop: CancellationToken,
     clock: SharedClock,
-    /// Duration of the longest run that ended by itself; those at loading are among them.
+    /// Duration of the longest run that succeeded, including the runs that warmed the session up.
     longest_run: Span,
-    /// The last field, because it ends after the session is released.
+    /// The last field, because fields are dropped in the order of their declaration, and the use ends after the
+    /// session is released.
     _library_use: LibraryUse,
 }
 
@@ -207,7 +208,8 @@ impl Worker for OnnxWorker {
 
     fn infer_batch(&mut self, requests: &mut [Request<'_>]) -> Vec<Result<Sample, InferenceError>> {
         let results = self.compute_together(requests);
-        // All stages are closed, so that the value is below the root, where the edge looks for it.
+        // All stages have ended by now, so that the value is recorded directly below the root, where the edge looks
+        // for it.
         for (request, _) in requests.iter_mut().zip(&results).filter(|(_, result)| result.is_ok()) {
             let label = request.sample.label.as_ref();
             if label.is_some_and(|label| !self.plan.has_classes_of(label)) {

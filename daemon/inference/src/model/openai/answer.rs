@@ -10,10 +10,10 @@ use super::stream_error::StreamError;
 
 /// Largest text of an answer, bytes.
 const MAX_TEXT_BYTES: usize = 1 << 20;
-/// Maximum number of bytes of a stream: an event with one token has some hundred bytes.
+/// Maximum number of bytes of a stream: an event with one token has a few hundred bytes.
 const MAX_STREAM_BYTES: usize = 256 << 20;
 /// Maximum number of chunks.
-// Each chunk has a stamp of 8 bytes in memory.
+// The arrival time of each chunk takes 8 bytes of memory.
 const MAX_CHUNKS: usize = 1 << 20;
 /// Data of the event that ends the stream.
 const DONE: &str = "[DONE]";
@@ -39,7 +39,7 @@ pub(super) struct StreamedAnswer {
     pub(super) usage_defect: Option<String>,
     /// Reason why the answer ended, such as `stop` or `length`.
     pub(super) finish_reason: Option<String>,
-    /// Index of the first other choice that had text.
+    /// Index of a choice that had text and is not the first choice, whose text is the answer.
     other_choice: Option<String>,
     is_done: bool,
     events: EventStream,

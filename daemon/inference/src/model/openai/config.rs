@@ -124,7 +124,7 @@ impl OpenaiConfig {
         let key = self.api_key_env.as_ref().map(|variable| {
             let text = std::env::var(variable)
                 .map_err(|_| format!("the environment variable {variable} is not set; set it to the key"))?;
-            // The error of the library would not show the key, but this one says more.
+            // The library's error does not show the key either, but this error also names the variable.
             ApiKey::new(text).map_err(|_| format!("the environment variable {variable} holds no valid key"))
         });
         let key = key.transpose().map_err(|reason| wrong("api_key_env", reason))?;

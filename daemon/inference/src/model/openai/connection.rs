@@ -131,7 +131,8 @@ fn source_of_roots() -> String {
 fn remedy(error: Option<&rustls::Error>) -> String {
     use rustls::Error::{InvalidCertificate, InvalidMessage};
     match error {
-        // The signature is wrong if an authority was made anew under the name of the trusted one.
+        // A bad signature: the server's authority has the name of a trusted one but another key, for example because
+        // it was created again.
         Some(InvalidCertificate(CertificateError::UnknownIssuer | CertificateError::BadSignature)) => format!(
             "its certificate is signed by no authority of {}: add this authority to those of the operating system, or name \
              a PEM file with all trusted authorities in the environment variable SSL_CERT_FILE",

@@ -24,7 +24,7 @@ pub(super) struct EventData<'a> {
     object: Option<Value>,
     /// Text of an error without the object `error`.
     message: Option<Value>,
-    /// The same under the name that FastAPI uses.
+    /// Text of an error, under the name that FastAPI uses.
     detail: Option<IgnoredAny>,
 }
 
@@ -50,7 +50,7 @@ pub(super) struct Delta {
     pub(super) content: Option<String>,
     /// Text of the reasoning before the answer. llama.cpp and DeepSeek use this name.
     reasoning_content: Option<String>,
-    /// The same under the name that Ollama and newer versions of vLLM use.
+    /// Text of the reasoning, under the name that Ollama and newer versions of vLLM use.
     reasoning: Option<String>,
 }
 
@@ -58,7 +58,7 @@ pub(super) struct Delta {
 const FAILED: &str = "error";
 /// JSON of a missing value.
 const NULL: &str = "null";
-/// Maximum number of tokens: floating-point numbers have all integers up to it.
+/// Maximum number of tokens: a 64-bit float represents all integers up to this one exactly.
 const MAX_TOKENS: u64 = 1 << 53;
 
 /// Number of tokens, as the server counted them.
@@ -85,7 +85,7 @@ impl EventData<'_> {
 }
 
 impl Choice {
-    /// Returns whether it belongs to the answer that the request asks for.
+    /// Returns whether this choice belongs to the answer that the request asks for.
     pub(super) fn is_first(&self) -> bool {
         self.index.as_ref().is_none_or(|index| {
             let number = index.as_f64().or_else(|| index.as_str()?.trim().parse().ok());
@@ -98,7 +98,7 @@ impl Choice {
         self.index.as_ref().map_or_else(|| "0".to_owned(), Value::to_string)
     }
 
-    /// Returns whether it has text of the answer or of the reasoning.
+    /// Returns whether this choice has text of the answer or of the reasoning.
     pub(super) fn has_text(&self) -> bool {
         self.delta.as_ref().is_some_and(|delta| {
             delta.has_reasoning() || delta.content.as_ref().is_some_and(|content| !content.is_empty())
@@ -159,6 +159,7 @@ impl Usage {
             completion_tokens: count(None, "completion_tokens"),
             reasoning_tokens: count(Some("completion_tokens_details"), "reasoning_tokens"),
         };
+        // A count cannot exceed the total that contains it.
         for (part, part_name, whole, whole_name) in [
             (&mut read.cached_tokens, "cached_tokens", read.prompt_tokens, "prompt_tokens"),
             (&mut read.reasoning_tokens, "reasoning_tokens", read.completion_tokens, "completion_tokens"),

@@ -86,7 +86,8 @@ impl EventStream {
         Ok(())
     }
 
-    /// Ends a line; returns the data of the event, and whether it is an error, if the line is empty and ends one.
+    /// Ends a line. An empty line ends an event: returns the data of the event, if it has data, and whether it is an
+    /// error.
     fn end_line(&mut self) -> Result<Option<(Vec<u8>, bool)>, EventTooLong> {
         let is_first = !std::mem::replace(&mut self.has_line, true);
         let mut line = &self.line[..];

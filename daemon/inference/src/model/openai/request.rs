@@ -22,7 +22,7 @@ pub(super) fn body(config: &OpenaiConfig, sample: &Sample) -> Result<Bytes, Stri
     body.insert("model".to_owned(), config.model.clone().into());
     body.insert("messages".to_owned(), messages.into());
     body.insert("stream".to_owned(), true.into());
-    // Without it, no server says how many tokens the answer has.
+    // Without this option, no server says how many tokens a streamed answer has.
     body.insert("stream_options".to_owned(), json!({ "include_usage": true }));
     serde_json::to_vec(&body).map(Bytes::from).map_err(|error| error.to_string())
 }

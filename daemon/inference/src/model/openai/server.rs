@@ -47,7 +47,7 @@ impl ApiKey {
     /// If it has characters that a header cannot have.
     pub(super) fn new(text: String) -> Result<Self, InvalidHeaderValue> {
         let mut authorization = HeaderValue::try_from(format!("Bearer {text}"))?;
-        // The libraries then never print it.
+        // The libraries never print a sensitive value.
         authorization.set_sensitive(true);
         Ok(Self { text, authorization })
     }
@@ -164,16 +164,17 @@ impl Server {
             }
             while !answer.is_done() {
                 let frame = waits.within(answer, response.body_mut().frame()).await?;
-                // Stamped before it is parsed.
+                // The time of arrival is taken before the bytes are parsed.
                 let arrived_at = clock.mono();
                 match frame {
                     None => return Ok(answer.end()?),
                     Some(Ok(frame)) => {
                         if let Some(bytes) = frame.data_ref() {
-                            let earlier = answer.chunk_count();
+                            let chunks_before = answer.chunk_count();
                             answer.receive(arrived_at, bytes, &mut receive_text)?;
-                            // `receive_text` may have waited for the requester, which is no time of the server.
-                            if answer.chunk_count() > earlier {
+                            // `receive_text` may have waited for the requester; this time does not count against the
+                            // server's limit.
+                            if answer.chunk_count() > chunks_before {
                                 waits.waiting_since = clock.mono();
                             }
                         }

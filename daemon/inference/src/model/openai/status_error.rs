@@ -42,7 +42,7 @@ pub(super) async fn status_error(mut response: Response<Incoming>, limit: Durati
             }
         }
     };
-    // What has arrived at the limit says more than nothing.
+    // If the limit passes, the part of the body that has arrived is used.
     let _ = timeout(limit, reading).await;
     let text = if content_encoding(&response).is_some() { String::new() } else { error_text_of_body(&body) };
     RequestError::Status { status, text, hint }

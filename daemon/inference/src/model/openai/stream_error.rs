@@ -22,7 +22,7 @@ pub(super) enum StreamError {
     /// All text belongs to another choice than the first.
     #[error("its answer has text only in a choice with the index {0}, and the answer has the index 0")]
     OtherChoice(String),
-    /// The answer ended without text, reasoning and a finish reason.
+    /// The answer ended without text, reasoning or a finish reason.
     #[error("its server ended its answer without text")]
     WithoutText,
     /// The bytes are no stream of events.

@@ -51,7 +51,7 @@ impl<'a> Waits<'a> {
         timeout(remaining, part).await.map_err(|_| late)
     }
 
-    /// Returns the time until the limit that ends first, and the error that its end is.
+    /// Returns the time until the limit that ends first, and the error to return when this time has passed.
     pub(super) fn remaining(&self, answer: &StreamedAnswer) -> (Duration, RequestError) {
         let TimeLimits { first_token, token, total } = *self.limits;
         let after = answer.chunk_count();

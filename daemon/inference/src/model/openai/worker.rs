@@ -15,7 +15,7 @@ use crate::{InferenceError, Requester, Worker};
 /// Longest text of a wrong number of tokens in the log, characters.
 const MAX_DEFECT_CHARS: usize = 100;
 
-/// Thread's state: the runtime that waits for the server.
+/// Worker with the runtime in which its thread waits for the server.
 pub(super) struct OpenaiWorker {
     model: Arc<Openai>,
     runtime: Runtime,
@@ -57,13 +57,13 @@ impl Worker for OpenaiWorker {
         let limits = config.time_limits();
         // Also cancelled when a partial answer cannot be sent.
         let cancellation = requester.cancellation().child_token();
-        let mut unsent = None;
+        let mut send_error = None;
         // While the requester has too many unread partial answers, this thread waits and reads nothing from the server.
         let send_text = |text: &str| {
-            if unsent.is_none()
+            if send_error.is_none()
                 && let Err(error) = requester.send_part(partial_answer(text))
             {
-                unsent = Some(error);
+                send_error = Some(error);
                 cancellation.cancel();
             }
         };
@@ -83,7 +83,7 @@ impl Worker for OpenaiWorker {
                 );
             });
         }
-        if let Some(error) = unsent {
+        if let Some(error) = send_error {
             return Err(error.into_inference_error(name));
         }
         let result = result.ok_or_else(|| InferenceError::Cancelled { model: name.clone() })?;

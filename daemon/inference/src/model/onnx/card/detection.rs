@@ -12,10 +12,10 @@ const SCORE_THRESHOLD: f64 = 0.25;
 /// Default of `iou_threshold` for models that do not suppress overlapping boxes themselves.
 const IOU_THRESHOLD: f64 = 0.45;
 
-/// Number of objects in an answer by default.
+/// Default of `max_detections`.
 const MAX_DETECTIONS: usize = 100;
 
-/// Maximum number of objects in an answer.
+/// Largest permitted value of `max_detections`.
 const MAX_MAX_DETECTIONS: usize = 10_000;
 
 /// Outputs of a detector and their conversion to boxes.
@@ -46,8 +46,8 @@ pub(in crate::model::onnx) enum DetectionOutputs {
     /// Two outputs, logits and boxes `[1, n, 4]`. With softmax the logits are `[1, n, classes + 1]`, the last for "no object" (DETR); with
     /// sigmoid `[1, n, classes]` (Deformable DETR, RT-DETR).
     Detr { scores: String, boxes: String, is_softmax: bool },
-    /// Boxes `[n, 4]`, scores `[n]` and numbers of classes `[n]`, each also with a batch of 1 before, and optionally the number of valid
-    /// candidates: models that contain the suppression.
+    /// Boxes `[n, 4]`, scores `[n]` and numbers of classes `[n]`, each optionally with a first dimension of length 1
+    /// for the batch, and optionally the number of valid candidates: models that contain the suppression.
     Nms { boxes: String, scores: String, classes: String, count: Option<String> },
 }
 
@@ -197,7 +197,7 @@ impl DetectionTable {
             ("activation", self.activation.is_some()),
         ];
         let (layout, keys) = (self.layout.name(), self.layout.keys());
-        if let Some((key, _)) = present.into_iter().find(|(key, is)| *is && !keys.contains(key)) {
+        if let Some((key, _)) = present.into_iter().find(|(key, is_present)| *is_present && !keys.contains(key)) {
             return Err(CardError::SurplusKey { layout, key, expected: keys.join(", ") });
         }
         let thresholds =

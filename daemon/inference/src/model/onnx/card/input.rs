@@ -86,7 +86,7 @@ impl Input {
         let InputTable { name, dtype: data_type, shape, layout, colour, preprocessing, value } = table;
         let is_picture = layout.is_some() || colour.is_some() || preprocessing.is_some();
         let source = match value {
-            Some(value) => Source::Constant(checked_constant(&name, data_type, &shape, value)?),
+            Some(value) => Source::Constant(check_constant(&name, data_type, &shape, value)?),
             None if is_picture => {
                 let missing = |key| CardError::IncompletePicture { input: name.clone(), missing: key };
                 let layout = layout.ok_or_else(|| missing("layout"))?;
@@ -146,7 +146,7 @@ impl PictureSource {
 }
 
 /// Checks the number of a constant's values, and that each can be represented.
-fn checked_constant(
+fn check_constant(
     input: &str,
     data_type: DataType,
     shape: &[usize],
@@ -160,7 +160,7 @@ fn checked_constant(
     converted.fill(&values);
     let is_same = |at: usize| {
         let converted = for_elements!(&converted, elements => f64::from(elements[at].to_f32()));
-        // Floats may be rounded, but not to infinity; integers may not.
+        // Floats may be rounded, but not to infinity. Integers must not be rounded.
         if data_type.is_float() {
             return data_type == DataType::Float64 || converted.is_finite();
         }
@@ -172,7 +172,8 @@ fn checked_constant(
     }
 }
 
-/// Deserialises the lengths of a shape. An exported model often has -1 or a name for a dimension without a fixed length.
+/// Deserialises the lengths of a shape. An exported model often has -1 or a name for a dimension without a fixed
+/// length; a card must have a number.
 pub(super) fn lengths<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<usize>, D::Error> {
     let length = |value: &toml::Value| {
         value

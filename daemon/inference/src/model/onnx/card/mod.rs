@@ -96,7 +96,7 @@ struct CardFile<O> {
 #[derive(Debug)]
 struct OneOrMany<T>(Vec<T>);
 
-fn text(file: &Path) -> io::Result<String> {
+fn read_text(file: &Path) -> io::Result<String> {
     let mut file = regular_file::open(file)?;
     let length = file.metadata()?.len();
     if length > MAX_CARD_BYTES {
@@ -111,7 +111,7 @@ impl Card {
     /// Reads and checks a card.
     pub(super) fn read(file: &Path) -> Result<Self, LoadError> {
         let wrong = |reason: String| LoadError::File { file: file.to_owned(), reason };
-        let text = text(file).map_err(|error| match error.kind() {
+        let text = read_text(file).map_err(|error| match error.kind() {
             io::ErrorKind::NotFound => wrong(format!(
                 "{error}; write a card for the model (docs/models.md), or correct the path of its folder"
             )),
@@ -121,7 +121,7 @@ impl Card {
     }
 
     pub(super) fn parse(text: &str) -> Result<Self, CardError> {
-        // The text is read a second time as a whole, so that errors have their lines.
+        // The text is parsed a second time as a whole, so that errors name the lines of the text.
         let Header { task } = toml::from_str(text)?;
         match task {
             TaskName::Classification => Self::parse_as(text, |output: Classification| {

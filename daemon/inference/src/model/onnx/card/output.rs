@@ -9,10 +9,10 @@ use super::input::lengths;
 use crate::model::onnx::data_type::DataType;
 
 /// Number of classes in an answer by default.
-const LISTED: usize = 5;
+const DEFAULT_TOP_K: usize = 5;
 
 /// Maximum number of classes of a segmentation, whose pixels have one byte.
-const MAX_SEGMENTED: usize = 256;
+const MAX_SEGMENTATION_CLASSES: usize = 256;
 
 /// Output of a classifier.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -79,7 +79,7 @@ pub(in crate::model::onnx) struct TensorOutput {
 impl Classification {
     /// Returns the number of classes in an answer.
     pub(in crate::model::onnx) fn listed_classes(&self) -> usize {
-        self.top_k.unwrap_or(LISTED).min(self.labels.len())
+        self.top_k.unwrap_or(DEFAULT_TOP_K).min(self.labels.len())
     }
 
     pub(super) fn check(&self) -> Result<(), CardError> {
@@ -100,7 +100,7 @@ impl Segmentation {
     pub(super) fn check(&self) -> Result<(), CardError> {
         check_labels(&self.labels)?;
         match self.labels.len() {
-            count if count > MAX_SEGMENTED => Err(CardError::TooManyClasses(count)),
+            count if count > MAX_SEGMENTATION_CLASSES => Err(CardError::TooManyClasses(count)),
             _ => Ok(()),
         }
     }

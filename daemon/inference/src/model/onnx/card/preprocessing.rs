@@ -191,7 +191,7 @@ impl Rounding {
     /// Returns the number of pixels before the crop if `margin` pixels are left over.
     pub(in crate::model::onnx) const fn before(self, margin: u32) -> u32 {
         match self {
-            // Half of an odd margin lies between k and k + 1, and k is odd if the remainder is 3.
+            // Half of an odd margin lies between k and k + 1. If the remainder is 3, k is odd and k + 1 is even.
             Self::HalfEven if margin % 4 == 3 => margin / 2 + 1,
             _ => margin / 2,
         }
@@ -202,7 +202,7 @@ const fn default_true() -> bool {
     true
 }
 
-/// Returns the grey of the YOLO family.
+/// Returns the grey that models of the YOLO family expect beside the picture.
 const fn default_fill() -> u8 {
     114
 }
@@ -242,7 +242,8 @@ impl Preprocessing {
         }
     }
 
-    /// Returns the numbers of the last step for `channels` channels. They have defaults if the input has integers.
+    /// Returns the numbers of the last step for `channels` channels. They have defaults if `has_defaults`: if the
+    /// input has integers.
     pub(super) fn normalisation(
         &self,
         channels: usize,

@@ -68,13 +68,13 @@ impl<'a> Candidates<'a> {
         }
         for row in output.numbers()?.chunks_exact(length) {
             let (numbers, scores) = row.split_at(4);
-            let object = activated(activation, scores[0]);
-            // The product cannot exceed the score of an object, so most rows end here.
+            let object = activate(activation, scores[0]);
+            // The product of both scores cannot exceed the score of an object, so most rows are skipped here.
             if object <= self.detection.score_threshold {
                 continue;
             }
             let (class, score) = best(&scores[1..]);
-            self.add(class, object * activated(activation, score), first_four(numbers));
+            self.add(class, object * activate(activation, score), first_four(numbers));
         }
         Ok(())
     }
@@ -101,7 +101,7 @@ impl<'a> Candidates<'a> {
         for (at, (class, score)) in best.into_iter().enumerate() {
             let numbers = [0, 1, 2, 3].map(|row| boxes[row * count + at]);
             // The activation keeps the order of scores, so it is computed for the best class only.
-            self.add(class, activated(activation, score), numbers);
+            self.add(class, activate(activation, score), numbers);
         }
         Ok(())
     }
@@ -146,7 +146,7 @@ impl<'a> Candidates<'a> {
             } else {
                 // A query may show several classes, each with a score of its own.
                 for (class, logit) in row.iter().enumerate() {
-                    self.add(class, activated(Activation::Sigmoid, *logit), numbers);
+                    self.add(class, activate(Activation::Sigmoid, *logit), numbers);
                 }
             }
         }
@@ -183,9 +183,9 @@ impl<'a> Candidates<'a> {
         });
         // Rows after the last valid one may have any numbers.
         let valid = count.transpose()?.unwrap_or(rows);
-        let (numbers, values, named) = (boxes.numbers()?, scores.numbers()?, classes.numbers()?);
+        let (numbers, values, class_numbers) = (boxes.numbers()?, scores.numbers()?, classes.numbers()?);
         for ((numbers, score), class) in
-            numbers.chunks_exact(4).zip(values.iter()).zip(named.iter()).take(valid)
+            numbers.chunks_exact(4).zip(values.iter()).zip(class_numbers.iter()).take(valid)
         {
             if *score > self.detection.score_threshold {
                 self.add(self.class(classes.name, *class)?, *score, first_four(numbers));
@@ -244,7 +244,7 @@ fn softmax(logits: &[f32], logit: f32) -> f32 {
 }
 
 /// Returns the score of a number. A softmax needs all numbers and is not an activation of YOLO's outputs; the card's check excludes it.
-fn activated(activation: Activation, number: f32) -> f32 {
+fn activate(activation: Activation, number: f32) -> f32 {
     match activation {
         Activation::Sigmoid => 1.0 / (1.0 + (-number).exp()),
         Activation::None | Activation::Softmax => number,

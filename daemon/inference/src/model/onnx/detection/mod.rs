@@ -57,7 +57,7 @@ pub(super) fn detect(
     Ok(serde_json::to_vec(&Answer { detections: objects.collect(), width, height })?)
 }
 
-/// Checks the outputs of a run whose numbers mean nothing: their types and shapes.
+/// Checks only the types and shapes of the outputs, for a run on an example input, whose numbers mean nothing.
 pub(super) fn check(
     detection: &Detection,
     outputs: &Outputs<'_, '_>,
