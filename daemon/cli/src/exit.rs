@@ -30,8 +30,9 @@ pub enum Exit {
 }
 
 impl Exit {
-    /// Returns the exit code from `main`. If a thread still uses ONNX Runtime, such as one that opens a large model, the process ends here,
-    /// without the destructors of libraries, which would run under that thread. All output is written by then, because it is not buffered.
+    /// Returns the exit code from `main`. If a thread still uses ONNX Runtime, such as one that opens a large model,
+    /// the process ends here, without the destructors of libraries, which would run while that thread uses the
+    /// library. All output is written by then, because it is not buffered.
     pub fn into_exit_code(self) -> ExitCode {
         if peernet_inference::is_library_in_use() {
             #[expect(

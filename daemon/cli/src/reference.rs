@@ -41,11 +41,11 @@ fn reference() -> String {
     let mut command = Cli::command();
     command.build();
     let mut text = String::new();
-    section(&mut text, &command, "peernet");
+    write_section(&mut text, &command, "peernet");
     text
 }
 
-fn section(text: &mut String, command: &Command, path: &str) {
+fn write_section(text: &mut String, command: &Command, path: &str) {
     let level = "#".repeat(1 + path.split(' ').count());
     let about = command.get_long_about().or(command.get_about()).map(ToString::to_string);
     let _ = write!(text, "\n{level} `{path}`\n\n{}.\n", about.unwrap_or_default().trim_end_matches('.'));
@@ -53,17 +53,17 @@ fn section(text: &mut String, command: &Command, path: &str) {
     let arguments: Vec<&Arg> = command.get_arguments().filter(is_shown).collect();
     if !arguments.is_empty() {
         text.push_str("\n| argument | what | default |\n| --- | --- | --- |\n");
-        arguments.into_iter().for_each(|argument| row(text, argument));
+        arguments.into_iter().for_each(|argument| write_row(text, argument));
     }
     let commands = command.get_subcommands();
     for subcommand in
         commands.filter(|subcommand| !subcommand.is_hide_set() && subcommand.get_name() != "help")
     {
-        section(text, subcommand, &format!("{path} {}", subcommand.get_name()));
+        write_section(text, subcommand, &format!("{path} {}", subcommand.get_name()));
     }
 }
 
-fn row(text: &mut String, argument: &Arg) {
+fn write_row(text: &mut String, argument: &Arg) {
     let takes_value =
         !matches!(argument.get_action(), ArgAction::SetTrue | ArgAction::Count | ArgAction::SetFalse);
     let values: Vec<String> =

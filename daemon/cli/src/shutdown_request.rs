@@ -7,7 +7,7 @@ use tokio::time::Instant;
 
 /// Signals of one kind within this time count as one request. For example, `timeout` signals a process and then its process group,
 /// so that the process gets two signals.
-const ONE_REQUEST: Duration = Duration::from_millis(500);
+const SAME_REQUEST_PERIOD: Duration = Duration::from_millis(500);
 
 /// Detection of signals that repeat a request.
 #[derive(Debug, Default)]
@@ -19,7 +19,7 @@ impl ShutdownRequests {
     /// Returns whether a signal that arrives at `now` is another request.
     pub fn is_another(&mut self, kind: SignalKind, now: Instant) -> bool {
         let repeats =
-            |(last_kind, last_at): (SignalKind, Instant)| last_kind == kind && now - last_at < ONE_REQUEST;
+            |(last_kind, last_at): (SignalKind, Instant)| last_kind == kind && now - last_at < SAME_REQUEST_PERIOD;
         if self.last.is_some_and(repeats) {
             return false;
         }

@@ -171,8 +171,8 @@ fn pipeline_row(pipeline: &Pipeline, faulty: &FaultyClocks) -> Vec<String> {
         window.and_then(|window| window.values.iter().find(|statistics| statistics.name == name))
     };
     let total = statistics_of("total");
-    let column = DurationFormat::for_total(total.map(|figures| figures.mean), None);
-    let milliseconds = |seconds: Option<f64>| or_dash(seconds.map(|seconds| column.duration(seconds)));
+    let duration_format = DurationFormat::for_total(total.map(|figures| figures.mean), None);
+    let milliseconds = |seconds: Option<f64>| or_dash(seconds.map(|seconds| duration_format.duration(seconds)));
     let mean = |name: &str| milliseconds(statistics_of(name).map(|figures| figures.mean));
     let Placement { kind, peer, address, model } = &pipeline.placement;
     // A peer has no name before the first session; until then its address identifies it.

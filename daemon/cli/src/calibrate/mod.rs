@@ -47,7 +47,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let folder = Folder::make(arguments, &plan.peer, started)?;
 
     let mut observer = SweepObserver::new(&plan, ready_agent.clock.clone(), arguments.quiet);
-    let AgentResult { ended, name: edge, missed } = ready_agent.watch(&mut observer)?;
+    let AgentResult { ended, name: edge, missed_events } = ready_agent.watch(&mut observer)?;
     let measurements = observer.measurements;
     let failure = match &ended {
         AgentEnd::Finished => None,
@@ -95,8 +95,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     })?;
     let names: Vec<_> = written_files.iter().filter_map(|path| path.file_name()?.to_str()).collect();
     print_to_stdout(format_args!("\n{}: {}", folder.path().display(), names.join(", ")));
-    if missed > 0 {
-        print_to_stderr(format_args!("{missed} iterations were not recorded: this machine is too busy"));
+    if missed_events > 0 {
+        print_to_stderr(format_args!("{missed_events} iterations were not recorded: this machine is too busy"));
     }
     match failure {
         Some(failure) => Err(failure),

@@ -73,8 +73,8 @@ impl<'a> SweepObserver<'a> {
         self.peer_wait.record_answer(self.clock.mono());
         let previous_clock = std::mem::replace(&mut self.cloud_clock, clock);
         let change = match (&previous_clock, &self.cloud_clock) {
-            // After a restart of the peer's program, its clock fault and its count of steps begin again. Both are unchanged or grown if the
-            // same program is back.
+            // If the same program is back, its clock fault is unchanged, and its count of steps is unchanged or
+            // larger. After a restart of the program, both begin again.
             (Some(before), Some(now)) if before.faults == now.faults && before.epoch <= now.epoch => {
                 self.measurements.reconnections += 1;
                 return None;

@@ -1,4 +1,4 @@
-//! Plan of the sweep, sizes and their order, as the configuration of an agent.
+//! Plan of the sweep: the sizes and their order, as the configuration of an agent.
 
 use std::path::Path;
 
@@ -15,7 +15,8 @@ use serde_json::json;
 use super::Arguments;
 use crate::foreground::tables;
 
-/// Maximum number of rounds that are shuffled. Then the order repeats. The number is large enough that size and time are not correlated.
+/// Maximum number of rounds that are shuffled. After these rounds the order repeats. The number is large enough that
+/// size and time are not correlated.
 const ROUNDS: u64 = 64;
 /// Seed of the order.
 const SEED: u64 = 1;

@@ -60,9 +60,9 @@ impl Extent {
             "{done_count} of {}, {} /s, upload {} at {}, {} at {}, {remaining_s:.0} s left",
             self.iterations,
             fixed(rate, 0),
-            median(samples, smallest),
+            describe_median(samples, smallest),
             bytes(smallest as f64).plain(),
-            median(samples, largest),
+            describe_median(samples, largest),
             bytes(largest as f64).plain(),
         );
         (text, share)
@@ -70,7 +70,7 @@ impl Extent {
 }
 
 /// Formats the median delay of one payload's uploads so far.
-fn median(samples: &[Sample], payload_bytes: u64) -> String {
+fn describe_median(samples: &[Sample], payload_bytes: u64) -> String {
     let median = median_delay(Direction::Up, samples, payload_bytes);
     median.map_or_else(|| NONE.to_owned(), |median| format!("{} ms", milliseconds(median)))
 }

@@ -129,7 +129,7 @@ fn read(
         }
     }
     match readable.failures.pop_if(|_| readable.runs.is_empty()) {
-        // All of them have a reason, which may differ.
+        // Each result may have another reason, so the error names all reasons.
         Some(last) => {
             let exit = last.exit;
             let failures = readable.failures.into_iter().chain([last]);
@@ -140,8 +140,8 @@ fn read(
     }
 }
 
-/// Returns the failure for results that cannot be read. `read` is the number of results that were read.
-fn unreadable_failure(failures: &[Failure], read: usize) -> Option<Failure> {
+/// Returns the failure for results that cannot be read, beside `read_count` results that can be read.
+fn unreadable_failure(failures: &[Failure], read_count: usize) -> Option<Failure> {
     let reasons: Vec<String> = failures.iter().map(ToString::to_string).collect();
     (!reasons.is_empty()).then(|| {
         Failure::new(
@@ -149,7 +149,7 @@ fn unreadable_failure(failures: &[Failure], read: usize) -> Option<Failure> {
             anyhow!(
                 "{} of {} cannot be read, so only the others are shown: {}",
                 reasons.len(),
-                counted((read + reasons.len()) as u64, "result"),
+                counted((read_count + reasons.len()) as u64, "result"),
                 reasons.join("; ")
             ),
         )
@@ -185,7 +185,7 @@ fn incompleteness_note(run: &Loaded, experiments: &Experiments) -> Option<String
     }
 }
 
-/// Removes paths to a file or folder that an earlier path leads to.
+/// Removes each path that leads to the same file or folder as an earlier path.
 pub(crate) fn distinct_paths(paths: &[PathBuf]) -> Vec<PathBuf> {
     let mut distinct: Vec<PathBuf> = Vec::new();
     for path in paths {

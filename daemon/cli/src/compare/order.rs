@@ -15,17 +15,17 @@ use super::experiment::Experiments;
 /// The runs of one experiment exchange positions among each other. All other results keep their positions.
 pub(super) fn declared_order(runs: &[Loaded], experiments: &Experiments) -> Vec<usize> {
     let mut order: Vec<usize> = (0..runs.len()).collect();
-    let mut executions: HashMap<&str, Vec<(usize, ExperimentPlace)>> = HashMap::new();
+    let mut places_by_experiment: HashMap<&str, Vec<(usize, ExperimentPlace)>> = HashMap::new();
     for (index, run) in runs.iter().enumerate() {
         if let Some(place) = &run.record.experiment {
             let position = place.position.or_else(|| recorded_position(run, place, experiments));
-            executions
+            places_by_experiment
                 .entry(&place.id)
                 .or_default()
                 .push((index, ExperimentPlace { position, ..place.clone() }));
         }
     }
-    for places in executions.into_values() {
+    for places in places_by_experiment.into_values() {
         let mut sorted = places.clone();
         // The sort is stable: the users of one run keep their order.
         sorted.sort_by(|(_, a), (_, b)| compare_places(a, b));

@@ -1,9 +1,9 @@
 //! Formatting of durations.
 
 const DAY: u64 = 86_400;
-/// Durations from this length on are given in days. Seconds.
+/// Shortest duration that is given in days, seconds.
 const MIN_DAYS: u64 = 10 * DAY;
-/// Durations from this length on are given in years. Seconds.
+/// Shortest duration that is given in years, seconds.
 const MIN_YEARS: u64 = 3 * 365 * DAY;
 
 /// Formats a duration with one or two units that grow with it. Minutes are rounded up; hours, days and years are rounded down.

@@ -79,7 +79,7 @@ pub(crate) struct AgentResult<OwnReason> {
     /// The agent's name.
     pub(crate) name: String,
     /// Number of events that did not fit into the channel.
-    pub(crate) missed: u64,
+    pub(crate) missed_events: u64,
 }
 
 impl ReadyAgent {
@@ -172,7 +172,7 @@ async fn watch<O: RunObserver>(
     }
     stop.cancel();
     // Read before the end, because joining consumes the agent.
-    let missed = running.events_missed_by_tap();
+    let missed_events = running.events_missed_by_tap();
     tokio::select! {
         result = running.join() => result.map_err(|error| Failure::new(Exit::Software, error))?,
         _ = signals.next() => print_to_stderr("work in progress was abandoned"),
@@ -181,5 +181,5 @@ async fn watch<O: RunObserver>(
     while let Ok(event) = events.try_recv() {
         observer.handle_event(event, None);
     }
-    Ok(AgentResult { ended, name, missed })
+    Ok(AgentResult { ended, name, missed_events })
 }

@@ -34,7 +34,7 @@ pub(crate) struct Progress {
     has_trouble: bool,
     /// Reason of trouble that was printed last.
     last_reason: Option<String>,
-    /// `true` if the line that is printed once was printed.
+    /// `true` once [`print_once`](Self::print_once) has printed its line.
     has_printed_once: bool,
 }
 

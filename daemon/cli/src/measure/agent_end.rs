@@ -54,8 +54,9 @@ impl AgentEnd {
     }
 }
 
-/// Returns a sentence on the failed iterations: those without an answer, or with one that was not acted on. Those of the warm-up, which
-/// statistics exclude, count only if no other failed. `None` if none failed.
+/// Returns a clause about the failed iterations. An iteration has failed if it has no answer, or if its answer was
+/// not acted on. Failed warm-up iterations, which statistics exclude, count only if no other iteration failed. `None`
+/// if none failed.
 fn failed_text(rows: &Rows) -> Option<String> {
     let counts = Counts::from_rows(rows, 0);
     let in_warm_up = counts.all_failed() == 0;
@@ -96,8 +97,8 @@ fn without_repetition(reason: &str) -> &str {
     let exception = reason.split_once(TRACEBACK).map_or("", |(exception, _)| exception.trim_end());
     // The agent names the part that raised the exception.
     let raised = exception.split_once(" failed: ").map(|(_, raised)| raised);
-    let end = [Some(exception), raised].into_iter().flatten().find_map(|end| reason.strip_suffix(end));
-    end.map_or(reason, str::trim_end)
+    let shortened = [Some(exception), raised].into_iter().flatten().find_map(|end| reason.strip_suffix(end));
+    shortened.map_or(reason, str::trim_end)
 }
 
 const fn has_or_have(count: u64) -> &'static str {

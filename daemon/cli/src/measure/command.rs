@@ -11,7 +11,7 @@ use rustix::process::{Signal, set_parent_process_death_signal};
 use super::{ProgressDisplay, ProgressReport, RunRequest, measure};
 use crate::foreground::{LogDestination, start_log};
 
-/// Line on standard output with which the process reports that it measures no more.
+/// Line on standard output with which the process reports that its measurement has ended.
 pub(crate) const MEASUREMENT_ENDED: &str = r#"{"measurement-ended":true}"#;
 
 /// Arguments of `peernet measure`.
@@ -30,17 +30,18 @@ pub(crate) struct Arguments {
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     exit_with_parent();
     start_log(LogDestination::Parent)?;
-    let from_parent = arguments.order == Path::new("-");
+    let is_from_parent = arguments.order == Path::new("-");
     let text = read(&arguments.order).map_err(|error| Failure::new(Exit::NoInput, error))?;
     let request: RunRequest = serde_json::from_str(&text).map_err(|error| {
         Failure::new(Exit::Configuration, anyhow!("cannot parse the description of the measurement: {error}"))
     })?;
-    let measured = measure(&request, &mut JsonProgress { from_parent }).map_err(with_indented_lines)?;
+    let measured = measure(&request, &mut JsonProgress { is_from_parent }).map_err(with_indented_lines)?;
     measured.failure().map_or(Ok(()), |failure| Err(with_indented_lines(failure)))
 }
 
-/// Indents all lines of a failure but the first. The experiment takes a failure for the last line that is not indented, with the
-/// indented lines after it, and a traceback of Python ends with a line that is not indented.
+/// Indents all lines of a failure but the first. The experiment's process takes the last line that is not indented,
+/// with the indented lines after it, as the failure. Without the indentation, this would be the last line of a Python
+/// traceback only.
 fn with_indented_lines(failure: Failure) -> Failure {
     let text = failure.to_string();
     if !text.contains('\n') {
@@ -62,7 +63,7 @@ fn exit_with_parent() {
 fn read(file: &Path) -> anyhow::Result<String> {
     if file == Path::new("-") {
         let mut text = String::new();
-        // The rest of the input is read later: its end says that no edge of the run measures any more.
+        // The rest of standard input is read later: its end means that no edge of the run measures any more.
         std::io::stdin()
             .read_line(&mut text)
             .context("cannot read the description of the measurement from standard input")?;
@@ -75,7 +76,7 @@ fn read(file: &Path) -> anyhow::Result<String> {
 /// Display that prints the state to standard output.
 struct JsonProgress {
     /// `true` if the parent sent the request, and closes standard input when no edge of the run measures any more.
-    from_parent: bool,
+    is_from_parent: bool,
 }
 
 impl ProgressDisplay for JsonProgress {
@@ -88,7 +89,7 @@ impl ProgressDisplay for JsonProgress {
     }
 
     fn wait_for_other_edges(&mut self) {
-        if !self.from_parent {
+        if !self.is_from_parent {
             return;
         }
         print_to_stdout(MEASUREMENT_ENDED);

@@ -103,14 +103,14 @@ pub(crate) fn measure(
     let result = ready.watch(&mut recorder);
     let recorded = recorder.finish();
     progress_display.wait_for_other_edges();
-    let (AgentResult { ended, name, missed }, recorded) = match (result, recorded) {
+    let (AgentResult { ended, name, missed_events }, recorded) = match (result, recorded) {
         (Ok(result), recorded) => (result, recorded),
         (Err(failure), recorded) if recorded.rows.is_empty() => {
             results.discard();
             return Err(failure);
         }
         (Err(failure), recorded) => (
-            AgentResult { ended: AgentEnd::Failed(failure.to_string()), name: String::new(), missed: 0 },
+            AgentResult { ended: AgentEnd::Failed(failure.to_string()), name: String::new(), missed_events: 0 },
             recorded,
         ),
     };
@@ -118,7 +118,7 @@ pub(crate) fn measure(
         results.discard();
         return Err(ended.without_rows());
     }
-    let mut record = record::run_record(request, &recorded, &ended, name, missed);
+    let mut record = record::run_record(request, &recorded, &ended, name, missed_events);
     record.edge.conditions.push(Condition { host: record.edge.name.clone(), ..free_space });
     record.trust = Some(Report::new(&TrustInput::from_run(&record, &recorded.rows)));
     let WrittenFiles { folder, mut files, mut trouble } = results.finish(&record, &recorded.rows);

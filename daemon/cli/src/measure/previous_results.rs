@@ -169,7 +169,7 @@ fn unwritten(error: anyhow::Error) -> Failure {
     Failure::new(Exit::Unwritten, error)
 }
 
-/// Returns the folder with the earlier results while the run that is to replace them is active or was killed.
+/// Returns the folder with the earlier results, if the run that is to replace them is still active or was killed.
 pub(crate) fn previous_results_folder(results_dir: &Path) -> Option<PathBuf> {
     leftover_folders(results_dir).find(|previous_results| {
         previous_results.join(RECORD).is_file() && !results_dir.join(RECORD).is_file()

@@ -17,7 +17,7 @@ pub(crate) struct ProgressReport {
     pub(crate) done: u64,
     /// Number of finished iterations without an answer, or with one that the actuator failed to act on.
     pub(crate) failed: u64,
-    /// The first of them with its reason, in a clause: `iteration 3 failed: …`.
+    /// Description of the first failed iteration with its reason, as a clause: `iteration 3 failed: …`.
     pub(crate) first_failure: Option<String>,
     /// Total number of iterations; `None` if a time limits the run.
     #[serde(rename = "of")]

@@ -42,7 +42,7 @@ struct RunProgress {
     done: u64,
     /// Number of finished iterations that have no answer, or one that the actuator failed to act on.
     failed: u64,
-    /// Description of the first of them.
+    /// Description of the first failed iteration.
     first_failure: Option<String>,
     /// Totals of the iterations after the warm-up, seconds.
     totals: Summary,

@@ -61,7 +61,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Completes the card's accuracy by what it refers to.
+/// Adds to the accuracy in the card what it is a share of.
 fn explain_value((key, value): (String, String)) -> (String, String) {
     if key != "accuracy" {
         return (key, value);

@@ -120,7 +120,7 @@ pub(super) struct Devices {
 }
 
 impl Devices {
-    /// Reads the file. A named network is that of the server.
+    /// Reads the file. If a network is given, it must be the network of the server's address.
     ///
     /// # Errors
     /// When it cannot be read (66), is incomplete or invalid (78), or has the server on another network (78).
@@ -141,8 +141,8 @@ impl Devices {
         })?;
         let address = parsed.address(&server, address_text, network.unwrap_or_default());
         let address = address.map_err(|problem| anyhow!("{file}: {problem}"))?;
-        let is_consistent = address.check_network(network);
-        is_consistent.map_err(|problem| anyhow!("--network does not agree with {file}: {problem}"))?;
+        let network_check = address.check_network(network);
+        network_check.map_err(|problem| anyhow!("--network does not agree with {file}: {problem}"))?;
         // The whole text is recorded with the results, because the file may change before a run is repeated.
         let config = NetworkConfig { file: file.to_owned(), text: text.to_owned() };
         Ok(Self { server, address, config, ros2: parsed.ros2, device_names })

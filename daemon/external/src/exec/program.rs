@@ -6,7 +6,7 @@ use peernet_sample::Part;
 
 use super::text_line::shorten;
 use super::{
-    AssemblyStep, ExecConfig, MAX_LINE_BYTES, ProgramCallError, Reply, ReplyAssembler, ReplyNotes,
+    ExecConfig, MAX_LINE_BYTES, ProgramCallError, Reply, ReplyAssembler, AssemblyStep, ReplyNotes,
     ReplyOutcome, Request, Role, VERSION,
 };
 use crate::process::{Launch, Process, ProcessError, RestartBackoff, StderrLog};
@@ -202,15 +202,15 @@ fn send_and_receive(
     deadline: &dyn Fn() -> MonoTime,
     on_partial_answer: &mut dyn FnMut(Part) -> bool,
 ) -> Result<Reply, ProgramCallError> {
-    let mut until = deadline();
-    // Output that precedes the request would be mistaken for the reply to it. From then on, each reply would be mistaken for the
-    // reply to the next request.
+    let mut deadline_at = deadline();
+    // Output that precedes the request would be mistaken for the reply to it, and from then on each reply for the reply to the
+    // next request.
     if process.has_more() {
         return Err(ProgramCallError::UnsolicitedOutput(shorten(&process.peek_line())));
     }
     let pieces = request.pieces();
     let slices: Vec<&[u8]> = pieces.iter().map(Bytes::as_ref).collect();
-    process.write(&slices, until)?;
+    process.write(&slices, deadline_at)?;
     let mut assembler = match request {
         Request::Reset => ReplyAssembler::for_reset(role),
         _ => ReplyAssembler::new(role),
@@ -218,19 +218,19 @@ fn send_and_receive(
     let mut step = AssemblyStep::ReadLine;
     loop {
         step = match step {
-            AssemblyStep::ReadLine => assembler.push_line(&process.read_line(MAX_LINE_BYTES, until)?)?,
-            AssemblyStep::DeliverPartial(part) => {
+            AssemblyStep::ReadLine => assembler.push_line(&process.read_line(MAX_LINE_BYTES, deadline_at)?)?,
+            AssemblyStep::DeliverPartialAnswer(part) => {
                 if !on_partial_answer(part) {
                     return Err(ProgramCallError::Cancelled);
                 }
-                until = deadline();
+                deadline_at = deadline();
                 AssemblyStep::ReadLine
             }
             AssemblyStep::ReadBytes(0) => assembler.push_bytes(Bytes::new()),
             // The count is at most `MAX_SAMPLE_BYTES`, which fits into a usize.
             AssemblyStep::ReadBytes(count) => {
                 let announced = count as usize;
-                let bytes = process.read_exact(announced, until).map_err(|error| match error {
+                let bytes = process.read_exact(announced, deadline_at).map_err(|error| match error {
                     ProcessError::ProcessEnd(end) => {
                         ProgramCallError::Incomplete { received: process.incomplete_bytes(), announced, end }
                     }

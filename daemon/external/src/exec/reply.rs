@@ -60,11 +60,11 @@ pub struct ReplyNotes {
 pub enum AssemblyStep {
     /// Read a line, up to `\n`.
     ReadLine,
-    /// Read the given number of bytes.
+    /// Read this number of bytes.
     ReadBytes(u64),
-    /// Pass on this partial answer of a model, and then read a line.
-    DeliverPartial(Part),
-    /// Nothing: the reply is complete.
+    /// Pass on this partial answer of a model, then read a line.
+    DeliverPartialAnswer(Part),
+    /// Nothing more: this is the complete reply.
     Complete(Reply),
 }
 
@@ -194,7 +194,7 @@ impl ReplyAssembler {
                 // An answer may have any number of partial answers, which do not add up in memory.
                 self.line_count -= 1;
                 self.bytes -= part.bytes.len() as u64;
-                return AssemblyStep::DeliverPartial(part);
+                return AssemblyStep::DeliverPartialAnswer(part);
             }
             Position::Inner => self.parts.push(part),
             Position::Last => {
@@ -207,11 +207,7 @@ impl ReplyAssembler {
     }
 
     /// Parses `BYTES [MEDIA-TYPE [SHAPE]]`. The error `None` means that the line does not have this form.
-    fn announce_part(
-        &mut self,
-        rest: &str,
-        position: Position,
-    ) -> Result<AssemblyStep, Option<FramingError>> {
+    fn announce_part(&mut self, rest: &str, position: Position) -> Result<AssemblyStep, Option<FramingError>> {
         let mut words = rest.split_ascii_whitespace();
         let bytes: u64 = words.next().and_then(|word| word.parse().ok()).ok_or(None)?;
         let media = words.next().map_or(MediaType::Bytes, MediaType::from_iana);

@@ -47,7 +47,7 @@ impl PipeError {
     /// in the exit status.
     pub(super) fn into_process_error(self) -> Result<ProcessError, Option<Fault>> {
         match self {
-            Self::Closed(end) => Err(end),
+            Self::Closed(fault) => Err(fault),
             Self::TimedOut => Ok(ProcessError::TimedOut),
             Self::TooLong(limit) => Ok(ProcessError::TooLong(limit)),
             Self::Failed(error) => Ok(ProcessError::Pipe(error)),

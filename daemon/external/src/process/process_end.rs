@@ -11,7 +11,7 @@ use rustix::process::Signal;
 pub struct ProcessEnd {
     /// Exit status or signal; `None` if the system did not report it.
     pub status: Option<ExitStatus>,
-    /// Misbehaviour after which the process had to be ended; `None` if it just ended.
+    /// Misbehaviour after which the process had to be ended; `None` if it ended without one.
     pub fault: Option<Fault>,
     /// `true` if this program killed the process.
     pub killed: bool,

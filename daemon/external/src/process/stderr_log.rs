@@ -134,7 +134,7 @@ impl LineLogger {
             match poll(&mut [PollFd::new(stderr, PollFlags::IN)], Some(&timeout)) {
                 Ok(0) => self.report(),
                 Err(Errno::INTR) => {}
-                // After an error the next read returns it.
+                // If polling failed, the next read returns the error.
                 Ok(_) | Err(_) => return,
             }
         }

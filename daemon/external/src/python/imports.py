@@ -54,6 +54,7 @@ class Imports:
                 return
 
     def visit_module(self, name, search_path):
+        """Records a module. Returns the folders of its submodules; None if they are not followed."""
         file, folders = locate(name, search_path)
         location = file or (folders[0] if folders else None)
         if location is None or self.is_standard(location):

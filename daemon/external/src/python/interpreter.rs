@@ -13,8 +13,8 @@ use crate::process::{Launch, Process, ProcessError, StderrLog, find_program};
 const PYTHON_VARIABLE: &str = "PEERNET_PYTHON";
 /// Environment variable that contains the device for which the model is configured.
 const DEVICE_VARIABLE: &str = "PEERNET_DEVICE";
-/// Python code that reads the source of PEERNet's worker program from standard input, and runs it. The first argument is the length of the
-/// source. No byte beyond the source is read, because messages follow.
+/// Python code that reads the source of PEERNet's worker program from standard input, and runs it. The first argument
+/// is the length of the source. No byte beyond the source is read, because messages follow.
 const BOOTSTRAP: &str = "import os, sys\n\
     assert sys.version_info >= (3, 8), 'Python 3.8 or newer is needed, this is %s' % sys.version\n\
     source = b''\n\
@@ -85,7 +85,7 @@ pub(super) fn check(config: &PythonConfig, clock: &SharedClock) -> Result<(), Py
     let module_folder = launch.folder.clone().unwrap_or_default();
     // To find a submodule, Python imports its parents, which is the user's code.
     let top_package = module.split('.').next().unwrap_or(module);
-    // Saves the start of an interpreter, which takes tens of milliseconds.
+    // This check makes it unnecessary to start an interpreter, which takes tens of milliseconds.
     if module_folder.join(format!("{top_package}.py")).is_file() || module_folder.join(top_package).is_dir() {
         return Ok(());
     }

@@ -131,7 +131,7 @@ impl PythonObject {
     /// # Errors
     /// If the object raised an exception or gave no answer.
     pub fn advance(&mut self, time: Span) -> Result<(), PythonError> {
-        self.exchange(|worker, until| worker.advance(time, until)).result.map(drop)
+        self.exchange(|worker, deadline| worker.advance(time, deadline)).result.map(drop)
     }
 
     /// Sends a request to the process and receives its reply.

@@ -115,11 +115,11 @@ class SharedMemory:
 
     def __init__(self, file):
         self.file = file
-        # A program that the user starts must not inherit it.
+        # A program that the user starts must not inherit the file.
         os.set_inheritable(file, False)
         self.map = mmap.mmap(file, 0)
 
-    def mapped_to(self, end):
+    def map_up_to(self, end):
         """The memory, mapped at least up to `end`."""
         if len(self.map) < end:
             length = 1 << (end - 1).bit_length()
@@ -129,12 +129,12 @@ class SharedMemory:
         return self.map
 
     def bytes(self, at, length):
-        return self.mapped_to(at + length)[at : at + length]
+        return self.map_up_to(at + length)[at : at + length]
 
     def view(self, at, length):
-        return memoryview(self.mapped_to(at + length))[at : at + length]
+        return memoryview(self.map_up_to(at + length))[at : at + length]
 
     def put(self, at, data):
-        self.mapped_to(at + len(data))[at : at + len(data)] = data
+        self.map_up_to(at + len(data))[at : at + len(data)] = data
 
 

@@ -83,7 +83,7 @@ class Cancelled(Exception):
 
 # Appended to the reason why all that infer() yielded cannot be the whole answer.
 RETURN_IT = "; infer() yielded %d values and returned none, so they are the whole answer: return it"
-# Bytes that a value that infer() yields has at least, so that the number of values in memory is limited, too.
+# A value that infer() yields counts for at least this number of bytes, so that the number of values in memory is limited, too.
 MIN_YIELDED_BYTES = 64
 
 
@@ -95,7 +95,7 @@ class Yielded:
         self.count = self.leaves = self.bytes = 0
 
     def add(self, value, size):
-        """Adds a value that has this number of bytes, and of arrays, pictures and byte strings."""
+        """Adds a value. `size` is its number of bytes, and its number of arrays, pictures and byte strings."""
         self.count += 1
         self.bytes += max(size[0], MIN_YIELDED_BYTES)
         self.leaves += size[1]
@@ -119,7 +119,7 @@ class Yielded:
         return self.values, True
 
 
-def streamed(generator, send_part):
+def send_yielded_parts(generator, send_part):
     """Sends what infer() yields as parts of the answer. Returns the whole answer: what it returns, or else all that it yielded,
     and whether it is a list of what it yielded."""
     yielded = Yielded()
@@ -157,12 +157,12 @@ class Actuator:
         self.user_object = user_object
 
     def call(self, value, stages, send_part):
-        begun = now()
+        started_at = now()
         try:
             returned = self.user_object.act(value)
             wait_for_gpu()
         finally:
-            stages.append(("act", begun, now()))
+            stages.append(("act", started_at, now()))
         return feedback(returned)
 
 
@@ -218,7 +218,7 @@ class Model:
             try:
                 value = step(value)
                 if stage == "infer" and inspect.isgenerator(value):
-                    value, is_list = streamed(value, send_part)
+                    value, is_list = send_yielded_parts(value, send_part)
                     self.yielded = value if is_list else None
                 wait_for_gpu()
             finally:

@@ -57,10 +57,10 @@ impl Worker {
     ) -> Result<Answer, WorkerError> {
         let header = encode_request(settings)?;
         self.process.write(&[SOURCE.as_bytes(), &header], deadline)?;
-        let begun = clock.mono();
+        let started_at = clock.mono();
         let mut elapsed = report_after;
-        while begun + elapsed < deadline {
-            match self.process.wait_for_output(begun + elapsed) {
+        while started_at + elapsed < deadline {
+            match self.process.wait_for_output(started_at + elapsed) {
                 Ok(()) => break,
                 Err(ProcessError::TimedOut) => report(elapsed),
                 Err(error) => return Err(error.into()),
@@ -99,13 +99,13 @@ impl Worker {
     }
 
     /// Calls `reset()` of the object.
-    pub(super) fn reset(&mut self, until: MonoTime) -> Result<Answer, WorkerError> {
-        self.send_header(&Request::Reset {}, until)
+    pub(super) fn reset(&mut self, deadline: MonoTime) -> Result<Answer, WorkerError> {
+        self.send_header(&Request::Reset {}, deadline)
     }
 
     /// Calls `advance(seconds)` of the object.
-    pub(super) fn advance(&mut self, time: Span, until: MonoTime) -> Result<Answer, WorkerError> {
-        self.send_header(&Request::Advance { seconds: time.seconds() }, until)
+    pub(super) fn advance(&mut self, time: Span, deadline: MonoTime) -> Result<Answer, WorkerError> {
+        self.send_header(&Request::Advance { seconds: time.seconds() }, deadline)
     }
 
     /// Kills the process.
@@ -119,10 +119,10 @@ impl Worker {
     }
 
     /// Sends a request without parts, and receives the reply.
-    fn send_header(&mut self, request: &Request<'_>, until: MonoTime) -> Result<Answer, WorkerError> {
+    fn send_header(&mut self, request: &Request<'_>, deadline: MonoTime) -> Result<Answer, WorkerError> {
         let header = encode_request(request)?;
-        self.process.write(&[&header], until)?;
-        self.receive_reply(until)
+        self.process.write(&[&header], deadline)?;
+        self.receive_reply(deadline)
     }
 
     fn receive_reply(&mut self, deadline: MonoTime) -> Result<Answer, WorkerError> {

@@ -29,7 +29,7 @@ fn feed(role: Role, output_bytes: &[u8]) -> Result<Option<(Reply, usize)>, Frami
                 }
                 assembler.push_bytes(bytes.into())
             }
-            AssemblyStep::DeliverPartial(_) => AssemblyStep::ReadLine,
+            AssemblyStep::DeliverPartialAnswer(_) => AssemblyStep::ReadLine,
             AssemblyStep::Complete(reply) => return Ok(Some((reply, output.position() as usize))),
         }
     }
