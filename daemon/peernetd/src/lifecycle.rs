@@ -1,7 +1,8 @@
 //! Life cycle of the process: parts are started in order, watched, and stopped in reverse order.
 //!
-//! A signal (SIGTERM, SIGINT, or SIGHUP at the end of a session) stops the parts gracefully. A second signal, or the deadline, ends the process at once with
-//! exit code 70. A part that ends by itself is an error, because a daemon that has lost a task must not look healthy.
+//! A signal (SIGTERM, SIGINT, or SIGHUP at the end of a session) stops the parts gracefully. A second signal ends the
+//! process at once with exit code 70, and so does the end of the time for stopping. A part that ends by itself is an
+//! error, because a daemon that has lost a task must not look healthy.
 
 use std::io;
 use std::time::Duration;
@@ -71,7 +72,7 @@ struct Part {
 pub(crate) struct Lifecycle {
     parts: Vec<Part>,
     signals: Signals,
-    deadline: Duration,
+    stop_timeout: Duration,
 }
 
 impl Lifecycle {
@@ -83,7 +84,7 @@ impl Lifecycle {
         Ok(Self {
             parts: Vec::new(),
             signals: Signals::new()?,
-            deadline: Duration::from_secs(config.shutdown_deadline_s),
+            stop_timeout: Duration::from_secs(config.shutdown_deadline_s),
         })
     }
 
@@ -116,9 +117,9 @@ impl Lifecycle {
         let mut exit = self.watch().await;
         notify(&[NotifyState::Stopping]);
 
-        let Self { parts, mut signals, deadline } = self;
+        let Self { parts, mut signals, stop_timeout } = self;
         tokio::select! {
-            stop_exit = stop_in_reverse(parts, deadline) => exit = if stop_exit == Exit::Ok { exit } else { stop_exit },
+            stop_exit = stop_in_reverse(parts, stop_timeout) => exit = if stop_exit == Exit::Ok { exit } else { stop_exit },
             name = signals.next() => {
                 warn!("received a second {name}: ending at once, without waiting for unfinished work");
                 exit = Exit::Software;
@@ -161,13 +162,13 @@ async fn wait_for_first_end(parts: &[Part]) -> &'static str {
 
 /// Stops the parts in reverse order, so that an agent sends its events before an aggregator in the same process stops. A
 /// part that takes too long is aborted, so that time remains for the other parts.
-async fn stop_in_reverse(parts: Vec<Part>, deadline: Duration) -> Exit {
-    let end = Instant::now() + deadline;
+async fn stop_in_reverse(parts: Vec<Part>, stop_timeout: Duration) -> Exit {
+    let deadline = Instant::now() + stop_timeout;
     let mut exit = Exit::Ok;
     for (remaining_parts, mut part) in parts.into_iter().enumerate().rev() {
         part.stop.cancel();
         let reserved = RESERVED_PER_PART * u32::try_from(remaining_parts).unwrap_or(u32::MAX);
-        match timeout_at(end.checked_sub(reserved).unwrap_or(end), &mut part.task).await {
+        match timeout_at(deadline.checked_sub(reserved).unwrap_or(deadline), &mut part.task).await {
             Ok(Ok(Ok(()))) => debug!("the {} has stopped", part.name),
             Ok(Ok(Err(problem))) => {
                 error!("the {} failed: {}", part.name, error_line(&problem));
@@ -181,7 +182,7 @@ async fn stop_in_reverse(parts: Vec<Part>, deadline: Duration) -> Exit {
                 error!(
                     "the {} did not stop within its share of lifecycle.shutdown_deadline_s = {} s; it was aborted",
                     part.name,
-                    deadline.as_secs()
+                    stop_timeout.as_secs()
                 );
                 part.task.abort();
                 exit = Exit::Software;

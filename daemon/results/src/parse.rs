@@ -106,8 +106,8 @@ impl RowParser {
                 expected,
             };
             if column_parser.is_text() {
-                let direction = &mut verdicts[usize::from(column_parser.name.starts_with("download"))];
-                store_text(&mut row, direction, &column_parser.name, text)
+                let verdict_and_source = &mut verdicts[usize::from(column_parser.name.starts_with("download"))];
+                store_text(&mut row, verdict_and_source, &column_parser.name, text)
                     .ok_or_else(|| invalid_cell("an outcome, verdict or source"))?;
                 continue;
             }
@@ -181,15 +181,15 @@ fn without_value_suffix(name: &str) -> &str {
 /// Stores the text of a cell. Returns `None` if the text is not valid in the column.
 fn store_text(
     row: &mut RowBuilder,
-    direction: &mut (Option<Verdict>, Option<DelaySource>),
+    verdict_and_source: &mut (Option<Verdict>, Option<DelaySource>),
     column: &str,
     text: &str,
 ) -> Option<()> {
     let cell = text.trim();
     match column.rsplit_once('-').map_or(column, |(_, last)| last) {
         "outcome" => row.outcome = Some(Outcome::from_name(cell)?),
-        "verdict" => direction.0 = Some(Verdict::from_name(cell)?),
-        "source" => direction.1 = Some(DelaySource::from_name(cell)?),
+        "verdict" => verdict_and_source.0 = Some(Verdict::from_name(cell)?),
+        "source" => verdict_and_source.1 = Some(DelaySource::from_name(cell)?),
         _ => row.reason = Some(text.to_owned()),
     }
     Some(())

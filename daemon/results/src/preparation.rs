@@ -40,7 +40,7 @@ pub(crate) fn acquire(dir: &Path, overwrite: Overwrite) -> Result<LockedFolder, 
         return Err(FolderError::NotAFolder(dir.to_owned()));
     }
     std::fs::create_dir_all(dir).map_err(creation_error(dir))?;
-    // This comes before the look into the folder, so that no other program fills it in between.
+    // The folder is locked before its entries are read, so that no other program adds files in between.
     let lock = lock(dir);
     if overwrite == Overwrite::Replace {
         return Ok((dir.to_owned(), lock?));

@@ -33,7 +33,8 @@ pub(crate) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded,
     let (rows, has_warm_up_flags) =
         RowParser::read_rows(&data, warm_up, wanted).map_err(read_error(&data))?;
     let record = record.unwrap_or_else(|| {
-        // Only our `data.csv` has warm-up flags. Such a run without `run.json` has not ended or was killed.
+        // Only the `data.csv` of this program has warm-up flags. Such a run without `run.json` has not ended or was
+        // killed.
         let reason = if has_warm_up_flags && data.ends_with(DATA) { NO_RECORD } else { "" };
         RunRecord { reason: reason.into(), ..record_without_file(path, &rows, has_warm_up_flags) }
     });

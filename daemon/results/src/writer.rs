@@ -11,7 +11,7 @@ use super::cells::{self, Header};
 
 /// Longest time between two writes, in seconds between the starts of the rows' iterations.
 const WRITE_INTERVAL_S: f64 = 1.0;
-/// Number of waiting bytes from which rows are written before [`WRITE_INTERVAL_S`] is over.
+/// Number of waiting bytes at which rows are written even before [`WRITE_INTERVAL_S`] is over.
 const MAX_PENDING_BYTES: usize = 256 * 1024;
 
 /// Writes rows to `data.csv` as they come: at least once a second, and at the end.
@@ -27,8 +27,10 @@ pub struct RowWriter {
     complete_bytes: u64,
     /// Rows that are not in the file yet, each with as many cells as the header.
     pending: Vec<u8>,
-    /// Number of rows at the last attempt to rewrite the file, and current number of rows.
-    rows: (u64, u64),
+    /// Number of rows so far.
+    row_count: u64,
+    /// Number of rows at the last attempt to rewrite the file.
+    row_count_at_rewrite: u64,
     /// Start of the last iteration that was written, seconds.
     written_at: f64,
     /// Number of bytes that were still waiting after the last attempt to write.
@@ -51,7 +53,8 @@ impl RowWriter {
             header,
             complete_bytes: 0,
             pending,
-            rows: (0, 0),
+            row_count: 0,
+            row_count_at_rewrite: 0,
             written_at: 0.0,
             pending_after_attempt: 0,
             has_partial_row: false,
@@ -72,11 +75,11 @@ impl RowWriter {
     /// has at least doubled since the last rewriting, so rewriting costs no more than writing. Values without a
     /// column are left out until [`ResultFolder::finish`](super::ResultFolder::finish) adds them.
     pub fn write(&mut self, row: &Row) {
-        if self.rows.1 >= 2 * self.rows.0 && !self.header.covers(row) {
+        if self.row_count >= 2 * self.row_count_at_rewrite && !self.header.covers(row) {
             self.add_columns(row);
         }
         self.header.write_row(&mut self.pending, row);
-        self.rows.1 += 1;
+        self.row_count += 1;
         // Bytes that the last attempt left do not count; on a full disk, each row would otherwise try again.
         let has_many_bytes = self.pending.len() >= self.pending_after_attempt + MAX_PENDING_BYTES;
         // The absolute difference is used, because a clock that was set back must not stop the writing.
@@ -135,7 +138,7 @@ impl RowWriter {
     /// Rewrites the file with the further columns of a row. If this fails, file and header stay as they are, and the next
     /// attempt is delayed.
     fn add_columns(&mut self, row: &Row) {
-        self.rows.0 = self.rows.1;
+        self.row_count_at_rewrite = self.row_count;
         self.flush();
         if self.write_error.is_some() {
             return;

@@ -9,7 +9,7 @@ use peernet_agent::config::ServeConfig;
 use peernet_networks::{Address, SessionSettings};
 
 use super::devices::Devices;
-use super::serving::Serving;
+use super::serving::ServeObserver;
 use super::{Arguments, model};
 use crate::foreground::{AgentEnd, ReadyAgent, tables};
 use crate::measure::AgentStateDir;
@@ -36,7 +36,7 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
     let state_dir = AgentStateDir::for_agent(&config.agent)?;
     state_dir.configure(&mut config)?;
     let ready = ReadyAgent::new(config)?;
-    let mut serving = Serving::new(name, arguments, ready.clock.clone());
+    let mut serving = ServeObserver::new(name, arguments, ready.clock.clone());
     let result = ready.watch(&mut serving).map_err(|Failure { exit, error }| {
         let file = arguments.network_config.display();
         Failure::new(

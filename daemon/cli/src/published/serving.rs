@@ -12,8 +12,9 @@ use tokio::task::JoinHandle;
 use super::Arguments;
 use crate::foreground::{AgentEnd, Progress, RunObserver, describe_quantiles};
 
-/// Observer of the agent.
-pub(super) struct Serving {
+/// Observer of an agent that serves one model: shows the progress, and ends the agent after the requested number of
+/// answers.
+pub(super) struct ServeObserver {
     model: Slug,
     answers: AnswerCounts,
     clock: SharedClock,
@@ -26,6 +27,7 @@ pub(super) struct Serving {
 
 /// Number of answers that the server has given, and how many it is to give.
 struct AnswerCounts {
+    /// Number of answers after which the server ends.
     target: u64,
     answered: u64,
     /// Answers that report an error.
@@ -92,7 +94,7 @@ impl AnswerCounts {
     }
 }
 
-impl Serving {
+impl ServeObserver {
     pub(super) fn new(model: Slug, arguments: &Arguments, clock: SharedClock) -> Self {
         Self {
             model,
@@ -118,7 +120,7 @@ impl Serving {
         format!("{count}{}{}{rate}{inference}", answers.describe_errors(), answers.describe_missed())
     }
 
-    /// Describes the missing answers after no more will come, if any are missing.
+    /// Describes the answers that are missing when no more will come; `None` if none is missing.
     pub(super) fn shortfall(&self) -> Option<String> {
         let AnswerCounts { target, answered, .. } = self.answers;
         let missing = target.saturating_sub(answered);
@@ -181,7 +183,7 @@ impl Serving {
     }
 }
 
-impl RunObserver for Serving {
+impl RunObserver for ServeObserver {
     /// The model cannot be loaded.
     type OwnReason = LoadError;
 

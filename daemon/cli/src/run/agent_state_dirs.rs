@@ -32,7 +32,7 @@ impl AgentStateDirs {
         Self::lock(&folders(plan, runs)?)
     }
 
-    /// Locks these folders, which are created.
+    /// Creates these folders and locks them.
     ///
     /// # Errors
     /// Those of [`acquire`](Self::acquire).

@@ -7,7 +7,7 @@ use peernet_agent::config::{AgentConfig, PipelineConfig, PlacementConfig};
 /// Result of a trial of a configuration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Pace {
-    /// Duration of an iteration when they run one after the other, seconds.
+    /// Duration of an iteration if the iterations run one after the other, seconds.
     pub(super) iteration_s: f64,
     /// Duration of a run besides its iterations, seconds.
     pub(super) overhead_s: f64,

@@ -18,7 +18,7 @@ impl ExternalFiles {
         self.networks.get(run.configuration)?.as_ref()
     }
 
-    /// Returns a note if a run was measured with another text of that file.
+    /// Returns a note if the file that names a run's peer had another text when the run was measured.
     pub(super) fn changed_since(&self, run_record: &RunRecord, run: &Run) -> Option<String> {
         let (current, recorded) = (self.network(run)?, run_record.network_config.as_ref()?);
         (current.text != recorded.text).then(|| {

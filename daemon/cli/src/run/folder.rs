@@ -23,11 +23,12 @@ use crate::experiment::{FORMAT, MAX_RECORD_BYTES, RECORD, RUNS};
 const TABLES: [&str; 3] = ["compare", "users", "sensors"];
 /// Extensions of the formats in which each table is written.
 const FORMATS: [&str; 4] = ["txt", "md", "csv", "tex"];
+/// Name of the file that is locked while a program uses the folder.
 const LOCK: &str = ".lock";
 /// Prefix of a record's file name until it is complete. A killed program leaves such a file behind.
 const DRAFT_PREFIX: &str = ".experiment-";
 
-///  A locked folder to which no other program writes.
+/// A locked folder, to which no other program writes.
 pub(super) struct Folder {
     path: PathBuf,
     /// Released when it is closed, however the program ends.

@@ -99,7 +99,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
             folder::ensure_unchanged(&record, &plan)?;
             record
         }
-        None => Record::new(plan, id(), arguments.file.display().to_string(), VERSION.to_owned()),
+        None => Record::new(plan, random_id(), arguments.file.display().to_string(), VERSION.to_owned()),
     };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let runtime = runtime
@@ -370,7 +370,7 @@ fn verdict(record: &Record, selected_runs: &[Run], interrupted: bool) -> Result<
 }
 
 /// Returns a random id of this execution.
-fn id() -> String {
+fn random_id() -> String {
     format!("{:016x}", rand::random::<u64>())
 }
 

@@ -109,8 +109,9 @@ impl Plan {
     pub(super) fn seeded_agent(&self, configuration: &Configuration, repeat: u32, user: u32) -> AgentConfig {
         let mut agent = configuration.agent.clone();
         // Repeats and users get different payloads and draws. Configurations get the same ones, so that they can be compared.
+        // The purposes are 1 for the sensor, 2 for the load, 3 for the actuator and 4 for the models.
         let seed = |purpose: u64| derive_seed(&[self.seed, purpose, repeat.into(), user.into()]);
-        let tell = |env: Option<&mut BTreeMap<String, String>>, seed: u64| {
+        let set_variables = |env: Option<&mut BTreeMap<String, String>>, seed: u64| {
             let Some(env) = env else { return };
             let numbers = [
                 (SEED_VARIABLE, seed),
@@ -128,14 +129,14 @@ impl Plan {
             if configuration.seeds.load {
                 pipeline.load = with_seed(&pipeline.load, seed(2));
             }
-            tell(pipeline.sensor.as_mut().and_then(SensorKind::env_mut), seed(1));
-            tell(pipeline.actuator.env_mut(), seed(3));
+            set_variables(pipeline.sensor.as_mut().and_then(SensorKind::env_mut), seed(1));
+            set_variables(pipeline.actuator.env_mut(), seed(3));
         }
         for model in &mut agent.models {
             if let Some(model_seed) = model.seed_mut() {
                 model_seed.get_or_insert(seed(4));
             }
-            tell(model.env_mut(), seed(4));
+            set_variables(model.env_mut(), seed(4));
         }
         agent
     }
@@ -202,7 +203,7 @@ fn derive_seed(parts: &[u64]) -> u64 {
     parts.iter().fold(0, |state, part| SplitMix64::new(state ^ part).bits()) >> 11
 }
 
-/// Sets the seed of a configuration; one without a seed stays unchanged.
+/// Sets the seed of a configuration. A configuration of a kind that has no seed stays unchanged.
 fn with_seed<T: Clone + Serialize + serde::de::DeserializeOwned>(config: &T, seed: u64) -> T {
     let seeded = with_arguments(|| serde_json::to_value(config)).ok().and_then(|mut value| {
         value.as_object_mut()?.insert("seed".to_owned(), Value::from(seed));

@@ -24,7 +24,7 @@ use super::table;
 use crate::compare::{default_baseline, difference_tables, differences, join_texts};
 use crate::experiment::unfinished_runs_note;
 
-/// Text about the runs, with the failures of writing.
+/// Text about the runs, and the failure of drawing their figures.
 pub(super) struct Report {
     /// Text to be printed.
     pub(super) text: String,

@@ -75,7 +75,7 @@ pub(super) async fn configurations(
     for (done, Trial { request, configurations }) in trials.iter().enumerate() {
         let descriptions = || configurations.iter().map(|index| describe_configuration(plan, *index));
         let state = format!("trying {} of {}: {}", done + 1, trials.len(), describe_group(descriptions()));
-        let peer = peer(request);
+        let peer = peer_address(request);
         if let Some((address, exit)) = unreachable.iter().find(|(other, _)| Some(other) == peer.as_ref()) {
             if !quiet {
                 progress.print_line(format_args!("{state}: skipped, {address} is unreachable"));
@@ -171,7 +171,7 @@ fn describe_group(mut descriptions: impl ExactSizeIterator<Item = String>) -> St
 }
 
 /// Returns the address of the peer.
-fn peer(request: &RunRequest) -> Option<Address> {
+fn peer_address(request: &RunRequest) -> Option<Address> {
     match &request.agent.pipelines.first()?.placement {
         PlacementConfig::Remote(remote) => Some(remote.peer.clone()),
         PlacementConfig::Local { .. } | PlacementConfig::None {} | PlacementConfig::Observe(_) => None,

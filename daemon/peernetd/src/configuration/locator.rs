@@ -27,11 +27,11 @@ impl<'a> Locator<'a> {
                 Some((name, index)) => (name, index.parse::<usize>().ok()),
                 None => (step, None),
             };
-            let is_named = |written: &str| written == name || (line.is_none() && is_former(written, name));
-            let Some((written, value)) = table.iter().find(|(written, _)| is_named(written.get_ref())) else {
+            let is_named = |name_in_file: &str| name_in_file == name || (line.is_none() && is_former(name_in_file, name));
+            let Some((name_in_file, value)) = table.iter().find(|(name_in_file, _)| is_named(name_in_file.get_ref())) else {
                 break;
             };
-            line = Some(self.line_at(written.span().start));
+            line = Some(self.line_at(name_in_file.span().start));
             let value = match (value.get_ref(), index) {
                 (DeValue::Array(items), Some(index)) => match items.get(index) {
                     Some(item) => {
@@ -56,9 +56,9 @@ impl<'a> Locator<'a> {
     }
 }
 
-/// Returns whether `written` is the former name of the table whose current name is `name`.
-fn is_former(written: &str, name: &str) -> bool {
-    RENAMED_TABLES.iter().any(|table| (table.former, table.current) == (written, name))
+/// Returns whether `name_in_file` is the former name of the table whose current name is `name`.
+fn is_former(name_in_file: &str, name: &str) -> bool {
+    RENAMED_TABLES.iter().any(|table| (table.former, table.current) == (name_in_file, name))
 }
 
 #[cfg(test)]

@@ -166,7 +166,8 @@ fn read(
         pipeline.warm_up = warm_up;
         pipeline.episode_steps = experiment.episode_steps;
         if let PlacementConfig::Remote(remote) = &mut pipeline.placement {
-            // Plans of earlier releases contain it, and an experiment can only be continued with an unchanged plan.
+            // Plans of earlier releases contain the network, and an experiment can only be continued with an
+            // unchanged plan.
             remote.network.get_or_insert(remote.peer.network());
         }
     }
