@@ -18,8 +18,9 @@ pub struct ShutdownRequests {
 impl ShutdownRequests {
     /// Returns whether a signal that arrives at `now` is another request.
     pub fn is_another(&mut self, kind: SignalKind, now: Instant) -> bool {
-        let repeats =
-            |(last_kind, last_at): (SignalKind, Instant)| last_kind == kind && now - last_at < SAME_REQUEST_PERIOD;
+        let repeats = |(last_kind, last_at): (SignalKind, Instant)| {
+            last_kind == kind && now - last_at < SAME_REQUEST_PERIOD
+        };
         if self.last.is_some_and(repeats) {
             return false;
         }

@@ -172,7 +172,8 @@ fn pipeline_row(pipeline: &Pipeline, faulty: &FaultyClocks) -> Vec<String> {
     };
     let total = statistics_of("total");
     let duration_format = DurationFormat::for_total(total.map(|figures| figures.mean), None);
-    let milliseconds = |seconds: Option<f64>| or_dash(seconds.map(|seconds| duration_format.duration(seconds)));
+    let milliseconds =
+        |seconds: Option<f64>| or_dash(seconds.map(|seconds| duration_format.duration(seconds)));
     let mean = |name: &str| milliseconds(statistics_of(name).map(|figures| figures.mean));
     let Placement { kind, peer, address, model } = &pipeline.placement;
     // A peer has no name before the first session; until then its address identifies it.

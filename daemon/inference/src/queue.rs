@@ -41,7 +41,13 @@ impl<T> Queue<T> {
     pub(crate) fn new(capacity: usize) -> Self {
         // Nothing is known about the producers yet, so the first batch waits.
         let max_unfinished = usize::MAX;
-        let state = State { waiting: VecDeque::new(), awaited_items: 0, unfinished: 0, max_unfinished, closed: false };
+        let state = State {
+            waiting: VecDeque::new(),
+            awaited_items: 0,
+            unfinished: 0,
+            max_unfinished,
+            closed: false,
+        };
         Self { capacity, state: Mutex::new(state), changed: Condvar::new() }
     }
 

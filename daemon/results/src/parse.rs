@@ -106,7 +106,8 @@ impl RowParser {
                 expected,
             };
             if column_parser.is_text() {
-                let verdict_and_source = &mut verdicts[usize::from(column_parser.name.starts_with("download"))];
+                let verdict_and_source =
+                    &mut verdicts[usize::from(column_parser.name.starts_with("download"))];
                 store_text(&mut row, verdict_and_source, &column_parser.name, text)
                     .ok_or_else(|| invalid_cell("an outcome, verdict or source"))?;
                 continue;

@@ -96,7 +96,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let names: Vec<_> = written_files.iter().filter_map(|path| path.file_name()?.to_str()).collect();
     print_to_stdout(format_args!("\n{}: {}", folder.path().display(), names.join(", ")));
     if missed_events > 0 {
-        print_to_stderr(format_args!("{missed_events} iterations were not recorded: this machine is too busy"));
+        print_to_stderr(format_args!(
+            "{missed_events} iterations were not recorded: this machine is too busy"
+        ));
     }
     match failure {
         Some(failure) => Err(failure),

@@ -110,7 +110,11 @@ pub(crate) fn measure(
             return Err(failure);
         }
         (Err(failure), recorded) => (
-            AgentResult { ended: AgentEnd::Failed(failure.to_string()), name: String::new(), missed_events: 0 },
+            AgentResult {
+                ended: AgentEnd::Failed(failure.to_string()),
+                name: String::new(),
+                missed_events: 0,
+            },
             recorded,
         ),
     };

@@ -35,7 +35,7 @@ pub use arguments::{FingerprintKey, hide_arguments, hide_arguments_in_facts, wit
 pub use command::{CommandLine, ExecConfig};
 pub use error::{CommandError, FramingError, ProgramCallError};
 pub use program::{Program, ProgramCall};
-pub use reply::{Reply, ReplyAssembler, AssemblyStep, ReplyNotes, ReplyOutcome};
+pub use reply::{AssemblyStep, Reply, ReplyAssembler, ReplyNotes, ReplyOutcome};
 pub use request::Request;
 pub use timeline::TimedStage;
 

@@ -6,7 +6,7 @@ use peernet_sample::Part;
 
 use super::text_line::shorten;
 use super::{
-    ExecConfig, MAX_LINE_BYTES, ProgramCallError, Reply, ReplyAssembler, AssemblyStep, ReplyNotes,
+    AssemblyStep, ExecConfig, MAX_LINE_BYTES, ProgramCallError, Reply, ReplyAssembler, ReplyNotes,
     ReplyOutcome, Request, Role, VERSION,
 };
 use crate::process::{Launch, Process, ProcessError, RestartBackoff, StderrLog};
@@ -218,7 +218,9 @@ fn send_and_receive(
     let mut step = AssemblyStep::ReadLine;
     loop {
         step = match step {
-            AssemblyStep::ReadLine => assembler.push_line(&process.read_line(MAX_LINE_BYTES, deadline_at)?)?,
+            AssemblyStep::ReadLine => {
+                assembler.push_line(&process.read_line(MAX_LINE_BYTES, deadline_at)?)?
+            }
             AssemblyStep::DeliverPartialAnswer(part) => {
                 if !on_partial_answer(part) {
                     return Err(ProgramCallError::Cancelled);

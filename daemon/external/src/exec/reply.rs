@@ -207,7 +207,11 @@ impl ReplyAssembler {
     }
 
     /// Parses `BYTES [MEDIA-TYPE [SHAPE]]`. The error `None` means that the line does not have this form.
-    fn announce_part(&mut self, rest: &str, position: Position) -> Result<AssemblyStep, Option<FramingError>> {
+    fn announce_part(
+        &mut self,
+        rest: &str,
+        position: Position,
+    ) -> Result<AssemblyStep, Option<FramingError>> {
         let mut words = rest.split_ascii_whitespace();
         let bytes: u64 = words.next().and_then(|word| word.parse().ok()).ok_or(None)?;
         let media = words.next().map_or(MediaType::Bytes, MediaType::from_iana);

@@ -212,7 +212,8 @@ impl ModelConfig {
     /// [`LoadError::AboveLimit`] for the first number above its limit.
     pub fn check_limits(&self) -> Result<(), LoadError> {
         let shared_limits = [("workers", self.workers(), MAX_WORKERS), ("queue", self.queue(), MAX_QUEUE)];
-        match shared_limits.into_iter().chain(self.kind_keys().limits()).find(|(_, value, most)| value > most) {
+        match shared_limits.into_iter().chain(self.kind_keys().limits()).find(|(_, value, most)| value > most)
+        {
             Some((key, value, most)) => {
                 Err(LoadError::AboveLimit { key, value: value as u64, most: most as u64 })
             }

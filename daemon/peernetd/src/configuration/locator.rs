@@ -27,8 +27,12 @@ impl<'a> Locator<'a> {
                 Some((name, index)) => (name, index.parse::<usize>().ok()),
                 None => (step, None),
             };
-            let is_named = |name_in_file: &str| name_in_file == name || (line.is_none() && is_former(name_in_file, name));
-            let Some((name_in_file, value)) = table.iter().find(|(name_in_file, _)| is_named(name_in_file.get_ref())) else {
+            let is_named = |name_in_file: &str| {
+                name_in_file == name || (line.is_none() && is_former(name_in_file, name))
+            };
+            let Some((name_in_file, value)) =
+                table.iter().find(|(name_in_file, _)| is_named(name_in_file.get_ref()))
+            else {
                 break;
             };
             line = Some(self.line_at(name_in_file.span().start));

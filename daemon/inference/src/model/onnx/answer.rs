@@ -27,9 +27,10 @@ pub(super) fn answer(
         Task::Detection(task) => vec![json_part(detection::detect(task, outputs, transform?)?)],
         Task::Segmentation(task) => segment::segment(task, outputs, transform?)?,
         Task::Embedding(task) => vec![embedding(task, &outputs.get(&task.name)?)?],
-        Task::Tensors(tensors) => {
-            tensors.iter().map(|tensor| tensor_part(&declared_output(tensor, outputs)?)).collect::<Result<_, _>>()?
-        }
+        Task::Tensors(tensors) => tensors
+            .iter()
+            .map(|tensor| tensor_part(&declared_output(tensor, outputs)?))
+            .collect::<Result<_, _>>()?,
     };
     Ok(Sample { parts, source: String::new(), label: None })
 }
@@ -42,7 +43,9 @@ pub(super) fn check(card: &Card, outputs: &Outputs<'_, '_>) -> Result<(), Output
         Task::Detection(task) => detection::check(task, outputs, size()?),
         Task::Segmentation(task) => segment::check(task, outputs),
         Task::Embedding(task) => outputs.get(&task.name)?.unbatched::<1>("[1, n]").map(drop),
-        Task::Tensors(tensors) => tensors.iter().try_for_each(|tensor| declared_output(tensor, outputs).map(drop)),
+        Task::Tensors(tensors) => {
+            tensors.iter().try_for_each(|tensor| declared_output(tensor, outputs).map(drop))
+        }
     }
 }
 
@@ -56,7 +59,10 @@ fn class_numbers<'a>(output: &Output<'a>, labels: usize) -> Result<std::borrow::
 }
 
 /// Returns an output of the type and shape that the card gives.
-fn declared_output<'a>(tensor: &'a TensorOutput, outputs: &Outputs<'a, '_>) -> Result<Output<'a>, OutputError> {
+fn declared_output<'a>(
+    tensor: &'a TensorOutput,
+    outputs: &Outputs<'a, '_>,
+) -> Result<Output<'a>, OutputError> {
     let output = outputs.get(&tensor.name)?;
     if output.shape != tensor.shape {
         return Err(output.wrong_shape(&format!("{:?}", tensor.shape)));

@@ -205,7 +205,10 @@ impl InputBuffer {
             return Err(InputError::NotAnArray { actual, expected: describe_array(&expected) });
         }
         if *description != expected {
-            return Err(InputError::Array { actual: describe_array(description), expected: describe_array(&expected) });
+            return Err(InputError::Array {
+                actual: describe_array(description),
+                expected: describe_array(&expected),
+            });
         }
         let (actual, expected) = (bytes.len() as u64, expected.shaped_bytes().unwrap_or(u64::MAX));
         if actual != expected {

@@ -197,7 +197,9 @@ impl DetectionTable {
             ("activation", self.activation.is_some()),
         ];
         let (layout, keys) = (self.layout.name(), self.layout.keys());
-        if let Some((key, _)) = present.into_iter().find(|(key, is_present)| *is_present && !keys.contains(key)) {
+        if let Some((key, _)) =
+            present.into_iter().find(|(key, is_present)| *is_present && !keys.contains(key))
+        {
             return Err(CardError::SurplusKey { layout, key, expected: keys.join(", ") });
         }
         let thresholds =
