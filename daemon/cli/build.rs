@@ -1,5 +1,5 @@
-//! Adds the commit to `--version`: from the environment (packagers), otherwise from git, otherwise none. `-dirty` means that the
-//! sources of the program differ from the commit.
+//! Adds the commit to `--version`: from the environment (packagers), otherwise from git, otherwise none. `-dirty`
+//! means that the sources of the program differ from the commit.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -43,7 +43,8 @@ fn commit() -> Option<String> {
     Some(if git(&status).is_some() { format!("{head}-dirty") } else { head })
 }
 
-/// Returns the paths of the sources that exist in the checkout. A change of a source can make the commit dirty, or clean again.
+/// Returns the paths of the sources that exist in the checkout. A change of a source can make the commit dirty, or
+/// clean again.
 fn source_paths() -> Vec<PathBuf> {
     let top = PathBuf::from("../..");
     let crates = std::fs::read_dir(top.join("daemon")).into_iter().flatten().filter_map(Result::ok);

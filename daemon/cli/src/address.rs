@@ -18,7 +18,8 @@ pub(crate) enum AddressError {
     Invalid(InvalidAddress),
 }
 
-/// Reads an address, or a host with or without a port. A host without a port gets the port `port`, and a host gets the scheme of `network`.
+/// Reads an address, or a host with or without a port. A host without a port gets the port `port`, and a host gets
+/// the scheme of `network`.
 ///
 /// # Errors
 /// When the text is neither an address nor a host.
@@ -26,7 +27,8 @@ pub(crate) fn address(text: &str, port: u16, network: NetworkKind) -> Result<Add
     let (scheme, rest) = text.split_once("://").unwrap_or((network.schemes()[0], text));
     let is_named = |kind: &NetworkKind| kind.schemes().contains(&scheme) && kind.has_named_listeners();
     if NetworkKind::ALL.iter().any(is_named) {
-        // Such an address names a listener that another program resolves. The port in it is the port of that program and has its own default.
+        // Such an address names a listener that another program resolves. The port in it is the port of that program
+        // and has its own default.
         return format!("{scheme}://{rest}").parse().map_err(AddressError::Invalid);
     }
     let is_zoned =

@@ -71,8 +71,8 @@ impl fmt::Display for Failure {
     }
 }
 
-/// Returns an error and its causes in one line. Many errors already contain the text of their cause, so a text that is contained in
-/// another one is left out.
+/// Returns an error and its causes in one line. Many errors already contain the text of their cause, so a text that
+/// is contained in another one is left out.
 pub fn error_line(error: &anyhow::Error) -> String {
     let mut parts: Vec<String> = Vec::new();
     for cause in error.chain().map(ToString::to_string) {

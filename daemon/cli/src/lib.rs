@@ -1,5 +1,6 @@
-//! The command `peernet`, and the parts that it shares with `peernetd`: clocks, exit codes, texts of errors about invalid values, output
-//! to the terminal, shortening of long texts, the form of log lines, requests to end, and the version.
+//! The command `peernet`, and the parts that it shares with `peernetd`: clocks, exit codes, texts of errors about
+//! invalid values, output to the terminal, shortening of long texts, the form of log lines, requests to end, and the
+//! version.
 
 mod address;
 mod api;
@@ -63,7 +64,8 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Show the last ten seconds of every pipeline, with quantiles of the total and means of the stages, and the state of the hosts.
+    /// Show the last ten seconds of every pipeline, with quantiles of the total and means of the stages, and the
+    /// state of the hosts.
     Status(status::Arguments),
     /// Study a link: one-way delay against payload size, in both directions, and whether the clocks can be trusted.
     Calibrate(calibrate::Arguments),

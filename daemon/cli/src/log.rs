@@ -8,7 +8,8 @@ use tracing_subscriber::registry::LookupSpan;
 /// Environment variable that sets the level.
 pub const VARIABLE: &str = "PEERNET_LOG";
 
-/// Formatter of lines such as `12:00:00 INFO agent: text key=value`, with a priority instead of the time under journald.
+/// Formatter of lines such as `12:00:00 INFO agent: text key=value`, with a priority instead of the time under
+/// journald.
 #[derive(Debug)]
 pub struct Line {
     journald: bool,

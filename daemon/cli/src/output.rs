@@ -15,8 +15,8 @@ static IS_OUTPUT_LOST: AtomicBool = AtomicBool::new(false);
 
 /// Prints a result to standard output.
 ///
-/// If the reader has closed the pipe, as `head` does after its lines, the rest is dropped without an error. Any other error is printed
-/// once and changes the exit code ([`with_output_errors`]).
+/// If the reader has closed the pipe, as `head` does after its lines, the rest is dropped without an error. Any other
+/// error is printed once and changes the exit code ([`with_output_errors`]).
 pub fn print_to_stdout(text: impl Display) {
     record_write(write(&mut io::stdout().lock(), &text));
 }

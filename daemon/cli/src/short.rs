@@ -26,8 +26,8 @@ pub fn shorten_value(text: &str) -> Cow<'_, str> {
     }
 }
 
-/// Converts labels of an experiment, which its file can fill with any characters, to one line for a terminal: control characters and
-/// characters that reorder text are shown as escapes, and the middle of an overlong text is left out.
+/// Converts labels of an experiment, which its file can fill with any characters, to one line for a terminal: control
+/// characters and characters that reorder text are shown as escapes, and the middle of an overlong text is left out.
 pub fn shorten_label(text: &str) -> String {
     shorten(&escaped_line(text.as_bytes()), MAX_VALUE_CHARS).into_owned()
 }

@@ -5,8 +5,8 @@ use std::time::Duration;
 use tokio::signal::unix::SignalKind;
 use tokio::time::Instant;
 
-/// Signals of one kind within this time count as one request. For example, `timeout` signals a process and then its process group,
-/// so that the process gets two signals.
+/// Signals of one kind within this time count as one request. For example, `timeout` signals a process and then its
+/// process group, so that the process gets two signals.
 const SAME_REQUEST_PERIOD: Duration = Duration::from_millis(500);
 
 /// Detection of signals that repeat a request.

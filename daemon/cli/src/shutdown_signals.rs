@@ -10,8 +10,8 @@ use tokio::time::Instant;
 pub struct Signals {
     interrupt: Signal,
     terminate: Signal,
-    /// Listener for SIGHUP. `None` if the process ignores SIGHUP, as with `nohup`, or if SIGHUP has arrived once: at the end of a session both
-    /// the shell and the kernel send it, and both signals are one request.
+    /// Listener for SIGHUP. `None` if the process ignores SIGHUP, as with `nohup`, or if SIGHUP has arrived once: at
+    /// the end of a session both the shell and the kernel send it, and both signals are one request.
     hang_up: Option<Signal>,
     shutdown_requests: ShutdownRequests,
 }

@@ -24,8 +24,8 @@ pub fn read(path: &Path, largest: u64) -> io::Result<String> {
     read_text(path, largest)
 }
 
-/// Reads a regular file of at most `largest` bytes. A pipe is refused: this function reads files that were found in a folder, and a pipe
-/// found there may have no writer, so that reading would wait for ever.
+/// Reads a regular file of at most `largest` bytes. A pipe is refused: this function reads files that were found in a
+/// folder, and a pipe found there may have no writer, so that reading would wait for ever.
 ///
 /// # Errors
 /// When it cannot be read, is no regular file, is larger, or is not UTF-8.

@@ -98,7 +98,8 @@ struct Stored {
 }
 
 impl Host {
-    /// Returns the number of events that are missing in the database for ever, as the overview of the dashboard counts them.
+    /// Returns the number of events that are missing in the database for ever, as the overview of the dashboard
+    /// counts them.
     fn lost(&self) -> u64 {
         self.now
             .as_ref()

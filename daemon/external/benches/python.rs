@@ -1,4 +1,5 @@
-//! Benchmark of what a call of a Python object takes outside the user's code, compared with the same bytes through bare pipes.
+//! Benchmark of what a call of a Python object takes outside the user's code, compared with the same bytes through
+//! bare pipes.
 //!
 //!     cargo bench -p peernet-external --bench python -- [--json] [ROUNDS]
 //!

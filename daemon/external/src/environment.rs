@@ -57,7 +57,8 @@ pub fn environment() -> BTreeMap<String, String> {
 }
 
 /// Replaces the values of variables that users set (`env`), for a configuration that is published: they may be
-/// secret. The numbers of a run ([`SEED_VARIABLE`], [`REPEAT_VARIABLE`], [`USER_VARIABLE`]) stay, because they are needed to repeat it.
+/// secret. The numbers of a run ([`SEED_VARIABLE`], [`REPEAT_VARIABLE`], [`USER_VARIABLE`]) stay, because they are
+/// needed to repeat it.
 pub fn hide_values(variables: &mut BTreeMap<String, String>) {
     let is_number_of_run = |name: &str, value: &str| {
         [SEED_VARIABLE, REPEAT_VARIABLE, USER_VARIABLE].contains(&name) && value.parse::<u64>().is_ok()

@@ -1,8 +1,8 @@
 //! Users' code in separate processes, which are connected by pipes and restarted after they died.
 //!
-//! [`process`] starts a process, exchanges bytes with it and ends it; it does not interpret the bytes. [`python`] calls a
-//! Python object (`module::object`) in such a process, [`exec`] any program. Only the host's own configuration or
-//! command line names the code to be run, never a peer.
+//! [`process`] starts a process, exchanges bytes with it and ends it; it does not interpret the bytes. [`python`]
+//! calls a Python object (`module::object`) in such a process, [`exec`] any program. Only the host's own
+//! configuration or command line names the code to be run, never a peer.
 
 pub mod exec;
 pub mod process;

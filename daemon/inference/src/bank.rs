@@ -103,8 +103,8 @@ impl Bank {
         self
     }
 
-    /// Calls `observer` with each model after it was unloaded: a model of the folders to make room or because its files have changed, and
-    /// any model by [`shutdown`](Self::shutdown).
+    /// Calls `observer` with each model after it was unloaded: a model of the folders to make room or because its
+    /// files have changed, and any model by [`shutdown`](Self::shutdown).
     #[must_use]
     pub fn on_unload(mut self, observer: impl Fn(&UnloadedModel) + Send + Sync + 'static) -> Self {
         self.on_unload = Some(Arc::new(observer));

@@ -169,14 +169,14 @@ pub enum LoadError {
 }
 
 impl LoadError {
-    /// Returns whether loading the model may succeed later without a change of the configuration, for example because its server is not
-    /// running yet.
+    /// Returns whether loading the model may succeed later without a change of the configuration, for example because
+    /// its server is not running yet.
     pub const fn is_transient(&self) -> bool {
         matches!(self, Self::Server { is_transient: true, .. })
     }
 
-    /// Returns whether something in the configuration does not exist: a model, its file, a program, a module or a Python
-    /// interpreter.
+    /// Returns whether something in the configuration does not exist: a model, its file, a program, a module or a
+    /// Python interpreter.
     pub const fn is_missing(&self) -> bool {
         matches!(
             self,

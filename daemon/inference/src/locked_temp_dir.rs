@@ -10,8 +10,8 @@ const PREFIX: &str = "peernet-";
 /// Name of a file in each folder, which the owner keeps locked while it lives. Folders without it are never removed.
 const LOCK_FILE: &str = ".held";
 
-/// Temporary folder with a file that its owner keeps locked. Dropping it deletes the folder; if the owner was killed, the next creation of such
-/// a folder deletes it.
+/// Temporary folder with a file that its owner keeps locked. Dropping it deletes the folder; if the owner was killed,
+/// the next creation of such a folder deletes it.
 #[derive(Debug)]
 pub struct LockedTempDir {
     folder: tempfile::TempDir,

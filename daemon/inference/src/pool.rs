@@ -80,7 +80,8 @@ impl Pool {
         })
     }
 
-    /// Sets the growth of the process's resident memory while the model was loaded, bytes, and counts the model as loaded.
+    /// Sets the growth of the process's resident memory while the model was loaded, bytes, and counts the model as
+    /// loaded.
     pub(crate) fn with_memory_growth(mut self, bytes: Option<u64>, counter: &LoadedModelCounter) -> Self {
         self.memory_growth = bytes;
         self.counted = Some(counter.count(bytes.unwrap_or(0)));
@@ -147,8 +148,8 @@ impl Pool {
         }
         let handles = std::mem::take(&mut *handles.lock().unwrap_or_else(PoisonError::into_inner));
         for handle in handles {
-            // The callback of a job may drop the last `Arc` of the pool on one of the pool's own threads, which cannot join
-            // itself.
+            // The callback of a job may drop the last `Arc` of the pool on one of the pool's own threads, which
+            // cannot join itself.
             if handle.thread().id() != thread::current().id() && handle.join().is_err() {
                 tracing::error!(model = %self.name, "a thread of the model panicked");
             }
@@ -185,8 +186,9 @@ impl Pool {
         self.loaded_at
     }
 
-    /// Returns the growth of this process's resident memory while the model was loaded, bytes; `None` if it is unknown. Memory
-    /// of a GPU and of child processes is not included. Memory that other threads allocated meanwhile is included.
+    /// Returns the growth of this process's resident memory while the model was loaded, bytes; `None` if it is
+    /// unknown. Memory of a GPU and of child processes is not included. Memory that other threads allocated meanwhile
+    /// is included.
     pub fn memory_growth(&self) -> Option<u64> {
         self.memory_growth
     }
@@ -196,8 +198,8 @@ impl Pool {
         self.workers
     }
 
-    /// Returns the age of the oldest computation if every worker still computes requests that were cancelled, so that all
-    /// others wait. `None` if a worker is free or computes an awaited request.
+    /// Returns the age of the oldest computation if every worker still computes requests that were cancelled, so that
+    /// all others wait. `None` if a worker is free or computes an awaited request.
     pub fn blocked_for(&self) -> Option<Span> {
         match &self.execution {
             Execution::Threads { blocked, .. } => blocked.duration(),

@@ -41,8 +41,8 @@ impl WorkerSlot {
         }
     }
 
-    /// Computes jobs that were taken from the queue at `taken_at` or later; the caller passes the results to [`deliver`]. Never
-    /// panics.
+    /// Computes jobs that were taken from the queue at `taken_at` or later; the caller passes the results to
+    /// [`deliver`]. Never panics.
     pub(crate) fn compute(&mut self, mut jobs: Vec<Job>, taken_at: MonoTime) -> Vec<(Reply, FinishedJob)> {
         let started_at = self.clock.mono();
         let is_batching = self.model.batching().is_on();

@@ -38,9 +38,9 @@ pub(crate) enum Command {
     /// Copy an aggregator's database to a file in its current state; the aggregator may continue to store.
     ///
     /// The copy is complete and on the disk when this exits with 0. To restore it, stop the aggregator, replace its
-    /// database with the copy, and start the aggregator again. An existing file is not overwritten. Exits with 65 if the
-    /// file is not an aggregator's database, 69 if the copy failed for another reason (no space left, no such database),
-    /// 130 if it was interrupted; a partial copy is removed.
+    /// database with the copy, and start the aggregator again. An existing file is not overwritten. Exits with 65 if
+    /// the file is not an aggregator's database, 69 if the copy failed for another reason (no space left, no such
+    /// database), 130 if it was interrupted; a partial copy is removed.
     Backup {
         #[command(flatten)]
         database: Database,
@@ -50,16 +50,17 @@ pub(crate) enum Command {
     },
     /// Examine an aggregator's database or an agent's spool: damage, gaps, streams, sizes. Changes nothing.
     ///
-    /// Reads the whole file once; the aggregator or agent may continue. Exits with 0 if there is no problem, 65 if there
-    /// is one (each is printed with advice), 69 if a file cannot be opened. With --repair it exits with 0 if the database
-    /// is intact afterwards, 65 if nothing of it can be read, 69 if the aggregator runs or the new file cannot be written.
+    /// Reads the whole file once; the aggregator or agent may continue. Exits with 0 if there is no problem, 65 if
+    /// there is one (each is printed with advice), 69 if a file cannot be opened. With --repair it exits with 0 if
+    /// the database is intact afterwards, 65 if nothing of it can be read, 69 if the aggregator runs or the new file
+    /// cannot be written.
     Doctor(DoctorArguments),
     /// Compute an aggregator's roll-ups again from the stored nodes, while the aggregator is stopped.
     ///
-    /// Roll-ups are updated with the nodes, so this is needed only after a repair or if they may be wrong. Each run is
-    /// replaced in one transaction. Roll-ups of intervals whose nodes were deleted do not change. Exits with 65 if the file
-    /// is not an aggregator's database, 69 if the aggregator runs or the database cannot be written. If it is interrupted,
-    /// the runs completed so far keep their new roll-ups.
+    /// Roll-ups are updated with the nodes, so this is needed only after a repair or if they may be wrong. Each run
+    /// is replaced in one transaction. Roll-ups of intervals whose nodes were deleted do not change. Exits with 65 if
+    /// the file is not an aggregator's database, 69 if the aggregator runs or the database cannot be written. If it
+    /// is interrupted, the runs completed so far keep their new roll-ups.
     RebuildRollups {
         #[command(flatten)]
         database: Database,
@@ -69,9 +70,9 @@ pub(crate) enum Command {
     },
     /// Delete the secret with which a host proves its id, so that the next agent with this host id is accepted.
     ///
-    /// For a robot that lost the file host-secret in its state directory. Until the robot connects, any agent with this
-    /// host id is accepted in its place. The aggregator may continue; stored data does not change. Exits with 64 if there is
-    /// no such host, 65 if the file is not an aggregator's database, 69 if it cannot be written.
+    /// For a robot that lost the file host-secret in its state directory. Until the robot connects, any agent with
+    /// this host id is accepted in its place. The aggregator may continue; stored data does not change. Exits with 64
+    /// if there is no such host, 65 if the file is not an aggregator's database, 69 if it cannot be written.
     ClearHostSecret {
         #[command(flatten)]
         database: Database,

@@ -3,8 +3,8 @@
 /// Variable that switches the telemetry of ONNX Runtime off (its docs/Privacy.md).
 const VARIABLE: &str = "ORT_DISABLE_TELEMETRY";
 
-/// Switches the telemetry of ONNX Runtime off, unless the variable is set by the user. Must be called before any thread is
-/// started.
+/// Switches the telemetry of ONNX Runtime off, unless the variable is set by the user. Must be called before any
+/// thread is started.
 // From 1.29 on, Microsoft's builds for Linux write an identifier into the user's home and send a description of each
 // process and model to Microsoft. A program on a robot must not do that, and uploads disturb what it measures. The
 // library's function for the same purpose comes too late: it needs an environment, whose creation already sends the

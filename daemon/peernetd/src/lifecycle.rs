@@ -88,8 +88,8 @@ impl Lifecycle {
         })
     }
 
-    /// Starts a part. `start` gets the token that stops the part, and returns the future that completes when the part has
-    /// ended. A signal that arrives during the start is not lost: [`run`](Self::run) receives it.
+    /// Starts a part. `start` gets the token that stops the part, and returns the future that completes when the part
+    /// has ended. A signal that arrives during the start is not lost: [`run`](Self::run) receives it.
     ///
     /// # Errors
     /// If the part cannot start.
@@ -160,8 +160,8 @@ async fn wait_for_first_end(parts: &[Part]) -> &'static str {
     futures::future::select_all(ends).await.0
 }
 
-/// Stops the parts in reverse order, so that an agent sends its events before an aggregator in the same process stops. A
-/// part that takes too long is aborted, so that time remains for the other parts.
+/// Stops the parts in reverse order, so that an agent sends its events before an aggregator in the same process
+/// stops. A part that takes too long is aborted, so that time remains for the other parts.
 async fn stop_in_reverse(parts: Vec<Part>, stop_timeout: Duration) -> Exit {
     let deadline = Instant::now() + stop_timeout;
     let mut exit = Exit::Ok;

@@ -110,7 +110,8 @@ fn number_cell(value: Option<f64>) -> String {
     value.map(|value| value.to_string()).unwrap_or_default()
 }
 
-/// Copies a file of rows under a new header. Empty cells are appended to each row for the columns that the file does not have.
+/// Copies a file of rows under a new header. Empty cells are appended to each row for the columns that the file does
+/// not have.
 pub(crate) fn pad_rows(from: &Path, to: &Path, header: &Header) -> io::Result<()> {
     let mut reader = csv::ReaderBuilder::new().has_headers(false).from_path(from)?;
     let mut out = BufWriter::new(std::fs::File::create(to)?);

@@ -73,8 +73,8 @@ fn write_files(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<Vec<Pat
     Ok(files)
 }
 
-/// Returns whether the file has every row and the columns of all values. Rows that were written before a column was added
-/// have empty cells in this column, even if they have a value; such a file is not complete.
+/// Returns whether the file has every row and the columns of all values. Rows that were written before a column was
+/// added have empty cells in this column, even if they have a value; such a file is not complete.
 fn is_complete(path: &Path, rows: &Rows) -> bool {
     let Ok(mut file) = File::open(path) else { return false };
     if !ends_with_line(&mut file).unwrap_or(false) {

@@ -33,8 +33,8 @@ impl ResultFolder {
         Ok(folder)
     }
 
-    /// Locks the folder, or a subfolder according to `overwrite`, for this program. Files that are to be replaced are not
-    /// removed yet.
+    /// Locks the folder, or a subfolder according to `overwrite`, for this program. Files that are to be replaced are
+    /// not removed yet.
     ///
     /// # Errors
     /// If another program writes to the folder, or if it contains files that may not be replaced, is not a folder or
@@ -70,9 +70,9 @@ impl ResultFolder {
         super::finish::finish(&self.path, record, rows)
     }
 
-    /// Reads results of this program or of its older versions, or a single `data.csv` of the paper's original program. The
-    /// path is a folder or a file of rows. A truncated file yields its complete rows; [`Loaded::damage`] reports that rows
-    /// are missing.
+    /// Reads results of this program or of its older versions, or a single `data.csv` of the paper's original
+    /// program. The path is a folder or a file of rows. A truncated file yields its complete rows; [`Loaded::damage`]
+    /// reports that rows are missing.
     ///
     /// # Errors
     /// If there are no results or they cannot be read.
@@ -80,8 +80,8 @@ impl ResultFolder {
         super::read::open(path, &|_| true)
     }
 
-    /// Reads results as [`Self::open`] does, but stores only the numbers of the wanted columns. This saves memory with long
-    /// runs.
+    /// Reads results as [`Self::open`] does, but stores only the numbers of the wanted columns. This saves memory
+    /// with long runs.
     ///
     /// # Errors
     /// If there are no results or they cannot be read.

@@ -45,8 +45,8 @@ struct ColumnParser {
 }
 
 impl RowParser {
-    /// Reads all rows with the wanted columns. The second value says whether the file has a column that marks the rows of
-    /// the warm-up. If it has not, the first `warm_up` rows are the warm-up.
+    /// Reads all rows with the wanted columns. The second value says whether the file has a column that marks the
+    /// rows of the warm-up. If it has not, the first `warm_up` rows are the warm-up.
     ///
     /// A truncated last line of this program's file is ignored, because the program was killed while it wrote the line.
     pub(crate) fn read_rows(
@@ -172,9 +172,9 @@ impl ColumnParser {
     }
 }
 
-/// Returns the name of a column without the suffix `_val` if it is the column of a stage. The paper's original program
-/// joins the names of nested nodes by underscores (`inference_backbone`), and adds `_val` for the value of a node that has
-/// nested nodes (`inference_val`).
+/// Returns the name of a column without the suffix `_val` if it is the column of a stage. The paper's original
+/// program joins the names of nested nodes by underscores (`inference_backbone`), and adds `_val` for the value of a
+/// node that has nested nodes (`inference_val`).
 fn without_value_suffix(name: &str) -> &str {
     name.strip_suffix("_val").filter(|stage| PUBLISHED_STAGES.contains(stage)).unwrap_or(name)
 }

@@ -30,7 +30,8 @@ const MAX_DEPTH: usize = 8;
 /// Path of a folder, and the open folder, which holds the lock against other programs.
 pub(crate) type LockedFolder = (PathBuf, File);
 
-/// Locks the folder that `overwrite` permits for this program: `dir` or a new subfolder. The files in the folder are not changed.
+/// Locks the folder that `overwrite` permits for this program: `dir` or a new subfolder. The files in the folder are
+/// not changed.
 pub(crate) fn acquire(dir: &Path, overwrite: Overwrite) -> Result<LockedFolder, FolderError> {
     let creation_error = |path: &Path| {
         let path = path.to_owned();
@@ -58,7 +59,8 @@ pub(crate) fn acquire(dir: &Path, overwrite: Overwrite) -> Result<LockedFolder, 
     }
 }
 
-/// Locks the folder itself. This needs no file in the folder, and the kernel releases the lock however the program ends.
+/// Locks the folder itself. This needs no file in the folder, and the kernel releases the lock however the program
+/// ends.
 fn lock(dir: &Path) -> Result<File, FolderError> {
     let creation_error =
         |error: std::io::Error| FolderError::Create { path: dir.to_owned(), reason: error.to_string() };
@@ -90,7 +92,8 @@ pub(crate) fn clear(dir: &Path) -> Result<(), FolderError> {
     Ok(())
 }
 
-/// Creates the first subfolder that does not exist. Creation is atomic, so that two programs never get the same subfolder.
+/// Creates the first subfolder that does not exist. Creation is atomic, so that two programs never get the same
+/// subfolder.
 fn subfolder(dir: &Path) -> std::io::Result<PathBuf> {
     let mut number = 2_u32;
     loop {
@@ -129,7 +132,8 @@ fn search(dir: &Path, remaining_depth: usize, result_folders: &mut Vec<PathBuf>)
     folders.iter().for_each(|folder| search(folder, remaining_depth, result_folders));
 }
 
-/// Returns a sort key by which `run-2` precedes `run-10`. The key is a list of texts, each with the number that follows it.
+/// Returns a sort key by which `run-2` precedes `run-10`. The key is a list of texts, each with the number that
+/// follows it.
 fn natural_order_key(name: &str) -> Vec<(String, u128)> {
     let mut key = Vec::new();
     let mut rest = name;

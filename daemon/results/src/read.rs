@@ -13,7 +13,8 @@ use super::FolderError;
 use super::file_names::{DATA, RECORD};
 use super::parse::RowParser;
 
-/// Number of first rows that the figures of the paper leave out. Rows without a record and without marks have this warm-up.
+/// Number of first rows that the figures of the paper leave out. Rows without a record and without marks have this
+/// warm-up.
 const PUBLISHED_WARM_UP_ROWS: usize = 5;
 
 /// Reads results, with the columns that `wanted` accepts.

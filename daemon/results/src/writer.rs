@@ -16,8 +16,8 @@ const MAX_PENDING_BYTES: usize = 256 * 1024;
 
 /// Writes rows to `data.csv` as they come: at least once a second, and at the end.
 ///
-/// No measurement is lost if the disk is full or missing. Rows that cannot be written stay in memory and are written with
-/// the next rows. The file always ends with a complete row.
+/// No measurement is lost if the disk is full or missing. Rows that cannot be written stay in memory and are written
+/// with the next rows. The file always ends with a complete row.
 #[derive(Debug)]
 pub struct RowWriter {
     path: PathBuf,
@@ -135,8 +135,8 @@ impl RowWriter {
         Ok(())
     }
 
-    /// Rewrites the file with the further columns of a row. If this fails, file and header stay as they are, and the next
-    /// attempt is delayed.
+    /// Rewrites the file with the further columns of a row. If this fails, file and header stay as they are, and the
+    /// next attempt is delayed.
     fn add_columns(&mut self, row: &Row) {
         self.row_count_at_rewrite = self.row_count;
         self.flush();

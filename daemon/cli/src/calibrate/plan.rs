@@ -107,7 +107,8 @@ impl Plan {
         self.order[index as usize]
     }
 
-    /// Makes the configuration of an agent for the sweep. The tables for clocks and probes are read from `file` if it is given.
+    /// Makes the configuration of an agent for the sweep. The tables for clocks and probes are read from `file` if it
+    /// is given.
     ///
     /// # Errors
     /// When the file cannot be read (66) or its tables are wrong (78).

@@ -20,7 +20,8 @@ pub(crate) struct CollectedResults {
     pub(crate) runs: Vec<Loaded>,
     /// Positions of the baseline in `runs`; empty without a baseline.
     pub(crate) baseline: Vec<usize>,
-    /// Sentences about excluded runs (unfinished runs, copies, unreadable results), and about experiments whose records cannot be read.
+    /// Sentences about excluded runs (unfinished runs, copies, unreadable results), and about experiments whose
+    /// records cannot be read.
     pub(crate) notes: Vec<String>,
     /// Failure of a command that has shown `runs` although other results cannot be read; `None` if all were read.
     pub(crate) unreadable: Option<Failure>,
@@ -28,8 +29,8 @@ pub(crate) struct CollectedResults {
 
 /// Reads all results at the named paths, except for excluded results. Only columns that `is_wanted` accepts are read.
 ///
-/// Results keep the order of the paths, and runs of an experiment have the order of its file. A baseline comes first, unless all its runs
-/// are at the named paths.
+/// Results keep the order of the paths, and runs of an experiment have the order of its file. A baseline comes first,
+/// unless all its runs are at the named paths.
 ///
 /// # Errors
 /// When a path has no results or all results are excluded (66), or the baseline or all results cannot be read (65).

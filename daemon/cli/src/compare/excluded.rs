@@ -17,8 +17,9 @@ pub(super) struct ExclusionReasons(Vec<Option<Exclusion>>);
 impl ExclusionReasons {
     /// Finds the excluded results. `named_paths` are the paths on the command line.
     ///
-    /// If a run has several results, only one is compared: the first of these that exists, in this order: the baseline, a result whose path is on the
-    /// command line, the result in the run's folder of the experiment, the first result.
+    /// If a run has several results, only one is compared: the first of these that exists, in this order: the
+    /// baseline, a result whose path is on the command line, the result in the run's folder of the experiment, the
+    /// first result.
     pub(super) fn new(
         runs: &[Loaded],
         baseline: &[usize],

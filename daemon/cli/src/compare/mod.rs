@@ -60,8 +60,8 @@ enum Format {
     Latex,
 }
 
-/// Prints the table and the differences. With two lines or a baseline, the differences are stage by stage. Otherwise they are differences
-/// of the totals from the best line.
+/// Prints the table and the differences. With two lines or a baseline, the differences are stage by stage. Otherwise
+/// they are differences of the totals from the best line.
 ///
 /// # Errors
 /// When there are no results (66), some cannot be read (65; the others are printed), or the file cannot be written (73).
@@ -147,8 +147,8 @@ fn missing_comparison_reason(comparison: &Comparison) -> Option<String> {
     Some(format!("nothing is compared with the baseline: {reason}"))
 }
 
-/// Returns the line that is the baseline unless the user names one: the best of two lines, as on the page Compare, or the first if
-/// neither is the best. `None` for any other number of lines.
+/// Returns the line that is the baseline unless the user names one: the best of two lines, as on the page Compare, or
+/// the first if neither is the best. `None` for any other number of lines.
 pub(crate) fn default_baseline(comparison: &Comparison) -> Option<usize> {
     (comparison.lines.len() == 2).then(|| comparison.best.unwrap_or(0))
 }
@@ -168,7 +168,8 @@ pub(crate) fn differences(
         .collect()
 }
 
-/// Returns the tables of differences: those of `differences`, or the differences from the best line if `differences` is empty.
+/// Returns the tables of differences: those of `differences`, or the differences from the best line if `differences`
+/// is empty.
 pub(crate) fn difference_tables(comparison: &Comparison, differences: &[Differences]) -> Vec<CaptionedTable> {
     if differences.is_empty() {
         return differences_to_best(comparison).into_iter().collect();

@@ -8,9 +8,9 @@ use peernet_stream::ExperimentPlace;
 
 use super::experiment::Experiments;
 
-/// Returns the indexes of the runs in the order of display. Runs of an experiment are in the [order of its file](compare_places), as on the
-/// dashboard. Runs of an earlier version do not have the position of their configuration; it is taken from the record of the experiment, if
-/// that can be read.
+/// Returns the indexes of the runs in the order of display. Runs of an experiment are in the [order of its
+/// file](compare_places), as on the dashboard. Runs of an earlier version do not have the position of their
+/// configuration; it is taken from the record of the experiment, if that can be read.
 ///
 /// The runs of one experiment exchange positions among each other. All other results keep their positions.
 pub(super) fn declared_order(runs: &[Loaded], experiments: &Experiments) -> Vec<usize> {
@@ -82,7 +82,8 @@ mod tests {
             ]
         };
         assert_eq!(declared_order(&runs(Some(1), Some(0))), [3, 1, 4, 2, 0]);
-        // An earlier version recorded no positions: labels have their natural order, or that of the record of the experiment.
+        // An earlier version recorded no positions: labels have their natural order, or that of the record of the
+        // experiment.
         assert_eq!(declared_order(&runs(None, None)), [0, 1, 3, 4, 2]);
         let configurations = ["b", "a"].map(|label| json!({ "labels": [["load", label]] }));
         let record =

@@ -25,7 +25,8 @@ pub(super) struct UnselectedRuns {
 }
 
 impl SelectedResults {
-    /// Selects among the results that were found at each named path. A run whose own folder is on the command line is always selected.
+    /// Selects among the results that were found at each named path. A run whose own folder is on the command line is
+    /// always selected.
     pub(super) fn new(found: &[(PathBuf, Vec<PathBuf>)], experiments: &Experiments) -> Self {
         let mut paths: Vec<PathBuf> = Vec::new();
         let mut searched_experiments: BTreeMap<&Path, (&Path, &Experiment)> = BTreeMap::new();

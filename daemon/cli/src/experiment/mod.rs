@@ -12,7 +12,8 @@ pub(crate) const FORMAT: u32 = 1;
 
 /// File with the progress of an experiment.
 pub(crate) const RECORD: &str = "experiment.json";
-/// Maximum size of a record that is read, bytes. A record with the maximum number of runs, each of a different configuration, is smaller.
+/// Maximum size of a record that is read, bytes. A record with the maximum number of runs, each of a different
+/// configuration, is smaller.
 pub(crate) const MAX_RECORD_BYTES: u64 = 256 << 20;
 /// Folder in an experiment's folder that has the folders of its runs.
 pub(crate) const RUNS: &str = "runs";
@@ -35,8 +36,8 @@ pub(crate) enum RunStatus {
 }
 
 impl RunStatus {
-    /// Returns the state with the reason for a failure. The state decides whether tables and figures include the run and whether the
-    /// run is repeated.
+    /// Returns the state with the reason for a failure. The state decides whether tables and figures include the run
+    /// and whether the run is repeated.
     pub(crate) fn to_run_state(self, reason: Option<&str>) -> RunState {
         match self {
             Self::Pending => RunState::Pending,

@@ -5,8 +5,9 @@ use super::RunStatus;
 /// Maximum number of runs in the note.
 const MAX_NAMED: usize = 8;
 
-/// Returns the note on the runs that tables and figures of an experiment lack: their folders and states. `None` if all are done. The note
-/// completes a sentence: `Shown without the runs of experiment e that are not done: 002 (failed).`
+/// Returns the note on the runs that tables and figures of an experiment lack: their folders and states. `None` if
+/// all are done. The note completes a sentence: `Shown without the runs of experiment e that are not done: 002
+/// (failed).`
 pub(crate) fn unfinished_runs_note<'a>(
     experiment: &str,
     runs: impl IntoIterator<Item = (&'a str, RunStatus)>,

@@ -6,7 +6,8 @@ const MIN_DAYS: u64 = 10 * DAY;
 /// Shortest duration that is given in years, seconds.
 const MIN_YEARS: u64 = 3 * 365 * DAY;
 
-/// Formats a duration with one or two units that grow with it. Minutes are rounded up; hours, days and years are rounded down.
+/// Formats a duration with one or two units that grow with it. Minutes are rounded up; hours, days and years are
+/// rounded down.
 pub(crate) fn duration(seconds: f64) -> String {
     // A duration below half a second would be rounded to zero.
     if seconds > 0.0 && seconds < 0.5 {

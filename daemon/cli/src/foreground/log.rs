@@ -1,7 +1,7 @@
 //! Output of users' code, remarks on connections, and with `PEERNET_LOG` the log.
 //!
-//! On a terminal, the lines are printed above the progress. A run of an experiment passes the lines to the program that shows the
-//! progress: on standard output, each line as a JSON string.
+//! On a terminal, the lines are printed above the progress. A run of an experiment passes the lines to the program
+//! that shows the progress: on standard output, each line as a JSON string.
 
 use std::fmt::{self, Write as _};
 use std::io::{self, Write};
@@ -36,8 +36,8 @@ pub(crate) enum LogDestination {
 /// Log targets of warnings that every user sees.
 const WARNING_TARGETS: [&str; 2] = [REMARK_LOG_TARGET, LOAD_LOG_TARGET];
 
-/// Installs the log. Unless `PEERNET_LOG` sets another level, the log contains only output of users' code, remarks on connections, and models
-/// that load for long.
+/// Installs the log. Unless `PEERNET_LOG` sets another level, the log contains only output of users' code, remarks on
+/// connections, and models that load for long.
 ///
 /// # Errors
 /// When the variable does not contain a valid level (78).
@@ -88,7 +88,8 @@ impl Write for LogWriter {
     }
 }
 
-/// Formatter: `model my_model-Net: the line` for users' code, `warning: the text` for warnings, the log's form for the rest.
+/// Formatter: `model my_model-Net: the line` for users' code, `warning: the text` for warnings, the log's form for
+/// the rest.
 struct LogFormat {
     other: Line,
 }

@@ -1,8 +1,9 @@
-//! Running of an agent in the foreground: the agent is started, observed until it is done or a signal arrives, and stopped.
+//! Running of an agent in the foreground: the agent is started, observed until it is done or a signal arrives, and
+//! stopped.
 //!
-//! Three commands use this module: `calibrate` studies a link, `measure` records a run, and the published `--server` serves. The commands
-//! differ in their observer ([`RunObserver`]); starting, signals and stopping are the same. Events come from the agent's tap. The rest of
-//! the agent's state is read several times a second.
+//! Three commands use this module: `calibrate` studies a link, `measure` records a run, and the published `--server`
+//! serves. The commands differ in their observer ([`RunObserver`]); starting, signals and stopping are the same.
+//! Events come from the agent's tap. The rest of the agent's state is read several times a second.
 
 mod agent_end;
 mod command_line;
@@ -50,14 +51,16 @@ pub(crate) trait RunObserver {
     /// Reasons to end besides those of [`AgentEnd`].
     type OwnReason;
 
-    /// Processes an event. Returns a reason if the agent is to end. `running` is `None` for events that are left after the agent has ended.
+    /// Processes an event. Returns a reason if the agent is to end. `running` is `None` for events that are left
+    /// after the agent has ended.
     fn handle_event(
         &mut self,
         event: Event,
         running: Option<&RunningAgent>,
     ) -> Option<AgentEnd<Self::OwnReason>>;
 
-    /// Reads the agent's state. It is called several times a second and after every answer to a peer. Returns a reason if the agent is to end.
+    /// Reads the agent's state. It is called several times a second and after every answer to a peer. Returns a
+    /// reason if the agent is to end.
     fn poll_state(&mut self, running: &RunningAgent) -> Option<AgentEnd<Self::OwnReason>>;
 
     /// Handles the decision to end. Work in progress is still waited for.
@@ -104,8 +107,8 @@ impl ReadyAgent {
         Ok(Self { config, system_clock, clock })
     }
 
-    /// Runs the agent until its observer ends it or a signal arrives, then waits for its end. A second signal ends the waiting for
-    /// work in progress.
+    /// Runs the agent until its observer ends it or a signal arrives, then waits for its end. A second signal ends
+    /// the waiting for work in progress.
     ///
     /// # Errors
     /// When the agent cannot start (69) or loses a task (70).

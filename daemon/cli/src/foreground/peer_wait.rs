@@ -84,8 +84,8 @@ impl PeerWait {
 
     /// Updates the times from the pipeline's activity. Only a peer that is away is given up.
     ///
-    /// A connected peer is not given up, because the pipeline has its own timeout for each iteration. While the sensor works, there is no
-    /// open request.
+    /// A connected peer is not given up, because the pipeline has its own timeout for each iteration. While the
+    /// sensor works, there is no open request.
     pub(crate) const fn update(&mut self, activity: &PipelineActivity, now: MonoTime) {
         match activity {
             PipelineActivity::Preparing(_) | PipelineActivity::Sensing(_) => self.record_answer(now),
@@ -126,7 +126,8 @@ impl PeerWait {
         timeout: Span,
     ) -> Option<String> {
         let absence = now - self.last_present;
-        // Without a reason the first attempt to connect has not ended yet. It gets at least the time `SILENCE`, even if the timeout is shorter.
+        // Without a reason the first attempt to connect has not ended yet. It gets at least the time `SILENCE`, even
+        // if the timeout is shorter.
         let timeout = if wait_reason.is_none() { timeout.max(SILENCE) } else { timeout };
         let reason = wait_reason.unwrap_or(UNKNOWN);
         let text = || format!("gave up after {:.0} s without an answer: {reason}", absence.seconds());

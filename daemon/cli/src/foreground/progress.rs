@@ -113,7 +113,8 @@ impl Progress {
     }
 }
 
-/// Removes the reason in brackets from the text if the last printed reason was the same, because printed lines stay visible.
+/// Removes the reason in brackets from the text if the last printed reason was the same, because printed lines stay
+/// visible.
 fn without_repeated_reason(trouble: String, last_reason: &mut Option<String>) -> String {
     let Some((problem, rest)) = trouble.split_once(" (") else { return trouble };
     let Some((reason, wait)) = rest.rsplit_once(");") else { return trouble };

@@ -12,8 +12,8 @@ use peernet_agent::AgentConfig;
 /// Tables that a foreground run uses.
 const USED_TABLES: [&str; 4] = ["clock", "probes", "clock_fault", "onnxruntime"];
 
-/// Reads the tables for clocks, probes and ONNX Runtime from an agent's configuration file, and the agent's name and clock identity.
-/// Returns the defaults without a file.
+/// Reads the tables for clocks, probes and ONNX Runtime from an agent's configuration file, and the agent's name and
+/// clock identity. Returns the defaults without a file.
 ///
 /// # Errors
 /// When the file cannot be read (66) or its tables are wrong (78).

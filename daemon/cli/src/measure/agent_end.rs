@@ -32,7 +32,8 @@ impl AgentEnd {
         }
     }
 
-    /// Returns the failure of a run with results, if any. `unseen` is the number of iterations that were measured but have no row.
+    /// Returns the failure of a run with results, if any. `unseen` is the number of iterations that were measured but
+    /// have no row.
     pub(super) fn failure(&self, rows: &Rows, unseen: u64) -> Option<Failure> {
         let incomplete = |text: String| Some(Failure::new(Exit::Incomplete, anyhow!("{text}")));
         match self {
@@ -75,7 +76,8 @@ fn failed_text(rows: &Rows) -> Option<String> {
     ))
 }
 
-/// Describes an iteration without an answer, or with one that was not acted on, with the reason: `iteration 3 was lost: …`.
+/// Describes an iteration without an answer, or with one that was not acted on, with the reason: `iteration 3 was
+/// lost: …`.
 pub(super) fn describe_failure(iteration: u64, outcome: Outcome, reason: Option<&str>) -> String {
     let reason = reason.map_or("no answer in time", without_repetition);
     let ending = match outcome {

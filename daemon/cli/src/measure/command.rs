@@ -53,7 +53,8 @@ fn with_indented_lines(failure: Failure) -> Failure {
     Failure::new(failure.exit, anyhow!("{}", text.trim_start()))
 }
 
-/// Ends this process if its parent, the experiment, ends. Otherwise this process could write into a folder that a later run uses.
+/// Ends this process if its parent, the experiment, ends. Otherwise this process could write into a folder that a
+/// later run uses.
 fn exit_with_parent() {
     if let Err(error) = set_parent_process_death_signal(Some(Signal::KILL)) {
         print_to_stderr(format_args!("this run may outlive its experiment: {error}"));
@@ -93,7 +94,8 @@ impl ProgressDisplay for JsonProgress {
             return;
         }
         print_to_stdout(MEASUREMENT_ENDED);
-        // The parent sends nothing, so this reads until it closes the pipe. After an error there is nothing to wait for.
+        // The parent sends nothing, so this reads until it closes the pipe. After an error there is nothing to wait
+        // for.
         if let Err(error) = std::io::copy(&mut std::io::stdin().lock(), &mut std::io::sink()) {
             tracing::debug!(%error, "cannot wait for the other edges of the run");
         }

@@ -127,7 +127,8 @@ pub(crate) fn measure(
     record.trust = Some(Report::new(&TrustInput::from_run(&record, &recorded.rows)));
     let WrittenFiles { folder, mut files, mut trouble } = results.finish(&record, &recorded.rows);
     let is_written = !files.is_empty();
-    // If the rows did not fit on the disk, the earlier results may have been restored to the folder. Then nothing is added to them.
+    // If the rows did not fit on the disk, the earlier results may have been restored to the folder. Then nothing is
+    // added to them.
     match is_written.then(|| study(&record, &recorded.rows, &folder)).transpose() {
         Ok(written) => files.extend(written.flatten()),
         Err(error) => trouble = trouble.or_else(|| Some(error.to_string())),

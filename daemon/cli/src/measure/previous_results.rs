@@ -1,8 +1,8 @@
 //! Safe replacement of earlier results: they are kept until the new results are complete.
 //!
-//! A run can be killed at any moment. `run.json` shows the state: it is the first file that is moved away, the last file that is
-//! restored, and the last important file that a new run writes. If it is in the folder, the results there are complete and the
-//! moved results are obsolete.
+//! A run can be killed at any moment. `run.json` shows the state: it is the first file that is moved away, the last
+//! file that is restored, and the last important file that a new run writes. If it is in the folder, the results
+//! there are complete and the moved results are obsolete.
 
 use std::fs::{File, read_dir, remove_file, rename};
 use std::io::{BufRead, BufReader, ErrorKind};
@@ -66,8 +66,9 @@ impl PreviousResultsGuard {
         leftover_folders(results_dir).next().is_some()
     }
 
-    /// Restores the results that a killed run had moved away, or removes them if the new results of the killed run are complete. The rows of
-    /// the killed run are kept under another name. No other program may write to the folder meanwhile.
+    /// Restores the results that a killed run had moved away, or removes them if the new results of the killed run
+    /// are complete. The rows of the killed run are kept under another name. No other program may write to the folder
+    /// meanwhile.
     ///
     /// # Errors
     /// When the results cannot be moved (73).
@@ -110,8 +111,8 @@ impl PreviousResultsGuard {
         Ok(())
     }
 
-    /// Renames the new rows, which exist nowhere else, so that they stay when the earlier results are restored. Returns the new
-    /// name; `None` if there are no rows or nothing will be restored.
+    /// Renames the new rows, which exist nowhere else, so that they stay when the earlier results are restored.
+    /// Returns the new name; `None` if there are no rows or nothing will be restored.
     pub(super) fn keep_rows(&self) -> Option<String> {
         self.moved_results.as_ref()?;
         keep_measured(&self.results_dir, UNFINISHED_ROWS).unwrap_or_else(|error| {
@@ -120,8 +121,8 @@ impl PreviousResultsGuard {
         })
     }
 
-    /// Removes the incomplete new results and restores the earlier ones. Returns a text to be appended to a message, which is empty
-    /// if there were no earlier results.
+    /// Removes the incomplete new results and restores the earlier ones. Returns a text to be appended to a message,
+    /// which is empty if there were no earlier results.
     pub(super) fn restore(mut self) -> String {
         let Some(previous_results) = self.moved_results.take() else { return String::new() };
         // Files of the new results that have no counterpart would otherwise stay and look like a part of the restored

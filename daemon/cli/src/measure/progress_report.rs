@@ -80,8 +80,8 @@ pub(crate) trait ProgressDisplay {
     /// Shows the progress, several times a second.
     fn show(&mut self, report: &ProgressReport);
 
-    /// Waits until the other edges of the same run have ended their measurement, because writing results and drawing figures take
-    /// CPU time from them.
+    /// Waits until the other edges of the same run have ended their measurement, because writing results and drawing
+    /// figures take CPU time from them.
     fn wait_for_other_edges(&mut self) {}
 }
 

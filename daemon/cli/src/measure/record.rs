@@ -111,7 +111,8 @@ fn sha256(facts: &[(String, String)]) -> Option<String> {
     hash_fact.map(|(_, hash)| hash.clone())
 }
 
-/// Returns the agent's tables without the pipeline, which is recorded separately, and without the folder of this run's state.
+/// Returns the agent's tables without the pipeline, which is recorded separately, and without the folder of this
+/// run's state.
 fn agent(config: &AgentConfig) -> Value {
     let mut tables = json(config);
     if let Value::Object(tables) = &mut tables {
@@ -124,8 +125,8 @@ fn agent(config: &AgentConfig) -> Value {
     tables
 }
 
-/// Collects every number called `seed` and every seed of users' code, by the table that has it: `sensor`, `load`, `actuator`, or
-/// `model.` and the model's name.
+/// Collects every number called `seed` and every seed of users' code, by the table that has it: `sensor`, `load`,
+/// `actuator`, or `model.` and the model's name.
 fn seeds(config: &AgentConfig) -> BTreeMap<String, u64> {
     const PIPELINE: &str = "pipeline";
     fn collect_seeds(path: &str, table: &Map<String, Value>, seeds: &mut BTreeMap<String, u64>) {

@@ -268,7 +268,8 @@ impl RunObserver for RunRecorder<'_> {
         if let (true, Some(reason)) = (self.is_refused, reason) {
             return Some(AgentEnd::Failed(reason.to_owned()));
         }
-        // The library's advice at the end of the reason refers to a configuration file, which a foreground run does not have.
+        // The library's advice at the end of the reason refers to a configuration file, which a foreground run does
+        // not have.
         let reason = reason.map(|reason| reason.strip_suffix(OpenError::LOADING).unwrap_or(reason));
         let write_error =
             self.writer.write_error().map(|error| format!("{error}; the rows are kept in memory"));
@@ -276,7 +277,8 @@ impl RunObserver for RunRecorder<'_> {
         let slow = activity.slow_sensor(now);
         let peer = match &self.peer {
             Some(peer) => peer,
-            // A local model may compute on a server, which is waited for like a peer. Loading a model may take any time.
+            // A local model may compute on a server, which is waited for like a peer. Loading a model may take any
+            // time.
             None if reason.is_some() => "the server of the model",
             None => {
                 self.peer_wait.record_answer(now);

@@ -1,7 +1,7 @@
 //! Spools of a host that exists only during some runs: one spool for each aggregator to which it streams.
 //!
-//! With a common spool, an aggregator would not receive the batches that another aggregator has acknowledged, and would count them as
-//! lost.
+//! With a common spool, an aggregator would not receive the batches that another aggregator has acknowledged, and
+//! would count them as lost.
 
 use std::fmt;
 use std::fs::{self, File, TryLockError};
@@ -43,8 +43,8 @@ fn spool_name(aggregator: &Address) -> String {
     }
 }
 
-/// Renames the spool of an earlier version to `spool`, the spool of the first aggregator that is used. That aggregator receives the events
-/// that wait in it, as with the earlier version.
+/// Renames the spool of an earlier version to `spool`, the spool of the first aggregator that is used. That
+/// aggregator receives the events that wait in it, as with the earlier version.
 fn take_over(folder: &Path, spool: &Path) -> io::Result<()> {
     let old = folder.join(OLD_SPOOL);
     if spool.exists() || !old.exists() {
@@ -57,7 +57,8 @@ fn take_over(folder: &Path, spool: &Path) -> io::Result<()> {
         Err(TryLockError::WouldBlock) => return Ok(()),
         Err(TryLockError::Error(error)) => return Err(error),
     }
-    // The database file itself is renamed last. If the program is killed before that, the next start continues with the renaming.
+    // The database file itself is renamed last. If the program is killed before that, the next start continues with
+    // the renaming.
     for end in ["-wal", "-reserve", ""] {
         match fs::rename(with_end(&old, end), with_end(spool, end)) {
             Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),

@@ -12,7 +12,8 @@ use peernet_sensors::SensorKind;
 
 use super::spools;
 
-/// A folder for the agent's state: a permanent one if an aggregator is to recognise the host again, otherwise a temporary one.
+/// A folder for the agent's state: a permanent one if an aggregator is to recognise the host again, otherwise a
+/// temporary one.
 pub(crate) enum AgentStateDir {
     Permanent(PathBuf),
     Temporary(LockedTempDir),

@@ -21,8 +21,8 @@ pub(super) struct Input {
 }
 
 impl Input {
-    /// Reads the pictures at a path, or without a path the model's test pictures, with their labels. `None` if there is no path and
-    /// the model has no test pictures.
+    /// Reads the pictures at a path, or without a path the model's test pictures, with their labels. `None` if there
+    /// is no path and the model has no test pictures.
     pub(super) fn pictures(
         model: &ModelOnDisk,
         path: Option<&Path>,

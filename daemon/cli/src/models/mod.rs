@@ -58,8 +58,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
 /// Folders that are searched for models.
 #[derive(Debug, clap::Args)]
 struct SearchedFolders {
-    /// A folder of models that is searched before PEERNET_MODELS, /var/lib/peernet/models and models; may be given several
-    /// times.
+    /// A folder of models that is searched before PEERNET_MODELS, /var/lib/peernet/models and models; may be given
+    /// several times.
     #[arg(long, value_name = "DIR")]
     models_dir: Vec<PathBuf>,
 }

@@ -46,7 +46,8 @@ impl Tally {
         }
     }
 
-    /// Compares an answer with its label. An answer that is no classification, detection or segmentation is not counted.
+    /// Compares an answer with its label. An answer that is no classification, detection or segmentation is not
+    /// counted.
     ///
     /// # Errors
     /// If the label names a mask that cannot be read.
@@ -117,7 +118,8 @@ impl Tally {
     }
 }
 
-/// Returns an answer as text: class and score of a classification, other JSON as it is, and a description of other parts.
+/// Returns an answer as text: class and score of a classification, other JSON as it is, and a description of other
+/// parts.
 pub(super) fn describe(answer: &Sample) -> String {
     if let Some(json) = json(answer) {
         if let Ok(Classification { label, score }) = serde_json::from_slice(json) {

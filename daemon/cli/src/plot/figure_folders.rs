@@ -14,7 +14,8 @@ pub(super) struct FigureFolders {
 }
 
 impl FigureFolders {
-    /// Chooses the folders of the results, or with `out` that folder, with a subfolder for each run if there are several.
+    /// Chooses the folders of the results, or with `out` that folder, with a subfolder for each run if there are
+    /// several.
     pub(super) fn choose(named: &[PathBuf], runs: &[Loaded], out: Option<&Path>) -> Self {
         let folders = || runs.iter().map(|run| run.folder.clone());
         match (out, named) {

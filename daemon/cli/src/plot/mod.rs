@@ -25,15 +25,18 @@ pub(crate) struct Arguments {
     /// Figures to draw.
     #[arg(long, value_enum, default_value_t = Kind::All)]
     kind: Kind,
-    /// Folder for the figures. With several runs, each run gets a folder in it [default: figures of one run in the run's
-    /// folder; figures of several runs in the folder on the command line, or in the current folder if several folders are given].
+    /// Folder for the figures. With several runs, each run gets a folder in it [default: figures of one run in the
+    /// run's folder; figures of several runs in the folder on the command line, or in the current folder if several
+    /// folders are given].
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Column of data.csv, or name of a node (output-chunks), on the horizontal axis. For --kind length: the length
-    /// [default: tokens, or download-bytes without tokens]. For --kind histograms and --kind cumulative: the only column to draw.
+    /// [default: tokens, or download-bytes without tokens]. For --kind histograms and --kind cumulative: the only
+    /// column to draw.
     #[arg(long, value_name = "COLUMN")]
     x: Option<String>,
-    /// Column of data.csv, or name of a node, on the vertical axis, for --kind length and --kind paired: a latency [default: inference].
+    /// Column of data.csv, or name of a node, on the vertical axis, for --kind length and --kind paired: a latency
+    /// [default: inference].
     #[arg(long, value_name = "COLUMN")]
     y: Option<String>,
 }
@@ -51,7 +54,8 @@ enum Kind {
     Stacked,
     /// For all runs: the share of iterations up to each total, a curve for each configuration.
     Totals,
-    /// For all runs: top-1 accuracy, mAP@0.5 or mean IoU, and success and return of episodes, of each configuration against its latency.
+    /// For all runs: top-1 accuracy, mAP@0.5 or mean IoU, and success and return of episodes, of each configuration
+    /// against its latency.
     Accuracy,
     /// For all runs: inference of each model on board and in the cloud.
     Paired,
@@ -130,8 +134,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     unreadable.map_or(Ok(()), Err)
 }
 
-/// Describes the reasons why nothing was drawn, each once with its number of runs. A single reason has no number. `None` if there is no
-/// reason.
+/// Describes the reasons why nothing was drawn, each once with its number of runs. A single reason has no number.
+/// `None` if there is no reason.
 fn reasons(missing_data: &[(PathBuf, PlotError)]) -> Option<String> {
     let mut reasons: Vec<(String, usize)> = Vec::new();
     for (_, error) in missing_data {

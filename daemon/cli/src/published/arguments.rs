@@ -33,8 +33,8 @@ pub(crate) struct Arguments {
     /// host name].
     #[arg(long, value_parser = network)]
     pub(super) network: Option<NetworkKind>,
-    /// Network configuration, YAML: `devices:` name → host name or IP address, `server:` name of the device that serves,
-    /// and optionally `start_port:` [default: 5551].
+    /// Network configuration, YAML: `devices:` name → host name or IP address, `server:` name of the device that
+    /// serves, and optionally `start_port:` [default: 5551].
     #[arg(long, value_name = "FILE")]
     pub(super) network_config: PathBuf,
     /// Number of iterations: for a client the rows of its results, for a server its answers.
@@ -47,8 +47,8 @@ pub(crate) struct Arguments {
     /// Picture, or folder of pictures, for the sensor `image`.
     #[arg(long, value_name = "PATH")]
     pub(super) dataset_loc: Option<PathBuf>,
-    /// A Python object with a method `sample()`, from a module of the current folder, as `module::object`; or a program,
-    /// as `exec:COMMAND`.
+    /// A Python object with a method `sample()`, from a module of the current folder, as `module::object`; or a
+    /// program, as `exec:COMMAND`.
     #[arg(long, value_name = "OBJECT")]
     pub(super) sensor_object: Option<String>,
     /// Pickle Python values that have no wire format in PEERNet, and unpickle received values. Unpickling runs code of
@@ -77,11 +77,13 @@ pub(crate) struct Arguments {
     /// Time to wait for an unreachable server, before the run and during it; seconds.
     #[arg(long, default_value = "90", value_name = "SECONDS", value_parser = patience, allow_negative_numbers = true)]
     pub(super) patience: f64,
-    /// Client: longest wait for an answer. Server: longest time that a Python object or a program may take for one answer.
-    /// Seconds [default: 75 for the client, 60 for an object, 10 for a program, so that the server reports a slow model before the client gives up].
+    /// Client: longest wait for an answer. Server: longest time that a Python object or a program may take for one
+    /// answer. Seconds [default: 75 for the client, 60 for an object, 10 for a program, so that the server reports a
+    /// slow model before the client gives up].
     #[arg(long, value_name = "SECONDS", value_parser = timeout, allow_negative_numbers = true)]
     pub(super) timeout: Option<f64>,
-    /// Largest message, in bytes; the smaller value of both ends applies. A picture sent as `pixels` has 3 bytes per pixel.
+    /// Largest message, in bytes; the smaller value of both ends applies. A picture sent as `pixels` has 3 bytes per
+    /// pixel.
     #[arg(long, value_name = "BYTES", value_parser = clap::value_parser!(u64).range(MESSAGE_BYTES_RANGE))]
     pub(super) max_message_bytes: Option<u64>,
 
@@ -89,8 +91,8 @@ pub(crate) struct Arguments {
     /// slash, a Python object with a method `infer(x)` as `module::object`, or a program as `exec:COMMAND`.
     #[arg(long, default_value = "dummy", value_name = "MODEL")]
     pub(super) model_name: String,
-    /// Device of the model: `cpu`, `cuda`, `cuda:N`, `tensorrt:N`, `openvino:DEVICE`. Python objects and programs receive
-    /// this value as it is [default: cuda:0 for a model of the bank].
+    /// Device of the model: `cpu`, `cuda`, `cuda:N`, `tensorrt:N`, `openvino:DEVICE`. Python objects and programs
+    /// receive this value as it is [default: cuda:0 for a model of the bank].
     #[arg(long)]
     pub(super) device: Option<String>,
     /// Folder of models that is searched before the others; may be given several times.

@@ -23,8 +23,9 @@ use crate::measure::{AgentStateDir, Measured, RunRequest, measure, undelivered};
 
 /// Number of iterations at the start of a run that the published plots drop.
 const WARM_UP_ITERATIONS: u64 = 5;
-/// Longest wait for an answer in milliseconds unless `--timeout` sets another: the largest model on a slow processor takes
-/// long. It is longer than the server's limit for one call of a model (60 s), because the server's error says more.
+/// Longest wait for an answer in milliseconds unless `--timeout` sets another: the largest model on a slow processor
+/// takes long. It is longer than the server's limit for one call of a model (60 s), because the server's error says
+/// more.
 const TIMEOUT_MS: u64 = 75_000;
 /// Timeout of connecting in milliseconds, in which the server may load its model.
 const OPEN_TIMEOUT_MS: u64 = 60_000;

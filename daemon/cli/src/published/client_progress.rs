@@ -20,8 +20,8 @@ impl ClientProgress {
 }
 
 impl ProgressDisplay for ClientProgress {
-    /// Prints the conditions that impair the measurements, so that the user can stop the run and improve them. Other conditions are only
-    /// in the report.
+    /// Prints the conditions that impair the measurements, so that the user can stop the run and improve them. Other
+    /// conditions are only in the report.
     fn show_start(&mut self, conditions: &[Condition]) {
         for condition in conditions.iter().filter(|condition| condition.grade >= Grade::Doubtful) {
             self.progress.print_line(describe_condition(condition));

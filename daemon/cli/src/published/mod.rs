@@ -1,4 +1,5 @@
-//! The commands of the paper: `peernet --server …` on the device that serves, `peernet --client …` on the device that senses.
+//! The commands of the paper: `peernet --server …` on the device that serves, `peernet --client …` on the device that
+//! senses.
 //!
 //! They run the daemon's pipeline code in the foreground, configured by the published options.
 

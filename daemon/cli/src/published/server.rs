@@ -68,8 +68,8 @@ fn describe_address(address: &Address, file: &impl std::fmt::Display) -> String 
     }
 }
 
-/// Returns the address of all interfaces of this machine, at the port of the network configuration: the configured name of this
-/// device may be known to other devices only.
+/// Returns the address of all interfaces of this machine, at the port of the network configuration: the configured
+/// name of this device may be known to other devices only.
 fn all_interfaces(address: &Address) -> Address {
     if address.listener_name().is_some() {
         // Host and port belong to a program that resolves the name.

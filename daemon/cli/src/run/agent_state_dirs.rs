@@ -1,7 +1,8 @@
-//! Locks of the folders with the identities of the runs' agents. An experiment holds them from its beginning to its end.
+//! Locks of the folders with the identities of the runs' agents. An experiment holds them from its beginning to its
+//! end.
 //!
-//! Two agents cannot be the same host to an aggregator. If two experiments have hosts with the same names, the second could not measure
-//! a single run, so the locks refuse it at its start.
+//! Two agents cannot be the same host to an aggregator. If two experiments have hosts with the same names, the second
+//! could not measure a single run, so the locks refuse it at its start.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File, TryLockError};
@@ -24,7 +25,8 @@ pub(super) struct AgentStateDirs {
 }
 
 impl AgentStateDirs {
-    /// Locks the folders of the agents of these runs. Without an aggregator each agent has a temporary folder, which needs no lock.
+    /// Locks the folders of the agents of these runs. Without an aggregator each agent has a temporary folder, which
+    /// needs no lock.
     ///
     /// # Errors
     /// When another experiment or agent uses a folder, or a folder cannot be created (69).

@@ -10,11 +10,12 @@ use super::plan::{Plan, Run};
 /// Arguments of `peernet run`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
-    /// File of the experiment, TOML; docs/experiments.md describes it, configs/experiments has examples. The file may be
-    /// a pipe: `/dev/stdin`.
+    /// File of the experiment, TOML; docs/experiments.md describes it, configs/experiments has examples. The file may
+    /// be a pipe: `/dev/stdin`.
     #[arg(value_name = "FILE")]
     pub(super) file: PathBuf,
-    /// Replace a value of the file, such as experiment.iterations=100; may be given several times. Values of an axis take precedence.
+    /// Replace a value of the file, such as experiment.iterations=100; may be given several times. Values of an axis
+    /// take precedence.
     #[arg(long, value_name = "FIELD=VALUE", value_parser = FieldOverride::read)]
     pub(super) set: Vec<FieldOverride>,
     /// Folder for the results. If it has an unfinished experiment, that experiment continues [default: results/NAME].

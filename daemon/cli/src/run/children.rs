@@ -25,8 +25,8 @@ use crate::measure::{MEASUREMENT_ENDED, ProgressReport, RunRequest};
 
 /// Path of this program. It leads to the same program even if the file was replaced in the meantime: one version measures all runs.
 const PROGRAM: &str = "/proc/self/exe";
-/// Capacity of the channel of output from the processes. Progress beyond it is dropped; a text beyond it blocks the process, as
-/// a slow terminal would.
+/// Capacity of the channel of output from the processes. Progress beyond it is dropped; a text beyond it blocks the
+/// process, as a slow terminal would.
 const OUTPUT_CAPACITY: usize = 64;
 /// Number of a process's last lines that are kept.
 const LAST_LINES: usize = 20;
@@ -80,8 +80,9 @@ enum ChildOutput {
 /// Measures the requested runs concurrently, each in its own process, and shows the output of the processes. No process writes results
 /// or draws figures before all have ended their measurement, because the others would measure a busy machine.
 ///
-/// A signal to this program goes to all processes. After the first one they end early with their results, after the second they
-/// do not wait for work in progress. After the third, or after a time limit, they and their children are killed.
+/// A signal to this program goes to all processes. After the first one they end early with their results, after the
+/// second they do not wait for work in progress. After the third, or after a time limit, they and their children are
+/// killed.
 pub(super) async fn execute(
     requests: &[RunRequest],
     signals: &mut Signals,
@@ -197,7 +198,8 @@ impl Child {
             .context("cannot write the description of the measurement")?;
         request.push(b'\n');
         let mut process = Command::new(PROGRAM)
-            // The same program is daemon and command line. It acts as the command line if it is started under this name.
+            // The same program is daemon and command line. It acts as the command line if it is started under this
+            // name.
             .arg0(crate::NAMES[0])
             .args(["measure", "--order", "-"])
             .stdin(Stdio::piped())

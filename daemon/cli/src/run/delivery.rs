@@ -43,8 +43,9 @@ pub(super) async fn warn_if_unreachable(aggregators: &[&Address]) {
     }
 }
 
-/// Delivers the waiting events of a plan's hosts to the aggregators that can be reached. No run may be active, and the state folders
-/// of the hosts must not be locked. A delivery that fails is reported, and its events stay in the spool.
+/// Delivers the waiting events of a plan's hosts to the aggregators that can be reached. No run may be active, and
+/// the state folders of the hosts must not be locked. A delivery that fails is reported, and its events stay in the
+/// spool.
 ///
 /// # Errors
 /// When there is no folder for the state of the hosts (69).
@@ -83,7 +84,8 @@ pub(super) async fn deliver(plan: &Plan, signals: &mut Signals, quiet: bool) -> 
     Ok(())
 }
 
-/// Starts an agent of this host that only delivers, and stops it once its spool is empty or the aggregator stores nothing more.
+/// Starts an agent of this host that only delivers, and stops it once its spool is empty or the aggregator stores
+/// nothing more.
 async fn deliver_events_of(host: &StreamingHost) -> Result<(), Failure> {
     // Another process that uses the host delivers its events itself.
     let Ok(_lock) = AgentStateDirs::lock(&BTreeSet::from([host.state_dir.folder().to_owned()])) else {
@@ -128,8 +130,8 @@ fn hosts(plan: &Plan) -> Result<Vec<StreamingHost>, Failure> {
     Ok(hosts)
 }
 
-/// Describes the waiting events with a sentence for each aggregator. An aggregator of the plan is named by its address as it is
-/// written in the plan's file.
+/// Describes the waiting events with a sentence for each aggregator. An aggregator of the plan is named by its
+/// address as it is written in the plan's file.
 pub(super) fn describe_undelivered(
     undelivered: &[UndeliveredEvents],
     aggregators: &[&Address],

@@ -41,8 +41,8 @@ impl Estimates {
         }
     }
 
-    /// Returns the estimate for a run of a configuration: the mean of its finished runs or, without any, the expected duration times the
-    /// ratio of measured to expected durations so far. `None` if it is not known.
+    /// Returns the estimate for a run of a configuration: the mean of its finished runs or, without any, the expected
+    /// duration times the ratio of measured to expected durations so far. `None` if it is not known.
     pub(super) fn duration_s(&self, configuration: usize) -> Option<f64> {
         let (sum, count) = self.finished_durations.get(configuration).copied().unwrap_or_default();
         if count > 0 {
@@ -67,8 +67,8 @@ struct SharedComputation {
 }
 
 impl SharedComputation {
-    /// Returns the sharing of the model of the agent's first pipeline. A local model has a separate process for each user. The number of
-    /// workers of a cloud is unknown here; the default is one.
+    /// Returns the sharing of the model of the agent's first pipeline. A local model has a separate process for each
+    /// user. The number of workers of a cloud is unknown here; the default is one.
     fn new(agent: &AgentConfig, users: u32) -> Self {
         let Some(PlacementConfig::Local { model }) =
             agent.pipelines.first().map(|pipeline| &pipeline.placement)
@@ -84,7 +84,8 @@ impl SharedComputation {
     }
 }
 
-/// Returns the expected duration of a run of an agent's first pipeline with this number of users, seconds; `None` if unknown.
+/// Returns the expected duration of a run of an agent's first pipeline with this number of users, seconds; `None` if
+/// unknown.
 pub(super) fn expected_duration(agent: &AgentConfig, users: u32, pace: Option<Pace>) -> Option<f64> {
     pipeline_duration(agent.pipelines.first()?, SharedComputation::new(agent, users), pace)
 }
@@ -99,7 +100,8 @@ fn pipeline_duration(
     let with_warm_up = limit.iterations.map(|count| count.saturating_add(warm_up));
     let count = [with_warm_up, limit.total].into_iter().flatten().map(NonZeroU64::get).min();
     let configured_period_s = pipeline.load.hz().map(f64::recip);
-    // No schedule makes the sensor or the model's workers faster: starts beyond their rate are skipped and do not count.
+    // No schedule makes the sensor or the model's workers faster: starts beyond their rate are skipped and do not
+    // count.
     let shortest_period_s = |pace: Pace| {
         let computing_s = pace.computing_s * f64::from(sharing.users) / sharing.workers as f64;
         pace.sensing_s.max(computing_s)

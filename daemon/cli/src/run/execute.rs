@@ -154,7 +154,8 @@ pub(super) fn run_result(
     let Some((user, exit)) = first_failure else {
         return RunResult { status: RunStatus::Finished, exit: Some(0), reason: None, seconds };
     };
-    // All iterations may have been tried although some failed, and all measurements may be written although a figure is not.
+    // All iterations may have been tried although some failed, and all measurements may be written although a figure
+    // is not.
     let tried_all = |exit: &ProcessResult| {
         let codes = [Exit::Ok, Exit::Incomplete, Exit::Unwritten].map(|exit| Some(i32::from(exit as u8)));
         codes.contains(&exit.code)

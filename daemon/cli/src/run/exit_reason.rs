@@ -17,7 +17,8 @@ const ONE_LINE_EXITS: [Exit; 7] = [
     Exit::Interrupted,
 ];
 
-/// Returns the message of a process that has ended, or the signal that ended it. `error_lines` are the last lines of its error output.
+/// Returns the message of a process that has ended, or the signal that ended it. `error_lines` are the last lines of
+/// its error output.
 pub(super) fn exit_reason(status: ExitStatus, error_lines: &VecDeque<String>) -> Option<String> {
     let message = message(error_lines, status.code());
     match status.signal() {
@@ -29,8 +30,9 @@ pub(super) fn exit_reason(status: ExitStatus, error_lines: &VecDeque<String>) ->
     }
 }
 
-/// Returns the message at the end of a process's error output, in one line. A failure is the last line that is not indented, with the
-/// indented lines after it. The message of the command line's parser and of a panic has more lines: it is the whole output.
+/// Returns the message at the end of a process's error output, in one line. A failure is the last line that is not
+/// indented, with the indented lines after it. The message of the command line's parser and of a panic has more
+/// lines: it is the whole output.
 fn message(error_lines: &VecDeque<String>, code: Option<i32>) -> Option<String> {
     let ends_with_failure =
         code.is_some_and(|code| ONE_LINE_EXITS.iter().any(|exit| code == i32::from(*exit as u8)));

@@ -16,7 +16,8 @@ use super::plan::Run;
 use super::state::Record;
 use crate::experiment::RunStatus;
 
-/// Marks finished runs without usable results as not done. Reports external files that changed after a finished run was measured.
+/// Marks finished runs without usable results as not done. Reports external files that changed after a finished run
+/// was measured.
 pub(super) fn check_finished_runs(folder: &Folder, record: &mut Record, external_files: &ExternalFiles) {
     let finished = record.runs().filter(|(_, state)| state.status == RunStatus::Finished);
     let finished: Vec<Run> = finished.map(|(run, _)| run.clone()).collect();

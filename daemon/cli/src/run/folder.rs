@@ -1,7 +1,7 @@
 //! The folder of an experiment: `experiment.json` with the state, and the folders of the runs.
 //!
-//! `experiment.json` holds the plan with the state of each run and is replaced as a whole before and after every run, so that a
-//! killed experiment can be continued if its plan is unchanged.
+//! `experiment.json` holds the plan with the state of each run and is replaced as a whole before and after every run,
+//! so that a killed experiment can be continued if its plan is unchanged.
 
 use std::ffi::OsStr;
 use std::fs::{self, File, TryLockError};

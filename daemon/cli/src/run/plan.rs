@@ -104,12 +104,12 @@ impl Plan {
         agent
     }
 
-    /// Returns the agent's configuration of a user, counted from 0, with the seeds of a repeat and with the environment variables that tell
-    /// users' code of them.
+    /// Returns the agent's configuration of a user, counted from 0, with the seeds of a repeat and with the
+    /// environment variables that tell users' code of them.
     pub(super) fn seeded_agent(&self, configuration: &Configuration, repeat: u32, user: u32) -> AgentConfig {
         let mut agent = configuration.agent.clone();
-        // Repeats and users get different payloads and draws. Configurations get the same ones, so that they can be compared.
-        // The purposes are 1 for the sensor, 2 for the load, 3 for the actuator and 4 for the models.
+        // Repeats and users get different payloads and draws. Configurations get the same ones, so that they can be
+        // compared. The purposes are 1 for the sensor, 2 for the load, 3 for the actuator and 4 for the models.
         let seed = |purpose: u64| derive_seed(&[self.seed, purpose, repeat.into(), user.into()]);
         let set_variables = |env: Option<&mut BTreeMap<String, String>>, seed: u64| {
             let Some(env) = env else { return };
@@ -152,8 +152,8 @@ impl Plan {
         }
     }
 
-    /// Returns the name of a user's agent, numbered if there are several. `None` if the file has no name and a single agent takes the
-    /// machine's.
+    /// Returns the name of a user's agent, numbered if there are several. `None` if the file has no name and a single
+    /// agent takes the machine's.
     pub(super) fn agent_name(&self, run: &Run, user: u32) -> Option<Slug> {
         let configuration = self.configuration(run);
         let agent = &configuration.agent.agent;

@@ -1,4 +1,5 @@
-//! Reports about the runs: tables of the comparison, tables of concurrent users and of sensors, figures, and whether the runs can be published.
+//! Reports about the runs: tables of the comparison, tables of concurrent users and of sensors, figures, and whether
+//! the runs can be published.
 
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -77,8 +78,8 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Rep
         let files = [("txt", sensors.text()), ("md", sensors.markdown()), ("tex", sensors.latex())];
         save(folder.path(), "sensors", &files)?;
         if sensors.covers_all_runs {
-            // The comparison is omitted: stages after the sensor are empty, and it would rank the sensors by the shortest
-            // sensing, which does not make a sensor the best one.
+            // The comparison is omitted: stages after the sensor are empty, and it would rank the sensors by the
+            // shortest sensing, which does not make a sensor the best one.
             parts.clear();
         }
         parts.push(sensors.text());
@@ -99,8 +100,8 @@ fn figures(all: &[Loaded], lines: usize, folder: &Path) -> Result<(), WriteError
     }
 }
 
-/// Describes how many runs can be published, and the objections with the number of runs. A run is as good as the worst of its
-/// edges.
+/// Describes how many runs can be published, and the objections with the number of runs. A run is as good as the
+/// worst of its edges.
 fn trust(runs: &[Vec<Loaded>]) -> String {
     let worst = |edges: &Vec<Loaded>| {
         let verdicts = edges.iter().map(|edge| edge.record.trust.as_ref().map(|trust| trust.verdict));

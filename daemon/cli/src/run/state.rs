@@ -65,7 +65,8 @@ impl Record {
     }
 
     /// Returns whether each run has its state, its configuration and a plain folder name.
-    // The folder of a run is removed before the run is measured again. With a plain name it cannot lie outside the experiment's folder.
+    // The folder of a run is removed before the run is measured again. With a plain name it cannot lie outside the
+    // experiment's folder.
     pub(super) fn is_sound(&self) -> bool {
         let Plan { runs, configurations, .. } = &self.plan;
         let is_plain = |folder: &str| {

@@ -1,4 +1,5 @@
-//! Trial of each configuration with a few iterations before the first run: an error now is better than one after an hour.
+//! Trial of each configuration with a few iterations before the first run: an error now is better than one after an
+//! hour.
 
 use std::collections::BTreeSet;
 use std::num::NonZeroU64;
@@ -138,8 +139,8 @@ fn trials(plan: &Plan, indexes: &BTreeSet<usize>) -> Vec<Trial> {
     let configurations = indexes.iter().filter_map(|index| Some((*index, plan.configurations.get(*index)?)));
     for (index, configuration) in configurations {
         let request = trial_request(plan, configuration);
-        // `trial_request` has removed everything from the agent's configuration that a trial does not test, so equal ones are
-        // the same trial.
+        // `trial_request` has removed everything from the agent's configuration that a trial does not test, so equal
+        // ones are the same trial.
         let is_same = |trial: &&mut Trial| {
             trial.request.agent == request.agent && trial.request.tried_actuator == request.tried_actuator
         };

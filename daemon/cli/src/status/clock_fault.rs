@@ -47,8 +47,8 @@ struct Step {
 /// Hosts whose clock has an artificial error at present.
 pub(super) type FaultyClocks = BTreeMap<String, ClockFault>;
 
-/// Collects the faulty clocks from the reports of the hosts themselves and from those of edges, because a cloud may report to another
-/// aggregator.
+/// Collects the faulty clocks from the reports of the hosts themselves and from those of edges, because a cloud may
+/// report to another aggregator.
 pub(super) fn faulty_clocks(hosts: &[Host], links: &[Link]) -> FaultyClocks {
     let own_reports =
         hosts.iter().filter(|host| host.connected).map(|host| (&host.name, host.clock.as_ref()));

@@ -115,9 +115,9 @@ impl Serialize for CommandLine {
     }
 }
 
-/// Hides the arguments of commands in the configuration of a pipeline (TOML), which an earlier build may have stored. Each
-/// command is replaced with its program and the number of its arguments. Text that is not TOML is replaced as a whole if it
-/// contains the word `command`.
+/// Hides the arguments of commands in the configuration of a pipeline (TOML), which an earlier build may have stored.
+/// Each command is replaced with its program and the number of its arguments. Text that is not TOML is replaced as a
+/// whole if it contains the word `command`.
 pub fn hide_arguments(configuration: &str) -> String {
     // Most tables have no command and stay exactly as they were written.
     if !configuration.contains("command") {

@@ -106,8 +106,9 @@ impl ExecConfig {
         }
     }
 
-    /// Returns facts for the run's page: the program, and the SHA-256 of each file that the command names. The arguments
-    /// are left out, because they may be secret. The name of each fact begins with the role. Reads the files.
+    /// Returns facts for the run's page: the program, and the SHA-256 of each file that the command names. The
+    /// arguments are left out, because they may be secret. The name of each fact begins with the role. Reads the
+    /// files.
     pub fn facts_for(&self, role: Role) -> Vec<(String, String)> {
         let heading = role.heading();
         let mut facts = vec![(heading.to_owned(), program_fact(&self.command))];
@@ -156,7 +157,8 @@ impl ExecConfig {
             .collect()
     }
 
-    /// Returns whether the shell itself has a command of this name, or finds it with the program's environment. Runs the shell only.
+    /// Returns whether the shell itself has a command of this name, or finds it with the program's environment. Runs
+    /// the shell only.
     fn is_shell_command(&self, name: &str) -> bool {
         let is_unknown_name = !name.contains('/') && find_program(OsStr::new(name)).is_none();
         is_unknown_name

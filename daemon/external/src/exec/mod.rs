@@ -16,9 +16,9 @@
 //! an episode, and replies with `done | error TEXT`.
 //!
 //! `part` instead of `sample` or `answer` announces that another part of the same sample or answer follows. `partial`
-//! announces a partial answer: the whole answer follows later. Before its reply a program may write lines that begin with
-//! `version`, `stage` or `value`, a sensor also with `sequence`, `label` or `source`, and an actuator with `reward`,
-//! `success` or `episode-ended`.
+//! announces a partial answer: the whole answer follows later. Before its reply a program may write lines that begin
+//! with `version`, `stage` or `value`, a sensor also with `sequence`, `label` or `source`, and an actuator with
+//! `reward`, `success` or `episode-ended`.
 
 mod arguments;
 mod command;

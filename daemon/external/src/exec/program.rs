@@ -93,9 +93,9 @@ impl Program {
         self.call_with_partial_answers(request, &mut |_| true)
     }
 
-    /// Sends a request as [`call`](Self::call) does, and passes each partial answer of a model to `on_partial_answer` when it arrives.
-    /// `on_partial_answer` returns whether somebody still waits for the answer; if not, the program is killed. The timeout begins again
-    /// with each partial answer.
+    /// Sends a request as [`call`](Self::call) does, and passes each partial answer of a model to `on_partial_answer`
+    /// when it arrives. `on_partial_answer` returns whether somebody still waits for the answer; if not, the program
+    /// is killed. The timeout begins again with each partial answer.
     ///
     /// # Errors
     /// As [`call`](Self::call), and [`ProgramCallError::Cancelled`] if `on_partial_answer` returns `false`.
@@ -127,7 +127,8 @@ impl Program {
         match result {
             Ok(Reply { notes, outcome }) => {
                 self.process = Some(process);
-                // For the restart delay, a reply that reports an error is a success: the program follows the framing and still runs.
+                // For the restart delay, a reply that reports an error is a success: the program follows the framing
+                // and still runs.
                 self.restart_backoff.record_success();
                 self.is_finished = outcome == ReplyOutcome::End;
                 match outcome {
@@ -136,7 +137,8 @@ impl Program {
                 }
             }
             Err(error) => {
-                // The program is killed before the restart delay begins, so that it has ended when the next process starts.
+                // The program is killed before the restart delay begins, so that it has ended when the next process
+                // starts.
                 let error = match error {
                     // The program has not failed, so its restart is not delayed.
                     ProgramCallError::Cancelled => {
@@ -203,8 +205,8 @@ fn send_and_receive(
     on_partial_answer: &mut dyn FnMut(Part) -> bool,
 ) -> Result<Reply, ProgramCallError> {
     let mut deadline_at = deadline();
-    // Output that precedes the request would be mistaken for the reply to it, and from then on each reply for the reply to the
-    // next request.
+    // Output that precedes the request would be mistaken for the reply to it, and from then on each reply for the
+    // reply to the next request.
     if process.has_more() {
         return Err(ProgramCallError::UnsolicitedOutput(shorten(&process.peek_line())));
     }

@@ -1,7 +1,7 @@
 //! Analysis of a shell command line, without running it.
 
-/// Returns the program of a line that consists of a single program with arguments; `None` for any other line. Other lines
-/// contain an operator of the shell, or their first word may be an assignment or an expansion.
+/// Returns the program of a line that consists of a single program with arguments; `None` for any other line. Other
+/// lines contain an operator of the shell, or their first word may be an assignment or an expansion.
 pub(super) fn single_program(line: &str) -> Option<&str> {
     let program = line.split_ascii_whitespace().next()?;
     let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"_-+./".contains(&byte);

@@ -44,8 +44,8 @@ impl Launch {
         }
     }
 
-    /// Returns the command, with pipes for standard input, output and error. The kernel kills the process when this program
-    /// ends.
+    /// Returns the command, with pipes for standard input, output and error. The kernel kills the process when this
+    /// program ends.
     pub(super) fn command(&self) -> Command {
         let mut command = Command::new(&self.program);
         command.args(&self.arguments).envs(&self.environment);
@@ -84,8 +84,8 @@ pub(crate) fn invalid_variable(environment: &BTreeMap<String, String>) -> Option
     environment.iter().find(is_invalid).map(|(name, _)| name.as_str())
 }
 
-/// Returns the file of a program: `name` itself if it is a path to a file, otherwise the first executable file of that name in the
-/// folders of `PATH`.
+/// Returns the file of a program: `name` itself if it is a path to a file, otherwise the first executable file of
+/// that name in the folders of `PATH`.
 pub fn find_program(name: &OsStr) -> Option<PathBuf> {
     if Path::new(name).components().count() > 1 {
         return Some(PathBuf::from(name)).filter(|path| path.is_file());

@@ -11,8 +11,8 @@ const MAX_LINES: u64 = 200;
 /// Maximum number of bytes in one period.
 const MAX_PERIOD_BYTES: u64 = 32 << 10;
 
-/// Limit of the lines and bytes that one process writes to the log in each period. A program that prints in a loop would
-/// otherwise fill the disk with its log, and hide the lines of all other parts.
+/// Limit of the lines and bytes that one process writes to the log in each period. A program that prints in a loop
+/// would otherwise fill the disk with its log, and hide the lines of all other parts.
 #[derive(Debug, Default)]
 pub(super) struct LogLimit {
     /// End of the current period; `None` before the first line.

@@ -16,7 +16,8 @@ use super::{Fault, ProcessError};
 const PIPE_BYTES: usize = 1 << 20;
 /// Number of bytes that are read at once while the length of the data is unknown.
 const READ_CHUNK_BYTES: usize = 8 << 10;
-/// Maximum number of bytes that are read ahead while a request is still being written: the length of the longest answer.
+/// Maximum number of bytes that are read ahead while a request is still being written: the length of the longest
+/// answer.
 const MAX_READ_AHEAD_BYTES: usize = 1 << 30;
 /// Largest capacity of an empty buffer. Memory beyond it is freed.
 const MAX_IDLE_CAPACITY_BYTES: usize = 4 << 20;
@@ -70,7 +71,8 @@ pub(super) fn prepare(fd: impl AsFd) -> io::Result<()> {
 pub(super) struct Wait<'a> {
     pub(super) clock: &'a SharedClock,
     pub(super) deadline: MonoTime,
-    /// Descriptor that becomes readable when the process at the other end ends (pidfd_open(2)), if the kernel supports it.
+    /// Descriptor that becomes readable when the process at the other end ends (pidfd_open(2)), if the kernel
+    /// supports it.
     // The pipe alone does not show the end, because a child of the process may keep it open.
     pub(super) process: Option<BorrowedFd<'a>>,
 }
@@ -106,7 +108,8 @@ impl Wait<'_> {
         }
     }
 
-    /// Waits for the end of the process. Returns `false` if it still runs at the deadline, or if the kernel cannot tell.
+    /// Waits for the end of the process. Returns `false` if it still runs at the deadline, or if the kernel cannot
+    /// tell.
     pub(super) fn wait_for_exit(&self) -> bool {
         let has_ended = |process| self.poll(&mut [PollFd::from_borrowed_fd(process, PollFlags::IN)]).is_ok();
         self.process.is_some_and(has_ended)
@@ -114,7 +117,8 @@ impl Wait<'_> {
 }
 
 /// Writes all parts in order, and at the same time reads what the process writes.
-// If this function only wrote, both sides would wait for each other when the process answers before it has read everything.
+// If this function only wrote, both sides would wait for each other when the process answers before it has read
+// everything.
 pub(super) fn write(
     fd: &OwnedFd,
     parts: &[&[u8]],

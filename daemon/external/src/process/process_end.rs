@@ -48,8 +48,8 @@ impl ProcessEnd {
         self.status.is_some_and(|status| status.success())
     }
 
-    /// Returns whether the process ended as requested: with exit status 0, by the SIGTERM that this program sent, or with the
-    /// exit status by which a shell reports that signal (128 + 15).
+    /// Returns whether the process ended as requested: with exit status 0, by the SIGTERM that this program sent, or
+    /// with the exit status by which a shell reports that signal (128 + 15).
     pub fn ended_as_requested(&self) -> bool {
         let term = Signal::TERM.as_raw();
         let by_term = |status: ExitStatus| status.signal() == Some(term) || status.code() == Some(128 + term);

@@ -1,7 +1,7 @@
 //! The thread that starts all processes.
 //!
-//! The kernel sends the parent-death signal when the *thread* that started the process ends. Threads of a pool may end at
-//! any time; this thread runs as long as the program.
+//! The kernel sends the parent-death signal when the *thread* that started the process ends. Threads of a pool may
+//! end at any time; this thread runs as long as the program.
 
 use std::io;
 use std::process::{Child, Command};

@@ -33,8 +33,8 @@ pub enum Step {
 /// Timing of a call on this process's monotonic clock.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CallTimes {
-    /// Time at which this call began to start a new process, because the last process had ended. The new process was ready at
-    /// `started_at`. `None` if no process was started.
+    /// Time at which this call began to start a new process, because the last process had ended. The new process was
+    /// ready at `started_at`. `None` if no process was started.
     pub restarted_at: Option<MonoTime>,
     /// Beginning of the call.
     pub started_at: MonoTime,
@@ -69,7 +69,8 @@ impl CallTimes {
         Self { restarted_at: None, started_at, ended_at, steps: stamps.iter().map(timed_step).collect() }
     }
 
-    /// Returns the time that is not spent in the user's code: transfer and conversion of the arguments and of the result.
+    /// Returns the time that is not spent in the user's code: transfer and conversion of the arguments and of the
+    /// result.
     pub fn overhead(&self) -> Span {
         let in_steps: Span = self.steps.iter().map(|(_, from, to)| *to - *from).sum();
         (self.ended_at - self.started_at - in_steps).max(Span::ZERO)

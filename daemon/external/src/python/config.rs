@@ -20,7 +20,8 @@ pub struct PythonConfig {
     /// directory of this program.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub folder: Option<PathBuf>,
-    /// Python interpreter, for example the interpreter of a virtual environment. Default: `PEERNET_PYTHON`, else `python3`.
+    /// Python interpreter, for example the interpreter of a virtual environment. Default: `PEERNET_PYTHON`, else
+    /// `python3`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub python: Option<PathBuf>,
     /// Environment variables of the process.

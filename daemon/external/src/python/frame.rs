@@ -1,7 +1,7 @@
 //! Messages over the pipes.
 //!
-//! A message consists of [`MESSAGE_PREFIX`], the length of the header, the header as JSON, and the bytes of those parts that are
-//! not in shared memory.
+//! A message consists of [`MESSAGE_PREFIX`], the length of the header, the header as JSON, and the bytes of those
+//! parts that are not in shared memory.
 
 use std::os::fd::RawFd;
 

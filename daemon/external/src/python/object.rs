@@ -89,15 +89,16 @@ impl PythonObject {
     /// Calls the object with a value; `sample()` takes none. Blocks until the object has answered, the timeout is
     /// over, or the process has ended.
     ///
-    /// If the process died or did not answer, the next call restarts it. After repeated failures the restart is delayed,
-    /// and calls fail until then. An exception of the user's code does not end the process.
+    /// If the process died or did not answer, the next call restarts it. After repeated failures the restart is
+    /// delayed, and calls fail until then. An exception of the user's code does not end the process.
     pub fn call(&mut self, parts: &[Part]) -> CallResult {
         self.call_with_partial_answers(parts, &mut |_| true)
     }
 
-    /// Calls a model as [`call`](Self::call) does, and passes each partial answer to `on_partial_answer`: each value that the
-    /// generator `infer` yields. `on_partial_answer` returns whether somebody still waits for the answer. If it returns `false`, the
-    /// object stops computing and the call fails. The timeout begins again with each partial answer.
+    /// Calls a model as [`call`](Self::call) does, and passes each partial answer to `on_partial_answer`: each value
+    /// that the generator `infer` yields. `on_partial_answer` returns whether somebody still waits for the answer. If
+    /// it returns `false`, the object stops computing and the call fails. The timeout begins again with each partial
+    /// answer.
     pub fn call_with_partial_answers(
         &mut self,
         parts: &[Part],
@@ -113,7 +114,8 @@ impl PythonObject {
         self.description.resets()
     }
 
-    /// Calls `reset()` of the object, which prepares it for an episode. Blocks and restarts as [`call`](Self::call) does.
+    /// Calls `reset()` of the object, which prepares it for an episode. Blocks and restarts as [`call`](Self::call)
+    /// does.
     ///
     /// # Errors
     /// If the object raised an exception or gave no answer.
@@ -126,7 +128,8 @@ impl PythonObject {
         self.description.advances()
     }
 
-    /// Calls `advance(seconds)` of the object, which advances a simulation. Blocks and restarts as [`call`](Self::call) does.
+    /// Calls `advance(seconds)` of the object, which advances a simulation. Blocks and restarts as
+    /// [`call`](Self::call) does.
     ///
     /// # Errors
     /// If the object raised an exception or gave no answer.
@@ -145,8 +148,8 @@ impl PythonObject {
             let started_at = self.clock.mono();
             let deadline = started_at + milliseconds(self.config.timeout_ms.get());
             match request(&mut worker, deadline) {
-                // A process is used again only after an answer: after a failure, bytes in the pipe would be mistaken for the
-                // answer to the next call.
+                // A process is used again only after an answer: after a failure, bytes in the pipe would be mistaken
+                // for the answer to the next call.
                 Ok(answer) => {
                     self.worker = Some(worker);
                     self.restart_backoff.record_success();
@@ -294,7 +297,8 @@ impl Drop for PythonObject {
     }
 }
 
-/// Adds advice to the first line of an exception and its traceback, if a module is missing that the user's code imports.
+/// Adds advice to the first line of an exception and its traceback, if a module is missing that the user's code
+/// imports.
 fn with_import_advice(text: &str) -> String {
     if !text.starts_with("ModuleNotFoundError: ") {
         return text.to_owned();

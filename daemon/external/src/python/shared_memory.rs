@@ -112,7 +112,8 @@ impl SharedMemory {
         Ok(Some(bytes.into()))
     }
 
-    /// Returns memory beyond `MAX_KEPT_BYTES` to the system. Must not be called while a call of the Python process is in progress.
+    /// Returns memory beyond `MAX_KEPT_BYTES` to the system. Must not be called while a call of the Python process is
+    /// in progress.
     pub(super) fn release_excess(&self) {
         let length = self.map.len() as u64;
         if length > MAX_KEPT_BYTES {

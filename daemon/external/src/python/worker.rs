@@ -46,8 +46,8 @@ impl Worker {
         self.shared_memory.file().as_raw_fd()
     }
 
-    /// Sends the process its source and the settings of the object. Calls `report` with the elapsed time while the object is
-    /// not created: first after `report_after`, then each time after twice the time.
+    /// Sends the process its source and the settings of the object. Calls `report` with the elapsed time while the
+    /// object is not created: first after `report_after`, then each time after twice the time.
     pub(super) fn create_object(
         &mut self,
         settings: &Request<'_>,
@@ -70,8 +70,8 @@ impl Worker {
         self.receive_reply(deadline)
     }
 
-    /// Calls the object. `on_partial_answer` gets each partial answer and returns whether somebody still waits for the answer;
-    /// `deadline` returns the end of the timeout that begins now.
+    /// Calls the object. `on_partial_answer` gets each partial answer and returns whether somebody still waits for
+    /// the answer; `deadline` returns the end of the timeout that begins now.
     pub(super) fn call(
         &mut self,
         parts: &[Part],
@@ -91,7 +91,8 @@ impl Worker {
                 self.shared_memory.release_excess();
                 return Ok((reply, bytes));
             };
-            // The worker waits for this request, so a partial answer in the shared memory is read before the next one is written.
+            // The worker waits for this request, so a partial answer in the shared memory is read before the next one
+            // is written.
             let is_awaited = on_partial_answer(frame::join_parts(parts, bytes));
             let request = if is_awaited { Request::Proceed {} } else { Request::Cancel {} };
             self.process.write(&[&encode_request(&request)?], deadline())?;

@@ -30,7 +30,8 @@ pub struct ModelOnDisk {
     pub folder: PathBuf,
     /// Summary of the card, or an error of the model that is found without loading the model.
     pub card: Result<CardSummary, LoadError>,
-    /// Folder of another model with the same name. The other model takes precedence, because its folder is searched first.
+    /// Folder of another model with the same name. The other model takes precedence, because its folder is searched
+    /// first.
     pub shadowed_by: Option<PathBuf>,
 }
 
@@ -125,13 +126,14 @@ impl ModelOnDisk {
         Ok(Self::read(name, folder))
     }
 
-    /// Returns the configuration of this model with one worker on `device`, as a `[[model]]` table would give it. All other keys have
-    /// their defaults.
+    /// Returns the configuration of this model with one worker on `device`, as a `[[model]]` table would give it. All
+    /// other keys have their defaults.
     pub fn configuration(&self, device: &str) -> ModelConfig {
         BankConfig::default().model(&self.name, &self.folder, device)
     }
 
-    /// Returns a sample that the model accepts: pictures of generated pixels, 1280 × 720 if the model resizes them, and arrays of zeros.
+    /// Returns a sample that the model accepts: pictures of generated pixels, 1280 × 720 if the model resizes them,
+    /// and arrays of zeros.
     ///
     /// # Errors
     /// When the card is invalid.

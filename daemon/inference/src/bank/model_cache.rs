@@ -34,8 +34,8 @@ impl ModelCache {
         usable.map(|found| found.name).collect()
     }
 
-    /// Returns the entry of a model, on the first device if none is named, and the entries that the caller must unload before it
-    /// loads the model.
+    /// Returns the entry of a model, on the first device if none is named, and the entries that the caller must
+    /// unload before it loads the model.
     ///
     /// # Errors
     /// If the model does not exist or has an error, if the device is not offered, or if all entries are in use.

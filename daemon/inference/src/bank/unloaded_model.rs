@@ -14,8 +14,8 @@ pub struct UnloadedModel {
     pub device: String,
     /// Time for which it was loaded.
     pub loaded_for: Span,
-    /// Shrinkage of this process's resident memory while the model was unloaded, bytes; `None` if it is unknown. The memory
-    /// allocator may keep memory for later use.
+    /// Shrinkage of this process's resident memory while the model was unloaded, bytes; `None` if it is unknown. The
+    /// memory allocator may keep memory for later use.
     pub memory_released: Option<u64>,
     /// Reason for unloading it.
     pub reason: UnloadReason,

@@ -75,7 +75,8 @@ pub trait ModelKind {
         None
     }
 
-    /// Returns the environment variables that the configuration sets for the processes of users' code; `None` if the kind has none.
+    /// Returns the environment variables that the configuration sets for the processes of users' code; `None` if the
+    /// kind has none.
     fn env_mut(&mut self) -> Option<&mut BTreeMap<String, String>> {
         None
     }
@@ -190,7 +191,8 @@ impl ModelConfig {
         self.kind_keys().is_program()
     }
 
-    /// Returns the environment variables that the configuration sets for the processes of users' code; `None` if the kind has none.
+    /// Returns the environment variables that the configuration sets for the processes of users' code; `None` if the
+    /// kind has none.
     pub fn env_mut(&mut self) -> Option<&mut BTreeMap<String, String>> {
         self.kind_keys_mut().env_mut()
     }

@@ -14,7 +14,8 @@ use crate::{InferenceError, LoadError, Model, Requester, Worker};
 /// Longest stage, milliseconds: one day.
 const MAX_STAGE_MS: usize = 24 * 3600 * 1000;
 
-/// Keys of a model of `kind = "sleep"`. It computes nothing: a worker processes one sample at a time and sleeps instead of computing.
+/// Keys of a model of `kind = "sleep"`. It computes nothing: a worker processes one sample at a time and sleeps
+/// instead of computing.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SleepConfig {

@@ -13,8 +13,8 @@ use super::ModelKind;
 /// Entries of a table: keys with their values.
 pub type Keys = Map<String, Value>;
 
-/// Keys that several kinds of model share. A kind lists the keys that it has ([`ModelKind::shared_keys`]); the other keys have their
-/// defaults.
+/// Keys that several kinds of model share. A kind lists the keys that it has ([`ModelKind::shared_keys`]); the other
+/// keys have their defaults.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SharedKeys {
     /// Name under which peers request the model.
@@ -89,7 +89,8 @@ impl<'de, K: ModelKind + DeserializeOwned> Deserialize<'de> for ModelTable<K> {
         let mut shared: Keys = K::shared_keys().iter().filter_map(|key| entries.remove_entry(*key)).collect();
         shared.entry("device").or_insert_with(|| K::default_device().into());
         let shared = serde_json::from_value(shared.into()).map_err(de::Error::custom)?;
-        // What is left are the keys of the kind. For a kind without keys, serde reads `struct Name {}` from a map and `struct Name;` from null.
+        // What is left are the keys of the kind. For a kind without keys, serde reads `struct Name {}` from a map and
+        // `struct Name;` from null.
         let is_keyless = entries.is_empty() && field_names::<K>().is_empty();
         let read = serde_json::from_value(entries.into());
         let kind_keys = if is_keyless { read.or_else(|_| serde_json::from_value(Value::Null)) } else { read };

@@ -41,7 +41,8 @@ impl Requester for Listener {
     }
 }
 
-/// Submits a sample, and cancels its request with the partial answer of this number. Returns the result and the partial answers.
+/// Submits a sample, and cancels its request with the partial answer of this number. Returns the result and the
+/// partial answers.
 pub(super) fn run_until_partial_answer(
     pool: &Pool,
     sample: Sample,

@@ -3,7 +3,8 @@
 use std::path::Path;
 use std::process::ExitCode;
 
-// This program contains the command line, too, so that an optimised build links one program instead of two. Linking takes most of such a build.
+// This program contains the command line, too, so that an optimised build links one program instead of two. Linking
+// takes most of such a build.
 fn main() -> ExitCode {
     peernetd::disable_library_telemetry();
     let program_path = std::env::args_os().next().unwrap_or_default();

@@ -1,5 +1,5 @@
-//! The command `peernetd run`. The order of its steps is fixed: temporary log, configuration with all checks, configured log, runtime,
-//! parts, READY.
+//! The command `peernetd run`. The order of its steps is fixed: temporary log, configuration with all checks,
+//! configured log, runtime, parts, READY.
 
 use std::path::Path;
 use std::time::Duration;

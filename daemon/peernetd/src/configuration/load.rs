@@ -30,8 +30,8 @@ const MAX_FILE_BYTES: u64 = 4 << 20;
 /// Tables that belong in another table, and the hint for each.
 const MISPLACED: [(&str, &str); 1] = [("retention", "did you mean [aggregator.retention]?")];
 
-/// Pairs of a table and the suffix of the keys whose check depends on that table. Problems of these keys are not reported
-/// if the table has mistakes.
+/// Pairs of a table and the suffix of the keys whose check depends on that table. Problems of these keys are not
+/// reported if the table has mistakes.
 const DEPENDENT: [(&str, &str); 9] = [
     ("model", ".placement.model"),
     ("bank", ".placement.model"),
@@ -199,8 +199,8 @@ fn check_remainder(mut remainder: Remainder<File>) -> Vec<(String, String)> {
     role_problems.chain(problems.filter(is_certain)).collect()
 }
 
-/// Returns the problems (key and text) of tables that need another table. Tables in `incomplete` exist in the file, even if
-/// `file` does not have them.
+/// Returns the problems (key and text) of tables that need another table. Tables in `incomplete` exist in the file,
+/// even if `file` does not have them.
 fn missing_role_tables(file: &File, incomplete: &BTreeSet<String>) -> Vec<(&'static str, &'static str)> {
     let (has_agent, has_aggregator) = (
         file.agent.is_some() || incomplete.contains("agent"),
@@ -267,7 +267,8 @@ impl Configuration {
         clock::system(self.agent.as_ref().map_or(ClockIdentity::SYSTEM, |agent| &agent.agent.clock_identity))
     }
 
-    /// Returns the clock that the agent reads: `system_clock`, or the faulty clock that `[clock_fault]` defines, from now on.
+    /// Returns the clock that the agent reads: `system_clock`, or the faulty clock that `[clock_fault]` defines, from
+    /// now on.
     ///
     /// # Errors
     /// If the kernel's boot id cannot be read.

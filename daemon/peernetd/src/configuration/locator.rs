@@ -16,8 +16,8 @@ impl<'a> Locator<'a> {
         Self { text, root: DeTable::parse(text).ok() }
     }
 
-    /// Returns the line, from 1, of a key such as `pipeline[1].sensor.path`. A key that is not in the file, because its default
-    /// applies, has the line of its nearest parent in the file.
+    /// Returns the line, from 1, of a key such as `pipeline[1].sensor.path`. A key that is not in the file, because
+    /// its default applies, has the line of its nearest parent in the file.
     pub(crate) fn line(&self, key: &str) -> Option<usize> {
         let root = self.root.as_ref()?;
         let mut table = root.get_ref();

@@ -63,8 +63,8 @@ fn find_needless_array(
     is_needless.then(|| Mistake { key: name.to_string(), error: error() })
 }
 
-/// Returns all mistakes of a file in which [`read`] found `first_mistake`, and the rest of the file without them. Each table
-/// and each element of an array of tables is read separately.
+/// Returns all mistakes of a file in which [`read`] found `first_mistake`, and the rest of the file without them.
+/// Each table and each element of an array of tables is read separately.
 pub(super) fn all_mistakes<'a, T: Deserialize<'a>>(
     text: &'a str,
     arrays: &[&str],
@@ -148,8 +148,8 @@ fn split_into_parts<'a>(root: &DeTable<'a>) -> Vec<Part<'a>> {
 }
 
 impl<'a> Part<'a> {
-    /// Deserialises the part repeatedly, each time without the key that failed, until the rest is valid. Returns the rest,
-    /// and adds the mistakes and the paths of the removed keys to the lists.
+    /// Deserialises the part repeatedly, each time without the key that failed, until the rest is valid. Returns the
+    /// rest, and adds the mistakes and the paths of the removed keys to the lists.
     fn find_mistakes<T: Deserialize<'a>>(
         &self,
         mistakes: &mut Vec<Mistake>,
@@ -189,8 +189,8 @@ impl<'a> Part<'a> {
         None
     }
 
-    /// Adds the valid rest of this part to the valid rest of the file. An element of an array is appended, and its index in the file
-    /// is recorded.
+    /// Adds the valid rest of this part to the valid rest of the file. An element of an array is appended, and its
+    /// index in the file is recorded.
     fn append_to(
         &self,
         valid: Spanned<DeTable<'a>>,

@@ -160,8 +160,8 @@ fn read(
     let (limit, warm_up) = (experiment.limit()?, experiment.warm_up());
     for pipeline in &mut agent.pipelines {
         pipeline.limit = limit;
-        // Without feedback every episode has all of its steps, which the total contains. The plan of such an experiment stays as
-        // earlier releases wrote it.
+        // Without feedback every episode has all of its steps, which the total contains. The plan of such an
+        // experiment stays as earlier releases wrote it.
         pipeline.limit.episodes = experiment.episodes().filter(|_| pipeline.actuator.ends_episodes());
         pipeline.warm_up = warm_up;
         pipeline.episode_steps = experiment.episode_steps;

@@ -79,7 +79,8 @@ impl Field {
         self.0.iter().zip(&other.0).all(|(a, b)| a == b)
     }
 
-    /// Returns whether setting this field overwrites the other field, either directly or because this field contains it.
+    /// Returns whether setting this field overwrites the other field, either directly or because this field contains
+    /// it.
     pub(super) fn covers(&self, other: &Self) -> bool {
         self.0.len() <= other.0.len() && self.touches(other)
     }

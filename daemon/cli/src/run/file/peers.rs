@@ -46,8 +46,8 @@ impl DeviceFiles {
     }
 }
 
-/// Replaces a device's name in `pipeline.placement.peer` by its address, and for an address of ROS 2 adds the file's settings to
-/// `pipeline.placement.session.ros2`. Returns the file.
+/// Replaces a device's name in `pipeline.placement.peer` by its address, and for an address of ROS 2 adds the file's
+/// settings to `pipeline.placement.session.ros2`. Returns the file.
 ///
 /// # Errors
 /// When the file cannot be read or has no such device.

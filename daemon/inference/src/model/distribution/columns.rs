@@ -12,7 +12,8 @@ const MAX_COLUMNS: usize = 64;
 /// Stages that a remote pipeline measures itself: their replayed latencies would count twice.
 const TRANSPORT: [Name; 3] = [stage::UPLOAD, stage::QUEUE, stage::DOWNLOAD];
 
-/// Different columns of a `data.csv`, at least one; their sum in a row is one latency. Written as one name or a list of names.
+/// Different columns of a `data.csv`, at least one; their sum in a row is one latency. Written as one name or a list
+/// of names.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Columns(Vec<String>);
 

@@ -25,14 +25,15 @@ const MIN_REPORTED_SHARE: f64 = 0.01;
 pub(super) struct RecordedLatencies {
     /// Latencies, seconds; at least one.
     pub(super) latencies: Vec<f64>,
-    /// Stages of the model that the latencies do not contain, with their means in seconds, if they are 1 % of the mean latency or
-    /// more.
+    /// Stages of the model that the latencies do not contain, with their means in seconds, if they are 1 % of the
+    /// mean latency or more.
     pub(super) omitted_stages: Vec<(String, f64)>,
 }
 
-/// Reads the latencies in a `data.csv`, each the sum of the columns in a row, from the iterations that statistics include:
-/// iterations with an answer that are not warm-up. A file without columns for outcome and warm-up has only such iterations; for
-/// example, a file of the program that was published with the paper. A row in which a column is empty has no latency.
+/// Reads the latencies in a `data.csv`, each the sum of the columns in a row, from the iterations that statistics
+/// include: iterations with an answer that are not warm-up. A file without columns for outcome and warm-up has only
+/// such iterations; for example, a file of the program that was published with the paper. A row in which a column is
+/// empty has no latency.
 ///
 /// # Errors
 /// If the file is not a regular file or cannot be read, lacks a column or has it twice, a row is too long or has a cell that is

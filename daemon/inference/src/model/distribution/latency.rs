@@ -163,7 +163,8 @@ impl LatencyDistribution {
     }
 }
 
-/// Describes stages with their means in seconds, such as `preprocessing (mean 339 ms) and postprocessing (mean 12.0 ms)`.
+/// Describes stages with their means in seconds, such as `preprocessing (mean 339 ms) and postprocessing (mean 12.0
+/// ms)`.
 pub(super) fn describe_stages(stages: &[(String, f64)]) -> String {
     let described =
         stages.iter().map(|(stage, mean_s)| format!("{stage} (mean {} ms)", significant(mean_s * 1e3)));

@@ -35,8 +35,8 @@ const REPLAYED: &str = "Replayed";
 const DRAWN_LATENCY: Name = Name::from_static("drawn-latency");
 /// Node below `inference`: the time of the inner model. The stages of the inner model are below this node.
 const INNER_MODEL: Name = Name::from_static("inner-model");
-/// Node below `inference`: the time by which `inference` took longer than the drawn latency, seconds: because the inner model was slower,
-/// or because this host woke up late.
+/// Node below `inference`: the time by which `inference` took longer than the drawn latency, seconds: because the
+/// inner model was slower, or because this host woke up late.
 const OVERRUN: Name = Name::from_static("overrun");
 
 /// Keys of a model of `kind = "distribution"`. One of `data`, `histogram` and `mean_ms` names the distribution.
@@ -55,8 +55,8 @@ pub struct DistributionConfig {
     /// Standard deviation of the log-normal distribution, milliseconds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub std_ms: Option<f64>,
-    /// Seed of the draws: equal seeds draw equal latencies after the model was loaded. Default: a new one each time the model is loaded;
-    /// in an experiment the seed of the repeat and the user.
+    /// Seed of the draws: equal seeds draw equal latencies after the model was loaded. Default: a new one each time
+    /// the model is loaded; in an experiment the seed of the repeat and the user.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
     /// Name of another model of this host, whose answer is returned after the drawn time. Without it the answer is

@@ -43,7 +43,8 @@ pub struct OnnxConfig {
 pub struct BatchConfig {
     /// Maximum number of requests in a batch.
     pub max_size: NonZeroUsize,
-    /// Longest time that the first request of a batch waits for further ones, milliseconds. 0 takes only those that wait already.
+    /// Longest time that the first request of a batch waits for further ones, milliseconds. 0 takes only those that
+    /// wait already.
     #[serde(default)]
     pub max_wait_ms: f64,
 }

@@ -43,7 +43,8 @@ fn example_part(input: &Input) -> Option<Part> {
 
 /// Returns uncompressed pixels of generated noise, so that nothing has to be decoded.
 fn pixels(width: u32, height: u32) -> Part {
-    // Multiplicative hashing with the prime 2,654,435,761, which is about 2³² divided by the golden ratio (D. E. Knuth).
+    // Multiplicative hashing with the prime 2,654,435,761, which is about 2³² divided by the golden ratio (D. E.
+    // Knuth).
     let noise = |at: u32| (at.wrapping_mul(2_654_435_761) >> 24) as u8;
     let bytes: Bytes = (0..width * height * 3).map(noise).collect::<Vec<u8>>().into();
     Part { description: Description::pixels(PixelFormat::Rgb8, width, height), bytes }

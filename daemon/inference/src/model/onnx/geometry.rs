@@ -75,7 +75,8 @@ impl Geometry {
         }
     }
 
-    /// Reads a picture and applies the steps. Afterwards [`picture`](Self::picture) returns it in the size of the input.
+    /// Reads a picture and applies the steps. Afterwards [`picture`](Self::picture) returns it in the size of the
+    /// input.
     pub(super) fn apply(&mut self, part: &Part, format: PixelFormat) -> Result<PictureTransform, InputError> {
         self.last = LastStep::Decode;
         read_part(part, format, &mut self.decoded)?;

@@ -33,8 +33,8 @@ struct InputBuffer {
 }
 
 impl ModelInputs {
-    /// Creates inputs for at most `max_size` samples: constants as they are in the card, all others zeros. An input has one row
-    /// for each sample if `is_batched`.
+    /// Creates inputs for at most `max_size` samples: constants as they are in the card, all others zeros. An input
+    /// has one row for each sample if `is_batched`.
     pub(super) fn new(inputs: &[Input], max_size: usize, is_batched: impl Fn(&Input) -> bool) -> Self {
         let buffer = |input: &Input| InputBuffer::new(input, if is_batched(input) { max_size } else { 1 });
         let preprocessors =
@@ -46,8 +46,8 @@ impl ModelInputs {
         }
     }
 
-    /// Fills the inputs from the parts of the samples, in the order of the card: the samples that can be used have the first rows,
-    /// in their order. Returns for each sample whether it can be used.
+    /// Fills the inputs from the parts of the samples, in the order of the card: the samples that can be used have
+    /// the first rows, in their order. Returns for each sample whether it can be used.
     ///
     /// # Errors
     /// A sample cannot be used if it has fewer or more parts than the model takes, or if an input cannot be made from its part. A
@@ -87,8 +87,8 @@ impl ModelInputs {
         Ok(())
     }
 
-    /// Reads the pictures of all samples and brings them to the sizes of their inputs: files on several threads, because decoding
-    /// takes most of the time before inference.
+    /// Reads the pictures of all samples and brings them to the sizes of their inputs: files on several threads,
+    /// because decoding takes most of the time before inference.
     fn read_pictures(&mut self, samples: &[&Sample]) {
         let takes_picture: Vec<bool> =
             self.inputs.iter().filter(|buffer| buffer.takes_part()).map(InputBuffer::takes_picture).collect();

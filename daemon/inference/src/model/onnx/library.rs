@@ -44,7 +44,8 @@ impl Drop for LibraryUse {
     }
 }
 
-/// Returns whether any thread uses ONNX Runtime. The process must then end without the destructors of libraries, that is with `_exit(2)`.
+/// Returns whether any thread uses ONNX Runtime. The process must then end without the destructors of libraries, that
+/// is with `_exit(2)`.
 pub fn is_library_in_use() -> bool {
     USES.load(Ordering::SeqCst) > 0
 }

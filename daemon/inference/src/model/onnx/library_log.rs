@@ -53,7 +53,8 @@ impl LibraryLog {
     }
 }
 
-/// Returns the place and the message without digits, up to `Status Message:`. The text after it may contain values of the sample.
+/// Returns the place and the message without digits, up to `Status Message:`. The text after it may contain values of
+/// the sample.
 fn kind(place: &str, message: &str) -> String {
     let (node, _) = message.split_once("Status Message:").unwrap_or((message, ""));
     let is_no_digit = |character: &char| !character.is_ascii_digit();

@@ -151,7 +151,8 @@ impl Onnx {
 }
 
 impl Plan {
-    /// Returns whether the model could give the answer that a label expects: whether it has the classes of the label, or no classes.
+    /// Returns whether the model could give the answer that a label expects: whether it has the classes of the label,
+    /// or no classes.
     fn has_classes_of(&self, label: &str) -> bool {
         let Some(classes) = &self.classes else { return true };
         let has = |class: &str| classes.contains(&normalized_label(class));

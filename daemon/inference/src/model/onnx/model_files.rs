@@ -1,9 +1,9 @@
 //! The file `model.onnx`: a check of its form, and the files that its weights are in.
 //!
-//! ONNX stores a model as a protocol buffer of type `ModelProto`. The numbers of a tensor are in the file itself or in another file
-//! ("external data"), for example if a model is larger than 2 GB. The path of that file is relative to the model's folder. This
-//! module reads the few fields that lead to tensors and skips all others without reading them, so that a model of 500 MB takes a few
-//! milliseconds.
+//! ONNX stores a model as a protocol buffer of type `ModelProto`. The numbers of a tensor are in the file itself or
+//! in another file ("external data"), for example if a model is larger than 2 GB. The path of that file is relative
+//! to the model's folder. This module reads the few fields that lead to tensors and skips all others without reading
+//! them, so that a model of 500 MB takes a few milliseconds.
 // Sources: https://protobuf.dev/programming-guides/encoding and onnx/onnx.proto3, whose field numbers never change.
 
 use std::collections::BTreeSet;
@@ -150,7 +150,8 @@ impl ModelReader {
         Ok(())
     }
 
-    /// Reads the tag of a field, and its length if it has one. Returns the number of the field and the position of its end.
+    /// Reads the tag of a field, and its length if it has one. Returns the number of the field and the position of
+    /// its end.
     fn read_field(&mut self, end: u64) -> Result<(u64, u64), ModelFileError> {
         let tag = self.read_varint()?;
         // No field has this number. A file that was not received to its end often continues with zeros.

@@ -193,8 +193,8 @@ impl Numbers {
         for_elements!(self, elements => fill(elements, values));
     }
 
-    /// Replaces the numbers at `range` by the bytes of a sample: little-endian, as many as the numbers need. A byte other than
-    /// 0 is true.
+    /// Replaces the numbers at `range` by the bytes of a sample: little-endian, as many as the numbers need. A byte
+    /// other than 0 is true.
     pub(super) fn read(&mut self, range: Range<usize>, bytes: &[u8]) {
         match self {
             Self::Float16(elements) => copy(&mut elements[range], bytes, f16::from_le_bytes),

@@ -10,13 +10,14 @@ use super::card::Segmentation;
 use super::geometry::PictureTransform;
 use super::outputs::{Output, OutputError, Outputs};
 
-/// First part of the answer, as JSON: `{"classes": [{"label": "road", "share": 0.61}, …], "class_count": 19, "width": 1280, "height": 960}`. The
-/// second part has the number of each pixel's class.
+/// First part of the answer, as JSON: `{"classes": [{"label": "road", "share": 0.61}, …], "class_count": 19, "width":
+/// 1280, "height": 960}`. The second part has the number of each pixel's class.
 #[derive(Debug, PartialEq, Serialize)]
 struct Answer<'a> {
     /// The classes that the picture shows, the most frequent one first.
     classes: Vec<SegmentedClass<'a>>,
-    /// Number of the model's classes. A pixel of a mask with this number or a larger one, except 255, has a class that the model does not have.
+    /// Number of the model's classes. A pixel of a mask with this number or a larger one, except 255, has a class
+    /// that the model does not have.
     class_count: usize,
     /// Width of the sample's picture, pixels.
     width: u32,
@@ -130,7 +131,8 @@ impl ClassMap {
         Ok(Self { width, height, classes: numbers.iter().map(class).collect::<Result<_, _>>()? })
     }
 
-    /// Returns the class of each pixel of the picture. It is the class of the output's pixel that contains the centre of the picture's pixel.
+    /// Returns the class of each pixel of the picture. It is the class of the output's pixel that contains the centre
+    /// of the picture's pixel.
     fn in_picture(&self, transform: &PictureTransform) -> Vec<u8> {
         let (width, height) = transform.picture;
         let index = |at: f32, input: u32, length: usize| {

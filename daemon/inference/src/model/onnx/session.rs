@@ -71,7 +71,8 @@ fn reason(text: &str) -> String {
         .filter(|(code, _)| code.parse::<u32>().is_ok())
         .map_or(message, |(_, text)| text);
     let line = message.split_whitespace().collect::<Vec<_>>().join(" ");
-    // As in "…/model.cc:256 onnxruntime::Model::Model(…) Unsupported model IR version: 14, max supported IR version: 13".
+    // As in "…/model.cc:256 onnxruntime::Model::Model(…) Unsupported model IR version: 14, max supported IR version:
+    // 13".
     let newer_format = line.find("Unsupported model IR version").map(|start| &line[start..]);
     if let Some(refusal) = newer_format {
         let supported = refusal.rsplit(' ').next().unwrap_or_default();

@@ -23,7 +23,8 @@ pub struct CardSummary {
     pub task: String,
     /// Description; may be empty.
     pub description: String,
-    /// Shape, element type and order of dimensions: `1 × 3 × 384 × 384 float32 nchw`. Several inputs have their names before it.
+    /// Shape, element type and order of dimensions: `1 × 3 × 384 × 384 float32 nchw`. Several inputs have their names
+    /// before it.
     pub input: String,
     /// Colours, resize, crop and normalisation, in the order in which they are applied.
     pub preprocessing: Vec<String>,

@@ -31,8 +31,8 @@ struct Conditions {
 }
 
 impl TerminableRun {
-    /// Creates the options of a run for these requests; `stop` is cancelled when the host stops. From `overdue_at` on, one cancelled request
-    /// terminates the run.
+    /// Creates the options of a run for these requests; `stop` is cancelled when the host stops. From `overdue_at`
+    /// on, one cancelled request terminates the run.
     pub(super) fn new(
         requests: Vec<CancellationToken>,
         stop: &CancellationToken,
@@ -69,7 +69,8 @@ impl Conditions {
         !self.requests.is_empty() && self.requests.iter().all(CancellationToken::is_cancelled)
     }
 
-    /// Returns whether a request is cancelled that the run should have answered by now. Its sample may be the reason why the run does not end.
+    /// Returns whether a request is cancelled that the run should have answered by now. Its sample may be the reason
+    /// why the run does not end.
     fn is_overdue(&self) -> bool {
         self.requests.iter().any(CancellationToken::is_cancelled) && self.clock.mono() >= self.overdue_at
     }

@@ -34,8 +34,8 @@ pub(super) struct OnnxWorker {
 }
 
 impl OnnxWorker {
-    /// Creates a worker, and runs it on zeros and the card's constants, once for each size of a batch that needs another
-    /// amount of memory: one sample, and the largest batch.
+    /// Creates a worker, and runs it on zeros and the card's constants, once for each size of a batch that needs
+    /// another amount of memory: one sample, and the largest batch.
     // The first run of a session is slow. It also shows whether the card fits the model before a sample arrives.
     pub(super) fn new_warmed_up(
         plan: Arc<Plan>,
@@ -72,7 +72,8 @@ impl OnnxWorker {
         InferenceError::Failed { model: self.plan.name.to_string(), reason: "it gave no answer".to_owned() }
     }
 
-    /// Fills the inputs. Returns for each sample whether it can be computed; those that can have the first rows, in their order.
+    /// Fills the inputs. Returns for each sample whether it can be computed; those that can have the first rows, in
+    /// their order.
     fn preprocess(&mut self, samples: &[&Sample]) -> Vec<Result<(), InferenceError>> {
         let failed = |(result, sample): (Result<(), InputError>, &&Sample)| {
             result.map_err(|error| InferenceError::Input {
@@ -84,8 +85,8 @@ impl OnnxWorker {
         self.inputs.fill(samples).into_iter().zip(samples).map(failed).collect()
     }
 
-    /// Computes the answers of the first rows, one for each recorder, unless the `cancellations` terminate the run. The outer error is an error
-    /// of the whole run.
+    /// Computes the answers of the first rows, one for each recorder, unless the `cancellations` terminate the run.
+    /// The outer error is an error of the whole run.
     fn compute(
         &mut self,
         recorders: &mut [&mut Recorder],
@@ -101,9 +102,9 @@ impl OnnxWorker {
             .map_err(|error| failed(error.to_string()))?;
         let outputs = {
             let mut stages = time_all(recorders, &stage::INFERENCE);
-            // The outputs are in the host's memory when the session returns: it waits for a GPU and copies its outputs. They stay where
-            // the session wrote them until the answer is made. Binding outputs to reused buffers was measured and is not used: 0.73 ms
-            // with and without it on the CPU, for an output of 2.8 MB.
+            // The outputs are in the host's memory when the session returns: it waits for a GPU and copies its
+            // outputs. They stay where the session wrote them until the answer is made. Binding outputs to reused
+            // buffers was measured and is not used: 0.73 ms with and without it on the CPU, for an output of 2.8 MB.
             let values = inputs.values(batch).map_err(|error| failed(error.to_string()))?;
             let outputs = session.run_with_options(values, run.options()).map_err(|error| {
                 let model = plan.name.to_string();
@@ -134,8 +135,8 @@ impl OnnxWorker {
         Ok((0..batch).map(answer).collect())
     }
 
-    /// Computes the answers of several requests in one run. If the library refuses the run, or it is overdue when a request is cancelled, each
-    /// request is computed alone, because the sample of one of them may be the reason.
+    /// Computes the answers of several requests in one run. If the library refuses the run, or it is overdue when a
+    /// request is cancelled, each request is computed alone, because the sample of one of them may be the reason.
     fn compute_together(&mut self, requests: &mut [Request<'_>]) -> Vec<Result<Sample, InferenceError>> {
         let samples: Vec<&Sample> = requests.iter().map(|request| request.sample).collect();
         let tokens: Vec<_> = requests.iter().map(|request| request.requester.cancellation()).collect();
@@ -168,7 +169,8 @@ impl OnnxWorker {
             .collect()
     }
 
-    /// Computes each request alone after the run of all has failed. While the others are computed, a request is in the stage `batch-wait`.
+    /// Computes each request alone after the run of all has failed. While the others are computed, a request is in
+    /// the stage `batch-wait`.
     fn compute_one_by_one(&mut self, requests: &mut [Request<'_>]) -> Vec<Result<Sample, InferenceError>> {
         let started_at = self.clock.mono();
         let mut results = Vec::with_capacity(requests.len());

@@ -1,6 +1,7 @@
 //! An answer that arrives in chunks: its text, and the times at which its chunks arrived. No I/O.
 //!
-//! A chunk is an event of the stream with text of the answer or of the reasoning. Events with a role or the number of tokens only are not chunks.
+//! A chunk is an event of the stream with text of the answer or of the reasoning. Events with a role or the number of
+//! tokens only are not chunks.
 
 use peernet_clock::{MonoTime, Span};
 

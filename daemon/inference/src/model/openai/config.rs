@@ -23,8 +23,8 @@ const RESERVED_PARAMETERS: [&str; 5] = ["model", "messages", "stream", "stream_o
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct OpenaiConfig {
-    /// URL of the API, such as `http://127.0.0.1:8080/v1` or `https://gpu.example/v1`; requests go to `/chat/completions`
-    /// below it.
+    /// URL of the API, such as `http://127.0.0.1:8080/v1` or `https://gpu.example/v1`; requests go to
+    /// `/chat/completions` below it.
     pub url: String,
     /// Name of the model on the server.
     pub model: String,

@@ -41,8 +41,8 @@ impl Connector {
         Self { host, port, tls: None }
     }
 
-    /// Creates a connector for `https://`. Reads the certificates of the authorities that this host trusts: those of the
-    /// operating system, or those that `SSL_CERT_FILE` and `SSL_CERT_DIR` name.
+    /// Creates a connector for `https://`. Reads the certificates of the authorities that this host trusts: those of
+    /// the operating system, or those that `SSL_CERT_FILE` and `SSL_CERT_DIR` name.
     ///
     /// # Errors
     /// Returns the reason if the host is no valid name or no certificate can be read.

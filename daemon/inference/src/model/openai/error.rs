@@ -70,8 +70,8 @@ pub(super) enum RequestError {
 }
 
 impl RequestError {
-    /// Returns whether the same request may succeed later without a change of the configuration: the server is not running, is still
-    /// loading, or is overloaded.
+    /// Returns whether the same request may succeed later without a change of the configuration: the server is not
+    /// running, is still loading, or is overloaded.
     pub(super) fn is_transient(&self) -> bool {
         match self {
             Self::Connect(_)
@@ -101,7 +101,8 @@ impl RequestError {
     }
 
     /// Returns the message, with asterisks in place of a secret and with the texts of the server shortened.
-    // A server may repeat the key that it refuses, in any of these texts. A text that was shortened first could end within the key.
+    // A server may repeat the key that it refuses, in any of these texts. A text that was shortened first could end
+    // within the key.
     pub(super) fn message(mut self, secret: Option<&str>) -> String {
         let secret = secret.filter(|secret| !secret.is_empty());
         let clean = |text: &mut String| {

@@ -75,7 +75,8 @@ pub(super) struct Usage {
 }
 
 impl EventData<'_> {
-    /// Returns whether the event reports an error instead of a part of the answer. vLLM and FastAPI do so without the object `error`.
+    /// Returns whether the event reports an error instead of a part of the answer. vLLM and FastAPI do so without the
+    /// object `error`.
     pub(super) fn is_error(&self) -> bool {
         let is_error_object = self.object.as_ref().is_some_and(|object| object == "error");
         let has_error_text = self.message.as_ref().is_some_and(Value::is_string) || self.detail.is_some();
@@ -137,8 +138,8 @@ impl Delta {
 }
 
 impl Usage {
-    /// Reads the object `usage`. A value that cannot be a number of tokens is left out; the first one is returned as text, such as
-    /// `completion_tokens = -5`.
+    /// Reads the object `usage`. A value that cannot be a number of tokens is left out; the first one is returned as
+    /// text, such as `completion_tokens = -5`.
     pub(super) fn read(usage: &RawValue) -> (Self, Option<String>) {
         let Some(table) = members(usage) else {
             return (Self::default(), Some(format!("usage = {usage}")));
@@ -180,7 +181,8 @@ fn members(value: &RawValue) -> Option<BTreeMap<String, &RawValue>> {
     serde_json::from_str(value.get()).ok()
 }
 
-/// Returns the text of a server's error: `message` or `detail` of the object `error`, `error` itself, or the whole text.
+/// Returns the text of a server's error: `message` or `detail` of the object `error`, `error` itself, or the whole
+/// text.
 fn error_text(error: &Value) -> String {
     let text = |name| error.get(name).and_then(Value::as_str);
     match error {

@@ -8,7 +8,8 @@ const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 
 /// Parser of one stream, which takes bytes in pieces of any length.
 ///
-/// Only the data of events is used, and whether they report an error; the fields `id` and `retry` and comments are ignored.
+/// Only the data of events is used, and whether they report an error; the fields `id` and `retry` and comments are
+/// ignored.
 #[derive(Debug, Default)]
 pub(super) struct EventStream {
     /// Bytes of the line that has no end yet.
@@ -36,7 +37,8 @@ pub(super) struct Event<'a> {
     pub(super) is_error: bool,
 }
 
-/// Name of events that report an error. llama.cpp writes their data into a field of this name, which the standard does not have.
+/// Name of events that report an error. llama.cpp writes their data into a field of this name, which the standard
+/// does not have.
 const ERROR: &[u8] = b"error";
 
 /// Error: an event is longer than 1 MiB.

@@ -19,8 +19,8 @@ use super::scripted_server::tls_stream;
 use super::*;
 use crate::listener::run_cancelled_by;
 
-/// Variable with the file of trusted authorities. It is set for a separate process, because a process of several tests cannot
-/// change its environment.
+/// Variable with the file of trusted authorities. It is set for a separate process, because a process of several
+/// tests cannot change its environment.
 const VARIABLE: &str = "SSL_CERT_FILE";
 
 /// Runs `test` in a separate process, with the path of the file of trusted authorities.

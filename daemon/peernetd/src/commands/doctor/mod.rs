@@ -36,8 +36,8 @@ pub(crate) struct Arguments {
     /// Also compare indexes with their tables and check references, which takes several times as long.
     #[arg(long)]
     full: bool,
-    /// Repair a damaged database while the aggregator is stopped: all readable rows are copied to a new file, which replaces
-    /// the damaged one; the damaged file is renamed.
+    /// Repair a damaged database while the aggregator is stopped: all readable rows are copied to a new file, which
+    /// replaces the damaged one; the damaged file is renamed.
     #[arg(long, conflicts_with_all = ["spool", "full", "json"])]
     repair: bool,
     /// Print one JSON object; fields named _ns are nanoseconds since 1970 UTC.

@@ -28,7 +28,8 @@ pub(in crate::model::onnx) struct Detection {
     pub(in crate::model::onnx) labels: Vec<String>,
     /// Objects with a higher score are reported.
     pub(in crate::model::onnx) score_threshold: f32,
-    /// If two boxes of one class have a higher ratio of intersection to union, the box with the lower score is dropped. `None` to drop none.
+    /// If two boxes of one class have a higher ratio of intersection to union, the box with the lower score is
+    /// dropped. `None` to drop none.
     pub(in crate::model::onnx) iou_threshold: Option<f32>,
     /// Maximum number of objects in an answer. Objects with the highest scores are reported.
     pub(in crate::model::onnx) max_detections: usize,
@@ -37,14 +38,15 @@ pub(in crate::model::onnx) struct Detection {
 /// Outputs of the model, with their names. `n` is the number of candidates.
 #[derive(Clone, Debug, PartialEq)]
 pub(in crate::model::onnx) enum DetectionOutputs {
-    /// One output, `[1, n, 5 + classes]`: box, score of an object being there, scores of the classes (YOLOv5, YOLOv7, YOLOX).
+    /// One output, `[1, n, 5 + classes]`: box, score of an object being there, scores of the classes (YOLOv5, YOLOv7,
+    /// YOLOX).
     Yolov5 { name: String, activation: Activation },
     /// One output, `[1, 4 + classes, n]`: box, scores of the classes (YOLOv8 and later).
     Yolov8 { name: String, activation: Activation },
     /// One output, `[1, n, 6]`: box, score, number of the class (YOLOv10, exports with suppression).
     Yolov10 { name: String },
-    /// Two outputs, logits and boxes `[1, n, 4]`. With softmax the logits are `[1, n, classes + 1]`, the last for "no object" (DETR); with
-    /// sigmoid `[1, n, classes]` (Deformable DETR, RT-DETR).
+    /// Two outputs, logits and boxes `[1, n, 4]`. With softmax the logits are `[1, n, classes + 1]`, the last for "no
+    /// object" (DETR); with sigmoid `[1, n, classes]` (Deformable DETR, RT-DETR).
     Detr { scores: String, boxes: String, is_softmax: bool },
     /// Boxes `[n, 4]`, scores `[n]` and numbers of classes `[n]`, each optionally with a first dimension of length 1
     /// for the batch, and optionally the number of valid candidates: models that contain the suppression.
@@ -147,7 +149,8 @@ impl Layout {
         }
     }
 
-    /// Returns the keys that a card of this layout may have besides the keys of all layouts: names of outputs, and the activation function.
+    /// Returns the keys that a card of this layout may have besides the keys of all layouts: names of outputs, and
+    /// the activation function.
     const fn keys(self) -> &'static [&'static str] {
         match self {
             Self::Yolov5 | Self::Yolov8 => &["name", "activation"],

@@ -62,7 +62,8 @@ pub(super) struct InputTable {
 }
 
 impl Input {
-    /// Converts and checks the tables of a card; `shared` is the preprocessing of pictures whose table has no preprocessing.
+    /// Converts and checks the tables of a card; `shared` is the preprocessing of pictures whose table has no
+    /// preprocessing.
     pub(super) fn from_tables(
         tables: Vec<InputTable>,
         shared: Option<&Preprocessing>,

@@ -72,8 +72,8 @@ impl fmt::Display for Colour {
     }
 }
 
-/// Preprocessing steps, applied in the order of the fields: orientation, resize, crop, then `(byte × scale − mean) / std` for each
-/// channel.
+/// Preprocessing steps, applied in the order of the fields: orientation, resize, crop, then `(byte × scale − mean) /
+/// std` for each channel.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(in crate::model::onnx) struct Preprocessing {
@@ -127,8 +127,8 @@ pub(in crate::model::onnx) enum Resize {
         #[serde(default = "default_true")]
         antialias: bool,
     },
-    /// Resizes to the largest size of the picture's proportions that fits into this size, rounded to the nearest pixel, and fills the
-    /// rest.
+    /// Resizes to the largest size of the picture's proportions that fits into this size, rounded to the nearest
+    /// pixel, and fills the rest.
     Letterbox {
         width: u32,
         height: u32,
@@ -211,7 +211,8 @@ impl Preprocessing {
     /// Checks that the steps produce a picture of `wanted` width and height, pixels.
     pub(super) fn check_size(&self, wanted: (usize, usize)) -> Result<(), CardError> {
         if let (Some(resize), Some(CentreCrop { width, height, .. })) = (self.resize, self.crop) {
-            // The picture may be wide or high, so one side of a crop may be longer than the shorter side of the picture.
+            // The picture may be wide or high, so one side of a crop may be longer than the shorter side of the
+            // picture.
             let (fits, made) = match resize {
                 Resize::Shortest { size, .. } => {
                     (width.min(height) <= size, format!("a shorter side of {size}"))

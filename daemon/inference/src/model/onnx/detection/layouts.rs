@@ -223,8 +223,8 @@ fn first_four(numbers: &[f32]) -> [f32; 4] {
     [numbers[0], numbers[1], numbers[2], numbers[3]]
 }
 
-/// Returns the index of the largest score, and this score. Of equal scores it takes the first. Returns 0 and minus infinity if there are
-/// no scores.
+/// Returns the index of the largest score, and this score. Of equal scores it takes the first. Returns 0 and minus
+/// infinity if there are no scores.
 fn best(scores: &[f32]) -> (usize, f32) {
     let mut best = (0, f32::NEG_INFINITY);
     for (class, score) in scores.iter().enumerate() {
@@ -243,7 +243,8 @@ fn softmax(logits: &[f32], logit: f32) -> f32 {
     (logit - greatest).exp() / sum
 }
 
-/// Returns the score of a number. A softmax needs all numbers and is not an activation of YOLO's outputs; the card's check excludes it.
+/// Returns the score of a number. A softmax needs all numbers and is not an activation of YOLO's outputs; the card's
+/// check excludes it.
 fn activate(activation: Activation, number: f32) -> f32 {
     match activation {
         Activation::Sigmoid => 1.0 / (1.0 + (-number).exp()),

@@ -11,8 +11,8 @@ use super::outputs::{OutputError, Outputs};
 use layouts::Candidates;
 use nms::{Rectangle, keep_best};
 
-/// Answer of a detector, as JSON:
-/// `{"detections": [{"label": "dented", "score": 0.98, "box": [12.5, 40, 81, 96.25]}, …], "width": 1280, "height": 960}`.
+/// Answer of a detector, as JSON: `{"detections": [{"label": "dented", "score": 0.98, "box": [12.5, 40, 81, 96.25]},
+/// …], "width": 1280, "height": 960}`.
 #[derive(Debug, Serialize)]
 struct Answer<'a> {
     /// The objects, the one with the highest score first.

@@ -36,14 +36,16 @@ impl Rectangle {
     }
 }
 
-/// Sorts candidates by score and keeps the best ones, at most `most`. A candidate is dropped if its overlap with a better candidate of
-/// the same class is above `iou_threshold` (greedy non-maximum suppression, as torchvision's `batched_nms`).
+/// Sorts candidates by score and keeps the best ones, at most `most`. A candidate is dropped if its overlap with a
+/// better candidate of the same class is above `iou_threshold` (greedy non-maximum suppression, as torchvision's
+/// `batched_nms`).
 pub(super) fn keep_best(candidates: &mut Vec<Candidate>, iou_threshold: Option<f32>, most: usize) {
     // The sort is stable: candidates with equal scores stay in the order of the model.
     candidates.sort_by(|a, b| b.score.total_cmp(&a.score));
     if let Some(threshold) = iou_threshold {
         let mut kept: Vec<Candidate> = Vec::with_capacity(most.min(candidates.len()));
-        // Each candidate is compared only with the kept candidates. There are at most `most` of them, so a noisy output takes bounded time.
+        // Each candidate is compared only with the kept candidates. There are at most `most` of them, so a noisy
+        // output takes bounded time.
         for candidate in candidates.iter() {
             if kept.len() == most {
                 break;
