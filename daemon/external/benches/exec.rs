@@ -37,7 +37,7 @@ fn main() {
     assert!(compilation.expect("a C compiler is there").success());
     let config = ExecConfig::new(CommandLine::Words(vec![program.display().to_string()]));
 
-    let rows = SIZES.map(|size| (size, call(&config, size, rounds)));
+    let rows = SIZES.map(|size| (size, measure_calls(&config, size, rounds)));
     if json {
         let rows = rows.iter().map(|(size, [p50, p99])| {
             serde_json::json!({ "what": "exec", "bytes": size, "p50_s": p50, "p99_s": p99 })
@@ -52,7 +52,7 @@ fn main() {
 }
 
 /// Measures the time from request to reply; returns its p50 and p99 in seconds.
-fn call(config: &ExecConfig, size: usize, rounds: usize) -> [f64; 2] {
+fn measure_calls(config: &ExecConfig, size: usize, rounds: usize) -> [f64; 2] {
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", ClockIdentity::SYSTEM)));
     let mut program = Program::start(config, Role::Model, "bench", &clock).expect("it starts");
     let sample = Sample::from_part(Description::bytes(), vec![7; size].into());

@@ -33,10 +33,10 @@ fn main() {
             shape: vec![u32::try_from(size).expect("is small")],
             element: Some(ElementType::U8),
         };
-        rows.push(("cat", size, cat(&content, rounds, &clock)));
+        rows.push(("cat", size, measure_cat(&content, rounds, &clock)));
         for (name, description) in [("bytes", Description::bytes()), ("array", array)] {
             let part = Part { description, bytes: content.clone() };
-            rows.push((name, size, echo(&part, rounds, &clock)));
+            rows.push((name, size, measure_echo(&part, rounds, &clock)));
         }
     }
     if json {
@@ -53,7 +53,7 @@ fn main() {
 }
 
 /// Measures the time of each call outside the user's code; returns its p50 and p99 in seconds.
-fn echo(part: &Part, rounds: usize, clock: &SharedClock) -> [f64; 2] {
+fn measure_echo(part: &Part, rounds: usize, clock: &SharedClock) -> [f64; 2] {
     let folder = tempfile::tempdir().expect("there is room for a folder");
     fs::write(folder.path().join("echo.py"), ECHO).expect("it can be written");
     let mut config = PythonConfig::new("echo::Echo");
@@ -72,7 +72,7 @@ fn echo(part: &Part, rounds: usize, clock: &SharedClock) -> [f64; 2] {
 }
 
 /// Measures the time to write to `cat` and read the same bytes back; returns its p50 and p99 in seconds.
-fn cat(content: &Bytes, rounds: usize, clock: &SharedClock) -> [f64; 2] {
+fn measure_cat(content: &Bytes, rounds: usize, clock: &SharedClock) -> [f64; 2] {
     let launch = Launch {
         name: "cat".to_owned(),
         stderr_log: StderrLog::Exec,

@@ -84,21 +84,21 @@ def main():
     is_detector = card["task"] == "detection" and output["layout"] == "yolov8"
 
     # One after the other, as an agent does, so that both programs' caches are as warm.
-    taken = {"preprocessing": [], "inference": [], "postprocessing": []}
+    durations = {"preprocessing": [], "inference": [], "postprocessing": []}
     for _ in range(rounds + 1):
         begin = time.perf_counter()
         values = preprocess()
         middle = time.perf_counter()
-        taken["preprocessing"].append(middle - begin)
+        durations["preprocessing"].append(middle - begin)
         if infer:
             outputs = infer(values)
             end = time.perf_counter()
-            taken["inference"].append(end - middle)
+            durations["inference"].append(end - middle)
             if is_detector:
                 boxes(outputs[0][0], output)
-                taken["postprocessing"].append(time.perf_counter() - end)
+                durations["postprocessing"].append(time.perf_counter() - end)
     print(f"{'':<16}{'min':>10}{'median':>10}   ms, {rounds} rounds")
-    for stage, times in taken.items():
+    for stage, times in durations.items():
         if times:
             times = sorted(times[1:])
             print(f"{stage:<16}{times[0] * 1e3:>10.3f}{times[len(times) // 2] * 1e3:>10.3f}")

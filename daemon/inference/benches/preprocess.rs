@@ -31,7 +31,7 @@ fn main() {
     let bytes = std::fs::read(&picture).expect("the picture is readable").into();
     let sample = Sample::from_part(Description::unshaped(MediaType::Jpeg), bytes);
 
-    let mut taken = STAGES.map(|_| Vec::with_capacity(rounds));
+    let mut durations = STAGES.map(|_| Vec::with_capacity(rounds));
     for _ in 0..rounds {
         let (sender, receiver) = sync_channel(1);
         let reply = Box::new(move |done: FinishedJob| sender.send(done).expect("is awaited"));
@@ -41,12 +41,12 @@ fn main() {
         let FinishedJob { recorder, result } = receiver.recv().expect("is answered");
         result.expect("the picture is answered");
         let tree = recorder.finish();
-        for (stage, times) in STAGES.iter().zip(&mut taken) {
+        for (stage, times) in STAGES.iter().zip(&mut durations) {
             times.extend(tree.find(&[stage]).and_then(|(_, node)| node.measure.value()));
         }
     }
     println!("{:<16}{:>10}{:>10}   ms, {rounds} rounds", "", "min", "median");
-    for (stage, times) in STAGES.iter().zip(&mut taken) {
+    for (stage, times) in STAGES.iter().zip(&mut durations) {
         times.sort_by(f64::total_cmp);
         println!("{stage:<16}{:>10.3}{:>10.3}", times[0] * 1e3, times[times.len() / 2] * 1e3);
     }

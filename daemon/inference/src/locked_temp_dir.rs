@@ -79,24 +79,24 @@ mod tests {
     fn folders_of_ended_processes_are_removed_others_stay() {
         let parent = tempfile::tempdir().expect("a folder");
         let new = || LockedTempDir::new_in(parent.path(), "model").expect("made");
-        let living = new();
+        let in_use = new();
         let LockedTempDir { folder, _lock: lock } = new();
-        let dead = folder.keep();
-        fs::write(dead.join("weights.bin"), b"x").expect("written");
-        let rescued = parent.path().join("peernet-results-x");
-        fs::create_dir(&rescued).expect("made");
+        let kept_folder = folder.keep();
+        fs::write(kept_folder.join("weights.bin"), b"x").expect("written");
+        let results = parent.path().join("peernet-results-x");
+        fs::create_dir(&results).expect("made");
         let other = parent.path().join("other");
         fs::create_dir(&other).expect("made");
         fs::write(other.join(LOCK_FILE), "").expect("written");
 
         let later = new();
-        assert!(dead.exists(), "its lock is held still");
+        assert!(kept_folder.exists(), "its lock is held still");
         drop(lock);
         drop(new());
-        assert!(!dead.exists());
-        assert!([living.path(), later.path(), &rescued, &other].into_iter().all(Path::exists));
-        let paths = [living.path().to_owned(), later.path().to_owned()];
-        drop((living, later));
+        assert!(!kept_folder.exists());
+        assert!([in_use.path(), later.path(), &results, &other].into_iter().all(Path::exists));
+        let paths = [in_use.path().to_owned(), later.path().to_owned()];
+        drop((in_use, later));
         assert!(paths.iter().all(|path| !path.exists()));
     }
 }

@@ -20,17 +20,17 @@ fn main() {
     let clock = Arc::new(SystemClock::new(ClockIdentity::new("bench", "system")));
     println!("{:>10}  {:32}  {:>9}  {:>9}", "iterations", "what", "seconds", "peak MiB");
     for iterations in [10_005, 100_000, 500_000] {
-        let timed = |what: &str, work: &mut dyn FnMut()| {
+        let time_step = |what: &str, work: &mut dyn FnMut()| {
             reset_peak();
-            let started = clock.mono();
+            let started_at = clock.mono();
             work();
-            let seconds = (clock.mono() - started).seconds();
+            let seconds = (clock.mono() - started_at).seconds();
             println!("{iterations:>10}  {what:32}  {seconds:>9.3}  {:>9.1}", peak_kib() as f64 / 1024.0);
         };
         let temporary = tempfile::tempdir().expect("a temporary folder");
         let folder = ResultFolder::create(temporary.path(), Overwrite::Refuse).expect("it is empty");
         let mut rows = Rows::default();
-        timed("rows of trees, data.csv", &mut || {
+        time_step("rows of trees, data.csv", &mut || {
             let mut writer = folder.writer().expect("writable");
             for row in (1..=iterations).map(|number| Row::from_iteration(&iteration(number))) {
                 writer.write(&row);
@@ -38,21 +38,21 @@ fn main() {
             }
             writer.finish().expect("writable");
         });
-        timed("summary", &mut || drop(black_box(Summary::from_rows(&rows))));
-        timed("trust report", &mut || drop(black_box(Report::new(&TrustInput::from_rows(&rows, &[])))));
-        timed("run.json, summary.*, check", &mut || {
+        time_step("summary", &mut || drop(black_box(Summary::from_rows(&rows))));
+        time_step("trust report", &mut || drop(black_box(Report::new(&TrustInput::from_rows(&rows, &[])))));
+        time_step("run.json, summary.*, check", &mut || {
             folder.finish(&RunRecord::default(), &rows).expect("writable");
         });
         drop(std::mem::take(&mut rows));
-        timed("read back", &mut || drop(ResultFolder::open(temporary.path()).expect("readable")));
+        time_step("read back", &mut || drop(ResultFolder::open(temporary.path()).expect("readable")));
         let mut loaded = Vec::new();
-        timed("two for a table read back", &mut || {
+        time_step("two for a table read back", &mut || {
             let open = || ResultFolder::open_columns(temporary.path(), &is_compared).expect("readable");
             loaded = vec![open(), Loaded { folder: "another".into(), ..open() }];
         });
-        timed("table of two, ties", &mut || drop(black_box(Comparison::new(&loaded))));
+        time_step("table of two, ties", &mut || drop(black_box(Comparison::new(&loaded))));
         let comparison = Comparison::new(&loaded);
-        timed("differences of every stage", &mut || {
+        time_step("differences of every stage", &mut || {
             drop(black_box(Differences::between_lines(&comparison, &loaded, 0, 1, 1)));
         });
     }
@@ -100,7 +100,7 @@ fn iteration(number: u64) -> Iteration {
     let sensing = tree.add(NodeId::ROOT, stage::SENSING, Span::ZERO, timer(700, 1));
     tree.add(sensing, stage::CAPTURE, Span::ZERO, timer(600, 2));
     tree.add(sensing, stage::TRANSFORM, Span::ZERO, timer(90, 3));
-    let further = [
+    let nodes = [
         (stage::ENCODE, timer(30, 4)),
         (stage::SEND_QUEUE, timer(5, 5)),
         (stage::UPLOAD, transit(17_000, 6)),
@@ -119,7 +119,7 @@ fn iteration(number: u64) -> Iteration {
         (stage::STAGES_TOTAL, timer(22_700, 12)),
         (stage::UNATTRIBUTED, timer(100, 13)),
     ];
-    for (name, measure) in further {
+    for (name, measure) in nodes {
         tree.add(NodeId::ROOT, name, Span::ZERO, measure);
     }
     Iteration {

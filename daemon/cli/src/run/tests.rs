@@ -11,7 +11,7 @@ use super::*;
 use crate::experiment::RECORD;
 
 #[derive(Debug, Parser)]
-struct Line {
+struct CommandLine {
     #[command(flatten)]
     arguments: Arguments,
 }
@@ -49,7 +49,7 @@ fn numbers(runs: &[Run]) -> Vec<usize> {
     runs.iter().map(|run| run.number).collect()
 }
 
-fn ended(status: RunStatus) -> RunResult {
+fn result_with(status: RunStatus) -> RunResult {
     RunResult {
         status,
         exit: Some(if status == RunStatus::Finished { 0 } else { 69 }),
@@ -66,7 +66,7 @@ fn only_unfinished_runs_are_repeated() {
     let runs = record.plan.runs.clone();
     for (run, status) in runs.iter().zip([RunStatus::Finished, RunStatus::Failed, RunStatus::Interrupted]) {
         record.start_run(run);
-        record.end_run(run, ended(status));
+        record.end_run(run, result_with(status));
     }
     record.start_run(&runs[3]);
     folder.save(&record).expect("writable");
@@ -75,7 +75,7 @@ fn only_unfinished_runs_are_repeated() {
     assert_eq!(loaded, record);
     assert_eq!(numbers(&loaded.to_do(|_| true)), [2, 3, 4]);
     loaded.start_run(&runs[1]);
-    loaded.end_run(&runs[1], ended(RunStatus::Finished));
+    loaded.end_run(&runs[1], result_with(RunStatus::Finished));
     assert_eq!(numbers(&loaded.to_do(|_| true)), [3, 4]);
     assert_eq!((loaded.states[1].attempts, loaded.states[1].seconds), (2, Some(1.5)));
     loaded.reset_run(&runs[0]);
@@ -97,18 +97,18 @@ fn incomplete_results_are_measured_again() {
     let whole = json!({
         "format": 1, "reason": "finished", "counts": { "ok": 2 }, "experiment": record.plan.experiment_place(run, &record.id),
     });
-    let says = |text: &Value| {
+    let write_record = |text: &Value| {
         std::fs::write(path.join("run.json"), text.to_string()).expect("writable");
     };
-    says(&whole);
+    write_record(&whole);
     assert!(message().is_some_and(|why| why.contains("no data.csv")));
     data("iteration,sensing,outcome\n1,0.5,ok\n2,0.5,ok\n");
     assert_eq!(message(), None);
     let mut earlier = whole.clone();
     earlier["experiment"].as_object_mut().expect("a place").remove("position").expect("it is recorded");
-    says(&earlier);
+    write_record(&earlier);
     assert_eq!(message(), None, "an earlier version recorded no position");
-    says(&json!({ "format": 1 }));
+    write_record(&json!({ "format": 1 }));
     assert!(message().is_some_and(|why| why.ends_with("does not say that the run was finished")));
     let another = record.plan.experiment_place(&record.plan.runs[1], &record.id);
     for (key, value, why) in [
@@ -119,10 +119,10 @@ fn incomplete_results_are_measured_again() {
     ] {
         let mut other = whole.clone();
         other[key] = value;
-        says(&other);
+        write_record(&other);
         assert!(message().is_some_and(|message| message.ends_with(why)), "{other}: {:?}", message());
     }
-    says(&whole);
+    write_record(&whole);
     data("iteration,sensing,outcome\n1,0.5,ok\n2,0.");
     assert!(
         message().is_some_and(|why| why.ends_with("data.csv has 1 of the 2 iterations that run.json counts"))
@@ -203,7 +203,7 @@ fn folder_belongs_to_one_experiment_and_program() {
     std::fs::write(path.join(".experiment-x1"), "{").expect("writable");
     let folder = Folder::open(&path).expect("it is an experiment's");
     folder.discard();
-    assert!(!path.exists(), "nothing came to be in it");
+    assert!(!path.exists(), "an empty folder is removed");
 
     std::fs::write(temporary.path().join("notes.txt"), "mine").expect("writable");
     let foreign = Folder::open(temporary.path()).err().expect("it holds something else");
@@ -234,7 +234,7 @@ fn check_of_file_ignores_measured_runs() {
     let words = ["run".as_ref(), file.as_os_str(), "--result-loc".as_ref(), results.as_os_str()];
     let line = |more: &str| {
         let words = words.into_iter().chain([more.as_ref()]);
-        run(&Line::try_parse_from(words).expect("a command line").arguments)
+        run(&CommandLine::try_parse_from(words).expect("a command line").arguments)
     };
     line("--check").expect("nothing is wrong with the file");
     assert_eq!(line("--dry-run").expect_err("the record is damaged").exit, Exit::Data);
@@ -246,7 +246,7 @@ fn selections_choose_runs() {
     let record = record(folder.path());
     let only = |line: &str| {
         let words = ["run", "e.toml"].into_iter().chain(line.split_whitespace());
-        Line::try_parse_from(words).expect("a command line").arguments.only
+        CommandLine::try_parse_from(words).expect("a command line").arguments.only
     };
     let chosen = |line: &str| {
         let only = only(line);
@@ -262,7 +262,7 @@ fn selections_choose_runs() {
     assert_eq!(unknown("--only B=3").as_deref(), Some("B has no value 3, only 1, 2"));
     assert_eq!(unknown("--only C=3").as_deref(), Some("there is no axis C"));
     assert_eq!(unknown("--only 5").as_deref(), Some("there is no run 5; there are 4"));
-    assert!(Line::try_parse_from(["run", "e.toml", "--only", "x"]).is_err());
+    assert!(CommandLine::try_parse_from(["run", "e.toml", "--only", "x"]).is_err());
 }
 
 #[test]
@@ -272,20 +272,21 @@ fn set_values_replace_fields_but_not_axes() {
     std::fs::write(&path, FILE).expect("writable");
     let read = |sets: &[&str]| {
         let words = sets.iter().flat_map(|set| ["--set", set]);
-        let line = Line::try_parse_from(["run", "e.toml"].into_iter().chain(words)).expect("a command line");
+        let line =
+            CommandLine::try_parse_from(["run", "e.toml"].into_iter().chain(words)).expect("a command line");
         let file = File::read(&path, &line.arguments.set)?;
         Ok(Plan::new(&file.experiment, None, file.configurations(&[])?.0))
     };
     let refused = |sets: &[&str]| -> Failure { read(sets).expect_err("refused") };
-    let of_the_file: Result<Plan, Failure> = read(&[]);
+    let unchanged: Result<Plan, Failure> = read(&[]);
     let changed = read(&["experiment.iterations=20", "experiment.repeats=2"]).expect("reads");
-    assert_eq!((of_the_file.expect("reads").runs.len(), changed.runs.len()), (4, 8));
+    assert_eq!((unchanged.expect("reads").runs.len(), changed.runs.len()), (4, 8));
     let limits = changed.configurations.iter().map(|one| one.agent.pipelines[0].limit.iterations);
     assert!(limits.flatten().all(|count| count.get() == 20));
     // Each value of the axis B sets the length.
-    let vain = refused(&["pipeline.sensor.length=7"]);
-    assert_eq!(vain.exit, Exit::Usage);
-    assert!(vain.to_string().contains("no effect: the axis B sets it in all runs"), "{vain}");
+    let ineffective = refused(&["pipeline.sensor.length=7"]);
+    assert_eq!(ineffective.exit, Exit::Usage);
+    assert!(ineffective.to_string().contains("no effect: the axis B sets it in all runs"), "{ineffective}");
     let nowhere = refused(&["pipeline.transforms[0].width=7"]);
     assert!(nowhere.to_string().starts_with("--set: there is no pipeline.transforms[0].width"), "{nowhere}");
     let wrong = refused(&["experiment.iterations=0"]);
@@ -339,18 +340,18 @@ fn exit_code_reports_failed_and_incomplete_runs() {
     let runs = record.plan.runs.clone();
     for run in &runs {
         record.start_run(run);
-        record.end_run(run, ended(RunStatus::Finished));
+        record.end_run(run, result_with(RunStatus::Finished));
     }
     assert!(verdict(&record, &runs, false).is_ok());
-    record.end_run(&runs[1], RunResult { exit: Some(75), ..ended(RunStatus::Finished) });
+    record.end_run(&runs[1], RunResult { exit: Some(75), ..result_with(RunStatus::Finished) });
     let code = |record: &Record, interrupted| verdict(record, &runs, interrupted).expect_err("not well");
     assert!(code(&record, false).to_string().contains("1 run with failed iterations"));
-    record.end_run(&runs[0], ended(RunStatus::Failed));
+    record.end_run(&runs[0], result_with(RunStatus::Failed));
     let failed = code(&record, false);
     assert!(failed.exit == Exit::Incomplete && failed.to_string().contains("1 run failed"), "{failed}");
     assert_eq!(code(&record, true).exit, Exit::Interrupted);
     // A figure that cannot be written is no failure of the run, and takes precedence as an exit code.
-    record.end_run(&runs[0], RunResult { exit: Some(73), ..ended(RunStatus::Finished) });
+    record.end_run(&runs[0], RunResult { exit: Some(73), ..result_with(RunStatus::Finished) });
     let unwritten = code(&record, false);
     assert!(unwritten.exit == Exit::Unwritten, "{unwritten}");
     for text in ["1 run with failed iterations", "1 run without all figures", "peernet plot"] {
@@ -392,7 +393,7 @@ fn experiment_of_another_build_is_reported() {
     let mut record = record(folder.path());
     let runs = record.plan.runs.clone();
     assert_eq!(version_change_note(&record, &runs, "2"), None, "nothing is measured yet");
-    record.end_run(&runs[0], ended(RunStatus::Finished));
+    record.end_run(&runs[0], result_with(RunStatus::Finished));
     let message = version_change_note(&record, &runs[1..], "2").expect("there are two");
     assert!(message.starts_with("started by PEERNet 1, and continued by 2: "), "{message}");
     assert_eq!(

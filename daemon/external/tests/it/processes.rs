@@ -31,7 +31,7 @@ fn shell(script: &str, clock: &SharedClock) -> Process {
     Process::start(&launch, clock).expect("sh is there")
 }
 
-fn line(process: &mut Process, clock: &SharedClock) -> Result<String, ProcessError> {
+fn read_line(process: &mut Process, clock: &SharedClock) -> Result<String, ProcessError> {
     let line = process.read_line(MAX_LINE_BYTES, clock.mono() + LONG_TIMEOUT)?;
     Ok(String::from_utf8(line.to_vec()).expect("text"))
 }
@@ -45,9 +45,9 @@ impl WatchedChild {
         Self(pidfd_open(pid, PidfdFlags::empty()).expect("it runs"))
     }
 
-    fn waits_for_end(&self) -> bool {
-        let patience = Timespec { tv_sec: 60, tv_nsec: 0 };
-        poll(&mut [PollFd::new(&self.0, PollFlags::IN)], Some(&patience)) == Ok(1)
+    fn ends_in_time(&self) -> bool {
+        let timeout = Timespec { tv_sec: 60, tv_nsec: 0 };
+        poll(&mut [PollFd::new(&self.0, PollFlags::IN)], Some(&timeout)) == Ok(1)
     }
 }
 
@@ -59,20 +59,20 @@ const SCRIPT_WITH_CHILD: &str = "sleep 600 & echo $!; read -r _; exit 3";
 fn process_that_ends_by_itself_leaves_nothing() {
     let clock = clock();
     let mut process = shell(SCRIPT_WITH_CHILD, &clock);
-    let child = WatchedChild::new(&line(&mut process, &clock).expect("a number"));
+    let child = WatchedChild::new(&read_line(&mut process, &clock).expect("a number"));
     process.write(&[b"go\n"], clock.mono() + LONG_TIMEOUT).expect("it reads");
-    let error = line(&mut process, &clock).expect_err("it has ended").to_string();
+    let error = read_line(&mut process, &clock).expect_err("it has ended").to_string();
     assert!(error.contains("exit status 3"), "{error}");
-    assert!(child.waits_for_end());
+    assert!(child.ends_in_time());
 }
 
 #[test]
 fn requested_end_leaves_no_processes() {
     let clock = clock();
     let mut process = shell(SCRIPT_WITH_CHILD, &clock);
-    let child = WatchedChild::new(&line(&mut process, &clock).expect("a number"));
+    let child = WatchedChild::new(&read_line(&mut process, &clock).expect("a number"));
     assert!(process.end(LONG_TIMEOUT).status_text().contains("exit status 3"));
-    assert!(child.waits_for_end());
+    assert!(child.ends_in_time());
 }
 
 #[test]
@@ -86,7 +86,7 @@ fn end_by_requested_signal_is_expected() {
         ("echo here; kill -TERM $$", false),
     ] {
         let mut process = shell(script, &clock);
-        line(&mut process, &clock).expect("it has begun");
+        read_line(&mut process, &clock).expect("it has begun");
         let end = process.end(Span::from_seconds(4));
         assert_eq!(end.ended_as_requested(), is_expected, "{script}: {end:?}");
     }
@@ -111,7 +111,7 @@ fn assert_children_end_with_host(end: impl FnOnce(&mut std::process::Child)) {
         [numbers.next().expect("the pipeline"), numbers.next().expect("the process that ignores signals")];
     end(&mut host);
     host.wait().expect("it was started");
-    assert!(children.iter().all(WatchedChild::waits_for_end));
+    assert!(children.iter().all(WatchedChild::ends_in_time));
 }
 
 #[test]
@@ -132,7 +132,7 @@ fn host() {
     let script = "sleep 600 | cat & echo $!; (trap '' HUP TERM; sleep 600) & echo $!; read -r _; sleep 600";
     let mut process = shell(script, &clock);
     for _ in 0..2 {
-        println!("left {}", line(&mut process, &clock).expect("a number"));
+        println!("left {}", read_line(&mut process, &clock).expect("a number"));
     }
     io::stdin().read_to_end(&mut Vec::new()).expect("a pipe");
     std::mem::forget(process);

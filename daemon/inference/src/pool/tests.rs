@@ -83,17 +83,17 @@ fn run(pool: &Pool, text: &'static str) -> FinishedJob {
 }
 
 /// Returns a computation that reports its beginning and waits until the test releases it.
-fn gated() -> (impl Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync, Receiver<()>, SyncSender<()>)
-{
+fn gated_computation()
+-> (impl Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync, Receiver<()>, SyncSender<()>) {
     let (begun, begins) = sync_channel(8);
-    let (go, gate) = sync_channel::<()>(8);
+    let (release, gate) = sync_channel::<()>(8);
     let gate = Mutex::new(gate);
     let compute = move |sample: &Sample| {
         begun.send(()).expect("is awaited");
         gate.lock().expect("is not poisoned").recv().expect("is let go");
         Ok(sample.clone())
     };
-    (compute, begins, go)
+    (compute, begins, release)
 }
 
 #[test]
@@ -111,7 +111,7 @@ fn wait_for_a_worker_is_recorded() {
 
 #[test]
 fn full_queue_returns_the_job() {
-    let (compute, begins, go) = gated();
+    let (compute, begins, release) = gated_computation();
     let pool = pool(1, 1, compute);
     let (first, first_done) = job_with_receiver("first");
     pool.submit(first).expect("a worker is free");
@@ -123,7 +123,7 @@ fn full_queue_returns_the_job() {
     assert_eq!(refused.job.sample, sample("third"));
     assert_eq!(refused.reason, InferenceError::QueueFull { model: "told".to_owned(), capacity: 1 });
     for done in [first_done, second_done] {
-        go.send(()).expect("a worker waits");
+        release.send(()).expect("a worker waits");
         assert!(done.recv().expect("is answered").result.is_ok());
     }
 }
@@ -147,7 +147,7 @@ impl Requester for CancelledRequester {
 
 #[test]
 fn worker_that_ignores_cancellation_is_reported_once() {
-    let (compute, begins, go) = gated();
+    let (compute, begins, release) = gated_computation();
     let clock = clock();
     let pool = start(Arc::new(TestModel(Arc::new(compute))), Sizes { workers: 2, queue: 4 }, clock.clone());
     let tokens = [CancellationToken::new(), CancellationToken::new()];
@@ -170,7 +170,7 @@ fn worker_that_ignores_cancellation_is_reported_once() {
     assert_eq!(logged, [false, false, true, false]);
     let (next, done) = job_with_receiver("next");
     pool.submit(next).expect("has room");
-    (0..3).for_each(|_| go.send(()).expect("is awaited"));
+    (0..3).for_each(|_| release.send(()).expect("is awaited"));
     done.recv().expect("is answered").result.expect("is computed");
     pool.shutdown();
     assert_eq!(pool.blocked_for(), None);
@@ -178,7 +178,7 @@ fn worker_that_ignores_cancellation_is_reported_once() {
 
 #[test]
 fn cancelled_request_gives_up_its_place_in_full_queue() {
-    let (compute, begins, go) = gated();
+    let (compute, begins, release) = gated_computation();
     let pool = pool(1, 1, compute);
     let (first, first_done) = job_with_receiver("first");
     pool.submit(first).expect("a worker is free");
@@ -193,7 +193,7 @@ fn cancelled_request_gives_up_its_place_in_full_queue() {
     let cancelled = Err(InferenceError::Cancelled { model: "told".to_owned() });
     assert_eq!(second_done.recv().expect("is answered").result, cancelled);
     for done in [first_done, third_done] {
-        go.send(()).expect("a worker waits");
+        release.send(()).expect("a worker waits");
         assert!(done.recv().expect("is answered").result.is_ok());
     }
 }
@@ -239,7 +239,7 @@ fn reply_that_panics_leaves_the_pool_working() {
 
 #[test]
 fn shutdown_answers_all_jobs() {
-    let (compute, begins, go) = gated();
+    let (compute, begins, release) = gated_computation();
     let pool = pool(1, 4, compute);
     let (running, running_done) = job_with_receiver("running");
     pool.submit(running).expect("has room");
@@ -255,14 +255,14 @@ fn shutdown_answers_all_jobs() {
     assert_eq!(waiting_done.recv().expect("is answered").result, stopped);
     let refused = pool.submit(job_with_receiver("late").0).expect_err("is shut down");
     assert_eq!(Err(refused.reason), stopped);
-    go.send(()).expect("the worker waits");
+    release.send(()).expect("the worker waits");
     assert_eq!(running_done.recv().expect("is answered").result, Ok(sample("running")));
     ending.join().expect("does not panic");
 }
 
 #[test]
 fn last_handle_may_be_dropped_on_pool_thread() {
-    let (compute, begins, go) = gated();
+    let (compute, begins, release) = gated_computation();
     let pool = pool(1, 1, compute);
     let (sender, receiver) = sync_channel(1);
     let handle = Arc::clone(&pool);
@@ -273,7 +273,7 @@ fn last_handle_may_be_dropped_on_pool_thread() {
     .expect("has room");
     begins.recv().expect("the worker began");
     drop(pool);
-    go.send(()).expect("the worker waits");
+    release.send(()).expect("the worker waits");
     receiver.recv().expect("the reply returned");
 }
 

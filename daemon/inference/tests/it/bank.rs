@@ -32,8 +32,8 @@ fn model_is_loaded_once_and_shared() {
         counted.fetch_add(1, Ordering::SeqCst);
     });
     let pools = std::thread::scope(|scope| {
-        let askers = [(); 4].map(|()| scope.spawn(|| loaded(&bank, "qc")));
-        askers.map(|asker| asker.join().expect("does not panic"))
+        let loaders = [(); 4].map(|()| scope.spawn(|| loaded(&bank, "qc")));
+        loaders.map(|loader| loader.join().expect("does not panic"))
     });
     assert!(pools.iter().all(|pool| Arc::ptr_eq(pool, &pools[0])));
     assert_eq!(loads.load(Ordering::SeqCst), 1);

@@ -61,7 +61,7 @@ fn run_all(bank: &Bank, name: &str, requests: Vec<(Vec<Part>, Arc<dyn Requester>
     finished.into_iter().map(|(_, done)| done).collect()
 }
 
-fn awaited(parts: Vec<Part>) -> (Vec<Part>, Arc<dyn Requester>) {
+fn awaited_request(parts: Vec<Part>) -> (Vec<Part>, Arc<dyn Requester>) {
     (parts, Arc::new(UncancelledRequester))
 }
 
@@ -87,7 +87,7 @@ fn batch_answers_each_of_its_samples() {
         let front = pixels((2, 2), vec![10 * index; 12]);
         let mut parts = vec![front];
         parts.extend(row(&[f32::from(index), 600.0]));
-        awaited(parts)
+        awaited_request(parts)
     };
     let finished = run_all(&bank, "open-policy", (0..4).map(sample).collect());
     for (index, done) in finished.into_iter().enumerate() {
@@ -108,20 +108,21 @@ fn batch_answers_each_of_its_samples() {
 #[test]
 fn batch_starts_when_its_first_request_has_waited() {
     let bank = batching_bank("open-root", "{ max_size = 4, max_wait_ms = 20 }");
-    let mut finished = run_all(&bank, "open-root", vec![awaited(row(&[4.0, 9.0, 16.0]))]);
+    let mut finished = run_all(&bank, "open-root", vec![awaited_request(row(&[4.0, 9.0, 16.0]))]);
     let done = finished.remove(0);
     assert_eq!(numbers(&done), [2.0, 3.0, 4.0]);
     let tree = done.recorder.finish();
-    let of = |path: &[&str]| tree.find(path).and_then(|(_, node)| node.measure.value()).expect("is recorded");
-    assert_eq!(of(&["inference", "batch-size"]), 1.0);
-    assert!(of(&["batch-wait"]) >= 0.02, "{tree:?}");
+    let node_value =
+        |path: &[&str]| tree.find(path).and_then(|(_, node)| node.measure.value()).expect("is recorded");
+    assert_eq!(node_value(&["inference", "batch-size"]), 1.0);
+    assert!(node_value(&["batch-wait"]) >= 0.02, "{tree:?}");
 }
 
 #[test]
 fn only_user_waits_once_for_others() {
     let bank = batching_bank("open-root", "{ max_size = 4, max_wait_ms = 1000 }");
     let wait_s = || {
-        let done = run_all(&bank, "open-root", vec![awaited(row(&[4.0, 9.0, 16.0]))]).remove(0);
+        let done = run_all(&bank, "open-root", vec![awaited_request(row(&[4.0, 9.0, 16.0]))]).remove(0);
         value(done, &["batch-wait"]).expect("is recorded")
     };
     assert!(wait_s() >= 1.0, "others may come");
@@ -135,10 +136,10 @@ fn only_user_waits_once_for_others() {
 fn failure_of_one_sample_leaves_the_others() {
     let bank = batching_bank("open-root", "{ max_size = 4, max_wait_ms = 60000 }");
     let requests = vec![
-        awaited(row(&[4.0, 9.0, 16.0])),
-        awaited(row(&[1.0, 2.0])),
+        awaited_request(row(&[4.0, 9.0, 16.0])),
+        awaited_request(row(&[1.0, 2.0])),
         (row(&[1.0, 1.0, 1.0]), Arc::new(CancelledRequester) as Arc<dyn Requester>),
-        awaited(row(&[1.0, -1.0, 1.0])),
+        awaited_request(row(&[1.0, -1.0, 1.0])),
     ];
     let mut finished = run_all(&bank, "open-root", requests);
     assert_eq!(numbers(&finished[0]), [2.0, 3.0, 4.0]);
@@ -162,7 +163,7 @@ fn indices(numbers: [i64; 3]) -> Vec<Part> {
 #[test]
 fn run_that_library_refuses_is_repeated_for_each_sample() {
     let bank = batching_bank("table", "{ max_size = 3, max_wait_ms = 60000 }");
-    let requests = [[1, 2, 3], [4, 5_000, 6], [7, 8, 9]].map(|numbers| awaited(indices(numbers)));
+    let requests = [[1, 2, 3], [4, 5_000, 6], [7, 8, 9]].map(|numbers| awaited_request(indices(numbers)));
     let finished = run_all(&bank, "table", requests.into());
     assert_eq!(numbers(&finished[0]), [1.0, 4.0, 9.0]);
     assert_eq!(numbers(&finished[2]), [49.0, 64.0, 81.0]);
@@ -195,7 +196,7 @@ fn cancelled_request_does_not_hold_up_its_batch() {
     let requester =
         |token: &CancellationToken| Arc::new(CancellableRequester(token.clone())) as Arc<dyn Requester>;
     let mut requests = vec![(count(ENDLESS), requester(&tokens[0]))];
-    requests.extend([awaited(count(5)), awaited(count(7))]);
+    requests.extend([awaited_request(count(5)), awaited_request(count(7))]);
     requests.extend(tokens[1..].iter().map(|token| (count(1), requester(token))));
     let batch = format!("{{ max_size = {}, max_wait_ms = 60000 }}", requests.len());
     let bank = batching_bank("open-counter", &batch);

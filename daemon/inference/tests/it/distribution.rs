@@ -23,7 +23,7 @@ fn latencies(finished: FinishedJob) -> (f64, f64) {
     (value(&["inference", "drawn-latency"]), value(&["inference"]))
 }
 
-fn drawn(pool: &Pool, count: usize) -> Vec<f64> {
+fn draw_latencies(pool: &Pool, count: usize) -> Vec<f64> {
     (0..count).map(|_| latencies(run(pool, bytes())).0).collect()
 }
 
@@ -46,12 +46,12 @@ fn inference_takes_the_drawn_latency() {
 
 #[test]
 fn equal_seeds_draw_equal_latencies() {
-    let of = |table: &str| drawn(&loaded(&bank(&[table]), "gpu"), 8);
-    let first = of(LOG_NORMAL);
-    assert_eq!(of(LOG_NORMAL), first);
-    assert_ne!(of(&LOG_NORMAL.replace("seed = 3", "seed = 4")), first);
+    let latencies_of = |table: &str| draw_latencies(&loaded(&bank(&[table]), "gpu"), 8);
+    let first = latencies_of(LOG_NORMAL);
+    assert_eq!(latencies_of(LOG_NORMAL), first);
+    assert_ne!(latencies_of(&LOG_NORMAL.replace("seed = 3", "seed = 4")), first);
     // The sequence does not depend on the number of workers.
-    assert_eq!(of(&format!("{LOG_NORMAL}\nworkers = 3")), first);
+    assert_eq!(latencies_of(&format!("{LOG_NORMAL}\nworkers = 3")), first);
 }
 
 #[test]
@@ -62,7 +62,7 @@ fn each_load_without_seed_draws_a_new_one_that_repeats_it() {
         let facts = pool.facts();
         let (_, replayed) = facts.iter().find(|(name, _)| name == "Replayed").expect("is recorded");
         let (_, seed) = replayed.rsplit_once(", seed ").expect("ends with the seed");
-        (seed.parse::<u64>().expect("a number"), drawn(&pool, 8))
+        (seed.parse::<u64>().expect("a number"), draw_latencies(&pool, 8))
     };
     let (seed, first) = load(&without);
     assert!(seed < 1 << 53, "{seed}");
@@ -81,7 +81,7 @@ fn recorded_latencies_are_replayed_from_file() {
     };
     let bank = bank(&[&table(folder.path(), "device = 'A5000'")]);
     let pool = loaded(&bank, "gpu");
-    let latencies = drawn(&pool, 20);
+    let latencies = draw_latencies(&pool, 20);
     assert!(latencies.iter().all(|drawn| [0.001, 0.002].contains(drawn)), "{latencies:?}");
     assert!(latencies.contains(&0.001) && latencies.contains(&0.002), "{latencies:?}");
     assert_eq!(pool.device(), "A5000");
@@ -98,7 +98,7 @@ fn recorded_latencies_are_replayed_from_file() {
 
     // Another column, and the file itself as the path.
     let bank = super::bank(&[&table(&folder.path().join("data.csv"), "column = 'total'")]);
-    let latencies = drawn(&loaded(&bank, "gpu"), 5);
+    let latencies = draw_latencies(&loaded(&bank, "gpu"), 5);
     assert!(latencies.iter().all(|drawn| [0.003, 0.004].contains(drawn)), "{latencies:?}");
 }
 

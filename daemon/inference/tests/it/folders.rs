@@ -14,8 +14,8 @@ use peernet_inference::{
 
 use super::{clock, demo, slug};
 
-/// Copies the demo model into a folder under a name.
-fn put(folder: &Path, name: &str) -> PathBuf {
+/// Makes a model folder with links to the files of the demo model.
+fn link_demo_model(folder: &Path, name: &str) -> PathBuf {
     let model = folder.join(name);
     fs::create_dir_all(&model).expect("made");
     for file in ["model.onnx", "model.toml"] {
@@ -36,11 +36,11 @@ fn bank(folder: &Path, keys: &str) -> Bank {
 fn models_are_found_by_name_and_path() {
     let root = tempfile::tempdir().expect("a folder");
     let (first, second) = (root.path().join("first"), root.path().join("second"));
-    let chosen = put(&first, "twin");
-    let hidden = put(&second, "twin");
-    put(&second, "efficientnet_v2_s");
+    let chosen = link_demo_model(&first, "twin");
+    let hidden = link_demo_model(&second, "twin");
+    link_demo_model(&second, "efficientnet_v2_s");
     fs::create_dir(second.join("scripts")).expect("made");
-    put(&second, "-no-name");
+    link_demo_model(&second, "-no-name");
     fs::create_dir(second.join("torn")).expect("made");
     fs::write(second.join("torn/model.toml"), "name = 7").expect("written");
     let folders = ModelFolders::new([first, root.path().join("nowhere"), second.clone(), second]);
@@ -79,7 +79,7 @@ fn bank_offers_complete_models_on_allowed_devices() {
     let root = tempfile::tempdir().expect("a folder");
     let bank = bank(root.path(), "");
     assert!(matches!(bank.default_model(), Err(LoadError::Unnamed { known }) if known.is_empty()));
-    put(root.path(), "plates");
+    link_demo_model(root.path(), "plates");
     fs::create_dir(root.path().join("torn")).expect("made");
     fs::write(root.path().join("torn/model.onnx"), "").expect("written");
     assert_eq!(bank.offered_names(), [slug("plates")]);
@@ -96,7 +96,7 @@ fn bank_offers_complete_models_on_allowed_devices() {
     assert!(matches!(bank.load(&slug("torn"), None), Err(LoadError::File { .. })));
     let error = bank.load(&slug("plate"), None).expect_err("unknown").to_string();
     assert!(error.contains("plates") && !error.contains(&root.path().display().to_string()), "{error}");
-    put(root.path(), "second");
+    link_demo_model(root.path(), "second");
     let error = bank.default_model().expect_err("two").to_string();
     assert!(error.contains("plates, second"), "{error}");
     bank.shutdown();
@@ -105,8 +105,8 @@ fn bank_offers_complete_models_on_allowed_devices() {
 #[test]
 fn configured_model_has_priority_over_folder_model() {
     let root = tempfile::tempdir().expect("a folder");
-    put(root.path(), "echo");
-    put(root.path(), "plates");
+    link_demo_model(root.path(), "echo");
+    link_demo_model(root.path(), "plates");
     let echo = |name: &str| toml::from_str(&format!("kind = 'echo'\nname = '{name}'")).expect("reads");
     let bank = Bank::new(vec![echo("echo")], OnnxRuntimeConfig::default(), clock())
         .with_built_in(echo("calibration"))
@@ -121,7 +121,7 @@ fn configured_model_has_priority_over_folder_model() {
 fn limit_of_loaded_models_unloads_idle_ones_only() {
     let root = tempfile::tempdir().expect("a folder");
     for name in ["a", "b", "c"] {
-        put(root.path(), name);
+        link_demo_model(root.path(), name);
     }
     let (unloaded, unloads) = sync_channel(2);
     let bank = bank(root.path(), "most_loaded = 2")
@@ -134,10 +134,10 @@ fn limit_of_loaded_models_unloads_idle_ones_only() {
     assert!(error.contains("a on cpu, b on cpu") && error.contains("most_loaded"), "{error}");
     assert!(Arc::ptr_eq(&a, &load("a").expect("is loaded")), "and now b was asked for longest ago");
 
-    let b_was = Arc::downgrade(&b);
+    let weak_b = Arc::downgrade(&b);
     drop((a, b));
     let c = load("c").expect("b goes");
-    assert!(b_was.upgrade().is_none(), "b is out of memory");
+    assert!(weak_b.upgrade().is_none(), "b is out of memory");
     let model = unloads.try_recv().expect("is reported");
     assert_eq!((&model.name, &*model.device), (&slug("b"), "cpu"));
     assert_eq!(model.reason, UnloadReason::MakesRoomFor(slug("c")));
@@ -162,7 +162,7 @@ fn limit_of_loaded_models_unloads_idle_ones_only() {
 #[test]
 fn replaced_model_is_reloaded_when_unused() {
     let root = tempfile::tempdir().expect("a folder");
-    let folder = put(root.path(), "plates");
+    let folder = link_demo_model(root.path(), "plates");
     let (unloaded, unloads) = sync_channel(1);
     let bank = bank(root.path(), "")
         .on_unload(move |model| unloaded.send(model.reason.clone()).expect("is awaited"));
@@ -182,8 +182,8 @@ fn replaced_model_is_reloaded_when_unused() {
 #[test]
 fn failed_load_leaves_no_cache_entry() {
     let root = tempfile::tempdir().expect("a folder");
-    put(root.path(), "good");
-    let bad = put(root.path(), "bad");
+    link_demo_model(root.path(), "good");
+    let bad = link_demo_model(root.path(), "bad");
     fs::remove_file(bad.join("model.onnx")).expect("removed");
     fs::write(bad.join("model.onnx"), b"\x3a\x00").expect("written"); // an empty graph
     let bank = bank(root.path(), "most_loaded = 1");
@@ -204,7 +204,7 @@ fn table_errors_name_their_key() {
     let named: Vec<&str> = wrong.iter().map(|(key, _)| *key).collect();
     assert_eq!(named, ["folders", "most_loaded", "queue", "devices"], "{wrong:?}");
     let none = config(root.path(), "devices = []");
-    put(root.path(), "plates");
+    link_demo_model(root.path(), "plates");
     let bank = Bank::new(Vec::new(), OnnxRuntimeConfig::default(), clock()).with_folders(none);
     assert!(bank.offered_names().is_empty());
 }
@@ -229,8 +229,11 @@ fn invalid_card_blocks_no_other_model() {
         assert!(reason.contains(part), "{reason}");
     }
     for found in &found {
-        let told = found.card.as_ref().expect_err("no card").to_peer(found.name.as_str(), "cloud");
-        assert!(told.contains(found.name.as_str()), "{told}");
-        assert!(!told.contains("root:x") && !told.contains(&*place.path().to_string_lossy()), "{told}");
+        let text_for_peer = found.card.as_ref().expect_err("no card").to_peer(found.name.as_str(), "cloud");
+        assert!(text_for_peer.contains(found.name.as_str()), "{text_for_peer}");
+        assert!(
+            !text_for_peer.contains("root:x") && !text_for_peer.contains(&*place.path().to_string_lossy()),
+            "{text_for_peer}"
+        );
     }
 }

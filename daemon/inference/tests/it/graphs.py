@@ -72,11 +72,11 @@ def detector(out, name, outputs, lines, candidates, iou):
     inputs = [value("image", "float32", [1, 3, INPUT[1], INPUT[0]])]
     constants = [("c_" + n, a) for n, a in outputs.items()]
     folder = write(out, name, card, nodes, inputs, infos, constants)
-    found = to_picture(suppressed([c for c in candidates if c[1] > SCORE], iou))
+    found = to_picture(suppress_overlaps([c for c in candidates if c[1] > SCORE], iou))
     (folder / "expected.json").write_text(json.dumps(found))
 
 
-def suppressed(candidates, iou):
+def suppress_overlaps(candidates, iou):
     left = sorted(candidates, key=lambda c: -c[1])
     kept = []
     while left and len(kept) < MAX_DETECTIONS:
@@ -309,7 +309,7 @@ def arrays(out):
 # --- pictures to other answers ----------------------------------------------------------------------------------------
 
 
-def others(out):
+def other_tasks(out):
     shape = [1, 3, INPUT[1], INPUT[0]]
     plain = PREPROCESSING.replace("mean = [0.1, 0.2, 0.3]", "mean = [0.0, 0.0, 0.0]").replace(
         "std = [0.5, 1.0, 2.0]", "std = [1.0, 1.0, 1.0]")
@@ -350,7 +350,7 @@ def main():
     out = Path(sys.argv[1])
     detectors(out)
     arrays(out)
-    others(out)
+    other_tasks(out)
 
 
 if __name__ == "__main__":

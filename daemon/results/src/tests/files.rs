@@ -75,7 +75,7 @@ fn written_rows_are_read_back() {
     assert_eq!(
         (other_file.format, other_file.name.as_str()),
         (0, "killed"),
-        "run.json tells of data.csv alone"
+        "run.json describes data.csv only"
     );
 }
 
@@ -152,12 +152,12 @@ fn partial_results_are_marked() {
     };
     write(folder.path(), &rows(10));
     assert_eq!(incompleteness(10, "finished"), None);
-    assert_eq!(incompleteness(10, "stopped"), None, "it had all that was ordered, three unseen");
-    assert_eq!(incompleteness(20, "").as_deref(), None, "nobody knows");
+    assert_eq!(incompleteness(10, "stopped"), None, "it reached its limit; three iterations have no row");
+    assert_eq!(incompleteness(20, "").as_deref(), None, "the reason is unknown");
     let interrupted = "the run was interrupted after 13 of 20 iterations";
     assert_eq!(incompleteness(20, "stopped").as_deref(), Some(interrupted));
-    let gone = "the run broke off after 13 of 20 iterations: the cloud went";
-    assert_eq!(incompleteness(20, "the cloud went").as_deref(), Some(gone));
+    let broken_off = "the run broke off after 13 of 20 iterations: the cloud went";
+    assert_eq!(incompleteness(20, "the cloud went").as_deref(), Some(broken_off));
 
     std::fs::remove_file(folder.path().join("run.json")).expect("it is there");
     let current_incompleteness = || ResultFolder::open(folder.path()).expect("readable").incompleteness();
@@ -167,9 +167,13 @@ fn partial_results_are_marked() {
         "{:?}",
         current_incompleteness()
     );
-    let alone = folder.path().join("run-7.csv");
-    std::fs::copy(folder.path().join("data.csv"), &alone).expect("writable");
-    assert_eq!(ResultFolder::open(&alone).expect("readable").incompleteness(), None, "it never had a record");
+    let separate_file = folder.path().join("run-7.csv");
+    std::fs::copy(folder.path().join("data.csv"), &separate_file).expect("writable");
+    assert_eq!(
+        ResultFolder::open(&separate_file).expect("readable").incompleteness(),
+        None,
+        "it never had a record"
+    );
     std::fs::write(folder.path().join("data.csv"), "iteration,inference\n1,0.1\n").expect("writable");
     assert_eq!(current_incompleteness(), None, "nor has a file of the published program");
 }
@@ -228,9 +232,9 @@ fn folder_is_locked_for_one_program() {
         let refused = ResultFolder::create(folder.path(), overwrite).expect_err("it is taken").to_string();
         assert!(refused.contains("another peernet is writing"), "{refused}");
     }
-    let other_file =
+    let subfolder =
         ResultFolder::create(folder.path(), Overwrite::Subfolder).expect("there is another place");
-    assert_eq!(other_file.path(), folder.path().join("run-2"));
+    assert_eq!(subfolder.path(), folder.path().join("run-2"));
     assert_eq!(std::fs::read_dir(first.path()).expect("a folder").count(), 1, "a lock leaves nothing behind");
     drop(first);
     ResultFolder::create(folder.path(), Overwrite::Replace).expect("it is free again");

@@ -100,7 +100,7 @@ fn record_of_other_version_is_read_partly() {
     .expect("writable");
     let loaded = ResultFolder::open(folder.path()).expect("readable");
     assert_eq!((loaded.record.title.as_str(), loaded.record.edge.name.as_str()), ("x", "e"));
-    assert!(loaded.rows.get(0).is_some_and(|row| !row.warm_up()), "whoever writes a run.json flags its rows");
+    assert!(loaded.rows.get(0).is_some_and(|row| !row.warm_up()), "rows with a run.json have a warm-up flag");
     std::fs::write(folder.path().join("run.json"), "{").expect("writable");
     let error = ResultFolder::open(folder.path()).expect_err("broken").to_string();
     assert!(error.contains("run.json: EOF"), "{error}");

@@ -27,8 +27,8 @@ fn labels_outside_model_classes_are_reported() {
 fn counts_are_sums_and_shares() {
     let mut rows = rows(20);
     for row in &mut rows {
-        let right = f64::from(u8::from(row.iteration % 4 != 0));
-        row.values.extend([("top-1".into(), right), ("skipped-starts".into(), 2.0)]);
+        let is_correct = f64::from(u8::from(row.iteration % 4 != 0));
+        row.values.extend([("top-1".into(), is_correct), ("skipped-starts".into(), 2.0)]);
     }
     let summary = Summary::from_rows(&kept(&rows));
     let text = text(&summary);
@@ -150,7 +150,7 @@ fn nodes_named_like_stages_are_durations() {
     assert_eq!(unit("IPC with the model's process")[..3], ["ms", "1", "1.00"]);
     assert_eq!(unit("IPC with the sensor's process")[..3], ["ms", "1", "2.00"]);
     assert_eq!(unit("mine_capture-ipc_2")[..3], ["ms", "1", "3.00"]);
-    assert_eq!(unit("mine ")[..2], ["1", "4.00"], "nobody knows in what");
+    assert_eq!(unit("mine ")[..2], ["1", "4.00"], "its unit is unknown");
 }
 
 #[test]

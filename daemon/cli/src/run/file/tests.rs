@@ -22,7 +22,7 @@ fn read(more: &str) -> Vec<Configuration> {
     configurations(&format!("{COMMON}{more}")).expect("reads")
 }
 
-fn wrong(more: &str) -> String {
+fn read_error(more: &str) -> String {
     configurations(&format!("{COMMON}{more}")).expect_err("something is wrong").to_string()
 }
 
@@ -38,8 +38,8 @@ fn model_folders_of_command_line_are_searched_first() {
         let (configurations, _) = file.configurations(&["/mine".into(), "/b".into()]).expect("reads");
         configurations[0].agent.bank.folders.clone()
     };
-    let of_bank = folders("[bank]\nfolders = ['/a', '/b']\n");
-    assert_eq!(of_bank, ["/mine", "/b", "/a"].map(std::path::PathBuf::from));
+    let bank_folders = folders("[bank]\nfolders = ['/a', '/b']\n");
+    assert_eq!(bank_folders, ["/mine", "/b", "/a"].map(std::path::PathBuf::from));
     assert_eq!(folders("")[..2], ["/mine", "/b"].map(std::path::PathBuf::from));
 }
 
@@ -133,13 +133,13 @@ fn mistake_is_reported_with_file_key_and_axis() {
             "compare.csv already has a column named count",
         ),
     ] {
-        let error = wrong(more);
+        let error = read_error(more);
         assert!(error.contains(message), "{message} is not in: {error}");
     }
     let placement = "[[axis]]\nname = 'A'\n[[axis.value]]\nlabel = 'x'\n\
                      set = { 'pipeline.placement' = { kind = 'local', model = 'm' } }\n";
     let model = "[[axis]]\nname = 'B'\nfield = 'pipeline.placement.model'\nvalues = ['n']\n";
-    assert!(wrong(&format!("{model}{placement}")).contains("A overwrites what B sets"));
+    assert!(read_error(&format!("{model}{placement}")).contains("A overwrites what B sets"));
     let [both] = read(&format!("{placement}{model}")).try_into().expect("one");
     assert_eq!(
         both.agent.pipelines[0].placement,
@@ -185,7 +185,7 @@ fn only_feedback_can_end_run_after_episodes() {
 
 #[test]
 fn mistake_of_all_combinations_is_reported_once() {
-    let error = wrong(
+    let error = read_error(
         "[bank]\nfolder = []\n[[axis]]\nname = 'A'\nfield = 'pipeline.timeout_ms'\nvalues = [1, 2, 3]\n",
     );
     assert_eq!(error.lines().count(), 1, "{error}");
@@ -269,13 +269,13 @@ fn only_seeds_missing_in_file_are_set() {
         let seeds = configurations(&text).expect("reads")[0].seeds;
         (seeds.sensor, seeds.load)
     };
-    let (open, closed) = ("{ kind = 'text', length = 3 }", "{ mode = 'closed' }");
-    assert_eq!(seeds(open, closed), (true, false));
+    let (unseeded_sensor, closed_load) = ("{ kind = 'text', length = 3 }", "{ mode = 'closed' }");
+    assert_eq!(seeds(unseeded_sensor, closed_load), (true, false));
     assert_eq!(
         seeds("{ kind = 'text', length = 3, seed = 4 }", "{ mode = 'poisson', hz = 1.0 }"),
         (false, true)
     );
-    assert_eq!(seeds(open, "{ mode = 'poisson', hz = 1.0, seed = 2 }"), (true, false));
+    assert_eq!(seeds(unseeded_sensor, "{ mode = 'poisson', hz = 1.0, seed = 2 }"), (true, false));
 }
 
 #[test]
@@ -287,6 +287,6 @@ fn huge_numbers_are_refused_with_key() {
     let error = error_with("repeats = 4000000000");
     assert!(error.contains("e.toml: experiment.repeats: the repeats make 4000000000 runs"), "{error}");
     assert!(error_with("users = 100000").contains("e.toml: experiment.users: 100000"));
-    let error = wrong("[[axis]]\nname = 'P'\nfield = 'experiment.patience_s'\nvalues = [10, -1]\n");
+    let error = read_error("[[axis]]\nname = 'P'\nfield = 'experiment.patience_s'\nvalues = [10, -1]\n");
     assert!(error.contains("experiment.patience_s: -1.0") && error.contains("(with P = -1)"), "{error}");
 }

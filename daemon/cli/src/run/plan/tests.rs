@@ -95,9 +95,9 @@ fn payloads_depend_on_seed_repeat_and_user_only() {
     assert_ne!(seed(run(1, 0), 0), seed(run(1, 0), 1));
     let other = super::tests::plan(FILE, Some(8));
     let Some(SensorConfig::Text(text)) = sensor(&other, &other.runs[0], 0) else { panic!("it is a text") };
-    let others = text.seed;
-    assert_ne!(others, seed(run(other.runs[0].configuration, 0), 0));
-    assert!(others < 1 << 53);
+    let other_seed = text.seed;
+    assert_ne!(other_seed, seed(run(other.runs[0].configuration, 0), 0));
+    assert!(other_seed < 1 << 53);
 }
 
 const PROGRAMS: &str = "\
@@ -132,7 +132,7 @@ values = [1, 2]
 ";
 
 /// Returns the three variables of sensor, actuator and model, and the seed of the draws.
-fn told(plan: &Plan, run: &Run, user: u32) -> (Vec<Vec<String>>, u64) {
+fn variables_and_seed(plan: &Plan, run: &Run, user: u32) -> (Vec<Vec<String>>, u64) {
     let mut agent = plan.agent(run, user, "id");
     let mut pipeline = agent.pipelines.remove(0);
     let envs = [
@@ -144,8 +144,8 @@ fn told(plan: &Plan, run: &Run, user: u32) -> (Vec<Vec<String>>, u64) {
     let variables = |env: &BTreeMap<String, String>| {
         ["PEERNET_SEED", "PEERNET_REPEAT", "PEERNET_USER"].map(|name| env[name].clone()).to_vec()
     };
-    let drawn = agent.models[0].seed_mut().copied().flatten().expect("has a seed");
-    (envs.iter().map(variables).collect(), drawn)
+    let draw_seed = agent.models[0].seed_mut().copied().flatten().expect("has a seed");
+    (envs.iter().map(variables).collect(), draw_seed)
 }
 
 #[test]
@@ -155,23 +155,26 @@ fn users_code_and_draws_depend_on_seed_repeat_and_user_only() {
         let found = plan.runs.iter().find(|run| (run.configuration, run.repeat) == (configuration, repeat));
         found.expect("there is one")
     };
-    let (first, drawn) = told(&plan, find(0, 0), 0);
+    let (first, draw_seed) = variables_and_seed(&plan, find(0, 0), 0);
     assert_eq!(
-        told(&plan, find(1, 0), 0),
-        (first.clone(), drawn),
+        variables_and_seed(&plan, find(1, 0), 0),
+        (first.clone(), draw_seed),
         "configurations are compared on equal draws"
     );
     let seeds: Vec<&str> = first.iter().map(|variables| variables[0].as_str()).collect();
     assert_eq!(seeds[1], "5", "a value of the file stays");
-    assert!(seeds[0] != seeds[2] && seeds[2] == drawn.to_string(), "{seeds:?}");
+    assert!(seeds[0] != seeds[2] && seeds[2] == draw_seed.to_string(), "{seeds:?}");
     for (run, user, numbers) in [(find(0, 1), 0, ["2", "1"]), (find(0, 0), 1, ["1", "2"])] {
-        let (other, other_drawn) = told(&plan, run, user);
-        assert!(other[0][0] != seeds[0] && other[2][0] != seeds[2] && other_drawn != drawn, "{other:?}");
+        let (other, other_draw_seed) = variables_and_seed(&plan, run, user);
+        assert!(
+            other[0][0] != seeds[0] && other[2][0] != seeds[2] && other_draw_seed != draw_seed,
+            "{other:?}"
+        );
         assert!(other.iter().all(|variables| variables[1..] == numbers), "{other:?}");
     }
     let set = PROGRAMS.replace("std_ms = 0.5", "std_ms = 0.5\nseed = 3");
     let plan = super::tests::plan(&set, None);
-    assert_eq!(told(&plan, &plan.runs[0], 0).1, 3);
+    assert_eq!(variables_and_seed(&plan, &plan.runs[0], 0).1, 3);
 }
 
 #[test]
@@ -195,5 +198,5 @@ fn users_are_numbered_after_machine_name() {
     let machine = plan.configurations[0].agent.agent.host_name().expect("the machine has a name");
     let name = |configuration, user| plan.agent_name(run(configuration), user).map(|name| name.to_string());
     assert_eq!(name(3, 1), Some(format!("{machine}-2")));
-    assert_eq!(name(2, 0), None, "a single one takes the machine's");
+    assert_eq!(name(2, 0), None, "a single user has the name of the machine");
 }

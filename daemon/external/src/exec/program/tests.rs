@@ -23,7 +23,7 @@ fn start(role: Role, script: &str, timeout_ms: u64) -> Program {
 /// Timeout that is long enough on a busy machine. Milliseconds.
 const LONG_TIMEOUT_MS: u64 = 60_000;
 
-fn echo() -> Sample {
+fn payload_sample() -> Sample {
     Sample::from_part(Description::bytes(), Bytes::from_static(b"payload\nwith a line"))
 }
 
@@ -34,8 +34,8 @@ const ECHO: &str = "while read -r word bytes media shape source; do \
 fn shell_echoes_samples() {
     let mut program = start(Role::Model, ECHO, LONG_TIMEOUT_MS);
     for _ in 0..3 {
-        let program_call = program.call(Request::Sample(&echo())).expect("replies");
-        assert_eq!(program_call.outcome, ReplyOutcome::Parts(echo().parts));
+        let program_call = program.call(Request::Sample(&payload_sample())).expect("replies");
+        assert_eq!(program_call.outcome, ReplyOutcome::Parts(payload_sample().parts));
         assert_eq!(program_call.notes.stages[0].0, "inference");
         assert!(program_call.ended_at > program_call.started_at);
     }
@@ -120,7 +120,7 @@ fn ended_program_is_restarted() {
 
 /// Calls `ask` with a new program and a request for each role.
 fn for_each_role<T>(script: &str, mut ask: impl FnMut(Program, Request<'_>) -> T) -> [T; 3] {
-    let sample = echo();
+    let sample = payload_sample();
     let requests = [
         (Role::Sensor, Request::Next),
         (Role::Model, Request::Sample(&sample)),
@@ -222,10 +222,10 @@ fn control_characters_of_program_are_replaced_or_escaped() {
 #[test]
 fn error_quotes_output_outside_of_framing() {
     let mut program = start(Role::Model, "read -r line; echo Loading model...; cat", LONG_TIMEOUT_MS);
-    let error = program.call(Request::Sample(&echo())).expect_err("garbage").to_string();
+    let error = program.call(Request::Sample(&payload_sample())).expect_err("garbage").to_string();
     assert!(error.contains("Loading model...") && error.contains("standard error"), "{error}");
     let mut program = start(Role::Model, "head -c 100000 /dev/zero | tr '\\0' x; cat", LONG_TIMEOUT_MS);
-    let error = program.call(Request::Sample(&echo())).expect_err("an endless line");
+    let error = program.call(Request::Sample(&payload_sample())).expect_err("an endless line");
     let text = error.to_string();
     assert!(text.contains("bytes") || text.contains("without a request"), "{text}");
 }
@@ -257,7 +257,7 @@ fn hanging_program_is_killed_and_restarts_are_delayed() {
     let mut errors = (0..6).map(|_| program.call(Request::Next).expect_err("it hangs"));
     let delay_error = errors
         .find(|error| matches!(error, ProgramCallError::RestartDelayed { .. }))
-        .expect("it is left alone");
+        .expect("a restart is delayed");
     assert!(delay_error.to_string().contains("no complete reply within 50ms"), "{delay_error}");
 }
 

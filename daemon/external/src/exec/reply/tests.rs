@@ -10,9 +10,9 @@ use crate::exec::{MAX_LINE_BYTES, Request};
 fn feed(role: Role, output_bytes: &[u8]) -> Result<Option<(Reply, usize)>, FramingError> {
     let mut output = Cursor::new(output_bytes);
     let mut assembler = ReplyAssembler::new(role);
-    let mut next = AssemblyStep::ReadLine;
+    let mut step = AssemblyStep::ReadLine;
     loop {
-        next = match next {
+        step = match step {
             AssemblyStep::ReadLine => {
                 let mut line = Vec::new();
                 output.read_until(b'\n', &mut line).expect("memory can be read");
@@ -218,8 +218,8 @@ proptest! {
         let sample = Sample { parts, source: String::new(), label: None };
         let written = Request::Answer { answer: &sample, source: "" }.pieces().concat();
         // The source `-` is the only word that a reply does not have.
-        let (lines, _) = feed_without_source(&written);
-        prop_assert_eq!(lines, sample.parts);
+        let (parsed_parts, _) = feed_without_source(&written);
+        prop_assert_eq!(parsed_parts, sample.parts);
     }
 }
 

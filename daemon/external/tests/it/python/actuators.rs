@@ -23,7 +23,7 @@ class Model:
     def infer(self, x): return x
     def reset(self, everything): raise RuntimeError('is never called')
 
-class Deaf:
+class WithoutReset:
     def sample(self): return b''
 ";
 
@@ -46,13 +46,17 @@ fn feedback_is_returned_as_json() {
             r#"{"success":true,"reward":0.5}"#,
         ),
     ] {
-        let called = arm.call(&text(returned));
-        let parts = called.result.expect(returned).expect("a value");
+        let actuator_call = arm.call(&text(returned));
+        let parts = actuator_call.result.expect(returned).expect("a value");
         assert_eq!(
             (parts[0].description.media.clone(), &parts[0].bytes[..]),
             (MediaType::Json, expected.as_bytes())
         );
-        assert!(matches!(called.times.steps[..], [(Step::Act, ..)]), "{:?}", called.times.steps);
+        assert!(
+            matches!(actuator_call.times.steps[..], [(Step::Act, ..)]),
+            "{:?}",
+            actuator_call.times.steps
+        );
     }
     for (returned, part) in [
         ("3", "act() returned a int; return None, or a dict with episode_ended, success, reward"),
@@ -88,9 +92,9 @@ fn reset_is_called_and_its_exception_is_returned() {
 
 #[test]
 fn only_sensors_and_actuators_with_the_method_reset() {
-    let of = |object: &str, role| Module::new(ARM, object).start(role).expect(object).resets();
-    assert!(of("own::Sensor", Role::Sensor));
-    assert!(!of("own::Deaf", Role::Sensor) && !of("own::Model", Role::Model));
+    let can_reset = |object: &str, role| Module::new(ARM, object).start(role).expect(object).resets();
+    assert!(can_reset("own::Sensor", Role::Sensor));
+    assert!(!can_reset("own::WithoutReset", Role::Sensor) && !can_reset("own::Model", Role::Model));
     let missing = Module::new(ARM, "own::Sensor").refusal(Role::Actuator);
     assert!(missing.contains("the class own::Sensor has no act(answer)"), "{missing}");
 }

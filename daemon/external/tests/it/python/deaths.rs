@@ -152,8 +152,8 @@ fn failed_allocation_fails_one_call() {
 import resource
 class Own:
     def __init__(self):
-        now = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (now + (64 << 20), resource.RLIM_INFINITY))
+        used_bytes = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (used_bytes + (64 << 20), resource.RLIM_INFINITY))
     def infer(self, x):
         if x == b'much': return bytearray(256 << 20)
         if x == b'answer': return [b'abcd' * (12 << 20)] * 2
@@ -164,7 +164,7 @@ class Own:
     let message = failure(&mut model, &[bytes(b"answer")]);
     assert!(message.contains("not enough memory for a value of 100663296 bytes"), "{message}");
     let large_part = Part { description: Description::bytes(), bytes: vec![7; 3 << 20].into() };
-    assert_eq!(value(&mut model, &[large_part])[0].bytes, "3145728", "the same memory is used on");
+    assert_eq!(value(&mut model, &[large_part])[0].bytes, "3145728", "the same memory is used again");
     let oversized_part = Part { description: Description::bytes(), bytes: vec![7; 128 << 20].into() };
     let message = failure(&mut model, &[oversized_part, bytes(b"and a part in the pipe")]);
     assert!(!message.contains("process"), "it is alive: {message}");

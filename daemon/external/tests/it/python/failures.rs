@@ -43,7 +43,7 @@ fn exception_fails_one_call_with_user_traceback() {
     let message = model_call.result.expect_err("it raised").to_string();
     assert!(message.starts_with("ValueError: wrong: b'raise'\nTraceback"), "{message}");
     assert!(message.contains("own.py\", line") && message.contains("in deeper"), "{message}");
-    assert!(!message.contains("<peernet>"), "our own frames help nobody: {message}");
+    assert!(!message.contains("<peernet>"), "frames of the worker are omitted: {message}");
     assert!(failure(&mut model, &[bytes(b"eof")]).starts_with("EOFError: of mine"));
     assert_eq!(value(&mut model, &[bytes(b"on")])[0].bytes, "on");
 }
@@ -103,7 +103,7 @@ class Own:
 ";
     let mut model = Module::new(source, "own::Own").model();
     for _ in 0..2 {
-        assert!(model.call(&[bytes(b"on")]).result.expect("lists cross").is_some());
+        assert!(model.call(&[bytes(b"on")]).result.expect("lists are transferred").is_some());
     }
 }
 
@@ -144,7 +144,7 @@ fn restart_delay_grows_after_repeated_deaths() {
             error => assert!(matches!(error, PythonError::Died { .. }), "{error}"),
         }
     }
-    assert!(delay_count >= 2, "it rested {delay_count} times");
+    assert!(delay_count >= 2, "{delay_count} restarts were delayed");
 }
 
 #[test]

@@ -53,7 +53,7 @@ fn assert_transfers(table: &[(&str, &str)], pickle: bool) {
     let mut mismatches = Vec::new();
     for (expression, expected) in table {
         let result = transfer(&mut sensor, &mut model);
-        let fits = match (&result, expected.strip_prefix('!')) {
+        let is_expected = match (&result, expected.strip_prefix('!')) {
             (Ok(result), None) => result == expected,
             (Err(error), Some(part)) => {
                 let text = error.to_string();
@@ -61,7 +61,7 @@ fn assert_transfers(table: &[(&str, &str)], pickle: bool) {
             }
             _ => false,
         };
-        if !fits {
+        if !is_expected {
             mismatches.push(format!("{expression}\n    is     {result:?}\n    not    {expected}"));
         }
     }

@@ -81,7 +81,7 @@ fn stages_lie_within_call_and_remainder_is_overhead() {
         .chain(steps.iter().flat_map(|step| [step.1, step.2]))
         .chain([ended_at])
         .collect();
-    assert!(moments.is_sorted(), "the clock of the worker is ours: {moments:?}");
+    assert!(moments.is_sorted(), "the worker has the clock of this process: {moments:?}");
 }
 
 #[test]
@@ -102,7 +102,7 @@ class Named:
 ";
     for (object, seconds) in [("own::One", 0.1), ("own::Two", 0.2), ("own::Named", 0.2)] {
         let sensor_call = Module::new(source, object).sensor().call(&[]);
-        sensor_call.result.expect("pictures cross");
+        sensor_call.result.expect("pictures are transferred");
         let (_, from, to) = sensor_call.times.steps[0];
         assert!((to - from).seconds() >= seconds, "{object}: {:?}", to - from);
     }

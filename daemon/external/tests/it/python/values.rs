@@ -122,7 +122,7 @@ class Model:
 
 #[test]
 fn configured_form_of_pictures_reaches_model() {
-    let kind = "
+    let type_source = "
 class Own:
     def infer(self, x): return '%s.%s' % (type(x).__module__, type(x).__qualname__) + str(getattr(x, 'size', ''))
 ";
@@ -143,7 +143,7 @@ class Own:
         (Images::Numpy, "numpy.ndarray6", "builtins.bytes"),
         (Images::Bytes, "builtins.bytes", "builtins.bytes"),
     ] {
-        let mut module = Module::new(kind, "own::Own");
+        let mut module = Module::new(type_source, "own::Own");
         module.config.images = images;
         let mut model = module.model();
         for (part, expected) in [(picture(), pixels), (file.clone(), png)] {
@@ -175,11 +175,11 @@ class Model:
 
     let parts = value(&mut module("own::Sensor", true).sensor(), &[]);
     assert_eq!(parts[0].description.media, MediaType::Other(PICKLE.to_owned()));
-    assert_eq!(parts.len(), 2, "the array goes beside the pickle, not through it");
+    assert_eq!(parts.len(), 2, "the array is a part of its own, not in the pickle");
     assert_eq!(value(&mut module("own::Model", true).model(), &parts)[0].bytes, "7");
 
     let mut model = module("own::Model", false).model();
     let message = failure(&mut model, &parts);
     assert!(message.contains("not unpickled") && message.contains("pickle = true"), "{message}");
-    assert_eq!(model.call(&parts).times.steps.len(), 0, "the model did not see it");
+    assert_eq!(model.call(&parts).times.steps.len(), 0, "the model did not receive it");
 }

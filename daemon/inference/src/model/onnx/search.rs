@@ -105,7 +105,7 @@ mod tests {
 
     use super::*;
 
-    fn put(folder: &Path, name: &str) -> PathBuf {
+    fn create_file(folder: &Path, name: &str) -> PathBuf {
         fs::create_dir_all(folder).expect("can be made");
         fs::write(folder.join(name), "").expect("can be written");
         folder.join(name).canonicalize().expect("exists")
@@ -126,14 +126,14 @@ mod tests {
         };
         assert_eq!(found(&search_settings), None);
 
-        let above = put(&at("tree/onnxruntime/lib"), "libonnxruntime.so.1");
+        let above = create_file(&at("tree/onnxruntime/lib"), "libonnxruntime.so.1");
         assert_eq!(found(&search_settings), Some(above));
-        let current = put(&at("current/onnxruntime/lib"), "libonnxruntime.so");
+        let current = create_file(&at("current/onnxruntime/lib"), "libonnxruntime.so");
         assert_eq!(found(&search_settings), Some(current));
-        let variable = put(&at("own"), "mine.so");
+        let variable = create_file(&at("own"), "mine.so");
         search_settings.variable = Some(variable.clone().into());
         assert_eq!(found(&search_settings), Some(variable));
-        let configured = put(&at("current/built"), "libonnxruntime.so");
+        let configured = create_file(&at("current/built"), "libonnxruntime.so");
         search_settings.configured = Some("built".into());
         assert_eq!(found(&search_settings), Some(configured));
     }
@@ -141,7 +141,7 @@ mod tests {
     #[test]
     fn missing_configured_library_has_no_fallback() {
         let root = tempfile::tempdir().expect("can be made");
-        put(&root.path().join(FOLDER), "libonnxruntime.so");
+        create_file(&root.path().join(FOLDER), "libonnxruntime.so");
         let mut search_settings = SearchSettings { current: root.path().to_owned(), ..Default::default() };
         search_settings.variable = Some("nowhere.so".into());
         let error = search_settings.search().expect_err("is named").to_string();

@@ -148,7 +148,7 @@ fn self_signed_certificate_is_accepted_if_trusted() {
 #[test]
 fn untrusted_certificates_are_refused_with_reason() {
     with_file_of_authorities("untrusted_certificates_are_refused_with_reason", |file| {
-        let [trusted, other, made_anew] = ["a", "b", "a"].map(Authority::new);
+        let [trusted, other, recreated] = ["a", "b", "a"].map(Authority::new);
         fs::write(file, &trusted.pem).expect("can be written");
         let mut expired = certificate_for("127.0.0.1");
         (expired.not_before, expired.not_after) = (date_time_ymd(2020, 1, 1), date_time_ymd(2021, 1, 1));
@@ -160,7 +160,7 @@ fn untrusted_certificates_are_refused_with_reason() {
         let certificate = certificate_for("127.0.0.1");
         for (config, reason, remedy) in [
             (other.server(&certificate), "certificate: UnknownIssuer", unknown.clone()),
-            (made_anew.server(&certificate), "certificate: BadSignature", unknown),
+            (recreated.server(&certificate), "certificate: BadSignature", unknown),
             (
                 trusted.server(&certificate_for("gpu.example")),
                 "certificate not valid for name \"127.0.0.1\"",

@@ -125,16 +125,16 @@ fn inputs_have_any_rank_and_type() {
 
 #[test]
 fn layout_of_detector_has_defaults() {
-    let of = |output: &str| match Card::parse(&detector(output)).expect(output).task {
+    let task_of = |output: &str| match Card::parse(&detector(output)).expect(output).task {
         Task::Detection(detection) => detection,
         other => panic!("{other:?}"),
     };
-    let yolo = of("layout = 'yolov8'\nname = 'output0'");
+    let yolo = task_of("layout = 'yolov8'\nname = 'output0'");
     assert_eq!((yolo.score_threshold, yolo.iou_threshold, yolo.max_detections), (0.25, Some(0.45), 100));
     assert_eq!((yolo.box_format, yolo.box_unit), (BoxFormat::Cxcywh, BoxUnit::Pixels));
-    let detr = of("layout = 'detr'\nscores = 'logits'\nboxes = 'pred_boxes'\nactivation = 'softmax'");
+    let detr = task_of("layout = 'detr'\nscores = 'logits'\nboxes = 'pred_boxes'\nactivation = 'softmax'");
     assert_eq!((detr.iou_threshold, detr.box_unit), (None, BoxUnit::Fraction));
-    let nms = of(
+    let nms = task_of(
         "layout = 'nms'\nscores = 's'\nboxes = 'b'\nclasses = 'c'\nbox_format = 'yxyx'\niou_threshold = 0.5",
     );
     assert_eq!((nms.iou_threshold, nms.box_format), (Some(0.5), BoxFormat::Yxyx));
