@@ -15,14 +15,14 @@ use super::clock;
 pub(super) const REFUSED: &str = "refused";
 
 /// Requester that keeps partial answers and cancels after some of them, or when its token is cancelled.
-struct Listener {
+struct RecordingRequester {
     partial_answers: Mutex<Vec<Sample>>,
     /// Number of the partial answer with which the request is cancelled.
     limit: usize,
     cancellation: CancellationToken,
 }
 
-impl Requester for Listener {
+impl Requester for RecordingRequester {
     fn send_part(&self, part: Sample) -> Result<(), PartError> {
         if part.parts[0].bytes.starts_with(REFUSED.as_bytes()) {
             return Err(PartError::Refused("it is too large".to_owned()));
@@ -71,9 +71,9 @@ fn run_until(
     sample: Sample,
     limit: usize,
     when_submitted: impl FnOnce(&CancellationToken),
-) -> (Result<Sample, InferenceError>, Arc<Listener>) {
+) -> (Result<Sample, InferenceError>, Arc<RecordingRequester>) {
     let clock = clock();
-    let listener = Arc::new(Listener {
+    let listener = Arc::new(RecordingRequester {
         partial_answers: Mutex::default(),
         limit,
         cancellation: CancellationToken::new(),
