@@ -31,8 +31,8 @@ use plan::Plan;
 /// Studies the link, prints the study and writes its files.
 ///
 /// # Errors
-/// When the peer cannot be reached or fails (69), the study has no result (69), the configuration is wrong (78), the results
-/// cannot be written (73), or the user ended it early (130).
+/// When the peer cannot be reached or fails (69), the study has no result (69), the configuration is wrong (78), the
+/// results cannot be written (73), or the user ended it early (130).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
     start_log(LogDestination::StandardError)?;

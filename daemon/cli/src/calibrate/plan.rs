@@ -48,7 +48,8 @@ impl Plan {
     /// Makes the plan.
     ///
     /// # Errors
-    /// When there are fewer than three sizes, too few to fit a line, or the peer's address does not belong to the network of `--network`.
+    /// When there are fewer than three sizes, too few to fit a line, or the peer's address does not belong to the
+    /// network of `--network`.
     pub(super) fn new(arguments: &Arguments) -> anyhow::Result<Self> {
         let mut sizes = arguments.sizes.clone();
         sizes.sort_unstable();

@@ -43,7 +43,8 @@ impl AgentStateDir {
     /// Configures an agent to keep its state here.
     ///
     /// # Errors
-    /// When the spool of an earlier version cannot be taken over, or the key for the arguments of programs cannot be read or made (69).
+    /// When the spool of an earlier version cannot be taken over, or the key for the arguments of programs cannot be
+    /// read or made (69).
     pub(crate) fn configure(&self, config: &mut AgentConfig) -> Result<(), Failure> {
         self.folder().clone_into(&mut config.agent.state_dir);
         // All runs of this user share one key, so that equal programs of different runs get equal fingerprints.

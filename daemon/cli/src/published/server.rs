@@ -17,8 +17,8 @@ use crate::measure::AgentStateDir;
 /// Serves until enough answers are given, no more requests will come, or Ctrl-C.
 ///
 /// # Errors
-/// When the model does not exist (66), cannot run (69), or the port is in use (69); when clients have ended their runs without
-/// all iterations (75); when the user ended it early (130).
+/// When the model does not exist (66), cannot run (69), or the port is in use (69); when clients have ended their
+/// runs without all iterations (75); when the user ended it early (130).
 pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failure> {
     let mut config = tables(arguments.config.as_deref())?;
     let model = model::from_arguments(arguments, &config.onnxruntime)?;

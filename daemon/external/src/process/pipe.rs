@@ -44,8 +44,8 @@ impl PipeError {
     /// Converts this to the error of a process.
     ///
     /// # Errors
-    /// For a closed pipe: the end that the process closed, or `None` if the process has ended. The caller finds the reason
-    /// in the exit status.
+    /// For a closed pipe: the end that the process closed, or `None` if the process has ended. The caller finds the
+    /// reason in the exit status.
     pub(super) fn into_process_error(self) -> Result<ProcessError, Option<Fault>> {
         match self {
             Self::Closed(fault) => Err(fault),

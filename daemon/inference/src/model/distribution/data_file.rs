@@ -36,8 +36,8 @@ pub(super) struct RecordedLatencies {
 /// empty has no latency.
 ///
 /// # Errors
-/// If the file is not a regular file or cannot be read, lacks a column or has it twice, a row is too long or has a cell that is
-/// neither empty nor a latency, or no row has a latency.
+/// If the file is not a regular file or cannot be read, lacks a column or has it twice, a row is too long or has a
+/// cell that is neither empty nor a latency, or no row has a latency.
 pub(super) fn read_latencies(file: &Path, columns: &Columns) -> Result<RecordedLatencies, LoadError> {
     let wrong = |reason: String| LoadError::File { file: file.to_owned(), reason };
     let mut rows = LatencyRows::open(file).map_err(wrong)?;

@@ -16,7 +16,8 @@ const MAX_NAMED_RUNS: usize = 3;
 /// Returns the file that a path names: the file itself, or `data.csv` in a folder.
 ///
 /// # Errors
-/// If the folder is that of an experiment, which has several runs, or that of several users, who have a `data.csv` each.
+/// If the folder is that of an experiment, which has several runs, or that of several users, who have a `data.csv`
+/// each.
 pub(super) fn data_file(path: &Path) -> Result<PathBuf, LoadError> {
     if !path.is_dir() {
         return Ok(path.to_owned());

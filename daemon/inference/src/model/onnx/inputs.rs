@@ -50,8 +50,8 @@ impl ModelInputs {
     /// the first rows, in their order. Returns for each sample whether it can be used.
     ///
     /// # Errors
-    /// A sample cannot be used if it has fewer or more parts than the model takes, or if an input cannot be made from its part. A
-    /// model that takes one part ignores further parts.
+    /// A sample cannot be used if it has fewer or more parts than the model takes, or if an input cannot be made from
+    /// its part. A model that takes one part ignores further parts.
     pub(super) fn fill(&mut self, samples: &[&Sample]) -> Vec<Result<(), InputError>> {
         let mut results: Vec<_> = samples.iter().map(|sample| self.check_parts(sample)).collect();
         self.read_pictures(samples);

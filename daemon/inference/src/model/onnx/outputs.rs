@@ -85,8 +85,8 @@ impl<'a, 'run> Outputs<'a, 'run> {
     /// Returns an output by its name.
     ///
     /// # Errors
-    /// If the model has no such output, if it is not an array of a type that cards can name, or if it does not have a row for
-    /// each sample of the batch.
+    /// If the model has no such output, if it is not an array of a type that cards can name, or if it does not have a
+    /// row for each sample of the batch.
     pub(super) fn get(&self, name: &'a str) -> Result<Output<'a>, OutputError> {
         let value = self.run.get(name).ok_or_else(|| OutputError::Missing(name.to_owned()))?;
         let unusable = |actual: String| OutputError::Type {

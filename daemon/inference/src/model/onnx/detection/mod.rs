@@ -36,7 +36,8 @@ struct DetectedObject<'a> {
 /// Returns the answer, with boxes in pixels of the sample's picture.
 ///
 /// # Errors
-/// If an output does not have the shape of its layout, contains NaN or an infinite score, or names a class without label.
+/// If an output does not have the shape of its layout, contains NaN or an infinite score, or names a class without
+/// label.
 pub(super) fn detect(
     detection: &Detection,
     outputs: &Outputs<'_, '_>,
