@@ -83,7 +83,8 @@ class Cancelled(Exception):
 
 # Appended to the reason why all that infer() yielded cannot be the whole answer.
 RETURN_IT = "; infer() yielded %d values and returned none, so they are the whole answer: return it"
-# A value that infer() yields counts for at least this number of bytes, so that the number of values in memory is limited, too.
+# A value that infer() yields counts for at least this number of bytes, so that the number of values in memory is
+# limited, too.
 MIN_YIELDED_BYTES = 64
 
 

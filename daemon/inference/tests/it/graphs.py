@@ -251,7 +251,8 @@ def arrays(out):
         node = helper.make_node("Sqrt", ["x"], ["y"])
         write(out, name, card, [node], [value("x", "float32", shape)], [value("y", "float32", shape)])
 
-    # The batch dimension of the input is open, but the output has one row for all samples of a batch: such a model cannot compute batches.
+    # The batch dimension of the input is open, but the output has one row for all samples of a batch: such a model
+    # cannot compute batches.
     card = 'task = "tensors"\n[input]\nname = "x"\ndtype = "float32"\nshape = [1, 3]\n'
     card += '[output]\nname = "y"\ndtype = "float32"\nshape = [1, 3]\n'
     node = helper.make_node("ReduceMean", ["x"], ["y"], axes=[0])
