@@ -66,8 +66,8 @@ struct Parts {
 }
 
 impl Agent {
-    /// Checks a configuration without starting an agent, and returns the problems that it finds in names, files, folders,
-    /// models and ports. Blocks while it reads the files.
+    /// Checks a configuration without starting an agent, and returns the problems that it finds in names, files,
+    /// folders, models and ports. Blocks while it reads the files.
     pub fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
         check(config, clock)
     }
@@ -82,8 +82,8 @@ impl Agent {
     /// people. The agent runs until `stop` is cancelled; then [`RunningAgent::join`] completes the stop.
     ///
     /// # Errors
-    /// [`StartError`] when the host's name, its state directory, spool, keys, threads or ports cannot be used. Nothing
-    /// was started then. A pipeline that cannot start is not an error: it is reported as failed, and the others run.
+    /// [`StartError`] when the host's name, its state directory, spool, keys, threads or ports cannot be used. In this
+    /// case nothing was started. A pipeline that cannot start is not an error: it is reported as failed, and the others run.
     pub async fn start(
         config: AgentConfig,
         version: &'static str,
@@ -146,7 +146,8 @@ async fn start(
     let host = Host { id, name, version, clock };
     let events = EventSinks { event_queue, incidents, runs: Runs::default() };
     let io = IoThreads::start(config.agent.io_threads).map_err(StartError::Threads)?;
-    // The ports are opened within the runtime of the I/O threads, because a socket belongs to the runtime that opened it.
+    // The ports are opened within the runtime of the I/O threads, because a socket belongs to the runtime that opened
+    // it.
     let endpoints = io.with_context(ServeEndpoints::open(&config, &probes, &host)).await?;
     let serve_addresses = endpoints.as_ref().map(ServeEndpoints::addresses).unwrap_or_default();
     for address in &serve_addresses {
@@ -189,8 +190,8 @@ async fn start(
         (Some(receiver), Some(spool), Some(secret), Some(address)) => {
             let identity = (describe_host(&host, &bank, &serve_addresses), secret);
             let (clock, live) = (SharedClock::clone(&host.clock), live.clone());
-            let sources = OutboxContext { clock, incidents: events.incidents, runs: events.runs, live };
-            let outbox = Outbox::start(&config, address.clone(), receiver, spool, identity, sources);
+            let context = OutboxContext { clock, incidents: events.incidents, runs: events.runs, live };
+            let outbox = Outbox::start(&config, address.clone(), receiver, spool, identity, context);
             watch_outbox(&mut tasks, &outbox);
             Some(outbox)
         }
@@ -314,14 +315,15 @@ impl RunningAgent {
         self.tap.as_ref().map_or(0, EventTap::missed_events)
     }
 
-    /// Returns the current live update. It contains every pipeline with the one-second summaries that the aggregator does
-    /// not have yet, the links, the clock, the host's metrics and the counts of events.
+    /// Returns the current live update. It contains every pipeline with the one-second summaries that the aggregator
+    /// does not have yet, the links, the clock, the host's metrics and the counts of events.
     pub fn live_update(&self) -> LiveUpdate {
         let accounting = self.parts.outbox.as_ref().map(Outbox::accounting).unwrap_or_default();
         self.live.update(self.host.id, self.host.clock.wall(), accounting).0
     }
 
-    /// Waits until the aggregator has stored all events of this host, or has stored none for `patience`, or the outbox has ended.
+    /// Waits until the aggregator has stored all events of this host, until it has stored no event for `patience`, or
+    /// until the outbox has ended.
     pub async fn wait_until_delivered(&self, patience: Duration) {
         if let Some(outbox) = &self.parts.outbox {
             outbox.wait_until_delivered(patience).await;
@@ -355,16 +357,17 @@ impl RunningAgent {
                 None => Ok(()),
             }
         };
-        // Models are unloaded first, so that the outbox sends the incidents about it. A model that computes for long must not take the
-        // time in which events are sent: then both happen at once.
+        // Models are unloaded first, so that the outbox still sends the incidents that report the unloading. If this
+        // takes longer than half of the remaining time, because a model is computing, the outbox is closed at the same
+        // time: otherwise no time would be left to send events.
         let mut unloading = Box::pin(unload(bank, deadline - now));
         let unloaded = tokio::time::timeout((deadline - now) / 2, &mut unloading).await;
         let (outbox_result, unload_result) = match unloaded {
             Ok(unload_result) => (close_outbox.await, unload_result),
             Err(_) => tokio::join!(close_outbox, unloading),
         };
-        // If the outbox ended unexpectedly, `tasks` returns an error, too. The result of the outbox comes first, because
-        // only this result contains the reason. The error of `tasks` was logged.
+        // If the outbox ended unexpectedly, `tasks` returns an error, too. The result of the outbox comes first,
+        // because only this result contains the reason. The error of `tasks` was logged.
         outbox_result.and(tasks_result).and(unload_result)
     }
 }

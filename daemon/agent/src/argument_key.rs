@@ -1,5 +1,5 @@
-//! The key of the fingerprints that replace the arguments of programs in descriptions, because arguments may be
-//! secret.
+//! The key with which the arguments of programs are fingerprinted. Descriptions contain the fingerprints instead of the
+//! arguments, because arguments may be secret.
 
 use std::fs;
 use std::io;
@@ -19,7 +19,7 @@ const BYTES: usize = 32;
 /// Returns the key in `folder`; creates key and folder if they do not exist yet.
 ///
 /// # Errors
-/// When the folder cannot be used or the file holds no key.
+/// When the folder cannot be used, or if the file holds no key.
 pub fn argument_key(folder: &Path) -> Result<FingerprintKey, IdentityError> {
     read_or_create(folder, FILE, read_key, || hexadecimal(&random_key())).map(FingerprintKey::new)
 }

@@ -151,11 +151,11 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
 /// sensors and actuators query other hosts.
 pub(crate) fn remarks(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     let mut report = Report::default();
-    // No error: the models of the folders may be missing now, and may never be requested.
+    // A remark and not an error: the folders may get their models later, and nobody may ever request one.
     let folders = ModelFolders::new(config.bank.folders.iter().cloned());
-    let offers_folders = || folders.list().iter().any(|model| model.card.is_ok());
+    let has_loadable_model = || folders.list().iter().any(|model| model.card.is_ok());
     if !config.bank.devices.is_empty()
-        && offers_folders()
+        && has_loadable_model()
         && let Err(error) = check_library(&config.onnxruntime, clock)
     {
         report.add("onnxruntime", format!("the models of [bank] cannot be loaded: {error}"));
@@ -188,8 +188,8 @@ fn check_host(report: &mut Report, host: &HostConfig) {
     report.check_max("agent.stop_timeout_ms", host.stop_timeout_ms, MAX_STOP_TIMEOUT_MS);
 }
 
-fn check_serve(report: &mut Report, serve: &ServeConfig, is_empty: bool) {
-    if is_empty && !serve.calibration {
+fn check_serve(report: &mut Report, serve: &ServeConfig, offers_nothing: bool) {
+    if offers_nothing && !serve.calibration {
         let text = "this host has nothing to serve; add a [[model]], a folder with models to [bank] or a pipeline that observes, \
                     set calibration = true, or remove [serve]";
         report.add("serve", text);
@@ -305,7 +305,7 @@ fn check_pipeline(
 }
 
 fn check_observed(report: &mut Report, prefix: &str, pipeline: &PipelineConfig, observed: &ObserveConfig) {
-    // Reported and not ignored: a user who sets these keys expects an effect.
+    // These keys are reported rather than ignored, because a user who sets them expects an effect.
     let unused_keys = [
         ("sensor", pipeline.sensor.is_some()),
         ("transforms", !pipeline.transforms.is_empty()),

@@ -96,7 +96,8 @@ pub(crate) fn read_or_create<T>(
         .open(&draft)
         .and_then(|mut file| writeln!(file, "{}", create()).and_then(|()| file.sync_all()))
         .map_err(cannot("write", &draft));
-    // Linking, unlike renaming, fails if another process created the file first. The value of that process is used then.
+    // Linking, unlike renaming, fails if another process created the file first. The value of that process is used
+    // then.
     let link_result = write_result.and_then(|()| match fs::hard_link(&draft, &path) {
         Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(cannot("write", &path)(error)),
         _ => Ok(()),

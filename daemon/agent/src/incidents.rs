@@ -6,10 +6,10 @@ use peernet_stream::{Event, Incident, IncidentKind};
 
 use crate::event_queue::EventQueue;
 
-/// Formats the size of a clock step without its sign, with three decimals: in seconds, or in milliseconds if it is below
-/// one millisecond.
-pub(crate) fn format_step_size(by: Span) -> String {
-    let size = by.abs();
+/// Formats the size of a clock step without its sign: in seconds with three decimals, or in a smaller unit if it is
+/// below one millisecond.
+pub(crate) fn format_step_size(step: Span) -> String {
+    let size = step.abs();
     if size < Span::from_millis(1) { size.to_string() } else { format!("{:.3} s", size.seconds()) }
 }
 
@@ -59,7 +59,8 @@ impl Incidents {
         }
     }
 
-    /// Reports a limitation of a connection as an incident. The limitation is logged with the target [`REMARK_LOG_TARGET`].
+    /// Reports a limitation of a connection as an incident. The limitation is logged with the target
+    /// [`REMARK_LOG_TARGET`].
     pub(crate) fn remark(&self, kind: IncidentKind, subject: IncidentSubject<'_>, text: String) {
         remark(&text);
         self.enqueue(kind, subject, text);

@@ -2,12 +2,12 @@
 //!
 //! As in ZeroMQ the default is one thread, which carries some gigabytes per second. An iteration is several short
 //! tasks, each of which wakes the next. With a thread for each processor, as is usual in servers, each step may first
-//! wake another thread. On two processors this reduced the round trips per second at 1 kB by a third. While events were
-//! stored, the p99 of the total was up to three times as long (`docs/measurements.md`). With one thread the whole chain
-//! stays on one processor.
+//! have to wake another thread. On two processors, two threads instead of one reduced the round trips per second of
+//! samples of 1 kB by a third; while events were stored, the 99th percentile of the total was up to three times as long
+//! (`docs/measurements.md`). With one thread the whole chain stays on one processor.
 //!
 //! The outbox and the host's metrics run on other threads. So do the aggregator and the web server if they are in
-//! the same process. Therefore no batch and no page delays a sample.
+//! the same process. Therefore neither sending a batch nor rendering a page delays a sample.
 
 use std::future::Future;
 use std::io;
@@ -20,7 +20,7 @@ use tokio_util::context::TokioContext;
 #[derive(Debug)]
 pub(crate) struct IoThreads {
     handle: Handle,
-    /// `Some` until this is dropped.
+    /// `None` only while this is being dropped.
     runtime: Option<Runtime>,
 }
 
@@ -67,13 +67,13 @@ mod tests {
     #[tokio::test]
     async fn tasks_and_sockets_belong_to_io_threads() {
         let io = IoThreads::start(NonZeroUsize::MIN).expect("there are threads");
-        let this = thread::current().id();
-        let there =
+        let test_thread = thread::current().id();
+        let task =
             io.handle().spawn(async { (thread::current().id(), thread::current().name() == Some("io")) });
-        let (thread, is_named) = there.await.expect("it ran");
-        assert!(is_named && thread != this);
-        let begin = async { tokio::spawn(async { thread::current().id() }).await };
-        assert_eq!(io.with_context(begin).await.expect("it ran"), thread, "the only one");
+        let (thread, is_named) = task.await.expect("it ran");
+        assert!(is_named && thread != test_thread);
+        let spawn_task = async { tokio::spawn(async { thread::current().id() }).await };
+        assert_eq!(io.with_context(spawn_task).await.expect("it ran"), thread, "the only I/O thread");
     }
 
     #[tokio::test]

@@ -29,7 +29,8 @@ impl FileLock {
 
 impl Drop for FileLock {
     fn drop(&mut self) {
-        // Closing the file would keep the lock while a child process has a copy of the descriptor: from its start until it runs its program.
+        // Closing the file would not release the lock while a child process has a copy of the descriptor. A child has a
+        // copy from its creation until it executes its program.
         if let Err(error) = self.file.unlock() {
             tracing::warn!(%error, file = ?self.file, "cannot unlock a file; it stays locked until its last user closes it");
         }

@@ -5,7 +5,8 @@ use std::time::Duration;
 use peernet_logger::HostId;
 use peernet_statistics::SplitMix64;
 
-/// Growing pauses with jitter. The jitter prevents many edges from reconnecting to a restarted cloud at the same moment.
+/// Growing pauses with jitter. The jitter prevents many edges from reconnecting to a restarted cloud at the same
+/// moment.
 #[derive(Debug)]
 pub(crate) struct ReconnectBackoff {
     pause: Duration,
@@ -25,7 +26,8 @@ impl ReconnectBackoff {
         Self { pause: Self::MIN_PAUSE, random: SplitMix64::new(seed) }
     }
 
-    /// Returns the pause before the next attempt. The pause doubles with each call, up to the longest one; the jitter is ± 20 %.
+    /// Returns the pause before the next attempt. The pause doubles with each call, up to
+    /// [`MAX_PAUSE`](Self::MAX_PAUSE); the jitter is ± 20 %.
     pub(crate) fn next_pause(&mut self) -> Duration {
         let pause = self.pause;
         self.pause = (pause * 2).min(Self::MAX_PAUSE);

@@ -12,8 +12,8 @@ const ABOUT: &str = "CPU governor";
 const ADVICE: &str = "set it to `performance` for the measurement: `sudo cpupower frequency-set -g performance` \
                       (on a Jetson `sudo jetson_clocks`)";
 
-/// Grades the governors of all processors (Linux documentation, admin-guide/pm/cpufreq). With a governor that follows the
-/// load, the same work takes longer after a pause than in a busy loop, so latency depends on the rate.
+/// Grades the governors of all processors (Linux documentation, admin-guide/pm/cpufreq). With a governor that follows
+/// the load, the same work takes longer after a pause than in a busy loop, so latency depends on the rate.
 pub(super) fn governor(settings: &InspectionSettings) -> Option<Finding> {
     let mut governors = BTreeMap::<String, u32>::new();
     let mut are_fixed = true;

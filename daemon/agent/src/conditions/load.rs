@@ -20,7 +20,8 @@ const STEAL_DOUBTFUL: f64 = 0.01;
 const STEAL_BAD: f64 = 0.05;
 
 /// Grades the number of runnable threads of other processes: the mean of a few counts (proc_loadavg(5)).
-// The load averages of the kernel are unsuitable: they still include processes that ended a minute ago, such as the previous run.
+// The load averages of the kernel are unsuitable: they still include processes that ended a minute ago, such as the
+// previous run.
 pub(super) fn competing_threads(settings: &InspectionSettings) -> Finding {
     const ABOUT: &str = "competing load";
     let mut sum = 0;

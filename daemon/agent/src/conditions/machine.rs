@@ -35,8 +35,8 @@ const VIRTUAL_PRODUCTS: [&str; 17] = [
     "Xen",
 ];
 
-/// Grades the kind of the machine. A virtual machine or a container has the grade unknown, because it shares its hardware
-/// with other machines or containers that are not visible from inside.
+/// Grades the kind of the machine. A virtual machine or a container has the grade unknown, because it shares its
+/// hardware with other machines or containers that are not visible from inside.
 pub(super) fn machine_kind(settings: &InspectionSettings) -> Finding {
     const ABOUT: &str = "machine";
     let products = products(&settings.sys);
@@ -58,7 +58,8 @@ pub(super) fn machine_kind(settings: &InspectionSettings) -> Finding {
     }
 }
 
-/// Returns the names of the vendor and the product that the firmware reports; names that it does not report are left out.
+/// Returns the names of the vendor and the product that the firmware reports; names that it does not report are left
+/// out.
 fn products(sys: &Path) -> Vec<String> {
     let read_name =
         |name: &str| read_text(&sys.join("class/dmi/id").join(name)).filter(|text| !text.is_empty());

@@ -5,8 +5,8 @@ use peernet_stream::Grade;
 use super::files::{number_after_key, read_text};
 use super::{Finding, InspectionSettings};
 
-/// Lowest doubtful amount of swap in use, as a share of the memory's size. A small share is normal, because unused pages
-/// are swapped out.
+/// Lowest doubtful amount of swap in use, as a share of the memory's size. A small share is normal, because unused
+/// pages are swapped out.
 const DOUBTFUL_SHARE: f64 = 0.05;
 
 /// Grades the swap in use. A program stops while swapped memory is read back from the disk.

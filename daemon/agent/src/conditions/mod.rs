@@ -92,7 +92,8 @@ pub fn inspect_host(settings: &InspectionSettings, host: &str) -> Vec<Condition>
     findings.into_iter().map(|finding| finding.with_host(host)).collect()
 }
 
-/// Inspects this host without blocking. If the inspection takes longer than [`TIMEOUT`] or panics, the result is a single unknown condition.
+/// Inspects this host without blocking. If the inspection takes longer than [`TIMEOUT`] or panics, the result is a
+/// single unknown condition.
 pub(crate) async fn inspect_host_in_time(settings: InspectionSettings, host: String) -> Vec<Condition> {
     let name = host.clone();
     let inspection = tokio::task::spawn_blocking(move || inspect_host(&settings, &name));

@@ -23,7 +23,8 @@ pub enum ListenAddressesError {
     /// The list has more than 16 addresses.
     #[error("{0} addresses are too many; at most {MAX_ADDRESSES}")]
     TooMany(usize),
-    /// An address occurs twice. An address with port 0 may occur twice, because it stands for a different free port each time.
+    /// An address occurs twice. An address with port 0 may occur twice, because it stands for a different free port
+    /// each time.
     #[error("the list contains {0} twice; remove one of them")]
     Twice(Address),
 }

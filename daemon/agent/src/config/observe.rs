@@ -26,7 +26,7 @@ pub struct ObserveConfig {
     /// Default: none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub peer: Option<Address>,
-    /// Name of that agent's pipeline. Default: the name of this pipeline.
+    /// Name of the pipeline of the agent at `peer`. Default: the name of this pipeline.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub peer_pipeline: Option<Slug>,
 }
@@ -147,8 +147,8 @@ mod tests {
         for part in ["pair_by = \"stamp\"", "\"sequence\""] {
             assert!(error.to_string().contains(part), "{error}");
         }
-        let orphan = ObserveConfig { peer_pipeline: Some(Slug::observed()), ..config(PairBy::Stamp) };
-        assert_eq!(orphan.check_peer().map_err(|error| error.key()), Err("peer_pipeline"));
+        let without_peer = ObserveConfig { peer_pipeline: Some(Slug::observed()), ..config(PairBy::Stamp) };
+        assert_eq!(without_peer.check_peer().map_err(|error| error.key()), Err("peer_pipeline"));
         for pair_by in [PairBy::Stamp, PairBy::Sequence] {
             assert!(ObserveConfig { peer: peer.clone(), ..config(pair_by) }.check_peer().is_ok());
         }
@@ -161,8 +161,8 @@ mod tests {
         for part in ["no sequence number", "pair_by = \"stamp\"", "\"order\""] {
             assert!(error.to_string().contains(part), "{error}");
         }
-        let of_ros1 = ObserveConfig { ros_version: Some(RosVersion::Ros1), ..config(PairBy::Sequence) };
-        assert_eq!(of_ros1.resolve_version(|_| None).ok(), Some(RosVersion::Ros1));
+        let ros1_config = ObserveConfig { ros_version: Some(RosVersion::Ros1), ..config(PairBy::Sequence) };
+        assert_eq!(ros1_config.resolve_version(|_| None).ok(), Some(RosVersion::Ros1));
     }
 
     #[test]

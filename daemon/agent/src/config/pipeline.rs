@@ -22,7 +22,7 @@ pub struct PipelineConfig {
     /// observed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensor: Option<SensorConfig>,
-    /// Transforms that each sample passes before it is sent or computed on, in order. Default: none.
+    /// Transforms that are applied to each sample, in this order, before it is sent or given to a model. Default: none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub transforms: Vec<TransformConfig>,
     /// Place of computation: `{ kind = "local", model = "…" }`, `{ kind = "remote", peer = "tcp://host:5551", model =
@@ -36,11 +36,12 @@ pub struct PipelineConfig {
     /// starts may wait; older starts are skipped and counted (`skipped-starts`). At most 4096. Default: 4.
     #[serde(default = "default_max_in_flight")]
     pub max_in_flight: NonZeroUsize,
-    /// Longest wait for an answer; milliseconds, up to a day. Later answers count as `timeout`. Default: 5000.
+    /// Longest wait for an answer; milliseconds, up to a day. An iteration whose answer comes later is a `timeout`.
+    /// Default: 5000.
     #[serde(default = "default_timeout_ms")]
     pub timeout_ms: NonZeroU64,
     /// Deadline of an iteration, from its intended start to its end; milliseconds, up to `timeout_ms`. An iteration
-    /// that takes longer or fails missed its deadline. Default: no deadline.
+    /// that takes longer, or that fails, has missed its deadline. Default: no deadline.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deadline_ms: Option<NonZeroU64>,
     /// Iterations that are recorded but left out of statistics.
@@ -56,7 +57,7 @@ pub struct PipelineConfig {
     /// Actuator that receives each answer. Default: none.
     #[serde(default)]
     pub actuator: ActuatorConfig,
-    /// Start of the pipeline: with the agent or not. Default: `boot`.
+    /// Whether the pipeline starts with the agent. Default: `boot`.
     #[serde(default)]
     pub start: StartMode,
     /// Place of the pipeline in an experiment; set by `peernet run`.
@@ -65,7 +66,8 @@ pub struct PipelineConfig {
 }
 
 impl PipelineConfig {
-    /// Returns a copy without the values of `env`, which may be secret. The copy still contains the arguments of programs.
+    /// Returns a copy without the values of `env`, which may be secret. The copy still contains the arguments of
+    /// programs.
     pub(crate) fn redacted(&self) -> Self {
         let mut redacted = self.clone();
         if let Some(sensor) = &mut redacted.sensor {
@@ -220,7 +222,7 @@ impl Limit {
     }
 }
 
-/// Start of a pipeline: with the agent or not.
+/// Whether a pipeline starts with the agent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum StartMode {

@@ -16,9 +16,9 @@ pub struct ProbesConfig {
     pub reflect: bool,
     /// `true` if probes are sent to the peers of this host's pipelines. Default: true.
     pub send: bool,
-    /// UDP port for probes, opened at each IP address of `[serve] listen`; peers learn it with their session. Ports below
-    /// 1024, such as the standard's 862, need a capability, which the systemd unit grants. A configured port must be
-    /// free; 0 selects any free port. Default: 8620, or any free port if 8620 is in use.
+    /// UDP port for probes, opened at each IP address of `[serve] listen`; peers learn it with their session. Ports
+    /// below 1024, such as the standard's 862, need a capability, which the systemd unit grants. A configured port must
+    /// be free; 0 selects any free port. Default: 8620, or any free port if 8620 is in use.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub port: Option<u16>,
     /// Probes per second while a link is in use; above 0 and at most 1000. Default: 10.
@@ -31,11 +31,12 @@ pub struct ProbesConfig {
     pub key_file: Option<PathBuf>,
     /// Bytes of padding added to each probe (RFC 8972, extra padding); at most 1300. Default: 0.
     pub padding_bytes: u16,
-    /// Maximum number of answered probes per second for one address (in IPv6: for one /64 network); 1 to 10000. For all
-    /// addresses without a session on this host together the limit is ten times as high. Default: 100.
+    /// Maximum number of answered probes per second for one address (in IPv6: for one /64 network); 1 to 10000. All
+    /// addresses that have no session with this host share one limit, which is ten times as high. Default: 100.
     pub max_per_source_hz: u32,
-    /// Additional STAMP reflectors of any vendor: the key is the name of the peer whose link shows the reflector, the
-    /// value its address `udp://HOST:PORT`, port 862 if none is given. No delay depends on their clocks. Default: none.
+    /// Additional STAMP reflectors of any vendor. The key is the name of a peer; the reflector is shown with the link
+    /// to that peer. The value is the address of the reflector, `udp://HOST:PORT`; without a port it is 862. No delay
+    /// depends on the clocks of these reflectors. Default: none.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub reflectors: BTreeMap<Slug, ReflectorAddress>,
 }

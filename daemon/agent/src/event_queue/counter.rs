@@ -1,19 +1,20 @@
 //! Counts the queued events in a file that survives a kill of the process.
 //!
 //! An event is only in the memory of this process from the time it is queued until its batch is in the spool. To count
-//! the events that a kill loses, each event is counted by run, before it is queued, in a file in shared memory. With each
-//! batch the spool stores the number of counted events that it accounts for. The next process reports the difference as a
-//! gap (`outbox/spool/killed_process.rs`).
+//! the events that a kill loses, each event is counted by run, before it is queued, in a file in shared memory. With
+//! each batch the spool stores the number of counted events that it accounts for. The next process reports the
+//! difference as a gap (`outbox/spool/killed_process.rs`).
 //!
-//! The file is in `/dev/shm`, because a write to a disk can wait for that disk, which would disturb the measurements. It
-//! is written and not mapped, so that a failed write is an error and does not end the process. After a restart of the
-//! machine the file is gone, and no gap is reported.
+//! The file is in `/dev/shm`, because a write to a disk can wait for that disk, which would disturb the measurements.
+//! It is written and not mapped, so that a failed write is an error and does not end the process. After a restart of
+//! the machine the file is gone, and no gap is reported.
 //!
-//! The file contains the identity of its spool, and the counting process holds a lock on it. So a copy of the spool does
-//! not use the file, and a file whose spool was deleted can be removed.
+//! The file contains the identity of its spool, and the counting process holds a lock on it. So a copy of the spool
+//! does not use the file, and a file whose spool was deleted can be removed.
 //!
 //! Batches that were sent while the spool could not be written are also recorded. Only the aggregator knows which of
-//! these batches it stored, so the next process queries the aggregator before it reports a loss (`peernet_stream`, `unresolved.rs`).
+//! these batches it stored, so the next process queries the aggregator before it reports a loss (`peernet_stream`,
+//! `unresolved.rs`).
 
 mod abandoned;
 mod owner;
@@ -96,7 +97,8 @@ impl EventCounter {
         }
         let name = format!("peernet-{}.count", Uuid::new_v4());
         let file = create_file(&name)?;
-        // The whole file is written now, so that later writes need no more memory and cannot fail because memory is full.
+        // The whole file is written now, so that later writes need no more memory and cannot fail because memory is
+        // full.
         let mut bytes = vec![0; FILE_BYTES];
         bytes[..MAGIC.len()].copy_from_slice(MAGIC);
         let owner = owner.encode();
@@ -142,8 +144,8 @@ impl EventCounter {
         }
     }
 
-    /// Frees the record of an ended run if the spool accounts for all events of the run. `events` is the number of events
-    /// that the spool accounts for. Returns whether the record is free.
+    /// Frees the record of an ended run if the spool accounts for all events of the run. `events` is the number of
+    /// events that the spool accounts for. Returns whether the record is free.
     pub(crate) fn release(&self, run: RunId, events: u64) -> bool {
         let Some(mut count_file) = self.lock_file() else { return true };
         let Some((record_index, counted_events)) = count_file.runs.get(&run).copied() else { return true };
@@ -183,8 +185,8 @@ impl CountFile {
     fn count(&mut self, pipeline: Option<&Slug>, run: Option<RunId>, now: WallTime) -> io::Result<()> {
         self.total += 1;
         let numbers = [self.total.to_be_bytes(), now.unix_nanos().to_be_bytes()].concat();
-        // To count an event with a single write, the total is written to the record of its run. The largest total of all
-        // records is the current one.
+        // To count an event with a single write, the total is written to the record of its run. The largest total of
+        // all records is the current one.
         let Some(run) = run else { return self.file.write_all_at(&numbers, TOTAL_OFFSET) };
         if let Some((record_index, events)) = self.runs.get_mut(&run) {
             *events += 1;
@@ -242,7 +244,8 @@ impl CountFile {
 }
 
 /// Creates an empty file and locks it.
-// The file is locked before anything is written, because a complete file without a lock belongs to a process that has ended.
+// The file is locked before anything is written, because a complete file without a lock belongs to a process that has
+// ended.
 fn create_file(name: &str) -> io::Result<File> {
     let path = Path::new(SHARED_MEMORY).join(name);
     let file = File::options().read(true).write(true).create_new(true).mode(0o600).open(path)?;
@@ -286,8 +289,8 @@ pub(crate) fn read(name: &str, spool: &CountOwner) -> Option<CountedEvents> {
     file.read_exact_at(&mut bytes, 0).ok()?;
     let is_ours = match read_owner(&file) {
         Some(owner) => owner.is_same_file(spool),
-        // Files of earlier releases do not contain the identity of their spool. But only their spool contains their random
-        // name, so that the file belongs to this spool.
+        // Files of earlier releases do not contain the identity of their spool. But only their spool contains their
+        // random name, so that the file belongs to this spool.
         None => bytes.starts_with(MAGIC_WITHOUT_OWNER),
     };
     if !is_ours {

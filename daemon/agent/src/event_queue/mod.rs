@@ -90,8 +90,8 @@ impl EventQueue {
         let Some(event) = self.send_to_tap(Event::Iteration(iteration)) else { return };
         let Some(queue_sender) = &self.outbox else { return };
         queue_sender.count(Some(pipeline), Some(run));
-        // Checking the capacity and sending are two steps. Between these steps each other thread may use one reserved place;
-        // there are more reserved places than threads.
+        // Checking the capacity and sending are two steps. Between these steps each other thread may use one reserved
+        // place; there are more reserved places than threads.
         let has_capacity = queue_sender.queue.capacity() > RESERVED_CAPACITY;
         if !has_capacity || queue_sender.queue.try_send(event).is_err() {
             queue_sender.overflow.count(Some(pipeline), Some(run));

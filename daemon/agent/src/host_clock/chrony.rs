@@ -9,8 +9,8 @@ use super::claim::{Claim, FREQUENCY_TOLERANCE_PPM, SourceReport};
 /// Reference id of a chronyd that follows only its own clock (`local`).
 // 127.127.1.1 in hexadecimal.
 const LOCAL: &str = "7F7F0101";
-/// Default of chrony's option `maxclockerror`, parts per million. chrony widens its bound at this rate in addition to the
-/// measured rates.
+/// Default of chrony's option `maxclockerror`, parts per million. chrony widens its bound at this rate in addition to
+/// the measured rates.
 const DEFAULT_MAX_CLOCK_ERROR_PPM: f64 = 1.0;
 
 /// Reason why a line is not an output of `chronyc -c tracking`.
@@ -139,8 +139,8 @@ impl AnswerFreshness {
         Self { epoch, state: AnswerState::Current }
     }
 
-    /// Returns whether `tracking` was measured after the last step of the clock. `epoch` is the epoch of the clock, read
-    /// after `tracking`.
+    /// Returns whether `tracking` was measured after the last step of the clock. `epoch` is the epoch of the clock,
+    /// read after `tracking`.
     pub(super) fn accepts(&mut self, tracking: &Tracking, epoch: u32) -> bool {
         if self.epoch != epoch {
             self.epoch = epoch;

@@ -2,8 +2,8 @@
 
 use peernet_clock::{DelaySource, Discipline, Interval, MonoTime, Span};
 
-/// Frequency tolerance of a disciplined clock, parts per million: the rate at which the bound of its error grows (PHI of
-/// RFC 5905, section 7.2).
+/// Frequency tolerance of a disciplined clock, parts per million: the rate at which the bound of its error grows (PHI
+/// of RFC 5905, section 7.2).
 pub(super) const FREQUENCY_TOLERANCE_PPM: f64 = 15.0;
 
 /// Report of one source, such as chrony, about the wall clock.
@@ -40,8 +40,8 @@ impl Claim {
 /// Combination of the reports of all sources.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct ClaimSummary {
-    /// The intersection of all claims (Marzullo's algorithm, with no claim allowed to be wrong); `None` without a claim,
-    /// or if the claims contradict each other.
+    /// The intersection of all claims (Marzullo's algorithm, with no claim allowed to be wrong); `None` without a
+    /// claim, or if the claims contradict each other.
     pub(super) discipline: Option<Discipline>,
     /// Text for users.
     pub(super) text: String,

@@ -34,8 +34,8 @@ fn error_bound(state: Timex) -> (Option<Span>, String) {
     if !is_synchronised {
         return (None, "kernel, not synchronised".to_owned());
     }
-    // chrony, ntpd and ntpd-rs set both `maxerror` and `esterror`. If `maxerror` consists of the kernel's own growth only,
-    // the daemon states no error.
+    // chrony, ntpd and ntpd-rs set both `maxerror` and `esterror`. If `maxerror` consists of the kernel's own growth
+    // only, the daemon states no error.
     if max_error_us % KERNEL_GROWTH_US != 0 {
         return (Some(Span::from_micros(max_error_us)), "kernel, synchronised".to_owned());
     }

@@ -1,5 +1,5 @@
-//! This host's clocks: the claims of its time daemon about the wall clock, steps of the wall clock, and interruptions of
-//! the free-running clock.
+//! This host's clocks: the claims of its time daemon about the wall clock, steps of the wall clock, and interruptions
+//! of the free-running clock.
 //!
 //! ```text
 //! monitor      ten times a second: checks the clocks for steps, slews, sleeps and other disturbances
@@ -8,8 +8,8 @@
 //! sources      every few seconds: queries chronyc and the kernel; `claim` combines their answers
 //! ```
 //!
-//! The difference of the boot clock and the monotonic clock changes only by sleeps; the difference of the wall clock and the
-//! monotonic clock changes by steps and slews. Both differences are read with each stamp (`Clock::epoch`,
+//! The difference of the boot clock and the monotonic clock changes only by sleeps; the difference of the wall clock
+//! and the monotonic clock changes by steps and slews. Both differences are read with each stamp (`Clock::epoch`,
 //! `Clock::wall_epoch`), so the next message detects a sleep or a step. Only slews and a changed clocksource have to be
 //! polled here.
 

@@ -74,8 +74,8 @@ impl HostClockMonitor {
         let all_disturbances = disturbances.into_iter().chain(small_step.map(Disturbance::Step));
         let mut texts: Vec<String> =
             all_disturbances.filter_map(|disturbance| self.describe(disturbance, readings.mono)).collect();
-        // The clocksource is compared after the clocks, because a change of the clocksource may have caused the disturbance that
-        // the clocks show.
+        // The clocksource is compared after the clocks, because a change of the clocksource may have caused the
+        // disturbance that the clocks show.
         texts.extend(self.check_clocksource());
         texts.extend(self.check_vmclock());
         for text in texts {

@@ -18,7 +18,8 @@ pub(super) struct Timex {
 pub(super) fn read() -> io::Result<Timex> {
     #[expect(unsafe_code, reason = "libc's adjtimex has no safe wrapper")]
     // SAFETY: `timex` consists of integers, for which all bits zero is a valid value. The pointer is to a complete
-    // structure on our stack. Its field `modes` is zero, so that the call only fills in the structure and changes nothing.
+    // structure on our stack. Its field `modes` is zero, so that the call only fills in the structure and changes
+    // nothing.
     let (state, timex) = unsafe {
         let mut timex = MaybeUninit::<libc::timex>::zeroed();
         let state = libc::adjtimex(timex.as_mut_ptr());

@@ -29,8 +29,8 @@ struct Device {
 }
 
 impl Vmclock {
-    /// Opens the devices `vmclock*` in a folder, such as `/dev`. A device that cannot be read is logged. Most hosts have no
-    /// such device.
+    /// Opens the devices `vmclock*` in a folder, such as `/dev`. A device that cannot be read is logged. Most hosts
+    /// have no such device.
     pub(crate) fn open_all(dev: &Path) -> Self {
         let entries = std::fs::read_dir(dev).into_iter().flatten().flatten();
         let device_entries =

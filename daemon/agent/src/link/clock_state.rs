@@ -95,8 +95,8 @@ impl LinkClockState {
         self.networks.leave(network);
     }
 
-    /// Returns the last sample of each network without sessions. Called when the session that probed has ended and all of
-    /// its probes are counted; another session probes from now on.
+    /// Returns the last sample of each network without sessions. Called when the session that probed has ended and all
+    /// of its probes are counted; another session probes from now on.
     pub(super) fn settle_sessions(&mut self, now: Stamp) -> ClockStateChanges {
         let mut changes = self.advance_second(now);
         for network in self.networks.take_ended(0) {
@@ -150,8 +150,8 @@ impl LinkClockState {
     }
 
     /// Judges the delays of observed messages, one in each direction.
-    // These delays update neither the clock relation nor the current second, because the first stamp is the reception by
-    // another receiver and not the departure.
+    // These delays update neither the clock relation nor the current second, because the first stamp is the reception
+    // by another receiver and not the departure.
     pub(super) fn judge_stamps(&self, up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
         let is_current = |stamp: &HostStamp, clock: &AnnouncedClock| stamp.epoch == Some(clock.epoch());
         let is_up_current = is_current(&up.sender, &self.edge) && is_current(&up.receiver, &self.cloud);
@@ -269,8 +269,8 @@ impl LinkClockState {
         if now.wall.unix_seconds() != self.second.at {
             self.update_disciplines(now.raw);
             changes.lost_proof = self.reports.report_ended_proof(now.raw);
-            // If the clock was set back, the second is closed early. If it was set forward, the second is closed with the
-            // state at its end.
+            // If the clock was set back, the second is closed early. If it was set forward, the second is closed with
+            // the state at its end.
             let end = self.second.end();
             let at = edge_time(now, end);
             let offset = self.relation.offset(at.raw, end);
@@ -287,7 +287,8 @@ impl LinkClockState {
         changes
     }
 
-    /// Returns the sample of a network's previous second if it is available, otherwise the sample of the current second so far.
+    /// Returns the sample of a network's previous second if it is available, otherwise the sample of the current second
+    /// so far.
     pub(super) fn latest_sample(&self, network: &NetworkName, now: Stamp) -> ClockSample {
         let previous = self.second.end() - Span::from_seconds(1);
         let is_current = now.wall.unix_seconds() == self.second.at;

@@ -1,7 +1,7 @@
 //! The open connections of a link, for live updates.
 //!
-//! The outbox's thread reads the connections once a second, in less than 30 µs each. No sample waits for that. All counts are totals
-//! since the connection was opened; readers compute rates.
+//! The outbox's thread reads the connections once a second, in less than 30 µs each. No sample waits for that. All
+//! counts are totals since the connection was opened; readers compute rates.
 
 use std::collections::BTreeMap;
 
@@ -24,8 +24,8 @@ pub(super) struct Connections {
 }
 
 impl Connections {
-    /// Returns the connections of these sessions, which are read again once a second. A session that has ended keeps its
-    /// last statistics until it leaves the link.
+    /// Returns the connections of these sessions, which are read again once a second. A session that has ended keeps
+    /// its last statistics until it leaves the link.
     pub(super) fn read_for(&mut self, sessions: &[Session], now: MonoTime) -> Vec<Connection> {
         self.by_session.retain(|id, _| sessions.iter().any(|session| session.id == *id));
         let is_due = self.read_at.is_none_or(|at| now - at >= MAX_AGE);

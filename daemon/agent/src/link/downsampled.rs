@@ -3,7 +3,8 @@
 /// Maximum number of values that are kept.
 const MAX_VALUES: usize = 256;
 
-/// Every n-th of the pushed values; n is a power of two, and the smallest one for which the number of values is bounded.
+/// Every n-th of the pushed values; n is a power of two, and the smallest one for which the number of values is
+/// bounded.
 #[derive(Debug)]
 pub(super) struct DownsampledValues<T> {
     values: Vec<T>,

@@ -17,8 +17,8 @@ pub(super) fn restart_text(restart: Restart, edge: &Slug, cloud: &Slug) -> Strin
         }
     };
     let movement_text = restart.movement.map_or_else(String::new, |movement| {
-        // `movement` is the change of the cloud's clock minus the change of the edge's clock. The text names the clock that
-        // moved.
+        // `movement` is the change of the cloud's clock minus the change of the edge's clock. The text names the clock
+        // that moved.
         let is_edge = restart.edge && !restart.cloud;
         let (movement, moved_host, other_host) =
             if is_edge { (-movement, edge, cloud) } else { (movement, cloud, edge) };

@@ -1,7 +1,7 @@
 //! A reflector that the configuration names for a cloud (`[probes] reflectors`).
 //!
-//! The clock of the reflector is independent of the cloud's clock. Therefore the reflector has a separate relation, between this host's free-running
-//! clock and the reflector's wall clock.
+//! The clock of the reflector is independent of the cloud's clock. Therefore the reflector has a separate relation,
+//! between this host's free-running clock and the reflector's wall clock.
 
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -138,8 +138,8 @@ impl ReflectorAnswers {
         Some(RoundTrip { min: *trips.first()?, median: *trips.get(trips.len() / 2)? })
     }
 
-    /// Returns the offset of the reflector's wall clock to this host's: the relation's offset minus `wall_ahead`, the lead
-    /// of this host's wall clock over its free-running one.
+    /// Returns the offset of the reflector's wall clock to this host's: the relation's offset minus `wall_ahead`, the
+    /// lead of this host's wall clock over its free-running one.
     fn wall_offset(&self, now: Stamp, wall_ahead: Interval) -> Option<Offset> {
         let offset = self.relation.offset(now.raw, now.wall)?;
         let between_wall_clocks =

@@ -1,5 +1,5 @@
-//! The task of a link. It sends probes, passes on the announcements of both hosts' clocks, runs the proof that both hosts
-//! read one clock, and closes each second.
+//! The task of a link. It sends probes, passes on the announcements of both hosts' clocks, runs the proof that both
+//! hosts read one clock, and closes each second.
 
 use std::convert::Infallible;
 use std::pin::pin;
@@ -73,7 +73,8 @@ async fn run_over_session(
             never = &mut probing => match never {},
         }
     }
-    // The session has ended. Probes without an answer count as lost, so that each sent probe is either answered or lost.
+    // The session has ended. Probes without an answer count as lost, so that each sent probe is either answered or
+    // lost.
     while let Ok(result) = received_results.try_recv() {
         link.handle_probe_result(&result, authenticated);
         monitor.record(&result, link.shared.host.clock.mono(), &mut lock(&link.probing));

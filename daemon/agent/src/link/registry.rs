@@ -81,8 +81,8 @@ impl Links {
         }))
     }
 
-    /// Adds a session of `pipeline` with the cloud at `address` to the link of that cloud, which is created if necessary.
-    /// `clock_socket` is the socket that the session's hello contained.
+    /// Adds a session of `pipeline` with the cloud at `address` to the link of that cloud, which is created if
+    /// necessary. `clock_socket` is the socket that the session's hello contained.
     pub(crate) fn attach(
         &self,
         session: &peernet_networks::Session,
@@ -99,7 +99,8 @@ impl Links {
         lock(&self.0.serving_cloud).insert(pipeline.clone(), cloud);
         let clocks = session.clocks();
         let own_identity = self.0.shared.host.clock.identity();
-        // Only two free-running clocks can be proven to be one clock, and only if both hosts use the same name for their clock.
+        // Only two free-running clocks can be proven to be one clock, and only if both hosts use the same name for
+        // their clock.
         let may_share_clock =
             clocks == RelatedClocks::Raw && own_identity.may_share_clock_with(&accepted.clock);
         let clock_socket = clock_socket.filter(|_| may_share_clock);
@@ -207,7 +208,8 @@ impl std::ops::Deref for LinkedSession {
 
 impl Drop for LinkedSession {
     fn drop(&mut self) {
-        // The links are locked during both steps: a session that opens in between must not join a link that is being removed.
+        // The links are locked during both steps: a session that opens in between must not join a link that is being
+        // removed.
         let mut links_by_cloud = self.links.lock_links();
         let all_sessions_ended = self.link.leave(self.session, &self.network);
         if all_sessions_ended
@@ -219,8 +221,8 @@ impl Drop for LinkedSession {
     }
 }
 
-/// Returns the host that answers probes: the host of the address, or for the address of a name service the host at the other
-/// end of the connection.
+/// Returns the host that answers probes: the host of the address, or for the address of a name service the host at the
+/// other end of the connection.
 fn cloud_host(session: &peernet_networks::Session, address: &Address) -> String {
     let remote_addresses = address.listener_name().and_then(|_| session.statistics_reader().addresses());
     remote_addresses.map_or_else(|| address.host(), |addresses| addresses.remote.ip().to_string())

@@ -53,16 +53,16 @@ impl ClockReports {
         self.stepped_clocks.1 |= is_recorded && cloud;
     }
 
-    /// Returns the report of a restart that moved the offset by `movement`. `violation` is the assumption that the clocks
-    /// seem to violate, with its limit.
+    /// Returns the report of a restart that moved the offset by `movement`. `violation` is the assumption that the
+    /// clocks seem to violate, with its limit.
     pub(super) fn report_restart(
         &mut self,
         movement: Option<Span>,
         violation: Option<(ViolatedLimit, f64)>,
     ) -> Option<Restart> {
         let (edge, cloud) = std::mem::take(&mut self.stepped_clocks);
-        // Clocks beyond the limit cause several restarts per second. Only the first restart is reported, until the clocks are
-        // within the limit again.
+        // Clocks beyond the limit cause several restarts per second. Only the first restart is reported, until the
+        // clocks are within the limit again.
         let had_reported_violation = std::mem::replace(&mut self.has_reported_violation, violation.is_some());
         (violation.is_none() || !had_reported_violation).then_some(Restart {
             movement,
@@ -78,8 +78,9 @@ impl ClockReports {
         Some(SuspectedJump { movement, unreported })
     }
 
-    /// Returns the report of a lost proof, unless another lost proof was reported shortly before. A proof that was lost with its
-    /// connection is reported by [`report_ended_proof`](Self::report_ended_proof), if the session continues without it.
+    /// Returns the report of a lost proof, unless another lost proof was reported shortly before. A proof that was lost
+    /// with its connection is reported by [`report_ended_proof`](Self::report_ended_proof), if the session continues
+    /// without it.
     pub(super) fn report_lost_proof(&mut self, reason: NotProven, at: RawTime) -> Option<LostProof> {
         if let NotProven::Ended(_) = reason {
             self.ended_proof = Some((reason, at));
@@ -101,7 +102,8 @@ impl ClockReports {
         Some(LostProof { reason, unreported })
     }
 
-    /// Returns the report of a skew that is proven to be beyond the limit: once, until the skew is within the limit again.
+    /// Returns the report of a skew that is proven to be beyond the limit: once, until the skew is within the limit
+    /// again.
     pub(super) fn report_excess_skew(&mut self, excess: Option<ExcessSkew>) -> Option<ExcessSkew> {
         let was_reported = std::mem::replace(&mut self.is_excess_reported, excess.is_some());
         excess.filter(|_| !was_reported)

@@ -150,7 +150,8 @@ impl Delays {
         Some(DelaySecond { count: self.count(), median: self.median(), verdict })
     }
 
-    /// Returns the median delay. Its bounds are the medians of all lower and of all upper bounds, between which the median of the true delays lies.
+    /// Returns the median delay. Its bounds are the medians of all lower and of all upper bounds, between which the
+    /// median of the true delays lies.
     fn median(&self) -> Option<DelayPoint> {
         let lo = self.points.median(|point| point.bounds.lo)?.bounds.lo;
         let hi = self.points.median(|point| point.bounds.hi)?.bounds.hi;

@@ -43,8 +43,8 @@ impl PipelineLiveState {
         self.lock().state = state;
     }
 
-    /// Sets the time since which the pipeline waits for its sensor to be set up or to return a sample; `None` if it does
-    /// not wait.
+    /// Sets the time since which the pipeline waits for its sensor to be set up or to return a sample; `None` if it
+    /// does not wait.
     pub(crate) fn set_sensor_busy_since(&self, since: Option<MonoTime>) {
         self.lock().sensor_busy_since = since;
     }
@@ -102,7 +102,8 @@ impl LiveStatistics {
         Self(states.into())
     }
 
-    /// Returns every pipeline with the seconds that changed since they were last marked as sent, and a receipt for them.
+    /// Returns every pipeline with the seconds that changed since they were last marked as sent, and a receipt for
+    /// them.
     pub(crate) fn snapshot(&self) -> (Vec<PipelineLive>, Receipt) {
         let (pipelines, sent_seconds) = self.0.iter().map(|live_state| live_state.live()).unzip();
         (pipelines, Receipt(sent_seconds))

@@ -31,7 +31,8 @@ pub(crate) struct ObservedPipeline {
 }
 
 impl ObservedPipelines {
-    /// Returns the observing pipelines of a host that serves. Without `[serve]` the result is empty, because no peer can query the host.
+    /// Returns the observing pipelines of a host that serves. Without `[serve]` the result is empty, because no peer
+    /// can query the host.
     pub(crate) fn from_config(config: &AgentConfig) -> Self {
         let pipeline = |pipeline: &PipelineConfig| match &pipeline.placement {
             PlacementConfig::Observe(observed) if pipeline.start == StartMode::Boot => {

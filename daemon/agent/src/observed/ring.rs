@@ -37,8 +37,8 @@ impl StampRing {
         Self { capacity, lifetime, entries: HashMap::new(), keys: VecDeque::new() }
     }
 
-    /// Records the stamp of a message that was received at `at`. Of several messages with one key, the first is kept, as
-    /// in the pairing.
+    /// Records the stamp of a message that was received at `at`. Of several messages with one key, the first is kept,
+    /// as in the pairing.
     pub(super) fn record(&mut self, side: Side, key: i64, stamp: HostStamp, at: MonoTime) {
         let new_entry = Entry { first_received: at, input: None, output: None };
         match self.entries.get(&key) {

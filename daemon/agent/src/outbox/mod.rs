@@ -1,15 +1,16 @@
 //! The outbox: sends durable events and live updates to the aggregator.
 //!
 //! Tasks add their events to the [`EventQueue`](crate::event_queue::EventQueue) and continue. The outbox task takes the
-//! events from the queue and owns the connection. It drives the sending end of the event stream (`peernet_stream::Sending`),
-//! a state machine that batches, numbers and resends. A second task owns the [spool], the file in which batches are safe until
-//! the aggregator has stored them. So neither the outbox nor a live update waits for a disk.
+//! events from the queue and owns the connection. It drives the sending end of the event stream
+//! (`peernet_stream::Sending`), a state machine that batches, numbers and resends. A second task owns the [spool], the
+//! file in which batches are safe until the aggregator has stored them. So neither the outbox nor a live update waits
+//! for a disk.
 //!
 //! A batch is sent after it was written to the spool. While the spool's disk fails, batches are sent from memory;
 //! otherwise nothing would store them.
 //!
-//! The queue, the batches in memory, the spool and the batches in flight are bounded. If all are full, the newest event is
-//! dropped and counted by run, and a gap is inserted. At all times `produced = stored + waiting + dropped`.
+//! The queue, the batches in memory, the spool and the batches in flight are bounded. If all are full, the newest event
+//! is dropped and counted by run, and a gap is inserted. At all times `produced = stored + waiting + dropped`.
 
 mod connection;
 mod connection_state;
@@ -50,8 +51,8 @@ use crate::runs::Runs;
 use crate::tasks::{Failure, FailureCause};
 
 /// Maximum number of batches of usual length in flight.
-// The number keeps the aggregator busy for a round trip and a write to its disk. It is so small that a live update behind
-// these batches is still current.
+// The number keeps the aggregator busy for a round trip and a write to its disk. It is so small that a live update
+// behind these batches is still current.
 const WINDOW: u32 = 32;
 /// Number of events in memory that is reserved for events other than iterations.
 const RESERVE: u64 = 1024;

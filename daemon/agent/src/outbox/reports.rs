@@ -193,7 +193,8 @@ impl Reports {
         self.incidents.report(IncidentKind::Gap, IncidentSubject::default(), text);
     }
 
-    /// Logs when events are dropped, and when this ends. The aggregator learns of dropped events from the gaps in the stream.
+    /// Logs when events are dropped, and when this ends. The aggregator learns of dropped events from the gaps in the
+    /// stream.
     pub(super) fn report_dropping(&mut self, account: &Accounting, now: MonoTime) {
         let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
         match self.dropping.update(account.dropped, now) {
@@ -220,7 +221,8 @@ impl Reports {
     }
 }
 
-/// Describes a damaged spool that was replaced: how much of it was set aside, where, what is still sent, and what to do.
+/// Describes a damaged spool that was replaced: how much of it was set aside, where, what is still sent, and what to
+/// do.
 fn describe_quarantine(quarantined: &QuarantinedSpool) -> String {
     let QuarantinedSpool { reason, new_path, bytes, recovered } = quarantined;
     let path = new_path.display();

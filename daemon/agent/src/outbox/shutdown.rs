@@ -41,8 +41,8 @@ impl Shutdown {
         }
     }
 
-    /// Returns the time until which sending continues. The caller must call this method again at that time. `None` when the
-    /// shutdown is complete.
+    /// Returns the time until which sending continues. The caller must call this method again at that time. `None` when
+    /// the shutdown is complete.
     pub(super) fn next(&mut self, now: Instant, state: OutboxState) -> Option<Instant> {
         let OutboxState { is_spooled, is_unreachable, stored, waiting } = state;
         if stored > self.stored {

@@ -1,5 +1,5 @@
-//! Accuracy of answers to samples with a label: the values `top-1` and `top-5` of a classification, `map-50` and `mean-iou` of a detection,
-//! `mean-iou` of a segmentation.
+//! Accuracy of answers to samples with a label: the values `top-1` and `top-5` of a classification, `map-50` and
+//! `mean-iou` of a detection, `mean-iou` of a segmentation.
 
 use std::path::Path;
 
@@ -41,14 +41,17 @@ struct Segmentation {
     class_count: Option<usize>,
 }
 
-/// Records the accuracy of an answer to a sample with the label `label`: `top-1` and `top-5` of a classification, which is JSON with `label`
-/// and, best first, `top`; `map-50` and `mean-iou` of a detection, which is JSON with `detections`, if the label has objects; `mean-iou` of a
-/// segmentation, which is JSON and grey pixels, if the label names a mask. Reads the file of the mask.
+/// Records the accuracy of an answer to a sample with the label `label`. The label determines what the answer should
+/// be:
 ///
-/// Records nothing of another answer, or if the model marked a class of the label as unknown (`unknown-label`). Marks a mask with a class that
-/// the model does not have.
+/// - a mask, whose file is read: a segmentation, which is JSON and grey pixels; records `mean-iou`
+/// - objects: a detection, which is JSON with `detections`; records `map-50` and `mean-iou`
+/// - a class: a classification, which is JSON with `label` and, best first, `top`; records `top-1` and `top-5`
+///
+/// Records nothing if the answer has another form, or if the model marked a class of the label as unknown
+/// (`unknown-label`). If a mask contains a class that the model does not have, records `unknown-label` only.
 pub(super) fn record_accuracy(log: &mut Recorder, label: &str, answer: &Sample) {
-    // No answer to such a sample can be correct, so it says nothing about the model.
+    // No answer to such a sample can be correct, so the answer says nothing about the accuracy of the model.
     if log.tree().find(&[UNKNOWN_LABEL.as_str()]).is_some() {
         return;
     }
@@ -65,7 +68,7 @@ pub(super) fn record_accuracy(log: &mut Recorder, label: &str, answer: &Sample) 
     let matches_label = |class: &str| normalized_label(class) == label;
     let is_best = matches_label(&best);
     log.record_value(TOP_1, as_number(is_best), Unit::NONE);
-    // Of a model with fewer classes each answer would be among the best five, which says nothing about the model.
+    // If the list has fewer than five classes, the label might be in it only because the model has so few.
     if let Some(top) = top.filter(|top| top.len() >= TOP_5_CLASSES) {
         // A list in another order must not make `top-5` lower than `top-1`.
         let is_in_top = is_best || top.iter().take(TOP_5_CLASSES).any(|class| matches_label(&class.label));
@@ -94,7 +97,7 @@ fn record_segmentation(log: &mut Recorder, label: &MaskLabel, sample: &Sample) {
     let has_unknown_class = |count: usize| {
         mask.pixels().iter().any(|class| *class != IGNORED_CLASS && usize::from(*class) >= count)
     };
-    // Only this host has the mask, so that the model cannot mark it.
+    // The model does not receive the mask, so it cannot mark the class as unknown by itself.
     if class_count(sample).is_some_and(has_unknown_class) {
         log.record_value(UNKNOWN_LABEL, 1.0, Unit::NONE);
         return;
@@ -108,7 +111,8 @@ fn record_segmentation(log: &mut Recorder, label: &MaskLabel, sample: &Sample) {
     }
 }
 
-/// Returns the number of classes of the model that answered; `None` if the answer does not say it, as that of a Python object.
+/// Returns the number of classes of the model that answered; `None` if the answer does not contain it, for example the
+/// answer of a Python object.
 fn class_count(answer: &Sample) -> Option<usize> {
     let Segmentation { class_count } = serde_json::from_slice(json(answer)?).ok()?;
     class_count
@@ -120,8 +124,8 @@ fn json(answer: &Sample) -> Option<&[u8]> {
     Some(&part.bytes)
 }
 
-const fn as_number(is: bool) -> f64 {
-    if is { 1.0 } else { 0.0 }
+const fn as_number(condition: bool) -> f64 {
+    if condition { 1.0 } else { 0.0 }
 }
 
 #[cfg(test)]
@@ -135,7 +139,7 @@ mod tests {
     use super::*;
 
     /// Returns `top-1` and `top-5` of an answer, if they are recorded.
-    fn judged(label: &str, answer: &str) -> (Option<f64>, Option<f64>) {
+    fn top_scores(label: &str, answer: &str) -> (Option<f64>, Option<f64>) {
         scores(&recorded(label, answer))
     }
 
@@ -179,7 +183,7 @@ mod tests {
         assert_eq!((value(&log, "map-50"), value(&log, "mean-iou")), (Some(0.0), None));
         // A label of another kind says nothing about the answer.
         assert_eq!(value(&recorded("a", &half), "map-50"), None);
-        assert_eq!(judged(label, r#"{"label":"a","top":[]}"#), (None, None));
+        assert_eq!(top_scores(label, r#"{"label":"a","top":[]}"#), (None, None));
     }
 
     #[test]
@@ -232,24 +236,24 @@ mod tests {
         let answer = format!(r#"{{"label":"a","score":0.1,"top":[{}]}}"#, top.join(","));
         for (label, expected) in [("a", (1.0, 1.0)), ("e", (0.0, 1.0)), ("f", (0.0, 0.0)), ("z", (0.0, 0.0))]
         {
-            assert_eq!(judged(label, &answer), (Some(expected.0), Some(expected.1)), "{label}");
+            assert_eq!(top_scores(label, &answer), (Some(expected.0), Some(expected.1)), "{label}");
         }
     }
 
     #[test]
     fn folder_spelling_does_not_matter() {
         let answer = r#"{"label":"golden retriever"}"#;
-        assert_eq!(judged("Golden_Retriever", answer), (Some(1.0), None));
-        assert_eq!(judged("golden", answer), (Some(0.0), None));
+        assert_eq!(top_scores("Golden_Retriever", answer), (Some(1.0), None));
+        assert_eq!(top_scores("golden", answer), (Some(0.0), None));
     }
 
     #[test]
     fn answer_with_fewer_than_five_classes_has_no_top_five_score() {
-        assert_eq!(judged("a", r#"{"label":"a"}"#), (Some(1.0), None));
+        assert_eq!(top_scores("a", r#"{"label":"a"}"#), (Some(1.0), None));
         let top = ["a", "b", "c", "d"].map(|class| format!(r#"{{"label":"{class}","score":0.1}}"#)).join(",");
-        assert_eq!(judged("b", &format!(r#"{{"label":"a","top":[{top}]}}"#)), (Some(0.0), None));
+        assert_eq!(top_scores("b", &format!(r#"{{"label":"a","top":[{top}]}}"#)), (Some(0.0), None));
         for answer in [r#"{"boxes":[]}"#, "{", "[]", r#"{"label":3}"#] {
-            assert_eq!(judged("a", answer), (None, None), "{answer}");
+            assert_eq!(top_scores("a", answer), (None, None), "{answer}");
         }
     }
 }

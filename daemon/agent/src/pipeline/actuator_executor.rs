@@ -42,18 +42,19 @@ pub(super) struct SampleOrigin<'a> {
     pub(super) source: &'a str,
 }
 
-/// Runs a pipeline's actuator on one answer at a time, in the order of their samples.
+/// Runs a pipeline's actuator on one answer at a time, in the order of the samples.
 #[derive(Clone)]
 pub(super) struct ActuatorExecutor {
     ordered_actuator: Arc<Mutex<OrderedActuator>>,
     /// `true` if the actuator may block. It then runs on a thread, because it would delay all iterations in flight.
     blocks: bool,
+    /// `true` if the actuator has to be reset before each episode.
     resets: bool,
     /// Facts about the actuator that are known only once it is built.
     facts: Arc<[(String, String)]>,
 }
 
-/// An actuator and the samples to which it has responded.
+/// An actuator that acts on answers only in the order of their samples.
 struct OrderedActuator {
     actuator: Box<dyn Actuator>,
     /// Run and number of the iteration whose answer the actuator acted on last.
@@ -87,15 +88,15 @@ impl ActuatorExecutor {
         self.resets
     }
 
-    /// Acts on an answer, and records `actuation` and the feedback. An answer that is superseded is not acted on, which
-    /// the value `superseded` records.
+    /// Acts on an answer, and records `actuation` and the feedback. If the answer is superseded, does not act but
+    /// records the value `superseded`.
     pub(super) async fn act(
         &self,
         mut log: Recorder,
         origin: SampleOrigin<'_>,
         answer: &Sample,
     ) -> (Recorder, Result<Feedback, ActError>) {
-        // An owned guard, because the thread below takes it along.
+        // An owned guard, because it moves into the thread below.
         let mut ordered_actuator = Arc::clone(&self.ordered_actuator).lock_owned().await;
         if !ordered_actuator.accepts(&origin) {
             log.record_value(SUPERSEDED, 1.0, Unit::NONE);
@@ -128,8 +129,8 @@ impl ActuatorExecutor {
 }
 
 impl OrderedActuator {
-    /// Returns whether the actuator may act on an answer. It must not act on the answer to an older sample after the answer
-    /// to a newer sample, and must not continue an episode that has ended.
+    /// Returns whether the actuator may act on an answer. It must not act on the answer to an older sample after the
+    /// answer to a newer sample, and must not continue an episode that has ended.
     fn accepts(&self, origin: &SampleOrigin<'_>) -> bool {
         let Position { number, episode, .. } = origin.position;
         let is_older = self.last_acted.is_some_and(|(run, last)| run == origin.run && number < last);

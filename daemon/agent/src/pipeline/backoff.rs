@@ -5,7 +5,8 @@ use peernet_stream::Outcome;
 
 /// Pause after each failed iteration of a closed loop; it grows with the number of consecutive failures.
 ///
-/// Without it the loop would fail as fast as it can, for example while a model's queue is full or no image can be read.
+/// Without the pause the loop would fail as fast as it can, for example while a model's queue is full or no image can
+/// be read.
 #[derive(Debug, Default)]
 pub(super) struct FailureBackoff {
     consecutive_failures: u32,
@@ -13,7 +14,7 @@ pub(super) struct FailureBackoff {
 }
 
 impl FailureBackoff {
-    /// Number of consecutive failures without a pause, because a few samples may be bad.
+    /// Number of consecutive failures that cause no pause, because a data set may contain a few bad samples.
     const FAILURES_BEFORE_PAUSE: u32 = 3;
     const MAX_PAUSE: Span = Span::from_seconds(1);
 

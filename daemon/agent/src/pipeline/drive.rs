@@ -33,8 +33,12 @@ pub(super) async fn drive(
     let mut drain_deadline = pin!(tokio::time::sleep(Duration::ZERO));
     let (mut is_stopping, mut is_closed) = (false, false);
     loop {
-        if let Some(ready) = pipeline_loop.dequeue_sample() {
-            executing.push(ready.execute(placement, timeout, pipeline_loop.resources.actuator.clone()));
+        if let Some(queued_sample) = pipeline_loop.dequeue_sample() {
+            executing.push(queued_sample.execute(
+                placement,
+                timeout,
+                pipeline_loop.resources.actuator.clone(),
+            ));
         }
         if pipeline_loop.start_iteration() {
             // Without this, a loop in which no part waits would never yield its thread to other tasks.

@@ -10,8 +10,8 @@ use crate::live::{EPISODE_RETURN, EPISODE_SUCCESS};
 #[derive(Debug, Default)]
 pub(super) struct EpisodeScores {
     open: Vec<OpenEpisode>,
-    /// `true` once the actuator has reported a success or its absence in this run. From then on, an episode without such
-    /// a report is no success.
+    /// `true` once the actuator has reported a success or its absence in this run. From then on, an episode without
+    /// such a report is no success.
     reports_success: bool,
     /// `true` once the actuator has reported a reward in this run.
     reports_reward: bool,
@@ -34,8 +34,8 @@ pub(super) struct EpisodeResult {
     /// Whether the episode was a success; `None` if the actuator reports none.
     pub(super) success: Option<bool>,
     /// Return of the episode: the sum of its rewards, without a discount (Sutton and Barto, *Reinforcement Learning*,
-    /// 2nd edition, section 3.3). Infinite or NaN if the finite rewards have no finite sum. `None` if the actuator reports
-    /// no rewards.
+    /// 2nd edition, section 3.3). Infinite or NaN if the finite rewards have no finite sum. `None` if the actuator
+    /// reports no rewards.
     pub(super) total_reward: Option<f64>,
 }
 
@@ -58,8 +58,8 @@ impl EpisodeScores {
     /// Ends an episode and returns its result. `None` if it has ended before, belongs to the warm-up, or has no result
     /// because the actuator reports none.
     pub(super) fn close(&mut self, number: u32) -> Option<EpisodeResult> {
-        let at = self.open.iter().position(|episode| episode.number == number)?;
-        let OpenEpisode { is_counted, success, total_reward, .. } = self.open.remove(at);
+        let index = self.open.iter().position(|episode| episode.number == number)?;
+        let OpenEpisode { is_counted, success, total_reward, .. } = self.open.remove(index);
         let success = self.reports_success.then(|| success.unwrap_or(false));
         let total_reward = self.reports_reward.then_some(total_reward);
         (is_counted && (success.is_some() || total_reward.is_some()))
@@ -77,13 +77,14 @@ impl EpisodeResult {
         ))
     }
 
-    /// Adds the result to the tree of the episode's last iteration, at the time `end` after the start of that iteration.
+    /// Adds the result to the tree of the episode's last iteration, at the time `end` after the start of that
+    /// iteration.
     pub(super) fn record(&self, tree: &mut Tree, end: Span) {
         let mut add = |name, value| tree.add(NodeId::ROOT, name, end, Measure::Value(value, Unit::NONE));
         if let Some(success) = self.success {
             add(EPISODE_SUCCESS, if success { 1.0 } else { 0.0 });
         }
-        // No statistic accepts other numbers.
+        // The statistics accept finite numbers only.
         if let Some(total_reward) = self.total_reward.filter(|total| total.is_finite()) {
             add(EPISODE_RETURN, total_reward);
         }

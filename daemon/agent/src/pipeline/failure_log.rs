@@ -19,14 +19,15 @@ pub(super) struct FailureLog {
 /// Failures of one kind since the last log line about that kind.
 #[derive(Debug, Default)]
 struct UnloggedFailures {
+    /// Time of the last log line; `None` before the first.
     logged_at: Option<MonoTime>,
     count: u64,
-    /// Number and reason of the latest.
+    /// Number of the iteration that failed last, and the reason.
     latest: Option<(u64, String)>,
 }
 
 impl FailureLog {
-    /// Records the outcome of an iteration. Returns the log lines that are due.
+    /// Records the outcome of iteration `number`. Returns the log lines that are due.
     ///
     /// A successful iteration can make a summary due as well, because no further failure may occur.
     pub(super) fn record(&mut self, number: u64, outcome: &Outcome, now: MonoTime) -> Vec<String> {

@@ -13,7 +13,7 @@ use super::load::Start;
 use super::placement::{ComputationResult, Placement};
 use super::progress::Position;
 
-/// Number and start of an iteration that has started.
+/// Position and start of an iteration that has started.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct StartedIteration {
     pub(super) position: Position,
@@ -73,17 +73,17 @@ impl QueuedSample {
         }
         let ComputationResult { log, result, transport } =
             placement.compute(self.log, &self.sample, timeout).await;
-        let (log, acted) = match (&result, actuator_executor) {
+        let (log, act_result) = match (&result, actuator_executor) {
             (Ok(Some(answer)), Some(actuator_executor)) => {
                 let position = self.iteration.position;
                 let origin = SampleOrigin { run: self.run, position, source: &self.sample.source };
-                let (log, acted) = actuator_executor.act(log, origin, answer).await;
-                (log, acted.map_err(|error| Outcome::Failed(format!("the actuator failed: {error}"))))
+                let (log, act_result) = actuator_executor.act(log, origin, answer).await;
+                (log, act_result.map_err(|error| Outcome::Failed(format!("the actuator failed: {error}"))))
             }
             (Ok(_), _) => (log, Ok(Feedback::default())),
             (Err(outcome), _) => (log, Err(outcome.clone())),
         };
-        let (outcome, feedback) = match acted {
+        let (outcome, feedback) = match act_result {
             Ok(feedback) => (Outcome::Ok, feedback),
             Err(outcome) => (outcome, Feedback::default()),
         };

@@ -14,8 +14,9 @@ pub(super) fn start(clock: &SharedClock, host: HostId, intended: MonoTime) -> (R
     (Recorder::starting_at(SharedClock::clone(clock), host, at), now.mono)
 }
 
-/// Closes the tree of an iteration that ended at `ended`, and adds the totals. A tree reserves nodes for them, which a
-/// sensor or a model cannot use. `transport` is the sum of upload and download, if it is known.
+/// Closes the tree of an iteration that ended at `ended`, and adds the totals. Every tree reserves nodes for the
+/// totals, so that they fit even if a sensor or a model has filled the tree. `transport` is the sum of upload and
+/// download, if it is known.
 pub(super) fn close(
     log: Recorder,
     iteration: &StartedIteration,
@@ -64,9 +65,9 @@ fn add_totals(
 
 /// Returns the sum of the stages; `None` if the duration of a stage is unknown.
 ///
-/// Upload and download have no values if the two clocks are not related, or if one of them was stepped. `transport` then
-/// replaces their sum: it is the edge's waiting time minus the time on the cloud, in which the offset of the clocks
-/// cancels.
+/// Upload and download have no values if the two clocks are not related, or if one of them was stepped. `transport`
+/// then replaces their sum: it is the edge's waiting time minus the time on the cloud. Each is measured by one clock,
+/// so the offset of the clocks has no effect.
 fn stages_total(tree: &Tree, transport: Option<Span>) -> Option<Span> {
     let mut sum = Span::ZERO;
     let mut transit_sum = Some(Span::ZERO);

@@ -11,8 +11,8 @@ use crate::config::LoadConfig;
 ///
 /// With a rate the schedule does not wait for the pipeline: starts come due while earlier iterations are in flight. The
 /// latency of an iteration that starts late counts from its intended start. A stall therefore shows in the latencies of
-/// all iterations that waited through it (this avoids coordinated omission). The number of due starts is limited: beyond
-/// the limit the oldest are skipped, and the next start carries their count.
+/// all iterations that waited through it (this avoids coordinated omission). The number of due starts is limited:
+/// beyond the limit the oldest are skipped, and the next start carries their count.
 #[derive(Debug)]
 pub(crate) struct Schedule {
     plan: StartPlan,
@@ -24,6 +24,7 @@ pub(crate) struct Schedule {
     skipped: u64,
 }
 
+/// Times at which starts come due; a closed loop has none.
 #[derive(Debug)]
 enum StartPlan {
     Closed,
@@ -67,7 +68,8 @@ impl Schedule {
         matches!(self.plan, StartPlan::Closed)
     }
 
-    /// Takes the next start if one is due. In a closed loop one is always due, because the caller waits for each answer.
+    /// Takes the next start if one is due. In a closed loop one is always due, because the caller waits for each
+    /// answer.
     pub(crate) fn take(&mut self, now: MonoTime) -> Option<Start> {
         if self.is_closed() {
             return Some(Start { intended: now, skipped: 0 });
@@ -77,8 +79,8 @@ impl Schedule {
         Some(Start { intended, skipped: std::mem::take(&mut self.skipped) })
     }
 
-    /// Continues the schedule at `now`, as if no time had passed since the last taken start. Starts that had come due in
-    /// between are neither taken nor skipped.
+    /// Continues the schedule at `now`, as if no time had passed since the last taken start. Starts that had come due
+    /// in between are neither taken nor skipped.
     pub(crate) fn resume_at(&mut self, now: MonoTime) {
         self.due.clear();
         match &mut self.plan {
@@ -97,7 +99,8 @@ impl Schedule {
         self.due.clear();
     }
 
-    /// Postpones all further starts by `pause`, in which no start comes due. The caller has taken or skipped those before it.
+    /// Postpones all further starts by `pause`. The caller must have taken or skipped the starts that came due before
+    /// the pause.
     pub(crate) fn postpone(&mut self, pause: Span) {
         match &mut self.plan {
             StartPlan::Closed => {}
@@ -123,7 +126,7 @@ impl Schedule {
         while let Some(at) = self.plan.next_at().filter(|at| *at <= now) {
             self.plan.advance();
             self.due.push_back(at);
-            // The oldest is skipped: its iteration would be the most outdated.
+            // The oldest start is skipped, because its iteration would be the most outdated.
             if self.due.len() > self.max_due {
                 self.due.pop_front();
                 self.skipped += 1;

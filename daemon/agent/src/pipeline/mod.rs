@@ -5,14 +5,15 @@
 //! it, and runs it to its end. `observe` is the loop of a pipeline that only observes a ROS system.
 //!
 //! Before the first sample of an episode the actuator and the sensor are reset. Before every further sample a simulated
-//! sensor is advanced by the time of the last iteration. Both happen outside of iterations (`preparation`). The feedback of the actuator may end an
-//! episode early, and is summed up over the episode (`episode_scores`).
+//! sensor is advanced by the time of the last iteration. Both happen between iterations (`preparation`). The feedback
+//! of the actuator may end an episode early, and is summed up over the episode (`episode_scores`).
 //!
 //! The order of one iteration: `load` returns its intended start, which is the start of the root of its tree. `sensing`
 //! requests a sample from the sensor and applies the transforms. The sample waits until fewer iterations than the
-//! maximum are in flight (`send-queue`). `placement` gets the answer, the actuator runs, unless it has acted on the
-//! answer to a newer sample (`superseded`), and `iteration` closes the tree. `run` passes it to the live statistics and the event queue. An iteration whose answer is lost or late is
-//! recorded as `lost` or `timeout`, never dropped.
+//! maximum are in flight (`send-queue`). `placement` gets the answer. Then the actuator runs, unless it has acted on
+//! the answer to a newer sample (`superseded`). `iteration` closes the tree, and `run` passes the tree to the live
+//! statistics and the event queue. An iteration whose answer is lost or late is recorded as `lost` or `timeout`, never
+//! dropped.
 
 mod accuracy;
 mod actuator_executor;

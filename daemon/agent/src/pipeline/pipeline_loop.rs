@@ -124,7 +124,8 @@ impl<'a> PipelineLoop<'a> {
         let Some(PendingSample { run, start, started_at, .. }) = self.resources.pending_sample.take() else {
             return;
         };
-        // The end of the sensor, a failure of the sensor and a sample of an earlier run are handled as if there were a connection.
+        // The end of the sensor, a failure of the sensor and a sample of an earlier run are handled as if there were a
+        // connection.
         if !matches!(sample, Ok(Some(_))) || run != self.run.id() {
             return self.accept_sample(run, (start, started_at), SensorOutput { log, sample });
         }
@@ -252,8 +253,8 @@ impl<'a> PipelineLoop<'a> {
         let is_idle = self.end_reason.is_none()
             && !self.awaits_sample()
             && self.resources.pending_preparation.is_none();
-        // A closed loop, or a simulation, starts the next iteration when the last one is complete; an open loop starts it also while
-        // others are in flight, unless these have to end before a preparation.
+        // A closed loop, or a simulation, starts the next iteration when the last one is complete; an open loop starts
+        // it also while others are in flight, unless these have to end before a preparation.
         let may_overlap = self.resources.iterations_may_overlap() && self.due_preparation().is_none();
         is_idle && (self.in_flight.is_empty() || may_overlap)
     }
@@ -271,7 +272,8 @@ impl<'a> PipelineLoop<'a> {
 
     /// Queues a sample as the next iteration, records a failure of the sensor, or ends the loop at the end of samples.
     ///
-    /// A sample that an earlier run requested is dropped: its iteration started before this run, and that run has ended.
+    /// A sample that an earlier run requested is dropped: its iteration started before this run, and that run has
+    /// ended.
     fn accept_sample(
         &mut self,
         run: RunId,
@@ -360,8 +362,8 @@ impl<'a> PipelineLoop<'a> {
     }
 }
 
-/// Returns the outcome with its reason as one printable line, for a table cell. The reason of a sensor or a model may be
-/// a traceback.
+/// Returns the outcome with its reason as one printable line, for a table cell. The reason of a sensor or a model may
+/// be a traceback.
 fn with_printable_reason(outcome: Outcome) -> Outcome {
     match outcome {
         Outcome::Failed(reason) => Outcome::Failed(printable_line(&reason).into_owned()),

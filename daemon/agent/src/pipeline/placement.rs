@@ -78,8 +78,8 @@ impl Placement {
                 })
             }
             PlacementConfig::Remote(remote) => {
-                // The pipeline bounds the iterations in flight itself. With a lower bound of the session, iterations would
-                // wait inside the session, where no stage records the wait.
+                // The pipeline bounds the iterations in flight itself. With a lower bound of the session, iterations
+                // would wait inside the session, where no stage records the wait.
                 let pipeline_maximum = u32::try_from(config.max_in_flight.get()).unwrap_or(u32::MAX);
                 let max_in_flight = remote.session.max_in_flight.max(pipeline_maximum);
                 let settings = SessionSettings { max_in_flight, ..remote.session.clone() };
@@ -97,7 +97,8 @@ impl Placement {
         pipeline: &Slug,
         context: &PipelineContext,
     ) -> Result<Self, OpenFailure> {
-        // The socket is opened before the hello that names it, because a cloud on this machine connects before it accepts the session.
+        // The socket is opened before the hello that names it, because a cloud on this machine connects before it
+        // accepts the session.
         let clock_socket = ClockSocket::listen(&*context.host.clock);
         let hello = SessionHello {
             versions: SESSION_VERSIONS,
@@ -213,7 +214,8 @@ impl Placement {
         }
     }
 
-    /// Inspects this host. Returns its conditions and the peer's conditions, which the peer reported when the session opened.
+    /// Inspects this host. Returns its conditions and the peer's conditions, which the peer reported when the session
+    /// opened.
     ///
     /// `is_continuation` is `true` if the run directly continues another run. The pipeline then measures during the
     /// inspection, so the competing threads are counted only once and the inspection does not sleep.
@@ -344,7 +346,8 @@ async fn compute_locally(
     let answer = match futures::poll!(&mut done) {
         Poll::Ready(answer) => {
             if pool.runs_on_threads() {
-                // The answers of one batch arrive together. Those to older samples are ready as well, and the pipeline looks at them first.
+                // The answers of one batch arrive together. Those to older samples are ready as well, and the pipeline
+                // looks at them first.
                 tokio::task::yield_now().await;
             }
             Ok(answer)

@@ -102,8 +102,8 @@ impl Progress {
         self.next.1 == 0
     }
 
-    /// Returns whether the next iteration belongs to the warm-up at the start of the run, by the number of iterations or
-    /// of episodes.
+    /// Returns whether the next iteration belongs to the warm-up at the start of the run, by the number of iterations
+    /// or of episodes.
     pub(crate) fn is_next_run_warm_up(&self) -> bool {
         self.is_run_warm_up(self.next.0)
     }

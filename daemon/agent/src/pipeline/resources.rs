@@ -41,8 +41,8 @@ pub(super) enum AssembleError {
     Panicked(#[from] JoinError),
 }
 
-/// The parts of a pipeline that outlive a run and a connection: its configuration and live state, the sensor with its transforms, the actuator,
-/// and the schedule of the starts. Only the placement is not among them.
+/// The parts of a pipeline that outlive a run and a connection: its configuration and live state, the sensor with its
+/// transforms, the actuator, and the schedule of the starts. Only the placement is not among them.
 pub(super) struct PipelineResources {
     pub(super) config: Arc<PipelineConfig>,
     pub(super) live_state: Arc<PipelineLiveState>,
@@ -122,7 +122,8 @@ impl PipelineResources {
 
     /// Restarts the schedule for a run.
     pub(super) fn restart_schedule(&mut self, now: MonoTime) {
-        // Starts that came due before the run must not count in its latencies, nor an advance that began before it postpone them.
+        // Starts that came due before the run must not count in its latencies, nor an advance that began before it
+        // postpone them.
         self.advance_started_at = None;
         self.schedule = Schedule::new(&self.config.load, self.config.max_in_flight.get(), now);
     }
@@ -142,14 +143,17 @@ impl PipelineResources {
         }
     }
 
-    /// Starts a preparation. The caller does so only while no sample is requested, because the sensor handles one request at a time.
+    /// Starts a preparation. The caller does so only while no sample is requested, because the sensor handles one
+    /// request at a time.
     pub(super) fn start_preparation(&mut self, preparation: Preparation, now: MonoTime) {
         if matches!(preparation, Preparation::Advance(_)) {
-            // An iteration that started when one of them was due would contain time by which the simulation is advanced now.
+            // An iteration that started when one of them was due would contain time by which the simulation is advanced
+            // now.
             self.schedule.skip_due(now);
             self.advance_started_at = Some(now);
         }
-        // An advance has this time already. A reset begins a new simulation, in which the time of earlier iterations does not pass.
+        // An advance has this time already. A reset begins a new simulation, in which the time of earlier iterations
+        // does not pass.
         self.pending_advance = None;
         let actuator = self.actuator.clone().filter(ActuatorExecutor::resets);
         let request = self.sensor.preparation_sender();
@@ -175,8 +179,8 @@ impl PipelineResources {
         if self.schedule.is_closed() { 1 } else { self.config.max_in_flight.get() }
     }
 
-    /// Returns whether a sample may be taken while an iteration is in flight. A simulation has to be advanced by the time of
-    /// that iteration before.
+    /// Returns whether a sample may be taken while an iteration is in flight. A simulation has to be advanced by the
+    /// time of that iteration before.
     pub(super) fn iterations_may_overlap(&self) -> bool {
         !self.schedule.is_closed() && !self.advances
     }

@@ -115,8 +115,9 @@ impl Run {
         }
     }
 
-    /// Adds the feedback on an iteration. Returns the result of its episode if the episode ends with it: by the feedback, or
-    /// because all of its iterations are complete. `has_pending` is `true` while others of the episode are not complete.
+    /// Adds the feedback on an iteration. Returns the result of its episode if the episode ends with it: by the
+    /// feedback, or because all of its iterations are complete. `has_pending` is `true` while others of the episode are
+    /// not complete.
     pub(super) fn add_feedback(
         &mut self,
         episode: u32,
@@ -159,8 +160,8 @@ impl Run {
         if let Some(deadline) = self.deadline {
             deadline::record_deadline(&mut tree, &outcome, deadline);
         }
-        // Warm-up iterations are stored, but left out of statistics, except for the results of episodes: an episode that ends within its
-        // warm-up was a success or none, too.
+        // Warm-up iterations are stored, but left out of statistics, except for the results of episodes: an episode
+        // that ends within its warm-up was a success or none, too.
         if position.warm_up {
             live_state.record_warm_up(ended.wall.unix_seconds(), &tree);
         } else {

@@ -276,8 +276,8 @@ impl Runner {
         }
     }
 
-    /// Reports a connection to a peer. `was_away` is `true` if an earlier attempt was reported as failed; then the server of a local
-    /// model is reported, too.
+    /// Reports a connection to a peer. `was_away` is `true` if an earlier attempt was reported as failed; then the
+    /// server of a local model is reported, too.
     fn report_connected(&self, placement: &Placement, run: Option<RunId>, was_away: bool) {
         let description = placement.describe();
         if was_away && placement.peer().is_none() {

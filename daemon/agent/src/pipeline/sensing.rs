@@ -52,7 +52,8 @@ pub(super) enum SensorRequest {
 pub(super) struct PreparationSender(SyncSender<SensorRequest>);
 
 impl PreparationSender {
-    /// Requests the preparation. The caller has no other pending request. The receiver is closed if the thread has ended.
+    /// Requests the preparation. The caller has no other pending request. The receiver is closed if the thread has
+    /// ended.
     pub(super) fn send(self, preparation: Preparation) -> oneshot::Receiver<Result<(), SensorError>> {
         let (reply, output) = oneshot::channel();
         // If the thread has ended, the request is dropped with `reply`.

@@ -11,8 +11,8 @@ use tokio::io::unix::AsyncFd;
 
 /// A kernel timer (`timerfd`) on the monotonic clock.
 ///
-/// Timers of tokio are rounded up to whole milliseconds. Latency counts from the intended start, so every iteration would
-/// have up to a millisecond of additional latency.
+/// Timers of tokio are rounded up to whole milliseconds. Latency counts from the intended start, so every iteration
+/// would have up to a millisecond of additional latency.
 #[derive(Debug)]
 pub(crate) struct StartTimer {
     timer: AsyncFd<OwnedFd>,
@@ -38,8 +38,8 @@ impl StartTimer {
         Ok(Self { timer, clock, armed_for: None })
     }
 
-    /// Waits until `at`; returns at once if that has passed. If the wait is cancelled and repeated for the same time, the timer is
-    /// not set again.
+    /// Waits until `at`; returns at once if that has passed. If the wait is cancelled and repeated for the same time,
+    /// the timer is not set again.
     ///
     /// # Errors
     /// When the kernel refuses to set the timer.

@@ -21,9 +21,9 @@ pub(crate) struct ClockResponder {
 }
 
 impl ClockResponder {
-    /// Connects to the socket in an edge's hello, without waiting. Returns `None` if the hello names no socket, if the two
-    /// clocks cannot be the same clock, or if the socket cannot be reached because the edge is on another machine or in another
-    /// network namespace.
+    /// Connects to the socket in an edge's hello, without waiting. Returns `None` if the hello names no socket, if the
+    /// two clocks cannot be the same clock, or if the socket cannot be reached because the edge is on another machine
+    /// or in another network namespace.
     pub(crate) fn connect(hello: &SessionHello, session: SessionId, clock: &SharedClock) -> Option<Self> {
         let name = hello.clock_socket?;
         if !hello.clock.may_share_clock_with(clock.identity()) || !clock.shows_kernel_time() {

@@ -18,11 +18,11 @@ use uuid::Uuid;
 use super::messages::ClockAnswer;
 use super::proof::{NotProven, Outcome, OwnClock, Proof};
 
-/// Maximum number of processes that may connect while a session is opened. The cloud is one of them; the others are not part
-/// of PEERNet.
+/// Maximum number of processes that may connect while a session is opened. The cloud is one of them; the others are not
+/// part of PEERNet.
 const MAX_PEERS: usize = 16;
-/// Time after which a process that has not answered the first query is ignored, because it does not serve the session or
-/// is stopped. After a pause of this process an answer may take the same time before the proof counts as expired.
+/// Time after which a process that has not answered the first query is ignored, because it does not serve the session
+/// or is stopped. After a pause of this process an answer may take the same time before the proof counts as expired.
 const FIRST_ANSWER_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// The socket that a session's hello names.

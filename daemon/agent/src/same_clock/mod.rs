@@ -1,14 +1,14 @@
 //! The proof that the processes at both ends of a session read one clock, so their offset is exactly zero.
 //!
 //! Statements of a process about its clock are no proof: clones of a virtual machine have the same boot id, and a
-//! preloaded library may show each process other times. Therefore the edge opens an abstract Unix socket while it opens a
-//! session, and names it in the hello. Such a socket can be reached only within one kernel and one network namespace. A
-//! cloud that may read the same clock connects before it accepts the session, and then answers queries.
+//! preloaded library may show each process other times. Therefore the edge opens an abstract Unix socket while it opens
+//! a session, and names it in the hello. Such a socket can be reached only within one kernel and one network namespace.
+//! A cloud that may read the same clock connects before it accepts the session, and then answers queries.
 //!
-//! An answer proves three things. Both processes are in one time namespace. Each reads through the C library the time that
-//! a direct system call returns. The cloud's reading of the free-running clock lies between two readings of the edge. The
-//! edge sends a query every two seconds; an answer is valid for five seconds. The delays of hosts without the proof are
-//! estimated.
+//! An answer proves three things. Both processes are in one time namespace. Each reads through the C library the time
+//! that a direct system call returns. The cloud's reading of the free-running clock lies between two readings of the
+//! edge. The edge sends a query every two seconds; an answer is valid for five seconds. The delays of hosts without the
+//! proof are estimated.
 //!
 //! ```text
 //! messages  query and answer as bytes

@@ -94,9 +94,9 @@ impl Proof {
 
     /// Handles an answer; `None` if the received bytes are not an answer.
     ///
-    /// The session's id is random and sent over the session only. Therefore a process that knows it is the other end of the
-    /// session. The name of the socket is not secret on this machine (`/proc/net/unix`). The nonce prevents the replay of
-    /// an old answer.
+    /// The session's id is random and sent over the session only. Therefore a process that knows it is the other end of
+    /// the session. The name of the socket is not secret on this machine (`/proc/net/unix`). The nonce prevents the
+    /// replay of an old answer.
     pub(super) fn handle_answer(&mut self, answer: Option<ClockAnswer>, own_clock: OwnClock) -> Outcome {
         // A query counts for one answer only: a second answer with the same nonce proves nothing.
         let open_query = self.open_query.take();
@@ -117,8 +117,8 @@ impl Proof {
         if !answer.shows_kernel_time {
             return self.refute(NotProven::PeerTime);
         }
-        // The cloud read its clock after the query was sent and before the answer arrived. A reading outside that interval
-        // is of a different clock.
+        // The cloud read its clock after the query was sent and before the answer arrived. A reading outside that
+        // interval is of a different clock.
         if answer.raw < raw_before {
             return self.refute(NotProven::OtherClock(answer.raw - raw_before));
         }
@@ -136,8 +136,8 @@ impl Proof {
 
     /// Returns the pause before the next query.
     pub(super) const fn pause(&self) -> Duration {
-        // After a slow answer the next answer is probably fast. After many slow answers the machine is busy, and more queries
-        // would add to its load.
+        // After a slow answer the next answer is probably fast. After many slow answers the machine is busy, and more
+        // queries would add to its load.
         if self.slow_answers == 0 || self.slow_answers > QUICK_RETRIES {
             QUERY_INTERVAL
         } else {

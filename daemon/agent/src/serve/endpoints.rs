@@ -18,7 +18,8 @@ const CALIBRATION: &str = "calibration";
 /// Open ports for sessions, and open ports for probes unless probes are switched off.
 #[derive(Debug)]
 pub(crate) struct ServeEndpoints {
-    /// Random number that distinguishes this process from earlier processes and from other processes behind the same address.
+    /// Random number that distinguishes this process from earlier processes and from other processes behind the same
+    /// address.
     pub(super) instance: u64,
     /// Key that is sent to peers with their session to authenticate probes; `None` if this host has a configured key.
     pub(super) probe_key: Option<ProbeKey>,

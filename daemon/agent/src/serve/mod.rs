@@ -139,7 +139,8 @@ async fn announce_clock(
         loop {
             report_interval.tick().await;
             let announcers = announcers.clone();
-            // This runs on a blocking thread: the report makes a system call for each connection, which must not delay sessions.
+            // This runs on a blocking thread: the report makes a system call for each connection, which must not delay
+            // sessions.
             let report = move || announcers.iter().for_each(Announcer::report_statistics);
             if let Err(error) = tokio::task::spawn_blocking(report).await {
                 tracing::error!(%error, "the report of connection statistics to peers panicked; no more reports are sent");
@@ -173,7 +174,8 @@ async fn serve_sessions(
                 Some(Incoming::Request(request)) => server.compute(request),
                 Some(Incoming::Open(request)) => {
                     let context = server.context.clone();
-                    // This runs on a blocking thread: a model may load for minutes, and other peers are served meanwhile.
+                    // This runs on a blocking thread: a model may load for minutes, and other peers are served
+                    // meanwhile.
                     loading.spawn_blocking(move || prepare(request, listener, &context));
                 }
                 Some(Incoming::Closed { session, said_goodbye, planned_iterations }) => {
@@ -276,7 +278,8 @@ impl Server {
                 let responder = ClockResponder::connect(hello, session, &self.context.host.clock);
                 let responder =
                     responder.map(|responder| AbortOnDropHandle::new(tokio::spawn(responder.answer())));
-                // Updated before the session is accepted: the acceptance contains the port to which the peer sends probes.
+                // Updated before the session is accepted: the acceptance contains the port to which the peer sends
+                // probes.
                 self.update_reflectors(address);
                 if request.accept(accepted) {
                     let counts = match &service {
@@ -302,7 +305,8 @@ impl Server {
         }
     }
 
-    /// Sends the reflectors the addresses of the peers with a session, and `opening`, the address of a session being opened.
+    /// Sends the reflectors the addresses of the peers with a session, and `opening`, the address of a session being
+    /// opened.
     fn update_reflectors(&self, opening: Option<IpAddr>) {
         for allowed in &self.allowed_probers {
             let open = self.peers.values().filter_map(|peer| peer.address);

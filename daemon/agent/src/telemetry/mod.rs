@@ -33,7 +33,8 @@ pub(crate) async fn run(
     // readings.
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     while stop.run_until_cancelled(ticks.tick()).await.is_some() {
-        // The metrics are read on a blocking thread, because the temperature sensors of some boards take milliseconds to answer.
+        // The metrics are read on a blocking thread, because the temperature sensors of some boards take milliseconds
+        // to answer.
         let reading = tokio::task::spawn_blocking(move || {
             let metrics = sampler.sample();
             (sampler, metrics)

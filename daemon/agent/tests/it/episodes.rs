@@ -165,7 +165,8 @@ async fn failed_reset_fails_one_iteration_and_its_episode() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn reset_reaches_only_ends_that_have_it() {
-    // The reward has the number of resets of the sensor (1 if it has none), and, if the actuator has any, its number as a second digit.
+    // The reward has the number of resets of the sensor (1 if it has none), and, if the actuator has any, its number as
+    // a second digit.
     for (ends, rewards) in [
         (("Camera", "Gripper"), [1.0, 1.0]),
         (("CountingCamera", "Gripper"), [1.0, 2.0]),
@@ -224,7 +225,8 @@ async fn simulation_is_advanced_by_total_of_last_iteration() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn open_loop_advances_simulation_before_each_sample() {
-    // The answer to the second sample takes longer than the timeout. The actuator fails if a sample was taken without an advance.
+    // The answer to the second sample takes longer than the timeout. The actuator fails if a sample was taken without
+    // an advance.
     let model = "kind = 'exec'\nworkers = 4\ncommand = '''while read -r word bytes media shape rest; do \
                  x=$(head -c \"$bytes\"); case $x in *'\"step\":2,'*|*'\"step\": 2,'*) sleep 0.6;; *) sleep 0.1;; esac; \
                  printf \"answer %d $media\\n%s\" \"$bytes\" \"$x\"; done'''";

@@ -95,7 +95,8 @@ fn write_identity(folder: &std::path::Path) {
 async fn answers_of_one_batch_are_acted_on_in_order() {
     let folder = tempfile::tempdir().expect("a folder");
     write_identity(folder.path());
-    // The wait of a batch is a multiple of the period, so that the last sample often arrives while the batch is computed.
+    // The wait of a batch is a multiple of the period, so that the last sample often arrives while the batch is
+    // computed.
     let tables = format!(
         "[[model]]\nname = 'identity'\nkind = 'onnx'\npath = {:?}\nbatch = {{ max_size = 8, max_wait_ms = 60.0 }}\n\
          [[pipeline]]\nname = 'line'\n\

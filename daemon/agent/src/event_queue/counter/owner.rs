@@ -53,8 +53,8 @@ impl CountOwner {
     }
 
     /// Returns whether the file is certainly no longer at its path. This is not certain from within another mount
-    /// namespace. It is also not certain while another file system is mounted there, because the file system of the file
-    /// may be mounted again.
+    /// namespace. It is also not certain while another file system is mounted there, because the file system of the
+    /// file may be mounted again.
     pub(super) fn is_gone(&self) -> bool {
         if !self.path.is_absolute()
             || mount_namespace().is_none_or(|namespace| namespace != self.mount_namespace)

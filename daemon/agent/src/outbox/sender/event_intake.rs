@@ -39,8 +39,8 @@ impl EventIntake {
         machine.offer(event, now);
     }
 
-    /// Passes all queued events to the state machine, records the events that did not fit into the queue, and advances the
-    /// state machine's time.
+    /// Passes all queued events to the state machine, records the events that did not fit into the queue, and advances
+    /// the state machine's time.
     pub(super) fn drain(&mut self, machine: &mut Sending, now: Stamp) {
         while let Ok(event) = self.receiver.queue.try_recv() {
             self.offer(machine, &event, now);
@@ -96,7 +96,8 @@ impl EventIntake {
         self.receiver.counter.total().is_some()
     }
 
-    /// Removes the counter if all counted events are settled: in the spool, stored or dropped. `settled` is the number of settled events.
+    /// Removes the counter if all counted events are settled: in the spool, stored or dropped. `settled` is the number
+    /// of settled events.
     pub(super) fn remove_counter(&self, settled: u64) {
         if self.receiver.counter.total() == Some(settled) {
             self.receiver.counter.remove();

@@ -13,7 +13,8 @@ pub(super) struct LiveLane {
     sources: LiveSources,
     /// `true` if a live update is due.
     is_due: bool,
-    /// `true` if the due update waits for the socket. A due update that does not wait for the socket waits for the flow control.
+    /// `true` if the due update waits for the socket. A due update that does not wait for the socket waits for the flow
+    /// control.
     is_blocked: bool,
     /// Number of sessions that had ended when the last update was sent. The aggregator stores the totals of these
     /// sessions' connections from earlier updates.
@@ -55,8 +56,8 @@ impl LiveLane {
         self.sources.live_statistics.mark_all_unsent();
     }
 
-    /// Sends a live update if the flow control allows it. The update is sent before all waiting frames, because it would be
-    /// useless later. It is composed only when it can be sent.
+    /// Sends a live update if the flow control allows it. The update is sent before all waiting frames, because it
+    /// would be useless later. It is composed only when it can be sent.
     pub(super) fn send_update(
         &mut self,
         machine: &mut Sending,
@@ -73,7 +74,8 @@ impl LiveLane {
         if !machine.may_send_live() {
             return;
         }
-        // The number is read before the update is composed, so that a session that ends in between counts as unreported.
+        // The number is read before the update is composed, so that a session that ends in between counts as
+        // unreported.
         let ended_sessions = self.sources.links.ended_sessions();
         let (frame, receipt) = self.update(machine, sent, account);
         let bytes = frame.len();

@@ -33,12 +33,12 @@ const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Longest wait for the aggregator's answer to the hello.
 const WELCOME_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Longest time for passing the last update and the goodbye to the socket. The socket then has the same time again to send
-/// them.
+/// Longest time for passing the last update and the goodbye to the socket. The socket then has the same time again to
+/// send them.
 const LAST_FRAMES_TIMEOUT: Duration = Duration::from_millis(250);
 
-/// Longest time for recording losses, sending the last frames and closing the spool together. The spool's content is safe
-/// even if it is not closed.
+/// Longest time for recording losses, sending the last frames and closing the spool together. The spool's content is
+/// safe even if it is not closed.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// State of the outbox task.
@@ -237,17 +237,17 @@ impl Sender {
         }
     }
 
-    /// Returns the last frames of a session: a live update, then the goodbye. The aggregator shows the state of this update
-    /// until the host connects again, including the number of waiting events.
+    /// Returns the last frames of a session: a live update, then the goodbye. The aggregator shows the state of this
+    /// update until the host connects again, including the number of waiting events.
     fn last_frames(&mut self) -> Vec<Vec<u8>> {
         let update = || self.live.update(&self.machine, self.clock.wall(), self.current_accounting()).0;
         let update = self.machine.is_up().then(update);
         update.into_iter().chain(self.machine.goodbye()).collect()
     }
 
-    /// Handles the events that are only in memory at the end. If some of these events were sent, the aggregator may have
-    /// stored them; the next start finds out and reports the others as lost. If none was sent, all are lost. Their number is
-    /// written to the spool, if the spool can be written, and the next start reports this number.
+    /// Handles the events that are only in memory at the end. If some of these events were sent, the aggregator may
+    /// have stored them; the next start finds out and reports the others as lost. If none was sent, all are lost. Their
+    /// number is written to the spool, if the spool can be written, and the next start reports this number.
     async fn record_losses(&mut self, deadline: Instant) {
         if self.machine.is_spooled() {
             return;

@@ -23,8 +23,8 @@ impl Sender {
         while let Some(action) = self.machine.next(self.clock.mono()) {
             let order = match action {
                 Action::Send(frame) => {
-                    // The batch is recorded before it is sent. If the process is killed in between, the aggregator is queried for a
-                    // batch that it does not have, which does no harm.
+                    // The batch is recorded before it is sent. If the process is killed in between, the aggregator is
+                    // queried for a batch that it does not have, which does no harm.
                     if let Some(sent) = self.machine.sent_unspooled() {
                         self.intake.record_sent_unspooled(sent);
                     }

@@ -144,7 +144,8 @@ impl SpoolError {
 /// Error of an operation on an open spool.
 #[derive(Debug, thiserror::Error)]
 pub(in crate::outbox) enum SpoolFileError {
-    /// The path refers to another file or to no file. Batches that are written now would be lost when this process ends.
+    /// The path refers to another file or to no file. Batches that are written now would be lost when this process
+    /// ends.
     #[error("the spool {} was deleted, moved or replaced while it was in use; move it back. A restart of the agent creates a new spool; events of the old spool that the aggregator has not stored yet are then lost", .0.display())]
     Moved(PathBuf),
     /// The disk is full.

@@ -38,7 +38,8 @@ pub(in crate::outbox) struct SpoolFile {
 /// Result of reading batches.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(in crate::outbox) struct Loaded {
-    /// Contiguous batches whose chains were checked. The first batch cannot be checked if the previous batch is missing.
+    /// Contiguous batches whose chains were checked. The first batch cannot be checked if the previous batch is
+    /// missing.
     pub(in crate::outbox) batches: Vec<SpooledBatch>,
     /// Damage that ends the list; `None` if it ends for another reason.
     pub(in crate::outbox) damage: Option<String>,
@@ -61,9 +62,9 @@ impl SpoolFile {
         &self.path
     }
 
-    /// Writes batches, together with the totals up to the last of these batches, in one transaction. Without batches the totals are
-    /// synced to the disk. Only in this case may a full disk lead to the use of the reserve, because the number of lost events
-    /// must not be lost as well.
+    /// Writes batches, together with the totals up to the last of these batches, in one transaction. Without batches
+    /// the totals are synced to the disk. Only in this case may a full disk lead to the use of the reserve, because the
+    /// number of lost events must not be lost as well.
     pub(in crate::outbox) async fn append(
         &mut self,
         batches: &[SpooledBatch],
@@ -94,8 +95,8 @@ impl SpoolFile {
             counter::remove(&counter);
         }
         if batches.is_empty() {
-            // No batch could be written, so the next batches are sent from memory, and the aggregator may store them. After
-            // a power cut the file must still state which process sent them.
+            // No batch could be written, so the next batches are sent from memory, and the aggregator may store them.
+            // After a power cut the file must still state which process sent them.
             self.sync(ACTION).await?;
         }
         Ok(())
@@ -237,8 +238,8 @@ impl SpoolFile {
         self.end_transaction("delete from", result).await
     }
 
-    /// Deletes batches after emptying the write-ahead log, which may be longer than the reserve. Returns the deleted pages to the file
-    /// system.
+    /// Deletes batches after emptying the write-ahead log, which may be longer than the reserve. Returns the deleted
+    /// pages to the file system.
     async fn delete_on_full_disk(&mut self, through: u64, chain: Chain) -> Result<(), SpoolFileError> {
         checkpoint(&mut self.connection).await.map_err(self.file_error("delete from"))?;
         self.try_to_delete(through, chain).await?;
@@ -348,8 +349,8 @@ pub(in crate::outbox) struct Log(PathBuf);
 
 impl Log {
     /// Syncs the write-ahead log to the disk on a blocking thread, because a memory card sometimes takes seconds.
-    // The log is opened for the sync. SQLite does not lock the log, so closing this descriptor releases no lock. The spool file
-    // must never be opened in this way, because closing that descriptor would release SQLite's locks.
+    // The log is opened for the sync. SQLite does not lock the log, so closing this descriptor releases no lock. The
+    // spool file must never be opened in this way, because closing that descriptor would release SQLite's locks.
     pub(super) fn sync(&self) -> JoinHandle<io::Result<()>> {
         let path = self.0.clone();
         tokio::task::spawn_blocking(move || match File::open(path) {

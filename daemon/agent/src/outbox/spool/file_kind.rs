@@ -28,8 +28,8 @@ pub(crate) enum FileKind {
 }
 
 impl FileKind {
-    /// Reads the kind of a file without SQLite, which would create further files. Tables that are only in the write-ahead log of a
-    /// killed process are not found: such a file seems to have no tables.
+    /// Reads the kind of a file without SQLite, which would create further files. Tables that are only in the
+    /// write-ahead log of a killed process are not found: such a file seems to have no tables.
     ///
     /// # Errors
     /// When the file exists and cannot be read.

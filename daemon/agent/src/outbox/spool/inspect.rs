@@ -39,8 +39,8 @@ pub struct Inspection {
     pub produced: i64,
     /// Number of these events that were dropped and counted in gaps.
     pub dropped: i64,
-    /// Number of dropped events that were in the memory of a killed agent; the other dropped events did not fit. `None` in a spool of
-    /// an earlier release, which did not count them separately.
+    /// Number of dropped events that were in the memory of a killed agent; the other dropped events did not fit. `None`
+    /// in a spool of an earlier release, which did not count them separately.
     pub lost_when_killed: Option<i64>,
     /// All damage that was found.
     #[serde(skip)]

@@ -119,8 +119,9 @@ pub(super) async fn unresolved_counter(
 }
 
 /// Determines which events the previous process lost, records them, and starts a new counter. The record is one
-/// transaction, so that each loss is reported exactly once, no matter at which moment a process is killed. If shared memory
-/// is unavailable, events are not counted. A copy of a spool does not use the counts of the original spool, whose agent reports the losses itself.
+/// transaction, so that each loss is reported exactly once, no matter at which moment a process is killed. If shared
+/// memory is unavailable, events are not counted. A copy of a spool does not use the counts of the original spool,
+/// whose agent reports the losses itself.
 pub(super) async fn start_counter(
     connection: &mut SqliteConnection,
     state: &mut SpoolState,
@@ -151,8 +152,8 @@ pub(super) async fn start_counter(
         EventCounter::default()
     });
     sqlx::query("BEGIN IMMEDIATE").execute(&mut *connection).await?;
-    // The name of the new counter is part of the transaction. If this process is killed after the commit, the next process
-    // finds the counter and reads the count from it.
+    // The name of the new counter is part of the transaction. If this process is killed after the commit, the next
+    // process finds the counter and reads the count from it.
     let result = match write(connection, state, lost_events.is_none(), &counter).await {
         Ok(()) => sqlx::query("COMMIT").execute(&mut *connection).await.map(drop),
         error => error,
@@ -170,7 +171,8 @@ pub(super) async fn start_counter(
              stored, and a gap reports the others"
         ),
         (Some(lost_events), Some(name)) => {
-            // The file is removed after the commit: if this process is killed before the commit, the next process needs the file.
+            // The file is removed after the commit: if this process is killed before the commit, the next process needs
+            // the file.
             counter::remove(name);
             if lost_events > 0 {
                 tracing::warn!(
@@ -188,7 +190,8 @@ pub(super) async fn start_counter(
     Ok(counter)
 }
 
-/// Writes the state. `is_unresolved` is `true` if [`SpoolState::unresolved`] now has the batches of the previous process.
+/// Writes the state. `is_unresolved` is `true` if [`SpoolState::unresolved`] now has the batches of the previous
+/// process.
 async fn write(
     connection: &mut SqliteConnection,
     state: &SpoolState,

@@ -1,12 +1,13 @@
 //! The spool: batches on this host's disk until the aggregator has stored them.
 //!
 //! It is a separate SQLite file (`migrations/spool`). One task owns the connection and executes the orders of the state
-//! machine one after the other. The results are sent over a channel, so that no other task waits for the disk. Each append
-//! is one transaction, which also updates the totals, so that batches and totals agree whenever the process is killed.
+//! machine one after the other. The results are sent over a channel, so that no other task waits for the disk. Each
+//! append is one transaction, which also updates the totals, so that batches and totals agree whenever the process is
+//! killed.
 //!
-//! A crash of the process loses no appended batch. A power cut loses at most the batches that were appended since SQLite's
-//! log was last synced. The write-ahead log is synced every sync interval and not after each batch, because five syncs per second wear
-//! out the flash memory of a robot.
+//! A crash of the process loses no appended batch. A power cut loses at most the batches that were appended since
+//! SQLite's log was last synced. The write-ahead log is synced every sync interval and not after each batch, because
+//! five syncs per second wear out the flash memory of a robot.
 
 mod error;
 mod file;

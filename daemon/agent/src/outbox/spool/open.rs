@@ -48,8 +48,8 @@ pub(crate) struct OpenSpool {
 
 impl OpenSpool {
     /// Opens the spool of a host, and creates it if missing. A damaged spool is quarantined. At the default path
-    /// (`is_default_path`) a file that is not a spool is quarantined, too; at a configured path it is an error, because it
-    /// may be other data.
+    /// (`is_default_path`) a file that is not a spool is quarantined, too; at a configured path it is an error, because
+    /// it may be other data.
     ///
     /// # Errors
     /// When the spool cannot be opened, the file is not a spool, or the spool belongs to another host.
@@ -66,7 +66,8 @@ impl OpenSpool {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
         let folder = folder.unwrap_or_else(|| Path::new("."));
         fs::create_dir_all(folder).map_err(io("create", folder))?;
-        // The lock is on a separate file, because closing a second descriptor of the spool would release SQLite's locks on it.
+        // The lock is on a separate file, because closing a second descriptor of the spool would release SQLite's locks
+        // on it.
         let lock_file = with_suffix(path, "-lock");
         let lock = FileLock::try_acquire(&lock_file).map_err(io("lock", &lock_file))?;
         let lock = lock.ok_or_else(|| SpoolError::InUse(path.to_owned()))?;
@@ -137,8 +138,8 @@ pub(super) fn settings(path: &Path) -> SqliteConnectOptions {
 /// A connection, the state in the file, and the counter of this process.
 type ConnectedSpool = (SqliteConnection, SpoolState, EventCounter);
 
-/// Connects to the spool. If the disk is full, the reserve is released first. If the disk is still full, this process does
-/// not count its events, and a later start determines the losses of the previous process.
+/// Connects to the spool. If the disk is full, the reserve is released first. If the disk is still full, this process
+/// does not count its events, and a later start determines the losses of the previous process.
 async fn connect_despite_full_disk(
     path: &Path,
     host: HostId,
@@ -167,7 +168,8 @@ async fn connect(path: &Path, host: HostId, counts_events: bool) -> Result<Conne
     match prepare(path, host, &mut connection, counts_events).await {
         Ok((state, counter)) => Ok((connection, state, counter)),
         Err(error) => {
-            // The connection is closed before the file is renamed, because closing deletes the write-ahead log by its name.
+            // The connection is closed before the file is renamed, because closing deletes the write-ahead log by its
+            // name.
             if let Err(error) = connection.close().await {
                 tracing::debug!(%error, "closing the unusable spool failed");
             }
@@ -217,8 +219,8 @@ async fn prepare(
     Ok((state, counter))
 }
 
-/// Sets the application id of an empty database before its tables are created. The file is then recognised as a spool even
-/// if the disk becomes full in between.
+/// Sets the application id of an empty database before its tables are created. The file is then recognised as a spool
+/// even if the disk becomes full in between.
 pub(super) async fn claim(path: &Path, connection: &mut SqliteConnection) -> Result<(), SpoolError> {
     let cannot_open = |source| SpoolError::Open { path: path.to_owned(), source };
     let (id, tables): (i32, i64) = sqlx::query_as(

@@ -1,7 +1,7 @@
 //! Quarantines a damaged spool: renames the file, so that a new spool can be created and the robot can measure.
 //!
-//! A damaged spool that is open is only flagged: the *damage flag* is a file beside the spool with the reason as its text.
-//! The next start quarantines a flagged spool.
+//! A damaged spool that is open is only flagged: the *damage flag* is a file beside the spool with the reason as its
+//! text. The next start quarantines a flagged spool.
 
 use std::ffi::OsString;
 use std::fs;
@@ -25,8 +25,8 @@ pub(in crate::outbox) struct QuarantinedSpool {
     pub(in crate::outbox) recovered: Option<RecoveredBatches>,
 }
 
-/// Renames the spool with its log and its shared memory (`-wal`, `-shm`), from which the `sqlite3` shell may recover data.
-/// The spool must not be open.
+/// Renames the spool with its log and its shared memory (`-wal`, `-shm`), from which the `sqlite3` shell may recover
+/// data. The spool must not be open.
 pub(super) fn quarantine(spool: &Path, reason: String, now: WallTime) -> io::Result<QuarantinedSpool> {
     let unused_path = |seconds: i64| {
         let path = with_suffix(spool, &format!(".damaged-{seconds}"));
@@ -57,8 +57,8 @@ pub(super) fn flag_as_damaged(spool: &Path, reason: &str) {
     }
 }
 
-/// Returns the reason why the spool is flagged as damaged; `None` if it is not flagged. A damage flag without a spool is removed:
-/// the spool was deleted, or its quarantine was interrupted.
+/// Returns the reason why the spool is flagged as damaged; `None` if it is not flagged. A damage flag without a spool
+/// is removed: the spool was deleted, or its quarantine was interrupted.
 pub(super) fn quarantine_reason(spool: &Path) -> Option<String> {
     let reason = fs::read_to_string(damage_flag_path(spool)).ok()?;
     if !spool.exists() {

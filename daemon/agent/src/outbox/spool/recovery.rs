@@ -1,8 +1,9 @@
 //! Recovers the intact batches of a quarantined spool.
 //!
-//! The batches before the first damaged one are copied to a new spool of the same stream. For both ends of the event stream this
-//! is a spool that lost its end, as in a power failure: they compare the chains at the aggregator's mark before anything is sent, so
-//! that no recovered batch is stored twice. Batches behind the damage are not copied, because nothing proves that they follow.
+//! The batches before the first damaged one are copied to a new spool of the same stream. For both ends of the event
+//! stream this is a spool that lost its end, as in a power failure: they compare the chains at the aggregator's mark
+//! before anything is sent, so that no recovered batch is stored twice. Batches behind the damage are not copied,
+//! because nothing proves that they follow.
 
 use std::fs;
 use std::io;
@@ -52,7 +53,8 @@ pub(super) enum RecoveryError {
     OtherHost,
 }
 
-/// Creates a spool with the state and the intact batches of a damaged one. Without any intact batch no spool is created.
+/// Creates a spool with the state and the intact batches of a damaged one. Without any intact batch no spool is
+/// created.
 ///
 /// # Errors
 /// When the state of the stream cannot be read, no batch is intact, or the new spool cannot be written.
@@ -205,8 +207,8 @@ async fn copy_batches(
     Ok(recovered)
 }
 
-/// Counts the events of lost batches as dropped, so that they do not count as stored. An incident reports them, so no gap must. Losses
-/// of earlier processes that are not reported yet depend on these counts, which then stay as they are.
+/// Counts the events of lost batches as dropped, so that they do not count as stored. An incident reports them, so no
+/// gap must. Losses of earlier processes that are not reported yet depend on these counts, which then stay as they are.
 async fn count_losses(target: &mut SqliteConnection, lost_events: u64) -> Result<(), sqlx::Error> {
     sqlx::query(
         "UPDATE stream SET dropped = dropped + ?1, told = told + ?1

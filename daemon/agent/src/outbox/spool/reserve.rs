@@ -1,9 +1,9 @@
 //! Disk space that is reserved for deleting.
 //!
-//! To delete rows, SQLite writes first to the write-ahead log and then to the file. A spool that filled its disk could neither be
-//! emptied nor record how many events did not fit. Therefore a file next to the spool occupies some space. This space is released
-//! for a deletion or such a record, and allocated again afterwards. The file remains when the process ends, because on a
-//! full disk the next process could not allocate it.
+//! To delete rows, SQLite writes first to the write-ahead log and then to the file. A spool that filled its disk could
+//! neither be emptied nor record how many events did not fit. Therefore a file next to the spool occupies some space.
+//! This space is released for a deletion or such a record, and allocated again afterwards. The file remains when the
+//! process ends, because on a full disk the next process could not allocate it.
 
 use std::fs::{self, File};
 use std::io;
@@ -56,8 +56,8 @@ impl Reserve {
         }
     }
 
-    /// Allocates the space, or as much as is free. Returns `true` if the reserve is complete, or if the file system does not
-    /// support the allocation of space.
+    /// Allocates the space, or as much as is free. Returns `true` if the reserve is complete, or if the file system
+    /// does not support the allocation of space.
     pub(super) fn allocate(&mut self) -> bool {
         if self.is_unsupported || self.allocated == RESERVE_BYTES {
             return true;

@@ -12,7 +12,8 @@ pub(super) const MAX_PROCESSES: i64 = 64;
 /// Number of unused pages that are kept for the next batches: 8 MiB.
 const SPARE_PAGES: i64 = 2048;
 
-/// Starts a transaction that inserts these batches. `counts_events` is `true` if the process counts the events that it queues.
+/// Starts a transaction that inserts these batches. `counts_events` is `true` if the process counts the events that it
+/// queues.
 // A batch replaces itself if a commit that seemed to fail had succeeded.
 pub(super) async fn insert(
     connection: &mut SqliteConnection,

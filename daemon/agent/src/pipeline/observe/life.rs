@@ -6,7 +6,7 @@ use peernet_logger::RunId;
 use peernet_stream::{EndReason, IncidentKind, PipelineState};
 
 use super::peer::{PeerDescription, PeerStamps};
-use super::session::{Observation, SessionEnded};
+use super::session::{Observation, SessionEnd};
 use super::source::{Source, SourceError, node_name};
 use super::topic::{PublisherLocation, Topic};
 use crate::config::ObserveConfig;
@@ -56,14 +56,14 @@ pub(in crate::pipeline) async fn run_to_end(
         runner.live_state.set_state(PipelineState::Running);
         let reason = loop {
             match observation.run(&mut source, run, runner).await {
-                SessionEnded::Midnight => {
+                SessionEnd::Midnight => {
                     run.end(EndReason::Finished, &runner.context);
                     // The subscriptions and the observation continue; only the run is a new one.
                     *run = start_run(runner, config, &source, observation.peer(), true).await;
                 }
-                SessionEnded::Limit => break Some(EndReason::Finished),
-                SessionEnded::Stopped => break Some(EndReason::Stopped),
-                SessionEnded::SourceLost(error) => {
+                SessionEnd::Limit => break Some(EndReason::Finished),
+                SessionEnd::Stopped => break Some(EndReason::Stopped),
+                SessionEnd::SourceLost(error) => {
                     report_problem(runner, run.id(), Some(&error.to_string()));
                     // The run continues with the next source.
                     break None;
@@ -107,14 +107,14 @@ fn facts(config: &ObserveConfig, source: &Source, peer: Option<&PeerDescription>
     for (role, topic) in [("Input", &source.input), ("Output", &source.output)] {
         let kind = topic.kind().map_or_else(String::new, |kind| format!(" ({})", kind.name));
         facts.push((role.to_owned(), format!("{}{kind}", topic.name())));
-        facts.push((format!("{role} publishers"), publishers(topic, peer)));
+        facts.push((format!("{role} publishers"), describe_publishers(topic, peer)));
     }
     facts.push(("Paired by".to_owned(), config.pair_by.describe().to_owned()));
     facts.extend(peer.iter().flat_map(|peer| peer.facts.iter().cloned()));
     facts
 }
 
-fn publishers(topic: &Topic, peer: Option<&PeerDescription>) -> String {
+fn describe_publishers(topic: &Topic, peer: Option<&PeerDescription>) -> String {
     let locations = topic.publishers();
     let is_peer =
         |location: &PublisherLocation| peer.is_some_and(|peer| peer.is_at(location.host.as_deref()));
@@ -123,8 +123,8 @@ fn publishers(topic: &Topic, peer: Option<&PeerDescription>) -> String {
     locations.join(", ")
 }
 
-/// Subscribes to both topics, and retries until that succeeds. If no run is in progress, also waits for publishers of
-/// both. Returns `None` if the agent stops.
+/// Subscribes to both topics, and retries until that succeeds. If no run is in progress, also waits until
+/// both topics have publishers. Returns `None` if the agent stops.
 async fn connect(
     runner: &Runner,
     config: &ObserveConfig,
@@ -200,7 +200,8 @@ async fn await_publishers(
     }
 }
 
-/// Reports the reason why topics have no messages during a run or, if `problem` is `None`, that both have a publisher again.
+/// Reports the reason why topics have no messages during a run. If `problem` is `None`, reports that both topics have a
+/// publisher again.
 pub(super) fn report_problem(runner: &Runner, run: RunId, problem: Option<&str>) {
     match problem {
         Some(problem) => {

@@ -38,7 +38,8 @@ impl TopicMessage {
     }
 }
 
-/// Returns whether messages of a type begin with a `std_msgs/Header`; `definition` is the text of the type's definition.
+/// Returns whether messages of a type begin with a `std_msgs/Header`; `definition` is the text of the type's
+/// definition.
 pub(super) fn begins_with_header(definition: &str) -> bool {
     let lines = definition.lines().map(|line| line.split('#').next().unwrap_or_default().trim());
     // A line with `=` defines a constant, which is not a field.
@@ -50,8 +51,8 @@ pub(super) fn begins_with_header(definition: &str) -> bool {
 /// Reads the header at the beginning of a message; `None` if its first bytes are not a header.
 pub(super) fn read_header(form: WireForm, message: &Bytes) -> Option<Header> {
     let mut reader = Reader::new(form, message.clone()).ok()?;
-    // In ROS 2 the fields of a type are unknown to the subscriber, so the bytes are checked for plausibility: the second
-    // field of a time is below 1e9 (nanoseconds of a second); the second field of another value rarely is.
+    // In ROS 2 the fields of a type are unknown to the subscriber, so the bytes are checked for plausibility: the
+    // second field of a time is below 1e9 (nanoseconds of a second); the second field of another value rarely is.
     Header::read(&mut reader).ok().filter(|header| header.stamp.nanosec < 1_000_000_000)
 }
 

@@ -9,8 +9,8 @@
 //! observed latency is recorded as the stage `inference`, so that live statistics, store and pages need no special case. `session` is the loop of a run,
 //! and `life` connects and restarts it.
 //!
-//! `stamps` keeps the stamps that agents on other hosts may query. `peer` queries such an agent, which observes the same
-//! messages on its host. The stamps of both hosts separate the network's time from the nodes' time.
+//! `stamps` keeps the stamps that agents on other hosts may query. `peer` queries such an agent, which observes the
+//! same messages on its host. The stamps of both hosts separate the network's time from the nodes' time.
 
 mod arrivals;
 mod life;

@@ -30,7 +30,7 @@ struct UnpairedMessage<T> {
     message: T,
 }
 
-/// Result for one message or a pair.
+/// Result of the search for the counterpart of a message.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Resolution<I, O> {
     /// The two messages are a pair.
@@ -56,9 +56,10 @@ impl<I, O> Pairing<I, O> {
         Self { timeout, capacity, inputs: VecDeque::new(), outputs: VecDeque::new() }
     }
 
-    /// Adds an input message that was received at `at`. Returns the pair that it completes, or the message that it displaces.
+    /// Adds an input message that was received at `at`. Returns the pair that it completes, or the oldest input message
+    /// if there are now more than `capacity`.
     pub(super) fn add_input(&mut self, key: Option<i64>, at: MonoTime, input: I) -> Option<Resolution<I, O>> {
-        // Only output messages with a key wait: one without a key would be paired with a later input message.
+        // The waiting output messages all have a key: one without a key would be paired with a later input message.
         if let Some(output) = remove(&mut self.outputs, key) {
             return Some(Resolution::Paired { input, output });
         }

@@ -1,6 +1,6 @@
 //! The tree of one iteration of an observed system.
 //!
-//! Age and period of a message are values, not stages, because `header.stamp` may be of another clock.
+//! Age and period of a message are values, not stages, because `header.stamp` may come from another clock.
 
 mod peer;
 
@@ -27,8 +27,8 @@ const OUTPUT_UNMATCHED: Name = Name::from_static("output-unmatched");
 pub(super) struct ReceivedMessage {
     pub(super) message: TopicMessage,
     pub(super) arrival: Arrival,
-    /// Stamp of its reception, from which its delay is computed.
-    pub(super) at: HostStamp,
+    /// Stamp of its reception by this host's clocks, from which its delay is computed.
+    pub(super) host_stamp: HostStamp,
 }
 
 /// An input message with its position in the run.
@@ -96,10 +96,10 @@ pub(super) fn answered(
 
 /// Returns the times at which the iteration of a pair began and ended.
 fn start_and_end(input: &Input, output: &ReceivedMessage) -> (Stamp, Stamp) {
-    let (started, seen) = (input.received.message.received, output.message.received);
-    // The observed node may receive the input before the agent does. Then the agent cannot measure the latency, and it is
-    // recorded as 0.
-    (started, if seen.mono < started.mono { started } else { seen })
+    let (started, output_received) = (input.received.message.received, output.message.received);
+    // The observed node may receive the input, and even answer it, before the agent receives the input. Then the agent
+    // cannot measure the latency, and records 0.
+    (started, if output_received.mono < started.mono { started } else { output_received })
 }
 
 fn add_topics(
@@ -109,10 +109,10 @@ fn add_topics(
     at: Span,
     unpaired_counts: UnpairedCounts,
 ) {
-    add(tree, &INPUT, &input.received, Span::ZERO, unpaired_counts.input_missing);
-    add(tree, &OUTPUT, output, at, unpaired_counts.output_missing);
+    add_topic(tree, &INPUT, &input.received, Span::ZERO, unpaired_counts.input_missing);
+    add_topic(tree, &OUTPUT, output, at, unpaired_counts.output_missing);
     if unpaired_counts.output_unmatched > 0 {
-        count(tree, OUTPUT_UNMATCHED, at, unpaired_counts.output_unmatched);
+        add_count(tree, OUTPUT_UNMATCHED, at, unpaired_counts.output_unmatched);
     }
 }
 
@@ -127,28 +127,28 @@ pub(super) fn unanswered(
     let started = input.message.received;
     let mut log = Recorder::starting_at(SharedClock::clone(clock), host, started);
     // Missing messages are counted with the next answered iteration.
-    add(log.tree_mut(), &INPUT, input, Span::ZERO, 0);
+    add_topic(log.tree_mut(), &INPUT, input, Span::ZERO, 0);
     iteration::close(log, &started_iteration(position, started), ended.mono, true, None)
 }
 
-fn add(tree: &mut Tree, names: &TopicNames, received: &ReceivedMessage, at: Span, missing: u64) {
+fn add_topic(tree: &mut Tree, names: &TopicNames, received: &ReceivedMessage, at: Span, missing: u64) {
     let ReceivedMessage { message, arrival, .. } = received;
-    let mut seconds = |name: &Name, span: Option<Span>| {
+    let mut add_seconds = |name: &Name, span: Option<Span>| {
         if let Some(span) = span {
             tree.add(NodeId::ROOT, name.clone(), at, Measure::Value(span.seconds(), Unit::SECONDS));
         }
     };
-    seconds(&names.age, age(message));
-    seconds(&names.period, arrival.period);
-    seconds(&names.jitter, arrival.jitter);
+    add_seconds(&names.age, age(message));
+    add_seconds(&names.period, arrival.period);
+    add_seconds(&names.jitter, arrival.jitter);
     let bytes = Measure::Value(message.length as f64, Unit::BYTES);
     tree.add(NodeId::ROOT, names.bytes.clone(), at, bytes);
     if missing > 0 {
-        count(tree, names.missing.clone(), at, missing);
+        add_count(tree, names.missing.clone(), at, missing);
     }
 }
 
-fn count(tree: &mut Tree, name: Name, at: Span, count: u64) {
+fn add_count(tree: &mut Tree, name: Name, at: Span, count: u64) {
     tree.add(NodeId::ROOT, name, at, Measure::Value(count as f64, Unit::NONE));
 }
 
@@ -179,7 +179,11 @@ mod tests {
     fn received(at: Stamp, stamp: Option<i64>) -> ReceivedMessage {
         let message = TopicMessage { received: at, length: 10, stamp, sequence: None, missing: 0 };
         let arrival = Arrival { period: Some(Span::from_millis(40)), jitter: None };
-        ReceivedMessage { message, arrival, at: HostStamp { wall: at.wall, raw: at.raw, epoch: Some(0) } }
+        ReceivedMessage {
+            message,
+            arrival,
+            host_stamp: HostStamp { wall: at.wall, raw: at.raw, epoch: Some(0) },
+        }
     }
 
     fn clock() -> Arc<ManualClock> {

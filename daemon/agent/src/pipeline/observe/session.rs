@@ -28,7 +28,7 @@ const CHECK_INTERVAL: Span = Span::from_seconds(1);
 
 /// Reason why a session ended.
 #[derive(Debug)]
-pub(super) enum SessionEnded {
+pub(super) enum SessionEnd {
     /// The run reached its limit.
     Limit,
     /// A new day began.
@@ -83,12 +83,12 @@ impl<'a> Observation<'a> {
 
     /// Records iterations of `run` until the session ends. All iterations that had started are recorded by then, unless
     /// the ROS node of the subscriptions has ended.
-    pub(super) async fn run(&mut self, source: &mut Source, run: &mut Run, runner: &Runner) -> SessionEnded {
+    pub(super) async fn run(&mut self, source: &mut Source, run: &mut Run, runner: &Runner) -> SessionEnd {
         let clock = &runner.context.host.clock;
         let mut stopping = pin!(runner.stop.cancelled());
-        // Not polled before its time is set, which is when the agent stops.
+        // The deadline is set when the agent stops; it is not polled before.
         let mut drain_deadline = pin!(tokio::time::sleep(Duration::ZERO));
-        let mut ending: Option<SessionEnded> = None;
+        let mut ending: Option<SessionEnd> = None;
         let mut problem: Option<String> = None;
         let mut dropped = source.input.dropped() + source.output.dropped();
         let mut next_check_at = clock.mono();
@@ -99,19 +99,20 @@ impl<'a> Observation<'a> {
             }
             if now >= next_check_at {
                 next_check_at = now + CHECK_INTERVAL;
-                let current = source.problem();
-                if current != problem {
-                    let problem_with_advice = current.as_ref().map(|problem| source.with_advice(problem));
+                let current_problem = source.problem();
+                if current_problem != problem {
+                    let problem_with_advice =
+                        current_problem.as_ref().map(|problem| source.with_advice(problem));
                     super::life::report_problem(runner, run.id(), problem_with_advice.as_deref());
-                    problem = current;
+                    problem = current_problem;
                 }
                 report_dropped(source, &mut dropped);
             }
             if ending.is_none() {
                 if run.is_limit_reached(now) {
-                    ending = Some(SessionEnded::Limit);
+                    ending = Some(SessionEnd::Limit);
                 } else if run.is_from_previous_day(clock.wall()) {
-                    ending = Some(SessionEnded::Midnight);
+                    ending = Some(SessionEnd::Midnight);
                 }
             }
             // The session ends only when all iterations that have started are complete, so that both messages of a pair
@@ -125,17 +126,17 @@ impl<'a> Observation<'a> {
             let wakeup_at =
                 self.pairing.next_deadline().map_or(next_check_at, |deadline| deadline.min(next_check_at));
             let pause = tokio::time::sleep((wakeup_at - now).to_duration());
-            let is_stopping = matches!(ending, Some(SessionEnded::Stopped));
+            let is_stopping = matches!(ending, Some(SessionEnd::Stopped));
             tokio::select! {
                 () = &mut stopping, if !is_stopping => {
                     drain_deadline.as_mut().reset(tokio::time::Instant::now() + runner.drain_timeout);
-                    ending = Some(SessionEnded::Stopped);
+                    ending = Some(SessionEnd::Stopped);
                 }
                 message = source.input.next() => match message {
                     Ok(message) if ending.is_none() => self.handle_input(message, run, runner),
                     // The run is ending: no further iteration starts.
                     Ok(_) => {}
-                    Err(error) => return SessionEnded::SourceLost(error.into()),
+                    Err(error) => return SessionEnd::SourceLost(error.into()),
                 },
                 message = source.output.next() => match message {
                     Ok(message) => {
@@ -145,20 +146,20 @@ impl<'a> Observation<'a> {
                         }
                         self.handle_output(message, run, runner);
                     }
-                    Err(error) => return SessionEnded::SourceLost(error.into()),
+                    Err(error) => return SessionEnd::SourceLost(error.into()),
                 },
                 settled = next_settled(&mut self.peer) => record(settled, run, runner),
                 () = pause => {}
                 () = &mut drain_deadline, if is_stopping => {
                     self.abandon("the agent stopped before the output message came", run, runner).await;
-                    return SessionEnded::Stopped;
+                    return SessionEnd::Stopped;
                 }
             }
         }
     }
 
-    /// Records the unpaired input messages as lost. The pairs that wait for the peer are recorded with the stamps that it
-    /// has sent so far.
+    /// Records the unpaired input messages as lost. The pairs that wait for the peer are recorded with the stamps that
+    /// it has sent so far.
     pub(super) async fn abandon(&mut self, reason: &str, run: &mut Run, runner: &Runner) {
         for input in self.pairing.take_unpaired_inputs() {
             record_lost(&input, reason.to_owned(), run, runner);
@@ -196,7 +197,7 @@ impl<'a> Observation<'a> {
         let position = run.assign_position(at);
         let key = message.key(self.config.pair_by);
         let host_stamp = self.stamps.stamp(Side::Input, &message, key.ok().flatten());
-        let received = ReceivedMessage { message, arrival, at: host_stamp };
+        let received = ReceivedMessage { message, arrival, host_stamp };
         match key {
             Ok(key) => {
                 let input = Input { position, received };
@@ -225,7 +226,7 @@ impl<'a> Observation<'a> {
         match message.key(self.config.pair_by) {
             Ok(key) => {
                 let host_stamp = self.stamps.stamp(Side::Output, &message, key);
-                let output = ReceivedMessage { message, arrival, at: host_stamp };
+                let output = ReceivedMessage { message, arrival, host_stamp };
                 if let Some(resolution) = self.pairing.add_output(key, at, output) {
                     self.settle(resolution, run, runner);
                 }
@@ -266,14 +267,14 @@ impl<'a> Observation<'a> {
             }
             Resolution::Unanswered { input, cause } => {
                 let ObserveConfig { output, pair_by, .. } = self.config;
-                let (by, millis) = (pair_by.describe(), self.timeout.nanos() / 1_000_000);
+                let (key_name, millis) = (pair_by.describe(), self.timeout.nanos() / 1_000_000);
                 let reason = match cause {
                     UnansweredCause::Expired => {
-                        format!("no message of {output} with its {by} within {millis} ms")
+                        format!("no message of {output} with its {key_name} within {millis} ms")
                     }
                     UnansweredCause::Displaced => {
                         format!(
-                            "{MAX_UNPAIRED} newer input messages arrived before a message of {output} with its {by}"
+                            "{MAX_UNPAIRED} newer input messages arrived before a message of {output} with its {key_name}"
                         )
                     }
                 };

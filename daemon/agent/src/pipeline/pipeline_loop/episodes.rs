@@ -15,16 +15,16 @@ impl PipelineLoop<'_> {
         self.resources.due_preparation(self.run.begins_episode())
     }
 
-    /// Ends the episode whose end the actuator has reported. A sample that was requested before belongs to that episode, so
-    /// the next episode begins after it.
+    /// Ends the episode whose end the actuator has reported. A sample that was requested before belongs to that
+    /// episode, so the next episode begins after it.
     pub(super) fn end_reported_episode(&mut self) {
         if !self.awaits_sample() {
             self.run.end_reported_episode();
         }
     }
 
-    /// Handles the end of a preparation. If it failed, an iteration fails with the reason, and its episode ends: no step of an
-    /// episode may be taken without a reset, or with a simulation whose time is unknown.
+    /// Handles the end of a preparation. If it failed, an iteration fails with the reason, and its episode ends: no
+    /// step of an episode may be taken without a reset, or with a simulation whose time is unknown.
     pub(in crate::pipeline) fn handle_preparation(&mut self, result: Result<(), PreparationError>) {
         self.resources.pending_preparation = None;
         let clock = &self.context.host.clock;

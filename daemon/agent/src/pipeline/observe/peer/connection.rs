@@ -27,7 +27,7 @@ pub(super) struct PeerConnector {
     /// Pipeline of this host.
     pipeline: Slug,
     /// Pipeline of the peer.
-    observed: Slug,
+    peer_pipeline: Slug,
     pair_by: PairBy,
     remote: RemoteConfig,
     timeout: Duration,
@@ -38,11 +38,11 @@ pub(super) struct PeerConnection {
     placement: Placement,
     pub(super) host: HostId,
     pub(super) name: Slug,
-    observed: Slug,
+    peer_pipeline: Slug,
     pair_by: PairBy,
     address: Address,
     clock: SharedClock,
-    own: HostId,
+    own_host: HostId,
     timeout: Duration,
 }
 
@@ -98,7 +98,7 @@ impl PeerConnector {
         let pipeline = runner.config.name.clone();
         Some(Self {
             context: runner.context.clone(),
-            observed: config.peer_pipeline.clone().unwrap_or_else(|| pipeline.clone()),
+            peer_pipeline: config.peer_pipeline.clone().unwrap_or_else(|| pipeline.clone()),
             pipeline,
             pair_by: config.pair_by,
             remote,
@@ -106,7 +106,8 @@ impl PeerConnector {
         })
     }
 
-    /// Opens the connection that a run waits for. Returns `None` if the agent stops.
+    /// Opens the first connection, for which the start of the run waits, and retries until that succeeds. Returns
+    /// `None` if the agent stops.
     pub(super) async fn connect_first(&self, runner: &Runner) -> Option<PeerConnection> {
         let mut reconnect_backoff = ReconnectBackoff::new(self.context.host.id);
         let mut reported_problem = None;
@@ -139,11 +140,11 @@ impl PeerConnector {
             placement,
             host,
             name,
-            observed: self.observed.clone(),
+            peer_pipeline: self.peer_pipeline.clone(),
             pair_by: self.pair_by,
             address: self.remote.peer.clone(),
             clock: Arc::clone(&self.context.host.clock),
-            own: self.context.host.id,
+            own_host: self.context.host.id,
             timeout: self.timeout,
         };
         // A request without keys shows whether the peer has the pipeline.
@@ -151,7 +152,7 @@ impl PeerConnector {
             Ok(_) => {
                 let text = format!(
                     "connected to {}, which observes the same messages with its pipeline {}",
-                    connection.name, self.observed
+                    connection.name, self.peer_pipeline
                 );
                 self.report(IncidentKind::Connected, Some(connection.host), text);
                 Ok(connection)
@@ -189,8 +190,8 @@ impl PeerConnector {
     }
 
     /// Returns the name of the peer's pipeline.
-    pub(super) const fn observed(&self) -> &Slug {
-        &self.observed
+    pub(super) const fn peer_pipeline(&self) -> &Slug {
+        &self.peer_pipeline
     }
 
     pub(super) const fn timeout(&self) -> Duration {
@@ -217,11 +218,11 @@ impl PeerConnection {
             text: format!("cannot query the observed stamps of {} at {}: {reason}", self.name, self.address),
         };
         let refusal = |reason: String| PeerProblem { is_refusal: true, ..failure(reason) };
-        let request = StampRequest::new(self.observed.clone(), self.pair_by, keys);
+        let request = StampRequest::new(self.peer_pipeline.clone(), self.pair_by, keys);
         let sample = request.to_sample().map_err(|error| refusal(error.to_string()))?;
-        // The recorder belongs to no iteration and is dropped. Only the answer is used, and the exchange, from which the
-        // link learns.
-        let log = Recorder::new(Arc::clone(&self.clock), self.own);
+        // The recorder is required but belongs to no iteration, so its tree is dropped. What counts is the answer, and
+        // the exchange of time stamps, from which the clock relation of the link learns.
+        let log = Recorder::new(Arc::clone(&self.clock), self.own_host);
         match self.placement.compute(log, &sample, self.timeout).await.result {
             Ok(answer) => {
                 let answer = answer.unwrap_or_else(empty_sample);
@@ -244,9 +245,10 @@ impl PeerConnection {
     /// Returns the description of the peer for the run's page.
     pub(super) async fn peer_description(&self) -> PeerDescription {
         let mut facts =
-            vec![("Peer".to_owned(), format!("{} with its pipeline {}", self.name, self.observed))];
+            vec![("Peer".to_owned(), format!("{} with its pipeline {}", self.name, self.peer_pipeline))];
         facts.extend(self.placement.facts());
-        // If the name cannot be resolved, the list is empty: publishers are then not marked as being on the peer's host.
+        // If the name cannot be resolved, the list is empty: publishers are then not marked as being on the peer's
+        // host.
         let lookup = tokio::net::lookup_host((self.address.host(), 0)).await;
         let addresses: Vec<IpAddr> =
             lookup.map(|found| found.map(|socket_address| socket_address.ip()).collect()).unwrap_or_default();

@@ -1,12 +1,12 @@
 //! The agent on another host that observes the same messages there.
 //!
-//! [`PeerStamps`] is the observer's end of a task. The connection is used in that task, so that waiting for the network does
-//! not delay messages; the number of waiting pairs is bounded. `connection` is the connection to the peer, `pending` has
-//! the pairs that wait for an answer (without I/O), and `task` drives both.
+//! [`PeerStamps`] is the handle by which the observer uses a task. The task owns the connection to the peer, so that
+//! waiting for the network does not delay messages; the number of waiting pairs is bounded. `connection` is the
+//! connection to the peer, `pending` has the pairs that wait for an answer (without I/O), and `task` drives both.
 //!
-//! The first stamp of an observed message is its reception by another receiver and not its departure. Therefore a message
-//! does not bound the offset of the clocks: the clock relation judges its delays but does not learn from them, and a
-//! delay may be negative.
+//! Both stamps of an observed message are receptions, one by each agent; nobody stamps its departure. Therefore a
+//! message does not bound the offset of the clocks: the clock relation judges its delays but does not learn from them,
+//! and a delay may be negative.
 
 mod connection;
 mod pending;
@@ -40,17 +40,18 @@ pub(in crate::pipeline::observe) struct Pair {
     pub(in crate::pipeline::observe) unpaired_counts: UnpairedCounts,
 }
 
-/// The tree of a pair, with the peer's stamps of it.
+/// The tree of a pair, with the stamps of the pair that the peer has sent, if any.
 #[derive(Debug)]
 pub(super) struct SettledPair {
     pub(super) position: Position,
     pub(super) tree: Tree,
+    /// Time at which the iteration ended.
     pub(super) ended: Stamp,
 }
 
-/// The observer's end of the task that queries the peer.
+/// Handle of the task that queries the peer.
 pub(super) struct PeerStamps {
-    /// Channel of pairs to query; `None` once no further pairs are queried.
+    /// Channel of pairs to query, each with its key; `None` once no further pairs are queried.
     queries: Option<mpsc::Sender<(i64, Pair)>>,
     settled: mpsc::Receiver<SettledPair>,
     /// Number of pairs that were sent to the task and are not settled.
@@ -70,7 +71,7 @@ pub(super) struct PeerDescription {
 }
 
 impl PeerDescription {
-    /// Returns whether this address is one of the peer's host.
+    /// Returns whether `host` is an IP address of the peer's host.
     pub(super) fn is_at(&self, host: Option<&str>) -> bool {
         let address: Option<IpAddr> = host.and_then(|host| host.parse().ok());
         address.is_some_and(|address| self.addresses.contains(&address))
@@ -78,15 +79,15 @@ impl PeerDescription {
 }
 
 impl PeerStamps {
-    /// Opens a connection to the peer of a pipeline, and retries until that succeeds. Returns `None` without a peer, and
-    /// when the agent stops.
+    /// Opens a connection to the peer of a pipeline, and retries until that succeeds. Returns `None` if the
+    /// pipeline has no peer, or if the agent stops.
     pub(super) async fn open(runner: &Runner, config: &ObserveConfig) -> Option<Self> {
         let connector = PeerConnector::new(runner, config)?;
         let connection = connector.connect_first(runner).await?;
         let peer_description = connection.peer_description().await;
-        let (queries, requests) = mpsc::channel(MAX_PENDING);
-        let (settle, settled) = mpsc::channel(MAX_PENDING);
-        let task = tokio::spawn(PeerTask::new(connector, requests, settle).run(connection));
+        let (queries, query_receiver) = mpsc::channel(MAX_PENDING);
+        let (settled_sender, settled) = mpsc::channel(MAX_PENDING);
+        let task = tokio::spawn(PeerTask::new(connector, query_receiver, settled_sender).run(connection));
         Some(Self { queries: Some(queries), settled, waiting: 0, peer_description, task })
     }
 
@@ -96,7 +97,8 @@ impl PeerStamps {
 
     /// Queries the peer for the stamps of a pair. Returns the pair if too many wait, or if the task has ended.
     pub(super) fn query(&mut self, key: i64, pair: Pair) -> Result<(), Box<Pair>> {
-        // The task takes pairs out of the channel while they wait, so the capacity of the channel does not bound their number.
+        // The task takes pairs out of the channel while they wait, so the capacity of the channel does not bound their
+        // number.
         let Some(queries) = self.queries.as_ref().filter(|_| self.waiting < MAX_PENDING) else {
             return Err(Box::new(pair));
         };

@@ -7,7 +7,8 @@ use peernet_logger::HostId;
 
 use crate::observed::ObservedPair;
 
-/// Time until the peer is queried for the same messages again, because it may receive them later than this host.
+/// Time after which the peer is queried again for a message that it had not received, because it may receive messages
+/// later than this host.
 const RETRY_INTERVAL: Span = Span::from_millis(100);
 
 /// Pairs of messages that wait for the peer's stamps.
@@ -23,12 +24,13 @@ pub(super) struct PendingPairs<P> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PeerAnswer {
     pub(super) peer: HostId,
-    pub(super) seen: ObservedPair,
+    pub(super) stamps: ObservedPair,
 }
 
 #[derive(Debug)]
 struct PendingPair<P> {
     key: i64,
+    /// Time of the next query.
     query_at: MonoTime,
     expires_at: MonoTime,
     /// Latest answer, in which a message is still missing.
@@ -65,8 +67,8 @@ impl<P> PendingPairs<P> {
 
     /// Handles an answer of the peer. If the answer has both messages, removes and returns the pairs with the same key.
     pub(super) fn take_answer(&mut self, answer: &PeerAnswer) -> Vec<P> {
-        let has_key = |pending: &PendingPair<P>| pending.key == answer.seen.key;
-        if !answer.seen.is_complete() {
+        let has_key = |pending: &PendingPair<P>| pending.key == answer.stamps.key;
+        if !answer.stamps.is_complete() {
             self.pairs
                 .iter_mut()
                 .filter(|pending| has_key(pending))
@@ -115,8 +117,8 @@ mod tests {
         let stamp =
             HostStamp { wall: WallTime::from_unix_nanos(5), raw: RawTime::from_nanos(5), epoch: Some(0) };
         let output = has_output.then_some(stamp);
-        let seen = ObservedPair::new(key, Some(stamp), output, has_output.then_some(Span::ZERO));
-        PeerAnswer { peer: HostId::from_bytes([1; 16]), seen }
+        let stamps = ObservedPair::new(key, Some(stamp), output, has_output.then_some(Span::ZERO));
+        PeerAnswer { peer: HostId::from_bytes([1; 16]), stamps }
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use peernet_clock::{MonoTime, Span};
 
-/// Time without a pair of messages that both hosts received, after which this is reported.
+/// The silence is reported when the peer has received no pair of messages for this time.
 const REPORT_AFTER: Span = Span::from_seconds(10);
 
 /// Watches whether the peer receives the messages that are received here.

@@ -23,8 +23,9 @@ pub(super) struct PeerTask {
     connector: Arc<PeerConnector>,
     /// The connection, if one is open.
     connection: Option<Arc<PeerConnection>>,
-    requests: mpsc::Receiver<(i64, Pair)>,
-    settle: mpsc::Sender<SettledPair>,
+    /// Pairs for which the observer wants the peer's stamps, each with its key.
+    queries: mpsc::Receiver<(i64, Pair)>,
+    settled_sender: mpsc::Sender<SettledPair>,
     pending: PendingPairs<Pair>,
     silence: SilenceWatch,
     throttle: LogThrottle,
@@ -43,16 +44,16 @@ enum WaitResult<T> {
 impl PeerTask {
     pub(super) fn new(
         connector: PeerConnector,
-        requests: mpsc::Receiver<(i64, Pair)>,
-        settle: mpsc::Sender<SettledPair>,
+        queries: mpsc::Receiver<(i64, Pair)>,
+        settled_sender: mpsc::Sender<SettledPair>,
     ) -> Self {
         let pending = PendingPairs::new(Span::from(connector.timeout()));
         let (silence, throttle) = (SilenceWatch::default(), LogThrottle::default());
         Self {
             connector: Arc::new(connector),
             connection: None,
-            requests,
-            settle,
+            queries,
+            settled_sender,
             pending,
             silence,
             throttle,
@@ -94,10 +95,10 @@ impl PeerTask {
             let keys = self.pending.take_due(self.now(), MAX_KEYS);
             if !keys.is_empty() {
                 match self.wait_for(connection.query(keys)).await? {
-                    // A peer may answer with more than was requested; at most the largest number that one request may
-                    // ask for is used.
-                    Ok(answer) => answer.pairs.iter().take(MAX_KEYS).for_each(|seen| {
-                        self.take_answer(&PeerAnswer { peer: connection.host, seen: *seen });
+                    // A peer may answer with more pairs than were requested. Pairs beyond the largest number that one
+                    // request may ask for are ignored.
+                    Ok(answer) => answer.pairs.iter().take(MAX_KEYS).for_each(|stamps| {
+                        self.take_answer(&PeerAnswer { peer: connection.host, stamps: *stamps });
                     }),
                     Err(problem) => self.log(problem.text()),
                 }
@@ -156,7 +157,7 @@ impl PeerTask {
         let expiry = self.pending.next_expiry();
         tokio::select! {
             output = future => WaitResult::Ready(output),
-            request = self.requests.recv() => match request {
+            query = self.queries.recv() => match query {
                 Some((key, pair)) => {
                     self.pending.add(key, pair, self.now());
                     WaitResult::Woken
@@ -184,7 +185,7 @@ impl PeerTask {
 
     /// Records all waiting pairs.
     fn abandon(&mut self) {
-        while let Ok((key, pair)) = self.requests.try_recv() {
+        while let Ok((key, pair)) = self.queries.try_recv() {
             self.pending.add(key, pair, self.now());
         }
         while let Some((pair, answer)) = self.pending.abandon() {
@@ -203,8 +204,8 @@ impl PeerTask {
     }
 
     fn settle_with(&self, pair: &Pair, answer: &PeerAnswer) {
-        // A delay needs the clock relation, which belongs to a connection to this peer. Without a connection the stamps are
-        // recorded without delays.
+        // A delay needs the clock relation, which belongs to a connection to this peer. Without a connection the stamps
+        // are recorded without delays.
         let connection = self.connection.as_ref().filter(|connection| connection.host == answer.peer);
         let judge = |up: &Crossing, down: Option<&Crossing>| {
             connection.map_or([None, None], |connection| connection.judge(up, down))
@@ -213,8 +214,9 @@ impl PeerTask {
     }
 
     fn settle(&self, settled: SettledPair) {
-        // The channel has capacity for all waiting pairs, so sending fails only if the pipeline has ended.
-        if self.settle.try_send(settled).is_err() {
+        // The channel has capacity for all waiting pairs (`MAX_PENDING`), so sending fails only if the pipeline has
+        // ended.
+        if self.settled_sender.try_send(settled).is_err() {
             tracing::debug!("an observed iteration was dropped: its pipeline has ended");
         }
     }
@@ -225,18 +227,18 @@ impl PeerTask {
         let Some(connection) = &self.connection else { return };
         let (name, peer) = (connection.name.to_string(), connection.host);
         let Some(report) = self.silence.record(has_both, self.connector.host().clock.mono()) else { return };
-        let observed = self.connector.observed();
+        let peer_pipeline = self.connector.peer_pipeline();
         let (kind, text) = match report {
             SilenceReport::Began => (
                 IncidentKind::Disconnected,
                 format!(
                     "{name} received none of the pairs of messages of the last 10 s; check on its page that its pipeline \
-                     {observed} runs and observes the same topics, and that the nodes copy the field by which messages are paired"
+                     {peer_pipeline} runs and observes the same topics, and that the nodes copy the field by which messages are paired"
                 ),
             ),
             SilenceReport::Ended => (
                 IncidentKind::Connected,
-                format!("{name} receives the same messages with its pipeline {observed} again"),
+                format!("{name} receives the same messages with its pipeline {peer_pipeline} again"),
             ),
         };
         self.connector.report(kind, Some(peer), text);
@@ -265,6 +267,6 @@ fn record_by_peer(
     judge: impl FnOnce(&Crossing, Option<&Crossing>) -> [Option<OneWayDelay>; 2],
 ) -> SettledPair {
     let (tree, ended) =
-        record::answered_by_peer((&host.clock, host.id), answer.peer, pair, &answer.seen, judge);
+        record::answered_by_peer((&host.clock, host.id), answer.peer, pair, &answer.stamps, judge);
     SettledPair { position: pair.input.position, tree, ended }
 }

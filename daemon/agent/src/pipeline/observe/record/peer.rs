@@ -5,7 +5,7 @@ use peernet_logger::{
     Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Recorder, Tree, TreeDelta, stage,
 };
 
-use super::{add_topics, count, start_and_end, started_iteration};
+use super::{add_count, add_topics, start_and_end, started_iteration};
 use crate::link::{Crossing, HostStamp};
 use crate::observed::ObservedPair;
 use crate::pipeline::iteration;
@@ -36,8 +36,8 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
     let mut recorder = Recorder::starting_at(SharedClock::clone(clock), host, started);
     let mut transport = None;
     if let Some(arrived) = peer_stamps.input() {
-        let up = Crossing { sender: input.received.at, receiver: arrived };
-        let down = |departed| Crossing { sender: departed, receiver: output.at };
+        let up = Crossing { sender: input.received.host_stamp, receiver: arrived };
+        let down = |departed| Crossing { sender: departed, receiver: output.host_stamp };
         let return_path = peer_stamps
             .output()
             .zip(peer_stamps.elapsed())
@@ -71,7 +71,7 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
     let missing = [(PEER_INPUT_MISSING, peer_stamps.input()), (PEER_OUTPUT_MISSING, peer_stamps.output())];
     // Counted only if the peer answered. Without an answer it is not known which messages the peer received.
     for (name, _) in missing.into_iter().filter(|(_, stamp): &(Name, Option<HostStamp>)| stamp.is_none()) {
-        count(recorder.tree_mut(), name, total, 1);
+        add_count(recorder.tree_mut(), name, total, 1);
     }
     close(recorder, pair, ended, transport)
 }
@@ -83,7 +83,7 @@ pub(in crate::pipeline::observe) fn answered_without_peer(
 ) -> (Tree, Stamp) {
     let (started, ended) = start_and_end(&pair.input, &pair.output);
     let mut recorder = Recorder::starting_at(SharedClock::clone(clock), host, started);
-    count(recorder.tree_mut(), PEER_UNANSWERED, ended.mono - started.mono, 1);
+    add_count(recorder.tree_mut(), PEER_UNANSWERED, ended.mono - started.mono, 1);
     close(recorder, pair, ended, None)
 }
 
@@ -145,13 +145,13 @@ mod tests {
         ReceivedMessage {
             message,
             arrival: Arrival::default(),
-            at: HostStamp { wall: at.wall, raw: at.raw, epoch: Some(0) },
+            host_stamp: HostStamp { wall: at.wall, raw: at.raw, epoch: Some(0) },
         }
     }
 
     /// Returns a pair whose input took 30 ms to the peer; 20 ms passed there, and the output took 5 ms back.
     fn pair(clock: &ManualClock) -> (Pair, ObservedPair) {
-        let there = |clock: &ManualClock| HostStamp {
+        let peer_stamp = |clock: &ManualClock| HostStamp {
             wall: clock.wall() + BEHIND,
             raw: clock.raw() + BEHIND,
             epoch: Some(0),
@@ -159,9 +159,9 @@ mod tests {
         let position = Position { number: 1, episode: 0, step: 0, warm_up: false };
         let input = Input { position, received: received(clock.stamp()) };
         clock.advance(Span::from_millis(30));
-        let arrived = there(clock);
+        let arrived = peer_stamp(clock);
         clock.advance(Span::from_millis(20));
-        let departed = there(clock);
+        let departed = peer_stamp(clock);
         clock.advance(Span::from_millis(5));
         let output = received(clock.stamp());
         let seen = ObservedPair::new(7, Some(arrived), Some(departed), Some(Span::from_millis(20)));
@@ -203,7 +203,7 @@ mod tests {
         let Some((_, upload)) = tree.find(&["upload"]) else { panic!("{tree:?}") };
         let Measure::Transit(transit) = &upload.measure else { panic!("{upload:?}") };
         let raw = transit.received.expect("it arrived") - transit.sent;
-        assert_eq!(raw, Span::from_millis(30) + BEHIND, "what was stamped stays as it was");
+        assert_eq!(raw, Span::from_millis(30) + BEHIND, "the stamps are recorded unchanged");
     }
 
     #[test]

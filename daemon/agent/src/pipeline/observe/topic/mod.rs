@@ -78,7 +78,7 @@ impl Topic {
         }
     }
 
-    /// Returns the type of the messages, once there is a publisher.
+    /// Returns the type of the messages; `None` while it is unknown because there is no publisher.
     pub(super) fn kind(&self) -> Option<ObservedType> {
         match self {
             Self::Ros1(topic) => topic.kind(),
@@ -114,8 +114,8 @@ impl Topic {
     pub(super) fn dropped(&self) -> u64 {
         match self {
             Self::Ros1(topic) => topic.dropped(),
-            // In ROS 2 newer messages replace unread ones. The replaced messages are counted as missing by their sequence
-            // numbers.
+            // In ROS 2 newer messages replace unread ones. The replaced messages are counted as missing by their
+            // sequence numbers.
             Self::Ros2(_) => 0,
         }
     }

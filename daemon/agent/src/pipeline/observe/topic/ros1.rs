@@ -52,7 +52,7 @@ impl Ros1Topic {
     }
 
     pub(super) fn kind(&self) -> Option<ObservedType> {
-        let publisher = self.connected().next()?;
+        let publisher = self.connected_publishers().next()?;
         let has_header = Some(begins_with_header(&publisher.kind.definition));
         Some(ObservedType { name: publisher.kind.name.to_string(), has_header })
     }
@@ -66,8 +66,8 @@ impl Ros1Topic {
             PublisherState::Failed(reason) => Some(reason),
             PublisherState::Connecting | PublisherState::Connected(_) => None,
         });
-        let silent = format!("no node publishes {}", self.name());
-        Some(failed.map_or_else(|| silent.clone(), |reason| format!("{silent} ({reason})")))
+        let no_publisher = format!("no node publishes {}", self.name());
+        Some(failed.map_or_else(|| no_publisher.clone(), |reason| format!("{no_publisher} ({reason})")))
     }
 
     pub(super) fn publishers(&self) -> Vec<PublisherLocation> {
@@ -76,7 +76,7 @@ impl Ros1Topic {
             let host = (info.remote.ip() != info.local.ip()).then(|| info.remote.ip().to_string());
             PublisherLocation { node: info.node.to_string(), host }
         };
-        self.connected().map(location).collect()
+        self.connected_publishers().map(location).collect()
     }
 
     pub(super) fn publishers_changed(&self) -> impl Future<Output = ()> + '_ {
@@ -87,7 +87,7 @@ impl Ros1Topic {
         self.subscriber.counts().dropped
     }
 
-    fn connected(&self) -> impl Iterator<Item = Arc<PublisherInfo>> + use<> {
+    fn connected_publishers(&self) -> impl Iterator<Item = Arc<PublisherInfo>> + use<> {
         self.subscriber.publishers().into_iter().filter_map(|publisher| match publisher.state {
             PublisherState::Connected(info) => Some(info),
             PublisherState::Connecting | PublisherState::Failed(_) => None,

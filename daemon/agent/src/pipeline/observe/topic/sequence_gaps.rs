@@ -12,7 +12,8 @@ const MAX_PUBLISHERS: usize = 256;
 pub(super) struct SequenceGaps(BTreeMap<Arc<str>, i64>);
 
 impl SequenceGaps {
-    /// Records the sequence number of a message. Returns the number of missing messages of the same publisher before it.
+    /// Records the sequence number of a message. Returns the number of missing messages of the same publisher before
+    /// it.
     pub(super) fn record(&mut self, publisher: &Arc<str>, sequence: i64) -> u64 {
         if self.0.len() >= MAX_PUBLISHERS && !self.0.contains_key(publisher) {
             // A publisher that is forgotten loses the count of one gap at most.
