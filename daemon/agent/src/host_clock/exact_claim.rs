@@ -5,11 +5,11 @@ use peernet_clock::{ClockFaults, DelaySource, Discipline, Interval, Span, WallTi
 /// Half the width of the claim.
 const BOUND: Span = Span::from_micros(1);
 
-/// Returns a claim that contains the clock's error at `truth`. Unless the clock is stepped, the claim also contains the
-/// error at any time within `reach` before or after `truth`.
+/// Returns a claim that contains the clock's error at `true_time`. Unless the clock is stepped, the claim also contains
+/// the error at any time within `reach` before or after `true_time`.
 // The claim is also used for messages that were stamped before it was made.
-pub(super) fn exact_claim(description: &ClockFaults, truth: WallTime, reach: Span) -> Discipline {
-    let current_error = description.wall_error_at(truth);
+pub(super) fn exact_claim(description: &ClockFaults, true_time: WallTime, reach: Span) -> Discipline {
+    let current_error = description.wall_error_at(true_time);
     let drift = Span::from_nanos((reach.nanos() as f64 * description.drift_ppm.abs() * 1e-6).ceil() as i64);
     let error = Interval { lo: current_error - drift - BOUND, hi: current_error + drift + BOUND };
     Discipline { source: DelaySource::Kernel, error }
@@ -31,14 +31,15 @@ mod tests {
         };
         let reach = Span::from_seconds(2);
         for seconds in [0, 10, 19, 21, 100_000] {
-            let truth = description.since + Span::from_seconds(seconds);
-            let claim = exact_claim(&description, truth, reach).error;
+            let true_time = description.since + Span::from_seconds(seconds);
+            let claim = exact_claim(&description, true_time, reach).error;
             assert!(claim.width() <= Span::from_micros(202), "{claim:?}");
             let (stepped_ahead, stepped_before) = (seconds == 19, seconds == 21);
-            for moment in [truth - reach, truth, truth + reach] {
+            for moment in [true_time - reach, true_time, true_time + reach] {
                 let error = description.wall_error_at(moment);
                 let is_inside = claim.lo <= error && error <= claim.hi;
-                let is_across_step = (stepped_ahead && moment > truth) || (stepped_before && moment < truth);
+                let is_across_step =
+                    (stepped_ahead && moment > true_time) || (stepped_before && moment < true_time);
                 assert!(is_inside || is_across_step, "{seconds}: {error} in {claim:?}");
             }
         }

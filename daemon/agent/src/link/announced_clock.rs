@@ -6,7 +6,8 @@ use peernet_networks::PeerClock;
 /// Longest time between the reading of a host's clocks and the arrival of the announcement at the other host.
 const MAX_TRANSIT: Span = Span::from_seconds(1);
 
-/// The related clock of a host, and the host's latest announcement.
+/// The clock of a host that the link's clock relation relates to the clock of the other host, and the host's latest
+/// announcement.
 #[derive(Debug)]
 pub(super) struct AnnouncedClock {
     clock: PeerClock,
@@ -94,7 +95,7 @@ mod tests {
 
     use super::*;
 
-    fn claiming(raw_epoch: u32) -> PeerClock {
+    fn announcement_with_claim(raw_epoch: u32) -> PeerClock {
         let millis = |lo, hi| Interval { lo: Span::from_millis(lo), hi: Span::from_millis(hi) };
         PeerClock {
             discipline: Some(Discipline { source: DelaySource::Chrony, error: millis(-1, 2) }),
@@ -110,24 +111,24 @@ mod tests {
     #[test]
     fn claim_widens_when_related_to_free_running_clock() {
         let at = RawTime::from_nanos(0);
-        let announced = AnnouncedClock::new(claiming(0), true, at);
+        let announced = AnnouncedClock::new(announcement_with_claim(0), true, at);
         let claim = announced.claim(at + Span::from_seconds(9), 100.0).expect("it has one");
         let expected = Interval { lo: Span::from_millis(-5_003), hi: Span::from_millis(-4_997) };
         assert_eq!(claim.error, expected, "10 s at 100 ppm are 1 ms at each end");
-        let by_wall = AnnouncedClock::new(claiming(0), false, at);
-        assert_eq!(by_wall.claim(at + Span::from_seconds(9), 100.0), claiming(0).discipline);
+        let by_wall = AnnouncedClock::new(announcement_with_claim(0), false, at);
+        assert_eq!(by_wall.claim(at + Span::from_seconds(9), 100.0), announcement_with_claim(0).discipline);
     }
 
     #[test]
     fn claim_from_before_interruption_is_void() {
         let at = RawTime::from_nanos(0);
-        let mut announced = AnnouncedClock::new(claiming(0), true, at);
+        let mut announced = AnnouncedClock::new(announcement_with_claim(0), true, at);
         assert!(announced.begin_epoch(1) && !announced.begin_epoch(1));
         assert_eq!(announced.claim(at, 100.0), None);
-        assert_eq!(announced.announce(claiming(0), at), None);
+        assert_eq!(announced.announce(announcement_with_claim(0), at), None);
         assert_eq!(announced.claim(at, 100.0), None, "it was on its way");
-        assert_eq!(announced.announce(claiming(1), at), None, "known already");
+        assert_eq!(announced.announce(announcement_with_claim(1), at), None, "known already");
         assert!(announced.claim(at, 100.0).is_some());
-        assert_eq!(announced.announce(claiming(2), at), Some(2));
+        assert_eq!(announced.announce(announcement_with_claim(2), at), Some(2));
     }
 }

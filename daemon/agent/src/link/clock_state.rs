@@ -56,6 +56,7 @@ pub(super) struct ClockStateChanges {
 pub(super) struct MessageDelay {
     /// Difference of the wall-clock stamps.
     pub(super) raw: Span,
+    /// Number of bits of the message; `None` if it is unknown.
     pub(super) bits: Option<f64>,
 }
 
@@ -95,8 +96,8 @@ impl LinkClockState {
         self.networks.leave(network);
     }
 
-    /// Returns the last sample of each network without sessions. Called when the session that probed has ended and all
-    /// of its probes are counted; another session probes from now on.
+    /// Returns the last sample of each network without sessions. Called when the session that sent the probes has ended
+    /// and all of its probes are counted; another session sends the probes from now on.
     pub(super) fn settle_sessions(&mut self, now: Stamp) -> ClockStateChanges {
         let mut changes = self.advance_second(now);
         for network in self.networks.take_ended(0) {
@@ -150,8 +151,8 @@ impl LinkClockState {
     }
 
     /// Judges the delays of observed messages, one in each direction.
-    // These delays update neither the clock relation nor the current second, because the first stamp is the reception
-    // by another receiver and not the departure.
+    // These delays update neither the clock relation nor the current second, because both stamps are receptions: the
+    // departure of the message is not stamped.
     pub(super) fn judge_stamps(&self, up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
         let is_current = |stamp: &HostStamp, clock: &AnnouncedClock| stamp.epoch == Some(clock.epoch());
         let is_up_current = is_current(&up.sender, &self.edge) && is_current(&up.receiver, &self.cloud);

@@ -113,10 +113,10 @@ impl CloudLink {
             MessageDelay { raw: raw_difference(tree, up)?, bits: bits[0] },
             MessageDelay { raw: raw_difference(tree, down)?, bits: bits[1] },
         ];
-        let ([first, second], changes) =
+        let ([up_delay, down_delay], changes) =
             self.judge(network, completed.observation.as_ref(), message_delays, arrived);
-        correct(tree, up, Direction::Up, first);
-        correct(tree, down, Direction::Down, second);
+        correct(tree, up, Direction::Up, up_delay);
+        correct(tree, down, Direction::Down, down_delay);
         if let Some(first_part) = completed.first_part {
             self.correct_first_part(tree, [up, first_part], completed.observation.as_ref());
         }
@@ -124,7 +124,8 @@ impl CloudLink {
         transport
     }
 
-    /// Judges the delay of the first part of an answer and sets it in the tree. `up` is the way of the request.
+    /// Judges the delay of the first part of an answer and sets it in the tree. `up` is the node of the request's
+    /// upload.
     fn correct_first_part(
         &self,
         tree: &mut Tree,
@@ -271,7 +272,7 @@ impl CloudLink {
         self.sessions.borrow().is_empty()
     }
 
-    /// Records that the session that probed has ended and all of its probes are counted.
+    /// Records that the session that sent the probes has ended and all of its probes are counted.
     pub(super) fn settle_sessions(&self) {
         let now = self.shared.host.clock.stamp();
         let changes = lock(&self.clock_state).settle_sessions(now);

@@ -18,6 +18,7 @@ const MAX_AGE: Span = Span::from_seconds(1);
 #[derive(Debug, Default)]
 pub(super) struct Connections {
     read_at: Option<MonoTime>,
+    /// Addresses (`None` if unknown) and statistics by the number of the session.
     by_session: BTreeMap<u64, (Option<ConnectionAddresses>, Connection)>,
     /// `true` once it was logged that the interfaces cannot be listed.
     has_logged_error: bool,

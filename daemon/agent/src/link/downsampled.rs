@@ -3,8 +3,7 @@
 /// Maximum number of values that are kept.
 const MAX_VALUES: usize = 256;
 
-/// Every n-th of the pushed values; n is a power of two, and the smallest one for which the number of values is
-/// bounded.
+/// Every n-th of the pushed values; n is the smallest power of two for which at most [`MAX_VALUES`] values are kept.
 #[derive(Debug)]
 pub(super) struct DownsampledValues<T> {
     values: Vec<T>,
@@ -39,7 +38,8 @@ impl<T: Copy> DownsampledValues<T> {
         self.count += 1;
     }
 
-    /// Returns the median of the kept values by `key`; the upper one of two.
+    /// Returns the median of the kept values by `key`: of an even number of values the upper of the two middle ones;
+    /// `None` without values.
     pub(super) fn median<K: Ord>(&self, key: impl Fn(&T) -> K) -> Option<T> {
         let mut sorted = self.values.clone();
         sorted.sort_unstable_by_key(key);

@@ -8,7 +8,7 @@ use crate::incidents::format_step_size;
 
 /// Returns the text of a restart. It names the host whose clock was stepped and the size of the step.
 pub(super) fn restart_text(restart: Restart, edge: &Slug, cloud: &Slug) -> String {
-    let cause = match (restart.edge, restart.cloud) {
+    let cause = match (restart.edge_stepped, restart.cloud_stepped) {
         (true, false) => format!("the clock of {edge} was stepped or slewed"),
         (false, true) => format!("the clock of {cloud} was stepped or slewed"),
         (true, true) => format!("the clocks of {edge} and {cloud} were stepped or slewed"),
@@ -19,7 +19,7 @@ pub(super) fn restart_text(restart: Restart, edge: &Slug, cloud: &Slug) -> Strin
     let movement_text = restart.movement.map_or_else(String::new, |movement| {
         // `movement` is the change of the cloud's clock minus the change of the edge's clock. The text names the clock
         // that moved.
-        let is_edge = restart.edge && !restart.cloud;
+        let is_edge = restart.edge_stepped && !restart.cloud_stepped;
         let (movement, moved_host, other_host) =
             if is_edge { (-movement, edge, cloud) } else { (movement, cloud, edge) };
         let direction = if movement.is_negative() { "back" } else { "forward" };
@@ -112,24 +112,24 @@ mod tests {
     #[test]
     fn restart_names_host_and_size() {
         let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
-        let by = |nanos, edge, cloud| Restart {
+        let restart_by = |nanos, edge_stepped, cloud_stepped| Restart {
             movement: Some(Span::from_nanos(nanos)),
-            edge,
-            cloud,
+            edge_stepped,
+            cloud_stepped,
             violation: None,
         };
         for (restart, begin, expected) in [
             (
-                by(-3_000_007_000, true, false),
+                restart_by(-3_000_007_000, true, false),
                 "the clock of robot was",
                 "the clock of robot moved 3.000 s forward against that of desk;",
             ),
             (
-                by(-3_000_007_000, false, true),
+                restart_by(-3_000_007_000, false, true),
                 "the clock of desk was",
                 "the clock of desk moved 3.000 s back against that of robot;",
             ),
-            (by(30_000, false, false), "the clock of robot or desk", "desk moved 0.030 ms forward"),
+            (restart_by(30_000, false, false), "the clock of robot or desk", "desk moved 0.030 ms forward"),
         ] {
             let text = restart_text(restart, &edge, &cloud);
             assert!(text.starts_with(begin) && text.contains(expected), "{text}");
@@ -138,7 +138,12 @@ mod tests {
             ((ViolatedLimit::Drift, 50.0), "max_drift_ppm = 50;"),
             ((ViolatedLimit::DriftChange, 1.0), "max_drift_change_ppm_per_s = 1;"),
         ] {
-            let restart = Restart { movement: None, edge: false, cloud: false, violation: Some(violation) };
+            let restart = Restart {
+                movement: None,
+                edge_stepped: false,
+                cloud_stepped: false,
+                violation: Some(violation),
+            };
             let text = restart_text(restart, &edge, &cloud);
             assert!(text.contains("robot or desk") && text.contains(key), "{text}");
         }

@@ -37,6 +37,7 @@ impl Crossing {
         })
     }
 
+    /// Returns the times at the sender and at the receiver, each by the host's free-running clock.
     pub(super) fn times(&self) -> (RawTime, RawTime) {
         (self.sender.raw, self.receiver.raw)
     }

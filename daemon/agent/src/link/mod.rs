@@ -3,9 +3,9 @@
 //! A [`CloudLink`](cloud_link::CloudLink) belongs to one cloud. All pipelines with a session to that cloud share the
 //! link, over any network, because the clock relation belongs to the pair of hosts.
 //! [`LinkClockState`](clock_state::LinkClockState) is the link's logic without I/O. Its inputs are probes, data
-//! exchanges, the cloud's announcements and the state of this host's clocks. `probing` is the task that passes them to
-//! it and closes each second. A [`NamedReflector`](named_reflector::NamedReflector) of the configuration has a separate
-//! relation, which is only shown live: no delay depends on it.
+//! exchanges, the cloud's announcements and the state of this host's clocks. `probing` is the task that passes these
+//! inputs to the logic and closes each second. A [`NamedReflector`](named_reflector::NamedReflector) of the
+//! configuration has a separate relation, which is only shown live: no delay depends on it.
 //!
 //! Once a second a link records a [`ClockSample`](peernet_stream::ClockSample) in the durable lane: the two best
 //! exchanges of the second, the state of the relation, and the delays of data. The store computes the delays of a run

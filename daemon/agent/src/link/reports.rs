@@ -60,14 +60,14 @@ impl ClockReports {
         movement: Option<Span>,
         violation: Option<(ViolatedLimit, f64)>,
     ) -> Option<Restart> {
-        let (edge, cloud) = std::mem::take(&mut self.stepped_clocks);
+        let (edge_stepped, cloud_stepped) = std::mem::take(&mut self.stepped_clocks);
         // Clocks beyond the limit cause several restarts per second. Only the first restart is reported, until the
         // clocks are within the limit again.
         let had_reported_violation = std::mem::replace(&mut self.has_reported_violation, violation.is_some());
         (violation.is_none() || !had_reported_violation).then_some(Restart {
             movement,
-            edge,
-            cloud,
+            edge_stepped,
+            cloud_stepped,
             violation,
         })
     }
@@ -142,11 +142,11 @@ pub(super) struct Restart {
     /// Change of the offset, if it is known.
     pub(super) movement: Option<Span>,
     /// `true` if the edge's clock is known to have been stepped.
-    pub(super) edge: bool,
+    pub(super) edge_stepped: bool,
     /// `true` if the cloud's clock is known to have been stepped.
-    pub(super) cloud: bool,
-    /// Assumption that the clocks more probably violate, with its limit in parts per million or parts per million per
-    /// second.
+    pub(super) cloud_stepped: bool,
+    /// Assumption that the clocks seem to violate, with its limit in parts per million or parts per million per second.
+    /// `None` if a step is the more probable cause.
     pub(super) violation: Option<(ViolatedLimit, f64)>,
 }
 

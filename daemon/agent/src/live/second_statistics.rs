@@ -23,14 +23,18 @@ const MAX_NAMES: usize = 64;
 /// Statistics of one second of one pipeline.
 #[derive(Debug)]
 pub(super) struct SecondStatistics {
+    /// Start in seconds since the Unix epoch.
     pub(super) at: i64,
     /// Version of the ring at the last change of this second.
     pub(super) version: u64,
     /// Version of this second that was last sent.
     pub(super) sent_version: u64,
     counts: OutcomeCounts,
+    /// Values of the nodes by name.
     values: Summaries,
+    /// Half the widths of the intervals of delays, and the ends of the intervals, by name.
     bounds: Summaries,
+    /// Name of the node, verdict, and number of delays with this verdict.
     verdicts: Vec<(Name, Name, u64)>,
 }
 
@@ -56,8 +60,8 @@ impl SecondStatistics {
             Outcome::Timeout(_) => self.counts.timeout += 1,
         }
         // The durations of a failed iteration are left out: they say nothing about successful iterations. The name of
-        // the deadline's value is added, so that a second without answers still shows that there is a deadline. What
-        // does not depend on the answer counts: skipped starts and the results of an episode.
+        // the deadline's value is added, so that a second without answers still shows that there is a deadline. Values
+        // that do not depend on the answer are added, too: skipped starts and the results of an episode.
         if *outcome != Outcome::Ok {
             if tree.find(&[DEADLINE_MISSED.as_str()]).is_some() {
                 self.values.find_or_add(0, &DEADLINE_MISSED);

@@ -146,7 +146,7 @@ mod tests {
         text.parse().expect("a name")
     }
 
-    fn ask(pipelines: &ObservedPipelines, request: &StampRequest) -> Result<StampAnswer, AnswerError> {
+    fn query(pipelines: &ObservedPipelines, request: &StampRequest) -> Result<StampAnswer, AnswerError> {
         let answer = pipelines.answer(&request.to_sample().expect("it can be written"), &slug("rack"))?;
         Ok(StampAnswer::read(&answer).expect("it can be read"))
     }
@@ -163,7 +163,7 @@ mod tests {
         detector.record(Side::Input, 7, stamp(100), MonoTime::from_nanos(1));
         detector.record(Side::Output, 7, stamp(130), MonoTime::from_nanos(31));
         let request = StampRequest::new(slug("detector"), PairBy::Stamp, vec![8, 7]);
-        let answer = ask(&pipelines, &request).expect("it is answered");
+        let answer = query(&pipelines, &request).expect("it is answered");
         assert_eq!(answer.pairs.iter().map(|pair| pair.key).collect::<Vec<_>>(), [8, 7]);
         assert!(!answer.pairs[0].is_complete() && answer.pairs[1].is_complete());
         assert_eq!(answer.pairs[1].elapsed(), Some(Span::from_nanos(30)));
@@ -173,7 +173,7 @@ mod tests {
     fn refused_request_names_next_step() {
         let pipelines = pipelines(&format!("{SERVE}{DETECTOR}"));
         let refused =
-            |request: &StampRequest| ask(&pipelines, request).expect_err("it is refused").to_string();
+            |request: &StampRequest| query(&pipelines, request).expect_err("it is refused").to_string();
         let unknown = refused(&StampRequest::new(slug("planner"), PairBy::Stamp, Vec::new()));
         for part in ["host rack", "planner", "observing pipelines: detector", "peer_pipeline"] {
             assert!(unknown.contains(part), "{unknown}");
@@ -189,7 +189,7 @@ mod tests {
     #[test]
     fn host_without_observing_pipelines_refuses_requests() {
         for text in [SERVE, DETECTOR] {
-            let refusal = pipelines(text).refusal_reason(&slug("rack")).expect("nobody can ask");
+            let refusal = pipelines(text).refusal_reason(&slug("rack")).expect("nobody can query");
             assert!(refusal.contains("host rack") && refusal.contains("kind = \"observe\""), "{refusal}");
         }
         assert_eq!(pipelines(&format!("{SERVE}{DETECTOR}")).refusal_reason(&slug("rack")), None);

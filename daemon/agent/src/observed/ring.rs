@@ -7,7 +7,7 @@ use peernet_clock::{MonoTime, Span};
 use super::ObservedPair;
 use crate::link::HostStamp;
 
-/// Topic of a message.
+/// Topic of a message: the one that the observed nodes receive, or the one that they publish.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Side {
     Input,
@@ -115,7 +115,7 @@ mod tests {
         record(&mut ring, Side::Input, 1, 2000);
         let pair = ring.find(1);
         assert_eq!(pair.input().map(|stamp| stamp.wall.unix_nanos()), Some(2000));
-        assert_eq!(pair.output(), None, "that of the time before does not belong to it");
+        assert_eq!(pair.output(), None, "the earlier output does not belong to the new input");
     }
 
     #[test]

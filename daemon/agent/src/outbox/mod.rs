@@ -54,7 +54,7 @@ use crate::tasks::{Failure, FailureCause};
 // The number keeps the aggregator busy for a round trip and a write to its disk. It is so small that a live update
 // behind these batches is still current.
 const WINDOW: u32 = 32;
-/// Number of events in memory that is reserved for events other than iterations.
+/// Number of events in memory for which room is reserved, for events other than iterations.
 const RESERVE: u64 = 1024;
 
 /// Opens the spool of this host; returns `None` without an aggregator.
@@ -102,10 +102,10 @@ impl Outbox {
         receiver: QueueReceiver,
         spool: OpenSpool,
         (description, secret): (HostDescription, HostSecret),
-        sources: OutboxContext,
+        context: OutboxContext,
     ) -> Self {
         let OpenSpool { file, state, quarantined, was_empty, counter: _ } = spool;
-        let OutboxContext { clock, incidents, runs, live } = sources;
+        let OutboxContext { clock, incidents, runs, live } = context;
         let reports = Reports::new(incidents);
         if let Some(quarantined) = &quarantined {
             reports.report_quarantine(quarantined);
@@ -148,7 +148,7 @@ impl Outbox {
             if waiting == 0 {
                 return;
             }
-            let progress = accounting.wait_for(|now| now.waiting == 0 || now.stored > stored);
+            let progress = accounting.wait_for(|current| current.waiting == 0 || current.stored > stored);
             // Other changes, such as further attempts to send, are no progress.
             if !matches!(tokio::time::timeout(patience, progress).await, Ok(Ok(_))) {
                 return;

@@ -63,7 +63,7 @@ impl Shutdown {
 mod tests {
     use super::*;
 
-    const SAFE: OutboxState =
+    const SPOOLED: OutboxState =
         OutboxState { is_spooled: true, is_unreachable: false, stored: 10, waiting: 90 };
 
     fn seconds(seconds: f64) -> Duration {
@@ -75,11 +75,11 @@ mod tests {
         let now = Instant::now();
         let at = |after: f64| now + seconds(after);
         let mut shutdown = Shutdown::start(now, at(4.0), 10);
-        assert_eq!(shutdown.next(now, SAFE), Some(at(2.0)));
-        assert_eq!(shutdown.next(at(1.9), OutboxState { stored: 20, ..SAFE }), Some(at(3.9)));
-        assert_eq!(shutdown.next(at(3.4), OutboxState { stored: 30, ..SAFE }), Some(at(4.0)));
-        assert_eq!(shutdown.next(at(3.5), OutboxState { stored: 100, waiting: 0, ..SAFE }), None);
-        assert_eq!(shutdown.next(at(4.0), OutboxState { stored: 31, ..SAFE }), None, "the deadline");
+        assert_eq!(shutdown.next(now, SPOOLED), Some(at(2.0)));
+        assert_eq!(shutdown.next(at(1.9), OutboxState { stored: 20, ..SPOOLED }), Some(at(3.9)));
+        assert_eq!(shutdown.next(at(3.4), OutboxState { stored: 30, ..SPOOLED }), Some(at(4.0)));
+        assert_eq!(shutdown.next(at(3.5), OutboxState { stored: 100, waiting: 0, ..SPOOLED }), None);
+        assert_eq!(shutdown.next(at(4.0), OutboxState { stored: 31, ..SPOOLED }), None, "the deadline");
     }
 
     #[tokio::test]
@@ -87,9 +87,9 @@ mod tests {
         let now = Instant::now();
         let at = |after: f64| now + seconds(after);
         let mut shutdown = Shutdown::start(now, at(4.0), 10);
-        assert_eq!(shutdown.next(at(2.0), SAFE), None, "silent");
-        assert_eq!(shutdown.next(at(0.1), OutboxState { is_unreachable: true, ..SAFE }), None, "away");
-        assert_eq!(Shutdown::start(now, now, 0).next(now, SAFE), None, "no time at all");
+        assert_eq!(shutdown.next(at(2.0), SPOOLED), None, "silent");
+        assert_eq!(shutdown.next(at(0.1), OutboxState { is_unreachable: true, ..SPOOLED }), None, "away");
+        assert_eq!(Shutdown::start(now, now, 0).next(now, SPOOLED), None, "no time at all");
     }
 
     #[tokio::test]
@@ -97,9 +97,9 @@ mod tests {
         let now = Instant::now();
         let at = |after: f64| now + seconds(after);
         let mut shutdown = Shutdown::start(now, at(4.0), 10);
-        let unsafe_yet = OutboxState { is_spooled: false, is_unreachable: true, ..SAFE };
-        assert_eq!(shutdown.next(at(3.9), unsafe_yet), Some(at(4.0)));
-        assert_eq!(shutdown.next(at(3.95), OutboxState { is_spooled: true, ..unsafe_yet }), None);
-        assert_eq!(shutdown.next(at(4.0), unsafe_yet), None);
+        let unspooled = OutboxState { is_spooled: false, is_unreachable: true, ..SPOOLED };
+        assert_eq!(shutdown.next(at(3.9), unspooled), Some(at(4.0)));
+        assert_eq!(shutdown.next(at(3.95), OutboxState { is_spooled: true, ..unspooled }), None);
+        assert_eq!(shutdown.next(at(4.0), unspooled), None);
     }
 }

@@ -107,7 +107,7 @@ impl<'a> PipelineLoop<'a> {
     /// Continues to wait for a sample that was requested before the connection was lost. A sample that arrived in the
     /// meantime is recorded as lost.
     fn resume_pending_sample(&mut self) {
-        let arrived = self
+        let output = self
             .resources
             .pending_sample
             .as_mut()
@@ -116,11 +116,11 @@ impl<'a> PipelineLoop<'a> {
             .resources
             .pending_sample
             .as_ref()
-            .filter(|_| arrived.is_none())
+            .filter(|_| output.is_none())
             .map(|pending_sample| pending_sample.started_at);
         // The wait for the sensor continues over a reconnect, so the live state keeps the time of the request.
         self.resources.live_state.set_sensor_busy_since(since);
-        let Some(SensorOutput { log, sample }) = arrived else { return };
+        let Some(SensorOutput { log, sample }) = output else { return };
         let Some(PendingSample { run, start, started_at, .. }) = self.resources.pending_sample.take() else {
             return;
         };
@@ -144,7 +144,8 @@ impl<'a> PipelineLoop<'a> {
         Some(queued_sample)
     }
 
-    /// Starts an iteration or the preparation for it, or ends the loop, if any of these is due. Returns whether it did.
+    /// Does what is due now: ends the loop, starts a preparation, or starts an iteration. Returns `false` if nothing is
+    /// due.
     pub(super) fn start_iteration(&mut self) -> bool {
         self.end_reported_episode();
         if !self.can_start() {
@@ -158,9 +159,10 @@ impl<'a> PipelineLoop<'a> {
             return true;
         }
         let preparation = self.due_preparation();
-        // While the iterations before a preparation ended, starts came due that are not wanted.
-        let next = if preparation.is_some() { now } else { self.resources.schedule.next_at(now) };
-        if self.run.is_limit_reached(next) {
+        // A preparation skips the starts that came due while the earlier iterations were completed, so the limit is
+        // checked for the present time.
+        let next_start = if preparation.is_some() { now } else { self.resources.schedule.next_at(now) };
+        if self.run.is_limit_reached(next_start) {
             self.end_reason = Some(LoopEnd::Limit);
             return true;
         }
@@ -201,7 +203,7 @@ impl<'a> PipelineLoop<'a> {
         self.end_reason.get_or_insert(reason);
     }
 
-    /// Returns the reason for the end once every iteration that started is complete.
+    /// Returns the reason for the end once every iteration that started is complete; `None` before.
     pub(super) fn end_reason(&self) -> Option<LoopEnd> {
         let reason = self.end_reason.clone()?;
         // After a disconnect the loop does not wait for the sensor, because a slow sensor must not delay reconnecting.
@@ -238,7 +240,7 @@ impl<'a> PipelineLoop<'a> {
         self.finish_at(ended, iteration, log, outcome, feedback, transport);
     }
 
-    /// Records all iterations in flight as lost.
+    /// Records all iterations that are in flight, or wait in the queue, as lost.
     pub(super) fn abandon(&mut self, reason: &str) {
         let queued = self.queued.take().map(|queued| queued.iteration);
         for iteration in std::mem::take(&mut self.in_flight).into_iter().chain(queued) {

@@ -139,7 +139,7 @@ impl Placement {
                 let mut completed = session.request(log, sample, timeout).await;
                 // Corrected now and not when the run is read, because live statistics show the delays.
                 let transport = link.correct(&mut completed);
-                let unanswered = |error| match error {
+                let outcome = |error| match error {
                     RequestError::Timeout(awaited) => {
                         Outcome::Timeout(describe_timeout(awaited, config, link.name(), timeout))
                     }
@@ -147,7 +147,7 @@ impl Placement {
                 };
                 ComputationResult {
                     log: completed.recorder,
-                    result: completed.result.map(Some).map_err(unanswered),
+                    result: completed.result.map(Some).map_err(outcome),
                     transport,
                 }
             }
@@ -331,9 +331,9 @@ async fn compute_locally(
     // It has a few nodes, so copying takes a fraction of a microsecond.
     let log_backup = log.clone();
     let received = log.clock().mono();
-    let reply = Box::new(move |done: FinishedJob| {
+    let reply = Box::new(move |finished: FinishedJob| {
         // The receiver is gone after a timeout.
-        let _ = reply.send(done);
+        let _ = reply.send(finished);
     });
     let requester = Arc::<LocalRequester>::default();
     let _cancel = CancelOnDrop(Arc::clone(&requester));
@@ -346,8 +346,8 @@ async fn compute_locally(
     let answer = match futures::poll!(&mut done) {
         Poll::Ready(answer) => {
             if pool.runs_on_threads() {
-                // The answers of one batch arrive together. Those to older samples are ready as well, and the pipeline
-                // looks at them first.
+                // The answers of one batch become ready together. Yielding lets the pipeline handle the answers to the
+                // older samples of the batch first.
                 tokio::task::yield_now().await;
             }
             Ok(answer)
@@ -381,7 +381,7 @@ async fn compute_locally(
     }
 }
 
-/// Advice of a timeout's reason. The commands of the paper have no configuration file, therefore it names their option.
+/// Advice after a timeout. It names an option, too, because the commands of the paper have no configuration file.
 const RAISE_TIMEOUT: &str =
     "if it needs longer, raise timeout_ms of the pipeline (or the option --timeout of peernet --client)";
 

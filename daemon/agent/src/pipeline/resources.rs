@@ -122,8 +122,8 @@ impl PipelineResources {
 
     /// Restarts the schedule for a run.
     pub(super) fn restart_schedule(&mut self, now: MonoTime) {
-        // Starts that came due before the run must not count in its latencies, nor an advance that began before it
-        // postpone them.
+        // The latencies of the run must not contain starts that came due before it, and an advance that began before
+        // the run must not postpone its starts.
         self.advance_started_at = None;
         self.schedule = Schedule::new(&self.config.load, self.config.max_in_flight.get(), now);
     }
@@ -143,17 +143,17 @@ impl PipelineResources {
         }
     }
 
-    /// Starts a preparation. The caller does so only while no sample is requested, because the sensor handles one
+    /// Starts a preparation. The caller must do so only while no sample is requested, because the sensor handles one
     /// request at a time.
     pub(super) fn start_preparation(&mut self, preparation: Preparation, now: MonoTime) {
         if matches!(preparation, Preparation::Advance(_)) {
-            // An iteration that started when one of them was due would contain time by which the simulation is advanced
-            // now.
+            // The starts that are due now are skipped: an iteration that counts from one of them would contain time by
+            // which the simulation is advanced now.
             self.schedule.skip_due(now);
             self.advance_started_at = Some(now);
         }
-        // An advance has this time already. A reset begins a new simulation, in which the time of earlier iterations
-        // does not pass.
+        // For an advance, `preparation` contains this time. A reset begins a new simulation, in which the time of
+        // earlier iterations does not pass.
         self.pending_advance = None;
         let actuator = self.actuator.clone().filter(ActuatorExecutor::resets);
         let request = self.sensor.preparation_sender();
@@ -163,7 +163,7 @@ impl PipelineResources {
     /// Continues the schedule after a preparation, which ended at `now`. Its time belongs to no iteration.
     pub(super) fn resume_schedule(&mut self, now: MonoTime) {
         match self.advance_started_at.take() {
-            // The distances between the iterations of an episode are as if no time had passed.
+            // The intervals between the iterations of an episode are as if the advance had taken no time.
             Some(started_at) => self.schedule.postpone(now - started_at),
             None => self.schedule.resume_at(now),
         }
@@ -180,7 +180,7 @@ impl PipelineResources {
     }
 
     /// Returns whether a sample may be taken while an iteration is in flight. A simulation has to be advanced by the
-    /// time of that iteration before.
+    /// time of that iteration before the sample.
     pub(super) fn iterations_may_overlap(&self) -> bool {
         !self.schedule.is_closed() && !self.advances
     }

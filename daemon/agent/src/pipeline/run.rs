@@ -115,9 +115,9 @@ impl Run {
         }
     }
 
-    /// Adds the feedback on an iteration. Returns the result of its episode if the episode ends with it: by the
-    /// feedback, or because all of its iterations are complete. `has_pending` is `true` while others of the episode are
-    /// not complete.
+    /// Adds the feedback on an iteration. Returns the result of the iteration's episode if the episode ends with this
+    /// iteration: because of the feedback, or because all iterations of the episode are complete. `has_pending` is
+    /// `true` while other iterations of the episode are not complete.
     pub(super) fn add_feedback(
         &mut self,
         episode: u32,
@@ -136,8 +136,8 @@ impl Run {
         Some(result)
     }
 
-    /// Returns the planned number of iterations of a run whose loop ended for `reason`. It is `None` if the run was
-    /// stopped or lost its peer, because it may continue then.
+    /// Returns the planned number of iterations of a run whose loop ended for `reason`. `None` if the run was stopped
+    /// or lost its peer, because the run may continue then.
     pub(super) fn planned_iterations(&self, reason: &LoopEnd) -> Option<u64> {
         match reason {
             // No further iteration starts, so the number so far is the planned one.
@@ -161,7 +161,7 @@ impl Run {
             deadline::record_deadline(&mut tree, &outcome, deadline);
         }
         // Warm-up iterations are stored, but left out of statistics, except for the results of episodes: an episode
-        // that ends within its warm-up was a success or none, too.
+        // that ends during its warm-up has a result like any other.
         if position.warm_up {
             live_state.record_warm_up(ended.wall.unix_seconds(), &tree);
         } else {

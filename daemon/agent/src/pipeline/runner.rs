@@ -73,7 +73,7 @@ pub(super) struct Runner {
     pub(super) live_state: Arc<PipelineLiveState>,
     pub(super) context: PipelineContext,
     pub(super) stop: CancellationToken,
-    /// Time that iterations in flight have to complete when the agent stops.
+    /// Longest time for completing the iterations in flight when the agent stops.
     pub(super) drain_timeout: Duration,
 }
 
@@ -126,7 +126,7 @@ impl Runner {
             if let Some(mut outdated_run) = run.take_if(|run| !run.has_placement(&placement.describe())) {
                 self.end_run(Some(&mut outdated_run), EndReason::Failed("the peer changed".to_owned()));
             }
-            let current = match &mut run {
+            let current_run = match &mut run {
                 Some(run) => run,
                 None => {
                     let new_run = self.start(resources.facts(placement.facts()), &placement, false).await;
@@ -134,11 +134,11 @@ impl Runner {
                     run.insert(new_run)
                 }
             };
-            let ended = self.measure(&mut resources, current, &placement).await;
-            let planned_iterations = current.planned_iterations(&ended);
-            let (reason, result) = match ended {
+            let loop_end = self.measure(&mut resources, current_run, &placement).await;
+            let planned_iterations = current_run.planned_iterations(&loop_end);
+            let (reason, result) = match loop_end {
                 LoopEnd::Disconnected(reason) => {
-                    self.report_disconnected(&placement, current.id(), reason);
+                    self.report_disconnected(&placement, current_run.id(), reason);
                     continue;
                 }
                 LoopEnd::Limit | LoopEnd::NoMoreSamples | LoopEnd::Midnight => (EndReason::Finished, Ok(())),
@@ -178,9 +178,10 @@ impl Runner {
     ) -> LoopEnd {
         self.live_state.set_state(PipelineState::Running);
         loop {
-            let ended = drive(resources, run, placement, &self.context, &self.stop, self.drain_timeout).await;
-            if !matches!(ended, LoopEnd::Midnight) {
-                return ended;
+            let loop_end =
+                drive(resources, run, placement, &self.context, &self.stop, self.drain_timeout).await;
+            if !matches!(loop_end, LoopEnd::Midnight) {
+                return loop_end;
             }
             run.end(EndReason::Finished, &self.context);
             *run = self.start(resources.facts(placement.facts()), placement, true).await;
@@ -276,8 +277,8 @@ impl Runner {
         }
     }
 
-    /// Reports a connection to a peer. `was_away` is `true` if an earlier attempt was reported as failed; then the
-    /// server of a local model is reported, too.
+    /// Reports that the connection to a peer is open. A local model is reported only if its server could not be reached
+    /// before: `was_away` is `true` if an earlier attempt was reported as failed.
     fn report_connected(&self, placement: &Placement, run: Option<RunId>, was_away: bool) {
         let description = placement.describe();
         if was_away && placement.peer().is_none() {

@@ -36,7 +36,9 @@ pub(super) enum SensorExecutor {
 /// Response to a request for a sample.
 #[expect(clippy::large_enum_variant, reason = "lives for a moment; boxing would allocate once an iteration")]
 pub(super) enum SensorResponse {
+    /// The sensor ran inline.
     Done(SensorOutput),
+    /// The sensor's thread will send the output; the channel is closed if the thread has ended.
     Pending(oneshot::Receiver<SensorOutput>),
 }
 
@@ -52,8 +54,8 @@ pub(super) enum SensorRequest {
 pub(super) struct PreparationSender(SyncSender<SensorRequest>);
 
 impl PreparationSender {
-    /// Requests the preparation. The caller has no other pending request. The receiver is closed if the thread has
-    /// ended.
+    /// Requests the preparation. The caller must have no other pending request. The receiver is closed if the thread
+    /// has ended.
     pub(super) fn send(self, preparation: Preparation) -> oneshot::Receiver<Result<(), SensorError>> {
         let (reply, output) = oneshot::channel();
         // If the thread has ended, the request is dropped with `reply`.
@@ -94,8 +96,10 @@ impl SensorExecutor {
             return Ok(Self::Inline(chain));
         }
         // With a capacity of 0, `try_send` would fail while the thread does not wait for a request yet.
-        let (requests, received) = sync_channel(1);
-        thread::Builder::new().name(pipeline.to_string()).spawn(move || serve_requests(chain, &received))?;
+        let (requests, request_receiver) = sync_channel(1);
+        thread::Builder::new()
+            .name(pipeline.to_string())
+            .spawn(move || serve_requests(chain, &request_receiver))?;
         Ok(Self::Thread(requests))
     }
 
@@ -107,7 +111,7 @@ impl SensorExecutor {
         }
     }
 
-    /// Requests a sample. The caller has at most one pending request.
+    /// Requests a sample. The caller must have no other pending request.
     pub(super) fn request_sample(&mut self, log: Recorder) -> SensorResponse {
         match self {
             Self::Inline(chain) => SensorResponse::Done(chain.run(log)),
@@ -131,7 +135,7 @@ fn serve_requests(mut chain: SensorChain, requests: &Receiver<SensorRequest>) {
             }
             SensorRequest::Prepare { preparation, reply } => {
                 let _ = reply.send(match preparation {
-                    // The actuator alone may need the reset.
+                    // Only the actuator may need the reset.
                     Preparation::Reset if !chain.sensor.resets() => Ok(()),
                     Preparation::Reset => chain.sensor.reset(),
                     Preparation::Advance(time) => chain.sensor.advance(time),

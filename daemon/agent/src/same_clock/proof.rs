@@ -92,7 +92,7 @@ impl Proof {
         ClockQuery { nonce }
     }
 
-    /// Handles an answer; `None` if the received bytes are not an answer.
+    /// Handles an answer; `answer` is `None` if the received bytes are not an answer.
     ///
     /// The session's id is random and sent over the session only. Therefore a process that knows it is the other end of
     /// the session. The name of the socket is not secret on this machine (`/proc/net/unix`). The nonce prevents the
@@ -191,7 +191,7 @@ mod tests {
         OwnClock { raw: raw(micros), mono: mono(seconds), shows_kernel_time: true }
     }
 
-    /// Returns an answer that proves it, read 20 µs after the query at 100 µs.
+    /// Returns an answer that proves the common clock: read 20 µs after the query at 100 µs.
     fn proving_answer(nonce: Nonce) -> ClockAnswer {
         ClockAnswer {
             nonce,

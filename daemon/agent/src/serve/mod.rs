@@ -236,7 +236,7 @@ struct Peer {
     host: HostId,
     name: Slug,
     pipeline: Slug,
-    /// Address of its connection, and so of its probes.
+    /// Address of its connection, from which it sends its probes, too.
     address: Option<IpAddr>,
     service: Service,
     /// Counters of its requests and their answers; `None` if they are not counted.
@@ -354,12 +354,18 @@ impl Server {
     }
 
     /// Handles the end of a session. Only an end without a goodbye is an incident.
-    fn handle_session_end(&mut self, session: SessionId, said_goodbye: bool, ordered: Option<u64>) {
+    fn handle_session_end(
+        &mut self,
+        session: SessionId,
+        said_goodbye: bool,
+        planned_iterations: Option<u64>,
+    ) {
         // A session that was never accepted is not in the map.
         let Some(Peer { host, name, pipeline, counters, .. }) = self.peers.remove(&session) else { return };
         self.update_reflectors(None);
         let is_goodbye = said_goodbye && counters.is_some();
-        let missed = if is_goodbye { self.request_counts.take_missed(host, &pipeline, ordered) } else { 0 };
+        let missed =
+            if is_goodbye { self.request_counts.take_missed(host, &pipeline, planned_iterations) } else { 0 };
         self.served.send_modify(|served| {
             served.sessions = self.peers.len();
             served.missed = served.missed.saturating_add(missed);

@@ -9,8 +9,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use peernet_logger::{HostId, Slug};
 
-/// Maximum number of runs while counters of edges without a session are kept. They are kept for a
-/// reconnect of the edge.
+/// Number of counters from which on the counters of edges without a session are removed. Below this number they are
+/// kept, because the edge may reconnect.
 const MAX_RUNS: usize = 256;
 
 /// Requests of the current run of each pipeline.
@@ -27,11 +27,16 @@ impl RequestCounts {
     }
 
     /// Handles an edge's goodbye. Returns the number of the run's planned iterations whose requests never arrived; 0 if
-    /// the run is not over (`ordered` is `None`).
-    pub(super) fn take_missed(&mut self, host: HostId, pipeline: &Slug, ordered: Option<u64>) -> u64 {
+    /// the run is not over (`planned_iterations` is `None`).
+    pub(super) fn take_missed(
+        &mut self,
+        host: HostId,
+        pipeline: &Slug,
+        planned_iterations: Option<u64>,
+    ) -> u64 {
         let requests =
             self.0.remove(&(host, pipeline.clone())).map_or(0, |count| count.load(Ordering::Relaxed));
-        ordered.map_or(0, |ordered| ordered.saturating_sub(requests))
+        planned_iterations.map_or(0, |planned_iterations| planned_iterations.saturating_sub(requests))
     }
 }
 

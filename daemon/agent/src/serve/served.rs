@@ -14,7 +14,7 @@ pub struct ServedCounts {
     pub errors: u64,
     /// Number of planned iterations of ended runs whose requests never arrived.
     pub missed: u64,
-    /// Duration of the stage `inference`, of the answers that have it, in seconds.
+    /// Duration of the stage `inference` in seconds; answers without this stage are left out.
     pub inference: Summary,
 }
 

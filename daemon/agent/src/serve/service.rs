@@ -76,24 +76,24 @@ impl Service {
         }
     }
 
-    /// Answers a request, now or when the model has finished. `answered` is called with the result before the answer
-    /// is sent.
+    /// Answers a request, now or when the model has finished. Calls `on_result` with the result before the answer is
+    /// sent.
     pub(super) fn answer(
         &self,
         request: IncomingRequest,
-        answered: impl FnOnce(&FinishedJob) + Send + 'static,
+        on_result: impl FnOnce(&FinishedJob) + Send + 'static,
     ) {
         let IncomingRequest { sample, recorder, received, parts, reply, .. } = request;
         match self {
             Self::Model(pool) => {
                 let reply = Box::new(move |done: FinishedJob| {
-                    answered(&done);
+                    on_result(&done);
                     let FinishedJob { recorder, result } = done;
                     reply.send(recorder, result.map_err(|error| failure_from_error(&error)));
                 });
                 let requester = Arc::new(PeerRequester(parts));
                 let job = Job { sample, recorder, received: received.mono, requester, reply };
-                // A refusal is answered as well, so that the edge does not wait for its timeout.
+                // A refusal is on_result as well, so that the edge does not wait for its timeout.
                 if let Err(refused) = pool.submit(job) {
                     let Job { recorder, reply, .. } = *refused.job;
                     reply(FinishedJob { recorder, result: Err(refused.reason) });

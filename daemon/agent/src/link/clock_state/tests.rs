@@ -130,7 +130,7 @@ fn step_of_peer_begins_window_and_is_named() {
     let after = ExchangeObservation { cloud_epoch: Some(1), ..exchange(400, 3000) };
     let (_, changes) = clock_state.judge(&network(), &after, MESSAGE_DELAYS, now(404));
     let restart = changes.restart.expect("told");
-    assert!((restart.edge, restart.cloud) == (false, true), "{restart:?}");
+    assert!((restart.edge_stepped, restart.cloud_stepped) == (false, true), "{restart:?}");
     if let Some(movement) = restart.movement {
         assert!((movement - Span::from_seconds(3)).abs() < Span::from_millis(10), "{movement}");
     }
@@ -196,7 +196,10 @@ fn probe_across_own_step_reports_only_step() {
     // The relation cannot exclude that this exchange was in flight during the step.
     let _ = clock_state.judge(&network(), &after_step(400), MESSAGE_DELAYS, now(404));
     let (_, changes) = clock_state.judge(&network(), &after_step(500), MESSAGE_DELAYS, now(504));
-    assert!(changes.restart.is_some_and(|restart| restart.edge && !restart.cloud), "{changes:?}");
+    assert!(
+        changes.restart.is_some_and(|restart| restart.edge_stepped && !restart.cloud_stepped),
+        "{changes:?}"
+    );
 }
 
 #[test]

@@ -20,7 +20,7 @@ use super::connection_state::{ConnectionEvent, ConnectionState};
 use super::live_sources::LiveSources;
 use super::reports::Reports;
 use super::shutdown::Shutdown;
-use super::spool::{Order, OrderResult, SpoolTask, SpoolTaskError};
+use super::spool::{SpoolRequest, SpoolResult, SpoolTask, SpoolTaskError};
 use crate::event_queue::QueueReceiver;
 use crate::live;
 use crate::reconnect_backoff::ReconnectBackoff;
@@ -44,6 +44,7 @@ const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 /// State of the outbox task.
 #[derive(Debug)]
 pub(super) struct Sender {
+    /// Sending end of the event stream.
     machine: Sending,
     spool: SpoolTask,
     intake: EventIntake,
@@ -101,7 +102,7 @@ impl Sender {
         }
         let mut stop_deadline = pin!(deadline_of(stop));
         let mut shutdown: Option<Shutdown> = None;
-        let mut alarm = pin!(tokio::time::sleep(Duration::ZERO));
+        let mut shutdown_timer = pin!(tokio::time::sleep(Duration::ZERO));
         let mut welcome_timeout = pin!(tokio::time::sleep(Duration::ZERO));
         // `true` while a connection is open on which no message has been received yet.
         let mut awaits_welcome = false;
@@ -165,7 +166,7 @@ impl Sender {
                     self.drain_queue();
                 }
                 // Only wakes the loop, which then checks the time of the shutdown.
-                () = &mut alarm, if shutdown.is_some() => {}
+                () = &mut shutdown_timer, if shutdown.is_some() => {}
             }
             if shutdown.is_some() {
                 // During shutdown an event does not wait for its batch to fill.
@@ -176,7 +177,7 @@ impl Sender {
             self.publish();
             if let Some(shutdown) = &mut shutdown {
                 match shutdown.next(Instant::now(), self.state()) {
-                    Some(end) => alarm.as_mut().reset(end),
+                    Some(end) => shutdown_timer.as_mut().reset(end),
                     None => break,
                 }
             }
@@ -256,7 +257,7 @@ impl Sender {
         if self.machine.is_appending() {
             // A write in progress may still succeed.
             let append_result = self.wait_for_append(deadline).await;
-            self.handle_spool_result(OrderResult::Appended(append_result));
+            self.handle_spool_result(SpoolResult::Appended(append_result));
         }
         if self.machine.is_spooled() {
             return;
@@ -275,8 +276,8 @@ impl Sender {
         let dropped_before = self.machine.accounting().dropped;
         let totals = self.machine.give_up();
         let events = totals.dropped - dropped_before;
-        let order = Order::Append { batches: Vec::new(), totals };
-        let append_result = match self.spool.order(order) {
+        let request = SpoolRequest::Append { batches: Vec::new(), totals };
+        let append_result = match self.spool.request(request) {
             Ok(()) => self.wait_for_append(deadline).await,
             refusal => refusal,
         };
@@ -304,7 +305,7 @@ impl Sender {
     async fn wait_for_append(&mut self, deadline: Instant) -> Result<(), SpoolTaskError> {
         loop {
             match tokio::time::timeout_at(deadline, self.spool.next_result()).await {
-                Ok(Some(OrderResult::Appended(append_result))) => return append_result,
+                Ok(Some(SpoolResult::Appended(append_result))) => return append_result,
                 Ok(Some(_)) => {}
                 Ok(None) => return Err(SpoolTaskError::Ended),
                 Err(_) => return Err(SpoolTaskError::Slow),

@@ -6,7 +6,7 @@ use super::Sender;
 use crate::outbox::connection_state::ConnectionState;
 use crate::outbox::reports::Welcome;
 use crate::outbox::shutdown::OutboxState;
-use crate::outbox::spool::{Order, OrderResult, SpoolTaskError};
+use crate::outbox::spool::{SpoolRequest, SpoolResult, SpoolTaskError};
 
 impl Sender {
     /// Sends a due live update, performs the actions of the state machine, and sends the waiting frames.
@@ -21,7 +21,7 @@ impl Sender {
             self.live.send_update(&mut self.machine, connection, self.clock.wall(), account);
         }
         while let Some(action) = self.machine.next(self.clock.mono()) {
-            let order = match action {
+            let request = match action {
                 Action::Send(frame) => {
                     // The batch is recorded before it is sent. If the process is killed in between, the aggregator is
                     // queried for a batch that it does not have, which does no harm.
@@ -31,14 +31,14 @@ impl Sender {
                     self.unsent_frames.push_back(frame);
                     continue;
                 }
-                Action::Append { batches, totals } => Order::Append { batches, totals },
-                Action::Load { from, bytes } => Order::Load { from, bytes },
-                Action::Delete { through, chain } => Order::Delete { through, chain },
+                Action::Append { batches, totals } => SpoolRequest::Append { batches, totals },
+                Action::Load { from, bytes } => SpoolRequest::Load { from, bytes },
+                Action::Delete { through, chain } => SpoolRequest::Delete { through, chain },
                 Action::Renew { stream, previous_stream, first, events_before_first } => {
-                    Order::Renew { stream, previous_stream, first, events_before_first }
+                    SpoolRequest::Renew { stream, previous_stream, first, events_before_first }
                 }
             };
-            self.spool.order(order)?;
+            self.spool.request(request)?;
         }
         let ConnectionState::Open(connection) = connection_state else { return Ok(()) };
         while let Some(frame) = self.unsent_frames.pop_front() {
@@ -51,32 +51,32 @@ impl Sender {
     }
 
     /// Handles a result of the spool's task.
-    pub(super) fn handle_spool_result(&mut self, result: OrderResult) {
+    pub(super) fn handle_spool_result(&mut self, result: SpoolResult) {
         let now = self.clock.stamp();
         let notice = match result {
-            OrderResult::Appended(Ok(())) => {
+            SpoolResult::Appended(Ok(())) => {
                 let notice = self.machine.on_appended(now);
                 self.intake.release_runs(&mut self.machine);
                 notice
             }
-            OrderResult::Appended(Err(reason)) => self.machine.on_append_failed(reason.to_string(), now),
-            OrderResult::Loaded(Ok(loaded)) => {
+            SpoolResult::Appended(Err(reason)) => self.machine.on_append_failed(reason.to_string(), now),
+            SpoolResult::Loaded(Ok(loaded)) => {
                 if let Some(damage) = loaded.damage {
                     self.reports.report_damage(damage);
                 }
                 self.machine.on_loaded(loaded.batches, now)
             }
-            OrderResult::Loaded(Err(reason)) => self.machine.on_load_failed(reason.to_string(), now),
-            OrderResult::Deleted(Ok(())) => {
+            SpoolResult::Loaded(Err(reason)) => self.machine.on_load_failed(reason.to_string(), now),
+            SpoolResult::Deleted(Ok(())) => {
                 self.machine.on_deleted();
                 None
             }
-            OrderResult::Deleted(Err(reason)) => self.machine.on_delete_failed(reason.to_string(), now),
-            OrderResult::Renewed(Ok(())) => {
+            SpoolResult::Deleted(Err(reason)) => self.machine.on_delete_failed(reason.to_string(), now),
+            SpoolResult::Renewed(Ok(())) => {
                 self.machine.on_renewed(now);
                 None
             }
-            OrderResult::Renewed(Err(reason)) => self.machine.on_renew_failed(reason.to_string(), now),
+            SpoolResult::Renewed(Err(reason)) => self.machine.on_renew_failed(reason.to_string(), now),
         };
         if let Some(notice) = notice {
             self.handle_notice(notice);

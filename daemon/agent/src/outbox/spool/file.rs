@@ -37,11 +37,11 @@ pub(in crate::outbox) struct SpoolFile {
 
 /// Result of reading batches.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(in crate::outbox) struct Loaded {
+pub(in crate::outbox) struct LoadedBatches {
     /// Contiguous batches whose chains were checked. The first batch cannot be checked if the previous batch is
     /// missing.
     pub(in crate::outbox) batches: Vec<SpooledBatch>,
-    /// Damage that ends the list; `None` if it ends for another reason.
+    /// Damage that ends the list; `None` if the list ends for another reason.
     pub(in crate::outbox) damage: Option<String>,
 }
 
@@ -63,8 +63,8 @@ impl SpoolFile {
     }
 
     /// Writes batches, together with the totals up to the last of these batches, in one transaction. Without batches
-    /// the totals are synced to the disk. Only in this case may a full disk lead to the use of the reserve, because the
-    /// number of lost events must not be lost as well.
+    /// the totals are synced to the disk. Only in this case the reserve may be used on a full disk: the batches can be
+    /// lost, but the number of lost events must not be lost as well.
     pub(in crate::outbox) async fn append(
         &mut self,
         batches: &[SpooledBatch],
@@ -107,8 +107,8 @@ impl SpoolFile {
         &mut self,
         from: u64,
         bytes: usize,
-    ) -> Result<Loaded, SpoolFileError> {
-        let mut loaded = Loaded { batches: Vec::new(), damage: None };
+    ) -> Result<LoadedBatches, SpoolFileError> {
+        let mut loaded = LoadedBatches { batches: Vec::new(), damage: None };
         let mut size = 0;
         // If the chain before `from` is on a damaged page, the first batch is read without a check, as after a gap.
         let mut previous_chain = match self.chain_before(from).await {
@@ -196,9 +196,9 @@ impl SpoolFile {
         }
     }
 
-    /// Returns SQLite's log, to which every change is written before it is moved to the file.
-    pub(in crate::outbox) fn log(&self) -> Log {
-        Log(with_suffix(&self.path, "-wal"))
+    /// Returns SQLite's write-ahead log, to which every change is written before it is moved to the file.
+    pub(in crate::outbox) fn log(&self) -> WriteAheadLog {
+        WriteAheadLog(with_suffix(&self.path, "-wal"))
     }
 
     /// Moves the write-ahead log to the file and closes the file.
@@ -267,6 +267,7 @@ impl SpoolFile {
         Ok(bytes.and_then(|bytes| chain(&bytes).ok()))
     }
 
+    /// Reads one batch and checks its chain. The inner error is damage of this batch only.
     async fn read(
         &mut self,
         number: u64,
@@ -343,11 +344,11 @@ enum BatchDamage {
     Changed,
 }
 
-/// SQLite's log file (write-ahead log).
+/// The file of SQLite's write-ahead log.
 #[derive(Clone, Debug)]
-pub(in crate::outbox) struct Log(PathBuf);
+pub(in crate::outbox) struct WriteAheadLog(PathBuf);
 
-impl Log {
+impl WriteAheadLog {
     /// Syncs the write-ahead log to the disk on a blocking thread, because a memory card sometimes takes seconds.
     // The log is opened for the sync. SQLite does not lock the log, so closing this descriptor releases no lock. The
     // spool file must never be opened in this way, because closing that descriptor would release SQLite's locks.

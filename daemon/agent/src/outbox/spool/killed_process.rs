@@ -13,6 +13,7 @@ use crate::event_queue::counter::{self, CountOwner, EventCounter};
 struct PreviousProcess {
     /// Name of its file of counts.
     counter: Option<String>,
+    /// Counts of its settled events by run, as encoded by [`encode_counts`].
     #[sqlx(rename = "counted")]
     settled_counts: Option<Vec<u8>>,
     #[sqlx(rename = "taken")]
@@ -154,7 +155,7 @@ pub(super) async fn start_counter(
     sqlx::query("BEGIN IMMEDIATE").execute(&mut *connection).await?;
     // The name of the new counter is part of the transaction. If this process is killed after the commit, the next
     // process finds the counter and reads the count from it.
-    let result = match write(connection, state, lost_events.is_none(), &counter).await {
+    let result = match write_state(connection, state, lost_events.is_none(), &counter).await {
         Ok(()) => sqlx::query("COMMIT").execute(&mut *connection).await.map(drop),
         error => error,
     };
@@ -192,7 +193,7 @@ pub(super) async fn start_counter(
 
 /// Writes the state. `is_unresolved` is `true` if [`SpoolState::unresolved`] now has the batches of the previous
 /// process.
-async fn write(
+async fn write_state(
     connection: &mut SqliteConnection,
     state: &SpoolState,
     is_unresolved: bool,

@@ -187,7 +187,7 @@ async fn prepare(
     let cannot_open = |source| SpoolError::Open { path: path.to_owned(), source };
     // SQLite opens a read-only file without an error; the start of a write transaction fails.
     sqlx::raw_sql("BEGIN IMMEDIATE; ROLLBACK").execute(&mut *connection).await.map_err(cannot_open)?;
-    claim(path, connection).await?;
+    set_application_id(path, connection).await?;
     MIGRATIONS.run_direct(None, connection, false).await.map_err(|source| match source {
         MigrateError::VersionMissing(found) => {
             let newest_known = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
@@ -221,7 +221,10 @@ async fn prepare(
 
 /// Sets the application id of an empty database before its tables are created. The file is then recognised as a spool
 /// even if the disk becomes full in between.
-pub(super) async fn claim(path: &Path, connection: &mut SqliteConnection) -> Result<(), SpoolError> {
+pub(super) async fn set_application_id(
+    path: &Path,
+    connection: &mut SqliteConnection,
+) -> Result<(), SpoolError> {
     let cannot_open = |source| SpoolError::Open { path: path.to_owned(), source };
     let (id, tables): (i32, i64) = sqlx::query_as(
         "SELECT application_id, (SELECT COUNT(*) FROM sqlite_schema) FROM pragma_application_id",

@@ -15,12 +15,13 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
 
 use super::error::is_corrupt;
 use super::inspect::read_only_options;
-use super::open::{MIGRATIONS, chain, claim, settings};
+use super::open::{MIGRATIONS, chain, set_application_id, settings};
 use super::quarantine::with_suffix;
 
 /// Tables that are copied whole: the state of the stream.
 const STATE_TABLES: [&str; 4] = ["stream", "reached", "unreported", "unresolved"];
-/// Minimum number of bytes that a batch takes in a file. It bounds the number of batches that a damaged file may claim.
+/// Minimum number of bytes that a batch takes in a file. It bounds the number of batches that a damaged file may
+/// set_application_id.
 const MIN_BATCH_BYTES: u64 = 16;
 
 /// Content of a quarantined spool.
@@ -112,7 +113,7 @@ async fn fill(
     spool: &Path,
 ) -> Result<RecoveredBatches, RecoveryError> {
     let cannot_create = |error: &dyn std::error::Error| RecoveryError::Create(error.to_string());
-    claim(spool, target).await.map_err(|error| cannot_create(&error))?;
+    set_application_id(spool, target).await.map_err(|error| cannot_create(&error))?;
     MIGRATIONS.run_direct(None, target, false).await.map_err(|error| cannot_create(&error))?;
     sqlx::query("BEGIN IMMEDIATE").execute(&mut *target).await?;
     for table in STATE_TABLES {
@@ -124,26 +125,28 @@ async fn fill(
     Ok(recovered)
 }
 
-/// Copies all rows of a table. A spool of an earlier version has fewer columns; the others have their defaults.
+/// Copies all rows of a table. A spool of an earlier version has fewer columns; the missing ones get their defaults.
 async fn copy_table(
     source: &mut SqliteConnection,
     target: &mut SqliteConnection,
     table: &str,
 ) -> Result<(), sqlx::Error> {
-    let columns = "SELECT name FROM pragma_table_info(?)";
-    let of_source: Vec<String> = sqlx::query_scalar(columns).bind(table).fetch_all(&mut *source).await?;
-    let of_target: Vec<String> = sqlx::query_scalar(columns).bind(table).fetch_all(&mut *target).await?;
-    let shared: Vec<&str> =
-        of_target.iter().filter(|name| of_source.contains(name)).map(String::as_str).collect();
-    if shared.is_empty() {
+    let column_query = "SELECT name FROM pragma_table_info(?)";
+    let source_columns: Vec<String> =
+        sqlx::query_scalar(column_query).bind(table).fetch_all(&mut *source).await?;
+    let target_columns: Vec<String> =
+        sqlx::query_scalar(column_query).bind(table).fetch_all(&mut *target).await?;
+    let shared_columns: Vec<&str> =
+        target_columns.iter().filter(|name| source_columns.contains(name)).map(String::as_str).collect();
+    if shared_columns.is_empty() {
         return Ok(());
     }
     // SQLite's function returns each value as a literal of SQL. The names are those of this program's own schema.
-    let literals: Vec<String> = shared.iter().map(|name| format!("quote({name})")).collect();
+    let literals: Vec<String> = shared_columns.iter().map(|name| format!("quote({name})")).collect();
     let select = format!("SELECT {} FROM {table}", literals.join(" || ',' || "));
     let rows: Vec<String> = sqlx::query_scalar(AssertSqlSafe(select)).fetch_all(source).await?;
     for row in rows {
-        let insert = format!("INSERT INTO {table} ({}) VALUES ({row})", shared.join(", "));
+        let insert = format!("INSERT INTO {table} ({}) VALUES ({row})", shared_columns.join(", "));
         sqlx::query(AssertSqlSafe(insert)).execute(&mut *target).await?;
     }
     Ok(())

@@ -1,22 +1,22 @@
-//! Syncs SQLite's log to the disk in the background.
+//! Syncs SQLite's write-ahead log to the disk in the background.
 
 use std::io;
 
 use tokio::task::JoinHandle;
 
-use super::file::Log;
+use super::file::WriteAheadLog;
 
 /// State of syncing the write-ahead log.
 #[derive(Debug)]
 pub(super) struct Syncing {
-    log: Log,
+    log: WriteAheadLog,
     /// `true` if a transaction was written since the last sync started.
     is_dirty: bool,
     running_sync: Option<JoinHandle<io::Result<()>>>,
 }
 
 impl Syncing {
-    pub(super) const fn new(log: Log) -> Self {
+    pub(super) const fn new(log: WriteAheadLog) -> Self {
         Self { log, is_dirty: false, running_sync: None }
     }
 

@@ -1,4 +1,4 @@
-//! The task that owns the spool file. It executes orders and returns results over channels.
+//! The task that owns the spool file. It executes requests and returns results over channels.
 
 use std::io;
 use std::time::Duration;
@@ -10,37 +10,37 @@ use tokio::time::MissedTickBehavior;
 use tokio_util::task::AbortOnDropHandle;
 
 use super::error::SpoolFileError;
-use super::file::{Loaded, SpoolFile};
+use super::file::{LoadedBatches, SpoolFile};
 use super::quarantine::flag_as_damaged;
 use super::range_log;
 use super::sync::Syncing;
 
-/// Capacity of the channels. The state machine has at most one order of each of the four kinds in progress.
-const MAX_ORDERS: usize = 8;
+/// Capacity of the channels. The state machine has at most one request of each of the four kinds in progress.
+const MAX_REQUESTS: usize = 8;
 
 /// An operation on the spool.
 #[derive(Clone, Debug)]
-pub(in crate::outbox) enum Order {
-    /// Appends batches; answered by [`Done::Appended`].
+pub(in crate::outbox) enum SpoolRequest {
+    /// Appends batches; answered by [`SpoolResult::Appended`].
     Append { batches: Vec<SpooledBatch>, totals: Totals },
-    /// Reads batches; answered by [`Done::Loaded`].
+    /// Reads batches; answered by [`SpoolResult::Loaded`].
     Load { from: u64, bytes: usize },
-    /// Deletes batches; answered by [`Done::Deleted`].
+    /// Deletes batches; answered by [`SpoolResult::Deleted`].
     Delete { through: u64, chain: Chain },
-    /// Starts another stream; answered by [`Done::Renewed`].
+    /// Starts another stream; answered by [`SpoolResult::Renewed`].
     Renew { stream: StreamId, previous_stream: StreamId, first: u64, events_before_first: u64 },
 }
 
-/// Result of an order.
+/// Result of a request.
 #[derive(Debug)]
-pub(in crate::outbox) enum OrderResult {
+pub(in crate::outbox) enum SpoolResult {
     Appended(Result<(), SpoolTaskError>),
-    Loaded(Result<Loaded, SpoolTaskError>),
+    Loaded(Result<LoadedBatches, SpoolTaskError>),
     Deleted(Result<(), SpoolTaskError>),
     Renewed(Result<(), SpoolTaskError>),
 }
 
-/// Reason why an order failed.
+/// Reason why a request failed.
 #[derive(Debug, thiserror::Error)]
 pub(in crate::outbox) enum SpoolTaskError {
     /// The file cannot be read or written.
@@ -50,8 +50,8 @@ pub(in crate::outbox) enum SpoolTaskError {
     #[error("the spool's task has ended")]
     Ended,
     /// The channel is full, which the state machine never causes.
-    #[error("too many orders for the spool's task: {0:?}")]
-    Overloaded(Box<Order>),
+    #[error("too many requests for the spool's task: {0:?}")]
+    Overloaded(Box<SpoolRequest>),
     /// The disk does not answer in time.
     #[error("the spool's disk does not answer in time")]
     Slow,
@@ -63,41 +63,41 @@ pub(in crate::outbox) enum SpoolTaskError {
 /// Handle of the task. Dropping it aborts the task.
 #[derive(Debug)]
 pub(in crate::outbox) struct SpoolTask {
-    orders: mpsc::Sender<Order>,
-    results: mpsc::Receiver<OrderResult>,
+    requests: mpsc::Sender<SpoolRequest>,
+    results: mpsc::Receiver<SpoolResult>,
     task: AbortOnDropHandle<Result<(), SpoolFileError>>,
 }
 
 impl SpoolTask {
     /// Starts the task.
     pub(in crate::outbox) fn start(file: SpoolFile, sync_interval: Duration) -> Self {
-        let (orders, received_orders) = mpsc::channel(MAX_ORDERS);
-        let (result_sender, results) = mpsc::channel(MAX_ORDERS);
+        let (requests, received_requests) = mpsc::channel(MAX_REQUESTS);
+        let (result_sender, results) = mpsc::channel(MAX_REQUESTS);
         let task =
-            AbortOnDropHandle::new(tokio::spawn(run(file, sync_interval, received_orders, result_sender)));
-        Self { orders, results, task }
+            AbortOnDropHandle::new(tokio::spawn(run(file, sync_interval, received_requests, result_sender)));
+        Self { requests, results, task }
     }
 
-    /// Sends an order to the task, without waiting.
+    /// Sends a request to the task, without waiting.
     ///
     /// # Errors
     /// When the task has ended, or its channel is full, which must not happen.
-    pub(in crate::outbox) fn order(&self, order: Order) -> Result<(), SpoolTaskError> {
-        self.orders.try_send(order).map_err(|error| match error {
+    pub(in crate::outbox) fn request(&self, request: SpoolRequest) -> Result<(), SpoolTaskError> {
+        self.requests.try_send(request).map_err(|error| match error {
             TrySendError::Closed(_) => SpoolTaskError::Ended,
-            TrySendError::Full(order) => SpoolTaskError::Overloaded(Box::new(order)),
+            TrySendError::Full(request) => SpoolTaskError::Overloaded(Box::new(request)),
         })
     }
 
     /// Waits for the next result; `None` if the task has ended.
-    pub(in crate::outbox) async fn next_result(&mut self) -> Option<OrderResult> {
+    pub(in crate::outbox) async fn next_result(&mut self) -> Option<SpoolResult> {
         self.results.recv().await
     }
 
-    /// Waits until all orders are done and the task has closed the file.
+    /// Waits until all requests are done and the task has closed the file.
     pub(in crate::outbox) async fn close(self) -> Result<(), SpoolTaskError> {
-        let Self { orders, results, task } = self;
-        drop((orders, results));
+        let Self { requests, results, task } = self;
+        drop((requests, results));
         Ok(task.await??)
     }
 }
@@ -105,26 +105,26 @@ impl SpoolTask {
 async fn run(
     mut file: SpoolFile,
     sync_interval: Duration,
-    mut orders: mpsc::Receiver<Order>,
-    results: mpsc::Sender<OrderResult>,
+    mut requests: mpsc::Receiver<SpoolRequest>,
+    results: mpsc::Sender<SpoolResult>,
 ) -> Result<(), SpoolFileError> {
     let mut ticks = tokio::time::interval(sync_interval);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut syncing = Syncing::new(file.log());
     loop {
         tokio::select! {
-            // Orders come last, because they may follow each other without a pause.
+            // Requests come last, because they may follow each other without a pause.
             biased;
             result = syncing.wait(), if syncing.is_running() => log_failed_sync(&file, result),
             _ = ticks.tick() => {
                 syncing.start();
-                // The file shrinks in steps between orders, because a vacuum of the whole file would delay orders.
-                shrink(&mut file, &orders).await;
+                // The file shrinks in steps between requests, because a vacuum of the whole file would delay requests.
+                shrink(&mut file, &requests).await;
             }
-            order = orders.recv() => {
-                let Some(order) = order else { break };
-                let result = execute(&mut file, &mut syncing, order).await;
-                // Sending fails only if the outbox has ended; the order is done nevertheless.
+            request = requests.recv() => {
+                let Some(request) = request else { break };
+                let result = execute(&mut file, &mut syncing, request).await;
+                // Sending fails only if the outbox has ended; the request is done nevertheless.
                 let _ = results.send(result).await;
             }
         }
@@ -134,24 +134,26 @@ async fn run(
     file.close().await
 }
 
-async fn execute(file: &mut SpoolFile, syncing: &mut Syncing, order: Order) -> OrderResult {
-    match order {
-        Order::Append { batches, totals } => {
+async fn execute(file: &mut SpoolFile, syncing: &mut Syncing, request: SpoolRequest) -> SpoolResult {
+    match request {
+        SpoolRequest::Append { batches, totals } => {
             let result = file.append(&batches, &totals).await;
             if result.is_ok() {
                 syncing.mark_written();
                 range_log::log_ranges(&batches);
             }
-            OrderResult::Appended(flag_if_corrupt(file, result))
+            SpoolResult::Appended(flag_if_corrupt(file, result))
         }
-        Order::Load { from, bytes } => OrderResult::Loaded(file.load(from, bytes).await.map_err(Into::into)),
-        Order::Delete { through, chain } => {
+        SpoolRequest::Load { from, bytes } => {
+            SpoolResult::Loaded(file.load(from, bytes).await.map_err(Into::into))
+        }
+        SpoolRequest::Delete { through, chain } => {
             let result = file.delete_through(through, chain).await;
-            OrderResult::Deleted(flag_if_corrupt(file, result))
+            SpoolResult::Deleted(flag_if_corrupt(file, result))
         }
-        Order::Renew { stream, previous_stream, first, events_before_first } => {
+        SpoolRequest::Renew { stream, previous_stream, first, events_before_first } => {
             let result = file.renew(stream, previous_stream, (first, events_before_first)).await;
-            OrderResult::Renewed(flag_if_corrupt(file, result))
+            SpoolResult::Renewed(flag_if_corrupt(file, result))
         }
     }
 }
@@ -165,9 +167,9 @@ fn flag_if_corrupt(file: &SpoolFile, result: Result<(), SpoolFileError>) -> Resu
     Ok(result?)
 }
 
-/// Shrinks the file step by step, until an order arrives.
-async fn shrink(file: &mut SpoolFile, orders: &mpsc::Receiver<Order>) {
-    while orders.is_empty() {
+/// Shrinks the file step by step, until a request arrives.
+async fn shrink(file: &mut SpoolFile, requests: &mpsc::Receiver<SpoolRequest>) {
+    while requests.is_empty() {
         match file.shrink().await {
             Ok(true) => {}
             Ok(false) => return,

@@ -41,8 +41,8 @@ impl PipelineLoop<'_> {
             let start = Start { intended: now, skipped: 0 };
             let (log, started_at) = iteration::start(clock, self.context.host.id, now);
             let iteration = StartedIteration { position: self.run.assign_position(now), start, started_at };
-            let ended = Feedback { episode_ended: true, ..Feedback::default() };
-            self.finish(iteration, log, outcome, ended, None);
+            let feedback = Feedback { episode_ended: true, ..Feedback::default() };
+            self.finish(iteration, log, outcome, feedback, None);
         }
     }
 

@@ -47,8 +47,8 @@ impl Clock for PanickingClock {
     }
 
     fn mono(&self) -> MonoTime {
-        let read = self.reader == Reader::Any || thread::current().name() == Some(PIPELINE);
-        assert!(!(read && self.broken.swap(false, Ordering::Relaxed)), "as planned");
+        let is_reader = self.reader == Reader::Any || thread::current().name() == Some(PIPELINE);
+        assert!(!(is_reader && self.broken.swap(false, Ordering::Relaxed)), "as planned");
         self.clock.mono()
     }
 
@@ -61,7 +61,7 @@ impl Clock for PanickingClock {
     }
 }
 
-/// Returns a host with one pipeline, and the exit of its event queue.
+/// Returns a host with one pipeline, and the receiving end of its event queue.
 fn context(
     sensor: &str,
     clock: SharedClock,
@@ -73,8 +73,8 @@ fn context(
     );
     let config: AgentConfig = toml::from_str(&tables).expect("reads");
     let aggregator = Some("tcp://127.0.0.1:1".parse().expect("an address"));
-    let of_host = HostConfig { aggregator, ..HostConfig::default() };
-    let (event_queue, receiver) = crate::event_queue::create(&of_host, &clock, EventCounter::default());
+    let host_config = HostConfig { aggregator, ..HostConfig::default() };
+    let (event_queue, receiver) = crate::event_queue::create(&host_config, &clock, EventCounter::default());
     let incidents = Incidents::new(Arc::clone(&clock), event_queue.clone());
     let (_publish, host_clock) = watch::channel(PeerClock::default());
     let link_context = LinkContext {
@@ -108,7 +108,7 @@ fn context(
 
 /// Runs a pipeline until the clock panics for this reader. Returns the reason of the run's end, after checking that
 /// it is shown and reported as well.
-async fn broken(sensor: &str, reader: Reader) -> String {
+async fn reason_after_panic(sensor: &str, reader: Reader) -> String {
     let system = SystemClock::new(ClockIdentity::new("boot", "system"));
     let fragile = Arc::new(PanickingClock { clock: system, broken: AtomicBool::new(false), reader });
     let clock: SharedClock = Arc::<PanickingClock>::clone(&fragile);
@@ -131,7 +131,9 @@ async fn broken(sensor: &str, reader: Reader) -> String {
     while ended.is_none() || incident.is_none() {
         match receiver.next().await.expect("the run ends and the failure is reported") {
             Event::RunEnded(end) => ended = Some(end),
-            Event::Incident(what) if what.kind == IncidentKind::PipelineFailed => incident = Some(what),
+            Event::Incident(failure) if failure.kind == IncidentKind::PipelineFailed => {
+                incident = Some(failure)
+            }
             _ => {}
         }
     }
@@ -146,19 +148,19 @@ async fn broken(sensor: &str, reader: Reader) -> String {
 
 #[tokio::test]
 async fn panic_fails_pipeline_with_reason_and_ends_run() {
-    let reason = broken("{ kind = 'synthetic', size_bytes = 1 }", Reader::Any).await;
+    let reason = reason_after_panic("{ kind = 'synthetic', size_bytes = 1 }", Reader::Any).await;
     assert!(reason.contains("panicked: as planned"), "{reason}");
 }
 
 #[tokio::test]
 async fn dead_sensor_thread_ends_pipeline_and_is_named() {
-    let reason = broken("{ kind = 'text', length = 5000 }", Reader::Sensor).await;
+    let reason = reason_after_panic("{ kind = 'text', length = 5000 }", Reader::Sensor).await;
     assert!(reason.contains("the sensor's thread has panicked"), "{reason}");
 }
 
-/// Returns the outcomes recorded after a connection came back, when the sensor gave a sample meanwhile that the run
-/// `requesting_run` had requested.
-async fn taken_up(requesting_run: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
+/// Returns the outcomes recorded after a connection arrived_sample back, when the sensor gave a sample meanwhile that
+/// the run `requesting_run` had requested.
+async fn outcomes_after_reconnect(requesting_run: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
     let sensor = "{ kind = 'synthetic', size_bytes = 1 }";
     let (context, pipeline, live_state, mut receiver) = context(sensor, Arc::clone(&clock));
@@ -174,9 +176,12 @@ async fn taken_up(requesting_run: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
 
     let start = Start { intended: clock.mono(), skipped: 0 };
     let (log, started_at) = iteration::start(&clock, context.host.id, start.intended);
-    let (tell, sample) = oneshot::channel();
-    let came = Sample::from_part(Description::bytes(), "x".into());
-    assert!(tell.send(SensorOutput { log, sample: Ok(Some(came)) }).is_ok(), "before the connection is back");
+    let (sample_sender, sample) = oneshot::channel();
+    let arrived_sample = Sample::from_part(Description::bytes(), "x".into());
+    assert!(
+        sample_sender.send(SensorOutput { log, sample: Ok(Some(arrived_sample)) }).is_ok(),
+        "before the connection is back"
+    );
     resources.pending_sample =
         Some(PendingSample { run: requesting_run(run.id()), start, started_at, sample });
     drop(PipelineLoop::new(&mut resources, &mut run, &context));
@@ -194,7 +199,7 @@ async fn taken_up(requesting_run: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
 
 #[tokio::test]
 async fn sample_without_connection_is_recorded_as_lost() {
-    let outcomes = taken_up(|current| current).await;
+    let outcomes = outcomes_after_reconnect(|current| current).await;
     assert!(
         matches!(outcomes.as_slice(), [Outcome::Lost(reason)] if reason.contains("no connection")),
         "{outcomes:?}"
@@ -203,5 +208,5 @@ async fn sample_without_connection_is_recorded_as_lost() {
 
 #[tokio::test]
 async fn sample_requested_by_earlier_run_is_no_iteration() {
-    assert_eq!(taken_up(|_| RunId::random()).await, []);
+    assert_eq!(outcomes_after_reconnect(|_| RunId::random()).await, []);
 }

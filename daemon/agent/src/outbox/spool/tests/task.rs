@@ -5,7 +5,7 @@ use std::time::Duration;
 use peernet_stream::{Chain, StreamId};
 
 use super::super::error::SpoolFileError;
-use super::super::task::{Order, OrderResult, SpoolTask, SpoolTaskError};
+use super::super::task::{SpoolRequest, SpoolResult, SpoolTask, SpoolTaskError};
 use super::*;
 
 const HOUR: Duration = Duration::from_secs(3600);
@@ -16,17 +16,22 @@ async fn orders_are_done_in_sequence_and_answered() {
     let (file, fresh) = spool_folder.open_undamaged().await;
     let mut task = SpoolTask::start(file, HOUR);
     let written = batches(Chain::START, 1..=3, 10);
-    task.order(Order::Append { batches: written.clone(), totals: totals(9) }).expect("takes it");
-    task.order(Order::Load { from: 2, bytes: usize::MAX }).expect("takes it");
-    task.order(Order::Delete { through: 1, chain: written[0].chain }).expect("takes it");
+    task.request(SpoolRequest::Append { batches: written.clone(), totals: totals(9) }).expect("takes it");
+    task.request(SpoolRequest::Load { from: 2, bytes: usize::MAX }).expect("takes it");
+    task.request(SpoolRequest::Delete { through: 1, chain: written[0].chain }).expect("takes it");
     let stream = StreamId::random();
-    task.order(Order::Renew { stream, previous_stream: fresh.stream, first: 2, events_before_first: 3 })
-        .expect("takes it");
-    assert!(matches!(task.next_result().await, Some(OrderResult::Appended(Ok(())))));
-    let Some(OrderResult::Loaded(Ok(loaded))) = task.next_result().await else { panic!("loads") };
+    task.request(SpoolRequest::Renew {
+        stream,
+        previous_stream: fresh.stream,
+        first: 2,
+        events_before_first: 3,
+    })
+    .expect("takes it");
+    assert!(matches!(task.next_result().await, Some(SpoolResult::Appended(Ok(())))));
+    let Some(SpoolResult::Loaded(Ok(loaded))) = task.next_result().await else { panic!("loads") };
     assert_eq!(loaded.batches, written[1..]);
-    assert!(matches!(task.next_result().await, Some(OrderResult::Deleted(Ok(())))));
-    assert!(matches!(task.next_result().await, Some(OrderResult::Renewed(Ok(())))));
+    assert!(matches!(task.next_result().await, Some(SpoolResult::Deleted(Ok(())))));
+    assert!(matches!(task.next_result().await, Some(SpoolResult::Renewed(Ok(())))));
     task.close().await.expect("closes");
     let (_, state) = spool_folder.open_undamaged().await;
     assert_eq!((state.stream, state.oldest, state.newest.0), (stream, 2, 3));
@@ -38,7 +43,7 @@ async fn last_order_is_done_before_closing() {
     let (file, _) = spool_folder.open_undamaged().await;
     let task = SpoolTask::start(file, HOUR);
     let written = batches(Chain::START, 1..=3, 10);
-    task.order(Order::Append { batches: written, totals: totals(9) }).expect("takes it");
+    task.request(SpoolRequest::Append { batches: written, totals: totals(9) }).expect("takes it");
     task.close().await.expect("closes");
     assert_eq!(spool_folder.open_undamaged().await.1.newest.0, 3);
 }
@@ -49,9 +54,9 @@ async fn error_names_the_moved_file() {
     let (file, _) = spool_folder.open_undamaged().await;
     let mut task = SpoolTask::start(file, HOUR);
     std::fs::rename(spool_folder.path(), spool_folder.folder.path().join("away")).expect("moved");
-    task.order(Order::Append { batches: batches(Chain::START, 1..=1, 10), totals: totals(3) })
+    task.request(SpoolRequest::Append { batches: batches(Chain::START, 1..=1, 10), totals: totals(3) })
         .expect("takes it");
-    let Some(OrderResult::Appended(Err(error))) = task.next_result().await else { panic!("fails") };
+    let Some(SpoolResult::Appended(Err(error))) = task.next_result().await else { panic!("fails") };
     assert!(matches!(error, SpoolTaskError::File(SpoolFileError::Moved(_))), "{error}");
     assert!(error.to_string().contains("spool.sqlite"), "{error}");
 }
@@ -70,9 +75,9 @@ async fn file_found_damaged_is_quarantined_at_next_start() {
     .await
     .expect("broken");
     let mut task = SpoolTask::start(file, HOUR);
-    task.order(Order::Append { batches: batches(Chain::START, 1..=1, 10), totals: totals(3) })
+    task.request(SpoolRequest::Append { batches: batches(Chain::START, 1..=1, 10), totals: totals(3) })
         .expect("takes it");
-    let Some(OrderResult::Appended(Err(error))) = task.next_result().await else { panic!("fails") };
+    let Some(SpoolResult::Appended(Err(error))) = task.next_result().await else { panic!("fails") };
     assert!(error.to_string().contains("quarantines the file"), "{error}");
     drop(task.close().await);
     let quarantined = spool_folder.open().await.expect("opens").quarantined.expect("put quarantined");

@@ -94,15 +94,15 @@ fn topic_events() -> impl Strategy<Value = Vec<(i64, TopicEvent)>> {
     ]
 }
 
-/// Keys and reception times of the messages of a topic, by number.
-type Sent = BTreeMap<u32, (Option<i64>, MonoTime)>;
+/// Keys and reception times of the messages of a topic that are not resolved yet, by number.
+type WaitingMessages = BTreeMap<u32, (Option<i64>, MonoTime)>;
 
 /// Removes the messages of a resolution from the waiting messages, and checks that the resolution is allowed.
 fn settle(
     resolution: &NumberedResolution,
     now: MonoTime,
-    inputs: &mut Sent,
-    outputs: &mut Sent,
+    inputs: &mut WaitingMessages,
+    outputs: &mut WaitingMessages,
 ) -> Result<(), TestCaseError> {
     match resolution {
         Resolution::Paired { input, output } => {
@@ -132,7 +132,7 @@ proptest! {
     #[test]
     fn every_message_is_resolved_once_in_bounded_memory(topic_events in topic_events()) {
         let (mut pairing, mut now, mut number) = (pairing(), at(0), 0_u32);
-        let (mut inputs, mut outputs) = (Sent::new(), Sent::new());
+        let (mut inputs, mut outputs) = (WaitingMessages::new(), WaitingMessages::new());
         for (pause, topic_event) in topic_events {
             now = now + Span::from_millis(pause);
             number += 1;

@@ -31,8 +31,9 @@ pub(in crate::pipeline::observe) struct Ros2Topic {
     clock: SharedClock,
 }
 
+/// A subscription and the type with which it was created.
 struct TypedSubscription {
-    ends: Ros2Subscription,
+    receiver: Ros2Subscription,
     /// Type of the messages, such as `sensor_msgs/msg/Image`.
     type_name: String,
 }
@@ -69,7 +70,7 @@ impl Ros2Topic {
                 continue;
             };
             tokio::select! {
-                sample = subscription.ends.receive() => return Ok(message_from_sample(&sample?, &self.clock)),
+                sample = subscription.receiver.receive() => return Ok(message_from_sample(&sample?, &self.clock)),
                 () = await_discovery_change(&mut self.discovery) => {}
             }
         }
@@ -88,8 +89,8 @@ impl Ros2Topic {
             // A best-effort subscription matches publishers of both kinds, and no publisher waits for the agent.
             let qos =
                 QosProfile { reliability: Reliability::BestEffort, depth: DEPTH, ..QosProfile::default() };
-            let ends = self.node.create_subscription(&self.name, type_name, &qos)?;
-            self.subscription = Some(TypedSubscription { ends, type_name: type_name.to_owned() });
+            let receiver = self.node.create_subscription(&self.name, type_name, &qos)?;
+            self.subscription = Some(TypedSubscription { receiver, type_name: type_name.to_owned() });
         }
         self.report_other_types(&publishers);
         Ok(())
@@ -124,18 +125,18 @@ impl Ros2Topic {
     }
 
     pub(super) fn problem(&self) -> Option<String> {
-        let silent = format!("no node publishes {}", self.name);
-        let Some(TypedSubscription { ends, .. }) = &self.subscription else { return Some(silent) };
-        let peers = ends.peers();
+        let no_publisher = format!("no node publishes {}", self.name);
+        let Some(TypedSubscription { receiver, .. }) = &self.subscription else { return Some(no_publisher) };
+        let peers = receiver.peers();
         let peers = peers.borrow();
         if peers.matched.is_empty() {
             let refusal = peers.refused.values().next();
             return Some(refusal.map_or_else(
-                || silent.clone(),
-                |refusal| format!("{silent} for this agent: a publisher exists, but {refusal}"),
+                || no_publisher.clone(),
+                |refusal| format!("{no_publisher} for this agent: a publisher exists, but {refusal}"),
             ));
         }
-        let counts = ends.counts();
+        let counts = receiver.counts();
         (counts.received == 0 && counts.undecodable > 0).then(|| {
             format!("the messages of {} cannot be read: publish them in plain CDR (XCDR1)", self.name)
         })
@@ -143,7 +144,9 @@ impl Ros2Topic {
 
     pub(super) fn publishers(&self) -> Vec<PublisherLocation> {
         let of_type = |publisher: &DiscoveredPublisher| {
-            self.subscription.as_ref().is_some_and(|own| own.type_name == publisher.type_name)
+            self.subscription
+                .as_ref()
+                .is_some_and(|subscription| subscription.type_name == publisher.type_name)
         };
         let publishers = self.node.publishers_of(&self.name).into_iter().filter(of_type);
         let location = |publisher: DiscoveredPublisher| PublisherLocation {
