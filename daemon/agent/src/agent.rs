@@ -83,7 +83,8 @@ impl Agent {
     ///
     /// # Errors
     /// [`StartError`] when the host's name, its state directory, spool, keys, threads or ports cannot be used. In this
-    /// case nothing was started. A pipeline that cannot start is not an error: it is reported as failed, and the others run.
+    /// case nothing was started. A pipeline that cannot start is not an error: it is reported as failed, and the others
+    /// run.
     pub async fn start(
         config: AgentConfig,
         version: &'static str,

@@ -160,7 +160,7 @@ fn own_threads_are_no_competing_load() {
     assert_eq!(
         host_files.only_finding_about("competing load").0,
         Grade::Doubtful,
-        "one of others on two processors"
+        "one thread of another process, on two processors"
     );
     host_files.write_file("proc/loadavg", "0.00 0.00 0.00 4/512 4711");
     host_files
@@ -229,7 +229,7 @@ fn virtual_machine_is_recognised_without_x86_flag() {
     };
     let (vendor, product) = ("sys/class/dmi/id/sys_vendor", "sys/class/dmi/id/product_name");
     let model = "proc/device-tree/model";
-    assert_eq!(finding_for(&[]), (Grade::Unknown, false), "nothing tells");
+    assert_eq!(finding_for(&[]), (Grade::Unknown, false), "there is no sign");
     assert_eq!(finding_for(&[(vendor, "Ampere")]), (Grade::Unknown, false));
     assert_eq!(finding_for(&[(vendor, "QEMU"), (product, "KVM Virtual Machine")]), (Grade::Unknown, true));
     assert_eq!(

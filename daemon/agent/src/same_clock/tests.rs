@@ -57,7 +57,7 @@ fn start_proving(
 ) -> (mpsc::Receiver<Result<(), NotProven>>, AbortOnDropHandle<()>) {
     let (report_proof, proofs) = mpsc::channel(64);
     let task = tokio::spawn(async move {
-        let report_proof = |proof| report_proof.try_send(proof).expect("the test takes what it is told");
+        let report_proof = |proof| report_proof.try_send(proof).expect("the test receives every result");
         match prove(&peers, &clock, report_proof).await {}
     });
     (proofs, AbortOnDropHandle::new(task))
@@ -148,7 +148,7 @@ async fn garbage_and_silence_do_not_hide_the_cloud() {
     for stream in [&mut garbage, &mut silent] {
         stream.set_read_timeout(Some(WAIT_TIMEOUT)).expect("a timeout");
         let mut query = [0; ClockQuery::BYTES];
-        stream.read_exact(&mut query).expect("it was asked");
+        stream.read_exact(&mut query).expect("it was queried");
         // Closed; with unread bytes it is a reset.
         match stream.read(&mut query) {
             Ok(bytes) => assert_eq!(bytes, 0),
@@ -184,7 +184,7 @@ async fn proof_expires_without_answers_and_returns_with_them() {
     answer(&mut cloud, &clock).await;
     assert!(receive_result(&mut proofs).await.is_ok());
     assert!(matches!(receive_result(&mut proofs).await, Err(NotProven::Expired)));
-    // The query that waited takes too long to prove anything; the next one is asked at once.
+    // The answer to the query that waited is too late to prove anything, so the next query is sent at once.
     answer(&mut cloud, &clock).await;
     answer(&mut cloud, &clock).await;
     assert!(receive_result(&mut proofs).await.is_ok());
@@ -195,9 +195,9 @@ async fn proof_expires_without_answers_and_returns_with_them() {
 /// Answers one query as the cloud of the first session does.
 async fn answer(cloud: &mut tokio::net::UnixStream, clock: &SharedClock) {
     let mut query = [0; ClockQuery::BYTES];
-    cloud.read_exact(&mut query).await.expect("it is asked");
+    cloud.read_exact(&mut query).await.expect("it is queried");
     let answer = ClockAnswer {
-        nonce: ClockQuery::from_bytes(&query).expect("a question").nonce,
+        nonce: ClockQuery::from_bytes(&query).expect("a query").nonce,
         session: *session(1).as_bytes(),
         time_namespace: time_namespace().expect("the kernel tells"),
         shows_kernel_time: clock.shows_kernel_time(),

@@ -93,7 +93,7 @@ impl Service {
                 });
                 let requester = Arc::new(PeerRequester(parts));
                 let job = Job { sample, recorder, received: received.mono, requester, reply };
-                // A refusal is on_result as well, so that the edge does not wait for its timeout.
+                // A refusal is answered as well, so that the edge does not wait for its timeout.
                 if let Err(refused) = pool.submit(job) {
                     let Job { recorder, reply, .. } = *refused.job;
                     reply(FinishedJob { recorder, result: Err(refused.reason) });

@@ -13,8 +13,8 @@ fn demo() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/quality-control")
 }
 
-/// Returns a folder with the demo model under two names.
-fn folder() -> tempfile::TempDir {
+/// Creates a folder with the demo model under two names.
+fn model_folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a folder");
     for name in ["plates", "plates_2"] {
         std::fs::create_dir(folder.path().join(name)).expect("made");
@@ -37,7 +37,8 @@ fn pipeline(cloud: &TestAgent, placement: &str) -> String {
     )
 }
 
-async fn reason(edge: &TestAgent) -> String {
+/// Waits until the pipeline waits, and returns the reason.
+async fn waiting_reason(edge: &TestAgent) -> String {
     match edge.until_state(|state| matches!(state, PipelineState::Waiting(_))).await {
         PipelineState::Waiting(reason) => reason,
         other => panic!("{other:?}"),
@@ -72,7 +73,7 @@ async fn edge_without_model_name_is_refused_with_names() {
     let nap = "[[model]]\nname = 'nap'\nkind = 'sleep'\n";
     let cloud = TestAgent::start("cloud", None, &format!("{SERVE}{ECHO}{nap}")).await;
     let edge = TestAgent::start("edge", None, &pipeline(&cloud, "")).await;
-    let reason = reason(&edge).await;
+    let reason = waiting_reason(&edge).await;
     assert!(reason.contains("the request names no model") && reason.contains("echo, nap;"), "{reason}");
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
@@ -81,7 +82,7 @@ async fn edge_without_model_name_is_refused_with_names() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn peer_gets_named_model_on_allowed_device() {
     let aggregator = Aggregator::start().await;
-    let folder = folder();
+    let folder = model_folder();
     let bank = format!("{SERVE}[bank]\nfolders = [{:?}]\nmost_loaded = 1\n", folder.path());
     let cloud = TestAgent::start("cloud", None, &bank).await;
     let wanted = pipeline(&cloud, ", model = 'plates_2', device = 'cpu'");
@@ -98,7 +99,7 @@ async fn peer_gets_named_model_on_allowed_device() {
         (", model = 'quality-control'", "this host offers plates, plates_2"),
     ] {
         let edge = TestAgent::start("edge", None, &pipeline(&cloud, placement)).await;
-        let reason = reason(&edge).await;
+        let reason = waiting_reason(&edge).await;
         assert!(reason.contains(expected), "{reason}");
         edge.stop().await.expect("stops well");
     }
@@ -111,7 +112,7 @@ async fn peer_gets_named_model_on_allowed_device() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn replaced_model_is_incident_and_metrics_count_loaded_ones() {
     let aggregator = Aggregator::start().await;
-    let folder = folder();
+    let folder = model_folder();
     let bank = format!("{SERVE}[bank]\nfolders = [{:?}]\nmost_loaded = 1\n", folder.path());
     let cloud = TestAgent::start("cloud", Some(&aggregator.address), &bank).await;
     for model in ["plates", "plates_2"] {
@@ -138,7 +139,7 @@ async fn replaced_model_is_incident_and_metrics_count_loaded_ones() {
 
 #[test]
 fn local_pipeline_may_use_model_bank() {
-    let folder = folder();
+    let folder = model_folder();
     let tables = format!(
         "[bank]\nfolders = [{:?}]\n[[pipeline]]\nname = 'line'\nsensor = {{ kind = 'synthetic', size_bytes = 1 }}\n\
          placement = {{ kind = 'local', model = 'plates' }}\n",

@@ -81,7 +81,7 @@ fn excessive_numbers_are_refused_with_limit() {
     );
     greedy.agent.state_dir = state.path().to_owned();
     let found = problems(&greedy);
-    for (key, most) in [
+    for (key, max) in [
         ("agent.io_threads", "64"),
         ("agent.queue_events", "10000000"),
         ("agent.queue_bytes", "17179869184"),
@@ -98,9 +98,10 @@ fn excessive_numbers_are_refused_with_limit() {
         ("pipeline[0].timeout_ms", "86400000"),
         ("pipeline[0].limit.duration_s", "31536000"),
     ] {
-        let limit = format!("at most {most}");
-        let says = |problem: &String| problem.starts_with(&format!("{key}: ")) && problem.ends_with(&limit);
-        assert!(found.iter().any(says), "{key} {most} in {found:#?}");
+        let limit = format!("at most {max}");
+        let has_limit =
+            |problem: &String| problem.starts_with(&format!("{key}: ")) && problem.ends_with(&limit);
+        assert!(found.iter().any(has_limit), "{key} {max} in {found:#?}");
     }
     assert_eq!(found.len(), 15, "{found:#?}");
 }
@@ -108,7 +109,7 @@ fn excessive_numbers_are_refused_with_limit() {
 #[test]
 fn deadline_after_timeout_is_refused() {
     let state = tempfile::tempdir().expect("a folder");
-    let of = |deadline_ms: u64| {
+    let problems_with = |deadline_ms: u64| {
         let mut config = config(&format!(
             "[[pipeline]]\nname = 'line'\nsensor = {{ kind = 'synthetic', size_bytes = 1 }}\n\
              placement = {{ kind = 'none' }}\ntimeout_ms = 200\ndeadline_ms = {deadline_ms}\n"
@@ -116,15 +117,15 @@ fn deadline_after_timeout_is_refused() {
         config.agent.state_dir = state.path().to_owned();
         problems(&config)
     };
-    assert_eq!(of(200), [] as [&str; 0]);
-    let found = of(201);
+    assert_eq!(problems_with(200), [] as [&str; 0]);
+    let found = problems_with(201);
     assert!(found.len() == 1 && found[0].starts_with("pipeline[0].deadline_ms: 201 is later"), "{found:?}");
 }
 
 #[test]
 fn more_pipelines_than_pages_show_are_refused() {
     let state = tempfile::tempdir().expect("a folder");
-    let of = |count: u32| {
+    let problems_with = |count: u32| {
         let pipeline = |number| {
             format!(
                 "[[pipeline]]\nname = 'p{number}'\nsensor = {{ kind = 'synthetic', size_bytes = 1 }}\n\
@@ -135,14 +136,14 @@ fn more_pipelines_than_pages_show_are_refused() {
         config.agent.state_dir = state.path().to_owned();
         problems(&config)
     };
-    assert_eq!(of(256), Vec::<String>::new());
-    assert_eq!(of(257), ["pipeline: 257 is too large; at most 256"]);
+    assert_eq!(problems_with(256), Vec::<String>::new());
+    assert_eq!(problems_with(257), ["pipeline: 257 is too large; at most 256"]);
 }
 
 #[test]
 fn unusable_spool_is_named_with_remedy() {
     let state = tempfile::tempdir().expect("a folder");
-    let of = |keys: &str| {
+    let problems_with = |keys: &str| {
         let mut config = config(&format!("[agent]\nbatch_bytes = 1000000\n[spool]\n{keys}"));
         config.agent.state_dir = state.path().to_owned();
         problems(&config)
@@ -158,12 +159,12 @@ fn unusable_spool_is_named_with_remedy() {
         (format!("file = '{folder}'"), "is a folder; name a file"),
         (format!("file = '{folder}/file/spool.sqlite'"), "file is not a folder; choose another spool file"),
     ] {
-        let found = of(&keys);
+        let found = problems_with(&keys);
         assert!(found.len() == 1 && found[0].contains(expected), "{expected} in {found:?}");
         assert!(found[0].starts_with("spool."), "{found:?}");
     }
     assert_eq!(
-        of(&format!("limit_bytes = 4000000\nfile = '{folder}/new/spool.sqlite'")),
+        problems_with(&format!("limit_bytes = 4000000\nfile = '{folder}/new/spool.sqlite'")),
         Vec::<String>::new()
     );
 }

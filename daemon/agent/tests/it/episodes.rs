@@ -165,8 +165,8 @@ async fn failed_reset_fails_one_iteration_and_its_episode() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn reset_reaches_only_ends_that_have_it() {
-    // The reward has the number of resets of the sensor (1 if it has none), and, if the actuator has any, its number as
-    // a second digit.
+    // The reward is the number of resets of the sensor (1 if the sensor has no reset). If the actuator has a reset, the
+    // reward is ten times this number plus the number of resets of the actuator.
     for (ends, rewards) in [
         (("Camera", "Gripper"), [1.0, 1.0]),
         (("CountingCamera", "Gripper"), [1.0, 2.0]),

@@ -95,8 +95,8 @@ async fn poisson_starts_follow_from_the_seed() {
         let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
         let mut starts: Vec<_> = seen.iterations().iter().map(|it| it.tree.anchors()[0].wall).collect();
         starts.sort();
-        let micros = |pair: &[peernet_clock::WallTime]| ((pair[1] - pair[0]).seconds() * 1e5).round();
-        gaps.push(starts.windows(2).map(micros).collect::<Vec<_>>());
+        let tens_of_micros = |pair: &[peernet_clock::WallTime]| ((pair[1] - pair[0]).seconds() * 1e5).round();
+        gaps.push(starts.windows(2).map(tens_of_micros).collect::<Vec<_>>());
         agent.stop().await.expect("stops well");
     }
     // Starts that come due while a pipeline is set up are skipped, so the later run may begin further on in the

@@ -9,12 +9,12 @@ use crate::harness::{Aggregator, TestAgent, clock, config};
 
 /// This machine's clock, shifted by a number of days.
 #[derive(Debug)]
-struct Calendar {
+struct ShiftedClock {
     real: SharedClock,
     days: AtomicI64,
 }
 
-impl Clock for Calendar {
+impl Clock for ShiftedClock {
     fn wall(&self) -> WallTime {
         self.real.wall() + Span::from_seconds(86_400 * self.days.load(Ordering::SeqCst))
     }
@@ -38,11 +38,11 @@ async fn midnight_begins_run_without_warm_up() {
     let tables = "[[model]]\nname = 'echo'\nkind = 'echo'\n\
         [[pipeline]]\nname = 'line'\nsensor = { kind = 'synthetic', size_bytes = 1 }\n\
         placement = { kind = 'local', model = 'echo' }\nload = { mode = 'rate', hz = 100.0 }\n";
-    let calendar = Arc::new(Calendar { real: clock("calendar"), days: AtomicI64::new(0) });
-    let clock = Arc::<Calendar>::clone(&calendar);
+    let shifted_clock = Arc::new(ShiftedClock { real: clock("shifted_clock"), days: AtomicI64::new(0) });
+    let clock = Arc::<ShiftedClock>::clone(&shifted_clock);
     let agent = TestAgent::start_on(clock, "edge", Some(&aggregator.address), config(tables)).await;
     aggregator.until(|seen| seen.iterations().len() >= 10).await;
-    calendar.days.fetch_add(1, Ordering::SeqCst);
+    shifted_clock.days.fetch_add(1, Ordering::SeqCst);
     let seen =
         aggregator.until(|seen| seen.iterations().iter().filter(|it| it.number == 10).count() == 2).await;
     let (runs, ended) = (seen.runs(), seen.ended());

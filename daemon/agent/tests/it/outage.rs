@@ -24,10 +24,10 @@ fn edge(port: u16, model: &str) -> String {
 
 /// Returns a port whose connections are forwarded to another one until the task is aborted; then they end without a
 /// goodbye.
-async fn cable_to(port: u16) -> (u16, JoinHandle<()>) {
+async fn forward_port(port: u16) -> (u16, JoinHandle<()>) {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
     let here = listener.local_addr().expect("bound").port();
-    let cable = tokio::spawn(async move {
+    let forwarding = tokio::spawn(async move {
         let mut connections = JoinSet::new();
         while let Ok((mut near, _)) = listener.accept().await {
             connections.spawn(async move {
@@ -36,7 +36,7 @@ async fn cable_to(port: u16) -> (u16, JoinHandle<()>) {
             });
         }
     });
-    (here, cable)
+    (here, forwarding)
 }
 
 fn is_waiting(state: &PipelineState) -> bool {
@@ -172,10 +172,10 @@ async fn only_lost_edge_is_incident() {
     served.wait_for(|served| served.answers >= 5 && served.sessions == 0).await.expect("serves");
     first.stop().await.expect("stops well");
 
-    let (cable_port, cable) = cable_to(port).await;
-    let second = TestAgent::start("second", None, &edge(cable_port, "slow")).await;
+    let (forwarded_port, forwarding) = forward_port(port).await;
+    let second = TestAgent::start("second", None, &edge(forwarded_port, "slow")).await;
     served.wait_for(|served| served.sessions == 1).await.expect("serves");
-    cable.abort();
+    forwarding.abort();
     let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Disconnected).is_empty()).await;
     let lost: Vec<&str> =
         seen.incidents(IncidentKind::Disconnected).iter().map(|it| it.text.as_str()).collect();
@@ -189,7 +189,7 @@ async fn only_lost_edge_is_incident() {
 async fn connections_ended_without_aggregator_are_counted() {
     let port = free_port();
     let cloud = TestAgent::start("cloud", None, &cloud(port)).await;
-    let absent = Aggregator::start().await.down().await;
+    let absent = Aggregator::start().await.stop().await;
     let tables = format!("{}limit = {{ iterations = 3 }}\n", edge(port, "slow"));
     let edge = TestAgent::start("edge", Some(&absent.0), &tables).await;
     edge.until_state(|state| *state == PipelineState::Finished).await;
@@ -199,14 +199,14 @@ async fn connections_ended_without_aggregator_are_counted() {
         let texts = seen.incidents(IncidentKind::Connected).into_iter().map(|incident| incident.text.clone());
         texts.filter(|text| text.starts_with("connected to the aggregator")).collect::<Vec<_>>()
     };
-    let aggregator = Aggregator::up(absent).await;
+    let aggregator = Aggregator::restart(absent).await;
     let seen = aggregator.until(|seen| welcomes(seen).len() == 1).await;
     let reported = &welcomes(&seen)[0];
     assert!(reported.contains("1 connection to a cloud ended in the meantime"), "{reported}");
     aggregator.until(|seen| !seen.lives.is_empty()).await;
 
     // A number that was reported is not reported again.
-    let aggregator = Aggregator::up(aggregator.down().await).await;
+    let aggregator = Aggregator::restart(aggregator.stop().await).await;
     let seen = aggregator.until(|seen| welcomes(seen).len() == 2).await;
     let reported = &welcomes(&seen)[1];
     assert!(!reported.contains("ended in the meantime"), "{reported}");

@@ -18,15 +18,15 @@ fn pipeline(keys: &str) -> String {
 async fn every_event_arrives_exactly_once_over_reconnects() {
     // The aggregator ends after storing the third batch and before acknowledging it: the agent must send it again,
     // and it must not count twice.
-    let behaviour = AggregatorBehaviour { die_before_ack: Some(3), ..AggregatorBehaviour::default() };
+    let behaviour = AggregatorBehaviour { end_before_ack: Some(3), ..AggregatorBehaviour::default() };
     let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), behaviour).await;
     let keys = "load = { mode = 'rate', hz = 200.0 }\nmax_in_flight = 64\nlimit = { iterations = 300 }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), &pipeline(keys)).await;
     aggregator.until(|seen| !seen.iterations().is_empty()).await;
-    let aggregator = Aggregator::up(aggregator.fell().await).await;
+    let aggregator = Aggregator::restart(aggregator.wait_for_end().await).await;
     let seen = aggregator.until(|seen| seen.iterations().len() >= 150).await;
     assert_eq!((seen.hellos, seen.runs().len()), (2, 1));
-    let aggregator = Aggregator::up(aggregator.down().await).await;
+    let aggregator = Aggregator::restart(aggregator.stop().await).await;
 
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     assert_contiguous(&seen.iterations());
@@ -40,14 +40,14 @@ async fn every_event_arrives_exactly_once_over_reconnects() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn refusal_of_aggregator_is_retried_and_reported_once() {
     let behaviour = AggregatorBehaviour {
-        refuse: Some("another host is named edge".into()),
+        refusal: Some("another host is named edge".into()),
         ..AggregatorBehaviour::default()
     };
     let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), behaviour).await;
     let agent =
         TestAgent::start("edge", Some(&aggregator.address), &pipeline("limit = { iterations = 5 }")).await;
     aggregator.until(|seen| seen.hellos >= 2).await;
-    let aggregator = Aggregator::up(aggregator.down().await).await;
+    let aggregator = Aggregator::restart(aggregator.stop().await).await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     assert_eq!(seen.iterations().len(), 10, "measured while the aggregator refused the agent");
     let refused = seen.incidents(IncidentKind::Refused);
@@ -62,8 +62,8 @@ async fn run_starts_are_repeated_to_emptied_aggregator() {
     let keys = "load = { mode = 'rate', hz = 100.0 }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), &pipeline(keys)).await;
     agent.until(|live| live.accounting.stored >= 20).await;
-    let (address, _) = aggregator.down().await;
-    let fresh = Aggregator::up((address, Arc::default())).await;
+    let (address, _) = aggregator.stop().await;
+    let fresh = Aggregator::restart((address, Arc::default())).await;
     let seen = fresh.until(|seen| !seen.iterations().is_empty() && !seen.runs().is_empty()).await;
     assert_eq!(seen.runs()[0].pipeline.as_str(), "line");
     assert_eq!(seen.runs()[0].run, seen.iterations()[0].run);
@@ -72,12 +72,14 @@ async fn run_starts_are_repeated_to_emptied_aggregator() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn silent_listener_is_reported_once_and_retried() {
-    let behaviour = AggregatorBehaviour { mute: true, ..AggregatorBehaviour::default() };
-    let mute = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), behaviour).await;
-    let agent = TestAgent::start("edge", Some(&mute.address), &pipeline("limit = { iterations = 5 }")).await;
+    let behaviour = AggregatorBehaviour { is_silent: true, ..AggregatorBehaviour::default() };
+    let silent_aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), behaviour).await;
+    let agent =
+        TestAgent::start("edge", Some(&silent_aggregator.address), &pipeline("limit = { iterations = 5 }"))
+            .await;
     // The model, the run's two ends and ten iterations; a further event is the report.
     agent.until(|live| live.accounting.waiting > 13).await;
-    let aggregator = Aggregator::up(mute.down().await).await;
+    let aggregator = Aggregator::restart(silent_aggregator.stop().await).await;
     let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Connected).is_empty()).await;
     let reported = seen.incidents(IncidentKind::Disconnected);
     assert_eq!(reported.len(), 1, "{reported:?}");

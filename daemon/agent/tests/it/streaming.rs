@@ -39,8 +39,8 @@ fn read_request(stream: &mut BufReader<TcpStream>) -> Option<String> {
     Some(first)
 }
 
-/// Starts a server of chat completions that sends `chunks` chunks, and then the end of the stream unless it is `None`.
-/// The receiver gets a message when a client closes the connection before the end.
+/// Starts a server of chat completions that sends [`CHUNKS`] chunks and then `end`, the end of the stream. If `end` is
+/// `None`, the stream does not end, and the receiver gets a message when a client closes the connection.
 fn start_server(end: Option<&'static str>) -> (SocketAddr, Receiver<()>) {
     serve(TcpListener::bind("127.0.0.1:0").expect("a port is free"), end)
 }

@@ -13,7 +13,7 @@ const UNEVEN: &str = "while read -r word bytes rest; do n=$(head -c \"$bytes\");
 
 /// Runs 40 iterations whose answers arrive out of order, with an actuator that writes them to a file. Returns the
 /// iterations in their order, and the numbers that were acted on.
-async fn acted_on(actuator: &str) -> (Vec<Iteration>, Vec<u64>) {
+async fn run_with_actuator(actuator: &str) -> (Vec<Iteration>, Vec<u64>) {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("acted");
     let actuator = actuator.replace("FILE", &file.display().to_string());
@@ -38,7 +38,7 @@ async fn acted_on(actuator: &str) -> (Vec<Iteration>, Vec<u64>) {
 async fn older_answer_is_recorded_but_not_acted_on() {
     let actuator =
         "while read -r word bytes rest; do head -c \"$bytes\" >> FILE; echo >> FILE; echo done; done";
-    let (iterations, acted) = acted_on(actuator).await;
+    let (iterations, acted) = run_with_actuator(actuator).await;
     assert!(acted.is_sorted_by(|a, b| a < b), "in the order of the samples: {acted:?}");
     assert_eq!(iterations.len(), 40);
     let mut superseded = 0;
@@ -58,7 +58,7 @@ async fn answers_that_wait_for_actuator_stay_in_order() {
     // Several answers wait while it acts, and a failed action counts as well: a part of it may have been done.
     let actuator = "while read -r word bytes rest; do n=$(head -c \"$bytes\"); echo $n >> FILE; sleep 0.06; \
                     if [ $((n % 4)) = 0 ]; then echo error stuck; else echo done; fi; done";
-    let (iterations, acted) = acted_on(actuator).await;
+    let (iterations, acted) = run_with_actuator(actuator).await;
     assert!(acted.is_sorted_by(|a, b| a < b), "in the order of the samples: {acted:?}");
     for iteration in &iterations {
         let was_acted_on = acted.contains(&iteration.number);

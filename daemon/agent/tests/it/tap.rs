@@ -31,14 +31,14 @@ async fn unreadable_host_secret_is_refused_before_anything_starts() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn program_receives_events_and_missed_ones_are_counted() {
-    for room in [1000, 10] {
+    for capacity in [1000, 10] {
         let state = tempfile::tempdir().expect("a folder");
         let mut config = config(LINE);
         config.agent.name = Some("edge".parse().expect("a name"));
         config.agent.state_dir = state.path().to_owned();
         config.pipelines[0].limit.iterations = NonZeroU64::new(100);
         let stop = CancellationToken::new();
-        let (tap, mut events) = mpsc::channel(room);
+        let (tap, mut events) = mpsc::channel(capacity);
         let running =
             Agent::start_with_tap(config, VERSION, clock("system"), stop.clone(), tap).await.expect("starts");
         while running.live_update().pipelines[0].state != PipelineState::Finished {
@@ -53,13 +53,13 @@ async fn program_receives_events_and_missed_ones_are_counted() {
         }
         let iterations = seen.iter().filter(|event| matches!(event, Event::Iteration(_))).count();
         let ended = seen.iter().filter(|event| matches!(event, Event::RunEnded(_))).count();
-        if room > 104 {
+        if capacity > 104 {
             // The loading and the unloading of the model, the run's two ends and a hundred iterations.
             assert_eq!(seen.len(), 104);
             assert_eq!((iterations, ended, events_missed_by_tap), (100, 1, 0));
         } else {
             // The model was unloaded after the missed events had been counted.
-            assert_eq!((seen.len(), events_missed_by_tap), (room, 93));
+            assert_eq!((seen.len(), events_missed_by_tap), (capacity, 93));
         }
     }
 }

@@ -89,9 +89,10 @@ async fn cloud_learns_of_missing_iterations_at_run_end() {
     edge.until(|_| cloud.running.served_counts().borrow().answers > 15).await;
     edge.stop().await.expect("stops well");
     let mut served = cloud.running.served_counts();
-    let left = served.wait_for(|served| served.sessions == 0);
-    let left = tokio::time::timeout(WAIT_TIMEOUT, left).await.expect("it leaves").expect("it serves").missed;
-    assert_eq!(left, 10);
+    let missed = served.wait_for(|served| served.sessions == 0);
+    let missed =
+        tokio::time::timeout(WAIT_TIMEOUT, missed).await.expect("it leaves").expect("it serves").missed;
+    assert_eq!(missed, 10);
     cloud.stop().await.expect("stops well");
 }
 

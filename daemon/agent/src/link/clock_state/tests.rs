@@ -90,7 +90,7 @@ fn nonempty_second_is_reported_once_when_over() {
     assert_eq!(
         clock_state.latest_sample(&network(), now(800)).up.map(|up| up.count),
         Some(3),
-        "as much of it as has passed"
+        "the part of the second that has passed"
     );
 
     let changes = clock_state.advance_second(now(1001));
@@ -107,7 +107,7 @@ fn nonempty_second_is_reported_once_when_over() {
     assert!(offset.bounds.lo <= truth && truth <= offset.bounds.hi, "{offset:?}");
     assert_eq!(clock_state.latest_sample(&network(), now(1500)), *sample);
 
-    assert!(clock_state.advance_second(now(2500)).samples.is_empty(), "nothing new, nothing told");
+    assert!(clock_state.advance_second(now(2500)).samples.is_empty(), "nothing new to report");
     assert!(clock_state.latest_sample(&network(), now(2600)).up.is_none());
 }
 
@@ -125,11 +125,15 @@ fn step_of_peer_begins_window_and_is_named() {
     assert_eq!((up.value, down.value, changes.restart), (None, None, None));
     assert_eq!((up.verdict, down.verdict), (Verdict::Stepped, Verdict::Stepped));
     let [sample] = &changes.samples[..] else { panic!("{changes:?}") };
-    assert_eq!((sample.window, sample.at), (before, at(304)), "what was before belongs to the old window");
+    assert_eq!(
+        (sample.window, sample.at),
+        (before, at(304)),
+        "exchanges before the step belong to the old window"
+    );
     assert!(sample.upper.is_some() && sample.offset.is_none(), "{sample:?}");
     let after = ExchangeObservation { cloud_epoch: Some(1), ..exchange(400, 3000) };
     let (_, changes) = clock_state.judge(&network(), &after, MESSAGE_DELAYS, now(404));
-    let restart = changes.restart.expect("told");
+    let restart = changes.restart.expect("reported");
     assert!((restart.edge_stepped, restart.cloud_stepped) == (false, true), "{restart:?}");
     if let Some(movement) = restart.movement {
         assert!((movement - Span::from_seconds(3)).abs() < Span::from_millis(10), "{movement}");
@@ -169,7 +173,7 @@ fn claims_after_step_do_not_reach_earlier_window() {
     let _ = clock_state.handle_cloud_announcement(announcement_with_claim(0, 0), now(5000).raw);
     let _ = clock_state.judge(&network(), &exchange(5000, 0), MESSAGE_DELAYS, now(5004));
     let before = clock_state.latest_sample(&network(), now(5010)).window;
-    // Set back by three seconds, and chrony knows at once by how much.
+    // The edge's clock is set back by three seconds, and chrony knows the size of the step at once.
     clock_state.handle_edge_announcement(announcement_with_claim(-3000, 1), now(2200).raw);
     assert_eq!(clock_state.latest_sample(&network(), now(2200)).offset, None);
     let changes = clock_state.advance_second(now(2200));
@@ -329,7 +333,10 @@ fn wall_clock_of_cloud_counts_only_if_related() {
         let changes = clock_state.handle_cloud_announcement(stepped.clone(), now(250).raw);
         assert_eq!(changes.is_cloud_wall_set, !is_related);
         assert_eq!(clock_state.latest_sample(&network(), now(260)).offset.is_none(), is_related, "{clocks}");
-        assert!(!clock_state.handle_cloud_announcement(stepped, now(270).raw).is_cloud_wall_set, "told once");
+        assert!(
+            !clock_state.handle_cloud_announcement(stepped, now(270).raw).is_cloud_wall_set,
+            "reported once"
+        );
     }
 }
 
@@ -348,19 +355,20 @@ fn raw_difference_is_of_wall_clocks() {
 fn sample_has_basis_and_end_of_second() {
     let mut clock_state = clock_state();
     let _ = clock_state.judge(&network(), &exchange(300, 0), MESSAGE_DELAYS, now(304));
-    // `turn` is called 80 ms late, after the wall clock was slewed: 900 ms of it were 890 ms of the free-running
-    // clock.
+    // `advance_second` is called 80 ms late, after the wall clock was slewed: 900 ms of the wall clock were 890 ms of
+    // the free-running clock.
     let late = Stamp { raw: now(1_080).raw - Span::from_millis(10), ..now(1_080) };
     let changes = clock_state.advance_second(late);
     let [sample] = &changes.samples[..] else { panic!("one second: {changes:?}") };
-    let basis = sample.basis.expect("told");
+    let basis = sample.basis.expect("known");
     assert_eq!((sample.at, basis.clocks), (at(1_000), RelatedClocks::Raw));
     assert_eq!(basis.at_raw, Some(now(990).raw), "as long before the query as by the wall clock");
-    assert!(basis.claims_trusted, "as this relation is set");
+    assert!(basis.claims_trusted, "as configured");
 }
 
-/// Returns stamps of messages that others sent: 30 ms to a cloud that is 5 s ahead, 20 ms there, 5 ms back.
-fn observed(sent: i64, edge: u32, cloud: u32) -> (Crossing, Crossing) {
+/// Returns the stamps of an observed input message and of its output message, in these epochs: 30 ms to a cloud that is
+/// 5 s ahead, 20 ms there, 5 ms back.
+fn crossings(sent: i64, edge: u32, cloud: u32) -> (Crossing, Crossing) {
     let edge_stamp = |millis| HostStamp {
         wall: at(sent + millis),
         raw: RawTime::from_wall(at(sent + millis)),
@@ -378,14 +386,14 @@ fn observed(sent: i64, edge: u32, cloud: u32) -> (Crossing, Crossing) {
 #[test]
 fn observed_stamps_are_judged_without_learning() {
     let mut clock_state = clock_state();
-    let (up, down) = observed(0, 0, 0);
+    let (up, down) = crossings(0, 0, 0);
     let [unknown, _] = clock_state.judge_stamps(&up, Some(&down));
     assert_eq!(unknown.map(|delay| delay.verdict), Some(Verdict::Unsynchronised));
     for sent in [0, 100, 200, 300] {
         let _ = clock_state.judge(&network(), &exchange(sent, 5000), MESSAGE_DELAYS, now(sent + 4));
     }
     let before = clock_state.relation.counts();
-    let (up, down) = observed(320, 0, 0);
+    let (up, down) = crossings(320, 0, 0);
     let [up_delay, down_delay] = clock_state.judge_stamps(&up, Some(&down));
     for (delay, truth) in [(up_delay, 30), (down_delay, 5)] {
         let (delay, truth) = (delay.expect("it is judged"), Span::from_millis(truth));
@@ -415,7 +423,7 @@ fn observed_stamps_of_another_epoch_are_stepped() {
         let _ = clock_state.judge(&network(), &exchange(sent, 5000), MESSAGE_DELAYS, now(sent + 4));
     }
     let verdicts = |clock_state: &LinkClockState, edge, cloud| {
-        let (up, down) = observed(320, edge, cloud);
+        let (up, down) = crossings(320, edge, cloud);
         clock_state.judge_stamps(&up, Some(&down)).map(|delay| delay.map(|delay| delay.verdict))
     };
     let stepped = [Some(Verdict::Stepped); 2];
@@ -423,7 +431,7 @@ fn observed_stamps_of_another_epoch_are_stepped() {
     assert_eq!(verdicts(&clock_state, 0, 1), stepped, "the relation does not know of the step yet");
     let _ = clock_state.handle_cloud_announcement(announcement(1, None), now(400).raw);
     assert_eq!(verdicts(&clock_state, 0, 0), stepped, "they were made before the step");
-    let (mut up, _) = observed(320, 0, 1);
+    let (mut up, _) = crossings(320, 0, 1);
     up.sender.epoch = None;
     assert_eq!(clock_state.judge_stamps(&up, None)[0].map(|delay| delay.verdict), Some(Verdict::Stepped));
 }

@@ -35,7 +35,7 @@ fn sent_second_is_repeated_only_after_change() {
     assert_eq!(seconds[0].bounds[0].1.moments.max, 0.0, "one clock: the bound is exact");
     assert_eq!(seconds[0].verdicts, [("upload".into(), "ok".into(), 1)]);
 
-    assert_eq!(ring.changed_seconds().0.len(), 2, "not handed on: still to be shown");
+    assert_eq!(ring.changed_seconds().0.len(), 2, "not marked as sent, so they are returned again");
     ring.record(11, &Outcome::Ok, &tree(8));
     ring.mark_sent(&sent);
     let (seconds, _) = ring.changed_seconds();
@@ -117,8 +117,8 @@ fn result_of_episode_that_ends_in_its_warm_up_counts() {
     let success = results.success.expect("is reported");
     assert_eq!((mean("episode-success").0, success.episodes), (3, 3));
     assert!((mean("episode-success").1 - success.rate).abs() < 1e-12, "{success:?}");
-    let of_rows = results.episode_return.map(|mean_return| (mean_return.episodes, mean_return.mean));
-    assert_eq!((Some(mean("episode-return")), mean("upload").0), (of_rows, 1));
+    let return_of_rows = results.episode_return.map(|mean_return| (mean_return.episodes, mean_return.mean));
+    assert_eq!((Some(mean("episode-return")), mean("upload").0), (return_of_rows, 1));
     assert_eq!(second.counts.total(), 1, "only the second is measured");
 }
 
@@ -175,7 +175,8 @@ fn delays_without_value_are_counted_and_not_averaged() {
     let second = &ring.changed_seconds().0[0];
     assert_eq!(second.counts.ok, 3);
     assert_eq!((second.values[0].1.count(), second.values[0].1.moments.mean), (1, 0.004));
-    let bounds = second.bounds.iter().map(|(name, of)| (name.as_str(), of.count(), of.moments.max));
+    let bounds =
+        second.bounds.iter().map(|(name, summary)| (name.as_str(), summary.count(), summary.moments.max));
     let expected = [("upload", 1, 0.0), ("upload-lo", 1, 0.004), ("upload-hi", 1, 0.004)];
     assert_eq!(bounds.collect::<Vec<_>>(), expected);
     let verdicts = ["ok", "inconsistent", "stepped"].map(|verdict| ("upload".into(), verdict.into(), 1));
@@ -212,7 +213,11 @@ fn repeated_seconds_of_wall_clock_are_not_summed() {
         ring.record(at, &Outcome::Ok, &tree(1));
     }
     ring.record(4999, &Outcome::Ok, &tree(1));
-    assert_eq!(ring.seconds.len(), 11, "two that ended at nearly the same time");
+    assert_eq!(
+        ring.seconds.len(),
+        11,
+        "iterations that end at nearly the same time may be recorded out of order"
+    );
     let counts_by_second = |ring: &Ring| {
         ring.seconds.iter().map(|second| (second.at, second.to_message().counts.ok)).collect::<Vec<_>>()
     };

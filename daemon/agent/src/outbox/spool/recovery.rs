@@ -21,7 +21,7 @@ use super::quarantine::with_suffix;
 /// Tables that are copied whole: the state of the stream.
 const STATE_TABLES: [&str; 4] = ["stream", "reached", "unreported", "unresolved"];
 /// Minimum number of bytes that a batch takes in a file. It bounds the number of batches that a damaged file may
-/// set_application_id.
+/// claim.
 const MIN_BATCH_BYTES: u64 = 16;
 
 /// Content of a quarantined spool.

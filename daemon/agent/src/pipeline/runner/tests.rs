@@ -131,9 +131,7 @@ async fn reason_after_panic(sensor: &str, reader: Reader) -> String {
     while ended.is_none() || incident.is_none() {
         match receiver.next().await.expect("the run ends and the failure is reported") {
             Event::RunEnded(end) => ended = Some(end),
-            Event::Incident(failure) if failure.kind == IncidentKind::PipelineFailed => {
-                incident = Some(failure)
-            }
+            Event::Incident(found) if found.kind == IncidentKind::PipelineFailed => incident = Some(found),
             _ => {}
         }
     }
@@ -158,8 +156,8 @@ async fn dead_sensor_thread_ends_pipeline_and_is_named() {
     assert!(reason.contains("the sensor's thread has panicked"), "{reason}");
 }
 
-/// Returns the outcomes recorded after a connection arrived_sample back, when the sensor gave a sample meanwhile that
-/// the run `requesting_run` had requested.
+/// Returns the outcomes that are recorded after a reconnect if the sensor returned a sample in the meantime.
+/// `requesting_run` returns the run that had requested the sample; its argument is the current run.
 async fn outcomes_after_reconnect(requesting_run: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
     let sensor = "{ kind = 'synthetic', size_bytes = 1 }";

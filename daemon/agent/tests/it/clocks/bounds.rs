@@ -76,13 +76,15 @@ async fn every_delay_is_bounded_from_first_exchange_on() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn wrong_clock_does_not_change_delays() {
-    let right = |name| async move { (None, clock(name)) };
+    let correct_clock = |name| async move { (None, clock(name)) };
     let ahead = wrong(Span::from_seconds(1), 40.0);
     let behind = wrong(Span::from_seconds(-1), -40.0);
-    let wrong = |name: &'static str, how: &ClockFaults| (Some(how.clone()), faulty_clock(name, how.clone()));
-    for ((edge_wrong, edge_clock), (cloud_wrong, cloud_clock)) in
-        [(right("edge").await, wrong("cloud", &ahead)), (wrong("edge", &behind), right("cloud").await)]
-    {
+    let wrong_clock =
+        |name: &'static str, faults: &ClockFaults| (Some(faults.clone()), faulty_clock(name, faults.clone()));
+    for ((edge_faults, edge_clock), (cloud_faults, cloud_clock)) in [
+        (correct_clock("edge").await, wrong_clock("cloud", &ahead)),
+        (wrong_clock("edge", &behind), correct_clock("cloud").await),
+    ] {
         let aggregator = Aggregator::start().await;
         let cloud = TestAgent::start_on(cloud_clock, "cloud", None, config(CLOUD)).await;
         let load = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 4\nlimit = { iterations = 200 }";
@@ -91,20 +93,21 @@ async fn wrong_clock_does_not_change_delays() {
         let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
 
         assert_eq!(seen.iterations().len(), 200);
-        let right =
-            |wrong: &Option<ClockFaults>, shown| wrong.as_ref().map_or(shown, |wrong| truth(wrong, shown));
+        let true_time = |faults: &Option<ClockFaults>, shown| {
+            faults.as_ref().map_or(shown, |faults| truth(faults, shown))
+        };
         for iteration in seen.iterations() {
             let (sent, received, delay) = transit(iteration, "upload");
-            assert_holds(&delay, right(&cloud_wrong, received) - right(&edge_wrong, sent));
+            assert_holds(&delay, true_time(&cloud_faults, received) - true_time(&edge_faults, sent));
             assert_eq!(delay.raw, received - sent, "raw is kept as it was");
             let (sent, received, delay) = transit(iteration, "download");
-            assert_holds(&delay, right(&edge_wrong, received) - right(&cloud_wrong, sent));
+            assert_holds(&delay, true_time(&edge_faults, received) - true_time(&cloud_faults, sent));
             assert_eq!(delay.raw, received - sent, "raw is kept as it was");
             assert_adds_up(iteration);
         }
         let facts = &seen.runs()[0].facts;
         let fact = |name: &str| facts.iter().find(|(key, _)| key == name).map(|(_, text)| text.as_str());
-        let expected = if edge_wrong.is_some() {
+        let expected = if edge_faults.is_some() {
             (Some("offset -1000 ms, drift -40 ppm"), None)
         } else {
             (None, Some("offset +1000 ms, drift +40 ppm"))

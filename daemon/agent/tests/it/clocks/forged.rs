@@ -15,18 +15,18 @@ use super::{CLOUD, DELAY_NAMES, assert_holds, delay, pipeline};
 use crate::harness::{Aggregator, TestAgent, config};
 
 /// Delay of data in each direction, which determines the width of the interval from honest exchanges.
-const WAY: Duration = Duration::from_millis(20);
-/// Amount added to the cloud's stamps: so little that only the probes could be contradicted.
+const ONE_WAY_DELAY: Duration = Duration::from_millis(20);
+/// Amount added to the cloud's stamps: so little that the exchanges of data do not contradict the forged stamps.
 const ADDED: Span = Span::from_millis(13);
 
 /// Forwards the bytes of a connection with a delay.
-async fn pass(mut from: impl AsyncReadExt + Unpin, mut to: impl AsyncWriteExt + Unpin) -> io::Result<()> {
+async fn forward(mut from: impl AsyncReadExt + Unpin, mut to: impl AsyncWriteExt + Unpin) -> io::Result<()> {
     let (queue, mut queued) = tokio::sync::mpsc::channel(1024);
     let reading = async move {
         let mut buffer = vec![0; 65_536];
         loop {
             let length = from.read(&mut buffer).await?;
-            let due = tokio::time::Instant::now() + WAY;
+            let due = tokio::time::Instant::now() + ONE_WAY_DELAY;
             if length == 0 || queue.send((due, buffer[..length].to_vec())).await.is_err() {
                 return io::Result::Ok(());
             }
@@ -42,13 +42,13 @@ async fn pass(mut from: impl AsyncReadExt + Unpin, mut to: impl AsyncWriteExt + 
     tokio::try_join!(reading, writing).map(|_| ())
 }
 
-/// Forwards connections to `cloud`, delayed by [`WAY`] in both directions.
+/// Forwards connections to `cloud`, delayed by [`ONE_WAY_DELAY`] in both directions.
 async fn relay_data(listener: TcpListener, cloud: SocketAddr) {
     while let Ok((near, _)) = listener.accept().await {
         let far = TcpStream::connect(cloud).await.expect("the cloud listens");
         let ((near_read, near_write), (far_read, far_write)) = (near.into_split(), far.into_split());
-        tokio::spawn(pass(near_read, far_write));
-        tokio::spawn(pass(far_read, near_write));
+        tokio::spawn(forward(near_read, far_write));
+        tokio::spawn(forward(far_read, near_write));
     }
 }
 
@@ -82,9 +82,9 @@ fn forge(answer: &mut [u8]) {
         let stamp: [u8; 8] = answer[at..at + 8].try_into().expect("eight bytes");
         answer[at..at + 8].copy_from_slice(&u64::from_be_bytes(stamp).wrapping_add_signed(ntp).to_be_bytes());
     }
-    let mark =
+    let position_of_stamps =
         answer.windows(4).position(|bytes| bytes == b"PRAW").expect("stamps of the free-running clock");
-    for at in [mark + 8, mark + 16] {
+    for at in [position_of_stamps + 8, position_of_stamps + 16] {
         let stamp: [u8; 8] = answer[at..at + 8].try_into().expect("eight bytes");
         answer[at..at + 8].copy_from_slice(&(i64::from_be_bytes(stamp) + ADDED.nanos()).to_be_bytes());
     }

@@ -66,7 +66,7 @@ impl Cloud {
     }
 
     /// Keeps the session open until the task is aborted.
-    fn stay(mut self) -> JoinHandle<()> {
+    fn keep_open(mut self) -> JoinHandle<()> {
         tokio::spawn(async move { while self.listener.next().await.is_some() {} })
     }
 }
@@ -74,7 +74,7 @@ impl Cloud {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn probes_at_another_process_are_refused_and_reported() {
     let listen = "127.0.0.1:0".parse().expect("an address");
-    let elsewhere = ReflectorConfig {
+    let reflector_config = ReflectorConfig {
         listen,
         key: None,
         session_key: None,
@@ -83,7 +83,7 @@ async fn probes_at_another_process_are_refused_and_reported() {
         stamps: TimestampSource::Kernel,
         stateful: true,
     };
-    let reflector = Reflector::bind(elsewhere, clock("elsewhere")).expect("a free port");
+    let reflector = Reflector::bind(reflector_config, clock("elsewhere")).expect("a free port");
     let (port, answers) = (reflector.address().port(), reflector.counters());
     let stop = CancellationToken::new();
     let reflecting = tokio::spawn(reflector.run(stop.clone()));
@@ -92,7 +92,7 @@ async fn probes_at_another_process_are_refused_and_reported() {
     let edge = TestAgent::start_with("edge", None, config(&cloud.pipeline("line")), "edge").await;
     let open = cloud.next_open().await;
     cloud.accept(open);
-    let cloud = cloud.stay();
+    let cloud = cloud.keep_open();
     let is_refused = |probing: &Probing| {
         let Probing::Unanswered { reason: Some(reason), .. } = probing else { return false };
         reason.contains("another process")
@@ -102,8 +102,12 @@ async fn probes_at_another_process_are_refused_and_reported() {
     // This session has no key, as with clouds of earlier releases.
     let is_open = |basis: EstimateBasis| basis.probes_authenticated == Some(false);
     edge.until(|live| live.links.iter().any(|link| link.latest_sample.basis.is_some_and(is_open))).await;
-    let now = &live.links[0].latest_sample;
-    assert_eq!((now.probes.answered, now.exchanges.accepted, &now.offset), (0, 0, &None), "and not believed");
+    let sample = &live.links[0].latest_sample;
+    assert_eq!(
+        (sample.probes.answered, sample.exchanges.accepted, &sample.offset),
+        (0, 0, &None),
+        "and the answers were not used"
+    );
 
     edge.stop().await.expect("stops well");
     cloud.abort();
@@ -120,17 +124,17 @@ async fn restarted_cloud_does_not_join_link_of_hanging_session() {
     let edge = TestAgent::start_with("edge", None, lines, "edge").await;
     let open = before.next_open().await;
     before.accept(open);
-    let before = before.stay();
-    let shows = |name: &'static str| {
+    let before = before.keep_open();
+    let has_pipeline = |name: &'static str| {
         move |live: &peernet_stream::LiveUpdate| {
             live.links.iter().any(|link| link.pipelines.iter().any(|pipeline| pipeline.as_str() == name))
         }
     };
-    edge.until(shows("first")).await;
+    edge.until(has_pipeline("first")).await;
     let open = after.next_open().await;
     after.accept(open);
-    let after = after.stay();
-    let live = edge.until(shows("second")).await;
+    let after = after.keep_open();
+    let live = edge.until(has_pipeline("second")).await;
     let [link] = &live.links[..] else { panic!("{:?}", live.links) };
     assert_eq!(link.pipelines.len(), 1, "{link:?}");
 

@@ -63,7 +63,7 @@ fn truth(wrong: &ClockFaults, shown: WallTime) -> WallTime {
 
 /// Tolerance of [`assert_holds`]: delays are judged by stamps of the free-running clocks, while the truth is computed
 /// from those of the wall clocks, which are read at most this much later.
-const APART: Span = Span::from_micros(3);
+const TOLERANCE: Span = Span::from_micros(3);
 
 /// Asserts that a delay has a value, and that its interval contains the truth.
 #[track_caller]
@@ -71,6 +71,6 @@ fn assert_holds(delay: &OneWayDelay, truth: Span) {
     let (Some(value), Some(bounds)) = (delay.value, delay.bounds) else { panic!("{delay:?}") };
     assert!(bounds.lo <= value && value <= bounds.hi, "{delay:?}");
     assert!(!bounds.lo.is_negative(), "{delay:?}");
-    let is_within = bounds.lo - APART <= truth && truth <= bounds.hi + APART;
+    let is_within = bounds.lo - TOLERANCE <= truth && truth <= bounds.hi + TOLERANCE;
     assert!(is_within, "{truth} is not within {delay:?}");
 }

@@ -16,9 +16,10 @@ const LOAD: &str = "load = { mode = 'rate', hz = 50.0 }\nmax_in_flight = 4\nlimi
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn delays_are_bounded_by_data_without_probes() {
-    let silent = "[probes]\nsend = false\n";
-    let deaf = "[probes]\nreflect = false\n";
-    for (edge_keys, cloud_keys, why) in [(silent, "", "send = false"), ("", deaf, "cloud answers no probes")]
+    let without_sending = "[probes]\nsend = false\n";
+    let without_reflecting = "[probes]\nreflect = false\n";
+    for (edge_keys, cloud_keys, reason) in
+        [(without_sending, "", "send = false"), ("", without_reflecting, "cloud answers no probes")]
     {
         let aggregator = Aggregator::start().await;
         let cloud =
@@ -26,7 +27,7 @@ async fn delays_are_bounded_by_data_without_probes() {
         let tables = format!("{edge_keys}{}", pipeline("line", &cloud, LOAD));
         let edge = TestAgent::start_with("edge", Some(&aggregator.address), config(&tables), "edge").await;
         edge.until(|live| {
-            live.links.iter().any(|link| matches!(&link.probing, Probing::Off(text) if text.contains(why)))
+            live.links.iter().any(|link| matches!(&link.probing, Probing::Off(text) if text.contains(reason)))
         })
         .await;
         let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
@@ -65,20 +66,22 @@ async fn probes_are_answered_only_with_shared_key() {
     let cloud = TestAgent::start_with("cloud", None, config(&format!("{CLOUD}{keyed}")), "cloud").await;
     let load = "load = { mode = 'rate', hz = 20.0 }";
     let tables = |keys: &str| config(&format!("{keys}{}", pipeline("line", &cloud, load)));
-    let stranger = TestAgent::start_with("stranger", None, tables(""), "stranger").await;
-    let friend = TestAgent::start_with("friend", None, tables(&keyed), "friend").await;
+    let edge_without_key =
+        TestAgent::start_with("edge_without_key", None, tables(""), "edge_without_key").await;
+    let edge_with_key = TestAgent::start_with("edge_with_key", None, tables(&keyed), "edge_with_key").await;
 
-    let live =
-        friend.until(|live| live.links.iter().any(|link| link.latest_sample.probes.answered > 0)).await;
+    let live = edge_with_key
+        .until(|live| live.links.iter().any(|link| link.latest_sample.probes.answered > 0))
+        .await;
     assert!(matches!(live.links[0].probing, Probing::On { .. }), "{:?}", live.links[0].probing);
     let at = |address: &str| address.starts_with("udp://127.0.0.1:");
     let unanswered =
         |probing: &Probing| matches!(probing, Probing::Unanswered { address, .. } if at(address));
-    let live = stranger.until(|live| live.links.iter().any(|link| unanswered(&link.probing))).await;
+    let live = edge_without_key.until(|live| live.links.iter().any(|link| unanswered(&link.probing))).await;
     assert_eq!(live.links[0].latest_sample.probes.answered, 0);
     let offset = live.links[0].latest_sample.offset.as_ref().expect("known by the data");
     assert!(offset.bounds.lo <= offset.estimate && offset.estimate <= offset.bounds.hi);
-    for agent in [stranger, friend, cloud] {
+    for agent in [edge_without_key, edge_with_key, cloud] {
         agent.stop().await.expect("stops well");
     }
 }
@@ -94,8 +97,8 @@ async fn key_only_at_edge_is_named_as_reason() {
     let cloud = TestAgent::start_with("cloud", None, config(CLOUD), "cloud").await;
     let tables = format!("{keyed}{}", pipeline("line", &cloud, "load = { mode = 'rate', hz = 20.0 }"));
     let edge = TestAgent::start_with("edge", Some(&aggregator.address), config(&tables), "edge").await;
-    let named = |probing: &Probing| matches!(probing, Probing::Unanswered { reason: Some(reason), .. } if reason.contains("same key"));
-    edge.until(|live| live.links.iter().any(|link| named(&link.probing))).await;
+    let names_key = |probing: &Probing| matches!(probing, Probing::Unanswered { reason: Some(reason), .. } if reason.contains("same key"));
+    edge.until(|live| live.links.iter().any(|link| names_key(&link.probing))).await;
     edge.stop().await.expect("stops well");
     let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
     // Probes that were in flight when the edge stopped are also lost.
@@ -113,10 +116,10 @@ async fn occupied_probe_port_is_error_only_if_configured() {
     let taken = UdpSocket::bind("127.0.0.1:0").expect("a port");
     let port = taken.local_addr().expect("bound").port();
     let state = tempfile::tempdir().expect("a folder");
-    let mut insisting = config(&format!("{CLOUD}[probes]\nport = {port}\n"));
-    insisting.agent.name = Some("cloud".parse().expect("a name"));
-    insisting.agent.state_dir = state.path().to_owned();
-    let started = Agent::start(insisting, VERSION, clock("cloud"), CancellationToken::new()).await;
+    let mut fixed_port_config = config(&format!("{CLOUD}[probes]\nport = {port}\n"));
+    fixed_port_config.agent.name = Some("cloud".parse().expect("a name"));
+    fixed_port_config.agent.state_dir = state.path().to_owned();
+    let started = Agent::start(fixed_port_config, VERSION, clock("cloud"), CancellationToken::new()).await;
     let error = match started {
         Err(error @ StartError::Reflector(_)) => error.to_string(),
         Err(other) => panic!("{other}"),

@@ -40,7 +40,7 @@ fn stamp_suite(address: SocketAddr) -> ForeignReflector {
 }
 
 /// Starts a cloud, and an edge that names a reflector for it.
-async fn naming(reflector: SocketAddr) -> (TestAgent, TestAgent) {
+async fn start_with_reflector(reflector: SocketAddr) -> (TestAgent, TestAgent) {
     let cloud = TestAgent::start_with("cloud", None, config(CLOUD), "cloud").await;
     let load = "load = { mode = 'rate', hz = 20.0 }\nlimit = { iterations = 100000 }";
     let tables = format!(
@@ -51,7 +51,7 @@ async fn naming(reflector: SocketAddr) -> (TestAgent, TestAgent) {
     (edge, cloud)
 }
 
-fn of_reflector(wanted: impl Fn(&ReflectorLive) -> bool) -> impl Fn(&LiveUpdate) -> bool {
+fn any_reflector(wanted: impl Fn(&ReflectorLive) -> bool) -> impl Fn(&LiveUpdate) -> bool {
     move |live| live.links.iter().any(|link| link.reflector.as_ref().is_some_and(&wanted))
 }
 
@@ -60,12 +60,12 @@ async fn named_foreign_reflector_gets_relation_of_its_own() {
     // Outside the range of ephemeral ports, on an address that only this test uses.
     let address: SocketAddr = "127.86.21.1:18620".parse().expect("an address");
     let _foreign = stamp_suite(address);
-    let (edge, cloud) = naming(address).await;
+    let (edge, cloud) = start_with_reflector(address).await;
     let is_known = |reflector: &ReflectorLive| {
         let offset = reflector.offset.as_ref();
         reflector.probes.answered >= 10 && offset.is_some_and(|offset| offset.verdict == Verdict::Ok)
     };
-    let live = edge.until(of_reflector(is_known)).await;
+    let live = edge.until(any_reflector(is_known)).await;
     let link = &live.links[0];
     let reflector = link.reflector.as_ref().expect("it is named");
     assert_eq!(reflector.address, format!("udp://{address}"));
@@ -99,9 +99,9 @@ async fn garbage_from_configured_reflector_gives_no_offset() {
             }
         }
     });
-    let (edge, cloud) = naming(address).await;
+    let (edge, cloud) = start_with_reflector(address).await;
     let is_unanswered = |reflector: &ReflectorLive| matches!(&reflector.probing, Probing::Unanswered { reason: Some(reason), .. } if reason.contains("refused"));
-    let live = edge.until(of_reflector(is_unanswered)).await;
+    let live = edge.until(any_reflector(is_unanswered)).await;
     let link = &live.links[0];
     let reflector = link.reflector.as_ref().expect("it is named");
     assert!(reflector.probes.refused > 0 && reflector.probes.lost > 0, "{reflector:?}");

@@ -20,26 +20,32 @@ fn stepping(by: Span) -> ClockFaults {
 
 /// Returns the true time at which a clock that is set by whole seconds showed `shown`, shortly before or after the
 /// other clock showed `near`. A clock that is set back shows the same time twice.
-fn right(wrong: Option<&ClockFaults>, shown: WallTime, near: WallTime) -> WallTime {
-    let Some(wrong) = wrong else { return shown };
+fn true_time(faults: Option<&ClockFaults>, shown: WallTime, near: WallTime) -> WallTime {
+    let Some(faults) = faults else { return shown };
     let moment = Span::from_millis(400);
-    let candidates = [near - moment, near + moment].map(|at| shown - wrong.wall_error_at(at));
+    let candidates = [near - moment, near + moment].map(|at| shown - faults.wall_error_at(at));
     candidates.into_iter().min_by_key(|at| (*at - near).abs()).expect("two")
 }
 
-/// Returns the number of good delays after the step.
-fn good_after(seen: &ReceivedEvents, edge: Option<&ClockFaults>, cloud: Option<&ClockFaults>) -> usize {
+/// Returns the number of delays after the step whose verdict is good.
+fn count_good_delays(
+    seen: &ReceivedEvents,
+    edge: Option<&ClockFaults>,
+    cloud: Option<&ClockFaults>,
+) -> usize {
     let mut good = 0;
     for iteration in seen.iterations() {
         let moved = Span::from_seconds(1);
         let (sent, received, up) = transit(iteration, "upload");
         let (left, back, down) = transit(iteration, "download");
         // One of the two clocks is right, and so is its stamp.
-        let true_delay =
-            |from: WallTime, of: Option<&ClockFaults>, to: WallTime, by: Option<&ClockFaults>| {
-                let (near_from, near_to) = if of.is_some() { (to, to) } else { (from, from) };
-                right(by, to, near_to) - right(of, from, near_from)
-            };
+        let true_delay = |from: WallTime,
+                          from_faults: Option<&ClockFaults>,
+                          to: WallTime,
+                          to_faults: Option<&ClockFaults>| {
+            let near = if from_faults.is_some() { to } else { from };
+            true_time(to_faults, to, near) - true_time(from_faults, from, near)
+        };
         for (delay, truth) in
             [(up, true_delay(sent, edge, received, cloud)), (down, true_delay(left, cloud, back, edge))]
         {
@@ -60,36 +66,36 @@ async fn wall_clock_set_in_mid_run_reaches_no_delay() {
     for (on_edge, by) in [(false, Span::from_seconds(3)), (true, Span::from_seconds(-3))] {
         let aggregator = Aggregator::start().await;
         let switchable_clock = Arc::new(SwitchableClock::new(clock(if on_edge { "edge" } else { "cloud" })));
-        let pair = |named: &str, is_late: bool| {
-            if is_late {
+        let clock_of = |name: &str, is_switchable: bool| {
+            if is_switchable {
                 Arc::<SwitchableClock>::clone(&switchable_clock) as SharedClock
             } else {
-                clock(named)
+                clock(name)
             }
         };
-        let cloud = TestAgent::start_on(pair("cloud", !on_edge), "cloud", None, config(CLOUD)).await;
+        let cloud = TestAgent::start_on(clock_of("cloud", !on_edge), "cloud", None, config(CLOUD)).await;
         let tables = config(&pipeline("line", &cloud, LOAD));
         let edge =
-            TestAgent::start_on(pair("edge", on_edge), "edge", Some(&aggregator.address), tables).await;
+            TestAgent::start_on(clock_of("edge", on_edge), "edge", Some(&aggregator.address), tables).await;
         aggregator.until(|seen| seen.iterations().len() >= 50 && !seen.clocks().is_empty()).await;
         let wrong = stepping(by);
-        switchable_clock.go_wrong(wrong.clone());
+        switchable_clock.inject(wrong.clone());
         let (edge_wrong, cloud_wrong) = if on_edge { (Some(&wrong), None) } else { (None, Some(&wrong)) };
-        let seen = aggregator.until(|seen| good_after(seen, edge_wrong, cloud_wrong) >= 200).await;
+        let seen = aggregator.until(|seen| count_good_delays(seen, edge_wrong, cloud_wrong) >= 200).await;
 
-        let of_link = |seen: &ReceivedEvents| {
+        let link_steps = |seen: &ReceivedEvents| {
             let steps = seen.incidents(IncidentKind::ClockStep).into_iter().cloned();
             steps.filter(|incident| incident.peer.is_some()).collect::<Vec<_>>()
         };
         // Incidents about the edge's own clock have no peer.
-        let set = |seen: &ReceivedEvents| {
+        let set_back_count = |seen: &ReceivedEvents| {
             let all = seen.incidents(IncidentKind::ClockStep).into_iter();
             all.filter(|incident| incident.text.contains("wall clock was set back by 3.000 s")).count()
         };
         if on_edge {
-            assert_eq!((of_link(&seen).len(), set(&seen)), (0, 1));
+            assert_eq!((link_steps(&seen).len(), set_back_count(&seen)), (0, 1));
         } else {
-            let [reported] = &of_link(&seen)[..] else { panic!("{:?}", of_link(&seen)) };
+            let [reported] = &link_steps(&seen)[..] else { panic!("{:?}", link_steps(&seen)) };
             assert!(
                 reported.text.starts_with("the wall clock of cloud was stepped or slewed"),
                 "{}",
@@ -101,7 +107,7 @@ async fn wall_clock_set_in_mid_run_reaches_no_delay() {
         let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
         let windows: BTreeSet<_> = seen.clocks().iter().map(|sample| sample.window).collect();
         assert_eq!(windows.len(), 1, "nothing that was learnt is void");
-        assert_eq!(of_link(&seen).len(), usize::from(!on_edge), "said once");
+        assert_eq!(link_steps(&seen).len(), usize::from(!on_edge), "reported once");
         cloud.stop().await.expect("stops well");
     }
 }
@@ -118,7 +124,7 @@ async fn step_is_announced_to_idle_peers() {
     let epoch = |live: &LiveUpdate| live.links.first().and_then(|link| Some(link.cloud.as_ref()?.epoch));
     let live = edge.until(|live| live.links.iter().any(|link| link.latest_sample.offset.is_some())).await;
     assert_eq!(epoch(&live), Some(0));
-    switchable_clock.go_wrong(stepping(Span::from_seconds(3)));
+    switchable_clock.inject(stepping(Span::from_seconds(3)));
     let live = edge.until(|live| epoch(live) == Some(1)).await;
     assert!(
         live.links[0].latest_sample.offset.is_some(),

@@ -51,13 +51,13 @@ pub(crate) struct Aggregator {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct AggregatorBehaviour {
     /// Reason with which hellos are refused.
-    pub(crate) refuse: Option<String>,
+    pub(crate) refusal: Option<String>,
     /// Number of a batch after whose storage the aggregator ends without acknowledging it.
-    pub(crate) die_before_ack: Option<u64>,
+    pub(crate) end_before_ack: Option<u64>,
     /// `true` if nothing is answered.
-    pub(crate) mute: bool,
+    pub(crate) is_silent: bool,
     /// Time that each batch takes.
-    pub(crate) slow: Option<Duration>,
+    pub(crate) batch_delay: Option<Duration>,
 }
 
 impl Aggregator {
@@ -83,19 +83,19 @@ impl Aggregator {
     }
 
     /// Waits until it has ended by itself. What it received is kept.
-    pub(crate) async fn fell(self) -> (String, Arc<watch::Sender<ReceivedEvents>>) {
+    pub(crate) async fn wait_for_end(self) -> (String, Arc<watch::Sender<ReceivedEvents>>) {
         tokio::time::timeout(WAIT_TIMEOUT, self.task).await.expect("in time").expect("no panic");
         (self.address, self.seen)
     }
 
     /// Ends without a message to the agents. What it received is kept.
-    pub(crate) async fn down(self) -> (String, Arc<watch::Sender<ReceivedEvents>>) {
+    pub(crate) async fn stop(self) -> (String, Arc<watch::Sender<ReceivedEvents>>) {
         self.stop.cancel();
-        self.fell().await
+        self.wait_for_end().await
     }
 
     /// Starts again at the same address with what was kept.
-    pub(crate) async fn up((address, seen): (String, Arc<watch::Sender<ReceivedEvents>>)) -> Self {
+    pub(crate) async fn restart((address, seen): (String, Arc<watch::Sender<ReceivedEvents>>)) -> Self {
         Self::start_at(&address, seen, AggregatorBehaviour::default()).await
     }
 
@@ -186,12 +186,12 @@ async fn serve(
             frame = whole;
         }
         let head = codec::decode_batch_head(&frame);
-        if let (Some(pause), Some(_)) = (aggregator_state.behaviour.slow, head) {
+        if let (Some(pause), Some(_)) = (aggregator_state.behaviour.batch_delay, head) {
             tokio::time::sleep(pause).await;
         }
         let mut replies = Vec::new();
         seen.send_modify(|seen| replies = aggregator_state.answer(seen, head, &frame));
-        if head.is_some() && head.map(|head| head.number) == aggregator_state.behaviour.die_before_ack {
+        if head.is_some() && head.map(|head| head.number) == aggregator_state.behaviour.end_before_ack {
             return;
         }
         for reply in replies {
@@ -213,7 +213,7 @@ struct AggregatorState {
 
 impl AggregatorState {
     fn answer(&mut self, seen: &mut ReceivedEvents, head: Option<BatchHead>, frame: &Bytes) -> Vec<ToAgent> {
-        if self.behaviour.mute {
+        if self.behaviour.is_silent {
             return Vec::new();
         }
         let now = self.clock.mono();
@@ -240,7 +240,7 @@ impl AggregatorState {
 
     fn hello(&mut self, seen: &mut ReceivedEvents, hello: &Hello, now: MonoTime) -> Vec<ToAgent> {
         seen.hellos += 1;
-        if let Some(reason) = &self.behaviour.refuse {
+        if let Some(reason) = &self.behaviour.refusal {
             return vec![ToAgent::Refused { reason: reason.clone() }];
         }
         let mark_of = |stream| seen.marks.get(&stream).copied();

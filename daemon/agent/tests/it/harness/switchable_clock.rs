@@ -6,29 +6,29 @@ use peernet_clock::{
     Clock, ClockFaults, ClockIdentity, FaultyClock, MonoTime, RawTime, Readings, SharedClock, Span, WallTime,
 };
 
-/// A right clock that becomes wrong on request.
+/// A clock without faults, into which faults are injected on request.
 #[derive(Debug)]
 pub(crate) struct SwitchableClock {
-    right: SharedClock,
+    true_clock: SharedClock,
     faulty_clock: OnceLock<FaultyClock>,
 }
 
 impl SwitchableClock {
-    pub(crate) fn new(right: SharedClock) -> Self {
-        Self { right, faulty_clock: OnceLock::new() }
+    pub(crate) fn new(true_clock: SharedClock) -> Self {
+        Self { true_clock, faulty_clock: OnceLock::new() }
     }
 
-    /// Makes the clock wrong from now on.
-    pub(crate) fn go_wrong(&self, how: ClockFaults) {
-        let identity = self.right.identity().clone();
-        let wrong = FaultyClock::new(SharedClock::clone(&self.right), identity, how);
+    /// Injects faults from now on.
+    pub(crate) fn inject(&self, faults: ClockFaults) {
+        let identity = self.true_clock.identity().clone();
+        let wrong = FaultyClock::new(SharedClock::clone(&self.true_clock), identity, faults);
         self.faulty_clock.set(wrong).expect("once");
     }
 
     fn now(&self) -> &dyn Clock {
         match self.faulty_clock.get() {
             Some(faulty_clock) => faulty_clock,
-            None => &*self.right,
+            None => &*self.true_clock,
         }
     }
 }
@@ -39,7 +39,7 @@ impl Clock for SwitchableClock {
     }
 
     fn mono(&self) -> MonoTime {
-        self.right.mono()
+        self.true_clock.mono()
     }
 
     fn raw(&self) -> RawTime {
@@ -47,7 +47,7 @@ impl Clock for SwitchableClock {
     }
 
     fn identity(&self) -> &ClockIdentity {
-        self.right.identity()
+        self.true_clock.identity()
     }
 
     fn readings(&self) -> Readings {

@@ -6,12 +6,12 @@ use peernet_stream::{EndReason, Event, IncidentKind, PipelineState};
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection};
 
-use super::{idle, nobody, pipeline, spooled, state};
+use super::{address_without_aggregator, idle, pipeline, spooled, state};
 use crate::harness::{Aggregator, AggregatorBehaviour, TestAgent, assert_contiguous};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn spool_of_killed_agent_is_delivered_exactly_once() {
-    let (address, seen) = nobody().await;
+    let (address, seen) = address_without_aggregator().await;
     let keys = "load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64";
     let agent = TestAgent::start("edge", Some(&address), "").await;
     let host = agent.running.live_update().host;
@@ -32,7 +32,7 @@ async fn spool_of_killed_agent_is_delivered_exactly_once() {
         (left.len() as u64, true),
         "{restarted:?}"
     );
-    let aggregator = Aggregator::up((address, seen)).await;
+    let aggregator = Aggregator::restart((address, seen)).await;
     aggregator.until(|seen| !seen.iterations().is_empty()).await;
     let state = agent.crash().await;
     let agent = TestAgent::start_in(state, &aggregator.address, idle()).await;
@@ -51,7 +51,7 @@ async fn spool_of_killed_agent_is_delivered_exactly_once() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn stop_without_aggregator_keeps_events_in_spool() {
-    let (address, seen) = nobody().await;
+    let (address, seen) = address_without_aggregator().await;
     let keys = "load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64";
     let mut config = pipeline(keys);
     config.agent.stop_timeout_ms = 60_000;
@@ -68,7 +68,7 @@ async fn stop_without_aggregator_keeps_events_in_spool() {
             .any(|event| matches!(event, Event::RunEnded(ended) if ended.reason == EndReason::Stopped))
     );
 
-    let aggregator = Aggregator::up((address, seen)).await;
+    let aggregator = Aggregator::restart((address, seen)).await;
     let agent = TestAgent::start_in(state, &aggregator.address, idle()).await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     assert_eq!(seen.events[..left.len()], left);
@@ -80,7 +80,8 @@ async fn stop_without_aggregator_keeps_events_in_spool() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn undelivered_events_are_sent_after_next_start() {
-    let behaviour = AggregatorBehaviour { slow: Some(Duration::from_millis(40)), ..Default::default() };
+    let behaviour =
+        AggregatorBehaviour { batch_delay: Some(Duration::from_millis(40)), ..Default::default() };
     let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Default::default(), behaviour).await;
     let mut config = pipeline("load = { mode = 'rate', hz = 1000.0 }\nmax_in_flight = 64");
     config.agent.stop_timeout_ms = 1000;
@@ -96,7 +97,7 @@ async fn undelivered_events_are_sent_after_next_start() {
     assert!(seen.events.len() as u64 > before, "some was handed over while it stopped");
     assert!(seen.ended().is_empty(), "and not all");
 
-    let aggregator = Aggregator::up(aggregator.down().await).await;
+    let aggregator = Aggregator::restart(aggregator.stop().await).await;
     let agent = TestAgent::start_in(state, &aggregator.address, idle()).await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     assert_contiguous(&seen.iterations());
@@ -106,7 +107,7 @@ async fn undelivered_events_are_sent_after_next_start() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn intact_batches_of_damaged_spool_are_stored_once() {
-    let (address, seen) = nobody().await;
+    let (address, seen) = address_without_aggregator().await;
     let mut config = pipeline("load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64");
     config.agent.batch_nodes = std::num::NonZeroUsize::new(50).expect("not zero");
     let agent = TestAgent::start_in(state(), &address, config).await;
@@ -132,7 +133,7 @@ async fn intact_batches_of_damaged_spool_are_stored_once() {
     connection.close().await.expect("closes");
     std::fs::write(state.path().join("spool.sqlite-condemned"), "a page was broken").expect("written");
 
-    let aggregator = Aggregator::up((address, seen)).await;
+    let aggregator = Aggregator::restart((address, seen)).await;
     let agent = TestAgent::start_in(state, &aggregator.address, idle()).await;
     let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Gap).is_empty()).await;
     let text = &seen.incidents(IncidentKind::Gap)[0].text;

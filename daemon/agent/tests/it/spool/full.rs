@@ -5,12 +5,12 @@ use std::num::NonZeroU64;
 use peernet_logger::Slug;
 use peernet_stream::Gap;
 
-use super::{nobody, pipeline, state};
+use super::{address_without_aggregator, pipeline, state};
 use crate::harness::{Aggregator, TestAgent};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn newest_events_are_dropped_counted_and_replaced_by_gap() {
-    let (address, seen) = nobody().await;
+    let (address, seen) = address_without_aggregator().await;
     let mut config = pipeline("load = { mode = 'rate', hz = 2000.0 }\nmax_in_flight = 64");
     config.spool.limit_bytes = NonZeroU64::new(100_000).expect("not zero");
     let agent = TestAgent::start_in(state(), &address, config).await;
@@ -18,7 +18,7 @@ async fn newest_events_are_dropped_counted_and_replaced_by_gap() {
     assert!(full.spool_bytes <= full.spool_limit_bytes, "{full:?}");
     assert_eq!((full.spool_limit_bytes, full.trouble), (100_000, None));
 
-    let aggregator = Aggregator::up((address, seen)).await;
+    let aggregator = Aggregator::restart((address, seen)).await;
     let seen = aggregator.until(|seen| !seen.gaps().is_empty()).await;
     let before = seen.iterations().len();
     aggregator.until(|seen| seen.iterations().len() > before + 100).await;

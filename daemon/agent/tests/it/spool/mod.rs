@@ -29,8 +29,9 @@ fn idle() -> AgentConfig {
 }
 
 /// Returns a free address, for an aggregator that starts later.
-async fn nobody() -> (String, std::sync::Arc<tokio::sync::watch::Sender<crate::harness::ReceivedEvents>>) {
-    Aggregator::start().await.down().await
+async fn address_without_aggregator()
+-> (String, std::sync::Arc<tokio::sync::watch::Sender<crate::harness::ReceivedEvents>>) {
+    Aggregator::start().await.stop().await
 }
 
 /// Returns all events in a spool that no agent uses, in order.

@@ -4,7 +4,7 @@ use std::num::NonZeroUsize;
 
 use peernet_stream::{IncidentKind, Iteration, PipelineState};
 
-use super::{idle, nobody, pipeline, state};
+use super::{address_without_aggregator, idle, pipeline, state};
 use crate::harness::{Aggregator, TestAgent, assert_contiguous, value};
 
 const RATE: &str = "load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64";
@@ -46,7 +46,7 @@ async fn events_are_sent_from_memory_while_file_is_missing() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn events_beyond_memory_are_counted_without_file_and_aggregator() {
-    let (address, seen) = nobody().await;
+    let (address, seen) = address_without_aggregator().await;
     let mut config =
         pipeline("limit = { iterations = 5000 }\nload = { mode = 'rate', hz = 5000.0 }\nmax_in_flight = 64");
     config.agent.queue_events = NonZeroUsize::new(500).expect("not zero");
@@ -56,7 +56,7 @@ async fn events_beyond_memory_are_counted_without_file_and_aggregator() {
     agent.until(|live| live.accounting.trouble.is_some() && live.accounting.dropped > 500).await;
     std::fs::rename(&away, &file).expect("moved back");
     agent.until_state(|state| *state == PipelineState::Finished).await;
-    let aggregator = Aggregator::up((address, seen)).await;
+    let aggregator = Aggregator::restart((address, seen)).await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
     assert_eq!((account.produced, account.trouble), (account.stored + account.dropped, None));
@@ -73,7 +73,7 @@ async fn events_beyond_memory_are_counted_without_file_and_aggregator() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn stop_without_file_and_aggregator_ends_at_deadline() {
-    let (address, seen) = nobody().await;
+    let (address, seen) = address_without_aggregator().await;
     let mut config = pipeline(RATE);
     config.agent.stop_timeout_ms = 600;
     let agent = TestAgent::start_in(state(), &address, config).await;
@@ -84,7 +84,7 @@ async fn stop_without_file_and_aggregator_ends_at_deadline() {
     let state = agent.stop_and_keep().await.expect("stops well");
     std::fs::rename(&away, &file).expect("moved back");
 
-    let aggregator = Aggregator::up((address, seen)).await;
+    let aggregator = Aggregator::restart((address, seen)).await;
     let agent = TestAgent::start_in(state, &aggregator.address, idle()).await;
     let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
     let seen = aggregator.until(|seen| seen.events.len() as u64 == account.stored).await;

@@ -19,7 +19,7 @@ async fn invalid_database_is_quarantined_and_replaced() {
     )
     .expect("written");
     let OpenSpool { mut file, state, quarantined, .. } = spool_folder.open().await.expect("opens");
-    let quarantined = quarantined.expect("put quarantined");
+    let quarantined = quarantined.expect("is quarantined");
     assert_eq!(quarantined.new_path, spool_folder.folder.path().join("spool.sqlite.damaged-5"));
     assert!(quarantined.reason.contains("spool.sqlite"), "{}", quarantined.reason);
     assert!(fs::read(&quarantined.new_path).expect("kept").starts_with(b"this is no database"));
@@ -30,7 +30,7 @@ async fn invalid_database_is_quarantined_and_replaced() {
     assert_eq!((reopened.stream, reopened.newest.0), (state.stream, 2));
     drop(file.close().await);
     fs::write(spool_folder.path(), b"once more").expect("written");
-    let second = spool_folder.open().await.expect("opens").quarantined.expect("put quarantined");
+    let second = spool_folder.open().await.expect("opens").quarantined.expect("is quarantined");
     assert_eq!(
         second.new_path,
         spool_folder.folder.path().join("spool.sqlite.damaged-6"),
@@ -128,7 +128,8 @@ async fn intact_batches_of_damaged_spool_are_kept() {
         (before.stream, 11, written[9].chain)
     );
     assert_eq!(state.newest.0, 10 + recovered.batches);
-    // Produced are stored, waiting and dropped events; the readable lost ones count as dropped.
+    // The produced events are the stored, the waiting and the dropped ones. Lost events whose number can be read count
+    // as dropped.
     assert_eq!((state.totals.produced, state.totals.dropped), (602, 2 + recovered.lost_events));
     assert_eq!(state.totals.reported_drops, state.totals.dropped);
     let loaded = file.load(11, usize::MAX).await.expect("loads");
@@ -171,11 +172,15 @@ async fn damaged_batch_ends_list_and_is_named() {
         .expect("changed");
     let loaded = file.load(1, usize::MAX).await.expect("loads");
     assert_eq!(loaded.batches, written[..2]);
-    let damage = loaded.damage.expect("said");
+    let damage = loaded.damage.expect("is reported");
     assert!(damage.contains("batch 3") && damage.contains("was changed"), "{damage}");
     let loaded = file.load(3, usize::MAX).await.expect("loads");
     assert!(loaded.batches.is_empty() && loaded.damage.is_some());
-    assert_eq!(file.load(4, usize::MAX).await.expect("loads").batches, written[3..], "what follows is sound");
+    assert_eq!(
+        file.load(4, usize::MAX).await.expect("loads").batches,
+        written[3..],
+        "the batches after it are intact"
+    );
 }
 
 #[tokio::test]
@@ -188,8 +193,8 @@ async fn missing_batch_ends_list() {
     assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written[..2]);
     let loaded = file.load(3, usize::MAX).await.expect("loads");
     assert!(loaded.batches.is_empty());
-    assert!(loaded.damage.expect("said").contains("batch 3"), "named");
-    assert_eq!(file.load(4, usize::MAX).await.expect("loads").batches, written[3..], "what is behind it");
+    assert!(loaded.damage.expect("is reported").contains("batch 3"), "named");
+    assert_eq!(file.load(4, usize::MAX).await.expect("loads").batches, written[3..], "the batches after it");
     drop(file.close().await);
     let (_, state) = spool_folder.open_undamaged().await;
     assert_eq!((state.oldest, state.newest.0, state.waiting_usage.events), (1, 5, 12));

@@ -49,7 +49,11 @@ async fn reserve_for_deleting_survives_restart() {
     drop(file);
     assert_eq!(reserve_file(), reserved);
     let (file, _) = spool_folder.open_undamaged().await;
-    assert_eq!(reserve_file(), reserved, "given free and taken again: another program may have been faster");
+    assert_eq!(
+        reserve_file(),
+        reserved,
+        "not released in between, when another program could take the space"
+    );
     file.close().await.expect("closes");
     assert_eq!(reserve_file(), reserved);
 }

@@ -57,8 +57,8 @@ async fn losses_of_killed_process_stay_until_reported() {
     drop((file, counter));
 
     let (_, state) = spool_folder.open_undamaged().await;
-    assert_eq!(lost(&state), losses[1..], "what was told is not told again");
-    assert_eq!(spool_folder.lost_when_killed().await, Some(5), "what was told stays counted");
+    assert_eq!(lost(&state), losses[1..], "a reported loss is not reported again");
+    assert_eq!(spool_folder.lost_when_killed().await, Some(5), "reported losses stay counted");
 }
 
 #[tokio::test]
@@ -129,7 +129,7 @@ async fn copied_spool_leaves_count_to_original() {
     drop((file, counter));
 
     let (_, state) = spool_folder.open_undamaged().await;
-    assert_eq!((state.unreported.len(), state.totals.dropped), (1, 4), "the first reports what it lost");
+    assert_eq!((state.unreported.len(), state.totals.dropped), (1, 4), "the original spool has the loss");
 }
 
 #[tokio::test]

@@ -11,7 +11,7 @@ use super::*;
 const HOUR: Duration = Duration::from_secs(3600);
 
 #[tokio::test]
-async fn orders_are_done_in_sequence_and_answered() {
+async fn requests_are_executed_in_order_and_answered() {
     let spool_folder = SpoolFolder::new();
     let (file, fresh) = spool_folder.open_undamaged().await;
     let mut task = SpoolTask::start(file, HOUR);
@@ -38,7 +38,7 @@ async fn orders_are_done_in_sequence_and_answered() {
 }
 
 #[tokio::test]
-async fn last_order_is_done_before_closing() {
+async fn last_request_is_executed_before_closing() {
     let spool_folder = SpoolFolder::new();
     let (file, _) = spool_folder.open_undamaged().await;
     let task = SpoolTask::start(file, HOUR);
@@ -80,7 +80,7 @@ async fn file_found_damaged_is_quarantined_at_next_start() {
     let Some(SpoolResult::Appended(Err(error))) = task.next_result().await else { panic!("fails") };
     assert!(error.to_string().contains("quarantines the file"), "{error}");
     drop(task.close().await);
-    let quarantined = spool_folder.open().await.expect("opens").quarantined.expect("put quarantined");
+    let quarantined = spool_folder.open().await.expect("opens").quarantined.expect("is quarantined");
     assert!(quarantined.reason.contains("append"), "{}", quarantined.reason);
     assert_eq!(names(spool_folder.folder.path()), ["spool.sqlite", "spool.sqlite.damaged-5"]);
 }
