@@ -111,6 +111,7 @@ impl Agent {
     }
 }
 
+/// Starts an agent; events also go to `tap`, if there is one.
 async fn start(
     config: AgentConfig,
     version: &'static str,
@@ -416,6 +417,7 @@ fn build_bank(
     })
 }
 
+/// Starts the pipelines that start with the agent. Returns the live state of all pipelines.
 fn start_pipelines(
     tasks: &mut Tasks,
     handle: &Handle,

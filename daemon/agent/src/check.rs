@@ -66,22 +66,26 @@ impl fmt::Display for Problem {
 struct Report(Vec<Problem>);
 
 impl Report {
+    /// Adds a problem.
     fn add(&mut self, key: impl Into<String>, text: impl fmt::Display) {
         self.0.push(Problem { key: key.into(), text: text.to_string() });
     }
 
+    /// Adds the error of a result, if it is one.
     fn check_result<T>(&mut self, key: impl Into<String>, result: Result<T, impl fmt::Display>) {
         if let Err(error) = result {
             self.add(key, error);
         }
     }
 
+    /// Adds a problem if a value is above `max`.
     fn check_max(&mut self, key: &str, value: u64, max: u64) {
         if value > max {
             self.add(key, format!("{value} is too large; at most {max}"));
         }
     }
 
+    /// Checks the settings of sessions.
     fn check_settings(&mut self, key: &str, settings: &SessionSettings) {
         if let Err(error) = settings.check() {
             self.add(format!("{key}.{}", error.key), format!("{} {}", error.value, error.problem));
@@ -188,6 +192,7 @@ fn check_host(report: &mut Report, host: &HostConfig) {
     report.check_max("agent.stop_timeout_ms", host.stop_timeout_ms, MAX_STOP_TIMEOUT_MS);
 }
 
+/// Checks `[serve]`. `offers_nothing` is `true` if the host has neither models nor stamps that peers may query.
 fn check_serve(report: &mut Report, serve: &ServeConfig, offers_nothing: bool) {
     if offers_nothing && !serve.calibration {
         let text = "this host has nothing to serve; add a [[model]], a folder with models to [bank] or a pipeline that observes, \
@@ -202,6 +207,7 @@ fn check_serve(report: &mut Report, serve: &ServeConfig, offers_nothing: bool) {
     }
 }
 
+/// Checks that this host can listen at an address.
 fn check_listen(report: &mut Report, address: &Address) {
     // A port in use is not a problem, because the agent with this configuration may be running. The start of an agent
     // reports it.
@@ -219,6 +225,7 @@ fn check_listen(report: &mut Report, address: &Address) {
     }
 }
 
+/// Checks a pipeline; `prefix` is its key, such as `pipeline[0]`.
 fn check_pipeline(
     report: &mut Report,
     prefix: &str,
@@ -304,6 +311,7 @@ fn check_pipeline(
     }
 }
 
+/// Checks a pipeline that observes a ROS system.
 fn check_observed(report: &mut Report, prefix: &str, pipeline: &PipelineConfig, observed: &ObserveConfig) {
     // These keys are reported rather than ignored, because a user who sets them expects an effect.
     let unused_keys = [

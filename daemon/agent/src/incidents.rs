@@ -73,6 +73,7 @@ impl Incidents {
         self.enqueue(kind, subject, text);
     }
 
+    /// Queues an incident for the aggregator, without logging it.
     fn enqueue(&self, kind: IncidentKind, subject: IncidentSubject<'_>, text: String) {
         let incident = Incident {
             at: self.clock.wall(),

@@ -281,7 +281,8 @@ fn install_iw(host_files: &HostFiles, output: &str) {
     fs::rename(new_file, path).expect("moved");
 }
 
-fn interface(host_files: &HostFiles, name: &str, kind: Option<&str>, state: &str) {
+/// Adds a network interface; `kind` is the folder that marks a wireless interface, if it is one.
+fn add_interface(host_files: &HostFiles, name: &str, kind: Option<&str>, state: &str) {
     host_files.write_file(&format!("sys/class/net/{name}/operstate"), state);
     if let Some(kind) = kind {
         fs::create_dir_all(host_files.0.path().join(Path::new("sys/class/net").join(name).join(kind)))
@@ -292,10 +293,10 @@ fn interface(host_files: &HostFiles, name: &str, kind: Option<&str>, state: &str
 #[test]
 fn only_active_wireless_interfaces_are_queried() {
     let host_files = HostFiles::new();
-    interface(&host_files, "eth0", None, "up");
-    interface(&host_files, "wlan1", Some("phy80211"), "down");
+    add_interface(&host_files, "eth0", None, "up");
+    add_interface(&host_files, "wlan1", Some("phy80211"), "down");
     assert!(host_files.findings_about("Wi-Fi power save").is_empty());
-    interface(&host_files, "wlan0", Some("phy80211"), "up");
+    add_interface(&host_files, "wlan0", Some("phy80211"), "up");
     let (grade, finding) = host_files.only_finding_about("Wi-Fi power save");
     assert_eq!((grade, finding.contains("`iw` is missing")), (Grade::Unknown, true), "{finding}");
     for (output, expected) in

@@ -51,11 +51,11 @@ impl ClockFaultConfig {
     pub fn description(&self, since: WallTime) -> ClockFaults {
         let step = |step: &ClockFaultStepConfig| ClockFaultStep {
             at: Span::from_seconds_f64(step.at_s),
-            by: milliseconds(step.by_ms),
+            by: span_from_millis(step.by_ms),
             clock: step.clock,
         };
         ClockFaults {
-            offset: milliseconds(self.offset_ms),
+            offset: span_from_millis(self.offset_ms),
             drift_ppm: self.drift_ppm,
             steps: self.steps.iter().map(step).collect(),
             since,
@@ -63,7 +63,7 @@ impl ClockFaultConfig {
     }
 }
 
-fn milliseconds(milliseconds: f64) -> Span {
+fn span_from_millis(milliseconds: f64) -> Span {
     Span::from_seconds_f64(milliseconds * 1e-3)
 }
 

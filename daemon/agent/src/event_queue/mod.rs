@@ -169,6 +169,7 @@ impl Overflow {
         gaps
     }
 
+    /// Counts a dropped event in the gap of its pipeline and run.
     fn count(&self, pipeline: Option<&Slug>, run: Option<RunId>) {
         let now = self.clock.wall();
         let mut gaps = self.gaps.lock().unwrap_or_else(PoisonError::into_inner);

@@ -83,7 +83,7 @@ fn read(file: &File) -> io::Result<Option<u64>> {
     let mut previous = read_structure(file)?;
     for _ in 0..ATTEMPTS {
         let current = read_structure(file)?;
-        if previous == current && sequence(&current).is_multiple_of(2) {
+        if previous == current && sequence_count(&current).is_multiple_of(2) {
             let [.., a, b, c, d, e, f, g, h] = current;
             return Ok(Some(u64::from_le_bytes([a, b, c, d, e, f, g, h])));
         }
@@ -106,7 +106,7 @@ fn read_structure(file: &File) -> io::Result<[u8; BYTES]> {
     Ok(bytes)
 }
 
-const fn sequence(bytes: &[u8; BYTES]) -> u32 {
+const fn sequence_count(bytes: &[u8; BYTES]) -> u32 {
     u32::from_le_bytes([bytes[12], bytes[13], bytes[14], bytes[15]])
 }
 

@@ -105,6 +105,7 @@ impl AnswerMonitor {
         }
     }
 
+    /// Returns the state that is shown while probes are not answered, with the probable reason.
     fn unanswered_state(&self, address: String) -> Probing {
         let reason = unanswered_reason(self.has_key, self.refusal_reason);
         if self.refusal_reason.is_none() && self.late_answers > 0 {

@@ -337,6 +337,8 @@ impl LinkClockState {
         result
     }
 
+    /// Reports what the relation learned from an exchange, and adds the exchange to the current second unless the
+    /// relation refused it.
     fn handle_learn_result(
         &mut self,
         learn_result: LearnResult,
@@ -400,6 +402,7 @@ impl LinkClockState {
         self.second = Second::new(now.unix_seconds());
     }
 
+    /// Returns the sample of a network for the current second, with the state at `at`.
     fn sample(&self, network: &NetworkName, at: Stamp, offset: Option<Offset>) -> ClockSample {
         let settings = self.relation.settings();
         let basis = EstimateBasis {

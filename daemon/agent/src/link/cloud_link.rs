@@ -241,6 +241,7 @@ impl CloudLink {
         }
     }
 
+    /// Returns whether it is proven that both processes read one clock.
     fn is_same_clock(&self) -> bool {
         *self.same_clock.borrow() == Some(true)
     }
@@ -322,10 +323,12 @@ impl CloudLink {
         networks.into_iter().map(link).collect()
     }
 
+    /// Sets the rate of the probes by the traffic of the link.
     fn adjust_pace(&self, now: MonoTime) {
         self.pace.adjust(&self.shared.probes, self.is_same_clock(), now);
     }
 
+    /// Queues the samples of closed seconds, and reports steps, jumps and violated assumptions as incidents.
     fn report(&self, changes: ClockStateChanges) {
         let host = &self.shared.host;
         for sample in changes.samples {

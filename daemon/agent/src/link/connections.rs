@@ -41,13 +41,14 @@ impl Connections {
         self.by_session.values().map(|(_, connection)| connection.clone()).collect()
     }
 
+    /// Reads the statistics of a session's connection. Keeps the last ones if the session has ended.
     fn read(&mut self, session: &Session) {
         let Some(statistics) = session.statistics.read() else { return };
         let addresses = session.statistics.addresses();
         // The addresses may change: a connection over datagrams stays open when a host gets another address.
         let interface = match self.by_session.get(&session.id) {
             Some((previous, connection)) if *previous == addresses => connection.interface.clone(),
-            _ => addresses.and_then(|addresses| self.interface(&addresses)),
+            _ => addresses.and_then(|addresses| self.find_interface(&addresses)),
         };
         let connection = Connection {
             pipeline: session.pipeline.clone(),
@@ -61,7 +62,8 @@ impl Connections {
         self.by_session.insert(session.id, (addresses, connection));
     }
 
-    fn interface(&mut self, addresses: &ConnectionAddresses) -> Option<NetworkInterface> {
+    /// Returns the network interface through which a connection sends; `None` if it cannot be determined.
+    fn find_interface(&mut self, addresses: &ConnectionAddresses) -> Option<NetworkInterface> {
         outgoing_interface(addresses).unwrap_or_else(|error| {
             if !std::mem::replace(&mut self.has_logged_error, true) {
                 let local = addresses.local;

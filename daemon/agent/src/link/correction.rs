@@ -25,11 +25,11 @@ pub(super) fn bits(tree: &Tree, direction: Direction) -> Option<f64> {
         Direction::Up => UP,
         Direction::Down => DOWN,
     };
-    let bytes: f64 = names.iter().filter_map(|name| value(tree, name)).sum();
+    let bytes: f64 = names.iter().filter_map(|name| value_of(tree, name)).sum();
     (bytes > 0.0).then_some(8.0 * bytes)
 }
 
-fn value(tree: &Tree, name: &Name) -> Option<f64> {
+fn value_of(tree: &Tree, name: &Name) -> Option<f64> {
     tree.nodes().iter().find(|node| node.name == *name)?.measure.value()
 }
 

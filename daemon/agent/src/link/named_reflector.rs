@@ -132,6 +132,7 @@ impl ReflectorAnswers {
         let _ = self.relation.learn(observation);
     }
 
+    /// Returns minimum and median of the latest round trips; `None` before the first answer.
     fn round_trip(&self) -> Option<RoundTrip> {
         let mut trips: Vec<Span> = self.trips.iter().copied().collect();
         trips.sort_unstable();

@@ -83,6 +83,7 @@ impl ProbeTarget {
         }
     }
 
+    /// Resolves the host and opens a prober. Also returns the address that is probed.
     async fn open(&self, shared: &SharedLinkState) -> Result<(Prober, SocketAddr), ProbingError> {
         let host = &self.host;
         let lookup_result = tokio::net::lookup_host((host.as_str(), self.port)).await;

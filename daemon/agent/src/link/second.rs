@@ -144,6 +144,7 @@ impl Delays {
         self.verdicts.iter().fold(0, |sum, count| sum.saturating_add(*count))
     }
 
+    /// Returns count, median and prevailing verdict of the delays; `None` without delays.
     fn summary(&self) -> Option<DelaySecond> {
         let counts = Verdict::ALL.iter().zip(&self.verdicts);
         let verdict = Verdict::prevailing(counts.map(|(verdict, count)| (*verdict, u64::from(*count))))?;

@@ -50,6 +50,7 @@ impl Ring {
         second
     }
 
+    /// Returns the statistics of the second `at`, which are created if necessary.
     fn second_at(&mut self, at: i64) -> &mut SecondStatistics {
         if self.seconds.back().is_some_and(|newest| at < newest.at - MAX_BACKWARD_S) {
             // Seconds that occur again after the clock was set back replace the earlier seconds.

@@ -83,11 +83,11 @@ impl StampRequest {
     }
 
     pub(crate) fn to_sample(&self) -> Result<Sample, StampMessageError> {
-        sample(self)
+        sample_from(self)
     }
 
     pub(super) fn read(sample: &Sample) -> Result<Self, StampMessageError> {
-        read(sample)
+        read_document(sample)
     }
 }
 
@@ -97,7 +97,7 @@ impl StampAnswer {
     }
 
     pub(super) fn to_sample(&self) -> Result<Sample, StampMessageError> {
-        sample(self)
+        sample_from(self)
     }
 
     /// Reads an answer.
@@ -105,7 +105,7 @@ impl StampAnswer {
     /// # Errors
     /// When the sample is not an answer of this version.
     pub(crate) fn read(sample: &Sample) -> Result<Self, StampMessageError> {
-        read(sample)
+        read_document(sample)
     }
 }
 
@@ -133,6 +133,7 @@ impl ObservedPair {
         self.elapsed_ns.map(Span::from_nanos)
     }
 
+    /// Returns whether both messages were received.
     pub(crate) const fn is_complete(&self) -> bool {
         self.input.is_some() && self.output.is_some() && self.elapsed_ns.is_some()
     }
@@ -150,12 +151,14 @@ impl From<WireStamp> for HostStamp {
     }
 }
 
-fn sample(message: &impl Serialize) -> Result<Sample, StampMessageError> {
+/// Returns a sample whose only part is the message as JSON.
+fn sample_from(message: &impl Serialize) -> Result<Sample, StampMessageError> {
     let document = serde_json::to_vec(message)?;
     Ok(Sample::from_part(Description::unshaped(MediaType::Json), Bytes::from(document)))
 }
 
-fn read<T: DeserializeOwned>(sample: &Sample) -> Result<T, StampMessageError> {
+/// Reads a message of this version from the first part of a sample.
+fn read_document<T: DeserializeOwned>(sample: &Sample) -> Result<T, StampMessageError> {
     /// Part of the document that every version has.
     #[derive(Deserialize)]
     struct DocumentVersion {

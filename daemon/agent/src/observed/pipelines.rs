@@ -95,7 +95,7 @@ pub(crate) enum AnswerError {
     /// No observing pipeline has this name.
     #[error(
         "host {host} has no observing pipeline named {pipeline}; its observing pipelines: {}; set peer_pipeline to one of them",
-        names(available)
+        list_names(available)
     )]
     Unknown { host: Slug, pipeline: Slug, available: Vec<Slug> },
     /// The pipeline pairs its messages by another rule.
@@ -113,7 +113,7 @@ pub(crate) enum AnswerError {
     Answer(#[source] StampMessageError),
 }
 
-fn names(available: &[Slug]) -> String {
+fn list_names(available: &[Slug]) -> String {
     let names: Vec<&str> = available.iter().map(Slug::as_str).collect();
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }

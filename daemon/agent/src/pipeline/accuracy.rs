@@ -58,7 +58,7 @@ pub(super) fn record_accuracy(log: &mut Recorder, label: &str, answer: &Sample) 
     if let Some(label) = MaskLabel::parse(label) {
         return record_segmentation(log, &label, answer);
     }
-    let Some(answer) = json(answer) else { return };
+    let Some(answer) = json_part(answer) else { return };
     if ObjectsLabel::parse(label).is_some() {
         return record_detection(log, label, answer);
     }
@@ -76,6 +76,7 @@ pub(super) fn record_accuracy(log: &mut Recorder, label: &str, answer: &Sample) 
     }
 }
 
+/// Compares the detected objects of an answer with the labelled objects, and records `map-50` and `mean-iou`.
 fn record_detection(log: &mut Recorder, label: &str, answer: &[u8]) {
     let Some(objects) = PictureObjects::read(label, answer) else { return };
     let scores = DetectionScores::of(&[objects]);
@@ -85,6 +86,7 @@ fn record_detection(log: &mut Recorder, label: &str, answer: &[u8]) {
     }
 }
 
+/// Compares the classes of an answer's pixels with the mask that the label names, and records `mean-iou`.
 fn record_segmentation(log: &mut Recorder, label: &MaskLabel, sample: &Sample) {
     let Some(answer) = ClassMap::from_answer(sample) else { return };
     let mask = match read_mask(Path::new(&label.mask)) {
@@ -114,12 +116,12 @@ fn record_segmentation(log: &mut Recorder, label: &MaskLabel, sample: &Sample) {
 /// Returns the number of classes of the model that answered; `None` if the answer does not contain it, for example the
 /// answer of a Python object.
 fn class_count(answer: &Sample) -> Option<usize> {
-    let Segmentation { class_count } = serde_json::from_slice(json(answer)?).ok()?;
+    let Segmentation { class_count } = serde_json::from_slice(json_part(answer)?).ok()?;
     class_count
 }
 
-/// Returns the text of an answer whose first part is JSON.
-fn json(answer: &Sample) -> Option<&[u8]> {
+/// Returns the first part of an answer if it is JSON.
+fn json_part(answer: &Sample) -> Option<&[u8]> {
     let part = answer.parts.first().filter(|part| part.description.media == MediaType::Json)?;
     Some(&part.bytes)
 }

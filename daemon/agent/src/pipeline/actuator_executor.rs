@@ -137,6 +137,7 @@ impl OrderedActuator {
         !is_older && self.ended_episode != Some((origin.run, episode))
     }
 
+    /// Acts on an answer, and records `actuation` and the feedback.
     fn act(
         &mut self,
         log: &mut Recorder,

@@ -45,6 +45,7 @@ impl FailureLog {
         self.take_lines(|_| true, now)
     }
 
+    /// Returns a log line for each kind with unlogged failures for which `is_due` is `true`.
     fn take_lines(&mut self, is_due: impl Fn(&UnloggedFailures) -> bool, now: MonoTime) -> Vec<String> {
         let kinds = [
             (&mut self.failed, "failed"),
@@ -66,6 +67,7 @@ impl UnloggedFailures {
         self.logged_at.is_none_or(|logged_at| now - logged_at >= INTERVAL)
     }
 
+    /// Returns a log line about the failures since the last one; `None` if there are none.
     fn take_line(&mut self, description: &str, now: MonoTime) -> Option<String> {
         let (number, reason) = self.latest.take()?;
         let count = std::mem::take(&mut self.count);

@@ -36,6 +36,7 @@ pub(super) fn close_without_stages(log: Recorder, iteration: &StartedIteration, 
     add_totals(log, iteration, ended, true, None)
 }
 
+/// Closes a tree and adds skipped starts, lateness and totals. `stages` is the sum of the stages, if it is known.
 fn add_totals(
     log: Recorder,
     iteration: &StartedIteration,

@@ -136,6 +136,7 @@ impl Schedule {
 }
 
 impl StartPlan {
+    /// Returns the time at which the next start comes due; `None` in a closed loop.
     fn next_at(&self) -> Option<MonoTime> {
         match self {
             Self::Closed => None,
@@ -147,6 +148,7 @@ impl StartPlan {
         }
     }
 
+    /// Moves on to the start after the next one.
     fn advance(&mut self) {
         match self {
             Self::Closed => {}

@@ -251,6 +251,7 @@ impl<'a> PipelineLoop<'a> {
         }
     }
 
+    /// Returns whether the next iteration, or the preparation for it, may start as soon as it is due.
     fn can_start(&self) -> bool {
         let is_idle = self.end_reason.is_none()
             && !self.awaits_sample()
@@ -337,6 +338,7 @@ impl<'a> PipelineLoop<'a> {
         self.finish_at(ended, iteration, log, outcome, feedback, transport);
     }
 
+    /// Records an iteration that ended at `ended`.
     fn finish_at(
         &mut self,
         ended: Stamp,

@@ -320,6 +320,7 @@ fn describe_remote(config: &RemoteConfig) -> Description {
     }
 }
 
+/// Passes a sample to a model of this host, and waits for its answer for `timeout` at most.
 async fn compute_locally(
     pool: &Pool,
     log: Recorder,

@@ -64,7 +64,7 @@ impl Run {
             id,
             pipeline: config.name.clone(),
             // A run with a limit ends at its limit only, so that a measurement over midnight is one run.
-            start_day: config.limit.is_none().then(|| day(started)),
+            start_day: config.limit.is_none().then(|| day_number(started)),
             placement,
             deadline: config.deadline().map(Span::from),
             progress: Progress::new(config, is_continuation),
@@ -90,7 +90,7 @@ impl Run {
 
     /// Returns whether the run ends at midnight (UTC), and midnight has passed since its start.
     pub(super) fn is_from_previous_day(&self, now: WallTime) -> bool {
-        self.start_day.is_some_and(|start_day| day(now) > start_day)
+        self.start_day.is_some_and(|start_day| day_number(now) > start_day)
     }
 
     /// Assigns number, episode and step to the next iteration.
@@ -191,6 +191,7 @@ pub(super) fn end_orphaned_run(pipeline: &Slug, reason: EndReason, context: &Pip
     }
 }
 
+/// Reports the end of a run.
 fn end(pipeline: &Slug, run: RunId, reason: EndReason, context: &PipelineContext) {
     let ended = RunEnded { run, ended: context.host.clock.wall(), reason };
     // Recorded before the event is queued, so that the outbox does not send the start of the run again after its end.
@@ -198,7 +199,8 @@ fn end(pipeline: &Slug, run: RunId, reason: EndReason, context: &PipelineContext
     context.events.event_queue.push_event(Some(pipeline), Event::RunEnded(ended));
 }
 
-fn day(at: WallTime) -> i64 {
+/// Returns the number of days since the Unix epoch.
+fn day_number(at: WallTime) -> i64 {
     at.unix_seconds().div_euclid(SECONDS_PER_DAY)
 }
 

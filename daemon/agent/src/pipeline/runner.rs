@@ -340,6 +340,7 @@ impl Runner {
         }
     }
 
+    /// Reports an incident of the pipeline.
     pub(super) fn report(&self, kind: IncidentKind, run: Option<RunId>, text: String) {
         let subject = IncidentSubject { pipeline: Some(&self.config.name), run, peer: None };
         self.context.events.incidents.report(kind, subject, text);

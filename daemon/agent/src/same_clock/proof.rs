@@ -159,11 +159,13 @@ impl Proof {
         has_expired
     }
 
+    /// Ends the proof, because the processes do not read one clock.
     fn refute(&mut self, reason: NotProven) -> Outcome {
         (self.slow_answers, self.proven_at) = (0, None);
         Outcome::Refuted(reason)
     }
 
+    /// Ends the proof, because the answer is not from the process that serves the session.
     fn reject_foreign(&mut self) -> Outcome {
         self.proven_at = None;
         Outcome::Foreign

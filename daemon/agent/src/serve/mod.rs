@@ -314,6 +314,7 @@ impl Server {
         }
     }
 
+    /// Returns the message with which a session is accepted.
     fn acceptance(&self, listener: usize, service: &Service, conditions: Vec<Condition>) -> SessionAccepted {
         SessionAccepted {
             host: self.context.host.id,

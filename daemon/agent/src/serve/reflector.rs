@@ -90,6 +90,7 @@ fn bind(
     Ok(reflector)
 }
 
+/// Returns the UDP address at which the probes of the peers of `listen` are answered.
 async fn resolve(listen: &Address, port: u16) -> io::Result<SocketAddr> {
     if listen.listener_name().is_some() {
         // Such an address names a name service and no interface: peers may connect on any interface.

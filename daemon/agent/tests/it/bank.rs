@@ -50,19 +50,19 @@ async fn edge_without_model_name_gets_the_only_model() {
     let aggregator = Aggregator::start().await;
     let cloud = TestAgent::start("cloud", None, &format!("{SERVE}{ECHO}")).await;
     let edge = TestAgent::start("edge", Some(&aggregator.address), &pipeline(&cloud, "")).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    assert_eq!(seen.runs()[0].placement.model.as_str(), "echo");
-    assert_eq!(seen.iterations().len(), 3);
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    assert_eq!(received_events.runs()[0].placement.model.as_str(), "echo");
+    assert_eq!(received_events.iterations().len(), 3);
     assert_eq!(cloud.running.served_counts().borrow().answers, 3);
     let hosts: Vec<&str> =
-        seen.runs()[0].conditions.iter().map(|condition| condition.host.as_str()).collect();
+        received_events.runs()[0].conditions.iter().map(|condition| condition.host.as_str()).collect();
     assert!(hosts.contains(&"edge") && hosts.contains(&"cloud"), "both were looked at: {hosts:?}");
     edge.stop().await.expect("stops well");
 
     // Answers of the calibration model are not counted.
     let calibrating = pipeline(&cloud, ", model = 'calibration'");
     let edge = TestAgent::start("edge", Some(&aggregator.address), &calibrating).await;
-    aggregator.until(|seen| seen.ended().len() == 2).await;
+    aggregator.until(|received_events| received_events.ended().len() == 2).await;
     assert_eq!(cloud.running.served_counts().borrow().answers, 3);
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
@@ -87,10 +87,11 @@ async fn peer_gets_named_model_on_allowed_device() {
     let cloud = TestAgent::start("cloud", None, &bank).await;
     let wanted = pipeline(&cloud, ", model = 'plates_2', device = 'cpu'");
     let edge = TestAgent::start("edge", Some(&aggregator.address), &wanted).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    assert_eq!(seen.runs()[0].placement.model.as_str(), "plates_2");
-    assert!(seen.runs()[0].facts.iter().any(|(name, _)| name == peernet_inference::MODEL_HASH));
-    let outcomes: Vec<&Outcome> = seen.iterations().iter().map(|iteration| &iteration.outcome).collect();
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    assert_eq!(received_events.runs()[0].placement.model.as_str(), "plates_2");
+    assert!(received_events.runs()[0].facts.iter().any(|(name, _)| name == peernet_inference::MODEL_HASH));
+    let outcomes: Vec<&Outcome> =
+        received_events.iterations().iter().map(|iteration| &iteration.outcome).collect();
     assert_eq!(outcomes, [&Outcome::Ok; 3]);
     edge.stop().await.expect("stops well");
 
@@ -119,20 +120,22 @@ async fn replaced_model_is_incident_and_metrics_count_loaded_ones() {
         let load = cloud.running.load_model(&model.parse().expect("a name"));
         load.await.expect("does not panic").expect("is there");
     }
-    let seen = aggregator
-        .until(|seen| {
-            seen.incidents(IncidentKind::ModelLoaded).len() == 2
-                && seen.incidents(IncidentKind::ModelUnloaded).len() == 1
+    let received_events = aggregator
+        .until(|received_events| {
+            received_events.incidents(IncidentKind::ModelLoaded).len() == 2
+                && received_events.incidents(IncidentKind::ModelUnloaded).len() == 1
         })
         .await;
-    let text = &seen.incidents(IncidentKind::ModelUnloaded)[0].text;
+    let text = &received_events.incidents(IncidentKind::ModelUnloaded)[0].text;
     assert!(text.starts_with("unloaded plates from cpu after "), "{text}");
     assert!(text.contains(" s, to make room for plates_2; the process shrank by "), "{text}");
     cloud.until(|live| live.metrics.models.is_some_and(|models| models.loaded == 1)).await;
     cloud.stop().await.expect("stops well");
     // The end of the agent is the end of its models.
-    let seen = aggregator.until(|seen| seen.incidents(IncidentKind::ModelUnloaded).len() == 2).await;
-    let text = &seen.incidents(IncidentKind::ModelUnloaded)[1].text;
+    let received_events = aggregator
+        .until(|received_events| received_events.incidents(IncidentKind::ModelUnloaded).len() == 2)
+        .await;
+    let text = &received_events.incidents(IncidentKind::ModelUnloaded)[1].text;
     assert!(text.starts_with("unloaded plates_2 from cpu after "), "{text}");
     assert!(text.ends_with(" s, because the agent stops"), "{text}");
 }

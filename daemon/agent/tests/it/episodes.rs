@@ -86,11 +86,11 @@ async fn run(model: &str, (sensor, actuator): (&str, &str), keys: &str) -> Vec<I
     );
     let aggregator = Aggregator::start().await;
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
     assert_eq!(agent.until_state(|state| *state != PipelineState::Running).await, PipelineState::Finished);
-    let facts = &seen.runs()[0].facts;
+    let facts = &received_events.runs()[0].facts;
     assert!(facts.iter().any(|(name, text)| name == "Actuator" && text.contains("own::")), "{facts:?}");
-    let mut iterations: Vec<Iteration> = seen.iterations().into_iter().cloned().collect();
+    let mut iterations: Vec<Iteration> = received_events.iterations().into_iter().cloned().collect();
     iterations.sort_by_key(|iteration| iteration.number);
     agent.stop().await.expect("stops well");
     iterations

@@ -17,9 +17,9 @@ async fn warm_up_and_limit_are_exact() {
     let aggregator = Aggregator::start().await;
     let keys = "warm_up = { iterations = 3 }\nlimit = { iterations = 20 }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), &pipeline(keys)).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
 
-    let iterations = seen.iterations();
+    let iterations = received_events.iterations();
     assert_eq!(iterations.len(), 23);
     assert!(iterations.iter().map(|iteration| iteration.number).eq(1..=23), "in order, one at a time");
     assert!(iterations.iter().all(|iteration| iteration.warm_up == (iteration.number <= 3)));
@@ -30,7 +30,7 @@ async fn warm_up_and_limit_are_exact() {
         assert!(iteration.tree.find(&["sensing", "transform"]).is_none(), "not configured, not there");
         assert!(value(&iteration.tree, "inference").is_some());
     }
-    let (runs, ended) = (seen.runs(), seen.ended());
+    let (runs, ended) = (received_events.runs(), received_events.ended());
     assert_eq!((runs.len(), ended.len()), (1, 1));
     assert_eq!((ended[0].run, ended[0].reason.as_str()), (runs[0].run, "finished"));
     assert!(iterations.iter().all(|iteration| iteration.run == runs[0].run));
@@ -48,9 +48,9 @@ async fn variables_of_program_are_set_and_recorded_by_name() {
         command = '[ \"$API_KEY\" = hunter2 ] || exit 1; while read x; do echo answer 1 text/plain; printf a; done' }\n\
         actuator = { kind = 'exec', command = 'cat', env = { API_KEY = 'hunter3' } }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), tables).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    assert!(seen.iterations().iter().all(|iteration| iteration.outcome == Outcome::Ok));
-    let first_configuration = seen.runs()[0].configuration.clone();
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    assert!(received_events.iterations().iter().all(|iteration| iteration.outcome == Outcome::Ok));
+    let first_configuration = received_events.runs()[0].configuration.clone();
     assert_eq!(first_configuration.matches("API_KEY = \"(not told)\"").count(), 2, "{first_configuration}");
     assert!(!first_configuration.replace("= hunter2 ]", "").contains("hunter"), "{first_configuration}");
     agent.stop().await.expect("stops well");
@@ -69,15 +69,17 @@ async fn live_statistics_are_bounded_and_exclude_warm_up() {
         }
         seconds.into_values().collect::<Vec<_>>()
     };
-    let seen = aggregator
-        .until(|seen| total(&seen.lives).iter().map(|second| second.counts.total()).sum::<u64>() == 500)
+    let received_events = aggregator
+        .until(|received_events| {
+            total(&received_events.lives).iter().map(|second| second.counts.total()).sum::<u64>() == 500
+        })
         .await;
-    for second in total(&seen.lives) {
+    for second in total(&received_events.lives) {
         let (_, latency) = second.values.iter().find(|(name, _)| *name == "total").expect("totals");
         assert_eq!(latency.count(), second.counts.ok);
         assert!(second.values.len() <= 64);
     }
-    for live in &seen.lives {
+    for live in &received_events.lives {
         assert_eq!(live.pipelines.len(), 1);
         assert!(live.pipelines[0].seconds.len() <= 8);
         assert!(live.pipelines[0].seconds.is_sorted_by(|a, b| a.at > b.at), "newest first");
@@ -93,8 +95,8 @@ async fn episodes_are_numbered_and_a_duration_ends_the_run() {
     let keys = "episode_steps = 4\nwarm_up = { iterations = 0, steps = 1 }\n\
                 load = { mode = 'rate', hz = 200.0 }\nlimit = { duration_s = 0.25 }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), &pipeline(keys)).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    let iterations = seen.iterations();
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let iterations = received_events.iterations();
     assert_contiguous(&iterations);
     for iteration in &iterations {
         let index = iteration.number - 1;
@@ -128,13 +130,13 @@ async fn ended_sensor_finishes_pipeline() {
         folder.path().display()
     );
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    assert_eq!(seen.iterations().len(), 3);
-    for iteration in seen.iterations() {
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    assert_eq!(received_events.iterations().len(), 3);
+    for iteration in received_events.iterations() {
         assert_eq!(iteration.outcome, Outcome::Ok);
         assert!(iteration.tree.find(&["sensing", "transform"]).is_some());
     }
-    assert_eq!(seen.ended()[0].reason, EndReason::Finished);
+    assert_eq!(received_events.ended()[0].reason, EndReason::Finished);
     agent.stop().await.expect("stops well");
 }
 
@@ -144,8 +146,8 @@ async fn sensor_alone_is_measured_until_total() {
     let tables = "[[pipeline]]\nname = 'line'\nsensor = { kind = 'text', length = 100 }\n\
                   placement = { kind = 'none' }\nwarm_up = { iterations = 3 }\nlimit = { total = 20 }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), tables).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    let iterations = seen.iterations();
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let iterations = received_events.iterations();
     assert_eq!(iterations.len(), 20, "the warm-up counts");
     assert_eq!(iterations.iter().filter(|iteration| iteration.warm_up).count(), 3);
     for iteration in &iterations {
@@ -156,10 +158,10 @@ async fn sensor_alone_is_measured_until_total() {
             assert!(iteration.tree.find(&[absent]).is_none(), "{absent}");
         }
     }
-    let placement = &seen.runs()[0].placement;
+    let placement = &received_events.runs()[0].placement;
     assert_eq!((placement.kind, placement.model.as_str()), (PlacementKind::None, "none"));
     assert_eq!((&placement.peer, &placement.device), (&None, &None));
     assert_eq!(agent.pipeline().placement, *placement);
-    assert_eq!(seen.ended()[0].reason, EndReason::Finished);
+    assert_eq!(received_events.ended()[0].reason, EndReason::Finished);
     agent.stop().await.expect("stops well");
 }

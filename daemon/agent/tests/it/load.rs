@@ -20,9 +20,9 @@ async fn overload_counts_skips_and_latency_from_intended_start() {
     let pipeline = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 2\nlimit = { iterations = 40 }";
     let tables = sleeper(40, "workers = 2", pipeline);
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
 
-    let mut iterations = seen.iterations();
+    let mut iterations = received_events.iterations();
     assert_eq!(iterations.len(), 40);
     assert_contiguous(&iterations);
     iterations.sort_by_key(|iteration| iteration.number);
@@ -53,8 +53,8 @@ async fn full_queue_fails_samples_with_reason() {
     let pipeline = "load = { mode = 'rate', hz = 200.0 }\nmax_in_flight = 8\nlimit = { iterations = 30 }";
     let tables = sleeper(50, "workers = 1\nqueue = 1", pipeline);
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    let iterations = seen.iterations();
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let iterations = received_events.iterations();
     assert_eq!(iterations.len(), 30);
     let full = iterations.iter().filter(
         |it| matches!(&it.outcome, Outcome::Failed(reason) if reason.contains("queue of model slow is full")),
@@ -69,9 +69,9 @@ async fn late_answer_is_timeout_and_run_continues() {
     let aggregator = Aggregator::start().await;
     let pipeline = "timeout_ms = 20\nlimit = { iterations = 3 }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), &sleeper(200, "", pipeline)).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    assert_eq!(seen.iterations().len(), 3);
-    for iteration in seen.iterations() {
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    assert_eq!(received_events.iterations().len(), 3);
+    for iteration in received_events.iterations() {
         let Outcome::Timeout(reason) = &iteration.outcome else { panic!("{:?}", iteration.outcome) };
         assert!(
             reason.contains("model slow") && reason.contains("within 20") && reason.contains("timeout_ms"),
@@ -92,8 +92,9 @@ async fn poisson_starts_follow_from_the_seed() {
                         limit = { iterations = 60 }";
         let tables = sleeper(0, "workers = 1\nqueue = 64", pipeline);
         let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-        let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-        let mut starts: Vec<_> = seen.iterations().iter().map(|it| it.tree.anchors()[0].wall).collect();
+        let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+        let mut starts: Vec<_> =
+            received_events.iterations().iter().map(|it| it.tree.anchors()[0].wall).collect();
         starts.sort();
         let tens_of_micros = |pair: &[peernet_clock::WallTime]| ((pair[1] - pair[0]).seconds() * 1e5).round();
         gaps.push(starts.windows(2).map(tens_of_micros).collect::<Vec<_>>());

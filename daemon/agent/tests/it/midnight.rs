@@ -41,16 +41,20 @@ async fn midnight_begins_run_without_warm_up() {
     let shifted_clock = Arc::new(ShiftedClock { real: clock("shifted_clock"), days: AtomicI64::new(0) });
     let clock = Arc::<ShiftedClock>::clone(&shifted_clock);
     let agent = TestAgent::start_on(clock, "edge", Some(&aggregator.address), config(tables)).await;
-    aggregator.until(|seen| seen.iterations().len() >= 10).await;
+    aggregator.until(|received_events| received_events.iterations().len() >= 10).await;
     shifted_clock.days.fetch_add(1, Ordering::SeqCst);
-    let seen =
-        aggregator.until(|seen| seen.iterations().iter().filter(|it| it.number == 10).count() == 2).await;
-    let (runs, ended) = (seen.runs(), seen.ended());
+    let received_events = aggregator
+        .until(|received_events| {
+            received_events.iterations().iter().filter(|it| it.number == 10).count() == 2
+        })
+        .await;
+    let (runs, ended) = (received_events.runs(), received_events.ended());
     assert_eq!((runs.len(), ended.len()), (2, 1));
     assert_eq!((ended[0].run, ended[0].reason.as_str()), (runs[0].run, "finished"));
     assert!(ended[0].ended <= runs[1].started);
     for (run, warm_up) in [(runs[0].run, 5), (runs[1].run, 0)] {
-        let of_run = || seen.iterations().into_iter().filter(move |iteration| iteration.run == run);
+        let of_run =
+            || received_events.iterations().into_iter().filter(move |iteration| iteration.run == run);
         assert!(of_run().map(|iteration| iteration.number).eq(1..=of_run().count() as u64));
         assert_eq!(of_run().filter(|iteration| iteration.warm_up).count(), warm_up);
     }

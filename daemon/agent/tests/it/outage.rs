@@ -49,18 +49,20 @@ async fn edge_waits_for_cloud_that_is_not_up() {
     let edge = TestAgent::start("edge", Some(&aggregator.address), &edge(port, "slow")).await;
     let PipelineState::Waiting(reason) = edge.until_state(is_waiting).await else { unreachable!() };
     assert!(reason.contains(&port.to_string()), "{reason}");
-    let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Disconnected).is_empty()).await;
-    let reported = seen.incidents(IncidentKind::Disconnected)[0].text.clone();
+    let received_events = aggregator
+        .until(|received_events| !received_events.incidents(IncidentKind::Disconnected).is_empty())
+        .await;
+    let reported = received_events.incidents(IncidentKind::Disconnected)[0].text.clone();
     assert!(reported.contains("the pipeline continues automatically"), "{reported}");
-    assert!(seen.runs().is_empty(), "nothing to run yet");
+    assert!(received_events.runs().is_empty(), "nothing to run yet");
 
     let cloud = TestAgent::start("cloud", None, &cloud(port)).await;
-    let seen = aggregator.until(|seen| seen.iterations().len() >= 5).await;
-    assert_eq!(seen.runs().len(), 1);
-    assert_eq!(seen.incidents(IncidentKind::Disconnected).len(), 1, "said once");
+    let received_events = aggregator.until(|received_events| received_events.iterations().len() >= 5).await;
+    assert_eq!(received_events.runs().len(), 1);
+    assert_eq!(received_events.incidents(IncidentKind::Disconnected).len(), 1, "said once");
     // Starts that came due before the first connection are neither late nor skipped: the schedule begins with the
     // run.
-    let (iterations, started) = (seen.iterations(), seen.runs()[0].started);
+    let (iterations, started) = (received_events.iterations(), received_events.runs()[0].started);
     let first = iterations.iter().find(|it| it.number == 1).expect("the first");
     assert_eq!(value(&first.tree, "skipped-starts"), None);
     assert!(iterations.iter().all(|it| it.tree.anchors()[0].wall >= started), "{started:?}");
@@ -73,29 +75,32 @@ async fn dead_cloud_loses_iterations_in_flight_and_run_continues() {
     let (aggregator, port) = (Aggregator::start().await, free_port());
     let first = TestAgent::start("cloud", None, &cloud(port)).await;
     let edge = TestAgent::start("edge", Some(&aggregator.address), &edge(port, "slow")).await;
-    aggregator.until(|seen| seen.iterations().len() >= 10).await;
+    aggregator.until(|received_events| received_events.iterations().len() >= 10).await;
     first.kill();
     let lost = |outcome: &Outcome| matches!(outcome, Outcome::Lost(_));
-    let seen = aggregator.until(|seen| seen.iterations().iter().any(|it| lost(&it.outcome))).await;
-    let before = seen.iterations().len();
-    let iterations = seen.iterations();
+    let received_events = aggregator
+        .until(|received_events| received_events.iterations().iter().any(|it| lost(&it.outcome)))
+        .await;
+    let before = received_events.iterations().len();
+    let iterations = received_events.iterations();
     let reason = iterations.iter().find_map(|it| it.outcome.reason()).expect("a reason");
     assert!(!reason.is_empty());
     edge.until_state(is_waiting).await;
 
     let second = TestAgent::start("cloud", None, &cloud(port)).await;
-    let seen = aggregator.until(|seen| seen.iterations().len() >= before + 20).await;
-    assert_eq!(seen.runs().len(), 1, "the same run");
-    assert!(seen.ended().is_empty());
-    let incidents = seen.incidents(IncidentKind::Disconnected);
+    let received_events =
+        aggregator.until(|received_events| received_events.iterations().len() >= before + 20).await;
+    assert_eq!(received_events.runs().len(), 1, "the same run");
+    assert!(received_events.ended().is_empty());
+    let incidents = received_events.incidents(IncidentKind::Disconnected);
     assert!(
-        incidents.iter().any(|it| it.peer.is_some() && it.run == Some(seen.runs()[0].run)),
+        incidents.iter().any(|it| it.peer.is_some() && it.run == Some(received_events.runs()[0].run)),
         "{incidents:?}"
     );
     edge.stop().await.expect("stops well");
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    assert_contiguous(&seen.iterations());
-    assert_eq!(seen.ended()[0].reason, EndReason::Stopped);
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    assert_contiguous(&received_events.iterations());
+    assert_eq!(received_events.ended()[0].reason, EndReason::Stopped);
     second.stop().await.expect("stops well");
 }
 
@@ -120,15 +125,19 @@ async fn short_outage_while_sensor_waits_loses_no_sample() {
     let first = TestAgent::start("cloud", None, &cloud(port)).await;
     let edge = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
     open().await.expect("opens");
-    aggregator.until(|seen| seen.iterations().len() == 1).await;
+    aggregator.until(|received_events| received_events.iterations().len() == 1).await;
     first.kill();
     edge.until_state(is_waiting).await;
     let second = TestAgent::start("cloud", None, &cloud(port)).await;
     edge.until_state(|state| *state == PipelineState::Running).await;
     open().await.expect("opens");
-    let seen = aggregator.until(|seen| seen.iterations().len() == 2).await;
-    assert!(seen.iterations().iter().all(|it| it.outcome == Outcome::Ok), "{:?}", seen.iterations());
-    assert_eq!(seen.runs().len(), 1, "the same run");
+    let received_events = aggregator.until(|received_events| received_events.iterations().len() == 2).await;
+    assert!(
+        received_events.iterations().iter().all(|it| it.outcome == Outcome::Ok),
+        "{:?}",
+        received_events.iterations()
+    );
+    assert_eq!(received_events.runs().len(), 1, "the same run");
     edge.stop().await.expect("stops well");
     second.stop().await.expect("stops well");
 }
@@ -140,8 +149,10 @@ async fn unknown_model_is_refused_with_list_of_models() {
     let edge = TestAgent::start("edge", None, &edge(port, "fast")).await;
     let PipelineState::Waiting(reason) = edge.until_state(is_waiting).await else { unreachable!() };
     assert!(reason.contains("no model named fast") && reason.contains("slow"), "{reason}");
-    let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Refused).is_empty()).await;
-    let reported = &seen.incidents(IncidentKind::Refused)[0].text;
+    let received_events = aggregator
+        .until(|received_events| !received_events.incidents(IncidentKind::Refused).is_empty())
+        .await;
+    let reported = &received_events.incidents(IncidentKind::Refused)[0].text;
     assert!(
         reported.contains("edge") && reported.contains("line") && reported.contains("fast"),
         "{reported}"
@@ -176,9 +187,11 @@ async fn only_lost_edge_is_incident() {
     let second = TestAgent::start("second", None, &edge(forwarded_port, "slow")).await;
     served.wait_for(|served| served.sessions == 1).await.expect("serves");
     forwarding.abort();
-    let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Disconnected).is_empty()).await;
+    let received_events = aggregator
+        .until(|received_events| !received_events.incidents(IncidentKind::Disconnected).is_empty())
+        .await;
     let lost: Vec<&str> =
-        seen.incidents(IncidentKind::Disconnected).iter().map(|it| it.text.as_str()).collect();
+        received_events.incidents(IncidentKind::Disconnected).iter().map(|it| it.text.as_str()).collect();
     assert!(matches!(lost[..], [text] if text.starts_with("lost the connection to second: ")), "{lost:?}");
     assert_eq!(served.borrow().sessions, 0);
     second.stop().await.expect("stops well");
@@ -195,20 +208,23 @@ async fn connections_ended_without_aggregator_are_counted() {
     edge.until_state(|state| *state == PipelineState::Finished).await;
     edge.until(|live| live.links.is_empty()).await;
 
-    let welcomes = |seen: &ReceivedEvents| {
-        let texts = seen.incidents(IncidentKind::Connected).into_iter().map(|incident| incident.text.clone());
+    let welcomes = |received_events: &ReceivedEvents| {
+        let texts = received_events
+            .incidents(IncidentKind::Connected)
+            .into_iter()
+            .map(|incident| incident.text.clone());
         texts.filter(|text| text.starts_with("connected to the aggregator")).collect::<Vec<_>>()
     };
     let aggregator = Aggregator::restart(absent).await;
-    let seen = aggregator.until(|seen| welcomes(seen).len() == 1).await;
-    let reported = &welcomes(&seen)[0];
+    let received_events = aggregator.until(|received_events| welcomes(received_events).len() == 1).await;
+    let reported = &welcomes(&received_events)[0];
     assert!(reported.contains("1 connection to a cloud ended in the meantime"), "{reported}");
-    aggregator.until(|seen| !seen.lives.is_empty()).await;
+    aggregator.until(|received_events| !received_events.lives.is_empty()).await;
 
     // A number that was reported is not reported again.
     let aggregator = Aggregator::restart(aggregator.stop().await).await;
-    let seen = aggregator.until(|seen| welcomes(seen).len() == 2).await;
-    let reported = &welcomes(&seen)[1];
+    let received_events = aggregator.until(|received_events| welcomes(received_events).len() == 2).await;
+    let reported = &welcomes(&received_events)[1];
     assert!(!reported.contains("ended in the meantime"), "{reported}");
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");

@@ -22,17 +22,17 @@ async fn every_event_arrives_exactly_once_over_reconnects() {
     let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), behaviour).await;
     let keys = "load = { mode = 'rate', hz = 200.0 }\nmax_in_flight = 64\nlimit = { iterations = 300 }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), &pipeline(keys)).await;
-    aggregator.until(|seen| !seen.iterations().is_empty()).await;
+    aggregator.until(|received_events| !received_events.iterations().is_empty()).await;
     let aggregator = Aggregator::restart(aggregator.wait_for_end().await).await;
-    let seen = aggregator.until(|seen| seen.iterations().len() >= 150).await;
-    assert_eq!((seen.hellos, seen.runs().len()), (2, 1));
+    let received_events = aggregator.until(|received_events| received_events.iterations().len() >= 150).await;
+    assert_eq!((received_events.hellos, received_events.runs().len()), (2, 1));
     let aggregator = Aggregator::restart(aggregator.stop().await).await;
 
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    assert_contiguous(&seen.iterations());
-    assert_eq!(seen.iterations().len(), 305);
-    assert!(seen.gaps().is_empty());
-    assert!(seen.hellos >= 3);
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    assert_contiguous(&received_events.iterations());
+    assert_eq!(received_events.iterations().len(), 305);
+    assert!(received_events.gaps().is_empty());
+    assert!(received_events.hellos >= 3);
     assert_eq!(agent.running.live_update().accounting.dropped, 0);
     agent.stop().await.expect("stops well");
 }
@@ -46,11 +46,11 @@ async fn refusal_of_aggregator_is_retried_and_reported_once() {
     let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), behaviour).await;
     let agent =
         TestAgent::start("edge", Some(&aggregator.address), &pipeline("limit = { iterations = 5 }")).await;
-    aggregator.until(|seen| seen.hellos >= 2).await;
+    aggregator.until(|received_events| received_events.hellos >= 2).await;
     let aggregator = Aggregator::restart(aggregator.stop().await).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    assert_eq!(seen.iterations().len(), 10, "measured while the aggregator refused the agent");
-    let refused = seen.incidents(IncidentKind::Refused);
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    assert_eq!(received_events.iterations().len(), 10, "measured while the aggregator refused the agent");
+    let refused = received_events.incidents(IncidentKind::Refused);
     assert_eq!(refused.len(), 1, "{refused:?}");
     assert!(refused[0].text.contains("another host is named edge"), "{}", refused[0].text);
     agent.stop().await.expect("stops well");
@@ -64,9 +64,13 @@ async fn run_starts_are_repeated_to_emptied_aggregator() {
     agent.until(|live| live.accounting.stored >= 20).await;
     let (address, _) = aggregator.stop().await;
     let fresh = Aggregator::restart((address, Arc::default())).await;
-    let seen = fresh.until(|seen| !seen.iterations().is_empty() && !seen.runs().is_empty()).await;
-    assert_eq!(seen.runs()[0].pipeline.as_str(), "line");
-    assert_eq!(seen.runs()[0].run, seen.iterations()[0].run);
+    let received_events = fresh
+        .until(|received_events| {
+            !received_events.iterations().is_empty() && !received_events.runs().is_empty()
+        })
+        .await;
+    assert_eq!(received_events.runs()[0].pipeline.as_str(), "line");
+    assert_eq!(received_events.runs()[0].run, received_events.iterations()[0].run);
     agent.stop().await.expect("stops well");
 }
 
@@ -80,10 +84,12 @@ async fn silent_listener_is_reported_once_and_retried() {
     // The model, the run's two ends and ten iterations; a further event is the report.
     agent.until(|live| live.accounting.waiting > 13).await;
     let aggregator = Aggregator::restart(silent_aggregator.stop().await).await;
-    let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Connected).is_empty()).await;
-    let reported = seen.incidents(IncidentKind::Disconnected);
+    let received_events = aggregator
+        .until(|received_events| !received_events.incidents(IncidentKind::Connected).is_empty())
+        .await;
+    let reported = received_events.incidents(IncidentKind::Disconnected);
     assert_eq!(reported.len(), 1, "{reported:?}");
     assert!(reported[0].text.contains("no aggregator answers there"), "{}", reported[0].text);
-    assert_eq!(seen.iterations().len(), 10);
+    assert_eq!(received_events.iterations().len(), 10);
     agent.stop().await.expect("stops well");
 }

@@ -41,10 +41,10 @@ async fn run(object: &str, keys: &str) -> Vec<Iteration> {
         cloud.address()
     );
     let edge = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
-    seen.iterations().into_iter().cloned().collect()
+    received_events.iterations().into_iter().cloned().collect()
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

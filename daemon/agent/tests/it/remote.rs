@@ -33,9 +33,9 @@ async fn same_clock_gives_exact_delays() {
     let cloud = TestAgent::start("cloud", None, CLOUD).await;
     let tables = edge(&cloud, "echo", "limit = { iterations = 50 }");
     let edge = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
 
-    let iterations = seen.iterations();
+    let iterations = received_events.iterations();
     assert_eq!(iterations.len(), 50);
     for iteration in &iterations {
         assert_eq!(iteration.outcome, Outcome::Ok);
@@ -55,7 +55,7 @@ async fn same_clock_gives_exact_delays() {
         assert!(value(&iteration.tree, "download-throughput").is_some());
         assert_eq!(iteration.tree.anchors().len(), 2, "both hosts are in the tree");
     }
-    let run = seen.runs()[0];
+    let run = received_events.runs()[0];
     let serving_cloud = edge.running.serving_cloud(&run.pipeline).expect("it was served");
     assert_eq!((run.version.as_str(), serving_cloud.version.as_str()), (VERSION, VERSION));
     assert_eq!(run.placement.kind, PlacementKind::Remote);
@@ -64,7 +64,10 @@ async fn same_clock_gives_exact_delays() {
         (run.placement.network.as_deref(), run.placement.device.as_deref()),
         (Some("zmq-tcp"), Some("cpu"))
     );
-    assert_eq!(seen.incidents(IncidentKind::Connected).iter().filter(|it| it.peer.is_some()).count(), 1);
+    assert_eq!(
+        received_events.incidents(IncidentKind::Connected).iter().filter(|it| it.peer.is_some()).count(),
+        1
+    );
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
 }
@@ -76,8 +79,8 @@ async fn several_requests_are_in_flight_at_once() {
     let cloud = TestAgent::start("cloud", None, &cloud).await;
     let keys = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 4\nlimit = { iterations = 60 }";
     let edge = TestAgent::start("edge", Some(&aggregator.address), &edge(&cloud, "slow", keys)).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    let iterations = seen.iterations();
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let iterations = received_events.iterations();
     assert_contiguous(&iterations);
     // The model takes 22 ms: if requests were sent one at a time, the iterations could not overlap.
     let span = |it: &Iteration| {
@@ -102,8 +105,8 @@ async fn overloaded_cloud_is_reported() {
     let cloud = TestAgent::start("cloud", None, &cloud).await;
     let keys = "load = { mode = 'rate', hz = 400.0 }\nmax_in_flight = 16\nlimit = { iterations = 40 }";
     let edge = TestAgent::start("edge", Some(&aggregator.address), &edge(&cloud, "slow", keys)).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    let overloaded = seen.iterations().into_iter().filter(|it| {
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let overloaded = received_events.iterations().into_iter().filter(|it| {
         matches!(&it.outcome, Outcome::Failed(reason) if reason.contains("overloaded") && reason.contains("full"))
     });
     assert!(overloaded.count() > 0);
@@ -118,15 +121,15 @@ async fn late_remote_answer_is_timeout() {
         TestAgent::start("cloud", None, &CLOUD.replace("inference_ms = 20", "inference_ms = 300")).await;
     let keys = "timeout_ms = 30\ndeadline_ms = 20\nlimit = { iterations = 3 }";
     let edge = TestAgent::start("edge", Some(&aggregator.address), &edge(&cloud, "slow", keys)).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    for iteration in seen.iterations() {
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    for iteration in received_events.iterations() {
         let Outcome::Timeout(reason) = &iteration.outcome else { panic!("{:?}", iteration.outcome) };
         for part in ["cloud cloud", "model slow", "within 30", "timeout_ms", "--timeout"] {
             assert!(reason.contains(part), "{part} is missing in {reason}");
         }
     }
-    assert_eq!(seen.iterations().len(), 3);
-    assert!(seen.iterations().iter().all(|it| value(&it.tree, "deadline-missed") == Some(1.0)));
+    assert_eq!(received_events.iterations().len(), 3);
+    assert!(received_events.iterations().iter().all(|it| value(&it.tree, "deadline-missed") == Some(1.0)));
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
 }

@@ -28,13 +28,13 @@ limit = { iterations = 3 }
 async fn run_with_drawn_latencies_says_so() {
     let aggregator = Aggregator::start().await;
     let edge = TestAgent::start("edge", Some(&aggregator.address), LINE).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    let run = seen.runs()[0];
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let run = received_events.runs()[0];
     let fact = |name: &str| run.facts.iter().find(|(known, _)| known == name).map(|(_, text)| text.as_str());
     let expected = "inference is drawn from a log-normal distribution with mean 2 ms and standard deviation 0.5 ms, seed 0";
     assert_eq!(fact("Replayed"), Some(expected));
     assert_eq!((fact("Model"), fact("Inner model")), (Some("replayed latencies"), Some("echo")));
-    for iteration in seen.iterations() {
+    for iteration in received_events.iterations() {
         let value = |path: &[&str]| iteration.tree.find(path).and_then(|(_, node)| node.measure.value());
         let drawn = value(&["inference", "drawn-latency"]);
         assert!(drawn > Some(0.0) && value(&["inference"]) >= drawn, "{drawn:?}");

@@ -12,17 +12,17 @@ const SLOW: &str = "[[model]]\nname = 'slow'\nkind = 'sleep'\ninference_ms = 100
 async fn iterations_in_flight_are_finished_before_stop() {
     let aggregator = Aggregator::start().await;
     let agent = TestAgent::start("edge", Some(&aggregator.address), SLOW).await;
-    aggregator.until(|seen| seen.iterations().len() >= 4).await;
+    aggregator.until(|received_events| received_events.iterations().len() >= 4).await;
     let host = agent.running.live_update().host;
     agent.stop().await.expect("stops well");
-    let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
-    assert_eq!(seen.goodbyes, [host]);
-    let last = seen.lives.last().expect("it sent live states");
+    let received_events = aggregator.until(|received_events| !received_events.goodbyes.is_empty()).await;
+    assert_eq!(received_events.goodbyes, [host]);
+    let last = received_events.lives.last().expect("it sent live states");
     assert_eq!(last.pipelines[0].state, peernet_stream::PipelineState::Finished);
     assert_eq!((last.accounting.waiting, last.accounting.stored), (0, last.accounting.produced));
-    assert_eq!(seen.ended()[0].reason, EndReason::Stopped);
-    assert_contiguous(&seen.iterations());
-    assert!(seen.iterations().iter().all(|iteration| iteration.outcome == Outcome::Ok));
+    assert_eq!(received_events.ended()[0].reason, EndReason::Stopped);
+    assert_contiguous(&received_events.iterations());
+    assert!(received_events.iterations().iter().all(|iteration| iteration.outcome == Outcome::Ok));
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -33,13 +33,17 @@ async fn iterations_beyond_stop_timeout_are_lost() {
         SLOW.replace("inference_ms = 100", "inference_ms = 1500")
     );
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    aggregator.until(|seen| !seen.runs().is_empty()).await;
+    aggregator.until(|received_events| !received_events.runs().is_empty()).await;
     agent.stop().await.expect("stops well");
-    let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.goodbyes.is_empty()).await;
     let lost = |outcome: &Outcome| matches!(outcome, Outcome::Lost(reason) if reason.contains("stopped"));
-    assert!(seen.iterations().iter().any(|iteration| lost(&iteration.outcome)), "{:?}", seen.iterations());
-    assert_contiguous(&seen.iterations());
-    assert_eq!(seen.ended().len(), 1);
+    assert!(
+        received_events.iterations().iter().any(|iteration| lost(&iteration.outcome)),
+        "{:?}",
+        received_events.iterations()
+    );
+    assert_contiguous(&received_events.iterations());
+    assert_eq!(received_events.ended().len(), 1);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -50,10 +54,10 @@ async fn stop_does_not_wait_for_slow_model() {
         SLOW.replace("inference_ms = 100", "inference_ms = 86400000")
     );
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    aggregator.until(|seen| !seen.runs().is_empty()).await;
+    aggregator.until(|received_events| !received_events.runs().is_empty()).await;
     agent.stop().await.expect("stops well");
-    let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
-    assert_eq!(seen.ended().len(), 1);
+    let received_events = aggregator.until(|received_events| !received_events.goodbyes.is_empty()).await;
+    assert_eq!(received_events.ended().len(), 1);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

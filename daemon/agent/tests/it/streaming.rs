@@ -109,10 +109,13 @@ async fn pipeline_waits_for_server_of_its_model() {
     assert!(reason.contains(&address.to_string()) && reason.contains("start the server"), "{reason}");
     let end = "data: {\"choices\":[{\"delta\":{},\"finish_reason\":\"stop\"}]}\n\ndata: [DONE]\n\n";
     let (_, _closings) = serve(TcpListener::bind(address).expect("the port is still free"), Some(end));
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    assert!(seen.iterations().iter().all(|iteration| iteration.outcome == Outcome::Ok));
-    assert_eq!((seen.iterations().len(), seen.incidents(IncidentKind::Disconnected).len()), (2, 1));
-    let connected = seen.incidents(IncidentKind::Connected);
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    assert!(received_events.iterations().iter().all(|iteration| iteration.outcome == Outcome::Ok));
+    assert_eq!(
+        (received_events.iterations().len(), received_events.incidents(IncidentKind::Disconnected).len()),
+        (2, 1)
+    );
+    let connected = received_events.incidents(IncidentKind::Connected);
     assert!(
         connected.iter().any(|incident| incident.text.contains("its server answers now")),
         "{connected:?}"
@@ -126,9 +129,9 @@ async fn first_part_of_answer_is_timed_across_network() {
     let aggregator = Aggregator::start().await;
     let cloud = TestAgent::start("cloud", None, &cloud_tables(server)).await;
     let edge = TestAgent::start("edge", Some(&aggregator.address), &edge_tables(&cloud, "")).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    assert_eq!(seen.iterations().len(), 3);
-    for iteration in seen.iterations() {
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    assert_eq!(received_events.iterations().len(), 3);
+    for iteration in received_events.iterations() {
         assert_eq!(iteration.outcome, Outcome::Ok);
         let tree = &iteration.tree;
         assert_eq!(value(tree, "parts"), Some(CHUNKS as f64));
@@ -154,8 +157,8 @@ async fn timeout_at_edge_stops_language_model() {
     let cloud = TestAgent::start("cloud", None, &cloud_tables(server)).await;
     let tables = edge_tables(&cloud, "timeout_ms = 200");
     let edge = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    assert!(seen.iterations().iter().all(|it| matches!(it.outcome, Outcome::Timeout(_))));
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    assert!(received_events.iterations().iter().all(|it| matches!(it.outcome, Outcome::Timeout(_))));
     // The connection to the server is closed long before the time limits of the model.
     let closing = tokio::task::spawn_blocking(move || closings.recv().expect("the server runs"));
     tokio::time::timeout(std::time::Duration::from_secs(8), closing)

@@ -26,8 +26,8 @@ async fn run_with_actuator(actuator: &str) -> (Vec<Iteration>, Vec<u64>) {
     );
     let aggregator = Aggregator::start().await;
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    let mut iterations: Vec<Iteration> = seen.iterations().into_iter().cloned().collect();
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let mut iterations: Vec<Iteration> = received_events.iterations().into_iter().cloned().collect();
     iterations.sort_by_key(|iteration| iteration.number);
     agent.stop().await.expect("stops well");
     let acted = std::fs::read_to_string(&file).expect("the actuator wrote it");
@@ -107,8 +107,8 @@ async fn answers_of_one_batch_are_acted_on_in_order() {
     );
     let aggregator = Aggregator::start().await;
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    let iterations = seen.iterations();
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let iterations = received_events.iterations();
     agent.stop().await.expect("stops well");
     assert_eq!(iterations.len(), 400);
     let superseded = iterations.iter().filter(|iteration| value(&iteration.tree, "superseded").is_some());

@@ -47,19 +47,19 @@ async fn program_receives_events_and_missed_ones_are_counted() {
         let events_missed_by_tap = running.events_missed_by_tap();
         stop.cancel();
         running.join().await.expect("stops well");
-        let mut seen = Vec::new();
+        let mut received_events = Vec::new();
         while let Some(event) = events.recv().await {
-            seen.push(event);
+            received_events.push(event);
         }
-        let iterations = seen.iter().filter(|event| matches!(event, Event::Iteration(_))).count();
-        let ended = seen.iter().filter(|event| matches!(event, Event::RunEnded(_))).count();
+        let iterations = received_events.iter().filter(|event| matches!(event, Event::Iteration(_))).count();
+        let ended = received_events.iter().filter(|event| matches!(event, Event::RunEnded(_))).count();
         if capacity > 104 {
             // The loading and the unloading of the model, the run's two ends and a hundred iterations.
-            assert_eq!(seen.len(), 104);
+            assert_eq!(received_events.len(), 104);
             assert_eq!((iterations, ended, events_missed_by_tap), (100, 1, 0));
         } else {
             // The model was unloaded after the missed events had been counted.
-            assert_eq!((seen.len(), events_missed_by_tap), (capacity, 93));
+            assert_eq!((received_events.len(), events_missed_by_tap), (capacity, 93));
         }
     }
 }

@@ -20,9 +20,9 @@ async fn broken_picture_fails_iteration_and_run_continues() {
         folder.path().display()
     );
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    assert_contiguous(&seen.iterations());
-    for iteration in seen.iterations() {
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    assert_contiguous(&received_events.iterations());
+    for iteration in received_events.iterations() {
         match &iteration.outcome {
             Outcome::Failed(reason) if iteration.number % 4 == 3 => {
                 assert!(reason.contains("c.png"), "{reason}");
@@ -31,7 +31,7 @@ async fn broken_picture_fails_iteration_and_run_continues() {
             outcome => assert_eq!((outcome, iteration.number % 4 != 3), (&Outcome::Ok, true)),
         }
     }
-    assert_eq!(seen.iterations().len(), 8);
+    assert_eq!(received_events.iterations().len(), 8);
     agent.stop().await.expect("stops well");
 }
 
@@ -49,8 +49,8 @@ async fn traceback_becomes_reason_of_one_line() {
         folder.path().display()
     );
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    let iterations = seen.iterations();
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let iterations = received_events.iterations();
     let reason = iterations[0].outcome.reason().expect("it failed");
     assert!(reason.contains("out of focus") && reason.contains("in sample"), "{reason}");
     assert!(!reason.contains(char::is_control), "{reason:?}");
@@ -108,14 +108,14 @@ async fn missing_pictures_are_reported_once() {
         folder.path().display()
     );
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    aggregator.until(|seen| seen.iterations().len() >= 3).await;
+    aggregator.until(|received_events| received_events.iterations().len() >= 3).await;
     std::fs::remove_file(folder.path().join("a.png")).expect("removed");
     let failed = |outcome: &Outcome| matches!(outcome, Outcome::Failed(_));
-    let many = |seen: &crate::harness::ReceivedEvents| {
-        seen.iterations().iter().filter(|iteration| failed(&iteration.outcome)).count() >= 30
+    let many = |received_events: &crate::harness::ReceivedEvents| {
+        received_events.iterations().iter().filter(|iteration| failed(&iteration.outcome)).count() >= 30
     };
-    let seen = aggregator.until(many).await;
-    let reported = seen.incidents(IncidentKind::PipelineFailed);
+    let received_events = aggregator.until(many).await;
+    let reported = received_events.incidents(IncidentKind::PipelineFailed);
     assert_eq!(reported.len(), 1, "{reported:?}");
     assert!(reported[0].text.contains("a.png"), "{}", reported[0].text);
     agent.until_state(|state| *state == PipelineState::Running).await;
@@ -135,11 +135,14 @@ async fn pipeline_failing_to_start_reports_reason_and_spares_others() {
         [[pipeline]]\nname = 'sound'\nsensor = { kind = 'synthetic', size_bytes = 1 }\n\
         placement = { kind = 'local', model = 'echo' }\nlimit = { iterations = 10 }\n";
     let agent = TestAgent::start("edge", Some(&aggregator.address), tables).await;
-    let seen = aggregator
-        .until(|seen| seen.ended().len() == 1 && seen.incidents(IncidentKind::PipelineFailed).len() == 2)
+    let received_events = aggregator
+        .until(|received_events| {
+            received_events.ended().len() == 1
+                && received_events.incidents(IncidentKind::PipelineFailed).len() == 2
+        })
         .await;
-    assert_eq!(seen.iterations().len(), 15);
-    assert_eq!(seen.incidents(IncidentKind::ModelLoaded).len(), 1);
+    assert_eq!(received_events.iterations().len(), 15);
+    assert_eq!(received_events.incidents(IncidentKind::ModelLoaded).len(), 1);
     let live = agent.running.live_update();
     let state = |name: &str| {
         let found = live.pipelines.iter().find(|pipeline| pipeline.pipeline.as_str() == name);
@@ -168,8 +171,8 @@ async fn timeout_names_cancelled_request_that_holds_the_worker() {
         folder.path().display()
     );
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    let mut iterations = seen.iterations();
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let mut iterations = received_events.iterations();
     iterations.sort_by_key(|iteration| iteration.number);
     let reason = |index: usize| iterations[index].outcome.reason().expect("it has no answer");
     assert!(reason(0).contains("if it needs longer, raise timeout_ms"), "{}", reason(0));

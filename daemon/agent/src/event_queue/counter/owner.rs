@@ -72,6 +72,7 @@ impl CountOwner {
         }
     }
 
+    /// Returns whether the nearest existing folder of the path is on the device on which the file was.
     fn nearest_folder_is_on_same_device(&self) -> bool {
         let mut folders = self.path.ancestors().skip(1);
         folders
@@ -79,6 +80,7 @@ impl CountOwner {
             .is_some_and(|metadata| metadata.dev() == self.device)
     }
 
+    /// Encodes the identity in at most [`OWNER_BYTES`] bytes: four numbers, the length of the path, and the path.
     pub(super) fn encode(&self) -> Vec<u8> {
         let numbers =
             [self.device, self.inode, self.created, self.mount_namespace].map(u64::to_be_bytes).concat();
@@ -87,6 +89,7 @@ impl CountOwner {
         [&numbers[..], &length, path].concat()
     }
 
+    /// Decodes an identity; `None` if the bytes are too short.
     pub(super) fn decode(bytes: &[u8]) -> Option<Self> {
         let (numbers, rest) = bytes.split_at_checked(NUMBERS_BYTES - 2)?;
         let number =

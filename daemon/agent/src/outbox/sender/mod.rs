@@ -199,6 +199,7 @@ impl Sender {
         self.is_unreachable = true;
     }
 
+    /// Records the losses, sends the last frames, and closes the connection and the spool.
     async fn close(mut self, connection_state: ConnectionState) {
         let close_deadline = Instant::now() + CLOSE_TIMEOUT;
         self.record_losses(close_deadline).await;

@@ -98,6 +98,7 @@ impl Sender {
         true
     }
 
+    /// Reports a notice of the state machine, and does what it requires.
     fn handle_notice(&mut self, notice: Notice) {
         match notice {
             Notice::Welcomed { aggregator, stored, aggregator_lost_batches } => {
@@ -126,6 +127,7 @@ impl Sender {
         }
     }
 
+    /// Returns the state on which the end of the shutdown depends.
     pub(super) fn state(&self) -> OutboxState {
         let account = self.machine.accounting();
         OutboxState {
@@ -143,6 +145,7 @@ impl Sender {
         account
     }
 
+    /// Publishes the counts of events if they changed, and logs when events are dropped.
     pub(super) fn publish(&mut self) {
         let account = self.current_accounting();
         self.reports.report_dropping(&account, self.clock.mono());

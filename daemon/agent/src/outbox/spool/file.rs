@@ -14,7 +14,7 @@ use tokio::task::JoinHandle;
 
 use super::error::SpoolFileError;
 use super::killed_process;
-use super::open::chain;
+use super::open::chain_from_column;
 use super::quarantine::with_suffix;
 use super::reserve::Reserve;
 use super::statements::{checkpoint, delete, insert, vacuum, vacuum_all};
@@ -264,7 +264,7 @@ impl SpoolFile {
         .fetch_optional(&mut self.connection)
         .await
         .map_err(self.file_error("read"))?;
-        Ok(bytes.and_then(|bytes| chain(&bytes).ok()))
+        Ok(bytes.and_then(|bytes| chain_from_column(&bytes).ok()))
     }
 
     /// Reads one batch and checks its chain. The inner error is damage of this batch only.
@@ -281,7 +281,7 @@ impl SpoolFile {
                 .map_err(self.file_error("read"))?;
         let Some((since, events, stored_chain, body)) = row else { return Ok(Err(BatchDamage::Missing)) };
         let since = WallTime::from_unix_nanos(since);
-        Ok(match chain(&stored_chain) {
+        Ok(match chain_from_column(&stored_chain) {
             // The first batch after a gap cannot be checked here; the next batch can.
             Ok(chain) if previous_chain.is_none_or(|previous| previous.next(events, &body) == chain) => {
                 Ok(SpooledBatch { number, since, events, chain, body: Bytes::from(body) })
@@ -329,6 +329,7 @@ impl SpoolFile {
         }
     }
 
+    /// Returns a function that adds the attempted action and the path to an error of SQLite.
     fn file_error(&self, action: &'static str) -> impl Fn(sqlx::Error) -> SpoolFileError + use<> {
         let path = self.path.clone();
         move |source| SpoolFileError::new(action, path.clone(), source)
@@ -363,6 +364,7 @@ impl WriteAheadLog {
     }
 }
 
+/// Returns device and inode of the file at a path.
 fn identity(path: &Path) -> io::Result<(u64, u64)> {
     std::fs::metadata(path).map(|file| (file.dev(), file.ino()))
 }

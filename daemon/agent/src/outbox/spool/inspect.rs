@@ -206,7 +206,8 @@ impl Inspection {
         (self.acknowledged, self.produced, self.dropped) =
             (stream.acknowledged, stream.produced, stream.dropped);
         self.lost_when_killed = lost_when_killed(connection).await?;
-        let (mut previous_number, mut previous_chain) = (stream.acknowledged, chain(&stream.chain));
+        let (mut previous_number, mut previous_chain) =
+            (stream.acknowledged, chain_from_bytes(&stream.chain));
         let mut rows = sqlx::query_as::<_, Batch>(
             "SELECT number, since_ns, events, chain, body FROM batch ORDER BY number",
         )
@@ -214,7 +215,7 @@ impl Inspection {
         let (mut altered, mut gaps) = (Vec::new(), Vec::new());
         while let Some(batch) = rows.try_next().await? {
             let is_consecutive = batch.number == previous_number + 1;
-            let stored_chain = chain(&batch.chain);
+            let stored_chain = chain_from_bytes(&batch.chain);
             if !is_consecutive {
                 gaps.push(batch.number);
             }
@@ -226,7 +227,7 @@ impl Inspection {
                 altered.push(batch.number);
             }
             (previous_number, previous_chain) = (batch.number, stored_chain);
-            self.count(&batch);
+            self.count_batch(&batch);
         }
         if let Some(first) = altered.first() {
             self.damages.push(SpoolDamage::Altered { batches: altered.len(), first: *first });
@@ -235,7 +236,7 @@ impl Inspection {
         Ok(())
     }
 
-    fn count(&mut self, batch: &Batch) {
+    fn count_batch(&mut self, batch: &Batch) {
         self.batches += 1;
         self.waiting_range =
             Some((self.waiting_range.map_or(batch.number, |(first, _)| first), batch.number));
@@ -252,7 +253,7 @@ impl Batch {
     }
 }
 
-fn chain(bytes: &[u8]) -> Option<Chain> {
+fn chain_from_bytes(bytes: &[u8]) -> Option<Chain> {
     bytes.try_into().ok().map(Chain::from_bytes)
 }
 

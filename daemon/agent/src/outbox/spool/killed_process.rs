@@ -227,6 +227,8 @@ async fn write_state(
     write_unreported(connection, state.totals.reported_drops, &state.unreported).await
 }
 
+/// Replaces the losses that no gap has reported yet. `reported_through` is the number of dropped events that gaps have
+/// reported so far.
 async fn write_unreported(
     connection: &mut SqliteConnection,
     mut reported_through: u64,

@@ -159,6 +159,7 @@ async fn connect_despite_full_disk(
     }
 }
 
+/// Opens the connection and prepares the file, or closes the connection if that fails.
 async fn connect(path: &Path, host: HostId, counts_events: bool) -> Result<ConnectedSpool, SpoolError> {
     if let Some(reason) = quarantine_reason(path) {
         return Err(SpoolError::Damaged { path: path.to_owned(), defect: SpoolDefect::Condemned(reason) });
@@ -178,6 +179,8 @@ async fn connect(path: &Path, host: HostId, counts_events: bool) -> Result<Conne
     }
 }
 
+/// Creates or migrates the tables, and reads the state of the stream. `counts_events` is `true` if this process counts
+/// its events in a new counter.
 async fn prepare(
     path: &Path,
     host: HostId,
@@ -317,16 +320,20 @@ async fn newest_sent_batches(connection: &mut SqliteConnection) -> Result<Vec<Ne
 }
 
 impl StreamRow {
+    /// Returns the state of the spool for the state machine.
+    ///
+    /// # Errors
+    /// When the row is inconsistent with the waiting batches.
     fn into_state(
         self,
         waiting: WaitingTotals,
         newest_sent: Vec<NewestSentBatch>,
     ) -> Result<SpoolState, SpoolDefect> {
         let id = |text: &str| text.parse().map_err(|_| SpoolDefect::StreamId(text.to_owned()));
-        let acknowledged_chain = chain(&self.chain)?;
+        let acknowledged_chain = chain_from_column(&self.chain)?;
         let acknowledged = self.acknowledged.cast_unsigned();
         let newest = match (waiting.newest, waiting.chain) {
-            (Some(newest), Some(bytes)) => (newest.cast_unsigned(), chain(&bytes)?),
+            (Some(newest), Some(bytes)) => (newest.cast_unsigned(), chain_from_column(&bytes)?),
             _ => (acknowledged, acknowledged_chain),
         };
         if newest.0 < acknowledged || self.first.cast_unsigned() > acknowledged + 1 {
@@ -370,7 +377,7 @@ impl StreamRow {
 }
 
 /// Reads a chain from a column.
-pub(super) fn chain(bytes: &[u8]) -> Result<Chain, SpoolDefect> {
+pub(super) fn chain_from_column(bytes: &[u8]) -> Result<Chain, SpoolDefect> {
     let bytes = <[u8; 16]>::try_from(bytes).map_err(|_| SpoolDefect::ChainLength(bytes.len()))?;
     Ok(Chain::from_bytes(bytes))
 }

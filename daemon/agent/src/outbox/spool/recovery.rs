@@ -15,7 +15,7 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
 
 use super::error::is_corrupt;
 use super::inspect::read_only_options;
-use super::open::{MIGRATIONS, chain, set_application_id, settings};
+use super::open::{MIGRATIONS, chain_from_column, set_application_id, settings};
 use super::quarantine::with_suffix;
 
 /// Tables that are copied whole: the state of the stream.
@@ -88,6 +88,7 @@ fn remove(spool: &Path) {
     }
 }
 
+/// Creates the new spool, if the damaged one belongs to `host`.
 async fn create(
     source: &mut SqliteConnection,
     file_bytes: u64,
@@ -106,6 +107,7 @@ async fn create(
     result
 }
 
+/// Copies the state and the intact batches to the new spool, in one transaction.
 async fn fill(
     source: &mut SqliteConnection,
     target: &mut SqliteConnection,
@@ -160,7 +162,7 @@ async fn copy_batches(
 ) -> Result<RecoveredBatches, RecoveryError> {
     let (acknowledged, first_chain): (i64, Vec<u8>) =
         sqlx::query_as("SELECT acknowledged, chain FROM stream WHERE id = 1").fetch_one(&mut *target).await?;
-    let mut previous: Chain = chain(&first_chain).map_err(|_| RecoveryError::NoBatch)?;
+    let mut previous: Chain = chain_from_column(&first_chain).map_err(|_| RecoveryError::NoBatch)?;
     let mut recovered = RecoveredBatches::default();
     let mut number = acknowledged;
     loop {

@@ -102,6 +102,7 @@ impl SpoolTask {
     }
 }
 
+/// Executes requests until their channel is closed, and closes the file.
 async fn run(
     mut file: SpoolFile,
     sync_interval: Duration,

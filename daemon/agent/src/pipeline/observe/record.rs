@@ -102,6 +102,7 @@ fn start_and_end(input: &Input, output: &ReceivedMessage) -> (Stamp, Stamp) {
     (started, if output_received.mono < started.mono { started } else { output_received })
 }
 
+/// Adds the values of both messages of a pair, and of their topics, to a tree; `at` is the end of the iteration.
 fn add_topics(
     tree: &mut Tree,
     input: &Input,
@@ -131,6 +132,7 @@ pub(super) fn unanswered(
     iteration::close(log, &started_iteration(position, started), ended.mono, true, None)
 }
 
+/// Adds the values of one message and of its topic to a tree, at `at` after the start of the iteration.
 fn add_topic(tree: &mut Tree, names: &TopicNames, received: &ReceivedMessage, at: Span, missing: u64) {
     let ReceivedMessage { message, arrival, .. } = received;
     let mut add_seconds = |name: &Name, span: Option<Span>| {
@@ -138,7 +140,7 @@ fn add_topic(tree: &mut Tree, names: &TopicNames, received: &ReceivedMessage, at
             tree.add(NodeId::ROOT, name.clone(), at, Measure::Value(span.seconds(), Unit::SECONDS));
         }
     };
-    add_seconds(&names.age, age(message));
+    add_seconds(&names.age, message_age(message));
     add_seconds(&names.period, arrival.period);
     add_seconds(&names.jitter, arrival.jitter);
     let bytes = Measure::Value(message.length as f64, Unit::BYTES);
@@ -152,7 +154,8 @@ fn add_count(tree: &mut Tree, name: Name, at: Span, count: u64) {
     tree.add(NodeId::ROOT, name, at, Measure::Value(count as f64, Unit::NONE));
 }
 
-fn age(message: &TopicMessage) -> Option<Span> {
+/// Returns the time from `header.stamp` to the reception; `None` without a stamp, or beyond [`MAX_AGE`].
+fn message_age(message: &TopicMessage) -> Option<Span> {
     let age = message.received.wall - WallTime::from_unix_nanos(message.stamp?);
     // A stamp of a simulation or of a stopped clock would make the age meaningless.
     (age.abs() <= MAX_AGE).then_some(age)

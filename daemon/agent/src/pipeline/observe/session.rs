@@ -148,7 +148,7 @@ impl<'a> Observation<'a> {
                     }
                     Err(error) => return SessionEnd::SourceLost(error.into()),
                 },
-                settled = next_settled(&mut self.peer) => record(settled, run, runner),
+                settled = next_settled(&mut self.peer) => record_pair(settled, run, runner),
                 () = pause => {}
                 () = &mut drain_deadline, if is_stopping => {
                     self.abandon("the agent stopped before the output message came", run, runner).await;
@@ -165,7 +165,7 @@ impl<'a> Observation<'a> {
             record_lost(&input, reason.to_owned(), run, runner);
         }
         if let Some(peer) = &mut self.peer {
-            peer.abandon().await.into_iter().for_each(|settled_pair| record(settled_pair, run, runner));
+            peer.abandon().await.into_iter().for_each(|settled_pair| record_pair(settled_pair, run, runner));
         }
     }
 
@@ -186,6 +186,7 @@ impl<'a> Observation<'a> {
         }
     }
 
+    /// Handles an input message: starts an iteration.
     fn handle_input(&mut self, message: TopicMessage, run: &mut Run, runner: &Runner) {
         let at = message.received.mono;
         if at < self.since {
@@ -216,6 +217,7 @@ impl<'a> Observation<'a> {
         }
     }
 
+    /// Handles an output message: completes the iteration of its input message.
     fn handle_output(&mut self, message: TopicMessage, run: &mut Run, runner: &Runner) {
         let at = message.received.mono;
         if at < self.since {
@@ -244,6 +246,7 @@ impl<'a> Observation<'a> {
         }
     }
 
+    /// Records the iteration that a resolution completes, or queries the peer for its stamps first.
     fn settle(&mut self, resolution: Resolution<Input, ReceivedMessage>, run: &mut Run, runner: &Runner) {
         match resolution {
             Resolution::Paired { input, output } => {
@@ -258,7 +261,7 @@ impl<'a> Observation<'a> {
                         None => Some(Box::new(pair)),
                     };
                     if let Some(pair) = unqueried_pair {
-                        record(record_without_peer(host, &pair), run, runner);
+                        record_pair(record_without_peer(host, &pair), run, runner);
                     }
                     return;
                 }
@@ -298,10 +301,12 @@ async fn next_settled(peer: &mut Option<PeerStamps>) -> SettledPair {
     }
 }
 
-fn record(SettledPair { position, tree, ended }: SettledPair, run: &mut Run, runner: &Runner) {
+/// Records the iteration of a pair.
+fn record_pair(SettledPair { position, tree, ended }: SettledPair, run: &mut Run, runner: &Runner) {
     run.record(position, Outcome::Ok, tree, ended, &runner.context, &runner.live_state);
 }
 
+/// Records the iteration of an input message that has no output message as lost.
 fn record_lost(input: &Input, reason: String, run: &mut Run, runner: &Runner) {
     let host = &runner.context.host;
     let ended = host.clock.stamp();

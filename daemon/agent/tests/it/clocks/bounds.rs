@@ -12,10 +12,10 @@ async fn every_delay_is_bounded_from_first_exchange_on() {
     let load = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 4\nlimit = { iterations = 250 }";
     let tables = config(&pipeline("line", &cloud, load));
     let edge = TestAgent::start_with("edge", Some(&aggregator.address), tables, "edge").await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
 
-    assert_eq!(seen.iterations().len(), 250);
-    for iteration in seen.iterations() {
+    assert_eq!(received_events.iterations().len(), 250);
+    for iteration in received_events.iterations() {
         for name in DELAY_NAMES {
             let delay = delay(iteration, name);
             assert_holds(&delay, delay.raw);
@@ -37,8 +37,8 @@ async fn every_delay_is_bounded_from_first_exchange_on() {
     }
     edge.stop().await.expect("stops well");
 
-    let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
-    let samples = seen.clocks();
+    let received_events = aggregator.until(|received_events| !received_events.goodbyes.is_empty()).await;
+    let samples = received_events.clocks();
     assert!(samples.len() >= 3, "two and a half seconds: {samples:?}");
     let judged: u32 = samples.iter().filter_map(|sample| sample.up).map(|up| up.count).sum();
     assert_eq!(judged, 250);
@@ -56,7 +56,9 @@ async fn every_delay_is_bounded_from_first_exchange_on() {
     }
     // The live updates have the same data: every verdict is counted, and each has its error bar.
     let mut seconds = std::collections::BTreeMap::new();
-    for second in seen.lives.iter().flat_map(|live| &live.pipelines).flat_map(|pipeline| &pipeline.seconds) {
+    for second in
+        received_events.lives.iter().flat_map(|live| &live.pipelines).flat_map(|pipeline| &pipeline.seconds)
+    {
         seconds.insert(second.at, second.clone());
     }
     let mut verdicts = 0;
@@ -90,13 +92,13 @@ async fn wrong_clock_does_not_change_delays() {
         let load = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 4\nlimit = { iterations = 200 }";
         let tables = config(&pipeline("line", &cloud, load));
         let edge = TestAgent::start_on(edge_clock, "edge", Some(&aggregator.address), tables).await;
-        let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+        let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
 
-        assert_eq!(seen.iterations().len(), 200);
+        assert_eq!(received_events.iterations().len(), 200);
         let true_time = |faults: &Option<ClockFaults>, shown| {
             faults.as_ref().map_or(shown, |faults| truth(faults, shown))
         };
-        for iteration in seen.iterations() {
+        for iteration in received_events.iterations() {
             let (sent, received, delay) = transit(iteration, "upload");
             assert_holds(&delay, true_time(&cloud_faults, received) - true_time(&edge_faults, sent));
             assert_eq!(delay.raw, received - sent, "raw is kept as it was");
@@ -105,7 +107,7 @@ async fn wrong_clock_does_not_change_delays() {
             assert_eq!(delay.raw, received - sent, "raw is kept as it was");
             assert_adds_up(iteration);
         }
-        let facts = &seen.runs()[0].facts;
+        let facts = &received_events.runs()[0].facts;
         let fact = |name: &str| facts.iter().find(|(key, _)| key == name).map(|(_, text)| text.as_str());
         let expected = if edge_faults.is_some() {
             (Some("offset -1000 ms, drift -40 ppm"), None)

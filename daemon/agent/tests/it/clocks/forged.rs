@@ -114,9 +114,9 @@ async fn forged_answers_to_probes_reach_no_delay() {
         reason.contains("not authenticated by the key") && reason.ends_with(" refused)")
     };
     edge.until(|live| live.links.iter().any(|link| is_refused(&link.probing))).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
     let mut judged = 0;
-    for iteration in seen.iterations() {
+    for iteration in received_events.iterations() {
         for name in DELAY_NAMES {
             let delay = delay(iteration, name);
             assert!(delay.raw > Span::from_millis(19), "{delay:?}");
@@ -129,13 +129,16 @@ async fn forged_answers_to_probes_reach_no_delay() {
     }
     assert!(judged > 500, "{judged}");
     edge.stop().await.expect("stops well");
-    let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
-    let counts = seen.clocks().iter().fold((0, 0), |(answered, lost), sample| {
+    let received_events = aggregator.until(|received_events| !received_events.goodbyes.is_empty()).await;
+    let counts = received_events.clocks().iter().fold((0, 0), |(answered, lost), sample| {
         (answered + sample.probes.answered, lost + sample.probes.lost)
     });
     assert!(counts.0 == 0 && counts.1 > 0, "{counts:?}");
-    assert!(seen.clocks().iter().any(|sample| sample.probes.refused > 0), "each is counted in its second");
-    let probed = seen.clocks().into_iter().filter(|sample| sample.probes.sent > 0);
+    assert!(
+        received_events.clocks().iter().any(|sample| sample.probes.refused > 0),
+        "each is counted in its second"
+    );
+    let probed = received_events.clocks().into_iter().filter(|sample| sample.probes.sent > 0);
     for sample in probed {
         assert_eq!(sample.basis.and_then(|basis| basis.probes_authenticated), Some(true));
     }

@@ -84,10 +84,10 @@ async fn each_network_of_pair_has_all_probe_results() {
     .await;
     // Both sessions end, one a little earlier.
     edge.stop().await.expect("stops well");
-    let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.goodbyes.is_empty()).await;
     for network in ["zmq-tcp", "zmq-udp"] {
         let (mut sent, mut ended) = (0, 0);
-        for sample in seen.clocks().iter().filter(|sample| sample.network.to_string() == network) {
+        for sample in received_events.clocks().iter().filter(|sample| sample.network.to_string() == network) {
             sent += sample.probes.sent;
             ended += sample.probes.answered + sample.probes.lost;
         }

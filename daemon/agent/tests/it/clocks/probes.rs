@@ -30,9 +30,9 @@ async fn delays_are_bounded_by_data_without_probes() {
             live.links.iter().any(|link| matches!(&link.probing, Probing::Off(text) if text.contains(reason)))
         })
         .await;
-        let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-        assert_eq!(seen.iterations().len(), 60);
-        for iteration in seen.iterations() {
+        let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+        assert_eq!(received_events.iterations().len(), 60);
+        for iteration in received_events.iterations() {
             for name in DELAY_NAMES {
                 let delay = delay(iteration, name);
                 assert_holds(&delay, delay.raw);
@@ -45,9 +45,9 @@ async fn delays_are_bounded_by_data_without_probes() {
             }
         }
         edge.stop().await.expect("stops well");
-        let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
-        assert!(!seen.clocks().is_empty());
-        for sample in seen.clocks() {
+        let received_events = aggregator.until(|received_events| !received_events.goodbyes.is_empty()).await;
+        assert!(!received_events.clocks().is_empty());
+        for sample in received_events.clocks() {
             assert_eq!((sample.probes.sent, sample.round_trip), (0, None));
             assert!(sample.upper.is_some() && sample.lower.is_some() && sample.exchanges.accepted > 0);
         }
@@ -100,10 +100,10 @@ async fn key_only_at_edge_is_named_as_reason() {
     let names_key = |probing: &Probing| matches!(probing, Probing::Unanswered { reason: Some(reason), .. } if reason.contains("same key"));
     edge.until(|live| live.links.iter().any(|link| names_key(&link.probing))).await;
     edge.stop().await.expect("stops well");
-    let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.goodbyes.is_empty()).await;
     // Probes that were in flight when the edge stopped are also lost.
     let (mut sent, mut lost) = (0, 0);
-    for sample in seen.clocks() {
+    for sample in received_events.clocks() {
         (sent, lost) = (sent + sample.probes.sent, lost + sample.probes.lost);
         assert_eq!(sample.probes.answered, 0);
     }

@@ -29,12 +29,12 @@ fn true_time(faults: Option<&ClockFaults>, shown: WallTime, near: WallTime) -> W
 
 /// Returns the number of delays after the step whose verdict is good.
 fn count_good_delays(
-    seen: &ReceivedEvents,
+    received_events: &ReceivedEvents,
     edge: Option<&ClockFaults>,
     cloud: Option<&ClockFaults>,
 ) -> usize {
     let mut good = 0;
-    for iteration in seen.iterations() {
+    for iteration in received_events.iterations() {
         let moved = Span::from_seconds(1);
         let (sent, received, up) = transit(iteration, "upload");
         let (left, back, down) = transit(iteration, "download");
@@ -77,25 +77,33 @@ async fn wall_clock_set_in_mid_run_reaches_no_delay() {
         let tables = config(&pipeline("line", &cloud, LOAD));
         let edge =
             TestAgent::start_on(clock_of("edge", on_edge), "edge", Some(&aggregator.address), tables).await;
-        aggregator.until(|seen| seen.iterations().len() >= 50 && !seen.clocks().is_empty()).await;
+        aggregator
+            .until(|received_events| {
+                received_events.iterations().len() >= 50 && !received_events.clocks().is_empty()
+            })
+            .await;
         let wrong = stepping(by);
         switchable_clock.inject(wrong.clone());
         let (edge_wrong, cloud_wrong) = if on_edge { (Some(&wrong), None) } else { (None, Some(&wrong)) };
-        let seen = aggregator.until(|seen| count_good_delays(seen, edge_wrong, cloud_wrong) >= 200).await;
+        let received_events = aggregator
+            .until(|received_events| count_good_delays(received_events, edge_wrong, cloud_wrong) >= 200)
+            .await;
 
-        let link_steps = |seen: &ReceivedEvents| {
-            let steps = seen.incidents(IncidentKind::ClockStep).into_iter().cloned();
+        let link_steps = |received_events: &ReceivedEvents| {
+            let steps = received_events.incidents(IncidentKind::ClockStep).into_iter().cloned();
             steps.filter(|incident| incident.peer.is_some()).collect::<Vec<_>>()
         };
         // Incidents about the edge's own clock have no peer.
-        let set_back_count = |seen: &ReceivedEvents| {
-            let all = seen.incidents(IncidentKind::ClockStep).into_iter();
+        let set_back_count = |received_events: &ReceivedEvents| {
+            let all = received_events.incidents(IncidentKind::ClockStep).into_iter();
             all.filter(|incident| incident.text.contains("wall clock was set back by 3.000 s")).count()
         };
         if on_edge {
-            assert_eq!((link_steps(&seen).len(), set_back_count(&seen)), (0, 1));
+            assert_eq!((link_steps(&received_events).len(), set_back_count(&received_events)), (0, 1));
         } else {
-            let [reported] = &link_steps(&seen)[..] else { panic!("{:?}", link_steps(&seen)) };
+            let [reported] = &link_steps(&received_events)[..] else {
+                panic!("{:?}", link_steps(&received_events))
+            };
             assert!(
                 reported.text.starts_with("the wall clock of cloud was stepped or slewed"),
                 "{}",
@@ -104,10 +112,10 @@ async fn wall_clock_set_in_mid_run_reaches_no_delay() {
         }
 
         edge.stop().await.expect("stops well");
-        let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
-        let windows: BTreeSet<_> = seen.clocks().iter().map(|sample| sample.window).collect();
+        let received_events = aggregator.until(|received_events| !received_events.goodbyes.is_empty()).await;
+        let windows: BTreeSet<_> = received_events.clocks().iter().map(|sample| sample.window).collect();
         assert_eq!(windows.len(), 1, "nothing that was learnt is void");
-        assert_eq!(link_steps(&seen).len(), usize::from(!on_edge), "reported once");
+        assert_eq!(link_steps(&received_events).len(), usize::from(!on_edge), "reported once");
         cloud.stop().await.expect("stops well");
     }
 }

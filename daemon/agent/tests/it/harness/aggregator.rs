@@ -42,7 +42,7 @@ pub(crate) struct ReceivedEvents {
 /// A running aggregator, which listens until it is dropped.
 pub(crate) struct Aggregator {
     pub(crate) address: String,
-    seen: Arc<watch::Sender<ReceivedEvents>>,
+    received_events: Arc<watch::Sender<ReceivedEvents>>,
     stop: CancellationToken,
     task: JoinHandle<()>,
 }
@@ -67,25 +67,25 @@ impl Aggregator {
 
     pub(crate) async fn start_at(
         address: &str,
-        seen: Arc<watch::Sender<ReceivedEvents>>,
+        received_events: Arc<watch::Sender<ReceivedEvents>>,
         behaviour: AggregatorBehaviour,
     ) -> Self {
         let socket = Socket::new(SocketType::Router, Options::default());
         let address = bind(&socket, address).await;
         let socket = socket.identity_routing().expect("a router");
         let stop = CancellationToken::new();
-        let (stopped, memory) = (stop.clone(), Arc::clone(&seen));
+        let (stopped, memory) = (stop.clone(), Arc::clone(&received_events));
         let task = tokio::spawn(async move {
             stopped.run_until_cancelled(serve(&socket, &memory, behaviour)).await;
             socket.into_inner().close().await.expect("closes");
         });
-        Self { address, seen, stop, task }
+        Self { address, received_events, stop, task }
     }
 
     /// Waits until it has ended by itself. What it received is kept.
     pub(crate) async fn wait_for_end(self) -> (String, Arc<watch::Sender<ReceivedEvents>>) {
         tokio::time::timeout(WAIT_TIMEOUT, self.task).await.expect("in time").expect("no panic");
-        (self.address, self.seen)
+        (self.address, self.received_events)
     }
 
     /// Ends without a message to the agents. What it received is kept.
@@ -95,16 +95,18 @@ impl Aggregator {
     }
 
     /// Starts again at the same address with what was kept.
-    pub(crate) async fn restart((address, seen): (String, Arc<watch::Sender<ReceivedEvents>>)) -> Self {
-        Self::start_at(&address, seen, AggregatorBehaviour::default()).await
+    pub(crate) async fn restart(
+        (address, received_events): (String, Arc<watch::Sender<ReceivedEvents>>),
+    ) -> Self {
+        Self::start_at(&address, received_events, AggregatorBehaviour::default()).await
     }
 
     /// Waits until what it has received is enough.
     pub(crate) async fn until(&self, enough: impl FnMut(&ReceivedEvents) -> bool) -> ReceivedEvents {
-        let mut changes = self.seen.subscribe();
+        let mut changes = self.received_events.subscribe();
         match tokio::time::timeout(WAIT_TIMEOUT, changes.wait_for(enough)).await {
-            Ok(seen) => seen.expect("the sender is here").clone(),
-            Err(_) => panic!("never came: {:#?}", self.seen.borrow().summary()),
+            Ok(received_events) => received_events.expect("the sender is here").clone(),
+            Err(_) => panic!("never came: {:#?}", self.received_events.borrow().summary()),
         }
     }
 }
@@ -170,7 +172,7 @@ async fn bind(socket: &Socket, address: &str) -> String {
 
 async fn serve(
     socket: &IdentitySocket,
-    seen: &watch::Sender<ReceivedEvents>,
+    received_events: &watch::Sender<ReceivedEvents>,
     behaviour: AggregatorBehaviour,
 ) {
     let clock = clock("system");
@@ -190,7 +192,8 @@ async fn serve(
             tokio::time::sleep(pause).await;
         }
         let mut replies = Vec::new();
-        seen.send_modify(|seen| replies = aggregator_state.answer(seen, head, &frame));
+        received_events
+            .send_modify(|received_events| replies = aggregator_state.answer(received_events, head, &frame));
         if head.is_some() && head.map(|head| head.number) == aggregator_state.behaviour.end_before_ack {
             return;
         }
@@ -212,52 +215,57 @@ struct AggregatorState {
 }
 
 impl AggregatorState {
-    fn answer(&mut self, seen: &mut ReceivedEvents, head: Option<BatchHead>, frame: &Bytes) -> Vec<ToAgent> {
+    fn answer(
+        &mut self,
+        received_events: &mut ReceivedEvents,
+        head: Option<BatchHead>,
+        frame: &Bytes,
+    ) -> Vec<ToAgent> {
         if self.behaviour.is_silent {
             return Vec::new();
         }
         let now = self.clock.mono();
         match head {
-            Some(head) => self.batch(seen, head, frame, now),
+            Some(head) => self.batch(received_events, head, frame, now),
             None => match codec::decode(frame).expect("the agent sends sense") {
                 // This aggregator accepts every hello without a proof.
-                ToAggregator::Hello(hello) => self.hello(seen, &hello, now),
+                ToAggregator::Hello(hello) => self.hello(received_events, &hello, now),
                 ToAggregator::Proof(proof) => panic!("nobody asked for {proof:?}"),
                 ToAggregator::Live(update) => {
                     let reply = self.receiving.handle_live(update.host, now);
-                    seen.lives.push(update);
+                    received_events.lives.push(update);
                     reply.into_iter().collect()
                 }
                 ToAggregator::Echo { host, bytes } => vec![self.receiving.handle_echo(host, bytes, now)],
                 ToAggregator::Goodbye(host) => {
                     self.receiving.handle_goodbye(host);
-                    seen.goodbyes.push(host);
+                    received_events.goodbyes.push(host);
                     Vec::new()
                 }
             },
         }
     }
 
-    fn hello(&mut self, seen: &mut ReceivedEvents, hello: &Hello, now: MonoTime) -> Vec<ToAgent> {
-        seen.hellos += 1;
+    fn hello(&mut self, received_events: &mut ReceivedEvents, hello: &Hello, now: MonoTime) -> Vec<ToAgent> {
+        received_events.hellos += 1;
         if let Some(reason) = &self.behaviour.refusal {
             return vec![ToAgent::Refused { reason: reason.clone() }];
         }
-        let mark_of = |stream| seen.marks.get(&stream).copied();
+        let mark_of = |stream| received_events.marks.get(&stream).copied();
         let known = StreamRecord {
             mark: mark_of(hello.stream),
-            was_used: seen.streams.contains(&hello.stream),
-            last_stream: seen.streams.last().copied(),
+            was_used: received_events.streams.contains(&hello.stream),
+            last_stream: received_events.streams.last().copied(),
             previous_mark: hello.previous_stream.and_then(mark_of),
             seniority: None,
         };
         match self.receiving.handle_hello(hello, known, now) {
             HelloResult::Welcome { reply, missing, replaced, .. } => {
-                seen.streams.push(hello.stream);
-                seen.replaced.extend(replaced);
+                received_events.streams.push(hello.stream);
+                received_events.replaced.extend(replaced);
                 let stored = missing.and_then(|missing| {
-                    seen.missing.push(missing);
-                    self.store(seen, missing.stream, missing.into())
+                    received_events.missing.push(missing);
+                    self.store(received_events, missing.stream, missing.into())
                 });
                 std::iter::once(reply).chain(stored).collect()
             }
@@ -268,7 +276,7 @@ impl AggregatorState {
 
     fn batch(
         &mut self,
-        seen: &mut ReceivedEvents,
+        received_events: &mut ReceivedEvents,
         head: BatchHead,
         frame: &Bytes,
         now: MonoTime,
@@ -276,11 +284,11 @@ impl AggregatorState {
         let body = codec::decode_batch_body(Bytes::clone(frame)).expect("whole");
         match self.receiving.handle_batch(&head, true, now) {
             Arrival::Accept => {
-                seen.events.extend(codec::decode_events(&body, head.events).expect("events"));
-                self.store(seen, head.stream, head.into()).into_iter().collect()
+                received_events.events.extend(codec::decode_events(&body, head.events).expect("events"));
+                self.store(received_events, head.stream, head.into()).into_iter().collect()
             }
             Arrival::Duplicate(reply) => {
-                seen.repeated += 1;
+                received_events.repeated += 1;
                 vec![reply]
             }
             Arrival::Rejected(reply) => reply.into_iter().collect(),
@@ -291,11 +299,11 @@ impl AggregatorState {
 
     fn store(
         &mut self,
-        seen: &mut ReceivedEvents,
+        received_events: &mut ReceivedEvents,
         stream: StreamId,
         mark: StoredPosition,
     ) -> Option<ToAgent> {
-        seen.marks.insert(stream, mark);
+        received_events.marks.insert(stream, mark);
         self.receiving.handle_stored(stream, mark).map(|(_, reply)| reply)
     }
 }

@@ -6,12 +6,12 @@ use peernet_stream::{EndReason, Event, IncidentKind, PipelineState};
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection};
 
-use super::{address_without_aggregator, idle, pipeline, spooled, state};
+use super::{address_without_aggregator, idle_config, pipeline, spooled_events, state};
 use crate::harness::{Aggregator, AggregatorBehaviour, TestAgent, assert_contiguous};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn spool_of_killed_agent_is_delivered_exactly_once() {
-    let (address, seen) = address_without_aggregator().await;
+    let (address, received_events) = address_without_aggregator().await;
     let keys = "load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64";
     let agent = TestAgent::start("edge", Some(&address), "").await;
     let host = agent.running.live_update().host;
@@ -21,37 +21,42 @@ async fn spool_of_killed_agent_is_delivered_exactly_once() {
     let account = agent.until(|live| live.accounting.spooled >= 200).await.accounting;
     let file = agent.spool();
     let state = agent.crash().await;
-    let left = spooled(&file).await;
+    let left = spooled_events(&file).await;
     assert!(left.len() as u64 >= account.spooled, "{} < {}", left.len(), account.spooled);
 
     // It crashes once more while it delivers.
-    let agent = TestAgent::start_in(state, &address, idle()).await;
+    let agent = TestAgent::start_in(state, &address, idle_config()).await;
     let restarted = agent.running.live_update().accounting;
     assert_eq!(
         (restarted.spooled, restarted.waiting >= left.len() as u64),
         (left.len() as u64, true),
         "{restarted:?}"
     );
-    let aggregator = Aggregator::restart((address, seen)).await;
-    aggregator.until(|seen| !seen.iterations().is_empty()).await;
+    let aggregator = Aggregator::restart((address, received_events)).await;
+    aggregator.until(|received_events| !received_events.iterations().is_empty()).await;
     let state = agent.crash().await;
-    let agent = TestAgent::start_in(state, &aggregator.address, idle()).await;
-    let seen = aggregator.until(|seen| seen.events.len() >= left.len()).await;
-    assert_eq!(seen.events[..left.len()], left);
-    assert_contiguous(&seen.iterations());
+    let agent = TestAgent::start_in(state, &aggregator.address, idle_config()).await;
+    let received_events =
+        aggregator.until(|received_events| received_events.events.len() >= left.len()).await;
+    assert_eq!(received_events.events[..left.len()], left);
+    assert_contiguous(&received_events.iterations());
     let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
     // Events that had not reached the spool are counted as lost.
     assert_eq!(account.produced, account.stored + account.dropped);
 
-    assert!(seen.streams.iter().all(|stream| *stream == seen.streams[0]), "one stream: {:?}", seen.streams);
-    assert!(seen.missing.is_empty() && seen.replaced.is_empty());
+    assert!(
+        received_events.streams.iter().all(|stream| *stream == received_events.streams[0]),
+        "one stream: {:?}",
+        received_events.streams
+    );
+    assert!(received_events.missing.is_empty() && received_events.replaced.is_empty());
     assert_eq!(agent.running.live_update().host, host);
     agent.stop().await.expect("stops well");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn stop_without_aggregator_keeps_events_in_spool() {
-    let (address, seen) = address_without_aggregator().await;
+    let (address, received_events) = address_without_aggregator().await;
     let keys = "load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64";
     let mut config = pipeline(keys);
     config.agent.stop_timeout_ms = 60_000;
@@ -62,17 +67,17 @@ async fn stop_without_aggregator_keeps_events_in_spool() {
     // It stops at once, because there is nothing to wait for.
     let stopping = tokio::time::timeout(Duration::from_secs(20), agent.stop_and_keep()).await;
     let state = stopping.expect("does not wait for the aggregator").expect("stops well");
-    let left = spooled(&file).await;
+    let left = spooled_events(&file).await;
     assert!(
         left.iter()
             .any(|event| matches!(event, Event::RunEnded(ended) if ended.reason == EndReason::Stopped))
     );
 
-    let aggregator = Aggregator::restart((address, seen)).await;
-    let agent = TestAgent::start_in(state, &aggregator.address, idle()).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    assert_eq!(seen.events[..left.len()], left);
-    assert_contiguous(&seen.iterations());
+    let aggregator = Aggregator::restart((address, received_events)).await;
+    let agent = TestAgent::start_in(state, &aggregator.address, idle_config()).await;
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    assert_eq!(received_events.events[..left.len()], left);
+    assert_contiguous(&received_events.iterations());
     let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
     assert_eq!((account.dropped, account.produced), (0, account.stored));
     agent.stop().await.expect("stops well");
@@ -93,21 +98,21 @@ async fn undelivered_events_are_sent_after_next_start() {
     agent.until(|live| live.accounting.waiting > 1000).await;
     let before = agent.running.live_update().accounting.stored;
     let state = agent.stop_and_keep().await.expect("stops well");
-    let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
-    assert!(seen.events.len() as u64 > before, "some was handed over while it stopped");
-    assert!(seen.ended().is_empty(), "and not all");
+    let received_events = aggregator.until(|received_events| !received_events.goodbyes.is_empty()).await;
+    assert!(received_events.events.len() as u64 > before, "some was handed over while it stopped");
+    assert!(received_events.ended().is_empty(), "and not all");
 
     let aggregator = Aggregator::restart(aggregator.stop().await).await;
-    let agent = TestAgent::start_in(state, &aggregator.address, idle()).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    assert_contiguous(&seen.iterations());
-    assert_eq!((seen.ended()[0].reason.as_str(), seen.gaps().len()), ("stopped", 0));
+    let agent = TestAgent::start_in(state, &aggregator.address, idle_config()).await;
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    assert_contiguous(&received_events.iterations());
+    assert_eq!((received_events.ended()[0].reason.as_str(), received_events.gaps().len()), ("stopped", 0));
     agent.stop().await.expect("stops well");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn intact_batches_of_damaged_spool_are_stored_once() {
-    let (address, seen) = address_without_aggregator().await;
+    let (address, received_events) = address_without_aggregator().await;
     let mut config = pipeline("load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64");
     config.agent.batch_nodes = std::num::NonZeroUsize::new(50).expect("not zero");
     let agent = TestAgent::start_in(state(), &address, config).await;
@@ -133,10 +138,11 @@ async fn intact_batches_of_damaged_spool_are_stored_once() {
     connection.close().await.expect("closes");
     std::fs::write(state.path().join("spool.sqlite-condemned"), "a page was broken").expect("written");
 
-    let aggregator = Aggregator::restart((address, seen)).await;
-    let agent = TestAgent::start_in(state, &aggregator.address, idle()).await;
-    let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Gap).is_empty()).await;
-    let text = &seen.incidents(IncidentKind::Gap)[0].text;
+    let aggregator = Aggregator::restart((address, received_events)).await;
+    let agent = TestAgent::start_in(state, &aggregator.address, idle_config()).await;
+    let received_events =
+        aggregator.until(|received_events| !received_events.incidents(IncidentKind::Gap).is_empty()).await;
+    let text = &received_events.incidents(IncidentKind::Gap)[0].text;
     let parts = [
         format!("a new spool has the {} batches before the damage, with {intact} events", damaged - 1),
         format!("{} batches from the damage on, with at least ", batches - damaged + 1),
@@ -146,12 +152,16 @@ async fn intact_batches_of_damaged_spool_are_stored_once() {
     assert_eq!(account.produced, account.stored + account.dropped, "{account:?}");
     let state = agent.stop_and_keep().await.expect("stops well");
     // A further start sends nothing again.
-    let agent = TestAgent::start_in(state, &aggregator.address, idle()).await;
-    let seen = aggregator.until(|seen| seen.hellos >= 2).await;
+    let agent = TestAgent::start_in(state, &aggregator.address, idle_config()).await;
+    let received_events = aggregator.until(|received_events| received_events.hellos >= 2).await;
     agent.until(|live| live.accounting.waiting == 0).await;
     agent.stop().await.expect("stops well");
-    let iterations = seen.iterations();
+    let iterations = received_events.iterations();
     assert_contiguous(&iterations);
-    assert!(!iterations.is_empty() && seen.repeated == 0, "{} batches were stored twice", seen.repeated);
-    assert!(seen.streams.windows(2).all(|pair| pair[0] == pair[1]), "one stream");
+    assert!(
+        !iterations.is_empty() && received_events.repeated == 0,
+        "{} batches were stored twice",
+        received_events.repeated
+    );
+    assert!(received_events.streams.windows(2).all(|pair| pair[0] == pair[1]), "one stream");
 }

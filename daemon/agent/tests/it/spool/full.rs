@@ -10,7 +10,7 @@ use crate::harness::{Aggregator, TestAgent};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn newest_events_are_dropped_counted_and_replaced_by_gap() {
-    let (address, seen) = address_without_aggregator().await;
+    let (address, received_events) = address_without_aggregator().await;
     let mut config = pipeline("load = { mode = 'rate', hz = 2000.0 }\nmax_in_flight = 64");
     config.spool.limit_bytes = NonZeroU64::new(100_000).expect("not zero");
     let agent = TestAgent::start_in(state(), &address, config).await;
@@ -18,25 +18,25 @@ async fn newest_events_are_dropped_counted_and_replaced_by_gap() {
     assert!(full.spool_bytes <= full.spool_limit_bytes, "{full:?}");
     assert_eq!((full.spool_limit_bytes, full.trouble), (100_000, None));
 
-    let aggregator = Aggregator::restart((address, seen)).await;
-    let seen = aggregator.until(|seen| !seen.gaps().is_empty()).await;
-    let before = seen.iterations().len();
-    aggregator.until(|seen| seen.iterations().len() > before + 100).await;
+    let aggregator = Aggregator::restart((address, received_events)).await;
+    let received_events = aggregator.until(|received_events| !received_events.gaps().is_empty()).await;
+    let before = received_events.iterations().len();
+    aggregator.until(|received_events| received_events.iterations().len() > before + 100).await;
     let state = agent.stop_and_keep().await.expect("stops well");
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    let run = seen.runs()[0].run;
-    let all: u64 = seen.gaps().iter().map(|gap| gap.count).sum();
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let run = received_events.runs()[0].run;
+    let all: u64 = received_events.gaps().iter().map(|gap| gap.count).sum();
     let of_run = |gap: &&&Gap| gap.run == Some(run);
-    let missing: u64 = seen.gaps().iter().filter(of_run).map(|gap| gap.count).sum();
-    let numbers: Vec<u64> = seen.iterations().iter().map(|iteration| iteration.number).collect();
-    let newest = seen.iterations().into_iter().max_by_key(|iteration| iteration.number);
+    let missing: u64 = received_events.gaps().iter().filter(of_run).map(|gap| gap.count).sum();
+    let numbers: Vec<u64> = received_events.iterations().iter().map(|iteration| iteration.number).collect();
+    let newest = received_events.iterations().into_iter().max_by_key(|iteration| iteration.number);
     let newest = newest.expect("there are some");
     // The spool may be full again when the agent stops: nothing is stored after that gap.
     let began = newest.tree.wall_start(&newest.tree.nodes()[0]).expect("the root has a start");
     let after_newest = |gap: &&&Gap| of_run(gap) && gap.from > began;
-    let later: u64 = seen.gaps().iter().filter(after_newest).map(|gap| gap.count).sum();
+    let later: u64 = received_events.gaps().iter().filter(after_newest).map(|gap| gap.count).sum();
     assert_eq!(numbers.len() as u64 + missing, newest.number + later, "each is there or in a gap");
-    for gap in seen.gaps().iter().filter(of_run) {
+    for gap in received_events.gaps().iter().filter(of_run) {
         assert_eq!(gap.pipeline.as_ref().map(Slug::as_str), Some("line"));
         assert!(gap.from <= gap.to && !gap.reason.is_empty());
     }
@@ -44,11 +44,11 @@ async fn newest_events_are_dropped_counted_and_replaced_by_gap() {
     // The counts are kept over a restart.
     let agent =
         TestAgent::start_in(state, &aggregator.address, pipeline("limit = { iterations = 50 }")).await;
-    let seen = aggregator.until(|seen| seen.ended().len() == 2).await;
-    let second = seen.ended()[1].run;
-    assert_eq!(seen.iterations().iter().filter(|iteration| iteration.run == second).count(), 50);
+    let received_events = aggregator.until(|received_events| received_events.ended().len() == 2).await;
+    let second = received_events.ended()[1].run;
+    assert_eq!(received_events.iterations().iter().filter(|iteration| iteration.run == second).count(), 50);
     let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
-    assert_eq!((account.dropped, account.gaps), (all, seen.gaps().len() as u64));
+    assert_eq!((account.dropped, account.gaps), (all, received_events.gaps().len() as u64));
     assert_eq!(account.produced, account.stored + account.dropped);
     agent.stop().await.expect("stops well");
 }

@@ -3,7 +3,7 @@
 use peernet_agent::StartError;
 use peernet_stream::IncidentKind;
 
-use super::{idle, pipeline, state};
+use super::{idle_config, pipeline, state};
 use crate::harness::{Aggregator, TestAgent, clock};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -11,16 +11,20 @@ async fn deleted_spool_begins_new_stream() {
     let aggregator = Aggregator::start().await;
     let agent =
         TestAgent::start_in(state(), &aggregator.address, pipeline("limit = { iterations = 20 }")).await;
-    aggregator.until(|seen| !seen.ended().is_empty()).await;
+    aggregator.until(|received_events| !received_events.ended().is_empty()).await;
     let file = agent.spool();
     let state = agent.stop_and_keep().await.expect("stops well");
     std::fs::remove_file(file).expect("removed");
     let agent =
         TestAgent::start_in(state, &aggregator.address, pipeline("limit = { iterations = 20 }")).await;
-    let seen = aggregator.until(|seen| seen.ended().len() == 2).await;
-    assert_eq!(seen.iterations().len(), 40);
-    assert_ne!(seen.streams.first(), seen.streams.last());
-    assert_eq!(seen.replaced, seen.streams[..1], "the aggregator sees that it was replaced");
+    let received_events = aggregator.until(|received_events| received_events.ended().len() == 2).await;
+    assert_eq!(received_events.iterations().len(), 40);
+    assert_ne!(received_events.streams.first(), received_events.streams.last());
+    assert_eq!(
+        received_events.replaced,
+        received_events.streams[..1],
+        "the aggregator sees that it was replaced"
+    );
     agent.stop().await.expect("stops well");
 }
 
@@ -31,9 +35,9 @@ async fn damaged_spool_is_quarantined_and_measuring_starts() {
     std::fs::write(&file, b"not a database".repeat(100)).expect("written");
     let agent =
         TestAgent::start_in(state, &aggregator.address, pipeline("limit = { iterations = 20 }")).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    assert_eq!(seen.iterations().len(), 20);
-    let reported = seen.incidents(IncidentKind::Gap);
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    assert_eq!(received_events.iterations().len(), 20);
+    let reported = received_events.incidents(IncidentKind::Gap);
     assert_eq!(reported.len(), 1, "{reported:?}");
     let (_, kept) = reported[0].text.split_once("moved to ").expect("says where");
     let (kept, _) = kept.split_once(',').expect("says more");
@@ -44,7 +48,7 @@ async fn damaged_spool_is_quarantined_and_measuring_starts() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn two_agents_cannot_use_one_spool() {
     let (aggregator, shared) = (Aggregator::start().await, tempfile::tempdir().expect("a folder"));
-    let mut config = idle();
+    let mut config = idle_config();
     config.spool.file = Some(shared.path().join("deep").join("spool.sqlite"));
     let first = TestAgent::start_in(state(), &aggregator.address, config.clone()).await;
     let start =

@@ -24,7 +24,7 @@ fn pipeline(keys: &str) -> AgentConfig {
 }
 
 /// Returns the configuration of an agent without a pipeline.
-fn idle() -> AgentConfig {
+fn idle_config() -> AgentConfig {
     config("")
 }
 
@@ -35,7 +35,7 @@ async fn address_without_aggregator()
 }
 
 /// Returns all events in a spool that no agent uses, in order.
-async fn spooled(file: &Path) -> Vec<Event> {
+async fn spooled_events(file: &Path) -> Vec<Event> {
     let options = SqliteConnectOptions::new().filename(file).disable_statement_logging();
     let mut connection = options.connect().await.expect("opens");
     let rows: Vec<(u32, Vec<u8>)> = sqlx::query_as("SELECT events, body FROM batch ORDER BY number")

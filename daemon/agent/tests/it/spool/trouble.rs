@@ -4,7 +4,7 @@ use std::num::NonZeroUsize;
 
 use peernet_stream::{IncidentKind, Iteration, PipelineState};
 
-use super::{address_without_aggregator, idle, pipeline, state};
+use super::{address_without_aggregator, idle_config, pipeline, state};
 use crate::harness::{Aggregator, TestAgent, assert_contiguous, value};
 
 const RATE: &str = "load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64";
@@ -13,32 +13,37 @@ const RATE: &str = "load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64";
 async fn events_are_sent_from_memory_while_file_is_missing() {
     let aggregator = Aggregator::start().await;
     let agent = TestAgent::start_in(state(), &aggregator.address, pipeline(RATE)).await;
-    aggregator.until(|seen| seen.iterations().len() >= 50).await;
+    aggregator.until(|received_events| received_events.iterations().len() >= 50).await;
     let (file, away) = (agent.spool(), agent.spool().with_extension("away"));
     std::fs::rename(&file, &away).expect("moved");
     let trouble = agent.until(|live| live.accounting.trouble.is_some()).await.accounting.trouble;
     assert!(trouble.as_ref().is_some_and(|words| words.contains("moved")), "{trouble:?}");
-    let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Gap).is_empty()).await;
-    let reported = &seen.incidents(IncidentKind::Gap)[0].text;
+    let received_events =
+        aggregator.until(|received_events| !received_events.incidents(IncidentKind::Gap).is_empty()).await;
+    let reported = &received_events.incidents(IncidentKind::Gap)[0].text;
     assert!(reported.contains("spool.sqlite") && reported.contains("measuring continues"), "{reported}");
-    let before = seen.iterations().len();
-    aggregator.until(|seen| seen.iterations().len() >= before + 100).await;
+    let before = received_events.iterations().len();
+    aggregator.until(|received_events| received_events.iterations().len() >= before + 100).await;
 
     std::fs::rename(&away, &file).expect("moved back");
     agent.until(|live| live.accounting.trouble.is_none()).await;
     let before = aggregator.until(|_| true).await.iterations().len();
-    aggregator.until(|seen| seen.iterations().len() >= before + 50).await;
+    aggregator.until(|received_events| received_events.iterations().len() >= before + 50).await;
     let state = agent.stop_and_keep().await.expect("stops well");
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    assert_contiguous(&seen.iterations());
-    assert_eq!((seen.gaps().len(), seen.incidents(IncidentKind::Gap).len()), (0, 2), "failed, recovered");
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    assert_contiguous(&received_events.iterations());
+    assert_eq!(
+        (received_events.gaps().len(), received_events.incidents(IncidentKind::Gap).len()),
+        (0, 2),
+        "failed, recovered"
+    );
 
     // The file is consistent with the batches that were sent from memory.
     let agent =
         TestAgent::start_in(state, &aggregator.address, pipeline("limit = { iterations = 20 }")).await;
-    let seen = aggregator.until(|seen| seen.ended().len() == 2).await;
-    assert!(seen.missing.is_empty() && seen.replaced.is_empty());
-    assert!(seen.streams.iter().all(|stream| *stream == seen.streams[0]));
+    let received_events = aggregator.until(|received_events| received_events.ended().len() == 2).await;
+    assert!(received_events.missing.is_empty() && received_events.replaced.is_empty());
+    assert!(received_events.streams.iter().all(|stream| *stream == received_events.streams[0]));
     let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
     assert_eq!((account.dropped, account.produced), (0, account.stored));
     agent.stop().await.expect("stops well");
@@ -46,7 +51,7 @@ async fn events_are_sent_from_memory_while_file_is_missing() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn events_beyond_memory_are_counted_without_file_and_aggregator() {
-    let (address, seen) = address_without_aggregator().await;
+    let (address, received_events) = address_without_aggregator().await;
     let mut config =
         pipeline("limit = { iterations = 5000 }\nload = { mode = 'rate', hz = 5000.0 }\nmax_in_flight = 64");
     config.agent.queue_events = NonZeroUsize::new(500).expect("not zero");
@@ -56,24 +61,25 @@ async fn events_beyond_memory_are_counted_without_file_and_aggregator() {
     agent.until(|live| live.accounting.trouble.is_some() && live.accounting.dropped > 500).await;
     std::fs::rename(&away, &file).expect("moved back");
     agent.until_state(|state| *state == PipelineState::Finished).await;
-    let aggregator = Aggregator::restart((address, seen)).await;
-    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    let aggregator = Aggregator::restart((address, received_events)).await;
+    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
     let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
     assert_eq!((account.produced, account.trouble), (account.stored + account.dropped, None));
-    drop(seen);
-    let seen = aggregator.until(|seen| seen.events.len() as u64 == account.stored).await;
-    let missing: u64 = seen.gaps().iter().map(|gap| gap.count).sum();
+    drop(received_events);
+    let received_events =
+        aggregator.until(|received_events| received_events.events.len() as u64 == account.stored).await;
+    let missing: u64 = received_events.gaps().iter().map(|gap| gap.count).sum();
     assert_eq!(missing, account.dropped);
     // Iterations whose start was skipped have no event of their own.
     let skipped = |it: &&Iteration| value(&it.tree, "skipped-starts");
-    let skipped: f64 = seen.iterations().iter().filter_map(skipped).sum();
-    assert!(seen.iterations().len() as u64 + missing + skipped as u64 >= 5000 - 64);
+    let skipped: f64 = received_events.iterations().iter().filter_map(skipped).sum();
+    assert!(received_events.iterations().len() as u64 + missing + skipped as u64 >= 5000 - 64);
     agent.stop().await.expect("stops well");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn stop_without_file_and_aggregator_ends_at_deadline() {
-    let (address, seen) = address_without_aggregator().await;
+    let (address, received_events) = address_without_aggregator().await;
     let mut config = pipeline(RATE);
     config.agent.stop_timeout_ms = 600;
     let agent = TestAgent::start_in(state(), &address, config).await;
@@ -84,12 +90,13 @@ async fn stop_without_file_and_aggregator_ends_at_deadline() {
     let state = agent.stop_and_keep().await.expect("stops well");
     std::fs::rename(&away, &file).expect("moved back");
 
-    let aggregator = Aggregator::restart((address, seen)).await;
-    let agent = TestAgent::start_in(state, &aggregator.address, idle()).await;
+    let aggregator = Aggregator::restart((address, received_events)).await;
+    let agent = TestAgent::start_in(state, &aggregator.address, idle_config()).await;
     let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
-    let seen = aggregator.until(|seen| seen.events.len() as u64 == account.stored).await;
+    let received_events =
+        aggregator.until(|received_events| received_events.events.len() as u64 == account.stored).await;
     assert!(account.stored >= safe, "{account:?}");
-    assert_contiguous(&seen.iterations());
-    assert!(seen.ended().is_empty(), "the end of the run was in memory only");
+    assert_contiguous(&received_events.iterations());
+    assert!(received_events.ended().is_empty(), "the end of the run was in memory only");
     agent.stop().await.expect("stops well");
 }

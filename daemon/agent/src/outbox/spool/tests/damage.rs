@@ -60,7 +60,7 @@ async fn file_of_another_program_is_kept() {
     let tables: Vec<String> =
         sqlx::query_scalar("SELECT name FROM sqlite_schema").fetch_all(&mut other).await.expect("reads");
     assert_eq!(tables, ["theirs"]);
-    assert_eq!(names(spool_folder.folder.path()), ["notes", "spool.sqlite"]);
+    assert_eq!(list_files(spool_folder.folder.path()), ["notes", "spool.sqlite"]);
 }
 
 #[tokio::test]
@@ -93,7 +93,7 @@ async fn file_with_broken_tables_is_quarantined() {
     let OpenSpool { state, quarantined, .. } = spool_folder.open().await.expect("opens");
     assert!(quarantined.is_some());
     assert_eq!(state.newest, (0, Chain::START));
-    assert_eq!(names(spool_folder.folder.path()), ["spool.sqlite", "spool.sqlite.damaged-5"]);
+    assert_eq!(list_files(spool_folder.folder.path()), ["spool.sqlite", "spool.sqlite.damaged-5"]);
 }
 
 /// Damages pages of the spool's file from byte `from` on.
@@ -107,9 +107,9 @@ fn overwrite(path: &std::path::Path, from: u64, bytes: usize) {
 async fn intact_batches_of_damaged_spool_are_kept() {
     let spool_folder = SpoolFolder::new();
     let (mut file, before) = spool_folder.open_undamaged().await;
-    let written = batches(Chain::START, 1..=200, 2000);
-    file.append(&written, &totals(602)).await.expect("appends");
-    file.delete_through(10, written[9].chain).await.expect("deletes");
+    let written_batches = batches(Chain::START, 1..=200, 2000);
+    file.append(&written_batches, &totals(602)).await.expect("appends");
+    file.delete_through(10, written_batches[9].chain).await.expect("deletes");
     drop(file.close().await);
     // Pages in the middle of the file, as a failing memory card leaves them.
     let length = fs::metadata(spool_folder.path()).expect("there").len();
@@ -125,7 +125,7 @@ async fn intact_batches_of_damaged_spool_are_kept() {
     // The aggregator knows this stream, so that it stores no batch twice.
     assert_eq!(
         (state.stream, state.oldest, state.chain_before_oldest),
-        (before.stream, 11, written[9].chain)
+        (before.stream, 11, written_batches[9].chain)
     );
     assert_eq!(state.newest.0, 10 + recovered.batches);
     // The produced events are the stored, the waiting and the dropped ones. Lost events whose number can be read count
@@ -133,8 +133,8 @@ async fn intact_batches_of_damaged_spool_are_kept() {
     assert_eq!((state.totals.produced, state.totals.dropped), (602, 2 + recovered.lost_events));
     assert_eq!(state.totals.reported_drops, state.totals.dropped);
     let loaded = file.load(11, usize::MAX).await.expect("loads");
-    assert_eq!(loaded.batches, written[10..10 + recovered.batches as usize]);
-    assert_eq!(names(spool_folder.folder.path()), ["spool.sqlite", "spool.sqlite.damaged-5"]);
+    assert_eq!(loaded.batches, written_batches[10..10 + recovered.batches as usize]);
+    assert_eq!(list_files(spool_folder.folder.path()), ["spool.sqlite", "spool.sqlite.damaged-5"]);
 }
 
 #[tokio::test]
@@ -164,21 +164,21 @@ async fn empty_file_is_reported() {
 async fn damaged_batch_ends_list_and_is_named() {
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
-    let written = batches(Chain::START, 1..=5, 100);
-    file.append(&written, &totals(15)).await.expect("appends");
+    let written_batches = batches(Chain::START, 1..=5, 100);
+    file.append(&written_batches, &totals(15)).await.expect("appends");
     sqlx::query("UPDATE batch SET body = zeroblob(100) WHERE number = 3")
         .execute(file.connection())
         .await
         .expect("changed");
     let loaded = file.load(1, usize::MAX).await.expect("loads");
-    assert_eq!(loaded.batches, written[..2]);
+    assert_eq!(loaded.batches, written_batches[..2]);
     let damage = loaded.damage.expect("is reported");
     assert!(damage.contains("batch 3") && damage.contains("was changed"), "{damage}");
     let loaded = file.load(3, usize::MAX).await.expect("loads");
     assert!(loaded.batches.is_empty() && loaded.damage.is_some());
     assert_eq!(
         file.load(4, usize::MAX).await.expect("loads").batches,
-        written[3..],
+        written_batches[3..],
         "the batches after it are intact"
     );
 }
@@ -187,14 +187,18 @@ async fn damaged_batch_ends_list_and_is_named() {
 async fn missing_batch_ends_list() {
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
-    let written = batches(Chain::START, 1..=5, 100);
-    file.append(&written, &totals(15)).await.expect("appends");
+    let written_batches = batches(Chain::START, 1..=5, 100);
+    file.append(&written_batches, &totals(15)).await.expect("appends");
     sqlx::query("DELETE FROM batch WHERE number = 3").execute(file.connection()).await.expect("changed");
-    assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written[..2]);
+    assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written_batches[..2]);
     let loaded = file.load(3, usize::MAX).await.expect("loads");
     assert!(loaded.batches.is_empty());
     assert!(loaded.damage.expect("is reported").contains("batch 3"), "named");
-    assert_eq!(file.load(4, usize::MAX).await.expect("loads").batches, written[3..], "the batches after it");
+    assert_eq!(
+        file.load(4, usize::MAX).await.expect("loads").batches,
+        written_batches[3..],
+        "the batches after it"
+    );
     drop(file.close().await);
     let (_, state) = spool_folder.open_undamaged().await;
     assert_eq!((state.oldest, state.newest.0, state.waiting_usage.events), (1, 5, 12));
@@ -214,15 +218,15 @@ async fn spool_of_newer_version_is_refused_and_kept() {
     drop(file.close().await);
     let error = spool_folder.open().await.expect_err("too new").to_string();
     assert!(error.contains("newer version") && error.contains('9'), "{error}");
-    assert_eq!(names(spool_folder.folder.path()), ["spool.sqlite"]);
+    assert_eq!(list_files(spool_folder.folder.path()), ["spool.sqlite"]);
 }
 
 #[tokio::test]
 async fn damaged_page_loses_only_its_batches() {
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
-    let written = batches(Chain::START, 1..=200, 2000);
-    file.append(&written, &totals(600)).await.expect("appends");
+    let written_batches = batches(Chain::START, 1..=200, 2000);
+    file.append(&written_batches, &totals(600)).await.expect("appends");
     for statement in ["PRAGMA wal_checkpoint(TRUNCATE)", "PRAGMA shrink_memory"] {
         sqlx::query(statement).execute(file.connection()).await.expect("brings all to the file");
     }
@@ -244,7 +248,7 @@ async fn damaged_page_loses_only_its_batches() {
         "{} sound, {damaged_count} not",
         readable.len()
     );
-    assert!(readable.iter().all(|batch| written.contains(batch)));
+    assert!(readable.iter().all(|batch| written_batches.contains(batch)));
 }
 
 #[tokio::test]

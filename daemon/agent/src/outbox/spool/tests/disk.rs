@@ -19,18 +19,18 @@ async fn limit_growth(file: &mut SpoolFile, pages: i64) {
 async fn appends_are_refused_whole_while_disk_is_full() {
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
-    let written = batches(Chain::START, 1..=40, 10_000);
-    file.append(&written[..2], &totals(6)).await.expect("appends");
+    let written_batches = batches(Chain::START, 1..=40, 10_000);
+    file.append(&written_batches[..2], &totals(6)).await.expect("appends");
     limit_growth(&mut file, 10).await;
-    let error = file.append(&written[2..], &totals(120)).await.expect_err("no room").to_string();
+    let error = file.append(&written_batches[2..], &totals(120)).await.expect_err("no room").to_string();
     assert!(error.contains("the disk is full") && error.contains("spool.sqlite"), "{error}");
-    assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written[..2], "none of them");
+    assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written_batches[..2], "none of them");
 
-    file.append(&written[2..4], &totals(12)).await.expect("two fit");
-    file.append(&written[4..7], &totals(21)).await.expect_err("no more do");
-    file.delete_through(2, written[1].chain).await.expect("deletes");
-    file.append(&written[4..6], &totals(18)).await.expect("there is room again");
-    assert_eq!(file.load(3, usize::MAX).await.expect("loads").batches, written[2..6]);
+    file.append(&written_batches[2..4], &totals(12)).await.expect("two fit");
+    file.append(&written_batches[4..7], &totals(21)).await.expect_err("no more do");
+    file.delete_through(2, written_batches[1].chain).await.expect("deletes");
+    file.append(&written_batches[4..6], &totals(18)).await.expect("there is room again");
+    assert_eq!(file.load(3, usize::MAX).await.expect("loads").batches, written_batches[2..6]);
     drop(file.close().await);
     let (_, state) = spool_folder.open_undamaged().await;
     assert_eq!((state.oldest, state.newest.0, state.totals), (3, 6, totals(18)));
@@ -62,18 +62,18 @@ async fn reserve_for_deleting_survives_restart() {
 async fn moved_file_is_not_written_until_moved_back() {
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
-    let written = batches(Chain::START, 1..=2, 10);
-    file.append(&written[..1], &totals(3)).await.expect("appends");
+    let written_batches = batches(Chain::START, 1..=2, 10);
+    file.append(&written_batches[..1], &totals(3)).await.expect("appends");
     let moved = spool_folder.folder.path().join("away");
     fs::rename(spool_folder.path(), &moved).expect("moved");
-    let error = file.append(&written[1..], &totals(6)).await.expect_err("moved").to_string();
+    let error = file.append(&written_batches[1..], &totals(6)).await.expect_err("moved").to_string();
     assert!(error.contains("deleted, moved or replaced"), "{error}");
-    file.delete_through(1, written[0].chain).await.expect_err("moved");
+    file.delete_through(1, written_batches[0].chain).await.expect_err("moved");
     fs::write(spool_folder.path(), b"something else").expect("written");
-    file.append(&written[1..], &totals(6)).await.expect_err("replaced");
+    file.append(&written_batches[1..], &totals(6)).await.expect_err("replaced");
     fs::rename(&moved, spool_folder.path()).expect("moved back");
-    file.append(&written[1..], &totals(6)).await.expect("appends");
-    assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written);
+    file.append(&written_batches[1..], &totals(6)).await.expect("appends");
+    assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written_batches);
 }
 
 #[tokio::test]

@@ -16,15 +16,15 @@ async fn file_bytes(file: &mut SpoolFile) -> u64 {
 async fn file_size_follows_content_and_shrinks_after_backlog() {
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
-    let written = batches(Chain::START, 1..=40, MIB as usize);
-    for chunk in written.chunks(8) {
+    let written_batches = batches(Chain::START, 1..=40, MIB as usize);
+    for chunk in written_batches.chunks(8) {
         file.append(chunk, &totals(120)).await.expect("appends");
     }
     let full_size = file_bytes(&mut file).await;
     assert!((40 * MIB..42 * MIB).contains(&full_size), "{full_size}");
     assert!(!file.shrink().await.expect("looks"), "nothing is free");
 
-    file.delete_through(39, written[38].chain).await.expect("deletes");
+    file.delete_through(39, written_batches[38].chain).await.expect("deletes");
     assert_eq!(file_bytes(&mut file).await, full_size, "free pages are kept for the next batches");
     let mut steps = 0;
     while file.shrink().await.expect("shrinks") {
@@ -33,7 +33,7 @@ async fn file_size_follows_content_and_shrinks_after_backlog() {
     assert!((7..=9).contains(&steps), "{steps} steps of 4 MiB");
     let size = file_bytes(&mut file).await;
     assert!(size <= 12 * MIB, "{size}");
-    assert_eq!(file.load(40, usize::MAX).await.expect("loads").batches, written[39..]);
+    assert_eq!(file.load(40, usize::MAX).await.expect("loads").batches, written_batches[39..]);
     file.close().await.expect("closes");
     assert!(std::fs::metadata(spool_folder.path()).expect("there").len() <= 12 * MIB);
 }

@@ -83,7 +83,7 @@ fn totals(produced: u64) -> Totals {
 }
 
 /// Returns the names of the files in a folder, without the files that SQLite and the agent keep beside an open spool.
-fn names(folder: &Path) -> Vec<String> {
+fn list_files(folder: &Path) -> Vec<String> {
     let entries = std::fs::read_dir(folder).expect("can be listed");
     let name = |entry: std::io::Result<std::fs::DirEntry>| {
         entry.expect("can be listed").file_name().into_string().expect("text")

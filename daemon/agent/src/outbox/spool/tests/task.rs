@@ -15,10 +15,11 @@ async fn requests_are_executed_in_order_and_answered() {
     let spool_folder = SpoolFolder::new();
     let (file, fresh) = spool_folder.open_undamaged().await;
     let mut task = SpoolTask::start(file, HOUR);
-    let written = batches(Chain::START, 1..=3, 10);
-    task.request(SpoolRequest::Append { batches: written.clone(), totals: totals(9) }).expect("takes it");
+    let written_batches = batches(Chain::START, 1..=3, 10);
+    task.request(SpoolRequest::Append { batches: written_batches.clone(), totals: totals(9) })
+        .expect("takes it");
     task.request(SpoolRequest::Load { from: 2, bytes: usize::MAX }).expect("takes it");
-    task.request(SpoolRequest::Delete { through: 1, chain: written[0].chain }).expect("takes it");
+    task.request(SpoolRequest::Delete { through: 1, chain: written_batches[0].chain }).expect("takes it");
     let stream = StreamId::random();
     task.request(SpoolRequest::Renew {
         stream,
@@ -29,7 +30,7 @@ async fn requests_are_executed_in_order_and_answered() {
     .expect("takes it");
     assert!(matches!(task.next_result().await, Some(SpoolResult::Appended(Ok(())))));
     let Some(SpoolResult::Loaded(Ok(loaded))) = task.next_result().await else { panic!("loads") };
-    assert_eq!(loaded.batches, written[1..]);
+    assert_eq!(loaded.batches, written_batches[1..]);
     assert!(matches!(task.next_result().await, Some(SpoolResult::Deleted(Ok(())))));
     assert!(matches!(task.next_result().await, Some(SpoolResult::Renewed(Ok(())))));
     task.close().await.expect("closes");
@@ -42,8 +43,8 @@ async fn last_request_is_executed_before_closing() {
     let spool_folder = SpoolFolder::new();
     let (file, _) = spool_folder.open_undamaged().await;
     let task = SpoolTask::start(file, HOUR);
-    let written = batches(Chain::START, 1..=3, 10);
-    task.request(SpoolRequest::Append { batches: written, totals: totals(9) }).expect("takes it");
+    let written_batches = batches(Chain::START, 1..=3, 10);
+    task.request(SpoolRequest::Append { batches: written_batches, totals: totals(9) }).expect("takes it");
     task.close().await.expect("closes");
     assert_eq!(spool_folder.open_undamaged().await.1.newest.0, 3);
 }
@@ -82,5 +83,5 @@ async fn file_found_damaged_is_quarantined_at_next_start() {
     drop(task.close().await);
     let quarantined = spool_folder.open().await.expect("opens").quarantined.expect("is quarantined");
     assert!(quarantined.reason.contains("append"), "{}", quarantined.reason);
-    assert_eq!(names(spool_folder.folder.path()), ["spool.sqlite", "spool.sqlite.damaged-5"]);
+    assert_eq!(list_files(spool_folder.folder.path()), ["spool.sqlite", "spool.sqlite.damaged-5"]);
 }

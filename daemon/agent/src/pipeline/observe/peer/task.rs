@@ -152,6 +152,7 @@ impl PeerTask {
         }
     }
 
+    /// Waits until a future is ready, a pair is added or expires, or the observer closes its channel.
     async fn wait<T>(&mut self, future: impl Future<Output = T>) -> WaitResult<T> {
         let connector = Arc::clone(&self.connector);
         let expiry = self.pending.next_expiry();
@@ -168,6 +169,7 @@ impl PeerTask {
         }
     }
 
+    /// Records the pairs that an answer of the peer completes.
     fn take_answer(&mut self, answer: &PeerAnswer) {
         for pair in self.pending.take_answer(answer) {
             self.record_silence(true);
@@ -193,6 +195,7 @@ impl PeerTask {
         }
     }
 
+    /// Records a pair of which the peer has not sent all stamps.
     fn settle_incomplete(&mut self, pair: &Pair, answer: Option<&PeerAnswer>) {
         match answer {
             Some(answer) => {
@@ -203,6 +206,7 @@ impl PeerTask {
         }
     }
 
+    /// Records a pair with the peer's stamps.
     fn settle_with(&self, pair: &Pair, answer: &PeerAnswer) {
         // A delay needs the clock relation, which belongs to a connection to this peer. Without a connection the stamps
         // are recorded without delays.
@@ -213,6 +217,7 @@ impl PeerTask {
         self.settle(record_by_peer(self.connector.host(), pair, answer, judge));
     }
 
+    /// Passes a recorded pair to the observer.
     fn settle(&self, settled: SettledPair) {
         // The channel has capacity for all waiting pairs (`MAX_PENDING`), so sending fails only if the pipeline has
         // ended.
