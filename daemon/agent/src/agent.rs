@@ -197,6 +197,7 @@ async fn start(
             watch_outbox(&mut tasks, &outbox);
             Some(outbox)
         }
+        // Without `[agent] aggregator` there is no receiver, no spool and no secret.
         _ => None,
     };
     tracing::info!(host = %host.name, id = %host.id, "the agent has started");

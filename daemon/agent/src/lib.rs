@@ -1,9 +1,10 @@
 //! The agent: the program part that runs on every edge and every cloud.
 //!
-//! It composes the four modules of the paper, which do not depend on each other. A sensor, a network, a model and an
-//! actuator form a [pipeline](config::PipelineConfig); models and a network form a [server](config::ServeConfig). The
-//! agent sends its measurements to the aggregator as the event stream of `peernet_stream`: a live summary of each
-//! second, and every finished iteration through the outbox. Measuring never waits for storing.
+//! The agent composes the four modules of the paper, which do not depend on each other. A sensor, a network, a model
+//! and an actuator form a [pipeline](config::PipelineConfig); models and a network form a
+//! [server](config::ServeConfig). The agent sends its measurements to the aggregator as the event stream of
+//! `peernet_stream`: a live summary of each second, and every finished iteration through the outbox. Measuring never
+//! waits for storing.
 //!
 //! ```text
 //! pipeline tasks ──┬─ live statistics ───┐

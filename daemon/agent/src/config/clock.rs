@@ -15,8 +15,8 @@ pub struct ClockConfig {
     /// Fastest change of this drift, parts per million per second, above 0 and at most 1000. Where both clocks run
     /// freely, the intervals of delays hold while the real change is slower. Default: 1.
     pub max_drift_change_ppm_per_s: f64,
-    /// Time for which an exchange with a peer bounds delays; the newest eight exchanges are used for longer. Seconds,
-    /// 10 to 86400. Default: 10.
+    /// Time for which an exchange with a peer bounds delays before and after it; the newest eight exchanges bound them
+    /// at any distance. Seconds, 10 to 86400. Default: 10.
     pub window_s: f64,
     /// Longest time between a delay and the nearest other exchange; beyond it the delay is `stale`. Seconds, 0.1 to
     /// 3600, at most `window_s`. Default: 10.

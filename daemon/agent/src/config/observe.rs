@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ObserveConfig {
-    /// Version of ROS, 1 or 2. Default: that of the environment variable `ROS_VERSION`, or else that of the
-    /// distribution in `ROS_DISTRO`.
+    /// Version of ROS, 1 or 2. Default: the version in the environment variable `ROS_VERSION`, otherwise the version of
+    /// the distribution in `ROS_DISTRO`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ros_version: Option<RosVersion>,
     /// Topic that the observed nodes receive. Each of its messages is an iteration.

@@ -89,8 +89,8 @@ pub enum PlacementConfig {
     },
     /// A model of a peer, over a network.
     Remote(Box<RemoteConfig>),
-    /// No model: only the sensor and its transforms run, without answers. `actuator` has no effect then.
-    // serde refuses unknown keys of a variant with braces, and ignores those of a variant without fields.
+    /// No model: only the sensor and its transforms run, without answers. The check refuses an actuator then.
+    // serde refuses unknown keys of a variant with braces, and ignores unknown keys of a variant without braces.
     None {},
     /// A running ROS system that is only observed.
     Observe(ObserveConfig),

@@ -9,8 +9,8 @@
 //! It is written and not mapped, so that a failed write is an error and does not end the process. After a restart of
 //! the machine the file is gone, and no gap is reported.
 //!
-//! The file contains the identity of its spool, and the counting process holds a lock on it. So a copy of the spool
-//! does not use the file, and a file whose spool was deleted can be removed.
+//! The file contains the identity of its spool, and the counting process holds a lock on the file. So a copy of the
+//! spool does not use the file, and a file whose spool was deleted can be removed.
 //!
 //! Batches that were sent while the spool could not be written are also recorded. Only the aggregator knows which of
 //! these batches it stored, so the next process queries the aggregator before it reports a loss (`peernet_stream`,

@@ -146,7 +146,7 @@ impl CloudLink {
         }
     }
 
-    /// Judges an exchange. It has no observation if a host reports that its clock was stepped during the exchange.
+    /// Judges an exchange. `observation` is `None` if a host reports that its clock was stepped during the exchange.
     fn judge(
         &self,
         network: &NetworkName,

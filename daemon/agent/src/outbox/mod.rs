@@ -1,7 +1,7 @@
 //! The outbox: sends durable events and live updates to the aggregator.
 //!
 //! Tasks add their events to the [`EventQueue`](crate::event_queue::EventQueue) and continue. The outbox task takes the
-//! events from the queue and owns the connection. It drives the sending end of the event stream
+//! events from the queue and owns the connection. The task drives the sending end of the event stream
 //! (`peernet_stream::Sending`), a state machine that batches, numbers and resends. A second task owns the [spool], the
 //! file in which batches are safe until the aggregator has stored them. So neither the outbox nor a live update waits
 //! for a disk.

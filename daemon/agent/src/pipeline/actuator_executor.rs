@@ -46,7 +46,7 @@ pub(super) struct SampleOrigin<'a> {
 #[derive(Clone)]
 pub(super) struct ActuatorExecutor {
     ordered_actuator: Arc<Mutex<OrderedActuator>>,
-    /// `true` if the actuator may block. It then runs on a thread, because it would delay all iterations in flight.
+    /// `true` if the actuator may block. It then runs on a thread; otherwise it would delay all iterations in flight.
     blocks: bool,
     /// `true` if the actuator has to be reset before each episode.
     resets: bool,

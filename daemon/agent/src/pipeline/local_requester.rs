@@ -7,8 +7,7 @@ use peernet_inference::{Cancelled, PartError, Requester};
 use peernet_sample::Sample;
 use tokio_util::sync::CancellationToken;
 
-/// Requester on this host. It ignores the parts of an answer that arrive before its end, because actuators act on
-/// complete answers.
+/// Requester on this host. It ignores the parts of an incomplete answer, because actuators act on complete answers.
 #[derive(Debug, Default)]
 pub(super) struct LocalRequester {
     is_cancelled: Mutex<bool>,

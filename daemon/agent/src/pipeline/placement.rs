@@ -347,8 +347,8 @@ async fn compute_locally(
     let answer = match futures::poll!(&mut done) {
         Poll::Ready(answer) => {
             if pool.runs_on_threads() {
-                // The answers of one batch become ready together. Yielding lets the pipeline handle the answers to the
-                // older samples of the batch first.
+                // Without yielding, an answer that is ready at the first poll would overtake the answers to older
+                // samples, which are still queued.
                 tokio::task::yield_now().await;
             }
             Ok(answer)

@@ -5,10 +5,10 @@
 //! a session, and names it in the hello. Such a socket can be reached only within one kernel and one network namespace.
 //! A cloud that may read the same clock connects before it accepts the session, and then answers queries.
 //!
-//! An answer proves three things. Both processes are in one time namespace. Each reads through the C library the time
-//! that a direct system call returns. The cloud's reading of the free-running clock lies between two readings of the
-//! edge. The edge sends a query every two seconds; an answer is valid for five seconds. The delays of hosts without the
-//! proof are estimated.
+//! An answer proves three things. Both processes are in one time namespace. The time that each reads through the C
+//! library is the time that a direct system call returns. The cloud's reading of the free-running clock lies between
+//! two readings of the edge. The edge sends a query every two seconds; an answer is valid for five seconds. The delays
+//! of hosts without the proof are estimated.
 //!
 //! ```text
 //! messages  query and answer as bytes

@@ -1,9 +1,9 @@
 //! The spool: batches on this host's disk until the aggregator has stored them.
 //!
-//! It is a separate SQLite file (`migrations/spool`). One task owns the connection and executes the requests of the
-//! state machine one after the other. The results are sent over a channel, so that no other task waits for the disk.
-//! Each append is one transaction, which also updates the totals, so that batches and totals agree whenever the process
-//! is killed.
+//! The spool is a separate SQLite file (`migrations/spool`). One task owns the connection and executes the requests of
+//! the state machine one after the other. The results are sent over a channel, so that no other task waits for the
+//! disk. Each append is one transaction, which also updates the totals, so that batches and totals agree whenever the
+//! process is killed.
 //!
 //! A crash of the process loses no appended batch. A power cut loses at most the batches that were appended since
 //! SQLite's log was last synced. The write-ahead log is synced every sync interval and not after each batch, because
