@@ -77,10 +77,10 @@ const OUTPUT: TopicNames = TopicNames {
     missing: Name::from_static("output-missing"),
 };
 
-pub(super) use peer::{answered_by_peer, answered_without_peer};
+pub(super) use peer::{tree_with_peer_stamps, tree_without_peer_stamps};
 
 /// Returns the tree of an input message with its output message, and the time at which the iteration ended.
-pub(super) fn answered(
+pub(super) fn tree_of_pair(
     clock: &SharedClock,
     host: HostId,
     input: &Input,
@@ -118,7 +118,7 @@ fn add_topics(
 }
 
 /// Returns the tree of an input message that has no output message by `ended`.
-pub(super) fn unanswered(
+pub(super) fn tree_without_output(
     clock: &SharedClock,
     host: HostId,
     position: Position,
@@ -210,7 +210,7 @@ mod tests {
         let output = received(clock.stamp(), Some(captured));
         let unpaired_counts = UnpairedCounts { input_missing: 2, output_missing: 0, output_unmatched: 1 };
         let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
-        let (tree, ended) = answered(&shared, HostId::random(), &input, &output, unpaired_counts);
+        let (tree, ended) = tree_of_pair(&shared, HostId::random(), &input, &output, unpaired_counts);
         for (name, expected) in [
             ("inference", 20.0),
             ("total", 20.0),
@@ -233,7 +233,8 @@ mod tests {
         clock.advance(Span::from_millis(1));
         let input = Input { position: POSITION, received: received(clock.stamp(), None) };
         let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
-        let (tree, ended) = answered(&shared, HostId::random(), &input, &output, UnpairedCounts::default());
+        let (tree, ended) =
+            tree_of_pair(&shared, HostId::random(), &input, &output, UnpairedCounts::default());
         assert_eq!(millis(&tree, "inference"), Some(0.0));
         assert_eq!(ended, input.received.message.received);
     }
@@ -244,7 +245,7 @@ mod tests {
         let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
         let input = received(clock.stamp(), Some(5_000_000_000));
         clock.advance(Span::from_millis(1000));
-        let tree = unanswered(&shared, HostId::random(), POSITION, &input, clock.stamp());
+        let tree = tree_without_output(&shared, HostId::random(), POSITION, &input, clock.stamp());
         assert_eq!((millis(&tree, "input-age"), millis(&tree, "total")), (None, Some(1000.0)));
     }
 }

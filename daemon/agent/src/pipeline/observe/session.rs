@@ -209,7 +209,7 @@ impl<'a> Observation<'a> {
             Err(reason) => {
                 let host = &runner.context.host;
                 let ended = host.clock.stamp();
-                let tree = trees::unanswered(&host.clock, host.id, position, &received, ended);
+                let tree = trees::tree_without_output(&host.clock, host.id, position, &received, ended);
                 let outcome =
                     Outcome::Failed(format!("a message of {} cannot be paired: {reason}", self.config.input));
                 run.record(position, outcome, tree, ended, &runner.context, &runner.live_state);
@@ -265,7 +265,8 @@ impl<'a> Observation<'a> {
                     }
                     return;
                 }
-                let (tree, ended) = trees::answered(&host.clock, host.id, &input, &output, unpaired_counts);
+                let (tree, ended) =
+                    trees::tree_of_pair(&host.clock, host.id, &input, &output, unpaired_counts);
                 run.record(input.position, Outcome::Ok, tree, ended, &runner.context, &runner.live_state);
             }
             Resolution::Unanswered { input, cause } => {
@@ -310,7 +311,7 @@ fn record_pair(SettledPair { position, tree, ended }: SettledPair, run: &mut Run
 fn record_lost(input: &Input, reason: String, run: &mut Run, runner: &Runner) {
     let host = &runner.context.host;
     let ended = host.clock.stamp();
-    let tree = trees::unanswered(&host.clock, host.id, input.position, &input.received, ended);
+    let tree = trees::tree_without_output(&host.clock, host.id, input.position, &input.received, ended);
     run.record(input.position, Outcome::Lost(reason), tree, ended, &runner.context, &runner.live_state);
 }
 

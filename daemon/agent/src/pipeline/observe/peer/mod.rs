@@ -151,6 +151,6 @@ impl PeerStamps {
 
 /// Records a pair without stamps of the peer.
 pub(super) fn record_without_peer(host: &Host, pair: &Pair) -> SettledPair {
-    let (tree, ended) = record::answered_without_peer((&host.clock, host.id), pair);
+    let (tree, ended) = record::tree_without_peer_stamps((&host.clock, host.id), pair);
     SettledPair { position: pair.input.position, tree, ended }
 }

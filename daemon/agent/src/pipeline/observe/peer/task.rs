@@ -272,6 +272,6 @@ fn record_by_peer(
     judge: impl FnOnce(&Crossing, Option<&Crossing>) -> [Option<OneWayDelay>; 2],
 ) -> SettledPair {
     let (tree, ended) =
-        record::answered_by_peer((&host.clock, host.id), answer.peer, pair, &answer.stamps, judge);
+        record::tree_with_peer_stamps((&host.clock, host.id), answer.peer, pair, &answer.stamps, judge);
     SettledPair { position: pair.input.position, tree, ended }
 }

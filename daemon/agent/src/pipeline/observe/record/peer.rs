@@ -23,7 +23,7 @@ const PEER: HostIndex = HostIndex(1);
 
 /// Returns the tree of a pair of messages with the peer's stamps, and the time at which the iteration ended. `judge`
 /// judges the delays of the input message and, if both stamps are known, of the output message.
-pub(in crate::pipeline::observe) fn answered_by_peer(
+pub(in crate::pipeline::observe) fn tree_with_peer_stamps(
     (clock, host): (&SharedClock, HostId),
     peer: HostId,
     pair: &Pair,
@@ -77,7 +77,7 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
 }
 
 /// Returns the tree of a pair of messages without stamps of the peer, and the time at which the iteration ended.
-pub(in crate::pipeline::observe) fn answered_without_peer(
+pub(in crate::pipeline::observe) fn tree_without_peer_stamps(
     (clock, host): (&SharedClock, HostId),
     pair: &Pair,
 ) -> (Tree, Stamp) {
@@ -185,7 +185,7 @@ mod tests {
         let (pair, seen) = pair(&clock);
         let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
         let (host, peer) = (HostId::random(), HostId::random());
-        let (tree, ended) = answered_by_peer((&shared, host), peer, &pair, &seen, judge);
+        let (tree, ended) = tree_with_peer_stamps((&shared, host), peer, &pair, &seen, judge);
         for (name, expected) in [
             ("upload", 30.0),
             ("inference", 20.0),
@@ -219,7 +219,7 @@ mod tests {
         };
         let delays = [Some(limited(Span::from_millis(30))), Some(limited(Span::from_millis(5)))];
         let (host, peer) = (HostId::random(), HostId::random());
-        let (tree, _) = answered_by_peer((&shared, host), peer, &pair, &seen, |_, _| delays);
+        let (tree, _) = tree_with_peer_stamps((&shared, host), peer, &pair, &seen, |_, _| delays);
         let iteration = Iteration {
             run: RunId::random(),
             number: 1,
@@ -242,7 +242,7 @@ mod tests {
         let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
         let tree = |input, output, elapsed| {
             let seen = ObservedPair::new(7, input, output, elapsed);
-            answered_by_peer((&shared, HostId::random()), HostId::random(), &pair, &seen, judge).0
+            tree_with_peer_stamps((&shared, HostId::random()), HostId::random(), &pair, &seen, judge).0
         };
         let without_output = tree(seen.input(), None, None);
         let names = ["upload", "inference", "download", "stages-total", "peer-input-missing"];
@@ -252,7 +252,7 @@ mod tests {
         let without_input = tree(None, seen.output(), None);
         assert_eq!((millis(&without_input, "upload"), millis(&without_input, "total")), (None, Some(55.0)));
         assert!(without_input.find(&["peer-input-missing"]).is_some());
-        let (unanswered, _) = answered_without_peer((&shared, HostId::random()), &pair);
+        let (unanswered, _) = tree_without_peer_stamps((&shared, HostId::random()), &pair);
         assert!(unanswered.find(&["peer-unanswered"]).is_some());
         assert_eq!((millis(&unanswered, "total"), millis(&unanswered, "inference")), (Some(55.0), None));
     }
@@ -275,7 +275,8 @@ mod tests {
             let down = down.map(|down| down.receiver.wall - down.sender.wall + BEHIND);
             [Some(exact(up)), down.map(exact)]
         };
-        let (tree, _) = answered_by_peer((&shared, HostId::random()), HostId::random(), &pair, &seen, judge);
+        let (tree, _) =
+            tree_with_peer_stamps((&shared, HostId::random()), HostId::random(), &pair, &seen, judge);
         let names = ["upload", "inference", "download", "total"];
         let values = names.map(|name| millis(&tree, name));
         assert_eq!(values, [Some(-31.0), Some(20.0), Some(5.0), Some(0.0)]);
