@@ -21,10 +21,11 @@ const MATCHING: u8 = 8;
 const PROGRAM_STAMPS: u8 = 16;
 const RAW_CLOCKS: u8 = 32;
 
-/// Handles a packet in both roles. The first byte selects the circumstances, the other bytes are the packet.
+/// Handles a packet in both roles. The bits of the first byte select the options above; the other bytes are the packet.
 ///
 /// # Panics
-/// If an answer is longer than its request, two reflectors could form a loop, or an answer to no request is accepted.
+/// If an answer has another length than its request, if two reflectors could form a loop, or if an answer is accepted
+/// twice.
 pub fn any_packet(data: &[u8]) {
     let Some((&options, bytes)) = data.split_first() else { return };
     let key = (options & WITH_KEY != 0).then(|| Key::from_bytes(&[7; 32]));

@@ -10,9 +10,10 @@
 //! - `prober` and `reflector`: sockets and timers of the two roles. `schedule` has the times of probes, and `refusal_log`
 //!   limits the log lines about refused probes.
 //!
-//! Probes must be answered by the process that serves the data. A process therefore draws a random number. The answers
-//! of its reflector and its sessions carry this number, and answers with another number are refused. If no key is
-//! configured, a random key of the process authenticates probes; peers get this key with their session.
+//! Probes must be answered by the process that serves the data, because that process stamps the data. Each process
+//! therefore chooses a random number at its start. The number is sent with every accepted session and with every answer
+//! to a probe, and a prober refuses answers with another number. If no key is configured, a random key of the process
+//! authenticates probes; peers get this key with their session.
 
 #[doc(hidden)]
 pub mod fuzzing;

@@ -18,10 +18,11 @@ use crate::{Key, TimestampSource};
 const MAX_REPLY_BYTES: usize = 2048;
 
 /// Time limit for sending a probe. A probe that takes longer is dropped.
-// The stamp in a waiting probe becomes old. The first probe waits until the runtime has registered the socket.
+// The limit is short, because the stamp in a probe that waits becomes old. The limit is not 0, because the first probe
+// must wait until the runtime has registered the socket.
 const SEND_TIMEOUT: Duration = Duration::from_millis(20);
 
-/// Maximum number of awaited departure stamps.
+/// Maximum number of sent probes whose departure stamps are awaited. A further probe replaces the oldest.
 const MAX_AWAITED_DEPARTURES: usize = 64;
 
 /// Pause after a socket error.
@@ -34,11 +35,11 @@ pub struct ProberConfig {
     pub target: SocketAddr,
     /// Key shared with the reflector; `None` sends unauthenticated probes.
     pub key: Option<Key>,
-    /// Process that must answer, by its [`ReflectorConfig::instance`](crate::ReflectorConfig). It is the process that
+    /// Number of the process that must answer, [`ReflectorConfig::instance`](crate::ReflectorConfig): the process that
     /// serves the data and whose clock is measured. `None` accepts any reflector, including other implementations.
     pub instance: Option<u64>,
-    /// Clocks of the exchanges: both free-running clocks, which needs a reflector of PEERNet 0.3.0 or later, or this
-    /// host's free-running clock and the reflector's wall clock.
+    /// Clocks that the exchanges relate: either the free-running clocks of both hosts, for which the reflector must be
+    /// PEERNet 0.3.0 or later, or this host's free-running clock and the reflector's wall clock.
     pub clocks: RelatedClocks,
     /// Number of padding bytes (value of an Extra Padding TLV, RFC 8972, section 4.1); 0 for none.
     pub padding_bytes: u16,
@@ -58,13 +59,14 @@ pub enum ProbeResult {
     /// The probe was answered, but this host's free-running clock was interrupted in between, so the stamps cannot
     /// be compared. The value is the clock's new epoch.
     Stepped(u32),
-    /// An exchange that was reported as answered, with a better stamp of the reply's departure.
+    /// An exchange that was reported as [`Answered`](Self::Answered) before, now with a better stamp of the reply's
+    /// departure.
     Refined(ExchangeObservation),
     /// No answer arrived within the timeout.
     Lost,
     /// The answer to a lost probe arrived after all.
     Late,
-    /// A packet that is not a valid answer arrived, or a probe could not be sent, for this reason.
+    /// A packet arrived that is not a valid answer, or a probe could not be sent. The value is the reason.
     Refused(&'static str),
 }
 
@@ -91,7 +93,7 @@ pub struct Prober {
     clock: SharedClock,
     socket: ProbeSocket,
     sender: SenderState,
-    /// Probes whose departure stamps may still arrive.
+    /// Probes whose departure stamps may still arrive, oldest first: the socket's token and the number of each probe.
     awaited_departures: VecDeque<(Token, u32)>,
 }
 
@@ -104,12 +106,12 @@ impl Prober {
         let target = config.target;
         let socket = ProbeSocket::open_for_target(target, config.stamps, clock.clone())
             .map_err(|error| OpenError::Socket { target, error })?;
-        // The identifier is not zero: reflectors that do not know session identifiers leave zero.
+        // Zero is excluded: it is what a reflector that does not know session identifiers leaves in its answer.
         let ssid = rand::random_range(1..=u16::MAX);
         let sender = SenderState::new(SenderConfig {
             key: config.key.clone(),
             instance: config.instance,
-            // Other implementations need not return the octets.
+            // Only for a PEERNet reflector: other implementations need not return the octets.
             with_nonce: config.instance.is_some(),
             clocks: config.clocks,
             ssid,
@@ -126,10 +128,10 @@ impl Prober {
     }
 
     /// Checks that the kernel stamps packets by the clock that the program reads; otherwise its stamps are ignored.
-    /// [`run`](Self::run) calls it. A caller that needs the final [`stamp_source_name`](Self::stamp_source_name) before
-    /// that calls it first.
+    /// [`run`](Self::run) does this check, too. A caller that needs the final
+    /// [`stamp_source_name`](Self::stamp_source_name) before `run` must call this function first.
     pub async fn check_stamps(&mut self) {
-        self.socket.check().await;
+        self.socket.check_kernel_stamps().await;
         if self.socket.are_kernel_stamps_disabled() {
             self.ignore_kernel_stamps();
         }
@@ -153,7 +155,7 @@ impl Prober {
         self.check_stamps().await;
         let mut schedule = Schedule::new(*rate_hz.borrow_and_update(), self.clock.mono());
         let mut buffer = vec![0; MAX_REPLY_BYTES + usize::from(self.config.padding_bytes)];
-        // After its sender is gone, `changed` returns at once each time, which would be a busy loop.
+        // After the sender of `rate_hz` is dropped, each call of `changed` returns at once, which would be a busy loop.
         let mut rate_is_fixed = false;
         loop {
             let mut pending_results = PendingResults::default();
@@ -162,7 +164,7 @@ impl Prober {
                 biased;
                 () = stop.cancelled() => return,
                 () = results.closed() => return,
-                // Polled before the reply, because the stamp belongs to the reply's exchange.
+                // Polled before the reply, because the reply completes the exchange that this stamp belongs to.
                 departure = self.socket.departure() => match departure {
                     Ok((token, departed_at)) => self.record_departure(token, departed_at),
                     Err(error) => self.pause_after_error(&error).await,
@@ -218,9 +220,10 @@ impl Prober {
         }
     }
 
-    /// Replaces the socket by a new one, whose count of packets starts from zero.
-    // The kernel may have counted a packet that failed to be sent although the socket did not. Later departure stamps
-    // would then belong to other packets.
+    /// Replaces the socket by a new one, whose count of packets starts from zero. Does nothing if the kernel does not
+    /// stamp departures.
+    // The kernel may have counted a packet that could not be sent, while the socket did not count it. Each later
+    // departure stamp would then be attributed to another packet.
     fn reopen_socket(&mut self) {
         if !self.socket.stamps_departures() {
             return;
@@ -228,7 +231,7 @@ impl Prober {
         match ProbeSocket::open_for_target(self.config.target, self.config.stamps, self.clock.clone()) {
             Ok(socket) => {
                 self.socket = socket;
-                // Tokens count the packets of one socket.
+                // A token is the number of a packet of one socket; the new socket starts from zero.
                 self.awaited_departures.clear();
             }
             Err(error) => {
@@ -261,7 +264,7 @@ impl Prober {
         let read = self.clock.stamp();
         let (from, target) = (received.source, self.config.target);
         // A packet from another address is not an answer, even if its contents match.
-        // The flow label and the scope of an IPv6 address may differ.
+        // Only port and IP address are compared: the flow label and the scope of an IPv6 address may differ.
         if from.port() != target.port() || from.ip() != target.ip() {
             pending_results.push(ProbeResult::Refused("not from the target"));
             return;
@@ -285,15 +288,15 @@ impl Prober {
     }
 
     /// Logs a socket error, and waits briefly.
-    // The system also reports errors of single packets here, so that the loop continues; a permanent error must not cause
-    // a busy loop.
+    // The system also reports errors of single packets here, so the loop continues. The pause prevents a busy loop if
+    // the error is permanent.
     async fn pause_after_error(&mut self, error: &io::Error) {
         tracing::debug!(target = %self.config.target, %error, "failed to receive the reply to a probe");
         tokio::time::sleep(ERROR_PAUSE).await;
     }
 }
 
-/// Events of one pass of the loop.
+/// Results of one pass of the loop in [`Prober::run`], which are sent at the end of the pass.
 #[derive(Default)]
 struct PendingResults(Vec<ProbeResult>);
 

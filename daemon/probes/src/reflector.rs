@@ -17,17 +17,18 @@ use crate::stamp::uncertainty::ORDER_TOLERANCE;
 use crate::{Key, ReflectorCounters, Refusal, TimestampSource};
 
 /// Largest packet of UDP. Bytes.
-// An answer is written into its request and has the same length, so that no request may be cut.
+// An answer is written into the buffer of its request and has the same length, so a request must not be truncated.
 const MAX_PACKET_BYTES: usize = 65_535;
 
 /// Number of successive errors after which the socket counts as lost.
 const MAX_FAILURES: u32 = 100;
 
-/// Maximum number of awaited departure stamps.
+/// Maximum number of sent replies whose departure stamps are awaited. A further reply replaces the oldest.
 const MAX_AWAITED_DEPARTURES: usize = 1024;
 
-/// Maximum number of remembered comparisons of the two clocks.
-// A request that waited in the socket has a stamp from before the comparisons for the answers ahead of it.
+/// Maximum number of remembered comparisons of the wall clock with the free-running clock.
+// The kernel stamps a request when it arrives. While the request waits in the socket, each answer to an earlier request
+// compares the clocks. The newest comparison from before the stamp may therefore be several comparisons ago.
 const MAX_COMPARISONS: usize = 8;
 
 /// Configuration of a reflector.
@@ -90,20 +91,21 @@ pub struct ReceiveError {
 
 /// Answers probes (session-reflector of RFC 8762).
 ///
-/// A reflector cannot amplify an attack on third parties: an answer has the length of its request, each source has a rate
-/// limit, and all sources without a session share another rate limit. With a key, only requests with that key are answered. A
-/// packet that looks like a reply is never answered, so that two reflectors, or a reflector and an echo service, cannot
-/// form a loop. The memory for sources and sessions is bounded.
+/// A reflector cannot amplify an attack on third parties: an answer has the length of its request, each source has a
+/// rate limit, and all sources without a session share another rate limit. With a key, only requests with that key are
+/// answered. A packet that looks like a reply is never answered, so that two reflectors, or a reflector and an echo
+/// service, cannot form a loop. The memory for sources and sessions is bounded.
 #[derive(Debug)]
 pub struct Reflector {
     socket: ProbeSocket,
     state: ReflectorState,
     clock: SharedClock,
     counters: ReflectorCounters,
+    /// Addresses of the peers that have a session with this host.
     peers: watch::Sender<Vec<IpAddr>>,
-    /// Replies whose departure stamps may still come.
+    /// Replies whose departure stamps may still come, oldest first.
     awaited_departures: VecDeque<DepartingReply>,
-    /// Latest comparisons of the two clocks, oldest first.
+    /// Latest comparisons of the wall clock with the free-running clock, oldest first.
     comparisons: VecDeque<ClockComparison>,
     refusal_log: RefusalLog,
 }
@@ -114,7 +116,7 @@ struct DepartingReply {
     token: Token,
     session: SessionId,
     sequence: u32,
-    /// Difference wall clock minus free-running clock before the reply was sent.
+    /// Difference wall clock minus free-running clock, read before the reply was sent.
     ahead: Interval,
 }
 
@@ -171,13 +173,14 @@ impl Reflector {
         self.counters.clone()
     }
 
-    /// Returns a sender for the addresses of all peers that have a session with this host. The caller sends them whenever
-    /// they change. Packets with forged source addresses do not use up the rate of these peers.
+    /// Returns a sender for the addresses of all peers that have a session with this host. The caller sends them
+    /// whenever they change. Packets with forged source addresses do not use up the rate of these peers.
     pub fn peers(&self) -> watch::Sender<Vec<IpAddr>> {
         self.peers.clone()
     }
 
-    /// Returns the source of the packet stamps, as [`Prober::stamp_source_name`](crate::Prober::stamp_source_name) does.
+    /// Returns the source of the packet stamps, as [`Prober::stamp_source_name`](crate::Prober::stamp_source_name)
+    /// does.
     pub fn stamp_source_name(&self) -> &'static str {
         self.socket.stamp_source_name()
     }
@@ -187,7 +190,7 @@ impl Reflector {
     /// # Errors
     /// If the socket is lost.
     pub async fn run(mut self, stop: CancellationToken) -> Result<(), ReceiveError> {
-        self.socket.check().await;
+        self.socket.check_kernel_stamps().await;
         self.compare_clocks();
         let mut buffer = vec![0; MAX_PACKET_BYTES];
         let mut failures = 0;
@@ -225,7 +228,8 @@ impl Reflector {
                     Err(error) => Some(error),
                 },
             };
-            // The system also reports errors of single packets on receiving.
+            // Receiving also returns errors of single packets, so only many successive errors mean that the socket is
+            // lost.
             match error {
                 None => failures = 0,
                 Some(error) if failures < MAX_FAILURES => {
@@ -255,7 +259,7 @@ impl Reflector {
         let kernel_stamp = received.kernel_stamp.filter(|stamp| *stamp <= read.wall + ORDER_TOLERANCE);
         if kernel_stamp.is_none() && received.kernel_stamp.is_some() {
             // The stamp is of another clock, or the clock was set back in between.
-            self.socket.check().await;
+            self.socket.check_kernel_stamps().await;
         }
         let earlier_difference = kernel_stamp.and_then(|stamp| self.difference_before(stamp));
         let ahead = self.compare_clocks();
@@ -272,7 +276,7 @@ impl Reflector {
             now: read.mono,
         };
         let answer = self.state.prepare(packet, &arrival)?;
-        // The answer comes from the address that was asked, if the system reported it.
+        // The answer is sent from the address to which the request was sent, if the system reported that address.
         let from = (!received.local.ip().is_unspecified()).then_some(received.local);
         let stamp = self.state.complete(&answer, packet, &*self.clock);
         let sent = self.socket.send(packet, from, received.source, Duration::ZERO).await;
@@ -307,7 +311,7 @@ impl Reflector {
         }
     }
 
-    /// Compares the two clocks, and remembers and returns the difference.
+    /// Compares the wall clock with the free-running clock. Remembers and returns the difference.
     fn compare_clocks(&mut self) -> Interval {
         let ahead = self.clock.wall_ahead();
         let at = self.clock.raw();

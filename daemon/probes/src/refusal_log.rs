@@ -7,10 +7,12 @@ use crate::Refusal;
 /// Shortest interval between two log lines with the same reason, for all sources together.
 const LOG_INTERVAL: Span = Span::from_seconds(60);
 
-/// Time of the last log line of each reason, and the number of probes refused for it since then.
+/// State of the log lines about refused probes.
 #[derive(Debug)]
 pub(crate) struct RefusalLog {
+    /// `true` if the reflector has a key; the advice depends on it.
     has_key: bool,
+    /// For each reason, the time of its last log line and the number of probes refused for it since then.
     reasons: [(Option<MonoTime>, u64); Refusal::ALL.len()],
 }
 

@@ -2,7 +2,7 @@
 
 use peernet_clock::{MonoTime, Span};
 
-/// Relative variation of intervals in both directions.
+/// Largest relative deviation of an interval from the mean, in both directions.
 // Without jitter, probes could synchronise with periodic load.
 const JITTER: f64 = 0.2;
 
@@ -36,7 +36,7 @@ impl Schedule {
         let first = now + scale(interval.min(FIRST_PROBE_WINDOW), rand::random());
         self.due = match previous_interval {
             None => first,
-            // At most one new interval away. An earlier time of the old rate is kept.
+            // The next probe is due after at most one new interval. If it is due earlier by the old rate, it stays so.
             Some(_) => self.due.min(now + with_jitter(interval)),
         };
     }
@@ -50,7 +50,7 @@ impl Schedule {
         self.due().is_some_and(|due| due <= now)
     }
 
-    /// Sets the time of the next probe, after one was sent now.
+    /// Sets the time of the next probe after a probe was due and sent at `now`.
     pub(crate) fn advance(&mut self, now: MonoTime) {
         if let Some(interval) = self.interval {
             let interval = with_jitter(interval);

@@ -38,11 +38,12 @@ pub(crate) type Token = SendTimestampToken;
 /// A packet that was received.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ReceivedPacket {
+    /// Length of the packet. Bytes.
     pub(crate) bytes: usize,
     pub(crate) source: SocketAddr,
-    /// Address of this machine to which it was sent.
+    /// Address of this machine to which the packet was sent; unspecified if the system did not report it.
     pub(crate) local: SocketAddr,
-    /// Kernel's stamp of the arrival, converted to the program's clock.
+    /// Kernel's stamp of the arrival, converted to the program's clock; `None` if there is none or it is ignored.
     pub(crate) kernel_stamp: Option<WallTime>,
 }
 
@@ -127,7 +128,7 @@ impl ProbeSocket {
     /// Checks with a loopback packet that the kernel stamps by the clock that the program reads.
     /// `libfaketime`, for example, shows a false time to the program alone. If the clocks differ, only the program's
     /// stamps are used from now on.
-    pub(crate) async fn check(&mut self) {
+    pub(crate) async fn check_kernel_stamps(&mut self) {
         if self.mode == GeneralTimestampMode::None || self.kernel_stamps_disabled {
             return;
         }
@@ -138,8 +139,8 @@ impl ProbeSocket {
                 Ok(Some(false)) => return self.disable_kernel_stamps(),
                 // The clock was set meanwhile, or the packet has no stamp. Another packet is tried.
                 Ok(None) => {}
-                // Without a result the stamps are used. `SenderState::receive` still finds stamps of another clock by
-                // the order of events.
+                // If the check fails, the kernel's stamps are used. If they are of another clock,
+                // `SenderState::receive` still notices it by the order of events.
                 Err(error) => {
                     tracing::debug!(%error, "failed to compare the kernel's stamps with the clock");
                     return;
@@ -177,7 +178,8 @@ impl ProbeSocket {
         })
     }
 
-    /// Sends a packet within `timeout`. With a timeout of zero, sends at once or fails.
+    /// Sends a packet within `timeout`. With a timeout of zero, sends at once or fails. Returns the token of the packet
+    /// if the kernel stamps departures.
     // The time is limited, because the stamp in the packet becomes old.
     pub(crate) async fn send(
         &self,
@@ -202,7 +204,8 @@ impl ProbeSocket {
         tokio::time::timeout(timeout, sending).await.unwrap_or_else(|_| Err(io::ErrorKind::WouldBlock.into()))
     }
 
-    /// Waits for the kernel's next stamp of a departure. Waits forever if the kernel does not stamp departures. Cancel safe.
+    /// Waits for the kernel's next stamp of a departure. Returns the token of the packet, and the stamp unless stamps
+    /// are ignored. Waits forever if the kernel does not stamp departures. Cancel safe.
     pub(crate) async fn departure(&self) -> io::Result<(Token, Option<WallTime>)> {
         if !self.stamps_departures() {
             return pending().await;
@@ -212,16 +215,16 @@ impl ProbeSocket {
     }
 
     fn accepted_stamp(&self, stamps: TimestampData) -> Option<WallTime> {
-        if self.kernel_stamps_disabled { None } else { accepted_stamp(&self.clock, stamps) }
+        if self.kernel_stamps_disabled { None } else { to_program_time(&self.clock, stamps) }
     }
 }
 
-/// Returns the kernel's stamp as a time of the program's clock.
-fn accepted_stamp(clock: &SharedClock, stamps: TimestampData) -> Option<WallTime> {
+/// Returns the kernel's stamp as a time of the program's clock. `None` if the packet has no stamp.
+fn to_program_time(clock: &SharedClock, stamps: TimestampData) -> Option<WallTime> {
     let Timestamp { seconds, nanos } = stamps.selected_timestamp()?;
-    let system = seconds.saturating_mul(1_000_000_000).saturating_add(i64::from(nanos));
+    let system_nanos = seconds.saturating_mul(1_000_000_000).saturating_add(i64::from(nanos));
     // The kernel stamps by the system's clock, from which a clock with injected faults differs.
-    Some(clock.apply_faults(WallTime::from_unix_nanos(system)))
+    Some(clock.apply_faults(WallTime::from_unix_nanos(system_nanos)))
 }
 
 /// Sends a packet to this host. Returns whether the kernel's stamp of its arrival lies between two readings of the
@@ -236,7 +239,8 @@ async fn check_kernel_clock(clock: &SharedClock) -> io::Result<Option<bool>> {
     poll_fn(|cx| socket.poll_send_to(&[0], local, cx)).await?;
     let received = socket.recv(&mut [0; 1]).await?;
     let time_after = clock.wall();
-    let stamp = accepted_stamp(clock, received.timestamp_data);
+    let stamp = to_program_time(clock, received.timestamp_data);
+    // A step of the wall clock in between makes the comparison meaningless.
     let is_steady = clock.wall_epoch() == epoch;
     Ok(stamp
         .filter(|_| is_steady)
@@ -244,6 +248,7 @@ async fn check_kernel_clock(clock: &SharedClock) -> io::Result<Option<bool>> {
 }
 
 fn is_unsupported_option(error: &io::Error) -> bool {
+    // Error numbers of Linux.
     const ENOPROTOOPT: i32 = 92;
     const EOPNOTSUPP: i32 = 95;
     error.kind() == io::ErrorKind::InvalidInput

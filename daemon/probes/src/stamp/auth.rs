@@ -14,7 +14,7 @@ pub const CODE_BYTES: usize = 16;
 // A shorter key would be easier to guess than the code.
 const MIN_KEY_BYTES: usize = 16;
 
-/// Largest key file, bytes.
+/// Largest key file. Bytes.
 // The path may lead to a file without an end, such as /dev/zero.
 const MAX_FILE_BYTES: u64 = 4096;
 
@@ -86,7 +86,7 @@ impl Key {
         Ok(Self::from_bytes(&bytes))
     }
 
-    /// Returns the key with these bytes. Any length is allowed.
+    /// Returns the key with these bytes. Any length is allowed; [`read`](Self::read) alone checks the length.
     pub fn from_bytes(bytes: &[u8]) -> Self {
         Self(Hmac::new_from_slice(bytes).expect("a key for HMAC has any length"))
     }

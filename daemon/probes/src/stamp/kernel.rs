@@ -2,14 +2,14 @@
 
 use peernet_clock::{Interval, RawTime, Span, WallTime};
 
-/// Largest difference of two comparisons of the clocks, beyond their widths, from which no step of the wall clock follows.
+/// If two comparisons of the clocks differ by more than this span and their widths, the wall clock was set in between.
 const MAX_STEADY_DIFFERENCE: Span = Span::from_micros(10);
 
 /// Bounds of the time of the free-running clock at which the wall clock showed a stamp.
 ///
 /// Two comparisons of the clocks, one before and one after the stamp, give the difference wall clock minus free-running
-/// clock. If the wall clock was slewed or set in between, the difference changed from one to the other. The bounds are
-/// therefore as far apart as the comparisons differ.
+/// clock. If the wall clock was slewed or set in between, the two differences are not equal. The true difference at the
+/// stamp then lies between them, so the bounds are as far apart as the comparisons differ.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct KernelStamp {
     /// Time that is not later than the true one.
@@ -41,10 +41,10 @@ mod tests {
     #[test]
     fn stamp_is_as_wide_as_comparisons_differ() {
         let stamp = WallTime::from_unix_nanos(1_000_000);
-        let calm = KernelStamp::from_comparisons(stamp, ahead(100, 140), ahead(110, 150));
+        let steady = KernelStamp::from_comparisons(stamp, ahead(100, 140), ahead(110, 150));
         let raw = RawTime::from_nanos;
-        assert_eq!(calm, KernelStamp { earliest: raw(999_850), latest: raw(999_900), is_steady: true });
-        // Set by a second in between: it is unknown on which side of the stamp.
+        assert_eq!(steady, KernelStamp { earliest: raw(999_850), latest: raw(999_900), is_steady: true });
+        // The wall clock was set by a second in between. Whether this was before or after the stamp is unknown.
         let set = KernelStamp::from_comparisons(stamp, ahead(100, 140), ahead(1_000_000_100, 1_000_000_140));
         assert_eq!((set.latest - set.earliest, set.is_steady), (Span::from_nanos(1_000_000_040), false));
     }

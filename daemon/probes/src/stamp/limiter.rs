@@ -14,7 +14,7 @@ const MIN_SOURCES: usize = 4096;
 /// Rate of all sources without a session together, as a multiple of the rate of one source.
 const SHARED_FACTOR: u32 = 10;
 
-/// An IPv4 address or an IPv6 network of 64 bits, because a single host can have that many addresses.
+/// An IPv4 address or an IPv6 network with a prefix of 64 bits: a single host can have all addresses of such a network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) struct Source([u8; 16]);
 
@@ -36,6 +36,7 @@ struct TokenBucket {
 }
 
 impl TokenBucket {
+    /// Returns whether a reply may be sent now. The bucket gains a token every `interval`.
     fn has_token(self, interval: Span, now: MonoTime) -> bool {
         self.full_at.max(now) + interval - now <= Span::from_seconds(1).max(interval)
     }
@@ -48,8 +49,9 @@ impl TokenBucket {
 /// Limits the replies per second on two levels.
 ///
 /// A source that has a session with this host has its own bucket. Every other source has a bucket as well, and all of
-/// these share one further bucket. Any number of forged source addresses is therefore answered at the rate of the shared bucket
-/// and takes nothing from the sources with a session. The table of the other sources is bounded; it drops the least recently used sources.
+/// these share one further bucket. Packets with forged source addresses, however many, are therefore answered at the
+/// rate of the shared bucket and take nothing from the sources with a session. The table of the other sources is
+/// bounded; it drops the least recently used sources.
 #[derive(Debug)]
 pub struct Limiter {
     /// Buckets of sources with a session.
@@ -58,6 +60,7 @@ pub struct Limiter {
     shared_bucket: TokenBucket,
     /// Time in which a bucket of one source gains a token.
     interval: Span,
+    /// Time in which the shared bucket gains a token.
     shared_interval: Span,
 }
 
@@ -76,10 +79,10 @@ impl Limiter {
     }
 
     /// Replaces the addresses with a session. An address keeps the contents of its bucket, so that reopening a session
-    /// does not refill it.
+    /// does not refill the bucket.
     pub fn set_peers(&mut self, addresses: &[IpAddr]) {
         let sources: HashSet<Source> = addresses.iter().copied().map(Source::from).collect();
-        // Keeps the contents of the bucket of a source whose session has ended.
+        // A source whose session has ended keeps the contents of its bucket as one of the other sources.
         for (source, bucket) in self.peers.extract_if(|source, _| !sources.contains(source)) {
             *self.other_sources.entry(source, TokenBucket::default) = bucket;
         }

@@ -13,7 +13,7 @@ pub enum Mode {
     Authenticated,
 }
 
-/// Offsets of fields. Bytes.
+/// Offsets of the fields of a base packet, without the sequence number, which is always at offset 0. Bytes.
 struct Layout {
     timestamp: usize,
     estimate: usize,
@@ -85,7 +85,8 @@ pub struct Request {
 /// Base packet of a reflector.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reply {
-    /// Number of the reply. It is the request's number, or a separate count in a stateful reflector.
+    /// Number of the reply. A stateful reflector counts the replies of each session; others repeat the request's
+    /// number.
     pub sequence: u32,
     /// Time of departure, in the format of the error estimate.
     pub timestamp: u64,
@@ -126,8 +127,8 @@ impl Request {
 }
 
 impl Reply {
-    /// Reads a reply. `None` if the packet is too short. A request can also be read as a reply; the additional fields of the
-    /// reply are then the bytes that follow the request.
+    /// Reads a reply. `None` if the packet is too short. A request can also be read as a reply; the additional fields
+    /// of the reply are then the bytes that follow the request.
     pub fn parse(mode: Mode, packet: &[u8]) -> Option<Self> {
         let base_fields = Request::parse(mode, packet)?;
         let layout = mode.layout();
@@ -180,7 +181,7 @@ pub fn is_authentic(key: &Key, packet: &[u8]) -> bool {
     packet
         .get(..Mode::Authenticated.base_bytes())
         .and_then(|base| base.split_last_chunk::<CODE_BYTES>())
-        .is_some_and(|(text, code)| key.verifies(&[text], code))
+        .is_some_and(|(covered, code)| key.verifies(&[covered], code))
 }
 
 /// Returns the `N` bytes at `offset`. The caller has checked the length.

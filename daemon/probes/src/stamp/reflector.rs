@@ -16,11 +16,11 @@ use super::timestamp::ErrorEstimate;
 use super::tlv::{self, FollowUp, Origin, RawStamps};
 use super::uncertainty;
 
-/// Minimum number of remembered STAMP sessions, for peers and for others each.
+/// Minimum number of STAMP sessions that are remembered for peers, and as many for others.
 const MIN_SESSIONS: usize = 4096;
 
 /// Longest time between the reception of a request and its reply.
-// A reflector takes far less.
+// A reflector takes far less. The limit distinguishes replies from requests (`is_reply`).
 const MAX_ANSWER_DURATION: Span = Span::from_seconds(4);
 
 /// State of a reflector.
@@ -31,6 +31,7 @@ pub struct ReflectorState {
     session_key: Option<Key>,
     instance: u64,
     limiter: Limiter,
+    /// `None` if sessions are not distinguished.
     sessions: Option<Sessions>,
 }
 
@@ -70,6 +71,7 @@ pub struct Arrival {
 pub struct SessionId {
     source: SocketAddr,
     ssid: u16,
+    /// `true` if the source has a session with this host.
     is_peer: bool,
 }
 
@@ -122,8 +124,9 @@ impl ReflectorState {
         Self { key, session_key: None, instance, limiter, sessions }
     }
 
-    /// Sets a key of sessions: requests that it authenticates get authenticated answers, and all others are answered as
-    /// before. No effect if all requests must be authenticated.
+    /// Sets the key that peers get with their session. Requests that this key authenticates get authenticated answers;
+    /// all others are answered as before. No effect if the reflector has a `key`, because all requests then need that
+    /// key.
     #[must_use]
     pub fn with_session_key(mut self, key: Option<Key>) -> Self {
         self.session_key = key;
@@ -136,18 +139,19 @@ impl ReflectorState {
         self.limiter.set_peers(addresses);
     }
 
-    /// Turns a request into its answer, in place. [`complete`](Self::complete) stamps it.
+    /// Turns a request into its answer, in place. [`complete`](Self::complete) then stamps the answer.
     ///
     /// # Errors
-    /// The reason why the request gets no answer. Only requests that would be answered use up the rate of their source, so
-    /// that a sender without the key cannot use up the rate of another sender.
+    /// The reason why the request gets no answer. Only requests that would be answered use up the rate of their source,
+    /// so that a sender without the key cannot use up the rate of another sender.
     pub fn prepare(&mut self, packet: &mut [u8], arrival: &Arrival) -> Result<PreparedReply, Refusal> {
         if arrival.source.port() == 0 {
             return Err(Refusal::NoPort);
         }
         let mode = self.mode(packet)?;
         let request = Request::parse(mode, packet).ok_or(Refusal::Short)?;
-        // An authenticated reply of another process has the layout of the authenticated mode.
+        // A reply of another process may be authenticated by another key. `mode` then takes it for unauthenticated,
+        // although it has the layout of the authenticated mode.
         let is_authenticated_reply =
             self.session_key.is_some() && is_reply(Mode::Authenticated, packet, arrival.received);
         if is_authenticated_reply || is_reply(mode, packet, arrival.received) {
@@ -193,8 +197,9 @@ impl ReflectorState {
         })
     }
 
-    /// Returns the mode of a request. If no key is mandatory, the form of the request decides: a request with a valid code of
-    /// the session key is authenticated, one with an invalid code is refused, and all others are unauthenticated.
+    /// Returns the mode of a request. If no key is mandatory, the form of the request decides: a request with a valid
+    /// code of the session key is authenticated, a request with an invalid code is refused, and a request without a
+    /// code is unauthenticated.
     fn mode(&self, packet: &[u8]) -> Result<Mode, Refusal> {
         let Some(key) = self.key_for(Mode::Authenticated) else { return Ok(Mode::Unauthenticated) };
         if packet::is_authentic(key, packet) {
@@ -246,7 +251,7 @@ impl ReflectorState {
         now
     }
 
-    /// Records that the answer was sent, not before `stamp`. Only then is its number used up.
+    /// Records that the answer was sent at `stamp` or later. Only an answer that was sent uses up its number.
     pub fn record_sent(&mut self, answer: &PreparedReply, stamp: Stamp) {
         if let Some(sessions) = &mut self.sessions {
             let session = sessions.table(&answer.session).entry(answer.session, Session::default);
@@ -256,9 +261,9 @@ impl ReflectorState {
         }
     }
 
-    /// Handles the kernel's stamp of a reply's departure. `departure_raw` is the derived time of the free-running
-    /// clock, which is not later than the true one. A time is ignored if it is before the program's stamp or more than
-    /// four seconds after it.
+    /// Handles the kernel's stamp of a reply's departure. `departure_raw` is the time of the free-running clock that
+    /// was derived from the stamp; it is not later than the true time. Each of the two times is ignored if it is before
+    /// the program's stamp or more than four seconds after it.
     pub fn record_departure(
         &mut self,
         session: &SessionId,
@@ -284,12 +289,12 @@ impl ReflectorState {
 
 /// Returns whether a packet is a reply.
 ///
-/// A reply contains the time at which its request arrived. This time is close to the reply's own departure by the same
-/// clock. A request has zeros at this offset, or the padding of TWAMP-light, which looks like a reply once in 2²⁹ packets if it is
-/// random.
+/// A reply contains the time at which its request arrived. This time is close to the reply's own departure, which the
+/// same clock stamped. A request has zeros at this offset, or the padding of TWAMP-light. Random padding looks like a
+/// reply once in 2²⁹ packets.
 ///
-/// A forged source address can direct the answers of one reflector to another reflector, or to an echo service. The packets
-/// that return are replies by this test, so that a loop ends after one round.
+/// A forged source address can direct the answers of one reflector to another reflector, or to an echo service. The
+/// packets that return are replies by this test, so a loop ends after one round.
 fn is_reply(mode: Mode, packet: &[u8], near: WallTime) -> bool {
     Reply::parse(mode, packet).is_some_and(|reply| {
         let format = reply.estimate.format();
@@ -299,14 +304,14 @@ fn is_reply(mode: Mode, packet: &[u8], near: WallTime) -> bool {
     })
 }
 
-/// Returns whether a packet has the form of an authenticated packet with TLVs.
+/// Returns whether a packet has the form of an authenticated packet with TLVs: an authentication code among them.
 fn has_authentication_code(packet: &[u8]) -> bool {
     let tlvs = packet.get(Mode::Authenticated.base_bytes()..).unwrap_or_default();
     tlv::headers(tlvs).any(|header| header.kind == tlv::HMAC && header.value.len() == CODE_BYTES)
 }
 
-/// Sets the flags of the TLVs and fills in the requested values. TLVs that are not intact are returned unchanged except
-/// for their flags.
+/// Sets the flags of the TLVs and fills in the departure of the previous reply if it is requested. TLVs that are not
+/// intact are returned unchanged except for their flags.
 fn answer_tlvs(tlvs: &mut [u8], are_intact: bool, previous: Option<FollowUp>) {
     let mut offset = 0;
     while let Some(header) = tlv::header_at(tlvs, offset) {

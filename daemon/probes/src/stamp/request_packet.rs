@@ -29,7 +29,8 @@ impl RequestPacket {
         if config.clocks == RelatedClocks::Raw {
             tlv::push(&mut bytes, tlv::RAW_STAMPS, &RawStamps::default().to_value());
         }
-        // Before the code, which then covers the octets. Every implementation returns padding.
+        // The octets are before the code, so that it covers them. They are padding, because every implementation
+        // returns padding.
         let nonce_range = (config.with_nonce && config.key.is_some()).then(|| {
             tlv::push(&mut bytes, tlv::EXTRA_PADDING, &[0; NONCE_BYTES]);
             bytes.len() - NONCE_BYTES..bytes.len()
@@ -44,8 +45,8 @@ impl RequestPacket {
         Self { bytes, nonce_range }
     }
 
-    /// Writes and authenticates the TLVs of request `sequence`. This is done before the departure is stamped. Returns the
-    /// octets if requests carry them.
+    /// Writes and authenticates the TLVs of request `sequence`. The caller stamps the departure afterwards, so that the
+    /// stamp does not include this work. Returns the octets if requests carry them.
     pub(super) fn prepare(&mut self, key: Option<&Key>, sequence: u32, octets: Nonce) -> Option<Nonce> {
         let nonce = self.nonce_range.clone().map(|range| {
             self.bytes[range].copy_from_slice(&octets);

@@ -29,8 +29,8 @@ pub struct SenderConfig {
     /// The only accepted reflector, by its [`Origin::instance`]; `None` accepts any.
     pub instance: Option<u64>,
     /// `true` if each request carries random octets that its answer must return. It is used only with a key.
-    // The octets prove that the TLVs of an answer were written for this request, and not for another request with the same
-    // number and key.
+    // The octets prove that the TLVs of an answer were written for this request, and not for another request with the
+    // same number and key.
     pub with_nonce: bool,
     /// Clocks that are related. Reflectors of other implementations only stamp by the wall clock.
     pub clocks: RelatedClocks,
@@ -66,8 +66,10 @@ pub struct SenderState {
 #[derive(Clone, Copy, Debug)]
 pub struct Departure {
     sequence: u32,
+    /// Wall time of `sent` in the wire form; the answer must repeat it.
     timestamp: u64,
     sent: Stamp,
+    /// Random octets of the request, if it carries any.
     nonce: Option<Nonce>,
     /// Difference wall clock minus free-running clock, read before the stamp.
     ahead: Interval,
@@ -107,11 +109,11 @@ struct AnsweredProbe {
 pub struct ReplyArrival {
     /// Kernel's stamp of the arrival, if it made one.
     pub kernel: Option<WallTime>,
-    /// Clocks, read by the program afterwards.
+    /// Clocks, read by the program after it received the packet.
     pub read: Stamp,
-    /// Difference wall clock minus free-running clock, read afterwards.
+    /// Difference wall clock minus free-running clock, read after `read`.
     pub ahead: Interval,
-    /// Edge's epoch, read afterwards.
+    /// Edge's epoch, read after `read`.
     pub epoch: u32,
 }
 
@@ -141,6 +143,7 @@ struct TlvValues {
 struct ReflectorTimes {
     received: RawTime,
     replied: RawTime,
+    /// Epoch of that clock; `None` if the reflector does not report it.
     epoch: Option<u32>,
     /// Number of an earlier reply, and its true departure.
     previous: Option<(u32, RawTime)>,
@@ -173,17 +176,17 @@ impl SenderState {
         self.request_with(clock, rand::random())
     }
 
-    /// Returns the next request with the given octets, if requests carry octets. The octets must be secret until the request
-    /// is sent.
+    /// Returns the next request with the given octets, if requests carry octets. The octets must be secret until the
+    /// request is sent.
     pub fn request_with(&mut self, clock: &dyn Clock, octets: Nonce) -> (Departure, &[u8]) {
         let key = self.key.as_ref();
         let nonce = self.packet.prepare(key, self.next_sequence, octets);
         let ahead = clock.wall_ahead();
-        // Read before the stamp of the request. The epoch of the reply's arrival is read after the stamp of the arrival.
-        // If both epochs are equal, the clock was not interrupted in between.
+        // Read before the stamp of the request. The epoch of the reply's arrival is read after the stamp of the
+        // arrival. If both epochs are equal, the clock was not interrupted in between.
         let epoch = clock.epoch();
         let sent = clock.stamp();
-        // NTP's format, because a stamp is returned exactly in it.
+        // NTP's format, because decoding returns exactly the stamp that was encoded.
         let timestamp = Format::Ntp.encode(sent.wall);
         let estimate = ErrorEstimate::new(Format::Ntp, uncertainty::PEERNET_ENDS);
         let request = Request { sequence: self.next_sequence, timestamp, estimate, ssid: self.ssid };
@@ -191,11 +194,10 @@ impl SenderState {
         (Departure { sequence: self.next_sequence, timestamp, sent, nonce, ahead, epoch }, packet)
     }
 
-    /// Records that the request was sent. Returns the number of earlier probes that are dropped for it and were not
-    /// answered.
+    /// Records that the request was sent. Returns how many unanswered earlier probes were dropped to make room for it.
     pub fn record_sent(&mut self, departure: Departure) -> usize {
-        // Counted here and not in `request`: a request that was not sent must leave no gap, because `find_probe`
-        // counts.
+        // Counted here and not in `request`: a request that was not sent must leave no gap in the numbers, because
+        // `find_probe` computes a probe's position from its number.
         self.next_sequence = departure.sequence.wrapping_add(1);
         let excess = self.pending.len().saturating_sub(MAX_PENDING - 1);
         let lost = self.drop_oldest(excess);
@@ -224,8 +226,8 @@ impl SenderState {
         }
     }
 
-    /// Returns whether the kernel's stamps are ignored, because they are of another clock than the program's. A tool such
-    /// as libfaketime causes this.
+    /// Returns whether the kernel's stamps are ignored, because they are of another clock than the program's. A tool
+    /// such as libfaketime causes this.
     pub const fn ignores_kernel_stamps(&self) -> bool {
         self.ignores_kernel_stamps
     }
@@ -257,8 +259,8 @@ impl SenderState {
 
     /// Returns the time at which the next probe will be lost if it is not answered.
     pub fn deadline(&self) -> Option<MonoTime> {
-        let waiting = self.pending.iter().find(|probe| probe.answer.is_none())?;
-        Some(waiting.departure.sent.mono + self.timeout)
+        let oldest_unanswered = self.pending.iter().find(|probe| probe.answer.is_none())?;
+        Some(oldest_unanswered.departure.sent.mono + self.timeout)
     }
 
     /// Handles a packet from the target. [`expire`](Self::expire) must be called before.
@@ -349,7 +351,7 @@ impl SenderState {
         Ok(ReplyResult { refined, answered: Some(observation) })
     }
 
-    /// Returns the times of the requested clock in a reply.
+    /// Returns the times of the requested clock in a reply. `near` is a time close to them, which resolves the era.
     fn reflector_times(
         &self,
         reply: &Reply,
@@ -418,22 +420,23 @@ fn find_probe(pending: &mut VecDeque<PendingProbe>, sequence: u32) -> Option<&mu
     pending.get_mut(sequence.wrapping_sub(first) as usize)
 }
 
-/// Replaces the departure of the reply with the number `sequence` if `departure` is later, and returns the exchange. The
-/// reply to the request `current_sequence`, which reports the departure, is not considered.
+/// Sets the departure of the earlier reply `reply_sequence` to `departure` if that is later than the known departure.
+/// Returns the changed exchange. Ignores the reply to the request `reporting_request`, because that reply reports the
+/// departure.
 // A later stamp of a departure is closer to the true one. It was made between the readings of the two replies' epochs,
-// so that both epochs must be equal.
+// so it can be used only if both epochs are equal.
 fn refine_departure(
     pending: &mut VecDeque<PendingProbe>,
-    current_sequence: u32,
-    sequence: u32,
+    reporting_request: u32,
+    reply_sequence: u32,
     departure: RawTime,
     epoch: Option<u32>,
 ) -> Option<ExchangeObservation> {
     let earlier_probes =
-        pending.iter_mut().rev().filter(|probe| probe.departure.sequence != current_sequence);
+        pending.iter_mut().rev().filter(|probe| probe.departure.sequence != reporting_request);
     let answered_probe = earlier_probes
         .filter_map(|probe| probe.answer.as_mut())
-        .find(|answered_probe| answered_probe.sequence == sequence)?;
+        .find(|answered_probe| answered_probe.sequence == reply_sequence)?;
     let observation = answered_probe.observation.as_mut()?;
     let delay = departure - observation.exchange.replied;
     if delay <= Span::ZERO || delay > MAX_DEPARTURE_DELAY || observation.cloud_epoch != epoch {
@@ -454,7 +457,7 @@ fn read_tlvs(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> TlvValues {
         return TlvValues { alteration: Some(ALTERED_REPLY_TLVS), ..tlv_values };
     }
     for header in tlv::headers(tlvs) {
-        // The TLVs after it are not authenticated.
+        // The TLVs after an HMAC are not authenticated.
         if header.overruns || header.flags & tlv::MALFORMED != 0 || header.kind == tlv::HMAC {
             break;
         }

@@ -10,7 +10,8 @@ const NANOS: i64 = 1_000_000_000;
 /// Format of a stamp in a packet.
 ///
 /// Probes are sent in NTP's format, which all implementations know. Its steps of 2⁻³² s = 0.23 ns are finer than the
-/// nanoseconds of our clocks, so that a stamp is returned exactly. A reflector answers in the format of the request.
+/// nanoseconds of our clocks, so decoding returns exactly the stamp that was encoded. A reflector answers in the format
+/// of the request.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Format {
     /// Seconds and 2⁻³² s since 1900, modulo 2³² s (RFC 5905, section 6).
@@ -34,8 +35,8 @@ impl Format {
         ((seconds & 0xFFFF_FFFF).unsigned_abs() << 32) | fraction
     }
 
-    /// Decodes a stamp. The era is chosen so that the result is nearest to `near`, within 68 years: NTP's first era ends in
-    /// 2036, PTP's in 2106. `None` if the bits are not a valid time.
+    /// Decodes a stamp. The era is chosen so that the result is nearest to `near`, within 68 years: NTP's first era
+    /// ends in 2036, PTP's in 2106. `None` if the bits are not a valid time.
     pub fn decode(self, bits: u64, near: WallTime) -> Option<WallTime> {
         let fraction = (bits & 0xFFFF_FFFF) as i64;
         let (origin, nanos) = match self {

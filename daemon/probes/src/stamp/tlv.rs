@@ -17,7 +17,7 @@ pub const ORIGIN: u8 = 252;
 /// Type for private use: the mark `PRAW`, then [`RawStamps`].
 pub const RAW_STAMPS: u8 = 253;
 
-/// Flag: the reflector does not know the type. Senders set it; reflectors that know the type clear it.
+/// Flag: the reflector does not know the type. Senders set the flag; reflectors that know the type clear it.
 pub const UNRECOGNISED: u8 = 0x80;
 /// Flag: the length is wrong for the type or the packet.
 pub const MALFORMED: u8 = 0x40;
@@ -52,8 +52,9 @@ impl TlvHeader {
     }
 }
 
-/// Returns the TLV that starts at `offset`. `None` if no TLV can start there: fewer than four bytes remain, the previous
-/// TLV overran, or the type is the reserved type 0, which is the padding of TWAMP-light (RFC 8762, section 4.6).
+/// Returns the TLV that starts at `offset`. `None` if no TLV can start there: fewer than four bytes remain, the
+/// previous TLV overran, or the type is the reserved type 0, which is the padding of TWAMP-light (RFC 8762, section
+/// 4.6).
 pub fn header_at(tlvs: &[u8], offset: usize) -> Option<TlvHeader> {
     let [flags, kind, high, low] = *tlvs.get(offset..)?.first_chunk::<HEADER_BYTES>()?;
     if kind == 0 {
@@ -72,7 +73,7 @@ pub fn headers(tlvs: &[u8]) -> impl Iterator<Item = TlvHeader> + '_ {
 /// Appends a TLV with the flags of a sender.
 pub fn push(packet: &mut Vec<u8>, kind: u8, value: &[u8]) {
     let length = u16::try_from(value.len()).expect("values of a sender are small");
-    // A reflector that does not know TLVs returns the flag as it is, which is then true (RFC 8972, section 4).
+    // A reflector that does not know TLVs returns the flag unchanged, and the flag is then right (RFC 8972, section 4).
     packet.extend_from_slice(&[UNRECOGNISED, kind]);
     packet.extend_from_slice(&length.to_be_bytes());
     packet.extend_from_slice(value);
@@ -112,7 +113,7 @@ impl FollowUp {
     }
 }
 
-/// Value of [`ORIGIN`]: the reflector whose clock the stamps are of. A request has the same length of zeros.
+/// Value of [`ORIGIN`]: the reflector whose clock made the stamps. In a request, the number and the epoch are zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Origin {
     /// Epoch of the reflector's wall clock, [`wall_epoch`](peernet_clock::Clock::wall_epoch).
@@ -143,8 +144,8 @@ impl Origin {
     }
 }
 
-/// Value of [`RAW_STAMPS`]: times of the reflector's free-running clock. A request has the same length of zeros, so
-/// that the answer is not longer.
+/// Value of [`RAW_STAMPS`]: times of the reflector's free-running clock. In a request, all times are zero; they are
+/// sent nevertheless, so that the answer is not longer than the request.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RawStamps {
     /// Epoch of the reflector's free-running clock, [`epoch`](peernet_clock::Clock::epoch).
@@ -197,9 +198,9 @@ impl RawStamps {
     }
 }
 
-/// Returns whether TLVs are intact (RFC 8972, section 4.8). With a key, an [`HMAC`] must follow and authenticate them and
-/// the packet's sequence number. Without a key, there must be no [`HMAC`]. Only padding may follow an [`HMAC`], and
-/// padding alone needs none.
+/// Returns whether TLVs are intact (RFC 8972, section 4.8). With a key, an [`HMAC`] must follow them, which
+/// authenticates them and the packet's sequence number; padding alone needs no [`HMAC`]. Without a key, there must be
+/// no [`HMAC`]. Only padding may follow an [`HMAC`].
 pub fn are_intact(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> bool {
     let mut code = None;
     let mut needs_code = false;

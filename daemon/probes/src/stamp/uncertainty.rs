@@ -1,4 +1,5 @@
-//! Largest errors of a probe's stamps in the direction that would make the bounds of the clock offset wrong.
+//! Largest errors of a probe's stamps in the unsafe direction, in which an error makes the bounds of the clock offset
+//! wrong.
 //!
 //! The order of the readings puts most errors on the safe side. A program's stamp of a departure is read before the
 //! system call that sends, the kernel's before the driver gets the packet. The kernel's stamp of an arrival is made
@@ -8,17 +9,17 @@
 
 use peernet_clock::Span;
 
-/// Largest such error of a probe between two PEERNet ends.
-// Clocks are read in whole nanoseconds, rounded down, which makes an arrival early by 1 ns. An injected clock fault rounds
-// by 1 ns at each end. The format of the packet adds at most 1 ns; NTP's format adds nothing, because it returns our
-// stamps exactly. Kernel and program read the same clock.
+/// Largest error in the unsafe direction of a probe between two PEERNet ends.
+// Clocks are read in whole nanoseconds, rounded down, which makes an arrival early by 1 ns. An injected clock fault
+// rounds by 1 ns at each end. The format of the packet adds at most 1 ns; NTP's format adds nothing, because it returns
+// our stamps exactly. Kernel and program read the same clock.
 pub const PEERNET_ENDS: Span = Span::from_nanos(4);
 
-/// Largest such error of a probe whose reflector is another implementation.
-// The coarsest clock that systems offer for packets counts microseconds (`gettimeofday`, `SO_TIMESTAMP`) and rounds down.
-// The Error Estimate of the reply does not help, because it is relative to UTC.
+/// Largest error in the unsafe direction of a probe whose reflector is another implementation.
+// The coarsest clock that systems offer for packets counts microseconds (`gettimeofday`, `SO_TIMESTAMP`) and rounds
+// down. The Error Estimate of the reply does not help, because it is relative to UTC.
 pub const OTHER_IMPLEMENTATION: Span = Span::from_nanos(1_000 + PEERNET_ENDS.nanos());
 
-/// Largest violation of the order of events by stamps of one clock. If stamps of the kernel and of the program violate the
-/// order by more, two clocks made them.
+/// Largest span by which stamps of one clock may violate the order of events. If stamps of the kernel and of the
+/// program violate the order by more, they are of two different clocks.
 pub const ORDER_TOLERANCE: Span = Span::from_micros(1);
