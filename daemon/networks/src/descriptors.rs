@@ -1,7 +1,7 @@
 //! File descriptors of this process, and the number of connections that each port may keep open.
 //!
-//! The limit on descriptors is shared out, so that a flood of connections to one port leaves descriptors to the others
-//! and to files.
+//! Each port gets a share of the limit on descriptors, so that a flood of connections to one port leaves descriptors
+//! for the other ports and for files.
 //!
 //! | share of the limit | for | at most |
 //! | --- | --- | --- |
@@ -41,8 +41,8 @@ impl DescriptorShare {
         self.max_connections_under(getrlimit(Resource::Nofile).current, ports)
     }
 
-    /// Returns the number of connections of each port under `limit`. `None` means no limit: the result is the maximum
-    /// of the kind of port.
+    /// Returns the number of connections of each port if the process may have `limit` descriptors. `None` means no
+    /// limit: the result is the maximum for the kind of port.
     fn max_connections_under(self, limit: Option<u64>, ports: NonZeroUsize) -> usize {
         // The shares of the table in the module documentation.
         let (sixteenths, max_per_port) = match self {

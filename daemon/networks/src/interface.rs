@@ -53,7 +53,8 @@ pub fn outgoing_interface(addresses: &ConnectionAddresses) -> io::Result<Option<
 
 /// Returns whether an interface is wireless. `folder` is its directory in sysfs.
 pub fn is_wireless(folder: &Path) -> bool {
-    // `wireless` is the older interface of the kernel, which some drivers still have instead of `phy80211`.
+    // `wireless` is the entry of the kernel's older wireless extensions. Some drivers still have it instead of
+    // `phy80211`.
     ["phy80211", "wireless"].iter().any(|entry| folder.join(entry).exists())
 }
 
@@ -102,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn address_of_no_interface_has_none() {
+    fn address_without_interface_gives_none() {
         let address_from = |text: &str| text.parse::<SocketAddr>().expect("an address");
         // TEST-NET-1 and TEST-NET-2 (RFC 5737).
         let addresses = ConnectionAddresses {

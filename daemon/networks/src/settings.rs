@@ -20,7 +20,7 @@ const MAX_IN_FLIGHT_BYTES: u64 = 1 << 40;
 /// Maximum number of sessions that can be set.
 const MAX_SESSIONS: u32 = 65_536;
 
-// Smallest and largest value of each of the other keys.
+// Smallest and largest value of each key that has no constant above.
 const OPEN_TIMEOUT_MS_RANGE: (u64, u64) = (1, MAX_TIME_MS);
 const TIME_MS_RANGE: (u64, u64) = (10, MAX_TIME_MS);
 const CLOSE_TIMEOUT_MS_RANGE: (u64, u64) = (0, MAX_TIME_MS);
@@ -30,13 +30,14 @@ const UNFINISHED_BYTES_RANGE: (u64, u64) = (64 << 10, MAX_IN_FLIGHT_BYTES);
 const DATAGRAM_BYTES_RANGE: (u64, u64) = (512, 8_192);
 const SOCKET_BUFFER_BYTES_RANGE: (u64, u64) = (64 << 10, 1 << 30);
 
-/// Timeouts and limits of a session. Each end has separate settings; if a limit concerns both ends, the smaller value applies.
+/// Timeouts and limits of a session. Each end has separate settings; if a limit concerns both ends, the smaller value
+/// applies.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SessionSettings {
     /// Time limit for opening a session, including the loading of the model on the cloud. Milliseconds.
     pub open_timeout_ms: u64,
-    /// Time limit for a connection to a listener as long as the connection has no session and no request for a session. Milliseconds.
+    /// Time after which a listener closes a connection that has neither a session nor asked for one. Milliseconds.
     pub hello_timeout_ms: u64,
     /// Interval at which a silent peer is asked for a heartbeat. Milliseconds.
     pub heartbeat_interval_ms: u64,
@@ -49,22 +50,23 @@ pub struct SessionSettings {
     /// Maximum number of requests of one session in flight. The edge delays further requests; the cloud answers them as
     /// overloaded.
     pub max_in_flight: u32,
-    /// Maximum number of bytes of the requests in flight of all sessions of a listener. Requests count from their arrival
-    /// until they are answered. Further requests are answered as overloaded. While no other request is in flight, a
-    /// request of any size is accepted.
+    /// Maximum number of bytes of the requests in flight of all sessions of a listener. Requests count from their
+    /// arrival until they are answered. Further requests are answered as overloaded. While no other request is in
+    /// flight, a request of any size is accepted.
     pub max_in_flight_bytes: u64,
     /// Maximum number of bytes of unfinished messages of all sessions of a listener. A connection whose message would
     /// exceed this limit is closed. While no other message is unfinished, a message of any allowed size is accepted. A
     /// connection without a session may have 64 KiB of unfinished messages.
     pub max_unfinished_bytes: u64,
-    /// Maximum number of sessions of a listener. One host may hold at most half of the sessions that others leave free.
+    /// Maximum number of sessions of a listener. One host may have at most half of the sessions that the other hosts
+    /// leave free.
     pub max_sessions: u32,
     /// Largest datagram that is sent, without the headers of UDP and IP. Bytes. For networks over datagrams only.
     pub datagram_bytes: u64,
     /// Rate at which datagrams are sent; 0 adapts the rate to what arrives. Bits per second. For networks over
     /// datagrams only.
     pub max_send_bits_per_second: u64,
-    /// Time that the receiver waits for missing fragments after the last fragment of their message was sent.
+    /// Time that the receiver waits for the missing fragments of a message after the last fragment was sent.
     /// Milliseconds. For networks over datagrams only.
     pub reassembly_timeout_ms: u64,
     /// Size of the system's buffers of each socket. Bytes. For networks over datagrams and for ROS 2.
@@ -122,8 +124,8 @@ impl SessionSettings {
     /// Checks the ranges of all values.
     ///
     /// # Errors
-    /// If a value is out of range, or the heartbeat timeout is shorter than two heartbeat intervals. The error names the
-    /// key and what is allowed.
+    /// If a value is out of range, or the heartbeat timeout is shorter than two heartbeat intervals. The error names
+    /// the key and what is allowed.
     pub fn check(&self) -> Result<(), InvalidSettings> {
         check_range("open_timeout_ms", self.open_timeout_ms, OPEN_TIMEOUT_MS_RANGE)?;
         check_range("hello_timeout_ms", self.hello_timeout_ms, TIME_MS_RANGE)?;
@@ -156,7 +158,7 @@ impl SessionSettings {
     /// Returns the settings with every value brought into the range that [`check`](Self::check) allows.
     pub(crate) fn clamped(self) -> Self {
         let clamped = |value: u64, (min, max): (u64, u64)| value.clamp(min, max);
-        // At most half of the range, so a timeout of twice the interval is within the range.
+        // At most half of the longest time, so that a timeout of twice the interval is within the range.
         let heartbeat_interval_ms =
             clamped(self.heartbeat_interval_ms, (TIME_MS_RANGE.0, TIME_MS_RANGE.1 / 2));
         Self {

@@ -51,7 +51,7 @@ pub struct ConnectionAddresses {
 
 impl Counters {
     pub(crate) fn count_sent(&self, bytes: u64) {
-        // Relaxed is enough here and below: each total stands alone.
+        // Relaxed is enough here and below, because no reader relates two totals to each other.
         self.sent_messages.fetch_add(1, Ordering::Relaxed);
         self.sent_bytes.fetch_add(bytes, Ordering::Relaxed);
     }

@@ -22,7 +22,7 @@ pub(crate) const MAX_PARTS: usize = 64;
 /// Maximum number of frames of a message: header, tree and payload parts.
 pub(crate) const MAX_FRAMES: usize = 2 + MAX_PARTS;
 
-/// Maximum number of parts of one answer that were sent and are not acknowledged.
+/// Maximum number of parts of one answer that are sent before the edge acknowledges them.
 pub(crate) const MAX_UNREAD_PARTS: u32 = 64;
 
 /// Largest nesting depth of a header.
@@ -117,8 +117,8 @@ pub(crate) enum RefusalKind {
     Incompatible,
 }
 
-/// Departure of a message. It is stamped after the tree was encoded, so that `upload` and `download` contain the network
-/// and not the encoding. The receiver adds the transit node to the tree.
+/// Departure of a message. It is stamped after the tree was encoded, so that `upload` and `download` contain the
+/// network and not the encoding. The receiver adds the transit node to the tree.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Departure {
     /// Sender's wall clock at the departure.
@@ -171,7 +171,8 @@ pub(crate) struct Reply {
 
 /// A part of an answer. Exists since [`PARTIAL_REPLIES_SINCE`](super::PARTIAL_REPLIES_SINCE).
 ///
-/// The reply repeats the whole answer. An edge can therefore ignore partial replies, and the content of a lost partial reply only arrives later.
+/// The reply repeats the whole answer. An edge can therefore ignore partial replies, and the content of a lost partial
+/// reply still arrives with the reply.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct PartialReply {
     pub(crate) session: SessionId,
@@ -192,7 +193,7 @@ pub(crate) struct PartsRead {
     /// Number of parts that count as read: the number of the newest part that was read, plus one. The parts before it
     /// that were lost count as read, too.
     #[serde(rename = "through")]
-    pub(crate) end: u32,
+    pub(crate) read_count: u32,
 }
 
 /// Cancellation of a request. Its reply, if one is sent, is dropped as late.
@@ -234,8 +235,8 @@ pub(crate) struct Goodbye {
     pub(crate) session: SessionId,
     #[serde(deserialize_with = "deserialize_text")]
     pub(crate) reason: String,
-    /// Number of iterations that the edge's run was planned to have, if the run is over. A cloud that serves a fixed number of
-    /// requests then does not wait for missing requests. Releases without this field ignore it.
+    /// Number of iterations that the edge's run was planned to have, if the run is over. A cloud that serves a fixed
+    /// number of requests then does not wait for missing requests. Releases without this field ignore it.
     #[serde(default, rename = "ordered", skip_serializing_if = "Option::is_none")]
     pub(crate) planned_iterations: Option<u64>,
 }
@@ -373,7 +374,7 @@ mod tests {
             prop_assert!(Header::decode(&wire[..at]).is_err());
             let mut longer = wire.to_vec();
             longer.push(byte);
-            // A longer header may be valid in another version; the error then names that version.
+            // A header with one more byte may be valid in another version; the error then names that version.
             prop_assert!(Header::decode(&longer).is_err());
             let mut damaged = wire.to_vec();
             damaged[at] = byte;
@@ -388,9 +389,9 @@ mod tests {
         let header = SampleHeader::from_sample(&sample).expect("two parts");
         let frames: [Bytes; 3] = ["a".into(), "b".into(), "c".into()];
         assert_eq!(header.clone().into_sample(frames[..2].iter().cloned()), Ok(sample));
-        for wrong in [1, 3] {
-            let put_together = header.clone().into_sample(frames[..wrong].iter().cloned());
-            assert_eq!(put_together, Err(HeaderError::PartCount { described: 2, sent: wrong }));
+        for wrong_count in [1, 3] {
+            let assembled = header.clone().into_sample(frames[..wrong_count].iter().cloned());
+            assert_eq!(assembled, Err(HeaderError::PartCount { described: 2, sent: wrong_count }));
         }
     }
 
@@ -436,7 +437,7 @@ mod tests {
             let (protocol, session) = (SESSION_VERSIONS.newest(), SessionId::random());
             let header = Accepted { protocol, session, accepted, max_message_bytes: 1, max_in_flight: 1 };
             let wire = Header::Accepted(Box::new(header)).encode().expect("short enough");
-            let Ok(Header::Accepted(read)) = Header::decode(&wire) else { panic!("it is one") };
+            let Ok(Header::Accepted(read)) = Header::decode(&wire) else { panic!("not an acceptance") };
             let SessionAccepted { version, device, facts, .. } = read.accepted;
             for text in [&version, &device, &facts[0].0, &facts[0].1] {
                 prop_assert_eq!(text, "cpu [2J");
@@ -461,7 +462,7 @@ mod tests {
         let hello = LaterHello { protocol: later, newest: later + 1, host: [1, 2, 3] };
         let wire = rmp_serde::to_vec_named(&Later::Open { hello, colour: "green" }).expect("serialises");
         let Err(HeaderError::NoCommonVersion(mismatch)) = Header::decode(&wire) else {
-            panic!("it has none")
+            panic!("no version mismatch")
         };
         assert_eq!((mismatch.peer.oldest(), mismatch.peer.newest()), (later, later + 1));
     }

@@ -25,8 +25,8 @@ use super::{deserialize_text, to_printable};
 /// | 0.3.0 | 4 to 6 |
 ///
 /// Version 5 adds stamps of the free-running clocks to departures, replies and clock states, and reports of the cloud's
-/// statistics. Epochs count interruptions of the free-running clock in version 5 and steps of the wall clock in version 4.
-/// Version 6 adds partial replies, their acknowledgement, and the cancellation of requests.
+/// statistics. Epochs count interruptions of the free-running clock in version 5 and steps of the wall clock in version
+/// 4. Version 6 adds partial replies, their acknowledgement, and the cancellation of requests.
 pub const SESSION_VERSIONS: VersionRange = VersionRange::new(4, 6, Release(0, 1, 0));
 
 /// First version in which messages carry stamps of the free-running clocks.
@@ -134,7 +134,8 @@ pub struct SessionAccepted {
     /// refused.
     #[serde(deserialize_with = "deserialize_conditions")]
     pub conditions: Vec<Condition>,
-    /// Hardware of the cloud. Deserialization shortens each text to 128 characters and the accelerators to the first 16.
+    /// Hardware of the cloud. Deserialization shortens each text to 128 characters and the accelerators to the first
+    /// 16.
     #[serde(deserialize_with = "deserialize_hardware")]
     pub hardware: Hardware,
 }
@@ -167,7 +168,7 @@ impl PeerClock {
         if version < RAW_STAMPS_SINCE {
             self.raw = None;
             if let Some(faults) = &mut self.faults {
-                // A peer of an older version knows only steps of the wall clock and would apply these to it.
+                // A peer of an older version knows only steps of the wall clock and would apply all steps to it.
                 faults.steps.retain(|step| step.clock.is_wall());
             }
         }
@@ -202,19 +203,19 @@ fn deserialize_text_pairs<'de, D: Deserializer<'de>>(
 /// Deserializes at most [`MAX_CONDITIONS`] conditions and makes their texts printable, because they are shown on
 /// terminals and pages.
 fn deserialize_conditions<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Condition>, D::Error> {
-    // Counted afterwards: the limit of the header bounds the memory of the list.
+    // Counted after the list was read: the limit of the header already bounds the memory of the list.
     let conditions: Vec<Condition> = Vec::deserialize(deserializer)?;
     if conditions.len() > MAX_CONDITIONS {
         return Err(D::Error::custom(format_args!("more than {MAX_CONDITIONS} conditions")));
     }
-    let clean = |Condition { host, about, found, grade, advice }| Condition {
+    let make_printable = |Condition { host, about, found, grade, advice }| Condition {
         host: to_printable(&host),
         about: to_printable(&about),
         found: to_printable(&found),
         grade,
         advice: to_printable(&advice),
     };
-    Ok(conditions.into_iter().map(clean).collect())
+    Ok(conditions.into_iter().map(make_printable).collect())
 }
 
 /// Deserializes a peer's hardware and shortens its texts, because they are stored in files and shown on pages.

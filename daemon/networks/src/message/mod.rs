@@ -16,7 +16,7 @@
 //!
 //! The tree is encoded first, then the departure is stamped, then the small header is encoded. `upload` and `download`
 //! therefore contain the network and no encoding. The transit node itself is in neither tree; the receiver adds it from
-//! the header. `tests/it/wire.rs` contains an independent description of the form.
+//! the header. `tests/it/wire.rs` contains an independent description of the wire form.
 //!
 //! All messages come from untrusted peers. The limits are 64 parts, 64 KiB of header, the limits of the logger for
 //! trees, and the configured size of a message.

@@ -47,9 +47,9 @@ pub(crate) fn hello() -> impl Strategy<Value = SessionHello> {
 }
 
 fn versions() -> impl Strategy<Value = VersionRange> {
-    let stated = any::<(u16, u16, u16)>()
+    let range = any::<(u16, u16, u16)>()
         .prop_map(|(oldest, newest, minor)| VersionRange::new(oldest, newest, Release(0, minor, 0)));
-    prop_oneof![any::<u16>().prop_map(VersionRange::single), stated]
+    prop_oneof![any::<u16>().prop_map(VersionRange::single), range]
 }
 
 fn span() -> impl Strategy<Value = Span> {
@@ -163,7 +163,7 @@ fn raw() -> impl Strategy<Value = Option<RawTime>> {
     proptest::option::of(any::<i64>().prop_map(RawTime::from_nanos))
 }
 
-/// Returns texts that decoding leaves unchanged: it replaces control characters and line separators.
+/// Returns texts without control characters and line separators. Decoding would replace these characters.
 fn printable_text() -> impl Strategy<Value = String> {
     "[^\\pC\\p{Zl}\\p{Zp}]{0,30}"
 }
@@ -180,12 +180,12 @@ fn outcome() -> impl Strategy<Value = Outcome> {
 /// to 15.
 pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> {
     let session = any::<prop::sample::Index>()
-        .prop_map(move |at| if sessions.is_empty() { SessionId::random() } else { *at.get(&sessions) });
+        .prop_map(move |index| if sessions.is_empty() { SessionId::random() } else { *index.get(&sessions) });
     let request = 0..16_u64;
     let kind = prop_oneof![Just(RefusalKind::Refused), Just(RefusalKind::Incompatible)];
-    let of = (session, request, departure());
+    let request_fields = (session, request, departure());
     (
-        of,
+        request_fields,
         sample(),
         proptest::option::of(departure()),
         outcome(),
@@ -214,7 +214,7 @@ pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> 
                     4 => Just(Header::Request(Request { session, request, departure, sample })),
                     4 => Just(Header::Reply(Reply { session, request, departure: returned, arrival_epoch, outcome, arrived_raw })),
                     2 => Just(Header::PartialReply(PartialReply { session, request, part, departure, sample: part_sample })),
-                    1 => Just(Header::PartsRead(PartsRead { session, request, end: part })),
+                    1 => Just(Header::PartsRead(PartsRead { session, request, read_count: part })),
                     1 => Just(Header::Cancel(Cancel { session, request })),
                     1 => Just(Header::Clock(Box::new(ClockUpdate { session, clock }))),
                     1 => Just(Header::Statistics(Box::new(StatisticsReport { session, statistics: counted }))),

@@ -17,7 +17,7 @@ pub(crate) enum TreeFrameError {
 }
 
 /// Adds `upload` to a tree and returns the new node. The edge adds the node to its tree, and the cloud adds it to the
-/// copy of the tree that arrived. So the node has the same position in both trees without being sent.
+/// copy of the tree that arrived. The node therefore has the same position in both trees, although it is not sent.
 pub(crate) fn add_upload(tree: &mut Tree, departure: Departure) -> NodeId {
     let transit = Transit { sent: departure.sent, received: None, delay: None, raw_stamps: None };
     tree.add(NodeId::ROOT, stage::UPLOAD, departure.sent_since_anchor, Measure::Transit(Box::new(transit)))

@@ -31,7 +31,7 @@ pub(super) struct BudgetExceeded {
     max_bytes: u64,
 }
 
-/// Bytes reserved in the budget; returned on drop.
+/// Bytes reserved in the budget; dropping it gives them back to the budget.
 #[derive(Debug)]
 struct BudgetShare {
     budget: Arc<RequestBudget>,
@@ -61,8 +61,8 @@ impl RequestBudget {
         Arc::new(Self { max_bytes, used: AtomicU64::new(0) })
     }
 
-    /// Counts the frames of a request until they are dropped. A request that is alone always fits, because its size is
-    /// limited elsewhere.
+    /// Reserves the bytes of a request's frames until the last frame is dropped. While no other request is reserved, a
+    /// request of any size fits, because `max_message_bytes` limits its size.
     ///
     /// # Errors
     /// If the frames would exceed the budget now.

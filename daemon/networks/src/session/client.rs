@@ -55,7 +55,7 @@ pub(crate) fn classify_answer(header: Header) -> HelloOutcome {
                 Err(mismatch) => HelloOutcome::Incompatible(mismatch),
             }
         }
-        // The versions and not the kind decide: a cloud that calls itself incompatible with a common version has
+        // The versions decide, not the kind: if a common version exists, a cloud that calls itself incompatible has
         // another reason.
         Header::Refused(Refused { versions, kind: RefusalKind::Incompatible, reason }) => {
             match SESSION_VERSIONS.highest_common(&versions) {
@@ -176,7 +176,8 @@ impl<W> ClientSession<W> {
         }
     }
 
-    /// Ends a request that was lost on the way, or whose answer was lost. Returns its waiter unless the request has ended already.
+    /// Ends a request that was lost on the way, or whose answer was lost. Returns the request's waiter unless the
+    /// request has ended already.
     pub(crate) fn remove_lost_request(&mut self, request: u64) -> Option<W> {
         self.waiters.remove(&request)
     }
@@ -232,8 +233,8 @@ mod tests {
         let session = SessionId::random();
         let mut client = ClientSession::new(session);
         client.start_request('a').expect("open");
-        let over = client.receive(Header::UnknownSession(UnknownSession { session, request: 0 }));
-        assert_eq!(over, CloudMessage::SessionEnded(CloseReason::UnknownSession, vec!['a']));
+        let effect = client.receive(Header::UnknownSession(UnknownSession { session, request: 0 }));
+        assert_eq!(effect, CloudMessage::SessionEnded(CloseReason::UnknownSession, vec!['a']));
         assert_eq!(client.end(CloseReason::Broken("later".into())), Vec::<char>::new());
         assert_eq!(client.start_request('b'), Err(CloseReason::UnknownSession));
         let other = Goodbye { session: SessionId::random(), reason: String::new(), planned_iterations: None };
@@ -267,16 +268,16 @@ mod tests {
         ) {
             let mut client = ClientSession::new(session);
             // In this test the waiter of a request is the request's number.
-            let (mut begun, mut ended, mut over) = (0, HashSet::new(), false);
+            let (mut begun, mut ended, mut is_over) = (0, HashSet::new(), false);
             for step in steps {
                 match step {
                     Step::StartRequest => match client.start_request(begun) {
                         Ok(request) => {
-                            prop_assert!(!over);
+                            prop_assert!(!is_over);
                             prop_assert_eq!(request, begun);
                             begun += 1;
                         }
-                        Err(_) => prop_assert!(over),
+                        Err(_) => prop_assert!(is_over),
                     },
                     Step::CancelRequest(request) => {
                         if client.cancel_request(request) {
@@ -295,7 +296,7 @@ mod tests {
                             prop_assert!(ended.insert(waiter));
                         }
                         CloudMessage::SessionEnded(_, waiters) => {
-                            over = true;
+                            is_over = true;
                             for waiter in waiters {
                                 prop_assert!(ended.insert(waiter));
                             }
@@ -308,13 +309,13 @@ mod tests {
                         | CloudMessage::Malformed(_) => {}
                     },
                     Step::End => {
-                        over = true;
+                        is_over = true;
                         for waiter in client.end(CloseReason::Local) {
                             prop_assert!(ended.insert(waiter));
                         }
                     }
                 }
-                prop_assert!(!over || ended.len() as u64 == begun);
+                prop_assert!(!is_over || ended.len() as u64 == begun);
             }
             for waiter in client.end(CloseReason::Local) {
                 prop_assert!(ended.insert(waiter));
@@ -324,9 +325,9 @@ mod tests {
 
         #[test]
         fn session_opens_only_if_accepted_in_known_version(header in strategies::header(Vec::new())) {
-            let spoken = SESSION_VERSIONS.oldest()..=SESSION_VERSIONS.newest();
-            let answers = matches!(&header, Header::Accepted(accepted) if spoken.contains(&accepted.protocol));
-            prop_assert_eq!(matches!(classify_answer(header), HelloOutcome::Accepted(_)), answers);
+            let known_versions = SESSION_VERSIONS.oldest()..=SESSION_VERSIONS.newest();
+            let is_valid = matches!(&header, Header::Accepted(accepted) if known_versions.contains(&accepted.protocol));
+            prop_assert_eq!(matches!(classify_answer(header), HelloOutcome::Accepted(_)), is_valid);
         }
     }
 }

@@ -37,8 +37,8 @@ pub struct Listener {
     address: Address,
     caveat: Option<String>,
     settings: SessionSettings,
-    /// Sessions that ended together and have not been returned yet.
-    closed: VecDeque<SessionId>,
+    /// Sessions that ended with their connection and for which [`next`](Self::next) has not returned an event yet.
+    closed_sessions: VecDeque<SessionId>,
 }
 
 impl Listener {
@@ -92,9 +92,9 @@ impl Listener {
             BindFailure::Other(reason) => BindError::Other(address.clone(), reason),
         })?;
         let shared = Arc::new(ListenerState::new(&settings, bound.sender, clock, host));
-        let closed = VecDeque::new();
+        let closed_sessions = VecDeque::new();
         let (receiver, address, caveat) = (bound.receiver, bound.address, bound.caveat);
-        Ok(Self { shared, receiver, address, caveat, settings, closed })
+        Ok(Self { shared, receiver, address, caveat, settings, closed_sessions })
     }
 
     /// Returns the address of the port, with the actual port number.
@@ -122,7 +122,7 @@ impl Listener {
     /// nothing.
     pub async fn next(&mut self) -> Option<Incoming> {
         loop {
-            if let Some(session) = self.closed.pop_front() {
+            if let Some(session) = self.closed_sessions.pop_front() {
                 return Some(Incoming::Closed { session, said_goodbye: false, planned_iterations: None });
             }
             match self.receiver.receive().await? {
@@ -159,7 +159,7 @@ impl Listener {
                 ListenerEvent::Gone(connection, reason) => {
                     let sessions = self.shared.lock_server().remove_connection(connection);
                     tracing::debug!(reason, sessions = sessions.len(), "an edge's connection ended");
-                    self.closed.extend(sessions);
+                    self.closed_sessions.extend(sessions);
                 }
                 ListenerEvent::Remark(connection, text) => {
                     let session = self.shared.lock_server().first_session(connection);
@@ -175,8 +175,8 @@ impl Listener {
         }
     }
 
-    /// Waits for the answers in progress, at most for the configured time, says goodbye to all edges, and closes the
-    /// port.
+    /// Waits for the answers in progress, but not longer than the close timeout. Then says goodbye to all edges and
+    /// closes the port.
     pub async fn close(self) {
         let wait = self.settings.close_timeout();
         if tokio::time::timeout(wait, self.shared.wait_until_idle()).await.is_err() {

@@ -32,14 +32,15 @@ pub struct CompletedRequest {
     /// The four stamps of `upload` and `download`, from which the clock relation of the two hosts is estimated.
     ///
     /// The edge's stamps are of its free-running clock. The cloud's stamps are of its free-running clock since version
-    /// [`RAW_STAMPS_SINCE`](crate::RAW_STAMPS_SINCE), and of its wall clock in earlier versions. `None` if no model answered. Also
-    /// `None` if the clock of either host was interrupted in between, because such stamps bound no offset.
+    /// [`RAW_STAMPS_SINCE`](crate::RAW_STAMPS_SINCE), and of its wall clock in earlier versions. `None` if no model
+    /// answered. Also `None` if the clock of either host was interrupted in between, because such stamps bound no
+    /// offset.
     pub observation: Option<ExchangeObservation>,
 }
 
 /// Error bound of an exchange's stamps. A stamp may be wrong to the unsafe side by the resolution of its clock: up to
-/// 53 ns for the counters of arm64, which run at 19.2 MHz or more. Two stamps bound an offset, and both are sent in whole
-/// nanoseconds.
+/// 53 ns for the counters of arm64, which run at 19.2 MHz or more. Two stamps bound an offset, and both are sent in
+/// whole nanoseconds.
 const UNCERTAINTY: Span = Span::from_nanos(2 * 53);
 
 /// A reply that arrived.
@@ -93,7 +94,7 @@ pub enum RequestError {
     /// The session ended before the answer arrived, or the request or its answer was lost on the way.
     #[error("the request was lost: {0}")]
     Lost(String),
-    /// The time ended before the answer came. An answer that still comes is dropped and counted.
+    /// The request's time ended before the answer came. If the answer still comes, it is dropped and counted as late.
     #[error("no answer in time, waiting for {0}")]
     Timeout(AwaitedEvent),
     /// The sample could not be sent, or the cloud's model failed on it. The next request may succeed.
@@ -104,7 +105,7 @@ pub enum RequestError {
     Overloaded(String),
 }
 
-/// Size of a message, bytes.
+/// Size of a message. Bytes.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Sizes {
     /// Length of the header and the tree, as in `upload-logger-bytes`.
@@ -198,16 +199,16 @@ pub(crate) fn absorb(
     if delta.nodes.iter().any(|node| node.host < host) {
         return Err(TreeDeltaError::EarlierHost);
     }
-    let cloud_times = match (has_raw_stamps, arrived.reply.arrived_raw, departure.sent_raw) {
-        // The cloud's wall clock replaces its free-running clock.
+    let (received, replied) = match (has_raw_stamps, arrived.reply.arrived_raw, departure.sent_raw) {
+        // Older versions only send the cloud's wall clock, which then replaces its free-running clock.
         (false, ..) => (RawTime::from_wall(delta.closed.1), RawTime::from_wall(departure.sent)),
         (true, Some(received), Some(replied)) => (received, replied),
         (true, ..) => return Err(TreeDeltaError::NoRawStamps),
     };
-    let raw_stamps = Some(RawStamps { sent: cloud_times.1, received: arrived.stamp.raw });
+    let raw_stamps = Some(RawStamps { sent: replied, received: arrived.stamp.raw });
     let transit =
         Transit { sent: departure.sent, received: Some(arrived.stamp.wall), delay: None, raw_stamps };
-    let first_part = arrived.parts.download(host);
+    let first_part = arrived.parts.first_part_download(host);
     let has_parts = first_part.is_some();
     delta.nodes.extend(first_part);
     delta.nodes.push(Node {
@@ -217,10 +218,10 @@ pub(crate) fn absorb(
         start: departure.sent_since_anchor,
         measure: Measure::Transit(Box::new(transit)),
     });
-    let observation = observation(departed, has_raw_stamps, cloud_times, departure, arrived);
+    let observation = make_observation(departed, has_raw_stamps, (received, replied), departure, arrived);
     recorder.tree_mut().apply_delta(delta)?;
-    let up = RawStamps { sent: departed.stamp.raw, received: cloud_times.0 };
-    set_raw_stamps(recorder.tree_mut(), departed.upload, up);
+    let upload_stamps = RawStamps { sent: departed.stamp.raw, received };
+    set_raw_stamps(recorder.tree_mut(), departed.upload, upload_stamps);
     let last = recorder.tree().nodes().len() - 1;
     let last = u32::try_from(last).map_err(|_| TreeDeltaError::TooManyNodes)?;
     // `download` was appended last, and the first part right before it.
@@ -234,9 +235,9 @@ fn set_raw_stamps(tree: &mut Tree, node: NodeId, stamps: RawStamps) {
     }
 }
 
-/// Returns the stamps of an exchange. `received` and `replied` are the cloud's stamps; `has_raw_stamps` is `true` if they
-/// are of its free-running clock.
-fn observation(
+/// Returns the stamps of an exchange. `received` and `replied` are the cloud's stamps; `has_raw_stamps` is `true` if
+/// they are of its free-running clock. `None` if a clock was interrupted during the exchange.
+fn make_observation(
     departed: &DepartedRequest,
     has_raw_stamps: bool,
     (received, replied): (RawTime, RawTime),

@@ -28,9 +28,9 @@ const MAX_REQUEST_TIMEOUT: Duration = Duration::from_secs(10 * 365 * 24 * 3600);
 
 /// An open session with a cloud. Clones are the same session; it closes when the last one is dropped.
 ///
-/// A session exists exactly as long as its connection. [`closed`](Self::closed) returns when it is over; to continue,
-/// the caller [opens](Self::open) another session. Transports do not reconnect by themselves, so requests in
-/// flight are lost at once and with the reason.
+/// A session exists exactly as long as its connection. [`closed`](Self::closed) returns when the session is over; to
+/// continue, the caller [opens](Self::open) another session. Transports do not reconnect by themselves, so requests in
+/// flight end as lost at once, with the reason.
 #[derive(Clone, Debug)]
 pub struct Session {
     inner: Arc<Inner>,
@@ -75,7 +75,8 @@ impl Session {
         clock: SharedClock,
         counters: Counters,
     ) -> Self {
-        // With a limit of 0, every request would wait until its timeout, and the timeout would be the only reason given.
+        // With a limit of 0, every request would wait until its timeout, and the timeout would be the only reason
+        // given.
         let slots = accepted.max_in_flight.min(settings.max_in_flight).max(1);
         let shared = Arc::new(SessionState {
             terms: SessionTerms {
@@ -111,8 +112,8 @@ impl Session {
         self.inner.shared.terms.session
     }
 
-    /// Returns the clocks of the stamps in its exchanges. The cloud's clock is the free-running one if the version of
-    /// the session supports it.
+    /// Returns the clocks whose stamps the session's exchanges contain. The cloud's clock is the free-running one if
+    /// the version of the session supports it.
     pub fn clocks(&self) -> RelatedClocks {
         self.inner.shared.terms.clocks()
     }
@@ -128,13 +129,14 @@ impl Session {
         self.inner.shared.sender.caveat()
     }
 
-    /// Returns a reader of further warnings that occur while the session is open, oldest first. Each text names the object
-    /// and says what to do. The list only grows.
+    /// Returns a reader of further warnings that occur while the session is open, oldest first. Each text names the
+    /// object and says what to do. The list only grows.
     pub fn remarks(&self) -> watch::Receiver<Vec<String>> {
         self.inner.shared.remarks.subscribe()
     }
 
-    /// Returns a reader of the statistics of the cloud's end of the connection: `None` before its first report.
+    /// Returns a reader of the statistics of the cloud's end of the connection. They are `None` before its first
+    /// report.
     pub fn peer_statistics(&self) -> watch::Receiver<Option<ConnectionStatistics>> {
         self.inner.shared.peer_statistics.subscribe()
     }
@@ -151,9 +153,10 @@ impl Session {
 
     /// Sends a sample and waits for the answer. Any number of requests may be in progress at once.
     ///
-    /// Records in `recorder`: `send-queue` if the request had to wait because too many were in flight, `encode`, `upload`,
-    /// `download`, their sizes, and the nodes of the cloud. `timeout` covers all of it. The request is cancelled if
-    /// the future is dropped or `timeout` ends. The cloud then stops computing if the model allows it.
+    /// Records in `recorder`: `send-queue` if the request had to wait because too many were in flight, `encode`,
+    /// `upload`, `download`, their sizes, and the nodes of the cloud. `timeout` is the time limit for everything,
+    /// including the wait in the queue. The request is cancelled if the future is dropped or `timeout` ends. The cloud
+    /// then stops computing if the model allows it.
     pub async fn request(&self, recorder: Recorder, sample: &Sample, timeout: Duration) -> CompletedRequest {
         self.request_in_parts(recorder, sample, timeout, None).await
     }
@@ -161,7 +164,8 @@ impl Session {
     /// Sends a sample as [`request`](Self::request) does. `handler` takes each part of the answer that arrives before
     /// the answer is complete.
     ///
-    /// If there was any part, also records `first-part` and `parts`, and `first-part-download` if the whole answer arrives.
+    /// If there was any part, also records `first-part` and `parts`, and `first-part-download` if the whole answer
+    /// arrives.
     pub async fn request_in_parts(
         &self,
         recorder: Recorder,
@@ -207,7 +211,7 @@ impl Session {
             Ok(Err(_)) => {
                 completed.result = Err(RequestError::Lost("the task that receives answers has ended".into()));
             }
-            // The result remains the timeout.
+            // The deadline has passed. The result is already a timeout; only the awaited event may have to be changed.
             Err(_) => {
                 parts = shared.requests.take_parts(pending.request).unwrap_or_default();
                 if let Some(count) = parts.count() {
@@ -235,7 +239,7 @@ impl Session {
         let recorder = &mut completed.recorder;
         completed.arrived_at = Some(arrived.stamp);
         let has_raw_stamps = shared.terms.has_raw_stamps();
-        // The delta is added before all other nodes, because the node ids in the tree delta refer to the tree as it was sent.
+        // The delta is added before all other nodes, because its node ids refer to the tree as it was sent.
         let absorbed = absorb(recorder, self.inner.accepted.host, has_raw_stamps, &sent.departed, &arrived);
         sent.sizes.record(recorder, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES);
         sizes.record(recorder, stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES);
@@ -267,8 +271,8 @@ impl Session {
         self.inner.stopped.cancelled().await;
     }
 
-    /// [Closes](Self::close) the session at the end of a run of `planned_iterations` planned iterations, so that the cloud does
-    /// not wait for missing requests.
+    /// [Closes](Self::close) the session at the end of a run of `planned_iterations` planned iterations, so that the
+    /// cloud does not wait for missing requests.
     pub async fn close_after_run(&self, planned_iterations: u64) {
         self.inner.shared.planned_iterations.get_or_init(|| planned_iterations);
         self.close().await;

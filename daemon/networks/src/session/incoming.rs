@@ -27,7 +27,7 @@ pub enum Incoming {
         /// Number of iterations that the edge's run was planned to have, if the session ended with that run.
         planned_iterations: Option<u64>,
     },
-    /// A connection is worse than it could be, such as a path that carries only short datagrams.
+    /// A connection works, but worse than it could; for example, its path carries only short datagrams.
     Remark {
         /// A session of that connection; `None` if it has none now.
         session: Option<SessionId>,
@@ -88,7 +88,7 @@ impl Drop for OpenRequest {
     }
 }
 
-/// A sample that an edge expects an answer to.
+/// A sample from an edge, which expects an answer.
 #[derive(Debug)]
 pub struct IncomingRequest {
     /// Session of the request.

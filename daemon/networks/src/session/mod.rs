@@ -1,7 +1,7 @@
 //! Sessions: one protocol logic for all transports.
 //!
-//! `client` and `server` are the state machines of the protocol; they do no I/O and return the messages to be sent and the events. `edge`
-//! and `cloud` drive them over a transport.
+//! `client` and `server` are the state machines of the protocol. They do no I/O; they return events and the messages
+//! that must be sent. `edge` and `cloud` drive them over a transport.
 
 mod announcer;
 mod bind_error;

@@ -51,7 +51,7 @@ pub enum OpenError {
     Unanswered {
         /// Address of the cloud.
         address: Address,
-        /// Time that was waited.
+        /// Text that says how long the edge waited.
         reason: String,
     },
     /// The cloud does not serve the requested model or device, or has reached a limit of sessions.
@@ -76,14 +76,15 @@ fn describe_incompatibility(address: &Address, mismatch: &VersionMismatch) -> St
     mismatch.describe("the session protocol", "this program", &format!("the cloud at {address}"))
 }
 
-/// Returns the advice for a cloud that cannot be reached. It is empty if the reason already contains advice, as for a missing ROS master.
+/// Returns the advice for a cloud that cannot be reached. It is empty if the reason already contains advice, as for a
+/// missing ROS master.
 fn advice(reason: &str) -> &'static str {
     if reason.contains("; ") { "" } else { "; is it running, and is the address right?" }
 }
 
 impl OpenError {
-    /// End of the texts of [`Self::TimedOut`] and [`Self::Unanswered`]. It applies only if a configuration can be changed
-    /// and the model may take long to load.
+    /// End of the texts of [`Self::TimedOut`] and [`Self::Unanswered`]. It applies only if a configuration can be
+    /// changed and the model may take long to load.
     pub const LOADING: &str = " or does its model take longer to load than open_timeout_ms allows?";
 }
 
@@ -149,13 +150,14 @@ pub(crate) async fn handshake(
                 remarks.push(text);
                 continue;
             }
-            // The transport repeats the messages that open a session.
+            // Nothing to do: the transport repeats a lost message that opens a session.
             Ok(Ok(EdgeEvent::Incomplete(_) | EdgeEvent::Lost(_))) => continue,
             Ok(Ok(EdgeEvent::InvalidData(_))) => {
                 counters.count_malformed();
                 continue;
             }
-            // An aggregator, or a cloud that has too many sessions to open, closes the connection without an answer.
+            // The other end may not be a cloud: an aggregator, too, closes the connection without an answer. A cloud
+            // that has too many sessions to open does the same.
             _ if !connection.peer_is_cloud => OpenError::TimedOut { address: address.clone(), waited_ms },
             Ok(Err(disconnected)) => {
                 OpenError::Ended { address: address.clone(), reason: disconnected.to_string() }

@@ -13,8 +13,8 @@ use super::request_control::{RequestCancelled, RequestControl};
 use crate::transport::SendFailure;
 
 /// Time after which a part is handed to a full send queue again.
-// The transports have no event for room in a queue. The window of unread parts is none either: a few large parts fill a
-// queue before the edge acknowledges any.
+// The transports do not report when a full queue has room again. An acknowledgement of parts does not tell it either: a
+// few large parts fill a queue before the edge acknowledges any.
 pub(super) const FULL_QUEUE_RETRY: Duration = Duration::from_millis(5);
 
 /// Reason why a part of an answer was not sent. The answer without it would be incomplete.
@@ -58,13 +58,14 @@ impl PartSender {
         Self { key, received, control, shared }
     }
 
-    /// Sends a part of the answer. Waits while the edge has 64 unread parts, and while the network's send queue is full.
-    /// Does nothing if the edge does not know partial replies.
+    /// Sends a part of the answer. Waits while the edge has 64 unread parts, and while the network's send queue is
+    /// full. Does nothing if the edge does not know partial replies.
     ///
     /// # Errors
     /// If the edge does not wait for the answer any more, or the part cannot be sent.
     pub fn send(&self, part: &Sample) -> Result<(), PartError> {
-        // Before the part gets a number: an edge never acknowledges a part that it does not get.
+        // Checked before the part gets a number, which occupies a place in the window of unread parts until the edge
+        // acknowledges it. An edge that gets no parts never does.
         let Some(route) = self.listener()?.route_of_parts(self.key.session) else {
             return if self.is_cancelled() { Err(RequestCancelled.into()) } else { Ok(()) };
         };
@@ -74,9 +75,9 @@ impl PartSender {
         }
         let number = self.control.next_part()?;
         loop {
-            // Not kept while waiting, so that the port can be closed.
+            // The listener is not kept during the wait below, so that the port can be closed meanwhile.
             let listener = self.listener()?;
-            // Asked again after a wait: the edge may have moved to another address.
+            // Looked up again after each wait, because the edge may have moved to another address.
             let route = listener.route_of_parts(self.key.session).ok_or(RequestCancelled)?;
             match listener.send_part(&route, self.key, (number, self.received), part) {
                 Ok(()) => return Ok(()),
@@ -106,7 +107,7 @@ impl PartSender {
     /// Waits for `duration`.
     ///
     /// # Errors
-    /// If the request is cancelled; returns at once then.
+    /// If the request is cancelled. The function then returns at once.
     pub fn wait(&self, duration: Duration) -> Result<(), RequestCancelled> {
         self.control.wait(duration)
     }

@@ -10,19 +10,19 @@ use peernet_sample::Sample;
 
 use crate::message::{Departure, MAX_UNREAD_PARTS};
 
-/// Edge: time from the departure of the request to the arrival of the first part of its answer.
+/// Name of the edge's node for the time from the departure of a request to the arrival of the first part of its answer.
 pub const FIRST_PART: Name = Name::from_static("first-part");
-/// Cloud to edge: like `download`, for the first part of the answer.
+/// Name of the node for the way of the first part of an answer from the cloud to the edge; like `download`.
 pub const FIRST_PART_DOWNLOAD: Name = Name::from_static("first-part-download");
-/// Number of parts of the answer that arrived.
+/// Name of the value that is the number of parts of an answer that arrived.
 pub const PARTS: Name = Name::from_static("parts");
 
-/// Number of parts after which the edge acknowledges them. A quarter of the window, so that the cloud does not wait for
-/// an acknowledgement on its way.
+/// Number of parts after which the edge acknowledges them. It is a quarter of the window, so that an acknowledgement
+/// usually reaches the cloud before the window is full.
 const ACKNOWLEDGE_AFTER: u32 = MAX_UNREAD_PARTS / 4;
 
-/// Function that takes each part of an answer when it arrives. It is called on the task that receives messages, and must
-/// not block.
+/// Function that takes each part of an answer when it arrives. It is called on the task that receives messages, and
+/// must not block.
 #[derive(Clone)]
 pub struct PartHandler(pub Arc<dyn Fn(&Sample) + Send + Sync>);
 
@@ -35,11 +35,13 @@ impl fmt::Debug for PartHandler {
 /// Record of the parts of one answer that have arrived.
 #[derive(Debug, Default)]
 pub(super) struct ArrivedParts {
+    /// Number of parts that arrived.
     count: u32,
     first: Option<FirstPart>,
-    /// Number of the newest part, plus one.
-    end: u32,
-    acknowledged: u32,
+    /// Number of parts that count as read: the number of the newest part, plus one.
+    read_count: u32,
+    /// Value of `read_count` that was acknowledged last.
+    acknowledged_count: u32,
 }
 
 /// Departure and arrival of the part that arrived first.
@@ -50,22 +52,22 @@ struct FirstPart {
 }
 
 impl ArrivedParts {
-    /// Adds a part with this number. Returns the number of parts to acknowledge, if it is time to.
+    /// Adds a part with this number. If an acknowledgement is due, returns the number of parts that count as read.
     pub(super) fn add(&mut self, number: u32, departure: Departure, arrived: Stamp) -> Option<u32> {
         self.count += 1;
         self.first.get_or_insert(FirstPart { departure, arrived });
         // On networks of datagrams, parts may overtake each other.
-        self.end = self.end.max(number.saturating_add(1));
-        let is_due = self.end - self.acknowledged >= ACKNOWLEDGE_AFTER;
+        self.read_count = self.read_count.max(number.saturating_add(1));
+        let is_due = self.read_count - self.acknowledged_count >= ACKNOWLEDGE_AFTER;
         is_due.then(|| {
-            self.acknowledged = self.end;
-            self.end
+            self.acknowledged_count = self.read_count;
+            self.read_count
         })
     }
 
-    /// Returns the node of the first part's way from the cloud, which has this index in the tree. `None` if no part
-    /// arrived.
-    pub(super) fn download(&self, cloud: HostIndex) -> Option<Node> {
+    /// Returns the node for the way of the first part from the cloud. `cloud` is the cloud's index in the tree. `None`
+    /// if no part arrived.
+    pub(super) fn first_part_download(&self, cloud: HostIndex) -> Option<Node> {
         let FirstPart { departure, arrived } = self.first?;
         let raw_stamps = departure.sent_raw.map(|sent| RawStamps { sent, received: arrived.raw });
         let transit = Transit { sent: departure.sent, received: Some(arrived.wall), delay: None, raw_stamps };
@@ -83,7 +85,8 @@ impl ArrivedParts {
         NonZeroU32::new(self.count)
     }
 
-    /// Adds `first-part` and `parts` to the edge's tree, if any part arrived. `departed` is the departure of the request.
+    /// Adds `first-part` and `parts` to the edge's tree, if any part arrived. `departed` is the departure of the
+    /// request.
     pub(super) fn record(&self, recorder: &mut Recorder, departed: MonoTime) {
         let Some(FirstPart { arrived, .. }) = self.first else { return };
         let start = recorder.offset(departed);

@@ -41,7 +41,7 @@ impl SessionState {
                 self.receive_part(part, frames, arrived);
                 None
             }
-            // The rest of an answer whose request was cancelled.
+            // The request was cancelled or has ended, so nobody reads its further parts.
             CloudMessage::LatePart => None,
             CloudMessage::Statistics(statistics) => {
                 self.peer_statistics.send_replace(Some(*statistics));
@@ -68,7 +68,7 @@ impl SessionState {
 
     /// Handles a part of an answer.
     fn receive_part(&self, part: PartialReply, frames: Frames, arrived: Stamp) {
-        let (handler, end) = self.requests.add_part(&part, arrived);
+        let (handler, read_count) = self.requests.add_part(&part, arrived);
         let request = part.request;
         match part.sample.into_sample(frames.into_iter().skip(2)) {
             Ok(sample) => {
@@ -78,19 +78,19 @@ impl SessionState {
             }
             Err(problem) => self.report_invalid(&format!("a part of an answer: {problem}")),
         }
-        if let Some(end) = end {
+        if let Some(read_count) = read_count {
             let session = self.terms.session;
-            self.send_control(&Header::PartsRead(PartsRead { session, request, end }));
+            self.send_control(&Header::PartsRead(PartsRead { session, request, read_count }));
         }
     }
 
-    /// Ends a request whose message or answer was lost. `what` names the lost one.
-    fn end_lost_request(&self, loss: MessageLoss, what: &str) {
+    /// Ends a request that was lost, or whose answer was lost. `description` says which of the two was lost.
+    fn end_lost_request(&self, loss: MessageLoss, description: &str) {
         let waiter = loss.tag.and_then(|request| self.requests.remove_lost_request(request));
         if let Some(waiter) = waiter {
             self.counters.count_lost(1);
             // Fails if the request was cancelled at this moment; it then needs no answer.
-            let _ = waiter.answer.send(Answer::Lost(format!("{what}: {loss}"), waiter.parts));
+            let _ = waiter.answer.send(Answer::Lost(format!("{description}: {loss}"), waiter.parts));
         }
     }
 }
@@ -135,8 +135,8 @@ impl ReceivingTask {
                 }
             }
         };
-        // A goodbye is sent only if this end closes the session. In all other cases the other end knows already that the
-        // session is over, or cannot be reached.
+        // A goodbye is sent only if this end closes the session. In all other cases the other end knows already that
+        // the session is over, or cannot be reached.
         if reason == CloseReason::Local {
             self.send_goodbye();
         }

@@ -53,15 +53,15 @@ impl RequestControl {
         self.state().is_cancelled
     }
 
-    /// Notes that the edge has read the parts before number `end`. Ignores numbers of parts that were never sent.
-    pub(crate) fn acknowledge(&self, end: u32) {
+    /// Notes that the edge has read the first `read_count` parts. Ignores parts that were never sent.
+    pub(crate) fn acknowledge(&self, read_count: u32) {
         let mut state = self.state();
         // A higher number would make the subtraction in `next_part` overflow.
-        let end = end.min(state.sent);
-        if end > state.read {
-            state.read = end;
-            // Most of them have lower numbers. The others would keep few places in the window, and only until the next
-            // acknowledgement.
+        let read_count = read_count.min(state.sent);
+        if read_count > state.read {
+            state.read = read_count;
+            // Most lost parts have lower numbers and now count as read. A lost part with a higher number occupies a
+            // place in the window, but only until the next acknowledgement.
             state.lost = 0;
         }
         self.changed.notify_all();
@@ -101,7 +101,7 @@ impl RequestControl {
     /// Waits for `duration`.
     ///
     /// # Errors
-    /// If the request is cancelled; returns at once then.
+    /// If the request is cancelled. The function then returns at once.
     pub(crate) fn wait(&self, duration: Duration) -> Result<(), RequestCancelled> {
         let (state, _) = self
             .changed

@@ -90,7 +90,8 @@ impl RequestsInFlight {
         Ok((request, answer))
     }
 
-    /// Removes and returns the parts of the answer to a request that have arrived; `None` if the request is not in flight.
+    /// Removes and returns the parts of the answer to a request that have arrived; `None` if the request is not in
+    /// flight.
     pub(super) fn take_parts(&self, request: u64) -> Option<ArrivedParts> {
         self.client().waiter_mut(request).map(|waiter| std::mem::take(&mut waiter.parts))
     }
@@ -100,13 +101,13 @@ impl RequestsInFlight {
         self.client().cancel_request(request)
     }
 
-    /// Adds a part of an answer. Returns the handler of the parts, and the number of parts to acknowledge if it is time
-    /// to.
+    /// Adds a part of an answer. Returns the handler of the parts and, if an acknowledgement is due, the number of
+    /// parts that count as read.
     pub(super) fn add_part(&self, part: &PartialReply, arrived: Stamp) -> (Option<PartHandler>, Option<u32>) {
         let mut client = self.client();
         let Some(waiter) = client.waiter_mut(part.request) else { return (None, None) };
-        let acknowledged = waiter.parts.add(part.part, part.departure, arrived);
-        (waiter.handler.clone(), acknowledged)
+        let read_count = waiter.parts.add(part.part, part.departure, arrived);
+        (waiter.handler.clone(), read_count)
     }
 
     /// Handles a message from the cloud.
@@ -114,7 +115,8 @@ impl RequestsInFlight {
         self.client().receive(header)
     }
 
-    /// Removes a request that was lost on the way, or whose answer was lost. Returns its waiter if the request was in flight.
+    /// Removes a request that was lost on the way, or whose answer was lost. Returns its waiter if the request was in
+    /// flight.
     pub(super) fn remove_lost_request(&self, request: u64) -> Option<Waiter> {
         self.client().remove_lost_request(request)
     }
@@ -128,7 +130,7 @@ impl RequestsInFlight {
             close_reason.get_or_insert_with(|| reason.clone());
             is_first
         });
-        // This comes last, because a request that waits for a slot then reads the reason.
+        // The slots are closed last: a request that waits for a slot reads the reason as soon as they are closed.
         self.slots.close();
     }
 
@@ -170,11 +172,11 @@ mod tests {
     #[tokio::test]
     async fn session_end_fails_all_requests() {
         let (requests, counters) = (RequestsInFlight::new(SessionId::random(), 1), Counters::default());
-        let soon = tokio::time::Instant::now() + std::time::Duration::from_secs(60);
-        let slot = requests.acquire_slot(&mut recorder(), soon).await.expect("one is free");
+        let deadline = tokio::time::Instant::now() + std::time::Duration::from_secs(60);
+        let slot = requests.acquire_slot(&mut recorder(), deadline).await.expect("one is free");
         let (_, answer) = requests.start_request(None).expect("open");
         let mut queued = recorder();
-        let (second, ()) = tokio::join!(requests.acquire_slot(&mut queued, soon), async {
+        let (second, ()) = tokio::join!(requests.acquire_slot(&mut queued, deadline), async {
             requests.end(&CloseReason::UnknownSession, &counters);
             requests.end(&CloseReason::Local, &counters);
         });

@@ -67,7 +67,7 @@ pub(crate) enum EdgeMessage {
     Answer(Header),
     /// The message changed the state of a request, or the request has ended already.
     Handled,
-    /// The edge ended its session. If it ended its run as well, the number is the number of iterations of the run.
+    /// The edge ended its session. If its run ended as well, the number is the planned number of iterations of the run.
     Closed(SessionId, Option<u64>),
     /// The message is not valid, for this reason.
     Malformed(&'static str),
@@ -133,13 +133,13 @@ impl Server {
     /// Handles a message from `peer`. A session that belongs to another connection is treated as unknown.
     pub(crate) fn receive(&mut self, peer: &Peer, header: Header) -> EdgeMessage {
         match header {
-            Header::Open(open) => self.open(peer, *open),
-            Header::Request(request) => self.request(peer, request),
-            Header::PartsRead(PartsRead { session, request, end }) => {
-                self.control(peer, session, request, |control| control.acknowledge(end))
+            Header::Open(open) => self.handle_open(peer, *open),
+            Header::Request(request) => self.handle_request(peer, request),
+            Header::PartsRead(PartsRead { session, request, read_count }) => {
+                self.apply_to_request(peer, session, request, |control| control.acknowledge(read_count))
             }
             Header::Cancel(Cancel { session, request }) => {
-                self.control(peer, session, request, RequestControl::cancel)
+                self.apply_to_request(peer, session, request, RequestControl::cancel)
             }
             Header::Goodbye(goodbye) => {
                 if self.find_own_session(peer, goodbye.session).is_none() {
@@ -169,14 +169,14 @@ impl Server {
         Header::Refused(Refused { versions: SESSION_VERSIONS, kind: RefusalKind::Refused, reason })
     }
 
-    fn open(&mut self, peer: &Peer, open: Open) -> EdgeMessage {
+    fn handle_open(&mut self, peer: &Peer, open: Open) -> EdgeMessage {
         let version = match SESSION_VERSIONS.highest_common(&open.hello.versions) {
             Ok(version) => version,
             Err(mismatch) => return EdgeMessage::Answer(Self::version_refusal(&mismatch)),
         };
         let connection_sessions = self.connections.get(&peer.connection).map_or(0, Vec::len);
-        // Limits of connections per address protect others from one edge only if a connection cannot have any number of
-        // sessions.
+        // Without this limit, one edge could open any number of sessions over one connection, and the limits of
+        // connections per address would not protect the other edges.
         if connection_sessions >= SESSIONS_PER_CONNECTION {
             let reason = format!(
                 "this connection has {SESSIONS_PER_CONNECTION} sessions already; close some or open another connection"
@@ -202,8 +202,8 @@ impl Server {
         EdgeMessage::Open(session, Box::new(open.hello))
     }
 
-    /// Returns the limit that one more session of this peer would exceed, as a text for the refusal. `None` if the session
-    /// may be opened.
+    /// Returns the limit that one more session of this peer would exceed, as a text for the refusal. `None` if the
+    /// session may be opened.
     ///
     /// One host may have half of the sessions that other hosts leave free, so that one host cannot take all. Several
     /// hosts may share an address, so an address may have three quarters of these sessions.
@@ -214,7 +214,7 @@ impl Server {
                 "the cloud has {open_sessions} sessions already; close some or raise max_sessions there"
             ));
         }
-        // Sessions that are not accepted yet count, too; otherwise many could be opened at once.
+        // Sessions that are not accepted yet count, too; otherwise a host could ask for any number at once.
         let host_sessions = self.sessions.values().filter(|entry| entry.host == host).count();
         let free = max - (open_sessions - host_sessions);
         // Rounded up, so that the last free session can be opened.
@@ -247,15 +247,15 @@ impl Server {
     /// Returns the admission of a connection, which follows from its present sessions.
     pub(crate) fn admission(&self, connection: ConnectionId) -> Admission {
         let sessions = self.connections.get(&connection).map_or(&[][..], Vec::as_slice);
-        let accepted = |session| self.sessions.get(session).is_some_and(|entry| entry.accepted);
+        let is_accepted = |session| self.sessions.get(session).is_some_and(|entry| entry.accepted);
         match sessions {
             [] => Admission::Unadmitted,
-            some if some.iter().any(accepted) => Admission::Admitted,
+            some if some.iter().any(is_accepted) => Admission::Admitted,
             _ => Admission::Greeted,
         }
     }
 
-    fn request(&mut self, peer: &Peer, request: Request) -> EdgeMessage {
+    fn handle_request(&mut self, peer: &Peer, request: Request) -> EdgeMessage {
         let max_in_flight = self.max_in_flight;
         let (session, number) = (request.session, request.request);
         let Some(entry) = self.find_own_session(peer, session) else {
@@ -279,7 +279,7 @@ impl Server {
             }));
         }
         match entry.in_flight.0.entry(number) {
-            // The answers could not be distinguished.
+            // The edge could not tell the answers to two requests with the same number apart.
             Entry::Occupied(_) => EdgeMessage::Malformed("a request whose number is in flight already"),
             Entry::Vacant(free) => {
                 free.insert(Arc::default());
@@ -288,8 +288,8 @@ impl Server {
         }
     }
 
-    /// Applies a message about a request. A request that has ended already needs nothing.
-    fn control(
+    /// Applies a message about a request to the state of that request. Has no effect if the request has ended already.
+    fn apply_to_request(
         &mut self,
         peer: &Peer,
         session: SessionId,
@@ -385,15 +385,17 @@ impl Server {
         }
     }
 
-    /// Makes a request in flight again whose answer the network did not accept yet. A cancellation reaches it then.
+    /// Puts a request back in flight because the network has not accepted its answer yet. A cancellation can then reach
+    /// the request.
     pub(crate) fn restore_request(&mut self, session: SessionId, request: u64, control: Arc<RequestControl>) {
         if let Some(entry) = self.sessions.get_mut(&session) {
             entry.in_flight.0.insert(request, control);
         }
     }
 
-    /// Notes that a message without a tag, which may be a part of an answer, was lost on a connection. It counts for each
-    /// request in flight there: the window of one that lost none gets one place larger until the next acknowledgement.
+    /// Notes that a message without a tag, which may be a part of an answer, was lost on a connection. Which request
+    /// the part belongs to is unknown, so the loss counts for each request in flight on the connection. The window of a
+    /// request that lost no part is one place larger until the next acknowledgement.
     pub(crate) fn note_lost_part(&self, connection: ConnectionId) {
         let sessions = self.connections.get(&connection).into_iter().flatten();
         for entry in sessions.filter_map(|session| self.sessions.get(session)) {

@@ -24,7 +24,7 @@ pub(super) struct SessionTerms {
     pub(super) session: SessionId,
     /// Version of the protocol that the cloud chose.
     pub(super) version: u16,
-    /// Smaller one of the limits of both ends. Bytes.
+    /// Largest message that both ends accept. Bytes.
     pub(super) max_message_bytes: u64,
 }
 
@@ -131,7 +131,7 @@ impl SessionState {
     }
 
     /// Encodes a sample and hands it to the network. The calling task writes to the socket itself, because a switch to
-    /// another task would take time.
+    /// another task would take time, which `upload` would include.
     pub(super) fn send(
         &self,
         recorder: &mut Recorder,
@@ -194,6 +194,7 @@ impl SessionState {
         }
     }
 
+    /// Returns the encoded tree and the description of the sample.
     fn encode_frames(
         &self,
         recorder: &Recorder,

@@ -42,7 +42,8 @@ pub(crate) enum AddressForm {
         name: &'static str,
         /// Scheme of addresses that have a domain in place of host and port.
         domain_scheme: &'static str,
-        /// Returns the address of the listener with this name, using the environment of this process.
+        /// Function that returns the address of the listener with this name, from the environment of this process. The
+        /// number is the version of ROS, if it is configured.
         find: fn(&str, Option<u64>) -> Result<String, ListenerLookupError>,
     },
 }
@@ -211,7 +212,7 @@ impl Address {
     /// Checks that the network of this address carries the event stream between agent and aggregator.
     ///
     /// # Errors
-    /// If it does not.
+    /// If the address is of another network.
     pub fn check_event_stream(&self) -> Result<(), UnsupportedEventStreamNetwork> {
         if self.network() == NetworkKind::default() {
             Ok(())
@@ -234,8 +235,8 @@ impl Address {
         self.port
     }
 
-    /// Returns the name of the listener if the address identifies the listener by a name; `None` if host and port of the
-    /// address belong to the listener.
+    /// Returns the name of the listener if the address identifies the listener by a name; `None` if host and port of
+    /// the address belong to the listener.
     pub fn listener_name(&self) -> Option<&str> {
         self.name.as_deref()
     }
@@ -376,7 +377,8 @@ fn parse_host(host: &str) -> Result<Host, AddressProblem> {
         (1..=63).contains(&label.len())
             && label.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"-_".contains(&byte))
     };
-    // These are limits of DNS (RFC 1035, section 2.3.4): 63 bytes for a label, and 255 for an encoded name, which is 253 as text.
+    // These are limits of DNS (RFC 1035, section 2.3.4): 63 bytes for a label, and 255 bytes for an encoded name, whose
+    // text then has 253.
     if host.len() > 253 || !host.strip_suffix('.').unwrap_or(host).split('.').all(is_valid_label) {
         return Err(AddressProblem::InvalidName(host.to_owned()));
     }

@@ -12,7 +12,7 @@ type BoxedError = Box<dyn Error + Send + Sync>;
 pub(crate) struct HostChecks {
     /// Checks that this build can reach peers at an address of the network.
     pub(crate) address: fn(&Address) -> Result<(), BoxedError>,
-    /// Checks the settings that only the network has. An error names the key.
+    /// Checks the settings that only this network has. An error names the key.
     pub(crate) settings: fn(&SessionSettings) -> Result<(), (&'static str, BoxedError)>,
 }
 

@@ -1,4 +1,5 @@
-//! Memory budgets that many connections share: bytes are reserved before memory is used, and returned on drop.
+//! Memory budgets that many connections share. Bytes are reserved before memory is used, and given back when the
+//! reservation is dropped.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -10,7 +11,7 @@ pub(crate) struct MemoryBudget {
     reserved_bytes: AtomicU64,
 }
 
-/// Bytes reserved in a budget; returned on drop.
+/// Bytes reserved in a budget; dropping the reservation gives them back.
 #[derive(Debug)]
 pub(crate) struct Reservation {
     budget: Arc<MemoryBudget>,

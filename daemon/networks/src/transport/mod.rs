@@ -3,8 +3,8 @@
 //! A new transport is one file here, registered in [`NetworkKind`]. The scheme of an address selects the network.
 //!
 //! A transport delivers whole messages. It also reports messages that are incomplete or lost and bytes that are invalid
-//! ([`EdgeEvent`], [`ListenerEvent`]). The tag of a message is the number of its request, so that a loss ends that request
-//! alone.
+//! ([`EdgeEvent`], [`ListenerEvent`]). The tag of a message is the number of its request, so that a loss ends that
+//! request alone.
 
 mod address;
 mod address_group;
@@ -64,8 +64,8 @@ macro_rules! networks {
                 match self { $(Self::$variant => $name),* }
             }
 
-            /// Returns the schemes of the network's addresses, such as `tcp` of `tcp://host:port`. The first scheme is used for
-            /// an address that is made without a scheme.
+            /// Returns the schemes of the network's addresses, such as `tcp` of `tcp://host:port`. The first scheme is
+            /// used for an address that is made without a scheme.
             pub const fn schemes(self) -> &'static [&'static str] {
                 match self { $(Self::$variant => &[$($scheme),+]),* }
             }
@@ -88,6 +88,7 @@ macro_rules! networks {
                 match self { $(Self::$variant => $module::try_bind(address)),* }
             }
 
+            /// Connects to the listener at an address of this network.
             pub(crate) async fn dial(
                 self,
                 address: &Address,
@@ -97,6 +98,8 @@ macro_rules! networks {
                 match self { $(Self::$variant => $module::dial(address, settings, context).await),* }
             }
 
+            /// Listens on an address of this network. `ports` is the number of data ports of this process, which share
+            /// the descriptors for connections.
             pub(crate) async fn bind(
                 self,
                 address: &Address,
@@ -182,10 +185,10 @@ pub enum SendFailure {
 /// Properties of a message that a transport may use.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct SendOptions {
-    /// Time after which the message is of no use.
+    /// Time after which the message is of no use; `None` if it stays useful.
     pub(crate) deadline: Option<Instant>,
-    /// Sender's number for the message, which a report of its loss repeats. A datagram transport retransmits a lost
-    /// message only if it has no tag.
+    /// Number that the sender gives the message. If the message is lost, [`MessageLoss::tag`] repeats it. A datagram
+    /// transport retransmits a lost message only if the message has no tag.
     pub(crate) tag: Option<u64>,
 }
 
@@ -263,7 +266,7 @@ pub(crate) enum EdgeEvent {
     Lost(MessageLoss),
     /// Invalid data arrived and was dropped, for this reason.
     InvalidData(String),
-    /// The connection is worse than it could be; the text says why, names the object, and says what to do.
+    /// The connection works, but worse than it could. The text says why, names the object, and says what to do.
     Remark(String),
 }
 
@@ -337,7 +340,7 @@ pub enum ListenerEvent {
     Gone(ConnectionId, String),
     /// Bytes that violate the transport's protocol arrived. A connection that sent them was dropped.
     InvalidData(Option<SocketAddr>, String),
-    /// A connection is worse than it could be; the text says why, names the object, and says what to do.
+    /// A connection works, but worse than it could. The text says why, names the object, and says what to do.
     Remark(ConnectionId, String),
     /// An edge was refused: its claimed host, and the reason.
     Refused(Option<HostId>, String),
@@ -463,7 +466,7 @@ mod tests {
     use crate::{SESSION_VERSIONS, SessionSettings};
 
     #[tokio::test]
-    async fn listener_name_may_have_several_schemes() {
+    async fn network_may_have_several_schemes() {
         let schemes = NetworkKind::ALL.iter().map(|kind| (kind.name(), kind.schemes()));
         let expected: [(&str, &[&str]); 2] = [("wire", &["wire"]), ("robot", &["robot1", "robot2"])];
         assert_eq!(schemes.collect::<Vec<_>>(), expected);
@@ -482,7 +485,7 @@ mod tests {
         };
         let context = DialContext { hello: &hello, clock: &clock };
         let dialled = NetworkKind::Robot.dial(&address, &settings, &context).await;
-        assert!(matches!(dialled, Err(DialFailure::Unreachable(where_to)) if where_to == "tcp://a:1"));
+        assert!(matches!(dialled, Err(DialFailure::Unreachable(reason)) if reason == "tcp://a:1"));
         let bound = NetworkKind::Robot.bind(&address, &settings, NonZeroUsize::MIN, &clock).await;
         assert!(matches!(bound, Err(BindFailure::NotLocal)));
         assert!(NetworkKind::Robot.try_bind(&address).is_ok());

@@ -1,6 +1,6 @@
 //! The kernel's statistics of a TCP connection: `TCP_INFO`, requested through netlink by the addresses of both ends.
 //!
-//! The edge's ZeroMQ library does not give access to its sockets, and `getsockopt` needs one. Netlink's `sock_diag`
+//! `getsockopt` would need the socket, and the edge's ZeroMQ library does not give access to it. Netlink's `sock_diag`
 //! finds any connection of this network namespace without a privilege. One request needs three system calls and takes
 //! less than 30 µs.
 
@@ -63,7 +63,7 @@ fn query(addresses: &ConnectionAddresses) -> Result<Option<Vec<u8>>, TcpInfoErro
         .map_err(io::Error::from)?;
     send(socket.as_raw_fd(), &request_bytes, MsgFlags::empty()).map_err(io::Error::from)?;
     let mut answer = vec![0; ANSWER_BYTES];
-    // The kernel answers within the call that sends the request.
+    // The kernel answers within the call that sends the request, so the answer is already there.
     let length = recv(socket.as_raw_fd(), &mut answer, MsgFlags::MSG_DONTWAIT).map_err(io::Error::from)?;
     let answer = NetlinkMessage::<SockDiagMessage>::deserialize(&answer[..length])
         .map_err(|error| TcpInfoError::Malformed(error.to_string()))?;
@@ -97,7 +97,7 @@ fn sock_diag_request(addresses: &ConnectionAddresses) -> Vec<u8> {
         },
     };
     let mut header = NetlinkHeader::default();
-    // Without NLM_F_DUMP the kernel looks up one connection and does not list all (sock_diag(7)).
+    // NLM_F_DUMP is not set, so the kernel looks up one connection and does not list all of them (sock_diag(7)).
     header.flags = NLM_F_REQUEST;
     let mut message = NetlinkMessage::new(header, SockDiagMessage::InetRequest(request).into());
     message.finalize();
@@ -106,7 +106,8 @@ fn sock_diag_request(addresses: &ConnectionAddresses) -> Vec<u8> {
     bytes
 }
 
-/// Returns the interface of a link-local address, which is meaningless without it; 0 for any other address.
+/// Returns the interface of a link-local address; 0 for any other address. A link-local address is valid on one
+/// interface.
 fn interface_index(address: &std::net::SocketAddr) -> u32 {
     match address {
         std::net::SocketAddr::V6(address) => address.scope_id(),
@@ -114,8 +115,8 @@ fn interface_index(address: &std::net::SocketAddr) -> u32 {
     }
 }
 
-/// Returns the bytes of `struct tcp_info` in an answer. If the connection is gone, the kernel answers with the listening
-/// socket, which is ignored.
+/// Returns the bytes of `struct tcp_info` in an answer. If the connection is gone, the kernel answers with the
+/// listening socket, which is ignored.
 fn find_tcp_info(addresses: &ConnectionAddresses, response: InetResponse) -> Option<Vec<u8>> {
     let destination: (IpAddr, u16) =
         (response.header.socket_id.destination_address, response.header.socket_id.destination_port);

@@ -1,8 +1,8 @@
 //! `zmq-tcp`: ZMTP 3.1 over TCP, a DEALER on the edge and a ROUTER on the cloud.
 //!
-//! The edge's socket is the library's, in its latency profile; the cloud's is [`zmtp`](super::zmtp). On both ends the
-//! sending task writes to the connection itself. Only the bytes that the kernel does not accept at once are left to the
-//! connection's own task. The library's reconnecting is disabled, because a session ends with its connection.
+//! The edge uses a socket of the ZeroMQ library, with its latency profile; the cloud uses [`zmtp`](super::zmtp). On
+//! both ends the sending task writes to the connection itself. Only the bytes that the kernel does not accept at once
+//! are left to the connection's own task. The library does not reconnect, because a session ends with its connection.
 
 use std::io;
 use std::num::NonZeroUsize;
@@ -35,21 +35,22 @@ pub(crate) const ADDRESS_FORM: AddressForm = AddressForm::HostPort;
 /// This network works on every host.
 pub(crate) const HOST_CHECKS: HostChecks = HostChecks::NONE;
 
-/// Identity in the ZMTP handshake of a cloud's port, since version 0.3 of the program. It distinguishes a cloud that has not
-/// answered from another program, for example an aggregator, which listens with a ROUTER, too.
+/// Identity in the ZMTP handshake of a cloud's port, since version 0.3 of the program. It tells an edge whose hello is
+/// not answered that a cloud listens there and not another program, for example an aggregator, which has a ROUTER, too.
 const CLOUD_IDENTITY: &str = "peernet-serve";
 
 /// Smallest payload frame that is read from the kernel straight into a separate buffer. Bytes.
 const DIRECT_READ_BYTES: usize = 16 * 1024;
 
-/// Interval at which the library reconnects. A session ends with its connection, so the library must never reconnect.
+/// Time after which the library would reconnect. It never passes: the session has ended with its connection, and the
+/// socket is closed long before.
 const RECONNECT_INTERVAL: Duration = Duration::from_secs(365 * 24 * 3600);
 
 /// Time limit for finding out why a connection attempt failed.
 const DIAGNOSIS_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Returns the largest message in the library's terms, which count a slot for each frame in addition to its bytes.
-fn largest_message(settings: &SessionSettings) -> usize {
+/// Returns the largest message as the library counts it: the bytes of all frames, and the size of one slot per frame.
+fn library_message_bytes(settings: &SessionSettings) -> usize {
     let slots = MAX_FRAMES * size_of::<Payload>();
     usize::try_from(settings.max_message_bytes).unwrap_or(usize::MAX).saturating_add(slots)
 }
@@ -64,7 +65,7 @@ fn options(settings: &SessionSettings) -> Options {
     let queue = queue_capacity(settings);
     Options::default()
         .workload_profile(WorkloadProfile::Latency)
-        .max_message_size(largest_message(settings))
+        .max_message_size(library_message_bytes(settings))
         .large_message_threshold(DIRECT_READ_BYTES)
         .send_hwm(queue)
         .recv_hwm(queue)
@@ -262,11 +263,11 @@ pub(crate) async fn bind(
 fn limits(settings: &SessionSettings, ports: NonZeroUsize) -> ListenerLimits {
     ListenerLimits {
         max_connections: DescriptorShare::DataPort.max_connections_per_port(ports),
-        max_message_bytes: largest_message(settings),
+        max_message_bytes: library_message_bytes(settings),
         max_unfinished_bytes: settings.max_unfinished_bytes,
         hello_timeout: settings.hello_timeout(),
         max_queued_messages: queue_capacity(settings) as usize,
-        max_queued_bytes: largest_message(settings),
+        max_queued_bytes: library_message_bytes(settings),
         heartbeat_interval: settings.heartbeat_interval(),
         heartbeat_timeout: settings.heartbeat_timeout(),
     }

@@ -48,7 +48,7 @@ pub(super) struct AnswerContent {
     payload: Vec<Bytes>,
     /// Nodes that this host added to the tree.
     delta: Option<Bytes>,
-    /// Offset of the monotonic clock's zero from this host's anchor in the tree.
+    /// Zero of the monotonic clock, relative to this host's anchor in the tree.
     clock_zero: Span,
 }
 
@@ -56,7 +56,7 @@ impl AnswerContent {
     /// Returns the content of an answer with the nodes that `recorder` recorded here.
     pub(super) fn new(route: &Route, recorder: Option<Recorder>, result: Result<Sample, Failure>) -> Self {
         let (outcome, payload) = encode_outcome(result, route.max_message_bytes);
-        let (delta, clock_zero) = encode_log_delta(recorder);
+        let (delta, clock_zero) = encode_recorded_delta(recorder);
         Self { outcome, payload, delta, clock_zero }
     }
 }
@@ -72,17 +72,18 @@ pub(super) fn encode_answer(
     content: AnswerContent,
 ) -> Result<Frames, HeaderError> {
     let AnswerContent { outcome, payload, delta, clock_zero } = content;
-    let raw = route.version >= RAW_STAMPS_SINCE;
+    let has_raw_stamps = route.version >= RAW_STAMPS_SINCE;
     let stamp = clock.stamp();
     // Read after the stamp: if this epoch equals that of the arrival, no step lies between the two stamps.
-    let epoch = if raw { clock.epoch() } else { clock.wall_epoch() };
+    let epoch = if has_raw_stamps { clock.epoch() } else { clock.wall_epoch() };
     let departure = delta.as_ref().map(|_| {
         let sent_since_anchor = clock_zero + (stamp.mono - MonoTime::default());
-        Departure { sent: stamp.wall, sent_since_anchor, epoch, sent_raw: raw.then_some(stamp.raw) }
+        let sent_raw = has_raw_stamps.then_some(stamp.raw);
+        Departure { sent: stamp.wall, sent_since_anchor, epoch, sent_raw }
     });
     let RequestKey { session, request, arrival } = key;
-    let arrival_epoch = if raw { arrival.epoch } else { arrival.wall_epoch };
-    let arrived_raw = departure.filter(|_| raw).map(|_| arrival.raw);
+    let arrival_epoch = if has_raw_stamps { arrival.epoch } else { arrival.wall_epoch };
+    let arrived_raw = departure.filter(|_| has_raw_stamps).map(|_| arrival.raw);
     let reply = Reply { session, request, departure, arrival_epoch, outcome, arrived_raw };
     let header = Header::Reply(reply).encode()?;
     let mut frames = Vec::with_capacity(2 + payload.len());
@@ -141,7 +142,7 @@ fn encode_outcome(result: Result<Sample, Failure>, max_message_bytes: u64) -> (O
 }
 
 /// Returns the wire form of the tree delta, and the offset of the monotonic clock's zero from this host's anchor.
-fn encode_log_delta(recorder: Option<Recorder>) -> (Option<Bytes>, Span) {
+fn encode_recorded_delta(recorder: Option<Recorder>) -> (Option<Bytes>, Span) {
     let Some(recorder) = recorder else { return (None, Span::ZERO) };
     let clock_zero = recorder.offset(MonoTime::default());
     let delta = recorder.into_tree_delta().and_then(|delta| match encode_tree_delta(&delta) {

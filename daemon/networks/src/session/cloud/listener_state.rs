@@ -91,17 +91,17 @@ impl ListenerState {
         }
     }
 
-    /// Sends an answer with the nodes that `recorder` recorded here. `recorder` is `None` if no model computed the answer; the
-    /// reply then has neither tree delta nor departure. Waits while the send queue is full with parts of the same answer;
-    /// never waits for other answers.
+    /// Sends an answer with the nodes that `recorder` recorded here. `recorder` is `None` if no model computed the
+    /// answer; the reply then has neither tree delta nor departure. Waits while the send queue is full with parts of
+    /// the same answer; never waits for other answers.
     pub(crate) fn answer(
         &self,
         key: RequestKey,
         recorder: Option<Recorder>,
         result: Result<Sample, Failure>,
     ) {
-        // The answer is counted before its request stops being in flight, so that `wait_until_idle` always sees one of them.
-        // Otherwise the listener could close in between and send the goodbye before the answer.
+        // The answer is counted before its request stops being in flight, so that `wait_until_idle` always sees the
+        // answer or the request. Otherwise the listener could close in between and send the goodbye before the answer.
         self.answers.count_while(|| {
             let Some((mut route, mut control)) = self.finish_request(key) else { return };
             let mut content = AnswerContent::new(&route, recorder, result);
@@ -118,7 +118,7 @@ impl ListenerState {
                     }
                 }
                 self.lock_server().restore_request(key.session, key.request, Arc::clone(&control));
-                // If the request is cancelled meanwhile, `finish_request` says so.
+                // If the request is cancelled during the wait, `finish_request` returns `None`.
                 let _ = control.wait(FULL_QUEUE_RETRY);
                 match self.finish_request(key) {
                     Some(finished) => (route, control) = finished,

@@ -1,4 +1,5 @@
-//! Counts the datagrams of one direction of a connection: how many arrived, were duplicated, were reordered and were lost.
+//! Counts the datagrams of one direction of a connection: how many arrived, were duplicated, were reordered and were
+//! lost.
 //!
 //! Every datagram with data has a number, the next number of its connection and direction. A retransmission gets a new
 //! number (as packet numbers in RFC 9000, section 12.3). A missing number counts as lost only after a delay, so that a
@@ -15,8 +16,8 @@ use crate::statistics::DatagramStatistics;
 /// Shortest time after which a missing number counts as lost. The longest is twice that.
 const LOSS_DELAY: Span = Span::from_seconds(1);
 
-/// For this many of the latest datagram numbers, it is stored whether the datagram arrived. A datagram with an older number is
-/// not counted, because it may be a duplicate.
+/// Number of the latest datagram numbers for which it is stored whether their datagram has arrived. A datagram with an
+/// older number is not counted, because it may be a duplicate.
 const REMEMBERED_NUMBERS: u64 = 4_096;
 
 /// Totals that the receiving end of a direction reports to its sending end.
@@ -62,11 +63,14 @@ pub(crate) struct ArrivalCounter {
     arrival_bits: Vec<u64>,
     /// Numbers below this one have been counted: they have arrived or are lost.
     counted_below: u64,
-    /// Numbers below this one were sent before `pending_since`. Those that are missing after [`LOSS_DELAY`] count as lost.
+    /// Numbers below this one were sent before `pending_since`. Those that are missing after [`LOSS_DELAY`] count as
+    /// lost.
     pending_below: u64,
     pending_since: MonoTime,
-    /// Number of arrived numbers from `counted_below` to `pending_below`, and from `pending_below` on.
-    arrived: (u64, u64),
+    /// How many of the numbers from `counted_below` to `pending_below` have arrived.
+    arrived_pending: u64,
+    /// How many of the numbers from `pending_below` on have arrived.
+    arrived_later: u64,
     gap_check: GapCheck,
 }
 
@@ -80,12 +84,13 @@ impl ArrivalCounter {
             counted_below: 0,
             pending_below: 0,
             pending_since: now,
-            arrived: (0, 0),
+            arrived_pending: 0,
+            arrived_later: 0,
             gap_check: GapCheck::new(now),
         }
     }
 
-    /// Counts a datagram that arrived. `number` is the lower half of its number.
+    /// Counts a datagram that arrived. `number` is the lower 32 bits of its number.
     pub(crate) fn record_arrival(&mut self, number: u32, now: MonoTime) {
         self.count_losses(now);
         self.datagrams += 1;
@@ -98,7 +103,7 @@ impl ArrivalCounter {
             return;
         }
         let Some(number) = self.next_number.checked_add_signed(distance) else { return };
-        // Its bit belongs to a newer number by now.
+        // The number is not remembered any more: its bit belongs to a newer number.
         if self.next_number - number > REMEMBERED_NUMBERS {
             return;
         }
@@ -108,16 +113,17 @@ impl ArrivalCounter {
         }
         self.totals.reordered += 1;
         if number >= self.pending_below {
-            self.arrived.1 += 1;
+            self.arrived_later += 1;
         } else if number >= self.counted_below {
-            self.arrived.0 += 1;
+            self.arrived_pending += 1;
         }
     }
 
-    /// Notes that the other end has sent all numbers below a number. `next` is the lower half of the bits of that number.
+    /// Notes that the other end has sent all numbers below a certain number. `next` is the lower 32 bits of that
+    /// number.
     pub(crate) fn note_sent(&mut self, next: u32, now: MonoTime) {
         self.count_losses(now);
-        // An older heartbeat may arrive late.
+        // The distance is negative if an older heartbeat arrives late.
         let number = self.next_number + self.distance_to(next).max(0).unsigned_abs();
         if self.is_plausible(NextNumber { number, has_arrived: false }, now) {
             self.advance(number.saturating_sub(self.next_number));
@@ -140,7 +146,7 @@ impl ArrivalCounter {
     fn record_next_arrival(&mut self, number: u64) {
         self.advance(number + 1 - self.next_number);
         self.set_arrived(number);
-        self.arrived.1 += 1;
+        self.arrived_later += 1;
     }
 
     /// Notes that `count` more numbers were sent. None of them has arrived.
@@ -186,15 +192,15 @@ impl ArrivalCounter {
         is_new
     }
 
-    /// Counts the numbers as lost that have been missing for longer than [`LOSS_DELAY`].
+    /// Counts, as lost, the numbers that have been missing for longer than [`LOSS_DELAY`].
     fn count_losses(&mut self, now: MonoTime) {
         if now - self.pending_since < LOSS_DELAY {
             return;
         }
-        let (arrived_pending, arrived_later) = self.arrived;
-        self.totals.lost += (self.pending_below - self.counted_below).saturating_sub(arrived_pending);
+        self.totals.lost += (self.pending_below - self.counted_below).saturating_sub(self.arrived_pending);
         (self.counted_below, self.pending_below) = (self.pending_below, self.next_number);
-        (self.arrived, self.pending_since) = ((arrived_later, 0), now);
+        (self.arrived_pending, self.arrived_later) = (self.arrived_later, 0);
+        self.pending_since = now;
     }
 }
 

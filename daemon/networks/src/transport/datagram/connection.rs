@@ -1,8 +1,9 @@
 //! A virtual connection, without I/O: both halves, heartbeats and the goodbye.
 //!
-//! An end sends a ping if nothing arrived for the heartbeat interval. It pings sooner while messages that it sent are not
-//! settled (delivered or counted as lost), because the answer says which of them never arrived. If nothing arrives for
-//! the heartbeat timeout, the connection ends. A connection is closed by a goodbye that is repeated until it is confirmed.
+//! An end sends a ping if nothing arrived for the heartbeat interval. It pings sooner while messages that it sent are
+//! not settled (delivered or counted as lost), because the answer says which of them never arrived. If nothing arrives
+//! for the heartbeat timeout, the connection ends. A connection is closed by a goodbye that is repeated until it is
+//! confirmed.
 
 mod control_queue;
 mod heartbeat_history;
@@ -294,8 +295,8 @@ impl Connection {
         self.report_losses(now);
         if self.sending.loses_all_long_datagrams(self.measurement.reported_lost(), now) {
             tracing::debug!(bytes = self.sending.longest_datagram(), "none of the longest datagrams arrive");
-            // The handshake of the next connection finds out which length passes.
-            // An edge only opens another connection; the cloud has to tell the edge.
+            // The handshake of the next connection finds out which length passes. The edge opens that connection, so a
+            // cloud has to tell the edge.
             if self.writer.role() == Role::Cloud {
                 self.control
                     .push(Packet::Reset { id: self.writer.connection(), reason: ResetReason::LongLost });

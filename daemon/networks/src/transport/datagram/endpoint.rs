@@ -1,7 +1,7 @@
 //! The cloud's end of all virtual connections of a port, without I/O.
 //!
-//! An edge whose address changes keeps its connection. A packet from a new address is answered with a path challenge, and
-//! the new address is used when the response arrives from there (as in RFC 9000, section 9).
+//! An edge whose address changes keeps its connection. A packet from a new address is answered with a path challenge,
+//! and the new address is used when the response arrives from there (as in RFC 9000, section 9).
 
 mod answers;
 mod connection_table;
@@ -51,7 +51,7 @@ pub(crate) struct EndpointLimits {
     /// Memory for the unfinished messages of all connections with a session. Bytes.
     pub(crate) max_unfinished_bytes: u64,
     pub(crate) max_connections: usize,
-    /// Time limit for a connection without a session or a request for one.
+    /// Time after which a connection is closed that has neither a session nor asked for one.
     pub(crate) hello_timeout: Span,
     /// Terms of this end.
     pub(crate) terms: Terms,
@@ -157,7 +157,7 @@ impl Endpoint {
         let local_terms = self.limits.terms;
         // The prefix and a fragment's header must leave room for a fragment.
         let datagram = terms.datagram.min(local_terms.datagram).max(MIN_DATAGRAM_BYTES);
-        // The request is repeated until the answer arrives.
+        // The edge repeats the request until the answer arrives, so the connection may exist already.
         let existing = self.table.find(to, nonce);
         if existing.is_none() && !self.make_room(AddressGroup::from_address(source)) {
             tracing::debug!(%source, "refused a connection: the largest number of connections is open");
@@ -425,7 +425,7 @@ impl Endpoint {
         self.table.len()
     }
 
-    /// Returns the memory of unfinished messages and of messages that were not handed up yet. Bytes.
+    /// Returns the memory of unfinished messages, and of messages that wait for the layer above. Bytes.
     pub(crate) fn reserved_bytes(&self) -> u64 {
         self.budgets.reserved_bytes()
     }

@@ -22,7 +22,8 @@ pub(crate) enum UnsendableMessage {
 #[error("the lengths of the frames do not add up to the length of the message")]
 pub(crate) struct InvalidMessage;
 
-/// Returns the number of fragments of a message.
+/// Returns the number of fragments of a message of `total` bytes, if each fragment has `stride` bytes. The last
+/// fragment may be shorter.
 pub(crate) fn fragment_count(total: u32, stride: u16) -> u32 {
     total.div_ceil(u32::from(stride.max(1)))
 }
@@ -34,14 +35,16 @@ pub(crate) struct OutgoingMessage {
     pub(crate) sequence: u64,
     /// Tag in its wire form: the sender's number plus one, 0 for none.
     pub(crate) tag: u64,
+    /// Length of the wire form. Bytes.
     pub(crate) total: u32,
+    /// CRC-32 of the wire form.
     pub(crate) checksum: u32,
     pub(crate) deadline: Option<MonoTime>,
     /// Frames, or their remainders, that have not been taken yet.
     remaining_frames: Vec<Bytes>,
     /// Index of the first frame in `remaining_frames` that is not used up.
     first_unused: usize,
-    /// Number of bytes that were taken.
+    /// Number of bytes of the wire form that were taken.
     pub(crate) offset: u32,
 }
 

@@ -62,8 +62,8 @@ pub(super) struct ZmtpConnection {
 #[derive(Debug)]
 pub(super) struct Codec {
     pub(super) zmtp: Connection,
-    /// End of each queued message in the stream of all bytes ever queued.
-    ends: VecDeque<u64>,
+    /// Offset of the end of each queued message in the stream of all bytes ever queued.
+    message_ends: VecDeque<u64>,
     /// Number of bytes that the kernel has accepted.
     written: u64,
     /// Memory of the queued bytes.
@@ -92,7 +92,7 @@ impl ZmtpConnection {
             .max_message_size(limits.max_message_bytes);
         let codec = Codec {
             zmtp: Connection::new(config),
-            ends: VecDeque::new(),
+            message_ends: VecDeque::new(),
             written: 0,
             reserved: Reservation::empty(output),
             budget: Arc::clone(output),
@@ -125,8 +125,8 @@ impl ZmtpConnection {
         PHASES[usize::from(self.phase.load(Ordering::Acquire))]
     }
 
-    /// Changes the phase if the change is allowed. The last two phases are final, and only an unadmitted connection becomes
-    /// greeted.
+    /// Changes the phase if the change is allowed. The last two phases are final, and only an unadmitted connection
+    /// becomes greeted.
     pub(super) fn advance(&self, new_phase: Phase) {
         let next_phase = |from: u8| {
             let from = PHASES[usize::from(from)];
@@ -159,7 +159,7 @@ impl ZmtpConnection {
         // An empty queue accepts every message, whatever its size.
         if queued_bytes > 0
             && (queued_bytes.saturating_add(bytes) > self.max_queued_bytes
-                || codec.ends.len() >= self.max_queued_messages)
+                || codec.message_ends.len() >= self.max_queued_messages)
         {
             return Err(SendFailure::Full);
         }
@@ -169,7 +169,7 @@ impl ZmtpConnection {
         }
         codec.zmtp.send_message(&message).map_err(|error| gone_failure(&error))?;
         let end = codec.written + codec.zmtp.pending_transmit_size() as u64;
-        codec.ends.push_back(end);
+        codec.message_ends.push_back(end);
         if queued_bytes > 0 {
             // The connection's task writes the message after the queued messages.
             return Ok(());
@@ -203,7 +203,7 @@ impl ZmtpConnection {
             };
             codec.advance(written);
         }
-        // Messages of an idle connection hold no memory of the budget.
+        // The queue is empty, so the connection no longer needs memory of the budget.
         codec.reserve(0)?;
         Ok(true)
     }
@@ -213,8 +213,8 @@ impl Codec {
     fn advance(&mut self, written: usize) {
         self.zmtp.advance_transmit(written);
         self.written += written as u64;
-        while self.ends.front().is_some_and(|end| *end <= self.written) {
-            self.ends.pop_front();
+        while self.message_ends.front().is_some_and(|end| *end <= self.written) {
+            self.message_ends.pop_front();
         }
     }
 

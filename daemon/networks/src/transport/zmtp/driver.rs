@@ -27,7 +27,7 @@ use crate::transport::{Frames, ListenerEvent, Peer};
 // They are read into the stack and copied into frames, so that an idle connection has no buffer.
 const READ_BYTES: usize = 16 * 1024;
 
-/// Reading pauses while more bytes of PONGs wait. This stops a peer that sends PINGs and reads nothing.
+/// Reading pauses while more bytes of PONGs wait to be written. This stops a peer that sends PINGs and reads nothing.
 const MAX_QUEUED_PONG_BYTES: usize = 16 * 1024;
 
 /// Time limit for a peer to close its end after everything was sent to it.
@@ -256,7 +256,7 @@ impl Driver {
     /// Queues a PING, unless it would be useless.
     fn ping(&mut self) {
         let mut codec = self.connection.codec();
-        // Peers of ZMTP 3.0 do not know heartbeats, and a queue that is not empty needs no further PING.
+        // Peers of ZMTP 3.0 do not know heartbeats. While bytes are queued, a PING would only wait behind them.
         if codec.zmtp.peer_minor() == 0 || codec.zmtp.has_pending_transmit() {
             return;
         }
@@ -269,7 +269,7 @@ impl Driver {
         self.has_output = true;
     }
 
-    /// Sends queued bytes until `deadline` at most, and lets the peer close the connection.
+    /// Sends queued bytes, until `deadline` at most. Then waits briefly for the peer to close the connection.
     pub(super) async fn finish(&mut self, deadline: Instant) {
         let connection = Arc::clone(&self.connection);
         let flush = async {
@@ -283,7 +283,7 @@ impl Driver {
                 }
             }
         };
-        // Bytes that are not sent by then are lost with the connection.
+        // Bytes that are not sent before the deadline are lost with the connection.
         let _unsent = tokio::time::timeout_at(deadline, flush).await;
         // Closing a socket with unread bytes would reset the connection, and the peer would lose what it has not read.
         shut_down_writing(&self.input.reader);
@@ -327,15 +327,16 @@ impl Input {
     async fn read(&mut self, connection: &ZmtpConnection) -> ReadOutcome {
         let Self { reader, framer, allowance, pieces } = self;
         std::future::poll_fn(|cx| {
-            // Read at each poll, because bytes that follow an acceptance may arrive before this task is woken for it.
-            allowance.stage = stage(connection.phase());
+            // The phase is read at each poll: the peer's first bytes after its acceptance may arrive before this task
+            // is woken because of the acceptance.
+            allowance.stage = stage_of_phase(connection.phase());
             poll_read(cx, reader, framer, allowance, pieces)
         })
         .await
     }
 }
 
-const fn stage(phase: Phase) -> Stage {
+const fn stage_of_phase(phase: Phase) -> Stage {
     match phase {
         Phase::Handshake => Stage::Handshake,
         Phase::Unadmitted | Phase::Greeted => Stage::Unadmitted,

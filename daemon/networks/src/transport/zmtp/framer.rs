@@ -31,7 +31,7 @@ const MAX_FIRST_BYTES: usize = 2 * 1024 * 1024;
 /// Smallest remainder of a frame that is read from the kernel straight into the frame's buffer. Bytes.
 const DIRECT_READ_BYTES: usize = 8 * 1024;
 
-/// Maximum number of bytes of one such read.
+/// Maximum number of bytes of one read into a frame's buffer.
 // While the kernel copies to this process, it receives nothing for the connection, and the sender waits.
 const MAX_DIRECT_READ_BYTES: usize = 64 * 1024;
 
@@ -53,10 +53,10 @@ pub(super) enum Stage {
     Admitted,
 }
 
-/// Reason why the connection must be closed.
+/// Reason why the connection must be closed, and a text for the log.
 pub(super) type Violation = (Rejection, String);
 
-/// Bytes for the codec.
+/// Bytes that the codec gets in one call.
 #[derive(Debug)]
 pub(super) struct Piece {
     pub(super) bytes: Bytes,
@@ -103,8 +103,8 @@ impl Framer {
         self.reserved.bytes()
     }
 
-    /// Returns the buffer into which the remainder of a long frame is to be read, if one is expected.
-    /// [`complete_direct_read`](Self::complete_direct_read) is to be called afterwards.
+    /// Returns the buffer into which the remainder of a long frame must be read. `None` if no long remainder is
+    /// missing. After the read, [`complete_direct_read`](Self::complete_direct_read) must be called.
     ///
     /// # Errors
     /// If there is no memory for the frame.
@@ -117,7 +117,8 @@ impl Framer {
             return Ok(None);
         }
         if buffer.len() == buffer.capacity() {
-            // The buffer is at most twice as long as the bytes that have arrived, so an announced length alone takes no memory.
+            // The buffer is at most twice as long as the bytes that have arrived, so an announced length alone takes no
+            // memory.
             let capacity = (*length).min(buffer.len() * 2);
             grow(buffer, capacity, self.finished_bytes, &mut self.reserved, allowance)?;
         }
@@ -210,7 +211,7 @@ impl Framer {
         self.finish_body_if_complete(allowance, out)
     }
 
-    /// Checks that the connection may send this frame at present. Returns the flags and the length of the frame. At least its
+    /// Checks that the connection may send this frame at present. Returns the flags and the length of the frame, whose
     /// header must have arrived.
     ///
     /// # Errors
@@ -231,7 +232,7 @@ impl Framer {
                 );
                 return Err((Rejection::LargeBeforeHello, text));
             }
-            // The codec reports the exact limit, with the overhead of each frame.
+            // This check ignores the overhead of each frame. The codec reports a violation of the exact limit.
             Stage::Admitted if length > allowance.max_message_bytes => {
                 let text = format!(
                     "the peer announced a frame of {length} bytes; {} are allowed",
@@ -298,8 +299,8 @@ const fn header_length(flags: u8) -> usize {
     if flags & LONG == 0 { 2 } else { 9 }
 }
 
-/// Grows the buffer of a frame to `capacity` bytes and reserves their memory, in addition to the memory of the message's
-/// complete frames.
+/// Grows the buffer of a frame to `capacity` bytes and reserves their memory, in addition to the memory of the
+/// message's complete frames.
 fn grow(
     buffer: &mut Vec<u8>,
     capacity: usize,

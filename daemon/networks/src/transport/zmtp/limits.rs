@@ -33,8 +33,8 @@ pub(super) const MAX_HANDSHAKE_BYTES: usize = 8 * 1024;
 /// Largest unfinished input of a connection before it is admitted. Bytes.
 pub(super) const MAX_UNADMITTED_BYTES: usize = 64 * 1024;
 
-/// Largest unfinished input of all connections that are not admitted. This budget is separate from the budget of admitted
-/// connections, so that strangers cannot exhaust the memory of admitted connections. Bytes.
+/// Largest unfinished input of all connections that are not admitted. This budget is separate from the budget of
+/// admitted connections, so that unknown peers cannot exhaust the memory of admitted connections. Bytes.
 pub(super) const MAX_ALL_UNADMITTED_BYTES: u64 = 16 * 1024 * 1024;
 
 /// Memory of a frame in addition to its bytes.

@@ -58,7 +58,8 @@ struct ListenerState {
     rejections: Arc<RejectionCounts>,
     stop: CancellationToken,
     tasks: TaskTracker,
-    /// Deadline for closing connections to send their queues. Set before `stop` is cancelled.
+    /// Time until which connections may still send their queues when the port is closed. Set before `stop` is
+    /// cancelled.
     close_deadline: Mutex<Option<Instant>>,
 }
 
@@ -78,7 +79,8 @@ impl ZmtpListener {
         Self::bind_as("", authority, limits).await
     }
 
-    /// Does the same as [`bind`](Self::bind), with an identity (RFC 37 of ZeroMQ, "Identity") that tells peers what listens here.
+    /// Does the same as [`bind`](Self::bind), with an identity (RFC 37 of ZeroMQ, "Identity") that tells peers what
+    /// listens here.
     pub(crate) async fn bind_as(
         identity: &'static str,
         authority: &str,
@@ -228,7 +230,7 @@ async fn accept_connections(
             Err(error) if is_aborted_by_peer(&error) => continue,
             Err(error) => {
                 state.rejections.record(Rejection::TooMany, None, &format!("cannot accept: {error}"));
-                // Without open files, accepting fails at once again and again.
+                // While descriptors are exhausted, accepting fails at once; without a pause the loop would be busy.
                 tokio::time::sleep(ACCEPT_RETRY_INTERVAL).await;
                 continue;
             }
@@ -316,7 +318,7 @@ async fn serve_connection(mut driver: Driver, state: Arc<ListenerState>, deliver
     let event = match (has_delivered, is_ready) {
         (true, _) => ListenerEvent::Gone(id, reason),
         (false, false) => ListenerEvent::InvalidData(Some(address), reason),
-        // The layer above does not know a connection without a message.
+        // A connection that delivered no message is unknown to the layer above, which needs no event about its end.
         (false, true) => return,
     };
     // Fails only while the listener is closing.

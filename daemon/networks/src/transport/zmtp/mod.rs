@@ -1,9 +1,9 @@
 //! The listening side of ZMTP over TCP, with limits per connection, per address and for all connections.
 //!
 //! The codec is the library's ([`omq_proto`], ZMTP 3.1). Sockets, deadlines and memory are handled here, because the
-//! library's own listening socket buffers whatever a stranger claims, has no deadline for a hello and no limit per
-//! address. A connection is in one of these states; the layer above admits it when it accepts a session or a host, and
-//! demotes it when that ends:
+//! library's own listening socket buffers whatever an unknown peer announces, has no deadline for a hello and no limit
+//! per address. A connection is in one of the states below. The layer above admits a connection when it accepts a
+//! session or a host on it, and demotes the connection when that session or host ends.
 //!
 //! | state | until | unfinished input | ended by |
 //! | --- | --- | --- | --- |
@@ -11,8 +11,8 @@
 //! | unadmitted | the layer above accepts a hello | 64 KiB | the hello timeout, a newer connection |
 //! | admitted | its session or host has gone | the listener's budget | silence |
 //!
-//! [`limits`] has the numbers, [`framer`] counts bytes, [`table`] counts connections and decides which one makes room
-//! for another, [`deadlines`] watches times, [`driver`] is the task of a connection.
+//! [`limits`] has the numbers, [`framer`] counts bytes, [`table`] counts connections and decides which connection is
+//! closed for a new one, [`deadlines`] watches times, [`driver`] is the task of a connection.
 //!
 //! Routing ids that peers choose are refused, because a session belongs to one connection.
 

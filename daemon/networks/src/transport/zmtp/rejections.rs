@@ -17,11 +17,11 @@ pub enum Rejection {
     TooMany,
     /// The largest number of connections of its address was open.
     TooManyOfAddress,
-    /// The connection was not admitted, and a newer one replaced it because a limit was reached.
+    /// The connection was not admitted, and a newer connection replaced it because a limit was reached.
     Replaced,
     /// The connection did not complete the ZMTP handshake in time.
     Handshake,
-    /// The connection sent no hello in time that was accepted.
+    /// No hello of the connection was accepted in time.
     NoHello,
     /// The connection sent or claimed more than is allowed before its hello was accepted.
     LargeBeforeHello,
@@ -71,15 +71,19 @@ impl Rejection {
 #[derive(Debug)]
 pub struct RejectionCounts {
     /// Address of the listener, for log lines.
-    port: String,
+    listener_address: String,
     counts: [AtomicU64; Rejection::ALL.len()],
     /// Time of the last log line of each reason, and the count at that time.
     logged: Mutex<[Option<(Instant, u64)>; Rejection::ALL.len()]>,
 }
 
 impl RejectionCounts {
-    pub(super) fn new(port: String) -> Self {
-        Self { port, counts: Default::default(), logged: Mutex::new([None; Rejection::ALL.len()]) }
+    pub(super) fn new(listener_address: String) -> Self {
+        Self {
+            listener_address,
+            counts: Default::default(),
+            logged: Mutex::new([None; Rejection::ALL.len()]),
+        }
     }
 
     /// Returns how often a reason has occurred since the listener was bound.
@@ -105,7 +109,7 @@ impl RejectionCounts {
             reason = reason.name(),
             connections = since_last_line,
             "closed a connection at {}: {detail}; further connections with the same reason are counted and logged once a minute",
-            self.port
+            self.listener_address
         );
     }
 }

@@ -50,8 +50,9 @@ impl ConnectionTable {
         self.entries().open.values().cloned().collect()
     }
 
-    /// Adds a new connection. If a limit is reached, a connection that is not admitted is closed for it: the oldest of the
-    /// same address, or else of the address with the most connections that are not admitted.
+    /// Adds a new connection. If a limit is reached, removes the oldest connection that is not admitted: of the same
+    /// address if a limit per address is reached, otherwise of the address with the most connections that are not
+    /// admitted.
     ///
     /// # Errors
     /// If all connections that could make room are admitted.
@@ -99,7 +100,7 @@ impl ConnectionTable {
         self.set_phase(id, Phase::Admitted);
     }
 
-    /// Notes that the session or hello that admitted the connection is over. The next hello must arrive in time.
+    /// Notes that the session or host that admitted the connection is gone. The next hello must arrive in time.
     pub(super) fn demote(&self, id: ConnectionId) {
         self.set_phase(id, Phase::Unadmitted);
     }
@@ -121,7 +122,7 @@ impl ConnectionTable {
     }
 }
 
-/// A connection that was added, and the connections that were closed for it.
+/// A connection that was added, and the connections that were removed for it, which the caller must close.
 #[derive(Debug)]
 pub(super) struct InsertedConnection {
     pub(super) connection: Arc<ZmtpConnection>,

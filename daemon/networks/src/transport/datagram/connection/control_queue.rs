@@ -6,8 +6,8 @@ use crate::transport::datagram::packet::Packet;
 use crate::transport::datagram::packet_writer::PacketWriter;
 use crate::transport::datagram::sending::Batch;
 
-/// Maximum number of queued packets. The limit is reached only while nothing can be sent. Dropping further packets is
-/// safe, because all of them are repeated.
+/// Maximum number of queued packets. The limit is reached only while nothing can be sent. Further packets can be
+/// dropped, because every packet of this queue is sent again later if it is lost.
 const MAX_PACKETS: usize = 256;
 
 /// Packets of a connection that are sent before its messages.

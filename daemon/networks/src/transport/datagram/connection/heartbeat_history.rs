@@ -3,7 +3,7 @@
 use crate::transport::datagram::packet::Heartbeat;
 
 /// Number of successive contradicting heartbeats at which the connection ends.
-// The connection would not recover, because the other end treats messages as settled that are still to be sent.
+// The connection would not recover, because the other end treats messages as settled that this end has not sent yet.
 const MAX_CONTRADICTIONS: u32 = 3;
 
 /// Detects duplicated heartbeats, and distinguishes ends that disagree permanently from a single altered packet.
@@ -25,7 +25,8 @@ impl HeartbeatHistory {
         self.contradictions = 0;
     }
 
-    /// Notes that the heartbeat contradicts what was sent. Returns whether too many successive ones do.
+    /// Notes that the heartbeat contradicts what was sent. Returns whether too many successive
+    /// heartbeats did.
     pub(super) fn record_contradiction(&mut self) -> bool {
         self.contradictions += 1;
         self.contradictions >= MAX_CONTRADICTIONS

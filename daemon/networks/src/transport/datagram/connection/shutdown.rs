@@ -5,7 +5,7 @@ use peernet_clock::{MonoTime, Span};
 /// Interval between goodbyes.
 const BYE_INTERVAL: Span = Span::from_millis(50);
 
-/// After this number of received goodbyes unfinished messages are given up.
+/// Number of received goodbyes after which unfinished messages are given up.
 const BYES_UNTIL_GIVING_UP: u32 = 2;
 /// Maximum number of goodbyes.
 const MAX_BYES: u32 = 8;

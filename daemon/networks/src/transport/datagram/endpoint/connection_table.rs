@@ -1,4 +1,5 @@
-//! The connections of a port, by number and by opener, and the choice of the connection that is closed for a new one.
+//! The connections of a port, by number and by the hello that opened them, and the choice of the connection that is
+//! closed for a new one.
 
 use std::collections::HashMap;
 use std::net::{IpAddr, SocketAddr};
@@ -80,8 +81,9 @@ impl ConnectionTable {
     /// Returns whether a peer from a group of addresses may open one more connection; `max` is the largest number of
     /// connections.
     ///
-    /// If necessary, a connection without a session is replaced: the oldest of the same group, or of the group with the
-    /// most connections without a session. One group therefore cannot keep others out.
+    /// If a limit is reached, the oldest connection without a session must be closed first: of the same group if a
+    /// limit per group is reached, otherwise of the group with the most connections without a session. One group
+    /// therefore cannot keep others out.
     pub(super) fn capacity(&self, group: AddressGroup, max: usize) -> Capacity {
         let max = max.max(1);
         // Number of connections of each group, and how many of them have no session.

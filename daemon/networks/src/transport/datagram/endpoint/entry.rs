@@ -32,6 +32,7 @@ pub(super) struct Entry {
     /// Longest datagram that is sent to the other end. Bytes.
     pub(super) datagram: u16,
     pub(super) admission: Admission,
+    /// Time of the last path challenge; `None` if there was none.
     pub(super) path_challenged_at: Option<MonoTime>,
     /// `true` after the first message was handed to the layer above.
     pub(super) has_delivered: bool,
@@ -40,7 +41,8 @@ pub(super) struct Entry {
 }
 
 impl Entry {
-    /// Creates an entry for a connection whose datagrams come from an address and are answered at a port there.
+    /// Creates an entry for a connection whose datagrams come from `source` and are answered at `reply_port` of the
+    /// same host.
     pub(super) const fn new(
         connection: Connection,
         (source, reply_port): (SocketAddr, u16),
@@ -68,7 +70,8 @@ impl Entry {
         reply_address(self.source, self.reply_port)
     }
 
-    /// Returns whether the connection has been without a session or a request for one for too long.
+    /// Returns whether the hello timeout has passed since the connection last had a session or was opened, and the
+    /// connection has not asked for a session.
     pub(super) fn has_missed_hello_timeout(&self, hello_timeout: Span, now: MonoTime) -> bool {
         matches!(self.admission, Admission::Unadmitted { since } if now - since >= hello_timeout)
     }

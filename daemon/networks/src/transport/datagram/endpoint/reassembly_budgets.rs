@@ -52,7 +52,7 @@ impl ReassemblyBudgets {
         (limits, Arc::clone(&self.unadmitted_budget))
     }
 
-    /// Returns the memory of unfinished messages and of messages that were not handed up yet. Bytes.
+    /// Returns the memory of unfinished messages, and of messages that wait for the layer above. Bytes.
     pub(super) fn reserved_bytes(&self) -> u64 {
         self.admitted_budget.reserved_bytes() + self.unadmitted_budget.reserved_bytes()
     }

@@ -1,5 +1,5 @@
-//! The next timer call of each connection of a port, in an order in which the earliest one is found without visiting all
-//! connections.
+//! The next timer call of each connection of a port, in an order in which the earliest one is found without visiting
+//! all connections.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -13,7 +13,8 @@ pub(crate) struct Timers {
 }
 
 impl Timers {
-    /// Sets the time of a connection unless it has an earlier time. A timer call that is too early has no effect.
+    /// Sets the time of a connection unless the connection already has an earlier time. A timer call that comes too
+    /// early has no effect.
     pub(crate) fn schedule(&mut self, connection: u64, time: MonoTime) {
         match self.by_connection.get(&connection) {
             Some(earlier) if *earlier <= time => {}
@@ -32,7 +33,7 @@ impl Timers {
         }
     }
 
-    /// Removes and returns a connection that is due. It has no time afterwards.
+    /// Returns a connection that is due, and removes its time.
     pub(crate) fn take_due(&mut self, now: MonoTime) -> Option<u64> {
         let (_, connection) = *self.by_time.first().filter(|(time, _)| *time <= now)?;
         self.remove(connection);
