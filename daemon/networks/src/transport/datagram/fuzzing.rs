@@ -22,7 +22,7 @@ struct Port {
     connection: u64,
     now: MonoTime,
     peer_address: SocketAddr,
-    stranger_address: SocketAddr,
+    unverified_address: SocketAddr,
 }
 
 /// Runs a script of steps against a port.
@@ -72,7 +72,7 @@ impl Port {
             connection: 0,
             now: MonoTime::default(),
             peer_address,
-            stranger_address: SocketAddr::from(([198, 51, 100, 1], 2)),
+            unverified_address: SocketAddr::from(([198, 51, 100, 1], 2)),
         };
         let answer = port.send_packet(peer_address, &Packet::Hello { version: 1, nonce: 3, reply_port: 0 });
         let Ok(Packet::Cookie { nonce, cookie }) = Packet::read(Role::Edge, answer.get(2..)?) else {
@@ -106,7 +106,7 @@ impl Port {
             out.clear();
         }
         while let Some(delivery) = self.endpoint.next_delivery() {
-            assert!(!matches!(delivery.event, ListenerEvent::Moved(_, to) if to == self.stranger_address));
+            assert!(!matches!(delivery.event, ListenerEvent::Moved(_, to) if to == self.unverified_address));
         }
         let sent = self.endpoint.statistics(ConnectionId(self.connection), self.now).sent;
         assert!(sent.lost.max(sent.reordered) <= sent.datagrams, "{sent:?}");
@@ -115,7 +115,7 @@ impl Port {
     }
 
     fn step(&mut self, step_kind: u8, bytes: &[u8]) {
-        let from = if step_kind & 0x80 == 0 { self.peer_address } else { self.stranger_address };
+        let from = if step_kind & 0x80 == 0 { self.peer_address } else { self.unverified_address };
         let number = |index: usize| u64::from(bytes.get(index).copied().unwrap_or_default());
         let connection = self.connection;
         let fragment = Fragment {
@@ -180,10 +180,10 @@ impl Port {
         self.check(from, &body);
     }
 
-    /// Delivers a datagram with this body and checks that a stranger gets no more bytes back than it sent.
+    /// Delivers a datagram with this body and checks that the unverified address gets no more bytes back than it sent.
     fn check(&mut self, from: SocketAddr, body: &[u8]) {
         let response = self.deliver(from, body);
-        if from == self.stranger_address {
+        if from == self.unverified_address {
             assert!(
                 response.len() <= PREFIX.len() + body.len(),
                 "{} bytes for {}",

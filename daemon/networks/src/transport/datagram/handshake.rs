@@ -1,9 +1,9 @@
 //! Opening of a virtual connection, without I/O.
 //!
 //! An edge sends a hello. The cloud answers with a cookie and keeps no state. An edge that returns the cookie has shown
-//! that it receives what is sent to its address, and gets a connection. Until then no answer is longer than its request. A sender
-//! therefore cannot make a cloud send more to an address than was sent from it, and cannot fill the cloud's memory from
-//! invented addresses. RFC 9147, section 5.1, does the same.
+//! that it receives what is sent to its address, and gets a connection. Until then no answer is longer than its
+//! request. A sender therefore cannot make a cloud send more to an address than was sent from it, and cannot fill the
+//! cloud's memory from invented addresses. RFC 9147, section 5.1, does the same.
 
 use std::net::{IpAddr, SocketAddr};
 
@@ -21,14 +21,15 @@ pub(crate) const SAFE_DATAGRAM_BYTES: u16 = 1_200;
 /// Shortest time for which a cookie is accepted. The longest is twice that.
 const COOKIE_LIFETIME: Span = Span::from_seconds(10);
 
-/// Time until the first repetition of a packet without an answer. It doubles up to eight times this value.
+/// Time until the first repetition of a packet without an answer. The interval doubles with each repetition, up to
+/// eight times this value.
 const RETRY_INTERVAL: Span = Span::from_millis(100);
 
 /// Maximum number of unanswered requests with large datagrams. A small datagram is tried afterwards.
 const MAX_LARGE_ATTEMPTS: u32 = 3;
 
-/// Maximum number of unanswered requests with small datagrams and the same cookie. They take about five seconds, which is
-/// less than the lifetime of a cookie.
+/// Maximum number of unanswered requests with small datagrams and the same cookie. They take about five seconds, which
+/// is less than the lifetime of a cookie.
 const MAX_ATTEMPTS: u32 = 8;
 
 /// The secret with which a cloud makes cookies and connection numbers.
@@ -93,6 +94,7 @@ pub(crate) fn first_u64(bytes: &[u8]) -> u64 {
     bytes.first_chunk().map_or(0, |first| u64::from_be_bytes(*first))
 }
 
+/// Returns the number of the period at `now`. Each period is as long as [`COOKIE_LIFETIME`].
 fn period(now: MonoTime) -> i64 {
     now.nanos().div_euclid(COOKIE_LIFETIME.nanos())
 }
@@ -157,7 +159,7 @@ impl DialState {
                 (self.cookie, self.attempts, self.next_attempt) = (Some(cookie), 0, now);
                 None
             }
-            // No cloud accepts less, so the length was altered on the way. It must not limit the whole session.
+            // No cloud states a smaller limit, so it was altered on the way. It must not apply to the whole session.
             Packet::Opened { terms, .. } if terms.datagram < MIN_DATAGRAM_BYTES => None,
             Packet::Opened { nonce, connection, terms } if nonce == self.nonce => {
                 let datagram = terms.datagram.min(self.terms.datagram);
@@ -208,7 +210,8 @@ impl DialState {
             if is_large || self.is_second_cookie {
                 self.shorten(now)?;
             } else {
-                // The first cookie may be too old by now. If a second one arrives, short datagrams still pass.
+                // The first cookie may be too old by now. If a second cookie arrives, short datagrams still pass, and
+                // only the longer request gets no answer.
                 (self.cookie, self.attempts, self.is_second_cookie) = (None, 0, true);
             }
         }
@@ -218,7 +221,8 @@ impl DialState {
             Some(cookie) => {
                 let start = out.len();
                 Packet::Open { nonce, cookie, reply_port, terms: self.terms }.write(Role::Edge, out);
-                // The packet is as long as the longest datagram that will be sent, so that a path with a smaller MTU is noticed here.
+                // The packet is as long as the longest datagram that will be sent, so that a path with a smaller MTU is
+                // noticed here.
                 let padded_end = start + usize::from(self.terms.datagram) - self.prefix_bytes.min(64);
                 out.resize(out.len().max(padded_end), 0);
             }

@@ -1,16 +1,17 @@
 //! Messages and connections over datagrams, without I/O; the caller provides the time.
 //!
 //! These modules serve transports over networks that lose, duplicate and reorder datagrams, such as UDP. A *virtual
-//! connection* is opened by a [`handshake`], has heartbeats, and ends with a goodbye or after a silence of the other end ([`connection`]). A
-//! message is split into [fragments](fragment). At the other end, [`reassembly`] completes the message or counts it as
-//! lost and reports how many of its fragments arrived. Only messages without a tag of up to 64 KiB are
-//! retransmitted: all but requests and answers.
-//! [`window`] bounds the bytes in flight, [`arrival_counter`] counts the losses of datagrams, [`endpoint`] has all connections
-//! of a port, and [`packet`] describes the wire form.
+//! connection* is opened by a [`handshake`], has heartbeats, and ends with a goodbye or after a silence of the other
+//! end ([`connection`]). A message is split into [fragments](fragment). At the other end, [`reassembly`] completes the
+//! message or counts it as lost and reports how many of its fragments arrived. A lost message is retransmitted only if
+//! it has no tag and at most 64 KiB. Requests and answers have a tag; all other messages have none.
 //!
-//! Any packet may have been altered or forged on the way. A number far ahead and a total therefore need a second packet
-//! that agrees ([`receiving`], [`arrival_counter`], [`measurement`]). A packet that contradicts this end's own state makes a
-//! [`false_claim`] and has no effect.
+//! [`window`] bounds the bytes in flight, [`arrival_counter`] counts the losses of datagrams, [`endpoint`] has all
+//! connections of a port, and [`packet`] describes the wire form.
+//!
+//! Any packet may have been altered or forged on the way. A number far ahead or a total is therefore believed only if a
+//! second packet agrees ([`receiving`], [`arrival_counter`], [`measurement`]). A packet that contradicts this end's own
+//! state makes a [`false_claim`], which has no effect.
 
 pub(crate) mod arrival_counter;
 pub(crate) mod connection;

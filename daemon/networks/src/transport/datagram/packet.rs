@@ -82,11 +82,11 @@ pub(crate) struct Fragment<'a> {
 pub(crate) struct Heartbeat {
     /// Departure of the ping on its sender's clock, in nanoseconds. The pong repeats it.
     pub(crate) time: u64,
-    /// Messages with a lower number have been sent by this end.
+    /// All messages of this end with a lower number have been sent.
     pub(crate) next: u64,
-    /// Messages of the other end with a lower number are settled at this end.
+    /// All messages of the other end with a lower number are settled at this end.
     pub(crate) settled: u64,
-    /// Lower half of the number of this end's next datagram with data.
+    /// Lower 32 bits of the number of this end's next datagram with data.
     pub(crate) number: u32,
     /// Totals of the other end's datagrams.
     pub(crate) arrivals: ArrivalTotals,
@@ -147,7 +147,8 @@ impl Packet<'_> {
                 put(&[version]);
                 put(&nonce.to_be_bytes());
                 put(&reply_port.to_be_bytes());
-                // Padded, because an answer to an address that is not verified must not be longer than the question.
+                // Padded, because the answer goes to an address that is not verified and must not be longer than the
+                // hello.
                 out.resize(start + HELLO_BYTES, 0);
             }
             Self::Cookie { nonce, cookie } => {

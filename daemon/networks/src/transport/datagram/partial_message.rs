@@ -8,12 +8,13 @@ use bytes::Bytes;
 use crate::transport::memory::{BudgetExhausted, MemoryBudget, Reservation};
 
 /// Memory that a fragment beyond a gap needs in addition to its content: its entry in the map and the overhead of the
-/// allocator, bytes.
+/// allocator. Bytes.
 const FRAGMENT_OVERHEAD: u64 = 96;
 
 /// The part of a message that has arrived.
 ///
-/// The announced length of a message reserves no memory, so that one datagram cannot cost the memory of a whole message.
+/// The announced length of a message reserves no memory, so that one datagram cannot cost the memory of a whole
+/// message.
 #[derive(Debug)]
 pub(super) struct PartialMessage {
     total: u32,
@@ -21,7 +22,7 @@ pub(super) struct PartialMessage {
     contiguous: Vec<u8>,
     /// Fragments beyond that gap, by offset.
     beyond_gap: BTreeMap<u32, Box<[u8]>>,
-    /// Memory of the fragments beyond the gap, bytes.
+    /// Memory of the fragments beyond the gap. Bytes.
     beyond_gap_bytes: u64,
     reserved: Reservation,
 }
@@ -91,7 +92,8 @@ impl PartialMessage {
     fn append(&mut self, bytes: &[u8], budget: &Arc<MemoryBudget>) -> Result<(), BudgetExhausted> {
         let needed = self.contiguous.len() + bytes.len();
         if needed > self.contiguous.capacity() {
-            // The buffer is at most twice as long as the bytes that have arrived, so a long message is copied seldom.
+            // A full buffer at least doubles, so that a long message is copied seldom. The buffer is never longer than
+            // twice the bytes that have arrived.
             let capacity = needed.max(self.contiguous.len() * 2).min(self.total as usize);
             self.reserved.resize(budget, capacity as u64 + self.beyond_gap_bytes)?;
             self.contiguous.reserve_exact(capacity - self.contiguous.len());

@@ -1,8 +1,9 @@
 //! Reassembles messages from the fragments of one connection, in bounded memory.
 //!
-//! Fragments may be missing, duplicated, late or forged. Every message number is *settled* once: its message is delivered
-//! or counted as lost. All numbers below [`Reassembly::floor`] are settled. From there on the states of at most
-//! [`MAX_SPAN`] numbers are stored. When a higher number arrives, the messages with the lowest numbers are given up.
+//! Fragments may be missing, duplicated, late or forged. Every message number is *settled* once: its message is
+//! delivered or counted as lost. All numbers below [`Reassembly::floor`] are settled. From there on the states of at
+//! most [`MAX_SPAN`] numbers are stored. When a higher number arrives, the messages with the lowest numbers are given
+//! up.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -74,8 +75,8 @@ pub(crate) struct Reassembly {
     budget: Arc<MemoryBudget>,
     /// Number below which all messages are settled.
     floor: u64,
-    /// Messages below this number are known to have been sent completely, because their sender sends one message after the
-    /// other. Only these messages count as lost if no fragment of them arrives.
+    /// Messages below this number are known to have been sent completely, because their sender sends one message after
+    /// the other. Only these messages count as lost if no fragment of them arrives.
     sent_below: u64,
     /// States of the numbers from the floor on. The first number is not settled.
     slots: VecDeque<Slot>,
@@ -91,7 +92,7 @@ enum Slot {
     /// No fragment has arrived. The number has been known since this time.
     Missing { since: MonoTime },
     /// A part of the message has arrived.
-    // Boxed, because a connection may have many slots without a fragment, which are then small.
+    // Boxed, so that slots without a fragment are small: a connection may have many of them.
     Unfinished(Box<UnfinishedMessage>),
     /// The message was delivered or counted as lost.
     Settled,
@@ -194,7 +195,8 @@ impl Reassembly {
             progress_at: now,
             sent_at: (fragment.sequence < self.sent_below).then_some(now),
         };
-        // A message that is too long counts as lost, like one without memory, so that its sender is informed.
+        // A message that is too long counts as lost, like a message for which there is no memory, so that its sender is
+        // informed.
         let outcome = if fragment.total > self.limits.max_message_bytes {
             unfinished.received_fragments = 1;
             Err(BudgetExhausted)
@@ -252,7 +254,8 @@ impl Reassembly {
         self.sent_below = next;
     }
 
-    /// Creates the states of all messages below `next`.
+    /// Creates the states of all messages below `next`. If these are more than [`MAX_SPAN`], gives up the messages with
+    /// the lowest numbers.
     fn extend(&mut self, next: u64, now: MonoTime) {
         if next > self.floor.saturating_add(MAX_SPAN) {
             let floor = next - MAX_SPAN;

@@ -25,7 +25,7 @@ const MAX_REPORTS_AT_ONCE: usize = 32;
 /// Maximum number of reports of one lost message.
 const MAX_REPORT_ATTEMPTS: u32 = 12;
 
-/// Interval after the first report. It doubles up to eight times this value.
+/// Interval after the first report. The interval doubles with each report, up to eight times this value.
 const REPORT_INTERVAL: Span = Span::from_millis(50);
 
 /// The receiving half of a connection.
@@ -111,7 +111,7 @@ impl ReceivingHalf {
     }
 
     /// Handles the claim of a packet that the other end has sent all messages below `next`. `packet` identifies the
-    /// packet.
+    /// packet, so that a duplicate does not count as a second packet.
     ///
     /// # Errors
     /// If the number is too far above the settled messages. The next packet may confirm it.
@@ -170,8 +170,8 @@ impl ReceivingHalf {
         identified_losses
     }
 
-    /// Handles the confirmation of a loss, which contains the tag of the message. Returns the loss for the layer above if
-    /// its tag was unknown.
+    /// Handles the confirmation of a loss, which contains the tag of the message. Returns the loss for the layer above
+    /// if its tag was unknown.
     pub(crate) fn confirm_loss(&mut self, sequence: u64, tag: u64, total: u32) -> Option<MessageLoss> {
         let index = self.reports.iter().position(|report| report.lost.sequence == sequence)?;
         let report = self.reports.swap_remove(index);
@@ -206,7 +206,8 @@ impl ReceivingHalf {
         (packets, given_up)
     }
 
-    /// Returns the time at which a message is to be given up or reported.
+    /// Returns the time at which a message may have to be given up, or at which a loss must be reported. `tick` is the
+    /// interval at which unfinished messages are checked.
     pub(crate) fn next_timer(&self, now: MonoTime, tick: Span) -> Option<MonoTime> {
         let next_tick = (!self.reassembly.is_settled()).then(|| now + tick);
         self.reports.iter().map(|report| report.next_at).chain(next_tick).min()

@@ -1,5 +1,5 @@
-//! The sending half of a virtual connection: messages that wait, and messages that were sent and are not settled (delivered
-//! or counted as lost).
+//! The sending half of a virtual connection: messages that wait, and messages that were sent and are not settled
+//! (delivered or counted as lost).
 
 mod long_losses;
 mod outstanding;
@@ -19,8 +19,8 @@ use super::packet_writer::PacketWriter;
 use super::window::SendWindow;
 use crate::transport::{Frames, MessageLoss, SendFailure};
 
-/// Largest message without a tag that is retransmitted when it is lost. All messages but requests and whole answers have no
-/// tag. Bytes.
+/// Largest message without a tag that is retransmitted when it is lost. All messages but requests and whole answers
+/// have no tag. Bytes.
 const MAX_RETRANSMITTED_BYTES: u32 = 64 * 1024;
 
 /// Maximum number of bytes of datagrams that are sent at once.
@@ -224,9 +224,9 @@ impl SendingHalf {
         Ok(())
     }
 
-    /// Handles the report of a lost message. `lost_datagrams` has the meaning as in
-    /// [`loses_all_long_datagrams`](Self::loses_all_long_datagrams). Returns the tag and the number of fragments for the
-    /// answer, and the loss for the layer above.
+    /// Handles the report of a lost message. `received` of its fragments arrived. `lost_datagrams` is the number of
+    /// lost datagrams that the other end has reported. Returns the tag and the number of fragments for the answer, and
+    /// the loss for the layer above; `None` if the layer above is not informed.
     ///
     /// # Errors
     /// If the message was not sent, or has fewer fragments than are reported as received.
@@ -241,7 +241,7 @@ impl SendingHalf {
         if sequence > current || (sequence == current && offset == 0) {
             return Err(FalseClaim::Unsent);
         }
-        // The message is settled or too old. The answer only makes the other end stop its reports.
+        // If the message is settled or too old, the answer only makes the other end stop its reports.
         let Some(message) = self.outstanding.get_mut(sequence) else { return Ok((0, 0, None)) };
         let (tag, fragments) = (message.tag, message.fragments);
         if received > fragments {

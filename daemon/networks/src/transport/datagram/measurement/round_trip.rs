@@ -10,7 +10,7 @@ use crate::statistics::TransportRoundTrip;
 // The reported minimum covers the current and the previous period, because a path may change.
 const MINIMUM_PERIOD: Span = Span::from_seconds(150);
 
-/// Maximum number of unanswered heartbeats that are stored. Then the oldest one is dropped for each new one.
+/// Maximum number of unanswered heartbeats that are stored. A further heartbeat replaces the oldest.
 const MAX_UNANSWERED: usize = 64;
 
 /// Smooths measured round trips (RFC 6298, section 2).
@@ -34,8 +34,8 @@ impl RoundTripEstimator {
         self.unanswered.push_back(now);
     }
 
-    /// Records the answer to the heartbeat that was sent at `sent_at`. Ignores an answer without an unanswered heartbeat,
-    /// because it was duplicated or altered on the way.
+    /// Records the answer to the heartbeat that was sent at `sent_at`. Ignores an answer without an unanswered
+    /// heartbeat, because it was duplicated or altered on the way.
     pub(crate) fn record_pong(&mut self, sent_at: MonoTime, now: MonoTime) {
         if let Some(index) = self.unanswered.iter().position(|time| *time == sent_at) {
             self.unanswered.remove(index);
@@ -54,7 +54,7 @@ impl RoundTripEstimator {
             None => (nanos, nanos / 2),
             Some((smoothed, variation)) => {
                 let (smoothed, variation) = (smoothed.nanos(), variation.nanos());
-                // Before the smoothed value changes, as RFC 6298 requires (section 2.3).
+                // Computed from the old smoothed value, as RFC 6298 requires (section 2.3).
                 let variation = variation + ((smoothed - nanos).abs() - variation) / 4;
                 (smoothed + (nanos - smoothed) / 8, variation)
             }

@@ -4,8 +4,8 @@ use peernet_clock::MonoTime;
 
 /// The number below which the peer has sent all messages.
 ///
-/// It is the highest number that two successive packets agreed on, so that a single altered packet does not move it. RTP
-/// also requires a second packet after a jump (RFC 3550, appendix A.1).
+/// It is the highest number that two successive packets agreed on, so that a single altered packet does not move it.
+/// RTP also requires a second packet after a jump (RFC 3550, appendix A.1).
 #[derive(Debug, Default)]
 pub(super) struct SentWatermark {
     confirmed: u64,
@@ -22,8 +22,9 @@ struct Claim {
 }
 
 impl SentWatermark {
-    /// Handles the claim of a packet that all messages below `next` were sent. `packet` identifies the packet. If the
-    /// watermark moves, returns it and the time at which it was first claimed.
+    /// Handles the claim of a packet that all messages below `next` were sent. `packet` identifies the packet, so that
+    /// a duplicate does not count as a second packet. If the watermark moves, returns it and the time of the first
+    /// claim.
     pub(super) fn claim(&mut self, next: u64, packet: u64, now: MonoTime) -> Option<(u64, MonoTime)> {
         if (next, packet) == (self.last_claim.next, self.last_claim.packet) {
             return None;

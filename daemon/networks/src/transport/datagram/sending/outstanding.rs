@@ -18,8 +18,8 @@ pub(super) struct OutstandingMessage {
     pub(super) is_lost: bool,
 }
 
-/// The messages with the numbers from [`first`](Self::first) on, without a gap. There are at most [`MAX_SPAN`], because the
-/// other end stores no more states.
+/// The messages with the numbers from [`first`](Self::first) on, without a gap. There are at most [`MAX_SPAN`], because
+/// the other end stores no more states.
 #[derive(Debug, Default)]
 pub(super) struct OutstandingMessages {
     first: u64,
@@ -69,7 +69,7 @@ impl OutstandingMessages {
         self.messages.drain(..count as usize).filter(|message| !message.is_lost)
     }
 
-    /// Marks a message as lost that was dropped before it was sent completely. Returns the loss.
+    /// Marks, as lost, a message that was dropped before it was sent completely. Returns the loss.
     pub(super) fn mark_lost(&mut self, sequence: u64) -> Option<MessageLoss> {
         let message = self.get_mut(sequence)?;
         message.is_lost = true;

@@ -11,7 +11,7 @@ use crate::transport::datagram::fragment::OutgoingMessage;
 pub(crate) struct QueueLimits {
     /// Maximum number of messages.
     pub(crate) messages: usize,
-    /// Maximum number of bytes. A message that is alone is always accepted.
+    /// Maximum number of bytes. An empty queue accepts a message of any size.
     pub(crate) bytes: u64,
 }
 
@@ -50,8 +50,8 @@ impl SendQueue {
         self.messages.front()
     }
 
-    /// Appends at most `max_bytes` of the next bytes of the first message to `out`. Returns the number of the message and
-    /// the offset in the message at which these bytes end.
+    /// Appends at most `max_bytes` of the next bytes of the first message to `out`. Returns the number of the message
+    /// and the offset in the message at which these bytes end.
     pub(super) fn take(&mut self, max_bytes: u16, out: &mut Vec<u8>) -> Option<(u64, u32)> {
         let message = self.messages.front_mut()?;
         let (_, fragment_bytes) = message.take(max_bytes, out);

@@ -45,7 +45,7 @@ impl CongestionWindow {
         self.size
     }
 
-    /// Grows after `arrived` bytes arrived, at least one.
+    /// Grows the window because `arrived` bytes arrived; there must be at least one.
     pub(super) fn grow(&mut self, arrived: u64, now: MonoTime) {
         // Growth by what arrives doubles the window with each round trip. Growth by time does not depend on the round
         // trip.
@@ -60,8 +60,8 @@ impl CongestionWindow {
         self.size = u64::from(self.size).saturating_add(growth).min(u64::from(self.max_window)) as u32;
     }
 
-    /// Shrinks after the loss of a message. `sent` is the number of bytes sent so far, `arrived` the number of bytes
-    /// that are no longer in flight.
+    /// Shrinks the window after the loss of a message. `sent` is the number of bytes sent so far, `arrived` the number
+    /// of bytes that are no longer in flight.
     pub(super) fn shrink(&mut self, sent: u64, arrived: u64) {
         if arrived < self.recovery_point {
             return;
