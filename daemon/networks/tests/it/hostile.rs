@@ -37,8 +37,8 @@ pub(crate) async fn plain_session(cloud: &mut Cloud) -> (PlainSocket, Id) {
     }
 }
 
-/// Waits until the listener has handled all messages in transfer, by an echo over a new session. Then checks the count of
-/// malformed messages.
+/// Waits until the listener has handled all messages in transfer, by an echo over a new session. Then checks the count
+/// of malformed messages.
 async fn check_malformed_count(cloud: &mut Cloud, expected: u64) {
     let (session, _) = cloud.session(settings()).await;
     echo(cloud, &session, "the port still serves").await;

@@ -87,8 +87,8 @@ async fn answer_arrives_in_parts_beyond_the_window(network: TestNetwork) {
 }
 
 async fn parts_and_answer_wait_while_the_queue_is_full(network: TestNetwork) {
-    // The queue of a connection has as many bytes as the largest message: one part fills it. Datagrams retransmit a part
-    // of this size.
+    // The queue of a connection has as many bytes as the largest message: one part fills it. Datagrams retransmit a
+    // part of this size.
     let (large, settings) = ("x".repeat(60_000), SessionSettings { max_message_bytes: 65_536, ..settings() });
     let mut cloud = Cloud::start_at(&unused_address(network), settings.clone()).await;
     let (session, _) = cloud.session(settings).await;
@@ -125,7 +125,8 @@ async fn parts_wait_while_the_edge_reads_nothing() {
     let (session, _) = cloud.session(settings).await;
     let (window, sent_window) = sync_channel::<()>(1);
     let sent_window = Mutex::new(Some(sent_window));
-    // Runs where messages are received: after the first part nothing is read, unless the cloud gets rid of a window of parts.
+    // Runs where messages are received: after the first part nothing is read, unless the cloud gets rid of a window of
+    // parts.
     let handler = PartHandler(Arc::new(move |_| {
         if let Some(sent_window) = sent_window.lock().expect("no panic").take() {
             let _ = sent_window.recv_timeout(Duration::from_millis(500));

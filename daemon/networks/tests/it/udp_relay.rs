@@ -151,8 +151,8 @@ async fn relay_datagrams(
     }
 }
 
-/// Alters a datagram of an edge: of a ping ([`HEARTBEAT`]) bit 20 of the next message number, of a long datagram of a message
-/// ([`DATA`]) the last byte. Returns whether the datagram is of this kind.
+/// Alters a datagram of an edge: of a ping ([`HEARTBEAT`]) bit 20 of the next message number, of a long datagram of a
+/// message ([`DATA`]) the last byte. Returns whether the datagram is of this kind.
 fn alter(datagram: &mut [u8], alteration: u64) -> bool {
     if alteration == DATA && datagram.get(8) == Some(&5) && datagram.len() > 1_000 {
         datagram.last_mut().into_iter().for_each(|last| *last ^= 1);

@@ -1,13 +1,13 @@
 //! Flow control of one direction: the other end's socket buffer, recent arrivals, and a configured rate.
 //!
-//! The other end reports how many bytes may be in flight to it and how far it has received. Within that limit the window
-//! grows with the bytes that arrive and is halved when a message is lost, like the window of TCP (RFC 5681). The rate thus
-//! follows the slowest link of the path.
+//! The other end reports how many bytes may be in flight to it and how far it has received. Within that limit the
+//! window grows with the bytes that arrive and is halved when a message is lost, like the window of TCP (RFC 5681). The
+//! rate thus follows the slowest link of the path.
 //!
-//! After a loss the window grows with time and not with the bytes that arrive, like the window of CUBIC (RFC 9438). The reason
-//! is that every loss costs a whole message: a size that was too large is tried again after seconds and not within the
-//! next message. With a receiver whose buffer is too small, such as the buffer of libzmq, a message is lost every few seconds
-//! instead of nearly every message.
+//! After a loss the window grows with time and not with the bytes that arrive, like the window of CUBIC (RFC 9438). The
+//! reason is that every loss costs a whole message: a size that was too large is tried again after seconds and not
+//! within the next message. With a receiver whose buffer is too small, such as the buffer of libzmq, a message is lost
+//! every few seconds instead of nearly every message.
 
 mod congestion;
 mod in_flight;
@@ -61,7 +61,8 @@ impl SendWindow {
         if self.is_full() { self.in_flight.expires_at() } else { self.pacer.opens_at() }
     }
 
-    /// Records that a datagram with a part of message `sequence` was sent; the part ends at offset `end` of the message.
+    /// Records that a datagram with a part of message `sequence` was sent; the part ends at offset `end` of the
+    /// message.
     pub(crate) fn record_sent(&mut self, sequence: u64, end: u32, bytes: u32, now: MonoTime) {
         self.in_flight.record_sent((sequence, end), bytes, now);
         self.pacer.record_sent(bytes, now);

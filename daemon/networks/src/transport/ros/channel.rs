@@ -92,7 +92,7 @@ impl Channel {
         self.peer.get_or_init(|| peer);
     }
 
-    /// Publishes a companion without frames for all subscribers.
+    /// Publishes a companion without frames for all subscribers. `kind` is a constant of [`MessageInfo`].
     pub(super) fn announce(&self, kind: u8) {
         let companion = self.new_companion(kind);
         let states_buffer_size = matches!(kind, MessageInfo::HELLO | MessageInfo::WELCOME);
@@ -143,8 +143,8 @@ impl Channel {
         let peer = self.peer.get().ok_or_else(|| gone_failure("the connection is not open".into()))?;
         let payload_header = message.get(PAYLOAD_FRAME).and_then(|_| read_payload_header(message.first()?));
         let departure = payload_header.as_ref().map_or_else(|| self.clock.wall(), |header| header.departure);
-        // The lock is held until both messages are published, so that both topics have the messages in the order of their
-        // stamps.
+        // The lock is held until both messages are published, so that both topics have the messages in the order of
+        // their stamps.
         let mut state = self.lock();
         if state.is_closed() {
             return Err(gone_failure("the connection is closed".into()));
@@ -161,8 +161,8 @@ impl Channel {
         if !frames::pack(&mut companion, message, has_payload) {
             return Err(gone_failure("a frame has 4 GiB or more".into()));
         }
-        // Each fragment takes the number of the message, and the message gets the next number: numbers are in the order of
-        // sending.
+        // Each fragment takes the number of the message, and the message gets the next number: numbers are in the order
+        // of sending.
         let mut companions = Vec::new();
         for frames in fragments::split_into_fragments(&mut companion.frames, self.node.max_companion_bytes())
         {
@@ -210,7 +210,7 @@ impl Channel {
         self.has_remark.notified().await;
     }
 
-    /// Waits until the payload topic is to be opened, which happens once. Returns its type.
+    /// Waits until the payload topic must be opened, which happens once. Returns the type of the topic.
     pub(super) async fn wait_for_payload_type(&self) -> PayloadType {
         self.payload_topic.take_request().await
     }
@@ -232,13 +232,15 @@ impl Channel {
         }
     }
 
-    /// Returns both ends of the connection on which the peer's companions arrive.
+    /// Returns the addresses of both ends of the path on which the peer's companions arrive. `None` before the peer is
+    /// known.
     pub(super) fn addresses(&self) -> Option<ConnectionAddresses> {
         let peer = self.peer.get()?;
         Some(ConnectionAddresses { local: peer.local, remote: peer.remote })
     }
 
-    /// Returns the statistics of the transport. The round trip is measured on the connection with the peer's companions.
+    /// Returns the statistics of the transport. The round trip is measured on the connection with the peer's
+    /// companions.
     pub(super) fn statistics(&self) -> TransportStatistics {
         let round_trip = self.addresses().and_then(|addresses| tcp_statistics(&addresses).round_trip);
         let lost = Some(self.lock().missing_companions());

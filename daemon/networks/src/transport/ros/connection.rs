@@ -1,7 +1,7 @@
 //! State machine of one end of a virtual connection over topics, without I/O.
 //!
-//! A connection has a random identifier, which all its companions carry. It ends with a goodbye, by silence, or when the
-//! peer leaves a topic, which the connection's task reports.
+//! A connection has a random identifier, which all its companions carry. It ends with a goodbye, by silence, or when
+//! the peer leaves a topic, which the connection's task reports.
 
 mod assembly;
 mod confirmation;
@@ -30,7 +30,8 @@ use crate::transport::memory::MemoryBudget;
 pub(super) struct ConnectionLimits {
     /// Largest sum of the lengths of all frames of a message. Bytes.
     pub(super) max_message_bytes: u64,
-    /// `true` if this end must confirm that it receives the payload topic, because the other end cannot find that out by itself.
+    /// `true` if this end must confirm that it receives the payload topic, because the other end cannot find that out
+    /// by itself.
     pub(super) confirms_payloads: bool,
     /// Maximum number of messages of which only the companion or only the payload has arrived.
     pub(super) max_incomplete: usize,
@@ -150,7 +151,7 @@ impl Connection {
             MessageInfo::SUBSCRIBED => self.peer.is_subscribed = true,
             MessageInfo::PART => self.assembly.receive_fragment(&info, now),
             MessageInfo::LOST => {
-                // The peer received the companion, which names the request, and not the payload.
+                // The peer received the companion, which names the request, but not the payload.
                 let loss = MessageLoss { tag: request_number(&info), received: 1, total: 2 };
                 self.events.push(Event::Lost(loss));
             }
@@ -174,8 +175,8 @@ impl Connection {
         self.end_after_payloads();
     }
 
-    /// Ends the connection after a goodbye, once the payloads of all companions have arrived. The goodbye may overtake them,
-    /// because the two topics have no common order.
+    /// Ends the connection after a goodbye, once the payloads of all companions have arrived. The goodbye may overtake
+    /// them, because the two topics have no common order.
     fn end_after_payloads(&mut self) {
         let has_all_payloads = self.assembly.deliver_overtaking_messages(&mut self.events);
         if has_all_payloads && let Phase::Leaving(reason) = &mut self.phase {

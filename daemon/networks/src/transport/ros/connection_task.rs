@@ -102,7 +102,8 @@ impl<S: Sink> ConnectionTask<S> {
             let payload_publishers = self.payload_subscriber.as_ref().map(|payload| payload.watch());
             let publisher_change =
                 wait_for_publisher_change(&*info_publishers, payload_publishers.as_deref());
-            // The deadline is not reset if the peer returns to the topic, because messages may have been lost in between.
+            // The deadline is not reset if the peer returns to the topic, because messages may have been lost in
+            // between.
             left_topic = left_topic.or_else(|| {
                 self.disconnected_topic(&mut connected_topics)
                     .map(|topic| (topic, Instant::now() + LEAVE_TIMEOUT))
@@ -137,8 +138,8 @@ impl<S: Sink> ConnectionTask<S> {
             let step = tokio::select! {
                 biased;
                 () = abort.cancelled() => {
-                    // The other end cannot notice the end by the topics and nodes, because a later connection may use the
-                    // same ones.
+                    // The other end cannot notice the end by the topics and nodes, because a later connection may use
+                    // the same ones.
                     if channel.node.receive_buffer_bytes().is_some() {
                         channel.send_goodbye("the other end ended the connection without waiting");
                     }
@@ -164,7 +165,8 @@ impl<S: Sink> ConnectionTask<S> {
                     }
                     Step::Other
                 }
-                // Messages that are not taken stay in the topic's queue, and then with the publisher.
+                // Messages that are not taken stay in the topic's queue. When the queue is full, they stay with the
+                // publisher.
                 message = companion_subscriber.recv(), if can_receive => Step::Companion(message),
                 message = receive(payload_subscriber), if can_receive => Step::Payload(message),
                 directive = sink.next_directive(channel) => Step::Directive(directive),
@@ -232,7 +234,8 @@ impl<S: Sink> ConnectionTask<S> {
 
     /// Returns a topic on which messages of the peer arrived until now and do not arrive any more.
     fn disconnected_topic(&self, connected_topics: &mut BTreeSet<String>) -> Option<String> {
-        // Where payloads are confirmed, the publisher of the payload topic may belong to an earlier connection that ends.
+        // Where payloads are confirmed, the publisher of the payload topic may belong to an earlier connection that
+        // ends.
         let is_confirmed = self.channel.node.receive_buffer_bytes().is_some();
         let topics =
             [Some(&self.companion_subscriber), self.payload_subscriber.as_ref().filter(|_| !is_confirmed)];
@@ -334,8 +337,8 @@ impl<S: Sink> ConnectionTask<S> {
     }
 }
 
-/// Time for which the last messages of a peer are awaited after the peer has left one of the two topics. Messages of the
-/// two topics have no common order.
+/// Time for which the last messages of a peer are awaited after the peer has left one of the two topics. Messages of
+/// the two topics have no common order.
 const LEAVE_TIMEOUT: Duration = Duration::from_millis(500);
 
 async fn receive(subscriber: &mut Option<Box<dyn SessionSubscriber>>) -> Result<TopicMessage, NodeFailure> {

@@ -19,7 +19,7 @@ use super::interface::{
     EdgeTopics, NodeFailure, RemoteNode, SessionNode, SessionPublisher, SessionSubscriber, TopicPurpose,
     end_in_background, open_node,
 };
-use super::limits::{ReceiveLimits, largest_message, queue_limits};
+use super::limits::{ReceiveLimits, max_topic_message_bytes, queue_limits};
 use super::names::{TopicPair, edge_node_prefix, refusals_topic, sessions_topic, to_ros_name};
 use crate::statistics::{ConnectionAddresses, TransportStatistics};
 use crate::transport::memory::{MemoryBudget, Reservation};
@@ -68,7 +68,8 @@ pub(crate) async fn dial(
     };
     let cloud = node.find_cloud(&topics).await?;
     let budget = MemoryBudget::new(settings.max_message_bytes.saturating_mul(MAX_INCOMPLETE_MESSAGES));
-    let limits = ReceiveLimits { max_message_bytes: largest_message(settings), budget: Arc::clone(&budget) };
+    let limits =
+        ReceiveLimits { max_message_bytes: max_topic_message_bytes(settings), budget: Arc::clone(&budget) };
     let subscriber_options = limits.subscriber_options(settings, &cloud);
     let opened = open_topics(&topics, &**node, settings, subscriber_options).await?;
     let clock = SharedClock::clone(context.clock);
@@ -95,7 +96,7 @@ pub(crate) async fn dial(
     let connection_task = ConnectionTask {
         channel: Arc::clone(&channel),
         companion_subscriber: response_companions,
-        payload_subscriber: Some(opened.response),
+        payload_subscriber: Some(opened.response_payloads),
         sink: EdgeSink,
         deliveries: delivery_sender,
         stop: stop.clone(),
@@ -118,10 +119,11 @@ impl From<NodeFailure> for DialFailure {
 
 /// Publishers and subscribers of an edge for one connection.
 struct OpenTopics {
+    /// Topic on which the edge asks for the connection.
     sessions: Box<dyn SessionPublisher>,
     request_companions: Box<dyn SessionPublisher>,
     response_companions: Box<dyn SessionSubscriber>,
-    response: Box<dyn SessionSubscriber>,
+    response_payloads: Box<dyn SessionSubscriber>,
     /// Topic on which the cloud refuses connections.
     refusals: Box<dyn SessionSubscriber>,
 }
@@ -143,7 +145,9 @@ async fn open_topics(
         response_companions: node
             .subscribe(&topics.response.info, companions.clone(), subscriber_options.clone())
             .await?,
-        response: node.subscribe(&topics.response.payload, payloads, subscriber_options.clone()).await?,
+        response_payloads: node
+            .subscribe(&topics.response.payload, payloads, subscriber_options.clone())
+            .await?,
         refusals: node.subscribe(&refusals_topic(&topics.cloud), refusals, subscriber_options).await?,
         request_companions: node.publish(&topics.request.info, companions, queue).await?,
         sessions: node.publish(&sessions_topic(&topics.cloud), sessions, queue).await?,

@@ -61,8 +61,8 @@ impl FrameFragments {
     }
 }
 
-/// Splits the frames of a message into fragments of `max_fragment_bytes` bytes. The remaining bytes stay in `frames`, for
-/// the last companion.
+/// Splits the frames of a message into fragments of `max_fragment_bytes` bytes. The remaining bytes stay in `frames`,
+/// for the last companion.
 pub(super) fn split_into_fragments(frames: &mut Bytes, max_fragment_bytes: usize) -> Vec<Bytes> {
     let mut fragments = Vec::new();
     while frames.len() > max_fragment_bytes {

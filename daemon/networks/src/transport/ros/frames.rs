@@ -9,8 +9,8 @@ use crate::transport::Frames;
 /// Index of the frame that may be sent as a payload message: the first part of the sample.
 pub(super) const PAYLOAD_FRAME: usize = 2;
 
-/// Packs frames into a companion, without the frame that is sent as a payload message. Returns `false` if a frame is too
-/// long for its length field.
+/// Packs frames into a companion, without the frame that is sent as a payload message. Returns `false` if a frame is
+/// too long for its length field.
 pub(super) fn pack(info: &mut MessageInfo, frames: &[Bytes], has_payload: bool) -> bool {
     let length = |frame: &Bytes| u32::try_from(frame.len()).ok();
     let Some(lengths) = frames.iter().map(length).collect::<Option<Vec<u32>>>() else { return false };

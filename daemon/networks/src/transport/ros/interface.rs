@@ -83,7 +83,8 @@ pub(super) enum TopicPurpose {
     Sessions,
     /// Refusals of requests for connections.
     Refusals,
-    /// Companions: messages that carry the frames of one message, except for a payload that is published on its own topic.
+    /// Companions: messages that carry the frames of one message, except for a payload that is published on its own
+    /// topic.
     Companions,
     /// Payloads, which other programs may display.
     Payloads,
@@ -137,8 +138,8 @@ pub(super) trait SessionNode: Debug + Send + Sync {
     /// Returns the time limit for a payload whose companion has arrived; `None` for the default.
     fn payload_timeout(&self) -> Option<Duration>;
 
-    /// Returns a warning about a limit of this host that slows connections down, such as small socket buffers, and what to
-    /// do about it.
+    /// Returns a warning about a limit of this host that slows connections down, such as small socket buffers, and what
+    /// to do about it.
     fn caveat(&self) -> Option<&str>;
 
     /// Publishes a topic.
@@ -175,7 +176,8 @@ pub(super) trait SessionPublisher: Debug + Send + Sync {
     /// Publishes messages as [`publish`](Self::publish) does. Returns the outcome for one node.
     fn publish_to(&self, node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure>;
 
-    /// Returns why `node` receives nothing although it subscribes to the topic, with advice; `None` if no reason is known.
+    /// Returns why `node` receives nothing although it subscribes to the topic, with advice; `None` if no reason is
+    /// known.
     fn refusal(&self, node: &str) -> Option<String>;
 }
 

@@ -34,7 +34,7 @@ pub(super) fn connection_limits(settings: &SessionSettings, node: &dyn SessionNo
 }
 
 /// Returns the length of the longest message on a topic. Bytes.
-pub(super) fn largest_message(settings: &SessionSettings) -> usize {
+pub(super) fn max_topic_message_bytes(settings: &SessionSettings) -> usize {
     usize::try_from(settings.max_message_bytes).unwrap_or(usize::MAX).saturating_add(INFO_OVERHEAD_BYTES)
 }
 
@@ -43,7 +43,7 @@ pub(super) fn largest_message(settings: &SessionSettings) -> usize {
 pub(super) struct ReceiveLimits {
     /// Largest message on a topic. Bytes.
     pub(super) max_message_bytes: usize,
-    /// Memory that all received messages share, from their first bytes until they are handed up.
+    /// Memory that all received messages share, from their first bytes until they are handed to the layer above.
     pub(super) budget: Arc<MemoryBudget>,
 }
 
@@ -81,8 +81,8 @@ impl MemoryLimit for BudgetLimit {
     }
 }
 
-/// Returns the limits of the queue of a published topic: one message for each request in flight, and 32 for the messages
-/// that open, maintain and close a connection.
+/// Returns the limits of the queue of a published topic: one message for each request in flight, and 32 for the
+/// messages that open, maintain and close a connection.
 pub(super) fn queue_limits(settings: &SessionSettings) -> QueueLimits {
-    QueueLimits { messages: settings.max_in_flight as usize + 32, bytes: largest_message(settings) }
+    QueueLimits { messages: settings.max_in_flight as usize + 32, bytes: max_topic_message_bytes(settings) }
 }

@@ -2,10 +2,11 @@
 //!
 //! An edge asks for a connection on the topic `/NAME/sessions`. A connection uses the topics of its pipeline,
 //! `PIPELINE/request_info` and `PIPELINE/response_info`. A message on them is a *companion* and carries all frames
-//! except the *payload*, which is the first part of a sample. The payload is sent on `PIPELINE/request` or `PIPELINE/response` as a
-//! message of a standard type, which ROS tools can display, once the other end has subscribed to that topic. Control
-//! messages have no payload, and a part whose type does not fit the topic is sent in the companion. The first
-//! payload determines the type of a payload topic; the topic is opened in the background and nothing waits for it.
+//! except the *payload*, which is the first part of a sample. The payload is sent on `PIPELINE/request` or
+//! `PIPELINE/response` as a message of a standard type, which ROS tools can display, once the other end has subscribed
+//! to that topic. Control messages have no payload, and a part whose type does not fit the topic is sent in the
+//! companion. The first payload determines the type of a payload topic; the topic is opened in the background and
+//! nothing waits for it.
 //!
 //! [`connection`] and [`pairing`] have the protocol without I/O. [`channel`] and [`connection_task`] are one end of a
 //! connection, which [`edge`] and [`cloud`] open. They use nodes, publishers and subscribers through [`interface`],
@@ -54,6 +55,7 @@ use crate::Address;
 
 /// Form of addresses: host and port of the master, and the name of the cloud.
 pub(crate) const ADDRESS_FORM: AddressForm = AddressForm::Named {
+    // Port of a ROS master by default.
     port: 11311,
     name: "peernet",
     domain_scheme: "ros2",

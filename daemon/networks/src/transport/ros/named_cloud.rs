@@ -9,8 +9,8 @@ use peernet_ros::topics::{RosVersion, VersionError};
 use super::names::to_ros_name;
 use crate::transport::ListenerLookupError;
 
-/// Returns the address of the cloud with this name. The version is `version`, or the version in the environment. In ROS 1
-/// `ROS_MASTER_URI` names the master, in ROS 2 `ROS_DOMAIN_ID` the domain.
+/// Returns the address of the cloud with this name. `version` is the version of ROS; `None` takes the version from the
+/// environment. In ROS 1 `ROS_MASTER_URI` names the master, in ROS 2 `ROS_DOMAIN_ID` the domain.
 pub(super) fn find_address(name: &str, version: Option<u64>) -> Result<String, ListenerLookupError> {
     find_address_with(name, version, |name| std::env::var(name).ok())
 }

@@ -1,8 +1,8 @@
 //! Joins each payload with its companion, the message that has its header and tree. No I/O.
 //!
-//! Payloads and companions are on separate topics, each of which is in order. Each of them waits for its partner on the
-//! other topic. If a later message arrives there first, the partner is certainly lost. If no later message arrives, a deadline
-//! ends the wait.
+//! Payloads and companions are on separate topics, each of which is in order. A payload waits for its companion, and a
+//! companion for its payload. If a later message arrives on the other topic first, the awaited message is certainly
+//! lost. If no later message arrives, a deadline ends the wait.
 
 use std::collections::BTreeMap;
 
@@ -90,8 +90,8 @@ impl Pairing {
                     _ => return None,
                 }
             }
-            // Two halves of the same kind have the same stamp. Which one is right is unknown; the newer one replaces the
-            // older.
+            // Two halves of the same kind have the same stamp. Which one is right is unknown; the newer one replaces
+            // the older.
             Some(waiting) => lost.push(waiting.half.loss()),
             None => {}
         }
@@ -186,35 +186,35 @@ mod tests {
 
     #[test]
     fn halves_are_joined_in_either_order() {
-        let mut bench = PairingTest::new();
-        assert!(bench.payload(1).is_none() && bench.info(2).is_none());
-        assert_eq!(bench.lost, [loss(None)], "a companion of 2 says that the one of 1 is lost");
-        assert!(bench.payload(2).is_some());
-        assert!(bench.payload(3).is_none());
-        let pair = bench.info(3).expect("whole");
+        let mut test = PairingTest::new();
+        assert!(test.payload(1).is_none() && test.info(2).is_none());
+        assert_eq!(test.lost, [loss(None)], "a companion of 2 says that the one of 1 is lost");
+        assert!(test.payload(2).is_some());
+        assert!(test.payload(3).is_none());
+        let pair = test.info(3).expect("whole");
         assert_eq!((&pair.payload[..], pair.info.request), (&b"x"[..], 3));
         drop(pair);
-        assert_eq!((bench.budget.reserved_bytes(), bench.lost.len()), (0, 1));
+        assert_eq!((test.budget.reserved_bytes(), test.lost.len()), (0, 1));
     }
 
     #[test]
     fn later_payload_ends_waiting_for_earlier_one() {
-        let mut bench = PairingTest::new();
-        assert!(bench.info(1).is_none() && bench.info(2).is_none());
-        assert!(bench.payload(2).is_some());
-        assert_eq!(bench.lost, [loss(Some(1))]);
+        let mut test = PairingTest::new();
+        assert!(test.info(1).is_none() && test.info(2).is_none());
+        assert!(test.payload(2).is_some());
+        assert_eq!(test.lost, [loss(Some(1))]);
     }
 
     #[test]
     fn waiting_is_bounded_in_number_and_time() {
-        let mut bench = PairingTest::new();
+        let mut test = PairingTest::new();
         for stamp in 1..=4 {
-            assert!(bench.info(stamp).is_none());
+            assert!(test.info(stamp).is_none());
         }
-        assert_eq!(bench.lost, [loss(Some(1))]);
-        let end = bench.pairing.next_timer().expect("three wait");
-        bench.pairing.expire(end, &mut bench.lost);
-        assert_eq!((bench.lost.len(), bench.budget.reserved_bytes()), (4, 0));
-        assert_eq!(bench.pairing.next_timer(), None);
+        assert_eq!(test.lost, [loss(Some(1))]);
+        let end = test.pairing.next_timer().expect("three wait");
+        test.pairing.expire(end, &mut test.lost);
+        assert_eq!((test.lost.len(), test.budget.reserved_bytes()), (4, 0));
+        assert_eq!(test.pairing.next_timer(), None);
     }
 }

@@ -28,7 +28,7 @@ pub(super) struct PayloadTopic {
     name: String,
     queue: QueueLimits,
     state: Mutex<TopicState>,
-    /// Signals that the topic is to be opened.
+    /// Signals that the topic must be opened.
     requested: Notify,
 }
 
@@ -46,7 +46,7 @@ enum TopicPhase {
     /// No payload was sent yet.
     #[default]
     Unused,
-    /// The topic is to be opened with this type.
+    /// The topic must be opened with this type.
     Requested(PayloadType),
     /// The connection's task opens the topic.
     Opening,
@@ -135,8 +135,8 @@ impl PayloadTopic {
         }
     }
 
-    /// Waits until the topic is to be opened, which happens once. Returns its type. Cancel safe: dropping the future
-    /// loses nothing.
+    /// Waits until the topic must be opened, which happens once. Returns the type of the topic. Cancel safe: dropping
+    /// the future loses nothing.
     pub(super) async fn take_request(&self) -> PayloadType {
         loop {
             {

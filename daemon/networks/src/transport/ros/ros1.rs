@@ -84,8 +84,7 @@ impl Ros1Node {
     }
 
     /// Returns a running node, other than this node, that serves a name. Nodes that only observe the topic do not
-    /// count.
-    /// If another node has this node's name, the master knows only the newer node.
+    /// count. If another node has this node's name, the master knows only the newer node.
     async fn find_other_cloud(&self, cloud: &str) -> Result<Option<String>, NodeError> {
         let state = self.node.system_state().await?;
         let own_base_name = base_name(self.node.name());
@@ -194,7 +193,7 @@ impl SessionNode for Ros1Node {
     }
 }
 
-// Calls of `Self::name(self, …)` are of the methods of the same names that the type has without the trait.
+// A call such as `Self::topic(self)` calls the type's own method, which has the same name as the method of the trait.
 impl SessionPublisher for Publisher {
     fn topic(&self) -> &str {
         Self::topic(self)
@@ -222,7 +221,7 @@ impl SessionPublisher for Publisher {
     }
 }
 
-// As above.
+// Calls such as `Self::topic(self)` call the type's own methods here, too.
 impl SessionSubscriber for Subscriber {
     fn topic(&self) -> &str {
         Self::topic(self)

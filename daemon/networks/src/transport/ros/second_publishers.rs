@@ -25,8 +25,8 @@ pub(super) struct SecondPublishers {
 }
 
 impl SecondPublishers {
-    /// Notes that the node `second` publishes a topic of the connection between `node` and `peer`. Returns a remark about
-    /// `second` at most once.
+    /// Notes that the node `second` publishes a topic of the connection between `node` and `peer`. Returns a remark
+    /// about `second` at most once.
     pub(super) fn check(
         &mut self,
         second: &Arc<str>,
@@ -40,7 +40,7 @@ impl SecondPublishers {
             return None;
         }
         let names = node.names(second);
-        // Its name may become known slightly later than its topics.
+        // The name of a node may become known slightly later than its topics.
         let since = self.unnamed.get(second).map_or(now, |(_, since)| *since);
         if names.is_empty() && now - since < NAME_DISCOVERY_TIMEOUT {
             self.unnamed.entry(Arc::clone(second)).or_insert_with(|| (topic.to_owned(), since));

@@ -71,7 +71,7 @@ struct State<M> {
     machine: M,
     /// Datagrams that are being sent.
     out: Vec<u8>,
-    /// Route of the datagrams in `out` that the socket has not accepted.
+    /// Route of the datagrams in `out` if the socket has not accepted them.
     blocked: Option<(Route, Batch)>,
     /// Time until which the task sleeps if nothing wakes it.
     asleep_until: MonoTime,
@@ -117,7 +117,8 @@ impl<M: Machine> Port<M> {
         let now = self.time(Instant::now());
         let result = action(&mut state.machine, now);
         self.flush(&mut state);
-        // The task sends the rest and reports the end. An unnecessary wake-up would cost more than the message.
+        // The task is woken only if it must send the rest, run an earlier timer or report the end. A needless wake-up
+        // would take longer than sending the message.
         let next_timer = state.machine.next_timer(now);
         if state.blocked.is_some() || next_timer.is_none_or(|time| time < state.asleep_until) {
             self.wake.notify_one();
@@ -166,7 +167,8 @@ impl<M: Machine> Port<M> {
                     if error.kind() == io::ErrorKind::ConnectionRefused {
                         machine.handle_port_unreachable();
                     }
-                    // Datagrams may be lost anyway, and a path that never carries them ends the connection by silence.
+                    // Only logged: datagrams may be lost anyway, and if a path never carries them, silence ends the
+                    // connection.
                     tracing::debug!(%error, to = %route.to, "cannot send datagrams");
                 }
             }
@@ -235,7 +237,7 @@ impl<M: Machine> Port<M> {
         }
         let mut state = self.lock();
         state.machine.abandon();
-        // These datagrams would be sent before the goodbye, or prevent it if the socket still accepts nothing.
+        // The blocked datagrams would be sent before the goodbye, or prevent it if the socket still accepts nothing.
         state.blocked = None;
         self.flush(&mut state);
         drop(state);

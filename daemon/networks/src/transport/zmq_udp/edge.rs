@@ -45,7 +45,7 @@ pub(crate) async fn dial(
     // Not connected to the cloud, which may send from another port (as a RADIO does) and may get another address.
     let socket = UdpPort::bind(SocketAddr::new(unspecified_address(peer), 0), socket_bytes(settings));
     let socket = socket.map_err(|error| unreachable_failure(&error))?;
-    // A closed port of the cloud then ends the connection at once and not by silence.
+    // With these reports, a closed port of the cloud ends the connection at once and not by silence.
     socket.report_errors().map_err(|error| unreachable_failure(&error))?;
     let start = Instant::now();
     let (id, terms, remark) = open(&socket, peer, local_terms(settings, &socket), start).await?;
@@ -148,10 +148,11 @@ struct EdgeEnd {
     remark: Option<String>,
     /// Descriptions of invalid packets, for the layer above.
     invalid_packets: VecDeque<String>,
-    /// Token that proves that a sender who repeats it receives what is sent to its address.
+    /// Random number for a path check: a sender that repeats it has proved that it receives what is sent to its
+    /// address.
     token: u64,
-    /// Check of another address whose sender claims to be the cloud: the address, the time of its first packet, and
-    /// whether the token still has to be sent to it.
+    /// Check of another address whose sender claims to be the cloud: the address, the time at which the check began,
+    /// and whether the token must still be sent to the address.
     path_check: Option<(SocketAddr, MonoTime, bool)>,
 }
 

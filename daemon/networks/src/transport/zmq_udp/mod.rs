@@ -39,13 +39,14 @@ pub(crate) const HOST_CHECKS: HostChecks = HostChecks::NONE;
 /// Largest length of the table of frame lengths in a message. Bytes.
 const FRAME_TABLE_BYTES: u32 = 2 + 4 * MAX_FRAMES as u32;
 
-fn largest_message(settings: &SessionSettings) -> u32 {
+/// Returns the length of the longest message in its wire form, which begins with the table of frame lengths. Bytes.
+fn max_wire_message_bytes(settings: &SessionSettings) -> u32 {
     u32::try_from(settings.max_message_bytes).unwrap_or(u32::MAX).saturating_add(FRAME_TABLE_BYTES)
 }
 
 fn reassembly_limits(settings: &SessionSettings) -> ReassemblyLimits {
     ReassemblyLimits {
-        max_message_bytes: largest_message(settings),
+        max_message_bytes: max_wire_message_bytes(settings),
         max_unfinished_messages: settings.max_in_flight as usize + 16,
         timeout: Span::from(settings.reassembly_timeout()),
         idle_timeout: Span::from(settings.heartbeat_timeout()),
@@ -59,7 +60,7 @@ fn connection_limits(settings: &SessionSettings) -> ConnectionLimits {
         // Room for every request in flight, and for the few messages that open and close a session.
         queue: QueueLimits {
             messages: settings.max_in_flight as usize + 16,
-            bytes: u64::from(largest_message(settings)),
+            bytes: u64::from(max_wire_message_bytes(settings)),
         },
         bits_per_second: (settings.max_send_bits_per_second > 0).then_some(settings.max_send_bits_per_second),
     }

@@ -139,8 +139,8 @@ impl UdpPort {
         self.socket.try_io(Interest::WRITABLE, || self.state.try_send((&self.socket).into(), &transmit))
     }
 
-    /// Receives the datagrams that have arrived and calls `handle_datagram` for every one, with its source and the address of this
-    /// machine at which it arrived. Never waits.
+    /// Receives the datagrams that have arrived and calls `handle_datagram` for every one, with its source and the
+    /// address of this machine at which it arrived. Never waits.
     ///
     /// # Errors
     /// `WouldBlock` if no datagram has arrived. Other errors concern a datagram that was sent before.

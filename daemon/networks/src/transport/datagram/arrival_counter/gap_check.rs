@@ -33,8 +33,9 @@ impl GapCheck {
         Self { suspect: None, accepted_at: now }
     }
 
-    /// Checks a number. All numbers below `next` are known to have been sent. Returns `None` if the number is not plausible
-    /// yet. Otherwise returns `Some` with the earlier number that this number confirms, or with `None` if it confirms none.
+    /// Checks a number. All numbers below `next` are known to have been sent. Returns `None` if the number is not
+    /// plausible yet. Otherwise returns `Some` with the earlier number that this number confirms, or with `None` if it
+    /// confirms none.
     pub(super) fn check(
         &mut self,
         next: u64,

@@ -41,8 +41,8 @@ impl HeartbeatTimer {
 
     /// Returns the time of the next ping.
     ///
-    /// `sent_at` is the time at which the last part of a message was sent, if messages are not settled. The ping is then
-    /// sent sooner, because its answer says which messages never arrived.
+    /// `sent_at` is the time at which the last part of a message was sent, if messages are not settled. The ping is
+    /// then sent sooner, because its answer says which messages never arrived.
     pub(super) fn ping_at(&self, sent_at: Option<MonoTime>) -> MonoTime {
         let idle_ping_at = self.received_at.max(self.pinged_at) + self.interval;
         let after_message =

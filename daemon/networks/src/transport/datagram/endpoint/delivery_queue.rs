@@ -5,8 +5,8 @@ use std::collections::VecDeque;
 use crate::transport::ListenerEvent;
 use crate::transport::memory::Reservation;
 
-/// If this number of deliveries is queued, further reports of lost, incomplete or invalid messages are dropped. The queue
-/// gets this long only if the layer above does not receive the deliveries.
+/// If this number of deliveries is queued, further reports of lost, incomplete or invalid messages are dropped. The
+/// queue gets this long only if the layer above does not receive the deliveries.
 const MAX_DELIVERIES: usize = 1_024;
 
 /// An event, and the reservation of its memory.
@@ -17,8 +17,8 @@ pub(crate) struct Delivery {
     pub(crate) _reserved: Option<Reservation>,
 }
 
-/// Events in the order in which they occurred. Messages and ends of connections are never dropped. The memory of messages
-/// is bounded by their reservations.
+/// Events in the order in which they occurred. Messages and ends of connections are never dropped. The memory of
+/// messages is bounded by their reservations.
 #[derive(Debug, Default)]
 pub(super) struct DeliveryQueue {
     deliveries: VecDeque<Delivery>,

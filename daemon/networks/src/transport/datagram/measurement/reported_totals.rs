@@ -8,8 +8,8 @@ const MAX_COPIES: u64 = 16;
 
 /// Totals of this end's datagrams, as the other end reports them.
 ///
-/// A total rises only to the lower of two successive reports, and it never decreases. A total that was altered or forged
-/// in one packet is therefore not kept.
+/// A total rises only to the lower of two successive reports, and it never decreases. A total that was altered or
+/// forged in one packet is therefore not kept.
 #[derive(Debug, Default)]
 pub(super) struct ReportedTotals {
     last_report: Option<ArrivalTotals>,

@@ -33,8 +33,8 @@ impl LongLossDetector {
         }
     }
 
-    /// Notes that a message was lost. `received` of its `fragments` fragments arrived. `lost_datagrams` is the number of
-    /// datagrams that the other end has reported as lost.
+    /// Notes that a message was lost. `received` of its `fragments` fragments arrived. `lost_datagrams` is the number
+    /// of datagrams that the other end has reported as lost.
     pub(super) fn record_loss(&mut self, fragments: u32, received: u32, lost_datagrams: u64, now: MonoTime) {
         // A single fragment that arrived may be the last one, which is shorter than the others.
         if received > 1 {

@@ -7,7 +7,8 @@ use peernet_clock::{MonoTime, Span};
 /// Time without progress of the other end after which all sent bytes are treated as arrived or lost.
 pub(super) const FLIGHT_TIMEOUT: Span = Span::from_millis(200);
 
-/// Counts the bytes of datagrams that were sent, and of datagrams that have arrived according to the other end's reports.
+/// Counts the bytes of datagrams that were sent, and of datagrams that have arrived according to the other end's
+/// reports.
 #[derive(Debug)]
 pub(super) struct BytesInFlight {
     /// Number of bytes that were sent.

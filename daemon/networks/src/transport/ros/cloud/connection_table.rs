@@ -1,7 +1,7 @@
 //! The connections of a cloud, and the rules by which it opens more, without I/O.
 //!
-//! A pipeline has one connection, and a new one of the same host replaces it. Another host is refused: if several robots
-//! shared topics, each would receive the answers to the others.
+//! A pipeline has at most one connection. A new connection from the same host replaces it; a connection from another
+//! host is refused, because robots that shared topics would receive each other's answers.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -64,7 +64,8 @@ impl ConnectionTable {
         self.table.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Adds the connection that an edge requests, if the limits allow it. `abort` is the token that ends the connection.
+    /// Adds the connection that an edge requests, if the limits allow it. `abort` is the token that ends the
+    /// connection.
     pub(super) fn open(
         &self,
         hello: &SessionHello,
@@ -99,8 +100,8 @@ impl ConnectionTable {
         OpenOutcome::Started { connection, replaced }
     }
 
-    /// Returns the limit that one more connection would exceed, as a text for the refusal. `None` if the connection may be
-    /// opened.
+    /// Returns the limit that one more connection would exceed, as a text for the refusal. `None` if the connection may
+    /// be opened.
     fn check_limits(
         &self,
         table: &Table,

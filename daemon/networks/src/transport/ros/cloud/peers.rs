@@ -20,7 +20,9 @@ use crate::transport::ros::connection_task::ConnectionTask;
 use crate::transport::ros::interface::{
     NodeFailure, RemoteNode, SessionNode, SessionPublisher, TopicPurpose,
 };
-use crate::transport::ros::limits::{INFO_OVERHEAD_BYTES, ReceiveLimits, largest_message, queue_limits};
+use crate::transport::ros::limits::{
+    INFO_OVERHEAD_BYTES, ReceiveLimits, max_topic_message_bytes, queue_limits,
+};
 use crate::transport::ros::names::TopicPair;
 use crate::transport::{AddressGroup, ConnectionId, ListenerEvent, Peer};
 
@@ -58,9 +60,9 @@ impl Peers {
         (refusal_publisher, deliveries): (Box<dyn SessionPublisher>, mpsc::Sender<Delivery>),
         tasks: CloudTasks,
     ) -> Self {
-        // A message of the largest length must fit even if the other setting is smaller.
+        // A message of the largest length must fit even if `max_unfinished_bytes` is smaller.
         let budget = MemoryBudget::new(settings.max_unfinished_bytes.max(settings.max_message_bytes));
-        let admitted_limits = ReceiveLimits { max_message_bytes: largest_message(&settings), budget };
+        let admitted_limits = ReceiveLimits { max_message_bytes: max_topic_message_bytes(&settings), budget };
         // Half of the places stay for edges with a session.
         let max_unadmitted = (max_connections / 2)
             .min(MAX_ALL_UNADMITTED_BYTES / (MAX_UNADMITTED_BYTES * MAX_UNADMITTED_MESSAGES));
@@ -124,8 +126,8 @@ impl Peers {
         let (request, response) = (TopicPair::request(pipeline), TopicPair::response(pipeline));
         let kind = (TopicPurpose::Companions, TopicType::from_message::<MessageInfo>());
         let publisher = self.node.publish(&response.info, kind.clone(), queue_limits(&self.settings)).await?;
-        // This connection has a separate budget, so that an edge without a session takes no memory from sessions, or from
-        // other edges without a session.
+        // This connection has a separate budget, so that an edge without a session takes no memory from sessions, or
+        // from other edges without a session.
         let budget = MemoryBudget::new((MAX_UNADMITTED_BYTES * MAX_UNADMITTED_MESSAGES) as u64);
         let unadmitted_limits =
             ReceiveLimits { max_message_bytes: MAX_UNADMITTED_BYTES, budget: Arc::clone(&budget) };

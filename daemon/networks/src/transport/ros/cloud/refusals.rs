@@ -10,8 +10,8 @@ use super::peers::Delivery;
 use crate::transport::ListenerEvent;
 use crate::transport::ros::interface::{NodeFailure, RemoteNode, SessionNode, SessionPublisher};
 
-/// Publishes the reasons of refusals for edges, and reports refusals to the layer above. An edge repeats its request, so the same refusal
-/// may occur often.
+/// Publishes the reasons of refusals for edges, and reports refusals to the layer above. An edge repeats its request,
+/// so the same refusal may occur often.
 #[derive(Debug)]
 pub(super) struct Refusals {
     node: Arc<dyn SessionNode>,
@@ -30,8 +30,8 @@ impl Refusals {
         Self { node, clock, publisher, deliveries, throttle: Mutex::default() }
     }
 
-    /// Refuses a connection that cannot be opened now. Reports the refusal to the layer above once a minute for each reason
-    /// and address.
+    /// Refuses a connection that cannot be opened now. Reports the refusal to the layer above once a minute for each
+    /// reason and address.
     pub(super) fn refuse(&self, hello: &SessionHello, edge: &RemoteNode, reason: &str) {
         let address = Some(edge.remote.ip());
         let mut throttle = self.throttle.lock().unwrap_or_else(PoisonError::into_inner);
@@ -100,7 +100,7 @@ mod tests {
             SessionHello { host: "robot".into(), pipeline: "/line".into(), ..SessionHello::default() };
         let address = SocketAddr::from(([192, 0, 2, 1], 1));
         let edge = RemoteNode { node: "/edge".into(), local: address, remote: address };
-        let mut handed_up = |refuse: &dyn Fn(&Refusals)| {
+        let mut is_reported = |refuse: &dyn Fn(&Refusals)| {
             refuse(&refusals);
             let Ok((ListenerEvent::Refused(_, text), _)) = deliveries.try_recv() else { return false };
             assert_eq!(text, "refused a connection to /edge on 192.0.2.1 for pipeline /line: too many");
@@ -108,9 +108,9 @@ mod tests {
         };
         let repeated = |refusals: &Refusals| refusals.refuse(&hello, &edge, "too\nmany");
         let failed = |refusals: &Refusals| refusals.refuse_after_failure(&hello, &edge, "too\nmany");
-        assert_eq!([handed_up(&repeated), handed_up(&repeated)], [true, false]);
-        assert_eq!([handed_up(&failed), handed_up(&failed)], [true, true]);
+        assert_eq!([is_reported(&repeated), is_reported(&repeated)], [true, false]);
+        assert_eq!([is_reported(&failed), is_reported(&failed)], [true, true]);
         clock.advance(Span::from_seconds(60));
-        assert!(handed_up(&repeated));
+        assert!(is_reported(&repeated));
     }
 }

@@ -22,7 +22,7 @@ pub(super) struct CloudSink {
     admission: watch::Receiver<Admission>,
     /// Time limit for opening a session on a connection without one.
     hello_timeout: Duration,
-    /// Time at which the connection ends if it has no session.
+    /// Time at which the connection ends; `None` while it has a session or has asked for one.
     deadline: Option<Instant>,
     unadmitted_limits: ReceiveLimits,
     admitted_limits: ReceiveLimits,

@@ -70,8 +70,8 @@ impl MessageAssembly {
         now: MonoTime,
         events: &mut EventQueue,
     ) {
-        // Fragments of another message are dropped, because that message was given up. The memory of the whole message is
-        // reserved below.
+        // Fragments of another message are dropped, because that message was given up. The memory of the whole message
+        // is reserved below.
         if let Some(fragments) = self.fragments.take().filter(|fragments| fragments.belong_to(&companion)) {
             companion.frames = fragments.join(&companion.frames);
         }
@@ -92,7 +92,8 @@ impl MessageAssembly {
             self.receive_half(stamp, MessageHalf::Info(Box::new(companion)), reserved, now, events);
             return;
         }
-        // Until the other end knows that payloads arrive on their topic, it sends each payload there and in the companion.
+        // Until the other end knows that payloads arrive on their topic, it sends each payload there and in the
+        // companion.
         self.last_whole_stamp = stamp.max(self.last_whole_stamp);
         self.pairing.drop_payload(stamp);
         let mut lost = Vec::new();
@@ -127,8 +128,8 @@ impl MessageAssembly {
             )));
             return;
         }
-        // If memory is short, the companion reports the loss, because it has the number of the request and is still to
-        // come.
+        // If memory is short, the payload is dropped without a report. Its companion then waits for it in vain and is
+        // reported as lost, with the number of the request.
         let Some(reserved) = self.reserve(payload.len()) else { return };
         self.receive_half(stamp, MessageHalf::Payload(payload), reserved, now, events);
     }
@@ -159,8 +160,8 @@ impl MessageAssembly {
         events.push_incomplete(lost);
     }
 
-    /// Delivers the messages that overtook payloads, unless a companion still waits for its payload. Returns whether no
-    /// companion waits.
+    /// Delivers the messages that overtook payloads, unless a companion still waits for its payload. Returns `true` if
+    /// no companion waits.
     pub(super) fn deliver_overtaking_messages(&mut self, events: &mut EventQueue) -> bool {
         if self.pairing.awaits_payloads() {
             return false;

@@ -20,13 +20,13 @@ pub(in crate::transport::ros) enum Event {
     Lost(MessageLoss),
     /// The peer sent invalid data, for this reason.
     InvalidData(String),
-    /// The connection is worse than it could be; the text names the object and says what to do.
+    /// The connection works, but worse than it could. The text names the object and says what to do.
     Remark(String),
     /// The connection ended, for this reason.
     Gone(String),
 }
 
-/// Queue of events, and of the peer's requests of whose loss it must be notified.
+/// Queue of events, and of the numbers of lost requests about which the peer must be notified.
 #[derive(Debug, Default)]
 pub(super) struct EventQueue {
     events: VecDeque<Event>,
@@ -52,7 +52,7 @@ impl EventQueue {
         self.events.pop_front()
     }
 
-    /// Removes and returns the next request of whose loss the peer must be notified.
+    /// Removes and returns the number of the next lost request about which the peer must be notified.
     pub(super) fn pop_lost_request(&mut self) -> Option<u64> {
         self.lost_requests.pop_front()
     }

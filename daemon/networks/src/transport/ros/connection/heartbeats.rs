@@ -2,8 +2,8 @@
 
 use peernet_clock::{MonoTime, Span};
 
-/// Times of the last messages in both directions. An end sends a heartbeat if it has sent nothing else. A peer that
-/// sends nothing is gone.
+/// Times of the last messages in both directions. An end sends a heartbeat if it has sent nothing else for the
+/// interval. A peer that sends nothing for the timeout counts as gone.
 #[derive(Debug)]
 pub(super) struct Heartbeats {
     interval: Span,

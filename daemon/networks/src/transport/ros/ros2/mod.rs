@@ -10,8 +10,8 @@
 //!   `net.core.rmem_max` at 4 MiB (of which the kernel makes 8 MiB), messages of 8 MB arrive at once, and messages of
 //!   10 MB and more do not arrive within 5 s. Each end therefore states the size of its socket buffers in hello and
 //!   welcome. A larger payload is sent as companions of 64 KiB ([`PART`](peernet_ros::messages::MessageInfo::PART)), of
-//!   which at most 1 MiB is unacknowledged. Other programs do not see it as a picture, but it arrives as fast. Otherwise
-//!   the slow retransmission of one large message would delay all later messages.
+//!   which at most 1 MiB is unacknowledged. Other programs do not see it as a picture, but it arrives as fast as a
+//!   payload that fits. Without the split, the slow retransmission of one large message would delay all later messages.
 //! - An end that closes a connection waits for the other end's goodbye before it leaves, because `rustdds` drops unread
 //!   messages of a publisher that has left.
 
@@ -48,8 +48,8 @@ use super::interface::{
 };
 use crate::{Address, SessionSettings};
 
-/// Time limit of the search for a cloud. Discovery takes less than a second where multicast works, and an edge repeats the
-/// search.
+/// Time limit of the search for a cloud. Discovery takes less than a second where multicast works, and an edge repeats
+/// the search.
 const MAX_CLOUD_SEARCH_TIME: Duration = Duration::from_secs(2);
 
 /// Maximum number of bytes of frames in a companion. Longer frames are split, so that each companion fits into any

@@ -7,8 +7,8 @@ use peernet_ros::ros2::{ParticipantId, Ros2Node, Ros2Settings};
 
 use crate::transport::ros::interface::NodeFailure;
 
-/// Participants of this process. On a pipeline's topics there may still be publishers of this process's earlier connections; they are
-/// not taken for another program.
+/// Participants of this process. On a pipeline's topics there may still be publishers of this process's earlier
+/// connections; they are not taken for another program.
 static LOCAL_PARTICIPANTS: Mutex<BTreeSet<ParticipantId>> = Mutex::new(BTreeSet::new());
 
 fn local_participants() -> MutexGuard<'static, BTreeSet<ParticipantId>> {
@@ -22,7 +22,7 @@ pub(super) fn is_local_participant(id: ParticipantId) -> bool {
 
 /// A participant of this process. It is registered as such until it has left its domain.
 pub(super) struct Participant {
-    /// Present until the participant has left.
+    /// `None` after the participant has left.
     node: Mutex<Option<Arc<Ros2Node>>>,
     id: ParticipantId,
     name: String,

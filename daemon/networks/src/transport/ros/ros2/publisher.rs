@@ -4,9 +4,10 @@
 //! number of unacknowledged bytes is therefore limited. Further messages wait in a queue for a task.
 //!
 //! A reliable subscription that does not keep up must not stop the others. `rustdds` stores up to 1,024 messages that
-//! such a subscription has not acknowledged, and then refuses further messages. If other programs subscribe as well, the task
-//! waits at most 50 ms for acknowledgments. The topic ends if a message waits for 5 s, or if 256 MiB are unacknowledged;
-//! the edge then opens another session. Messages that only a viewer misses do not matter to the session. A viewer with
+//! such a subscription has not acknowledged, and then refuses further messages. If other programs subscribe as well,
+//! the task waits at most 50 ms for acknowledgments. The topic ends if a message waits for 5 s, or if 256 MiB are
+//! unacknowledged; the edge then opens another session. Messages that only a viewer misses do not matter to the
+//! session. A viewer with
 //! *keep last*, the default in ROS 2, acknowledges what arrives, whether or not its program reads it.
 
 use std::collections::VecDeque;
@@ -57,7 +58,7 @@ struct Queue {
     max_bytes: usize,
     /// `true` while the task waits to publish the oldest message.
     is_busy: bool,
-    /// Bytes published since everything was acknowledged.
+    /// Bytes published since the last time at which everything was acknowledged.
     unacknowledged_bytes: usize,
     is_closed: bool,
     failure: Option<NodeFailure>,
@@ -110,20 +111,20 @@ impl PublisherState {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Publishes a message if `rustdds` accepts it now. Returns whether it was published.
+    /// Publishes a message if `rustdds` accepts the message now. Returns whether the message was published.
     fn publish(&self, queue: &mut Queue, message: &Bytes) -> Result<bool, Ros2Error> {
-        let published = self.publisher.try_publish(message.clone(), self.clock.wall())?.is_some();
-        if published {
+        let is_published = self.publisher.try_publish(message.clone(), self.clock.wall())?.is_some();
+        if is_published {
             queue.unacknowledged_bytes += message.len();
         }
-        Ok(published)
+        Ok(is_published)
     }
 
     /// Publishes the queued messages. Ends when the queue is closed and everything is acknowledged.
     async fn run(self: Arc<Self>, stop: CancellationToken) {
         loop {
             let changed = self.queue_changed.notified();
-            // `Err` if no message is queued: whether the queue is closed.
+            // `Ok` has the next message. `Err` means that no message is queued, and says whether the queue is closed.
             let next_message = {
                 let mut queue = self.queue();
                 let next_message = queue.messages.pop_front();
@@ -214,8 +215,9 @@ impl SessionPublisher for Ros2SessionPublisher {
         }
     }
 
-    // The result is never `NotConnected`: DDS does not report whether the other end has found this publisher. Payload topics are used only
-    // after companions have confirmed them, and the end of a node is noticed by the end of its own topics.
+    // The result is never `NotConnected`: DDS does not report whether the other end has found this publisher. Payload
+    // topics are used only after companions have confirmed them, and the end of a node is noticed by the end of its own
+    // topics.
     fn publish_to(&self, _node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
         self.offer(messages)
     }

@@ -7,8 +7,8 @@ use peernet_ros::ros2::{EndpointRole, QosProfile, Reliability};
 use crate::settings::Ros2SessionSettings;
 use crate::transport::ros::interface::TopicPurpose;
 
-/// Maximum number of companion messages (`ros/mod.rs`) that were received and not yet processed. A large payload consists
-/// of many companions.
+/// Maximum number of companion messages (`ros/mod.rs`) that were received and not yet processed. A large payload
+/// consists of many companions.
 const COMPANION_DEPTH: u32 = 256;
 
 /// Time limit for a best-effort payload whose companion has arrived.

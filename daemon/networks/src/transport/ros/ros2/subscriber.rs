@@ -1,4 +1,5 @@
-//! Subscriber with a task that reads messages from `rustdds` as they arrive, because `rustdds` soon drops unread ones.
+//! Subscriber with a task that reads messages from `rustdds` as they arrive, because `rustdds` soon drops unread
+//! messages.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -178,8 +179,8 @@ impl SubscriberTask {
     /// Receives until there are only publishers of another type, or until the subscriber is dropped.
     async fn run(&mut self, mut subscription: Ros2Subscription, type_name: Arc<str>) -> SubscriptionEnd {
         let mut peers = subscription.peers();
-        // Messages may arrive before discovery finds their publisher, and after it reports that an earlier one has
-        // gone.
+        // Messages may arrive before discovery finds their publisher, even after it has reported that the previous
+        // publisher is gone.
         let mut unmatched_writers: BTreeSet<EndpointId> = BTreeSet::new();
         loop {
             let (matched, is_refused) = {
