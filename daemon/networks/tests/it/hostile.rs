@@ -154,11 +154,11 @@ async fn invalid_requests_are_answered_as_failed() {
 async fn session_of_another_connection_is_unknown() {
     let mut cloud = Cloud::start().await;
     let (_owner, session) = plain_session(&mut cloud).await;
-    let (thief, _) = plain_session(&mut cloud).await;
+    let (other_socket, _) = plain_session(&mut cloud).await;
     for (number, session) in [(3, session), (4, Id::from([7; 16]))] {
-        thief.send_message(&plain_request(&session, number, 1), vec![tree(), "x".into()]).await;
+        other_socket.send_message(&plain_request(&session, number, 1), vec![tree(), "x".into()]).await;
         let (header, _) = tokio::select! {
-            received = thief.receive_message() => received,
+            received = other_socket.receive_message() => received,
             incoming = cloud.next() => panic!("handed out {incoming:?}"),
         };
         assert!(

@@ -25,8 +25,8 @@ over_every_network!(
     parts_of_incomplete_answer_are_recorded
 );
 
-/// Number of parts of an answer, far above the number that may be unread.
-const MANY: usize = 300;
+/// Number of parts of an answer, far above the number of parts that may be unread.
+const PART_COUNT: usize = 300;
 
 /// Handler that collects the texts of parts.
 fn collector() -> (PartHandler, Arc<Mutex<Vec<String>>>) {
@@ -53,7 +53,7 @@ async fn answer_arrives_in_parts_beyond_the_window(network: TestNetwork) {
     let incoming = cloud.next_request().await;
     let parts = incoming.parts.clone();
     let sending = tokio::task::spawn_blocking(move || {
-        (0..MANY).try_for_each(|number| parts.send(&sample(&format!("{number:03}"))))
+        (0..PART_COUNT).try_for_each(|number| parts.send(&sample(&format!("{number:03}"))))
     });
     // The listener must be polled, so that it reads the acknowledgements.
     let sent = tokio::select! {
@@ -68,9 +68,9 @@ async fn answer_arrives_in_parts_beyond_the_window(network: TestNetwork) {
     let mut texts = texts.lock().expect("no panic").clone();
     // Datagrams may overtake each other.
     texts.sort();
-    assert_eq!(texts, (0..MANY).map(|number| format!("{number:03}")).collect::<Vec<_>>());
+    assert_eq!(texts, (0..PART_COUNT).map(|number| format!("{number:03}")).collect::<Vec<_>>());
     let tree = completed.recorder.tree();
-    assert_eq!(seconds(tree, PARTS.as_str()), Some(MANY as f64));
+    assert_eq!(seconds(tree, PARTS.as_str()), Some(PART_COUNT as f64));
     let first = seconds(tree, FIRST_PART.as_str()).expect("is recorded");
     assert!(first > 0.0 && first < TIME_LIMIT.as_secs_f64(), "{first}");
     let (download, node) = tree.find(&[FIRST_PART_DOWNLOAD.as_str()]).expect("is recorded");
@@ -100,7 +100,7 @@ async fn parts_and_answer_wait_while_the_queue_is_full(network: TestNetwork) {
     let sending = tokio::task::spawn_blocking({
         let large = large.clone();
         move || {
-            let sent = (0..MANY).try_for_each(|_| parts.send(&sample(&large)));
+            let sent = (0..PART_COUNT).try_for_each(|_| parts.send(&sample(&large)));
             reply.send(recorder, Ok(sample(&large)));
             sent
         }
@@ -112,7 +112,7 @@ async fn parts_and_answer_wait_while_the_queue_is_full(network: TestNetwork) {
     assert_eq!(sent, Ok(()));
     let completed = within(pending).await.expect("no panic");
     assert_eq!(completed.result.as_ref().map(|answer| text(answer) == large), Ok(true));
-    assert_eq!(seconds(completed.recorder.tree(), PARTS.as_str()), Some(MANY as f64));
+    assert_eq!(seconds(completed.recorder.tree(), PARTS.as_str()), Some(PART_COUNT as f64));
 }
 
 #[tokio::test]
@@ -123,13 +123,13 @@ async fn parts_wait_while_the_edge_reads_nothing() {
         ("x".repeat(1 << 20), SessionSettings { max_message_bytes: 2 << 20, ..settings() });
     let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", settings.clone()).await;
     let (session, _) = cloud.session(settings).await;
-    let (window, sent_window) = sync_channel::<()>(1);
-    let sent_window = Mutex::new(Some(sent_window));
-    // Runs where messages are received: after the first part nothing is read, unless the cloud gets rid of a window of
-    // parts.
+    let (signal_sender, signal_receiver) = sync_channel::<()>(1);
+    let signal_receiver = Mutex::new(Some(signal_receiver));
+    // The handler runs where messages are received. It stops the reading after the first part, until the cloud has
+    // sent 60 parts or 500 ms have passed.
     let handler = PartHandler(Arc::new(move |_| {
-        if let Some(sent_window) = sent_window.lock().expect("no panic").take() {
-            let _ = sent_window.recv_timeout(Duration::from_millis(500));
+        if let Some(signal_receiver) = signal_receiver.lock().expect("no panic").take() {
+            let _ = signal_receiver.recv_timeout(Duration::from_millis(500));
         }
     }));
     let pending = tokio::spawn({
@@ -141,8 +141,8 @@ async fn parts_wait_while_the_edge_reads_nothing() {
         let result = (0..PARTS_SENT).try_for_each(|number| {
             parts.send(&sample(&large))?;
             if number == 60 {
-                // Nobody receives it if the parts have waited.
-                let _ = window.try_send(());
+                // Nobody receives the signal if `send` has waited for the edge until the handler gave up.
+                let _ = signal_sender.try_send(());
             }
             Ok::<_, PartError>(())
         });
@@ -199,7 +199,7 @@ async fn too_large_part_is_refused_with_key_and_size(network: TestNetwork) {
     let pending = request(&session, "count", TIME_LIMIT);
     let incoming = cloud.next_request().await;
     // More than may be unread: a part that is not sent is not unread.
-    for _ in 0..MANY {
+    for _ in 0..PART_COUNT {
         let refused = incoming.parts.send(&sample(&"x".repeat(65_537))).expect_err("is too large");
         assert_eq!(refused, PartError::TooLarge { bytes: 65_537, max_bytes: 65_536 });
         assert!(refused.to_string().contains("max_message_bytes"), "{refused}");
@@ -217,7 +217,7 @@ async fn edge_without_partial_replies_gets_the_whole_answer(network: TestNetwork
     let pending = request(&session, "count", TIME_LIMIT);
     let incoming = cloud.next_request().await;
     // More than may be unread: nothing acknowledges them, because nothing is sent.
-    for number in 0..MANY {
+    for number in 0..PART_COUNT {
         assert_eq!(incoming.parts.send(&sample(&number.to_string())), Ok(()));
     }
     incoming.reply.send(incoming.recorder, Ok(sample("whole")));

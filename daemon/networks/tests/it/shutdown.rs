@@ -29,10 +29,10 @@ struct PausingClock {
 impl Clock for PausingClock {
     fn wall(&self) -> WallTime {
         if thread::current().name() == Some(PAUSED_THREAD)
-            && let Some((arrival_sender, leave_receiver)) = self.gate.lock().expect("no panic").take()
+            && let Some((arrival_sender, permission_receiver)) = self.gate.lock().expect("no panic").take()
         {
             arrival_sender.send(()).expect("waited for");
-            leave_receiver.recv().expect("given leave");
+            permission_receiver.recv().expect("permission is given");
         }
         self.clock.wall()
     }
@@ -52,10 +52,10 @@ impl Clock for PausingClock {
 
 #[tokio::test]
 async fn closing_waits_for_answer_being_sent() {
-    let ((arrival_sender, arrival_receiver), (leave_sender, leave_receiver)) =
+    let ((arrival_sender, arrival_receiver), (permission_sender, permission_receiver)) =
         (oneshot::channel(), mpsc::sync_channel(1));
     let pausing_clock =
-        PausingClock { clock: clock(), gate: Mutex::new(Some((arrival_sender, leave_receiver))) };
+        PausingClock { clock: clock(), gate: Mutex::new(Some((arrival_sender, permission_receiver))) };
     let mut cloud = Cloud::start_with_clock(Arc::new(pausing_clock)).await;
     let (session, _) = cloud.session(settings()).await;
     let pending = [request(&session, "one", TIME_LIMIT), request(&session, "other", TIME_LIMIT)];
@@ -70,7 +70,7 @@ async fn closing_waits_for_answer_being_sent() {
     quick_request.reply.send(quick_request.recorder, Ok(quick_request.sample));
     let result = tokio::time::timeout(Duration::from_millis(100), session.closed()).await;
     assert!(result.is_err(), "goodbye came before the answer: {result:?}");
-    leave_sender.send(()).expect("waited for");
+    permission_sender.send(()).expect("waited for");
     for pending in pending {
         let completed = within(pending).await.expect("no panic");
         assert!(completed.result.is_ok(), "{:?}", completed.result);

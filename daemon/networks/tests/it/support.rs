@@ -78,7 +78,7 @@ pub(crate) enum TestNetwork {
 }
 
 impl TestNetwork {
-    /// Returns the scheme and the host of an address.
+    /// Returns the scheme of the network's addresses.
     pub(crate) fn scheme(self) -> &'static str {
         match self {
             Self::ZmqTcp => "tcp",

@@ -1,4 +1,4 @@
-//! Tests of `zmq-udp`: lost, duplicated and reordered datagrams, strangers, large messages.
+//! Tests of `zmq-udp`: lost, duplicated and reordered datagrams, packets of other programs, large messages.
 
 use std::time::Duration;
 
@@ -109,7 +109,7 @@ async fn datagrams_of_both_directions_are_counted() {
     assert!(addresses.local.ip().is_loopback() && addresses.remote.to_string() == relay.address.authority());
     let (answered, _) = exchange_all(&session, vec![10_000; 200], 4).await;
     assert!(answered > 0);
-    // Losses are known after two seconds, and those of the other direction after the next heartbeat.
+    // The receiver counts a datagram as lost after one to two seconds, and reports the count in its next heartbeat.
     let is_counted = |direction: &DirectionStatistics| {
         [direction.lost, direction.duplicated, direction.reordered].iter().all(|count| *count > Some(5))
     };
@@ -132,7 +132,7 @@ async fn datagrams_of_both_directions_are_counted() {
         "{statistics:?}"
     );
     assert_eq!((statistics.sent.retransmitted.is_some(), statistics.received.retransmitted), (true, None));
-    let trip = statistics.round_trip.expect("signs of life were answered");
+    let trip = statistics.round_trip.expect("heartbeats were answered");
     assert!(trip.min <= Some(trip.smoothed) && trip.smoothed < Span::from_seconds(1), "{trip:?}");
 }
 
@@ -208,12 +208,12 @@ async fn next_request_notices_restarted_cloud() {
 async fn garbage_is_counted_without_effect() {
     let mut cloud = Cloud::on_network(TestNetwork::ZmqUdp).await;
     let (session, _) = cloud.session(settings()).await;
-    let stranger = UdpSocket::bind("127.0.0.1:0").await.expect("a free port");
-    stranger.connect(cloud.address().authority()).await.expect("an address");
+    let other_socket = UdpSocket::bind("127.0.0.1:0").await.expect("a free port");
+    other_socket.connect(cloud.address().authority()).await.expect("an address");
     let mut sent = 0;
     for bytes in [&b""[..], b"\x07peernet", b"\x07peernet\x05", b"\x03abcdef", &[0xff; 1_200]] {
         for _ in 0..20 {
-            stranger.send(bytes).await.expect("sent");
+            other_socket.send(bytes).await.expect("sent");
             sent += 1;
         }
     }

@@ -22,7 +22,7 @@ fn file(mode: &str, name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../tests/fixtures/wire/probe/{name}.{mode}.bin"))
 }
 
-/// Requests and replies of two probes. The second reply reports when the first reply really left.
+/// Requests and replies of two probes. The second reply reports when the first reply left the machine.
 struct Conversation {
     requests: [Vec<u8>; 2],
     replies: [Vec<u8>; 2],
@@ -171,7 +171,7 @@ fn stored_request_gets_stored_reply() {
             };
             assert_eq!(exchange.received - exchange.sent, ONE_WAY_DELAY + ahead, "{mode}");
         }
-        // The second reply reports when the first reply really left.
+        // The second reply reports when the first reply left the machine.
         let refined = second.refined.expect("the first exchange is refined").exchange;
         assert_eq!(refined.replied - exchanges[0].replied, Span::from_micros(5), "{mode}");
     }

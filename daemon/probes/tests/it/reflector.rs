@@ -112,7 +112,8 @@ fn follow_up_contains_departure_of_previous_reply() {
     let mut first_packet = request(None, 5, 1, &[empty_follow_up]);
     let prepared = answer(&mut reflector, &clock, &mut first_packet).expect("answered");
     assert_eq!(follow_up(&first_packet), None, "there was none before");
-    // Ignored: a stamp before the program's, one that is absurdly late, and one of another reply.
+    // The first departure counts. Ignored are one before the program's stamp, one ten seconds after it, and one of
+    // another reply.
     let (session, departure) = (prepared.session(), NOW + Span::from_micros(17));
     let mut record_departure = |sequence, after| {
         reflector.record_departure(&session, sequence, NOW + after, ManualClock::FIRST_RAW + after);

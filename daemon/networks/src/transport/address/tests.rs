@@ -1,3 +1,5 @@
+//! Tests of the addresses of networks.
+
 use std::net::Ipv4Addr;
 
 use peernet_stream::NetworkName;

@@ -232,9 +232,9 @@ fn connections_without_session_are_bounded_and_end() {
 fn claimed_lengths_take_no_room_of_other_peers() {
     let mut network = SimulatedNetwork::new(UNIMPAIRED, 1);
     network.open();
-    let stranger = SocketAddr::from(([198, 51, 100, 1], 9));
+    let other_address = SocketAddr::from(([198, 51, 100, 1], 9));
     let mut now = network.now;
-    let connection = open_from(&mut network.cloud, stranger, 77, &mut now).expect("there is room");
+    let connection = open_from(&mut network.cloud, other_address, 77, &mut now).expect("there is room");
     network.cloud.admit(ConnectionId(connection));
     network.now = now;
     let claimed_bytes = limits().reassembly.max_message_bytes;
@@ -251,7 +251,7 @@ fn claimed_lengths_take_no_room_of_other_peers() {
         };
         let mut body = Vec::new();
         Packet::Data { connection, number: sequence as u32, fragment }.write(Role::Edge, &mut body);
-        network.cloud.receive(stranger, None, &body, now);
+        network.cloud.receive(other_address, None, &body, now);
     }
     assert!(
         network.cloud.reserved_bytes() <= 80 * 1_100,
@@ -275,9 +275,9 @@ fn claimed_lengths_take_no_room_of_other_peers() {
 fn message_without_room_is_lost_before_fully_sent() {
     let mut network = SimulatedNetwork::new(UNIMPAIRED, 1);
     network.open();
-    let stranger = SocketAddr::from(([198, 51, 100, 1], 9));
+    let other_address = SocketAddr::from(([198, 51, 100, 1], 9));
     let mut now = network.now;
-    let connection = open_from(&mut network.cloud, stranger, 77, &mut now).expect("there is room");
+    let connection = open_from(&mut network.cloud, other_address, 77, &mut now).expect("there is room");
     network.cloud.admit(ConnectionId(connection));
     network.now = now;
     // Fragments of two messages that fill nearly all of the memory.
@@ -294,7 +294,7 @@ fn message_without_room_is_lost_before_fully_sent() {
         };
         let mut body = Vec::new();
         Packet::Data { connection, number, fragment }.write(Role::Edge, &mut body);
-        network.cloud.receive(stranger, None, &body, now);
+        network.cloud.receive(other_address, None, &body, now);
     }
     network.send(Some(1), &vec![9; 3_000_000]);
     let lost = |event: &Event| matches!(event, Event::Lost(loss) if loss.tag == Some(1));

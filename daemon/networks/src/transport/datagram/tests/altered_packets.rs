@@ -195,7 +195,7 @@ fn single_altered_packet_barely_changes_totals() {
 }
 
 #[test]
-fn reports_of_unsent_messages_count_as_garbage() {
+fn reports_of_unsent_messages_are_invalid_data() {
     let (mut network, id) = open();
     let connection = id.0;
     let forged = [
@@ -218,8 +218,8 @@ fn reports_of_unsent_messages_count_as_garbage() {
         packet.write(Role::Edge, &mut body);
         network.cloud.receive(network.edge_address, None, &body, network.now);
         network.steps(1);
-        let is_garbage = |event: &ListenerEvent| matches!(event, ListenerEvent::InvalidData(Some(_), _));
-        assert_eq!(network.listener_events.iter().filter(|event| is_garbage(event)).count(), 1, "{packet:?}");
+        let is_invalid = |event: &&ListenerEvent| matches!(event, ListenerEvent::InvalidData(Some(_), _));
+        assert_eq!(network.listener_events.iter().filter(is_invalid).count(), 1, "{packet:?}");
         assert!(network.exchange(id, 200), "{packet:?}");
     }
 }

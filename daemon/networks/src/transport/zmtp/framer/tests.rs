@@ -1,3 +1,5 @@
+//! Tests of the framer of ZMTP.
+
 use proptest::prelude::*;
 
 use super::*;
