@@ -48,7 +48,8 @@ fn setting_wall_clock_causes_no_distrust_of_kernel() {
         let mut pair = Pair::raw(false);
         let started_at = pair.clock.raw();
         let (departure, packet) = pair.send();
-        // The probe really leaves slightly later. Then the clock is set, and only then is the kernel's stamp read.
+        // The probe leaves the machine slightly after the program's stamp. Then the clock is set, and only then is the
+        // kernel's stamp read.
         let departed_at = pair.clock.wall() + Span::from_micros(9);
         let reply = pair.reflect(packet);
         let kernel = pair.clock.wall();

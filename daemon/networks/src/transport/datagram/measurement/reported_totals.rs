@@ -68,8 +68,8 @@ mod tests {
     #[test]
     fn totals_above_what_was_sent_are_refused() {
         let mut reported = ReportedTotals::default();
-        for absurd in [totals(75, 0, 0), totals(0, 161, 0), totals(0, 0, 75), totals(u64::MAX, 0, 0)] {
-            assert_eq!(reported.receive(absurd, 10), Err(FalseClaim::Totals));
+        for impossible in [totals(75, 0, 0), totals(0, 161, 0), totals(0, 0, 75), totals(u64::MAX, 0, 0)] {
+            assert_eq!(reported.receive(impossible, 10), Err(FalseClaim::Totals));
         }
         assert_eq!(reported.totals(), None);
     }

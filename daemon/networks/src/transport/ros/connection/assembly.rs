@@ -128,8 +128,8 @@ impl MessageAssembly {
             )));
             return;
         }
-        // If memory is short, the payload is dropped without a report. Its companion then waits for it in vain and is
-        // reported as lost, with the number of the request.
+        // If memory is short, the payload is dropped without a report. Its companion is reported as lost later, with
+        // the number of the request.
         let Some(reserved) = self.reserve(payload.len()) else { return };
         self.receive_half(stamp, MessageHalf::Payload(payload), reserved, now, events);
     }
