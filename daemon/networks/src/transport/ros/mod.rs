@@ -21,8 +21,8 @@
 //! - The two topics of a direction have no common order, but each is in order. A later message on one topic therefore
 //!   proves that the partner of an earlier message is lost. If no later message arrives, a deadline ends the wait. A
 //!   goodbye, and a message about the session itself, waits for the payloads whose companions arrived before it.
-//! - If a peer leaves one topic, the connection waits 500 ms for the peer's last messages on the other topic. Then it ends
-//!   even if the peer has returned, because messages may have been lost.
+//! - If a peer leaves one topic, the connection waits 500 ms for the peer's last messages on the other topic. Then it
+//!   ends even if the peer has returned, because messages may have been lost.
 
 mod channel;
 mod checks;

@@ -1,5 +1,5 @@
-//! Tests with altered or forged packets: one such packet affects no later message, and changes no
-//! total by more than one.
+//! Tests with altered or forged packets: one such packet affects no later message, and changes no total by
+//! more than one.
 
 use super::*;
 
