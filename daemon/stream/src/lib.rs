@@ -7,7 +7,7 @@
 //!
 //! Guarantee of the durable lane: every event in the agent's spool is stored exactly once and in order. This holds
 //! whatever the transport loses, repeats or reorders, and whichever end restarts. It requires that the aggregator
-//! stores a batch and its stream's mark ([`StoredPosition`]) in one transaction.
+//! stores a batch and its stream's mark ([`HighWaterMark`]) in one transaction.
 //!
 //! There are two exceptions. If a spool was copied, events that are in both copies may be stored twice, in two streams.
 //! If a spool was restored from an old copy, the events in that copy may be stored twice, too. No event is lost in
@@ -86,8 +86,8 @@ pub use live::{
 pub use message::{Batch, BatchHead, MAX_IN_FLIGHT_BATCHES, Proof, ToAgent, ToAggregator, batch_weight};
 pub use network_name::NetworkName;
 pub use receiving::{
-    Arrival, Challenges, HelloResult, MissingBatches, MissingPreviousBatches, ProofResult, Receiving,
-    ReceivingConfig, StoredPosition, StreamRecord,
+    Arrival, Challenges, HelloResult, HighWaterMark, MissingBatches, MissingPreviousBatches, ProofResult,
+    Receiving, ReceivingConfig, StreamRecord,
 };
 pub use secret::{HostSecret, InvalidSecret, Nonce, ProofCode};
 pub use sending::{Action, Compression, Notice, Sending, SendingConfig};

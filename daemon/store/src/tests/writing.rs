@@ -3,8 +3,8 @@
 
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{
-    Chain, Event, Gap, Hello, Iteration, MissingBatches, MissingPreviousBatches, STREAM_VERSIONS,
-    StoredPosition, StreamId, StreamRecord,
+    Chain, Event, Gap, Hello, HighWaterMark, Iteration, MissingBatches, MissingPreviousBatches,
+    STREAM_VERSIONS, StreamId, StreamRecord,
 };
 
 use super::rollups::{assert_same, table};
@@ -37,7 +37,7 @@ async fn repeated_batch_is_stored_once() {
     assert_eq!(test_store.commit(&[repeated]).await.marks[&test_store.stream].stored, 1);
     test_store.writer = open(&test_store.path).await;
     let mark = test_store.writer.streams().marks[&test_store.stream];
-    assert_eq!(mark, StoredPosition::from(test_store.head(1, &generate::body(&events), 11)));
+    assert_eq!(mark, HighWaterMark::from(test_store.head(1, &generate::body(&events), 11)));
     let repeated = test_store.batch_numbered(1, events);
     let committed = test_store.commit(&[repeated]).await;
     assert_eq!((committed.marks[&test_store.stream].stored, committed.nodes), (1, 0));

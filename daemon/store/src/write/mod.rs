@@ -28,7 +28,7 @@ use std::path::PathBuf;
 
 use peernet_clock::{Stamp, WallTime};
 use peernet_logger::{HostId, RunId};
-use peernet_stream::{BatchHead, HostSecret, StoredPosition, StreamId};
+use peernet_stream::{BatchHead, HighWaterMark, HostSecret, StreamId};
 use sqlx::{Connection, SqliteConnection};
 
 pub use self::connections::ConnectionSample;
@@ -61,7 +61,7 @@ const CHECKPOINT_AND_TRUNCATE: &str = "PRAGMA wal_checkpoint(TRUNCATE)";
 #[derive(Debug, Default)]
 pub struct CommitResult {
     /// New marks: all batches of a stream up to the mark's number are stored.
-    pub marks: HashMap<StreamId, StoredPosition>,
+    pub marks: HashMap<StreamId, HighWaterMark>,
     /// Totals of each host concerned, and the time of its newest event on the host's clock.
     pub hosts: HashMap<HostId, (StoredCounts, Option<WallTime>)>,
     /// Numbers of runs that were created or read since the last commit.

@@ -5,7 +5,7 @@ use std::collections::{HashMap, HashSet};
 use peernet_clock::WallTime;
 use peernet_logger::HostId;
 use peernet_stream::{
-    BatchHead, Chain, Hello, MissingPreviousBatches, StoredPosition, StreamId, StreamRecord,
+    BatchHead, Chain, Hello, HighWaterMark, MissingPreviousBatches, StreamId, StreamRecord,
 };
 use sqlx::{Arguments, FromRow, SqliteConnection};
 
@@ -19,7 +19,7 @@ use crate::stored::StoredCounts;
 #[derive(Clone, Debug, Default)]
 pub struct Streams {
     /// Mark of each stream with stored batches.
-    pub marks: HashMap<StreamId, StoredPosition>,
+    pub marks: HashMap<StreamId, HighWaterMark>,
     /// All streams with which any host ever introduced itself.
     introduced: HashSet<StreamId>,
     /// The stream with which each host introduced itself last.
@@ -99,7 +99,7 @@ impl Streams {
             let stored = u64::try_from(stored).map_err(|error| sqlx::Error::Decode(error.into()))?;
             let (chain, process) = (Chain::from_bytes(chain), process.map(i64::cast_unsigned));
             let events = events.map(count);
-            streams.marks.insert(stream, StoredPosition { host, stored, chain, process, events });
+            streams.marks.insert(stream, HighWaterMark { host, stored, chain, process, events });
         }
         Ok(streams)
     }
@@ -167,8 +167,8 @@ impl AdvancedStreams {
     }
 
     /// Returns the new mark of a stream, if this transaction advances the stream.
-    pub(super) fn new_mark(&self, stream: StreamId) -> Option<StoredPosition> {
-        self.marks.get(&stream).map(|(_, head)| StoredPosition::from(*head))
+    pub(super) fn new_mark(&self, stream: StreamId) -> Option<HighWaterMark> {
+        self.marks.get(&stream).map(|(_, head)| HighWaterMark::from(*head))
     }
 
     /// Writes the marks and returns them.
@@ -176,7 +176,7 @@ impl AdvancedStreams {
         &mut self,
         connection: &mut SqliteConnection,
         now: WallTime,
-    ) -> Result<HashMap<StreamId, StoredPosition>, sqlx::Error> {
+    ) -> Result<HashMap<StreamId, HighWaterMark>, sqlx::Error> {
         self.upsert
             .run(connection, &self.marks, |(stream, (host, head)), to| {
                 to.add(stream.to_string())?;
@@ -189,7 +189,7 @@ impl AdvancedStreams {
                 to.add(now.unix_nanos())
             })
             .await?;
-        Ok(self.marks.drain().map(|(stream, (_, head))| (stream, StoredPosition::from(head))).collect())
+        Ok(self.marks.drain().map(|(stream, (_, head))| (stream, HighWaterMark::from(head))).collect())
     }
 
     /// Discards the state that is only in memory, because the transaction failed.

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use peernet_clock::{Stamp, WallTime};
-use peernet_stream::{BatchHead, Event, MissingBatches, StoredPosition, StreamId};
+use peernet_stream::{BatchHead, Event, HighWaterMark, MissingBatches, StreamId};
 use sqlx::SqliteConnection;
 
 use super::clock::Links;
@@ -47,7 +47,7 @@ impl Staging {
         &mut self,
         connection: &mut SqliteConnection,
         work: &[Work],
-        marks: &HashMap<StreamId, StoredPosition>,
+        marks: &HashMap<StreamId, HighWaterMark>,
         (storage_clock, stamp): (&StorageClock, Stamp),
         quarantine_reason: Option<&str>,
     ) -> Result<CommitResult, Refusal> {

@@ -3,7 +3,7 @@
 use peernet_clock::{ClockIdentity, WallTime};
 
 use crate::{
-    BatchHead, Chain, Hardware, Hello, HelloExtension, HostDescription, STREAM_VERSIONS, StoredPosition,
+    BatchHead, Chain, Hardware, Hello, HelloExtension, HighWaterMark, HostDescription, STREAM_VERSIONS,
     StreamId,
 };
 use peernet_logger::HostId;
@@ -59,10 +59,10 @@ impl Script<'_> {
         Chain::from_bytes(bytes)
     }
 
-    pub(super) fn stored_position(&mut self, host: HostId) -> StoredPosition {
+    pub(super) fn stored_position(&mut self, host: HostId) -> HighWaterMark {
         let stored = self.number();
         let (chain, process) = (self.chain(stored), (stored & 4 == 0).then_some(stored & 3));
-        StoredPosition { host, stored, chain, process, events: (stored & 8 == 0).then(|| self.number()) }
+        HighWaterMark { host, stored, chain, process, events: (stored & 8 == 0).then(|| self.number()) }
     }
 
     pub(super) fn head(&mut self) -> BatchHead {

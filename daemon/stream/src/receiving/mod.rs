@@ -56,7 +56,7 @@ impl ReceivingConfig {
 /// The mark of a stream: the position up to which its batches are stored. It is written in the transaction that stores
 /// the batch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct StoredPosition {
+pub struct HighWaterMark {
     /// Host that the stream belongs to.
     pub host: HostId,
     /// Number up to which all batches are stored.
@@ -70,7 +70,7 @@ pub struct StoredPosition {
     pub events: Option<u64>,
 }
 
-impl From<BatchHead> for StoredPosition {
+impl From<BatchHead> for HighWaterMark {
     /// Returns the mark of the stream after this batch is stored.
     fn from(head: BatchHead) -> Self {
         Self {
@@ -83,7 +83,7 @@ impl From<BatchHead> for StoredPosition {
     }
 }
 
-impl From<MissingBatches> for StoredPosition {
+impl From<MissingBatches> for HighWaterMark {
     /// Returns the mark of the stream after the gap in place of these batches is stored.
     fn from(missing: MissingBatches) -> Self {
         let MissingBatches { host, through, chain, process, events_through, .. } = missing;
@@ -95,14 +95,14 @@ impl From<MissingBatches> for StoredPosition {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StreamRecord {
     /// Mark of the hello's stream; `None` if no batch of the stream is stored.
-    pub mark: Option<StoredPosition>,
+    pub mark: Option<HighWaterMark>,
     /// `true` if the host used that stream before.
     pub was_used: bool,
     /// Stream that the host used most recently; `None` for a new host.
     pub last_stream: Option<StreamId>,
     /// Mark of the stream that the hello's stream continues; `None` if there is no such stream or none of its batches
     /// is stored.
-    pub previous_mark: Option<StoredPosition>,
+    pub previous_mark: Option<HighWaterMark>,
     /// Position in the order in which hosts were first stored: smaller for older hosts; `None` for a host of which
     /// nothing is stored.
     pub seniority: Option<u64>,
@@ -395,7 +395,7 @@ impl Receiving {
     /// Only batches that the connected agent is known to hold are acknowledged. Batches that an earlier process sent
     /// may differ from the connected agent's batches with the same numbers, and an acknowledgement makes the agent
     /// delete its batches.
-    pub fn handle_stored(&mut self, stream: StreamId, mark: StoredPosition) -> Option<(HostId, ToAgent)> {
+    pub fn handle_stored(&mut self, stream: StreamId, mark: HighWaterMark) -> Option<(HostId, ToAgent)> {
         let window = self.window(mark.host);
         let reply = self.streams.get_mut(&stream)?.record_stored(stream, mark, window);
         let receiver = self.current_sender(stream);

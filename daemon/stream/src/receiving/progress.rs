@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use super::super::MAX_IN_FLIGHT_BATCHES;
-use super::{Arrival, BatchHead, Chain, Hello, MissingBatches, StoredPosition, StreamId, ToAgent};
+use super::{Arrival, BatchHead, Chain, Hello, HighWaterMark, MissingBatches, StreamId, ToAgent};
 use peernet_logger::HostId;
 
 /// Largest accepted batch number: the largest integer of SQLite.
@@ -24,8 +24,8 @@ struct Position {
     events: Option<u64>,
 }
 
-impl From<StoredPosition> for Position {
-    fn from(mark: StoredPosition) -> Self {
+impl From<HighWaterMark> for Position {
+    fn from(mark: HighWaterMark) -> Self {
         Self { number: mark.stored, chain: Some(mark.chain), events: mark.events }
     }
 }
@@ -37,7 +37,7 @@ pub(super) struct Progress {
     /// Process that sent the last hello.
     process: u64,
     /// Mark in the database; if `None`, `stored` is the position before the first batch of the stream.
-    mark: Option<StoredPosition>,
+    mark: Option<HighWaterMark>,
     stored: Position,
     accepted: Position,
     /// Number of the last batch that has the same content here and at the connected agent. This is known because the
@@ -53,7 +53,7 @@ pub(super) struct Progress {
 }
 
 impl Progress {
-    pub(super) fn new(hello: &Hello, mark: Option<StoredPosition>) -> Self {
+    pub(super) fn new(hello: &Hello, mark: Option<HighWaterMark>) -> Self {
         let start = Position {
             number: hello.first.saturating_sub(1),
             // `hello.chain_before_oldest` is the chain before the oldest batch, which is the first one only if none was
@@ -80,7 +80,7 @@ impl Progress {
     pub(super) fn handle_hello(
         &mut self,
         hello: &Hello,
-        mark: Option<StoredPosition>,
+        mark: Option<HighWaterMark>,
         is_same_process: bool,
     ) -> Option<MissingBatches> {
         if let Some(mark) = mark {
@@ -108,7 +108,7 @@ impl Progress {
 
     /// Returns the number of the last stored batch, and the mark that the agent compares with its own batches. If no
     /// batch is stored, the number is the one before the first batch.
-    pub(super) const fn stored(&self) -> (u64, Option<StoredPosition>) {
+    pub(super) const fn stored(&self) -> (u64, Option<HighWaterMark>) {
         (self.stored.number, self.mark)
     }
 
@@ -196,7 +196,7 @@ impl Progress {
     pub(super) fn record_stored(
         &mut self,
         stream: StreamId,
-        mark: StoredPosition,
+        mark: HighWaterMark,
         window: u32,
     ) -> Option<ToAgent> {
         let previous = self.acknowledged_through();
@@ -205,7 +205,7 @@ impl Progress {
     }
 
     /// Applies a mark of the database.
-    fn apply_mark(&mut self, mark: StoredPosition) {
+    fn apply_mark(&mut self, mark: HighWaterMark) {
         if self.mark.is_some() && mark.stored <= self.stored.number {
             return;
         }

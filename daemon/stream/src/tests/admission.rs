@@ -25,12 +25,12 @@ pub(super) fn chain(number: u64) -> Chain {
 }
 
 /// Returns the mark of a stream of which `stored` batches are stored.
-pub(super) fn mark(host: HostId, stored: u64) -> StoredPosition {
-    StoredPosition { host, stored, chain: chain(stored), process: Some(1), events: Some(stored) }
+pub(super) fn mark(host: HostId, stored: u64) -> HighWaterMark {
+    HighWaterMark { host, stored, chain: chain(stored), process: Some(1), events: Some(stored) }
 }
 
 /// Returns the database's state for one stream.
-pub(super) fn record_with(mark: Option<StoredPosition>) -> StreamRecord {
+pub(super) fn record_with(mark: Option<HighWaterMark>) -> StreamRecord {
     StreamRecord { mark, was_used: mark.is_some(), ..StreamRecord::default() }
 }
 

@@ -253,7 +253,7 @@ fn agent_that_ignores_window_is_limited() {
 fn largest_batch_numbers_are_handled() {
     let last = i64::MAX as u64;
     let (mut aggregator, id, stream) = (receiving(), HostId::random(), StreamId::random());
-    let stored = |number| StoredPosition {
+    let stored = |number| HighWaterMark {
         host: id,
         stored: number,
         chain: Chain::START,

@@ -8,9 +8,9 @@ use bytes::Bytes;
 use peernet_clock::{MonoTime, SharedClock};
 use peernet_logger::HostId;
 use peernet_stream::{
-    Arrival, BatchHead, ClockSample, Event, Gap, Hello, HelloResult, Incident, IncidentKind, Iteration,
-    LiveUpdate, MissingBatches, Receiving, ReceivingConfig, RunDescription, RunEnded, StoredPosition,
-    StreamId, StreamRecord, ToAgent, ToAggregator, codec,
+    Arrival, BatchHead, ClockSample, Event, Gap, Hello, HelloResult, HighWaterMark, Incident, IncidentKind,
+    Iteration, LiveUpdate, MissingBatches, Receiving, ReceivingConfig, RunDescription, RunEnded, StreamId,
+    StreamRecord, ToAgent, ToAggregator, codec,
 };
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -27,8 +27,8 @@ pub(crate) struct ReceivedEvents {
     /// All events, each once, in order.
     pub(crate) events: Vec<Event>,
     pub(crate) lives: Vec<LiveUpdate>,
-    /// StoredPosition up to which each stream is stored.
-    marks: HashMap<StreamId, StoredPosition>,
+    /// Mark up to which each stream is stored.
+    marks: HashMap<StreamId, HighWaterMark>,
     /// Streams of the hellos, in this order.
     pub(crate) streams: Vec<StreamId>,
     /// Batches that were reported as missing.
@@ -301,7 +301,7 @@ impl AggregatorState {
         &mut self,
         received_events: &mut ReceivedEvents,
         stream: StreamId,
-        mark: StoredPosition,
+        mark: HighWaterMark,
     ) -> Option<ToAgent> {
         received_events.marks.insert(stream, mark);
         self.receiving.handle_stored(stream, mark).map(|(_, reply)| reply)

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use super::super::super::{Arrival, HelloResult, Receiving, ReceivingConfig, StoredPosition, StreamRecord};
+use super::super::super::{Arrival, HelloResult, HighWaterMark, Receiving, ReceivingConfig, StreamRecord};
 use super::*;
 
 /// Length of a live update of one pipeline without compression.
@@ -170,7 +170,7 @@ impl Link {
             self.stored += u64::from(head.events);
             let (_, reply) = self
                 .receiving
-                .handle_stored(head.stream, StoredPosition::from(head))
+                .handle_stored(head.stream, HighWaterMark::from(head))
                 .expect("the agent is connected");
             self.reply(reply);
         }

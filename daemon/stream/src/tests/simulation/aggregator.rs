@@ -34,7 +34,7 @@ pub(in super::super) enum Entry {
 
 #[derive(Clone, Debug, Default)]
 pub(in super::super) struct Database {
-    pub(in super::super) marks: BTreeMap<StreamId, StoredPosition>,
+    pub(in super::super) marks: BTreeMap<StreamId, HighWaterMark>,
     pub(in super::super) entries: BTreeMap<StreamId, Vec<Entry>>,
     pub(in super::super) replaced: Vec<StreamId>,
     seen: BTreeSet<StreamId>,
@@ -249,18 +249,18 @@ impl Database {
                 let (event_numbers, missing_reported) =
                     (event_numbers(head.events, &body), missing_reported(head.events, &body));
                 let entry = Entry::Batch { number: head.number, event_numbers, missing_reported };
-                (head.stream, StoredPosition::from(head), entry)
+                (head.stream, HighWaterMark::from(head), entry)
             }
             Work::Damaged(head) => {
                 let entry = Entry::Damaged { number: head.number, chain: head.chain };
-                (head.stream, StoredPosition::from(head), entry)
+                (head.stream, HighWaterMark::from(head), entry)
             }
             Work::MissingBatches(missing) => {
                 let MissingBatches { stream, from, through, events, .. } = missing;
                 if let Some(previous) = self.marks.get(&stream) {
                     assert_eq!(from, previous.stored + 1, "a gap follows the last stored batch");
                 }
-                (stream, StoredPosition::from(missing), Entry::Gap { from, through, events })
+                (stream, HighWaterMark::from(missing), Entry::Gap { from, through, events })
             }
         };
         self.marks.insert(stream, mark);
