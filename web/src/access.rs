@@ -18,15 +18,16 @@ use crate::state::App;
 /// Returns the host of `HOST[:PORT]`, where `HOST` is a name, an IPv4 address or an IPv6 address in brackets. Returns `None` for any
 /// other form.
 fn parse_host(authority: &str) -> Option<&str> {
-    let end =
-        authority.find(']').map_or_else(|| authority.find(':').unwrap_or(authority.len()), |end| end + 1);
-    let (host, port) = authority.split_at(end);
-    let valid = match host.strip_prefix('[') {
+    let host_end = authority
+        .find(']')
+        .map_or_else(|| authority.find(':').unwrap_or(authority.len()), |bracket| bracket + 1);
+    let (host, port) = authority.split_at(host_end);
+    let is_host_valid = match host.strip_prefix('[') {
         Some(rest) => rest.strip_suffix(']')?.parse::<Ipv6Addr>().is_ok(),
         None => has_name_form(host),
     };
-    let port = port.is_empty() || port.strip_prefix(':').is_some_and(is_port);
-    (valid && port).then_some(host)
+    let is_port_valid = port.is_empty() || port.strip_prefix(':').is_some_and(is_port);
+    (is_host_valid && is_port_valid).then_some(host)
 }
 
 /// Returns whether a text is a number from 0 to 65535 without a sign.
@@ -50,7 +51,8 @@ fn requested_host(request: &Request) -> Result<&str, WebError> {
     let parsed_host = host.to_str().ok().and_then(|text| Some((text, parse_host(text)?)));
     let (authority, host) = parsed_host
         .ok_or_else(|| bad_request("the Host header is not a name or address with an optional port"))?;
-    // A request to a proxy names the server in its target, too (RFC 9112, 3.2.2). If both names are equal, a check of one name is enough.
+    // A request to a proxy names the server in its target, too (RFC 9112, 3.2.2). Only the name in the Host header is
+    // checked later, so the two names must be equal.
     match request.uri().authority() {
         Some(target) if !target.as_str().eq_ignore_ascii_case(authority) => {
             Err(bad_request("the Host header and the request's target name different servers"))
@@ -77,8 +79,8 @@ pub(crate) async fn reject_unknown_host_names(
 /// Such a page could otherwise send the request through the browser of a user who opens it (cross-site request forgery). Browsers report
 /// the origin of a request in `Sec-Fetch-Site` (Fetch Metadata) and `Origin`, which no page can change. Programs send neither header.
 pub(crate) async fn reject_cross_site_changes(request: Request, next: Next) -> Response {
-    let reads = matches!(*request.method(), Method::GET | Method::HEAD | Method::OPTIONS);
-    if reads || is_own_page_or_program(request.headers()) {
+    let only_reads = matches!(*request.method(), Method::GET | Method::HEAD | Method::OPTIONS);
+    if only_reads || is_own_page_or_program(request.headers()) {
         return next.run(request).await;
     }
     let origin = request.headers().get(ORIGIN).and_then(|origin| origin.to_str().ok());
@@ -92,8 +94,8 @@ fn is_own_page_or_program(headers: &HeaderMap) -> bool {
     if site.is_some_and(|site| !matches!(site, "same-origin" | "none")) {
         return false;
     }
-    // Browsers send `Sec-Fetch-Site` only over HTTPS and to this machine, so the origin is checked in
-    // addition.
+    // Browsers send `Sec-Fetch-Site` only over HTTPS and to their own machine. For all other requests, the origin is
+    // checked. A program sends no origin, and a browser sends one with every request that changes data.
     let Some(origin) = text(ORIGIN) else { return true };
     let authority = origin.split_once("://").map(|(_, authority)| authority);
     authority.is_some_and(|authority| text(HOST).is_some_and(|host| authority.eq_ignore_ascii_case(host)))

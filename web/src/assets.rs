@@ -21,11 +21,12 @@ struct Asset {
     name: &'static str,
     content_type: &'static str,
     plain: Bytes,
-    /// Compressed contents; `None` for an asset in a compressed format.
+    /// Compressed contents; `None` for an asset whose format is compressed already.
     gzipped: Option<Bytes>,
 }
 
 struct Assets {
+    /// Hash of the names and contents of all assets.
     version: String,
     all: Vec<Asset>,
 }
@@ -75,6 +76,7 @@ static ASSETS: LazyLock<Assets> = LazyLock::new(|| {
     Assets { version: format!("{:016x}", hasher.finish()), all: all.collect() }
 });
 
+/// Compresses an asset. Returns `None` if the compression fails; the asset is then served uncompressed.
 fn gzip(bytes: &[u8]) -> Option<Bytes> {
     // The best compression is slow, but an asset is compressed only once.
     let mut encoder = GzEncoder::new(Vec::with_capacity(bytes.len() / 2), Compression::best());
@@ -100,14 +102,15 @@ pub(crate) async fn serve(
     let asset = ASSETS.all.iter().find(|asset| asset.name == name);
     let asset = asset.ok_or_else(|| WebError::NotFound(format!("no static file is named {name}")))?;
     if version != ASSETS.version {
-        // A page from before an update requests the old address: its assets are still here, under a new address.
+        // A page that was loaded before an update of this program requests the old address of the asset.
         return Ok(Redirect::temporary(&format!("{}/{name}", base_path())).into_response());
     }
     let accepts = |value: &HeaderValue| value.to_str().is_ok_and(|text| text.contains("gzip"));
     let gzipped = asset.gzipped.as_ref().filter(|_| headers.get_all(ACCEPT_ENCODING).iter().any(accepts));
     let headers_of_asset = [
         (CONTENT_TYPE, asset.content_type),
-        // The address contains a hash of the contents, so the contents of an address never change.
+        // The address contains a hash of the contents. Changed contents therefore have another address, and a browser
+        // never has to ask again.
         (CACHE_CONTROL, "public, max-age=31536000, immutable"),
         (VARY, "accept-encoding"),
     ];

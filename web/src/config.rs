@@ -15,9 +15,10 @@ use crate::zone::Zone;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct WebConfig {
-    /// Address and port, such as `127.0.0.1:8040` or `[::]:8040`. Port 0 takes a free one.
+    /// Address and port, such as `127.0.0.1:8040` or `[::]:8040`. With port 0, the operating system chooses a
+    /// free port.
     pub listen: String,
-    /// Required for addresses other than loopback, because everyone who reaches the address can see all data.
+    /// Permits addresses other than loopback. There is no login, so everyone who reaches the address can see all data.
     pub allow_unauthenticated: bool,
     /// Names under which browsers reach the dashboard, in addition to IP addresses, `localhost` and the machine's own host name.
     pub server_names: Vec<String>,
@@ -81,31 +82,31 @@ impl WebConfig {
 mod tests {
     use super::*;
 
-    fn listening(listen: &str, allow_unauthenticated: bool) -> Vec<ConfigProblem> {
+    fn problems_of_address(listen: &str, allow_unauthenticated: bool) -> Vec<ConfigProblem> {
         WebConfig { listen: listen.to_owned(), allow_unauthenticated, ..WebConfig::default() }.check()
     }
 
     #[test]
     fn default_listens_on_loopback_only() {
         assert_eq!(WebConfig::default().check(), []);
-        assert_eq!(listening("[::1]:0", false), []);
+        assert_eq!(problems_of_address("[::1]:0", false), []);
     }
 
     #[test]
     fn other_addresses_need_allow_unauthenticated() {
         for address in ["0.0.0.0:8040", "[::]:8040", "192.0.2.7:8040"] {
-            let problems = listening(address, false);
+            let problems = problems_of_address(address, false);
             assert_eq!(problems.len(), 1, "{address}");
             assert!(problems[0].message.contains("allow_unauthenticated = true"), "{}", problems[0]);
             assert!(problems[0].message.contains("everyone"), "{}", problems[0]);
-            assert_eq!(listening(address, true), []);
+            assert_eq!(problems_of_address(address, true), []);
         }
     }
 
     #[test]
     fn address_without_port_is_refused() {
-        assert_eq!(listening("127.0.0.1", false)[0].key, "listen");
-        assert_eq!(listening("example", true)[0].key, "listen");
+        assert_eq!(problems_of_address("127.0.0.1", false)[0].key, "listen");
+        assert_eq!(problems_of_address("example", true)[0].key, "listen");
     }
 
     #[test]

@@ -40,7 +40,8 @@ const MAX_BUFFER_BYTES: usize = 64 << 10;
 const MAX_HEADER_BYTES: usize = 64 << 10;
 /// Delay before the next `accept` if the last `accept` failed because file descriptors or memory were exhausted.
 const ACCEPT_RETRY_DELAY: Duration = Duration::from_secs(1);
-/// Maximum number of live streams of one client address. Each makes the server compute an update four times a second.
+/// Maximum number of live streams of one client address. For each stream, the server computes an update four times a
+/// second.
 const MAX_STREAMS_PER_ADDRESS: usize = 32;
 
 /// Limits of the server's connections.
@@ -96,7 +97,7 @@ pub(crate) async fn accept(
         let serve = serve(tcp_stream, router.clone(), stream_slots, stop.clone(), limits);
         tasks.spawn(async move {
             evict.run_until_cancelled(serve).await;
-            // It is dropped last, so that there are never more open connections than slots.
+            // The slot is dropped after the connection, so that there are never more open connections than slots.
             drop(slot);
         });
     }
@@ -208,7 +209,7 @@ async fn serve(
     let has_received_request = AtomicBool::new(false);
     let service = service_fn(|mut request: Request<Incoming>| {
         request.extensions_mut().insert(stream_slots.clone());
-        // Also read by this task only.
+        // `Relaxed` suffices, because this task alone writes and reads the flag.
         has_received_request.store(true, Ordering::Relaxed);
         router.clone().oneshot(request)
     });
@@ -221,16 +222,17 @@ async fn serve(
         .serve_connection(TokioIo::new(tcp_stream), service);
     let mut connection = pin!(connection);
     let result = tokio::select! {
-            result = connection.as_mut() => result,
-            () = stop.cancelled() => {
-    // `graceful_shutdown` closes an idle connection. But if a part of a header has arrived, it would wait for the rest of that header.
-                if !has_received_request.load(Ordering::Relaxed) {
-                    return;
-                }
-                connection.as_mut().graceful_shutdown();
-                connection.await
+        result = connection.as_mut() => result,
+        () = stop.cancelled() => {
+            // `graceful_shutdown` closes an idle connection. But if a part of a header has arrived,
+            // `graceful_shutdown` would wait for the rest of that header.
+            if !has_received_request.load(Ordering::Relaxed) {
+                return;
             }
-        };
+            connection.as_mut().graceful_shutdown();
+            connection.await
+        }
+    };
     if let Err(error) = result {
         tracing::debug!(%error, "a connection to the web server ended with an error");
     }

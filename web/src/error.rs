@@ -23,7 +23,7 @@ pub(crate) enum WebError {
     /// The requested item does not exist; the text names it.
     #[error("{0}")]
     NotFound(String),
-    /// The Host header names another host.
+    /// The Host header names a host that is not this server.
     #[error(
         "this server is not configured for the host name {0:?}: open it by its IP address, or add the name to server_names in the table [web]"
     )]
@@ -132,7 +132,7 @@ impl WebError {
             }
             return ProblemDetails::new(status, text, None);
         }
-        let text = Chain(self).to_string();
+        let text = ErrorChain(self).to_string();
         // The same failure always has the same id. The id is therefore in the log even if this occurrence is not logged.
         let id = text_id(&text);
         if let Some(times) = app.count_failure(&text) {
@@ -143,7 +143,7 @@ impl WebError {
             }
         }
         let detail = match self {
-            // The text names no internals: /readyz shows it, too.
+            // The text of this error names no internals, so clients may see it. /readyz shows the same text.
             Self::Store(error @ StoreError::Damaged { .. }) => &error.to_string(),
             Self::Store(_) => &format!(
                 "the stored data could not be read; the aggregator's log has the cause under the id {id}"
@@ -163,9 +163,9 @@ fn text_id(text: &str) -> String {
 }
 
 /// An error with its causes, for the log.
-struct Chain<'a>(&'a dyn std::error::Error);
+struct ErrorChain<'a>(&'a dyn std::error::Error);
 
-impl fmt::Display for Chain<'_> {
+impl fmt::Display for ErrorChain<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}", self.0)?;
         let mut cause = self.0.source();

@@ -13,7 +13,8 @@ use tokio_util::sync::CancellationToken;
 /// A fixed number of slots, and the addresses that hold them.
 #[derive(Clone, Debug)]
 pub(crate) struct FairSlots {
-    count: usize,
+    /// Number of all slots, in use or free.
+    capacity: usize,
     max_per_address: usize,
     /// Slots that are not in use. An evicted slot is removed from `held` at once, but is free only when it is dropped.
     free: Arc<Semaphore>,
@@ -22,7 +23,9 @@ pub(crate) struct FairSlots {
 
 #[derive(Debug, Default)]
 struct HeldSlots {
+    /// Id of the next slot. Ids rise, so the smallest id of an address is its oldest slot.
     next_id: u64,
+    /// Number of slots in `by_address`.
     count: usize,
     /// For each address its slots, oldest first. The token of a slot ends the use of this slot.
     by_address: HashMap<AddressGroup, BTreeMap<u64, CancellationToken>>,
@@ -56,15 +59,17 @@ impl FairSlots {
     /// Creates `count` slots, at least one. An address may have at most `max_per_address`.
     pub(crate) fn new(count: usize, max_per_address: usize) -> Self {
         let count = count.max(1);
-        Self { count, max_per_address, free: Arc::new(Semaphore::new(count)), held: Arc::default() }
+        Self { capacity: count, max_per_address, free: Arc::new(Semaphore::new(count)), held: Arc::default() }
     }
 
     /// Acquires a slot for `address`. `evict` is cancelled when the slot is needed for another address.
     ///
-    /// If all slots are taken, this evicts the oldest slot of the address with the most slots, and waits until it is dropped.
+    /// If all slots are taken, this evicts the oldest slot of the address with the most slots, and waits until the
+    /// evicted slot is dropped.
     ///
     /// # Errors
-    /// When the address has the maximum number of slots, or all slots are taken and no address has at least two more than `address`.
+    /// Returns an error when `address` has the maximum number of slots for one address, or when all slots are taken and
+    /// no other address has at least two slots more than `address`.
     pub(crate) async fn acquire(
         &self,
         address: AddressGroup,
@@ -81,10 +86,10 @@ impl FairSlots {
         if held_by_address >= self.max_per_address {
             return Err(SlotRefusal::AddressLimitReached(held_by_address));
         }
-        if held.count == self.count {
-            // With a difference of one, two addresses would evict each other alternately.
+        if held.count == self.capacity {
+            // If a difference of one slot sufficed, two addresses would evict each other in turn.
             let largest_holder = held.largest_holder().filter(|(_, slots)| *slots >= held_by_address + 2);
-            let (largest_holder, _) = largest_holder.ok_or(SlotRefusal::AllSlotsTaken(self.count))?;
+            let (largest_holder, _) = largest_holder.ok_or(SlotRefusal::AllSlotsTaken(self.capacity))?;
             held.evict_oldest(largest_holder);
         }
         let id = held.next_id;
@@ -141,23 +146,24 @@ mod tests {
     }
 
     /// Returns the result of `acquire` if it is ready at once, and the token that ends the use of the slot.
-    fn take(slots: &FairSlots, address: &str) -> (Option<Result<Slot, SlotRefusal>>, CancellationToken) {
+    fn try_take(slots: &FairSlots, address: &str) -> (Option<Result<Slot, SlotRefusal>>, CancellationToken) {
         let evict = CancellationToken::new();
         (slots.acquire(group(address), evict.clone()).now_or_never(), evict)
     }
 
-    fn taken(slots: &FairSlots, address: &str) -> (Slot, CancellationToken) {
-        let (slot, evict) = take(slots, address);
+    /// Returns a slot that is free at once, and the token that ends its use.
+    fn take(slots: &FairSlots, address: &str) -> (Slot, CancellationToken) {
+        let (slot, evict) = try_take(slots, address);
         (slot.expect("at once").expect("free"), evict)
     }
 
     #[tokio::test]
     async fn full_slots_evict_oldest_of_largest_holder() {
         let slots = FairSlots::new(4, 4);
-        let (oldest, evict_oldest_token) = taken(&slots, "192.0.2.1");
-        let (_second, evict_second) = taken(&slots, "192.0.2.1");
-        let (_third, evict_third) = taken(&slots, "192.0.2.1");
-        let (_other, evict_other) = taken(&slots, "192.0.2.2");
+        let (oldest, evict_oldest_token) = take(&slots, "192.0.2.1");
+        let (_second, evict_second) = take(&slots, "192.0.2.1");
+        let (_third, evict_third) = take(&slots, "192.0.2.1");
+        let (_other, evict_other) = take(&slots, "192.0.2.2");
 
         let next = tokio::spawn({
             let slots = slots.clone();
@@ -173,9 +179,9 @@ mod tests {
     #[test]
     fn address_with_equal_share_evicts_nobody() {
         let slots = FairSlots::new(4, 4);
-        let held = ["192.0.2.1", "192.0.2.1", "192.0.2.2", "192.0.2.3"].map(|at| taken(&slots, at));
+        let held = ["192.0.2.1", "192.0.2.1", "192.0.2.2", "192.0.2.3"].map(|at| take(&slots, at));
         for address in ["192.0.2.1", "192.0.2.2"] {
-            let (slot, _) = take(&slots, address);
+            let (slot, _) = try_take(&slots, address);
             assert_eq!(slot.expect("at once").expect_err("refused"), SlotRefusal::AllSlotsTaken(4));
         }
         assert!(!held.iter().any(|(_, evict)| evict.is_cancelled()));
@@ -184,12 +190,12 @@ mod tests {
     #[test]
     fn released_slots_leave_no_entries() {
         let slots = FairSlots::new(2, 2);
-        let held = [taken(&slots, "[2001:db8::1]"), taken(&slots, "[2001:db8::ffff:2]")];
+        let held = [take(&slots, "[2001:db8::1]"), take(&slots, "[2001:db8::ffff:2]")];
         // Both addresses are in one /64 network, which counts as one address.
-        let (refused, _) = take(&slots, "[2001:db8::3]");
+        let (refused, _) = try_take(&slots, "[2001:db8::3]");
         assert_eq!(refused.expect("at once").expect_err("refused"), SlotRefusal::AddressLimitReached(2));
         // This call waits for the evicted slot, and is dropped while it waits.
-        assert!(take(&slots, "192.0.2.1").0.is_none());
+        assert!(try_take(&slots, "192.0.2.1").0.is_none());
         drop(held);
         assert!(lock(&slots.held).by_address.is_empty());
         assert_eq!((lock(&slots.held).count, slots.free.available_permits()), (0, 2));

@@ -1,7 +1,8 @@
 //! The dashboard and the REST API: thin handlers that query the aggregator and render its answers.
 //!
-//! `pages/` holds one file per page with its template next to it, and `api/` one file or folder per resource of `/api/v1`. Their `mod.rs`
-//! registers them. `view/` holds the parts that several pages share. `picture.rs` turns the layouts of the crate `figures` into HTML.
+//! `pages/` holds one file per page with its template next to it, and `api/` one file or folder per resource of
+//! `/api/v1`. The `mod.rs` of each folder registers the files. `view/` holds the parts that several pages share.
+//! `picture.rs` turns the layouts of the crate `figures` into HTML.
 //!
 //! Pages are complete without scripts: templates render tables and pictures on the server, and server-sent events replace parts of
 //! them. Only charts that zoom or move are drawn in the browser.

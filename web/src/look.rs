@@ -14,7 +14,8 @@ pub(crate) static STACK: LazyLock<Vec<&'static str>> =
 /// Name of both directions of the network together, for delays that the clocks cannot split.
 pub(crate) const NETWORK: &str = peernet_analysis::slowness::BOTH_DIRECTIONS;
 
-/// Returns the parts of a total in their order: [`STACK`] with both directions together before `upload`.
+/// Returns the names of all parts that a total can have, in their order: those of [`STACK`], with [`NETWORK`] directly
+/// before `upload`.
 pub(crate) fn parts() -> impl Iterator<Item = &'static str> {
     let both_directions = |name: &str| (name == stage::UPLOAD.as_str()).then_some(NETWORK);
     STACK.iter().flat_map(move |name| both_directions(name).into_iter().chain([*name]))
@@ -25,10 +26,11 @@ pub(crate) fn part_names() -> String {
     parts().collect::<Vec<_>>().join(",")
 }
 
-/// Names of the values of a model's accuracy, and their titles. A value is the mean of scores that are 0 or 1.
+/// The accuracies of a model: name in the statistics, and title on pages. An accuracy is the mean of scores that are 0
+/// or 1.
 pub(crate) const ACCURACIES: [(&str, &str); 2] = [("top-1", "Top-1"), ("top-5", "Top-5")];
 
-/// Returns the entries of the key: stages of one colour, such as the two queues, share an entry.
+/// Returns the entries of the colour key. Stages of the same colour, such as the two queues, share an entry.
 pub(crate) fn key() -> impl Iterator<Item = &'static str> {
     STACK.iter().copied().filter(|name| class(name) == *name)
 }
@@ -42,7 +44,8 @@ pub(crate) fn entry(name: &str) -> &str {
     }
 }
 
-/// Returns the colour class of a node: `f-CLASS` is the fill, `o-CLASS` the text on it.
+/// Returns the CLASS in the names of a node's CSS classes: `f-CLASS` colours an area, and `o-CLASS` colours text on
+/// that area.
 pub(crate) fn class(name: &str) -> &'static str {
     peernet_figures::look::stage(name).class
 }
@@ -60,12 +63,12 @@ mod tests {
     fn key_names_every_stage() {
         for name in STACK.iter().copied() {
             let entry = key().find(|known| *known == class(name)).expect("an entry");
-            assert!(entry_names(entry, name), "{name} is not in {:?}", super::entry(entry));
+            assert!(entry_covers(entry, name), "{name} is not in {:?}", super::entry(entry));
         }
     }
 
     /// Returns whether the label of an entry covers a stage; `queue` covers `send-queue`, too.
-    fn entry_names(key_entry: &str, name: &str) -> bool {
+    fn entry_covers(key_entry: &str, name: &str) -> bool {
         entry(key_entry).split(", ").any(|known| name == known || name.ends_with(&format!("-{known}")))
     }
 
@@ -86,7 +89,7 @@ mod tests {
             "actuation",
             "unattributed",
         ];
-        // `send-queue` has the colour of `queue`. It comes before `upload` in a stack, `queue` after it.
+        // `send-queue` has the colour and the entry of `queue`, although other stages lie between the two in a stack.
         assert!(key().eq(keys));
         assert_eq!(class("\"><script>"), "other");
     }

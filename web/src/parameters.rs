@@ -29,7 +29,7 @@ impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for Parameters<T> 
             Err(rejection) => {
                 let text = rejection.body_text();
                 let text = text.strip_prefix("Failed to deserialize query string: ").unwrap_or(&text);
-                // The standard library's message for a letter in a number.
+                // The standard library's message for a letter in a number would not say what to do.
                 let text = text.replace("invalid digit found in string", "give a whole number");
                 Err(WebError::BadRequest(format!("query parameter {text}")))
             }

@@ -77,6 +77,10 @@ mod tests {
     fn unit_stands_at_the_first_label() {
         let axis = Picture::milliseconds_axis(&Scale::up_to(30.0, 6), "").to_string();
         assert!(axis.contains(">0\u{202f}ms<") && axis.contains("x=\"100%\""), "{axis}");
-        assert_eq!(axis.matches("text-anchor=\"middle\"").count(), 5, "those at the ends are inside: {axis}");
+        assert_eq!(
+            axis.matches("text-anchor=\"middle\"").count(),
+            5,
+            "labels at both ends of the axis lie inside it: {axis}"
+        );
     }
 }

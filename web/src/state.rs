@@ -12,7 +12,7 @@ use crate::config::{WarnConfig, WebConfig};
 use crate::server_names::ServerNames;
 use crate::zone::Zone;
 
-/// Shared by all handlers.
+/// The state that all handlers share.
 pub(crate) type App = Arc<AppState>;
 
 /// The aggregator, and the settings of the pages that show its data.
@@ -28,7 +28,9 @@ pub(crate) struct AppState {
     pub started_at: WallTime,
     /// Cancelled when the server is to stop; live streams end then.
     pub stop: CancellationToken,
+    /// The newest incidents, and the time at which they were read; `None` before the first query.
     incident_cache: Mutex<Option<(MonoTime, Arc<Vec<IncidentRow>>)>>,
+    /// Counts equal failures, so that each is logged at most once a minute.
     failure_log: std::sync::Mutex<LogThrottle>,
 }
 
@@ -76,10 +78,10 @@ impl AppState {
         failure_log.count_event(failure, None, self.clock.mono())
     }
 
-    /// Returns the newest incidents, as many as a live page shows.
-    pub(crate) async fn newest_incidents(&self) -> Result<Vec<IncidentRow>, StoreError> {
-        let recent = self.recent_incidents().await?;
-        Ok(recent.iter().take(Self::SHOWN_INCIDENTS).cloned().collect())
+    /// Returns the [`Self::SHOWN_INCIDENTS`] newest incidents, for the list of a live page.
+    pub(crate) async fn shown_incidents(&self) -> Result<Vec<IncidentRow>, StoreError> {
+        let cached = self.cached_incidents().await?;
+        Ok(cached.iter().take(Self::SHOWN_INCIDENTS).cloned().collect())
     }
 
     /// Replaces the error of a closed database by an empty answer, for live pages. Their live figures need no database, and a banner
@@ -93,8 +95,8 @@ impl AppState {
         }
     }
 
-    /// Returns the newest incidents, at most [`Self::INCIDENT_CACHE_AGE`] old.
-    pub(crate) async fn recent_incidents(&self) -> Result<Arc<Vec<IncidentRow>>, StoreError> {
+    /// Returns the [`Self::CACHED_INCIDENTS`] newest incidents, as they were at most [`Self::INCIDENT_CACHE_AGE`] ago.
+    pub(crate) async fn cached_incidents(&self) -> Result<Arc<Vec<IncidentRow>>, StoreError> {
         // Every live page needs the incidents four times a second, so one query serves all pages. The lock is held during the query:
         // pages that need the incidents meanwhile wait for its result instead of sending a query of their own.
         let mut cached = self.incident_cache.lock().await;

@@ -13,15 +13,17 @@ use peernet_store::{IterationDetail, QuantityStatistics};
 pub(crate) struct PlacedNode {
     pub name: Name,
     pub depth: u8,
-    pub at: NodeLocation,
+    pub location: NodeLocation,
     /// Start; `None` if it is unknown on the edge's clock.
     pub start: Option<f64>,
     /// Duration; `None` if the node was never closed, or if its delay is unknown.
     pub length: Option<f64>,
     pub delay: Option<Delay>,
-    /// Whether the node is part of the statistics of its name. A stage inside another model is not.
+    /// `true` if the statistics of the node's name include the node. They do not include a stage of a model inside
+    /// another model.
     pub is_counted: bool,
-    /// Median of the name over the run; `None` if the node is not the only one that counts for the name in this iteration.
+    /// Median over the run of the values of this name; `None` if it is unknown, or if the node is not the only node of
+    /// this iteration whose value the statistics of the name include.
     pub median: Option<f64>,
 }
 
@@ -39,7 +41,9 @@ pub(crate) enum NodeLocation {
 pub(crate) struct Delay {
     /// Receiver's stamp minus sender's stamp, by their wall clocks.
     pub raw: f64,
+    /// The computed delay; `None` if it is unknown.
     pub value: Option<f64>,
+    /// Ends of the interval that contains the true delay; `None` if they are unknown.
     pub bounds: Option<(f64, f64)>,
     pub source: DelaySource,
     pub verdict: Verdict,
@@ -82,9 +86,10 @@ impl<'a> NodeStatistics<'a> {
         Self { counted_nodes: detail.tree.counted_nodes(), of_run: &detail.run_figures }
     }
 
-    /// Returns the median that a node's value is comparable with; `None` if statistics of the name omit the node or add others to it.
+    /// Returns the median that a node's value is comparable with; `None` if the statistics of the name omit the node,
+    /// or if they add the values of other nodes of the iteration to its value.
     pub(crate) fn median(&self, id: NodeId, name: &Name) -> Option<f64> {
-        let (_, statistics) = self.of_run.iter().find(|(of_run, _)| of_run == name)?;
+        let (_, statistics) = self.of_run.iter().find(|(other_name, _)| other_name == name)?;
         self.counted_nodes.is_counted_alone(id).then_some(statistics.p50)
     }
 }
@@ -105,16 +110,19 @@ fn visit(tree: &Tree, index: usize, both_ways: Option<f64>) -> Option<Visit> {
     let sent_at = upload.start.seconds();
     let download = transits(tree)
         .find(|(node, transit)| usize::from(node.host.0) == index && transit.received.is_some());
-    // The free-running clock of the edge is preferred, because nothing steps it. A tree without its stamps uses the wall clock.
+    // The free-running clock of the edge is preferred, because nothing steps it. If the tree has no stamps of that
+    // clock, the wall clock is used.
     let answer = download.and_then(|(node, transit)| {
         let stamps = request.raw_stamps.zip(transit.raw_stamps);
-        let by_raw_clock = stamps.map(|(there, back)| sent_at + (back.received - there.sent).seconds());
+        let by_raw_clock =
+            stamps.map(|(request, answer)| sent_at + (answer.received - request.sent).seconds());
         let by_wall_clock = transit.received? - edge.wall;
         Some((node.start, by_raw_clock.unwrap_or_else(|| by_wall_clock.seconds())))
     });
     let delay_value = |transit: &Transit| Some(transit.delay.as_ref()?.value?.seconds());
     let both_delays = download.and_then(|(_, back)| Some(delay_value(request)? + delay_value(back)?));
-    // The measured sum and the delays are valid even if a clock was stepped during the iteration. The difference of the wall clock's stamps is not.
+    // The measured sum and the delays are valid even if a clock was stepped during the iteration. The difference of the
+    // wall clock's stamps is not, so it is used only if the others are unknown.
     let network =
         answer.and(both_ways.or(both_delays).or_else(|| tree.stages().transport().map(Span::seconds)));
 
@@ -124,7 +132,7 @@ fn visit(tree: &Tree, index: usize, both_ways: Option<f64>) -> Option<Visit> {
             (sent_at + value.seconds(), ((bounds.lo - value).seconds(), (bounds.hi - value).seconds()))
         }
         (Some(value), None) => (sent_at + value.seconds(), (0.0, 0.0)),
-        // The arrival may be anywhere between "the upload took no time" and "the download took no time".
+        // The upload took at least no time, and at most the time of both directions. The middle of this range is shown.
         (None, _) => {
             let half = network?.max(0.0) / 2.0;
             (sent_at + half, (-half, half))
@@ -174,15 +182,17 @@ impl Timeline {
             if let Some(placed) = self.position_node((id, node), depth, statistics) {
                 self.nodes.push(placed);
             }
-            // An agent with bad intent may send a deep tree. The API returns the nodes that are too deep for the page.
+            // The depth is limited, because an agent with bad intent may send a deep tree. The API also returns the
+            // deeper nodes.
             if depth < 6 {
                 self.add_children(tree, id, depth + 1, statistics);
             }
         }
     }
 
-    /// Returns the position on the edge's time line to which the starts of a host's nodes are relative. `None` if it is unknown.
-    fn zero(&self, host: HostIndex) -> Option<f64> {
+    /// Returns the position on the edge's time line to which the starts of a host's nodes are relative; `None` if the
+    /// position is unknown.
+    fn origin(&self, host: HostIndex) -> Option<f64> {
         match usize::from(host.0).checked_sub(1) {
             None => Some(0.0),
             Some(index) => self.visits.get(index).copied().flatten().map(|visit| visit.arrival),
@@ -195,12 +205,12 @@ impl Timeline {
         depth: u8,
         statistics: &NodeStatistics<'_>,
     ) -> Option<PlacedNode> {
-        let zero = self.zero(node.host);
-        let start = zero.map(|zero| zero + node.start.seconds());
+        let origin = self.origin(node.host);
+        let start = origin.map(|origin| origin + node.start.seconds());
         let placed = PlacedNode {
             name: node.name.clone(),
             depth,
-            at: NodeLocation::Host(node.host.0),
+            location: NodeLocation::Host(node.host.0),
             start,
             length: None,
             delay: None,
@@ -221,14 +231,14 @@ impl Timeline {
                     verdict: delay.verdict,
                 });
                 let length = delay.and_then(|delay| delay.value);
-                Some(PlacedNode { at: NodeLocation::Network, length, delay, ..placed })
+                Some(PlacedNode { location: NodeLocation::Network, length, delay, ..placed })
             }
             _ => None,
         }
     }
 
     /// Returns the format of tables of the nodes' durations.
-    pub(crate) fn column(&self) -> DurationFormat {
+    pub(crate) fn duration_format(&self) -> DurationFormat {
         DurationFormat::for_total(Some(self.end), None)
     }
 

@@ -70,7 +70,7 @@ fn with_one_clock_everything_has_its_place() {
     assert!(close(visit.network.expect("it came back"), 0.021));
     let inference = timeline.nodes.iter().find(|node| node.name == "inference").expect("was recorded");
     assert!(close(inference.start.expect("placed"), 0.022));
-    assert_eq!(inference.at, NodeLocation::Host(1));
+    assert_eq!(inference.location, NodeLocation::Host(1));
 }
 
 #[test]

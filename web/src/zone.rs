@@ -57,7 +57,7 @@ impl Zone {
         ZonedTime(self.at(time))
     }
 
-    /// Formats a time range, with the date only once if both times have the same: `19 Nov 2026, 13:41:07 – 13:51:07`.
+    /// Formats a time range. A range within one day has the date once: `19 Nov 2026, 13:41:07 – 13:51:07`.
     pub(crate) fn range(self, from: WallTime, to: WallTime) -> String {
         let (from, to) = (self.moment(from), self.moment(to));
         if from.date() == to.date() {
@@ -106,22 +106,22 @@ impl From<Zone> for String {
 pub(crate) struct ZonedTime(DateTime<FixedOffset>);
 
 impl ZonedTime {
-    /// Returns `14:11:02`.
+    /// Returns the time of day with seconds: `14:11:02`.
     pub(crate) fn clock(&self) -> String {
         self.0.format("%H:%M:%S").to_string()
     }
 
-    /// Returns `14:11`.
+    /// Returns the time of day without seconds: `14:11`.
     pub(crate) fn minute(&self) -> String {
         self.0.format("%H:%M").to_string()
     }
 
-    /// Returns `13:46:56.400`.
+    /// Returns the time of day with milliseconds: `13:46:56.400`.
     pub(crate) fn milliseconds(&self) -> String {
         self.0.format("%H:%M:%S%.3f").to_string()
     }
 
-    /// Returns `19 Nov 2026`.
+    /// Returns the date: `19 Nov 2026`.
     pub(crate) fn date(&self) -> String {
         self.0.format("%-d %b %Y").to_string()
     }

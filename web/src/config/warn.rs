@@ -14,8 +14,8 @@ pub struct WarnConfig {
     pub p99_over_median: f64,
     /// Busy share of a host's cores in percent, exceeded for ten seconds.
     pub cpu_percent: f64,
-    /// Time that neither a stage nor a late start nor the restart of a process of the model explains, in percent of `total` over the last minute.
-    /// The default is the limit of the trust report.
+    /// Unexplained time in percent of `total`, over the last minute. Stages, late starts, and restarts of a process of
+    /// the model explain time. The default is the limit of the trust report.
     pub unattributed_percent: f64,
     /// Skipped starts in percent of the starts that were due in the last minute.
     pub skipped_percent: f64,

@@ -8,6 +8,7 @@ use super::table::{Sample, Sink};
 /// Figures of the aggregator.
 #[derive(Debug)]
 pub(super) struct AggregatorNumbers {
+    /// `true` while batches are stored and acknowledged.
     pub(super) ready: bool,
     /// Number of hosts that report.
     pub(super) connected: u64,
@@ -15,9 +16,9 @@ pub(super) struct AggregatorNumbers {
     pub(super) known: u64,
     /// Number of hosts whose connections were refused in the last ten minutes.
     pub(super) refused: u64,
-    /// Size of the database's files; `None` if there are none.
+    /// Size of the database's files, bytes; `None` if there are no files.
     pub(super) database_bytes: Option<u64>,
-    /// Number of refused connections by reason.
+    /// Number of refused connections for each reason.
     pub(super) rejections: Vec<(&'static str, u64)>,
     pub(super) totals: Totals,
 }

@@ -25,21 +25,22 @@ pub(super) fn write_each(
     }
 }
 
-/// Returns half the width of the offset's interval; `None` if the sources contradict each other.
+/// Returns half the width of the offset's interval, seconds; `None` if there is no interval, or its sources contradict
+/// each other.
 pub(super) fn half_width(link: &LinkSnapshot) -> Option<Sample> {
     let offset = link.live.latest_sample.offset.as_ref()?;
     estimate_and_max_error(offset)?;
     Some(Sample::Value(offset.bounds.width().seconds() / 2.0))
 }
 
-/// Returns the share of probes that were lost.
+/// Returns the share of the probes of the last [`WINDOW`] that were lost, 0 to 1; `None` if none was sent.
 pub(super) fn loss(link: &LinkSnapshot) -> Option<Sample> {
     let newest = link.history.last()?.at;
     let recent = link.history.iter().filter(|point| newest - point.at < WINDOW);
     recent.map(|point| point.probes).sum::<ProbeCounts>().lost_share().map(Sample::Value)
 }
 
-/// Returns the number of packets that were refused as answers to probes.
+/// Returns the number of packets that were refused as answers to probes within the last [`WINDOW`].
 pub(super) fn refused(link: &LinkSnapshot) -> Option<Sample> {
     let newest = link.history.last()?.at;
     let recent = link.history.iter().filter(|point| newest - point.at < WINDOW);
@@ -47,15 +48,15 @@ pub(super) fn refused(link: &LinkSnapshot) -> Option<Sample> {
     Some(Sample::Value(refused as f64))
 }
 
-/// The end of a connection whose counts are written.
+/// The host of a connection whose counts are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum End {
+pub(super) enum CountingHost {
     Edge,
     Cloud,
 }
 
-impl End {
-    /// Returns the counts of this end; `None` if it reported none.
+impl CountingHost {
+    /// Returns the counts of this host; `None` if it reported none.
     const fn statistics(self, connection: &Connection) -> Option<&ConnectionStatistics> {
         match self {
             Self::Edge => Some(&connection.statistics),
@@ -76,17 +77,17 @@ impl End {
     }
 }
 
-/// Writes a total of each direction of each connection, as one end counts it.
+/// Writes a total of each direction of each connection, as one of its two hosts counts it.
 pub(super) fn write_directions(
     scrape: &Scrape,
     sink: &mut Sink<'_>,
-    end: End,
+    host: CountingHost,
     total_of: fn(&DirectionStatistics) -> Option<u64>,
 ) {
     for (link, connection) in scrape.connections() {
-        let [edge, cloud, network, pipeline] = names(link, connection);
-        let Some(connection_statistics) = end.statistics(connection) else { continue };
-        for (direction, statistics) in end.directions(connection_statistics) {
+        let [edge, cloud, network, pipeline] = label_values(link, connection);
+        let Some(connection_statistics) = host.statistics(connection) else { continue };
+        for (direction, statistics) in host.directions(connection_statistics) {
             if let Some(total) = total_of(statistics) {
                 sink(&[edge, cloud, network, pipeline, direction], Sample::Count(total));
             }
@@ -94,11 +95,11 @@ pub(super) fn write_directions(
     }
 }
 
-/// Writes the smoothed round trips of the transports' own packets, as an end measures them.
-pub(super) fn write_transport_round_trips(scrape: &Scrape, sink: &mut Sink<'_>, end: End) {
+/// Writes the smoothed round trips of the transports' own packets, as one of the two hosts measures them.
+pub(super) fn write_transport_round_trips(scrape: &Scrape, sink: &mut Sink<'_>, host: CountingHost) {
     for (link, connection) in scrape.connections() {
-        if let Some(trip) = end.statistics(connection).and_then(|statistics| statistics.round_trip) {
-            sink(&names(link, connection), Sample::Value(trip.smoothed.seconds()));
+        if let Some(trip) = host.statistics(connection).and_then(|statistics| statistics.round_trip) {
+            sink(&label_values(link, connection), Sample::Value(trip.smoothed.seconds()));
         }
     }
 }
@@ -107,7 +108,8 @@ pub(super) fn write_transport_round_trips(scrape: &Scrape, sink: &mut Sink<'_>, 
 pub(super) fn write_interfaces(scrape: &Scrape, sink: &mut Sink<'_>) {
     for (link, connection) in scrape.connections() {
         let Some(interface) = &connection.interface else { continue };
-        let (Some(mtu), [edge, cloud, network, pipeline]) = (interface.mtu_bytes, names(link, connection))
+        let (Some(mtu), [edge, cloud, network, pipeline]) =
+            (interface.mtu_bytes, label_values(link, connection))
         else {
             continue;
         };
@@ -116,7 +118,8 @@ pub(super) fn write_interfaces(scrape: &Scrape, sink: &mut Sink<'_>) {
     }
 }
 
-fn names<'a>(link: &'a LinkSnapshot, connection: &'a Connection) -> [&'a str; 4] {
+/// Returns the values of the labels `edge`, `cloud`, `network` and `pipeline` of a connection.
+fn label_values<'a>(link: &'a LinkSnapshot, connection: &'a Connection) -> [&'a str; 4] {
     let (edge, cloud) = (link.edge_name.as_str(), link.live.peer_name.as_str());
     [edge, cloud, connection.network.as_str(), connection.pipeline.as_str()]
 }

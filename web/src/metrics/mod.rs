@@ -69,7 +69,7 @@ impl Collector for Scrape {
                 Kind::Gauge => MetricType::Gauge,
             };
             let mut family = encoder.encode_descriptor(metric.name, metric.help, Some(&unit), kind)?;
-            // The callback cannot return an error, so the first one is kept here.
+            // The callback cannot return an error, so the first error is kept here and returned below.
             let mut result = Ok(());
             (metric.samples)(self, &mut |values, sample| {
                 if result.is_err() {
@@ -77,7 +77,7 @@ impl Collector for Scrape {
                 }
                 let labels: Vec<(&str, &str)> =
                     metric.labels.iter().copied().zip(values.iter().copied()).collect();
-                // An empty set of labels would leave its braces in the text.
+                // With an empty set of labels, the text would contain empty braces.
                 result = if labels.is_empty() {
                     write(&mut family, sample)
                 } else {

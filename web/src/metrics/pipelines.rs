@@ -13,21 +13,22 @@ use super::table::{Sample, Sink};
 /// Lengths of the windows in seconds, with the values of their label.
 const WINDOWS: [(u32, &str); 2] = [(10, "10s"), (60, "60s")];
 
-fn names(pipeline: &PipelineSnapshot) -> [&str; 2] {
+/// Returns the values of the labels `host` and `pipeline`.
+fn label_values(pipeline: &PipelineSnapshot) -> [&str; 2] {
     [pipeline.host_name.as_str(), pipeline.pipeline.as_str()]
 }
 
 /// Writes whether each pipeline measures.
 pub(super) fn write_running(scrape: &Scrape, sink: &mut Sink<'_>) {
     for pipeline in &scrape.pipelines {
-        sink(&names(pipeline), Sample::from_bool(pipeline.state == PipelineState::Running));
+        sink(&label_values(pipeline), Sample::from_bool(pipeline.state == PipelineState::Running));
     }
 }
 
 /// Writes the number of iterations by outcome.
 pub(super) fn write_iterations(scrape: &Scrape, sink: &mut Sink<'_>) {
     for pipeline in &scrape.pipelines {
-        let [host, name] = names(pipeline);
+        let [host, name] = label_values(pipeline);
         for (seconds, label) in WINDOWS {
             let Some(window) = pipeline.window(seconds) else { continue };
             let counts = window.counts;
@@ -38,7 +39,7 @@ pub(super) fn write_iterations(scrape: &Scrape, sink: &mut Sink<'_>) {
                 ("timeout", counts.timeout),
             ];
             for (outcome, count) in outcomes {
-                // This is not a counter, because the count of a window also falls.
+                // The sample is a gauge and not a counter, because the count within a window can also fall.
                 sink(&[host, name, outcome, label], Sample::Size(count));
             }
         }
@@ -48,7 +49,7 @@ pub(super) fn write_iterations(scrape: &Scrape, sink: &mut Sink<'_>) {
 /// Writes the iterations per second.
 pub(super) fn write_rate(scrape: &Scrape, sink: &mut Sink<'_>) {
     for pipeline in &scrape.pipelines {
-        let [host, name] = names(pipeline);
+        let [host, name] = label_values(pipeline);
         for (seconds, label) in WINDOWS {
             if let Some(window) = pipeline.window(seconds) {
                 sink(&[host, name, label], Sample::Value(window.rate_hz));
@@ -60,7 +61,7 @@ pub(super) fn write_rate(scrape: &Scrape, sink: &mut Sink<'_>) {
 /// Writes the shares of missed deadlines.
 pub(super) fn write_missed(scrape: &Scrape, sink: &mut Sink<'_>) {
     for pipeline in &scrape.pipelines {
-        let [host, name] = names(pipeline);
+        let [host, name] = label_values(pipeline);
         for (seconds, label) in WINDOWS {
             if let Some(rate) = pipeline.window(seconds).and_then(|window| window.miss_rate) {
                 sink(&[host, name, label], Sample::Value(rate));
@@ -82,14 +83,14 @@ pub(super) fn write_episode_success(scrape: &Scrape, sink: &mut Sink<'_>) {
 fn write_figures(
     scrape: &Scrape,
     sink: &mut Sink<'_>,
-    value: &str,
-    sample: impl Fn(&QuantityStatistics) -> Sample,
+    value_name: &str,
+    sample_of: impl Fn(&QuantityStatistics) -> Sample,
 ) {
     for pipeline in &scrape.pipelines {
-        let [host, name] = names(pipeline);
+        let [host, name] = label_values(pipeline);
         for (seconds, label) in WINDOWS {
-            if let Some(statistics) = pipeline.window(seconds).and_then(|window| window.value(value)) {
-                sink(&[host, name, label], sample(statistics));
+            if let Some(statistics) = pipeline.window(seconds).and_then(|window| window.value(value_name)) {
+                sink(&[host, name, label], sample_of(statistics));
             }
         }
     }
@@ -98,7 +99,7 @@ fn write_figures(
 /// Writes the quantiles of each standard stage. User-defined names are omitted, because their number is not bounded.
 pub(super) fn write_stages(scrape: &Scrape, sink: &mut Sink<'_>) {
     for pipeline in &scrape.pipelines {
-        let [host, name] = names(pipeline);
+        let [host, name] = label_values(pipeline);
         let Some(window) = pipeline.window(60) else { continue };
         for stage in stage::ORDER.iter().chain(&[stage::TOTAL, stage::UNATTRIBUTED]) {
             let Some(statistics) = window.value(stage) else { continue };
@@ -129,7 +130,7 @@ fn write_directions(
     value_of: impl Fn(&Window, Transfer) -> Option<f64>,
 ) {
     for pipeline in &scrape.pipelines {
-        let [host, name] = names(pipeline);
+        let [host, name] = label_values(pipeline);
         let Some(window) = pipeline.window(60) else { continue };
         for (direction, transfer) in [("upload", window.transfers.up), ("download", window.transfers.down)] {
             if let Some(value) = transfer.and_then(|transfer| value_of(window, transfer)) {

@@ -25,14 +25,16 @@ pub(super) struct Scrape {
     pub(super) hosts: Vec<Arc<HostSnapshot>>,
     pub(super) pipelines: Vec<Arc<PipelineSnapshot>>,
     pub(super) links: Vec<Arc<LinkSnapshot>>,
-    /// Connections of all links: the link, and the index in the link's list of connections.
+    /// Connections of all links: for each connection its link, and its index in the link's list of connections.
     connections: Vec<(Arc<LinkSnapshot>, usize)>,
+    /// Number of items beyond the limits, by kind.
     omitted: [(&'static str, usize); 4],
 }
 
 impl Scrape {
-    /// Copies the required data of the live state. Samples are labelled with names of hosts. If several hosts have the same name, only
-    /// one is taken: a connected host rather than a disconnected host, and among these the host that reported last.
+    /// Copies the required data of the live state. Samples are labelled with names of hosts. If several hosts have the
+    /// same name, only one of them is taken: a connected host rather than a disconnected one, and among equally
+    /// connected hosts the one that reported last.
     pub(super) fn from_live_state(live_state: &LiveState, aggregator: AggregatorNumbers) -> Self {
         let mut by_name: BTreeMap<&str, &Arc<HostSnapshot>> = BTreeMap::new();
         for host in &live_state.hosts {
@@ -105,7 +107,7 @@ mod tests {
     use crate::tests::samples;
 
     #[test]
-    fn connected_host_is_taken_of_hosts_with_one_name() {
+    fn connected_host_is_preferred_among_hosts_of_one_name() {
         let mut old = samples::host("cam-1", "Orin");
         (old.id, old.connected) = (HostId::from_bytes([8; 16]), false);
         old.last_seen = samples::NOW + Span::from_seconds(9);

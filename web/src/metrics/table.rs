@@ -63,7 +63,7 @@ const CONNECTION_DIRECTION: &[&str] = &["edge", "cloud", "network", "pipeline", 
 const INTERFACE: &[&str] = &["edge", "cloud", "network", "pipeline", "interface", "type"];
 
 use Kind::{Counter, Gauge};
-use links::End::{Cloud, Edge};
+use links::CountingHost::{Cloud, Edge};
 
 /// All metrics, in the order of the answer.
 #[rustfmt::skip]

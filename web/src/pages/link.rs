@@ -212,7 +212,7 @@ pub(super) async fn update(app: &AppState, snapshot: &LiveState, rest: &str) -> 
         ));
     };
     let link = find(snapshot, link_name).ok_or_else(|| no_link(link_name))?;
-    let incidents = app.recent_incidents().await?;
+    let incidents = app.cached_incidents().await?;
     let subject = Subject::live(link);
     let recent_series = LinkTimeSeries::live(&link.history, subject.end, Range::Minutes.seconds());
     let page = link_page(app, snapshot, &subject, &recent_series, None, Query { range, offset }, &incidents);

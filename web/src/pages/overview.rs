@@ -105,7 +105,7 @@ type Incidents = Result<Vec<IncidentRow>, String>;
 /// Returns the newest incidents, or the id of the logged error. An error of the store does not fail the page: only the panel of
 /// incidents shows it.
 async fn incidents(app: &AppState) -> Incidents {
-    let rows = app.newest_incidents().await;
+    let rows = app.shown_incidents().await;
     rows.map_err(|error| WebError::from(error).to_problem(app).id().unwrap_or_default().to_owned())
 }
 

@@ -105,7 +105,7 @@ async fn show(
     let snapshot = app.live_state();
     let pipeline = find(&snapshot, &host, &name)?;
     let runs = runs(&app, pipeline).await?;
-    let incidents = app.newest_incidents().await?;
+    let incidents = app.shown_incidents().await?;
     let marks = Mark::all(&incidents);
     page(&pipeline_page(&app, &snapshot, pipeline, query.window.unwrap_or(10), &runs, &marks)?)
 }

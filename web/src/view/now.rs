@@ -171,7 +171,7 @@ impl NowRow {
         let (p95, p95_cell) = quantile(total, MIN_VALUES_FOR_P95, |total| total.p95);
         let (p99, p99_cell) = quantile(total, MIN_VALUES_FOR_P99, |total| total.p99);
         let part = |name: &str| stack.parts.iter().find(|part| part.name == name);
-        let column = stack.column();
+        let column = stack.duration_format();
         let mean = |name: &&'static str| {
             part(name).map_or_else(|| NONE.to_owned(), |part| column.duration(part.seconds))
         };

@@ -35,7 +35,7 @@ impl Stack {
     }
 
     /// Returns the format of a table of the parts.
-    pub(crate) fn column(&self) -> DurationFormat {
+    pub(crate) fn duration_format(&self) -> DurationFormat {
         DurationFormat::for_total(self.total.map(|total| total.mean), self.total.and_then(|total| total.std))
     }
 

@@ -96,7 +96,7 @@ impl StageRow {
                 && stage.stage != look::LATENESS
         };
         let stack = Stack::of_run(stages, bounds);
-        let column = stack.column();
+        let column = stack.duration_format();
         let mut rows: Vec<Self> = stages
             .iter()
             .filter(has_own_row)
@@ -136,7 +136,7 @@ impl StageRow {
     /// Returns the rows of a live window.
     pub(crate) fn of_window(window: &Window) -> Vec<Self> {
         let stack = Stack::of_window(window);
-        let column = stack.column();
+        let column = stack.duration_format();
         let mean_of = |name: &str| window.value(name).map(|statistics| (statistics.count, statistics.mean));
         let share = |name: &str| share_of_total(name, DelayAccuracy::sent_messages(&window.bounds), mean_of);
         let mut rows = Vec::new();

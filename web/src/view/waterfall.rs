@@ -69,7 +69,7 @@ pub(crate) fn rows(
     hosts: &[String],
     scale: &Scale,
 ) -> Vec<Row> {
-    let column = timeline.column();
+    let column = timeline.duration_format();
     let is_cause = |name: &str| detail.row.causes.iter().any(|cause| cause.name == *name);
     let row = |node: &PlacedNode| {
         let strong = node.is_counted && is_cause(node.name.as_str());
@@ -127,7 +127,7 @@ fn group(rows: &mut [Row]) {
 
 impl Row {
     fn of(node: &PlacedNode, hosts: &[String], strong: bool, bar: Picture, column: DurationFormat) -> Self {
-        let (host, class) = match node.at {
+        let (host, class) = match node.location {
             NodeLocation::Network => ("network".to_owned(), "net"),
             NodeLocation::Host(0) => (hosts.first().cloned().unwrap_or_default(), ""),
             NodeLocation::Host(index) => (dash(hosts.get(usize::from(index)).cloned()), "cloud"),
@@ -193,7 +193,7 @@ fn digits(seconds: f64, bounds: Option<(f64, f64)>, column: DurationFormat) -> S
 
 /// Returns the computation of each one-way delay.
 pub(crate) fn delays(timeline: &Timeline, stored_delays: &[peernet_store::DelayRow]) -> Vec<DelayRow> {
-    let column = timeline.column();
+    let column = timeline.duration_format();
     let nodes_with_delay = timeline.nodes.iter().filter_map(|node| Some((node, node.delay?)));
     let rows = nodes_with_delay.map(|(node, delay)| {
         let bounds = delay.bounds;
@@ -227,7 +227,7 @@ pub(crate) fn delays(timeline: &Timeline, stored_delays: &[peernet_store::DelayR
 /// Returns a sentence on the way of the iteration to the other host and back, for readers who do not see the picture.
 pub(crate) fn journey(timeline: &Timeline, edge: &str, cloud: &str) -> String {
     let Some(visit) = timeline.visit() else { return String::new() };
-    let column = timeline.column();
+    let column = timeline.duration_format();
     let at = |seconds: f64| format!("{}{SPACE}ms", column.duration(seconds));
     let back = visit.answer_times.map_or_else(
         || "no answer came back".to_owned(),
@@ -249,7 +249,7 @@ pub(crate) fn footnote(timeline: &Timeline, cloud: &str) -> Option<String> {
     }
     let shift = shift_ms(earlier, later);
     let sum = visit.network.map_or_else(String::new, |network| {
-        format!(", and so is upload + download = {}{SPACE}ms. Only its split between the two directions carries the bound", timeline.column().duration(network))
+        format!(", and so is upload + download = {}{SPACE}ms. Only its split between the two directions carries the bound", timeline.duration_format().duration(network))
     });
     Some(format!("The bars on {cloud} may shift together by {shift}{SPACE}ms; their lengths are exact{sum}."))
 }

@@ -60,14 +60,16 @@ pub(super) fn total(seconds: f64, scale: &Scale) -> Picture {
 pub(super) fn row(node: &PlacedNode, timeline: &Timeline, scale: &Scale, tick: bool) -> Picture {
     let (visit, look) = (timeline.visit(), stage(&node.name));
     let mut items = Item::grid(scale);
-    if let Some(visit) = visit.filter(|_| node.at != NodeLocation::Host(0)) {
+    if let Some(visit) = visit.filter(|_| node.location != NodeLocation::Host(0)) {
         items.extend(bands(visit, scale).into_iter().map(|it| rect(it, (0.0, 1.0), Style::of_page("band"))));
     }
     let is_download = node.name == "download";
     if let Some((start, length)) = node.start.zip(node.length) {
         let sides = if node.depth > 0 { CHILD } else { BAR };
         items.push(rect(stretch(scale, start, length), sides, look.plain()));
-    } else if let Some(visit) = visit.filter(|_| node.at == NodeLocation::Network && node.length.is_none()) {
+    } else if let Some(visit) =
+        visit.filter(|_| node.location == NodeLocation::Network && node.length.is_none())
+    {
         // The duration of the message is unknown. The outline shows the time in which the message was on the way.
         let ends = if is_download { visit.answer_times } else { Some((visit.sent_at, visit.arrival)) };
         let ghost =
@@ -79,7 +81,7 @@ pub(super) fn row(node: &PlacedNode, timeline: &Timeline, scale: &Scale, tick: b
         items.push(Item::line(At::new(x, 0.08), At::new(x, 0.92), Style::of_page("medtick")));
         let label = Label::new(
             At::new(x, 0.5),
-            format!("median {}", timeline.column().duration(median)),
+            format!("median {}", timeline.duration_format().duration(median)),
             look.text(),
         );
         items.push(Item::Text(label.shifted(0.5, 0.36).fits_within(at(scale, start + length) - x)));
@@ -116,7 +118,8 @@ pub(crate) fn lanes(timeline: &Timeline, label: &str, scale: &Scale) -> Option<P
             .map(|(sent_at, received_at)| hop((sent_at, cloud), (received_at, edge), "hop h-down")),
     );
     for (host, y) in [(0, edge), (1, cloud)] {
-        let nodes = timeline.nodes.iter().filter(|it| it.depth == 0 && it.at == NodeLocation::Host(host));
+        let nodes =
+            timeline.nodes.iter().filter(|it| it.depth == 0 && it.location == NodeLocation::Host(host));
         items.extend(nodes.filter_map(|node| {
             let ends = stretch(scale, node.start?, node.length?);
             Some(rect(ends, (y - HALF, y + HALF), stage(&node.name).plain()))
