@@ -38,9 +38,9 @@ const STAGE: &str = "stage";
 const BASELINE: &str = "baseline";
 /// Number of experiments offered when nothing is selected.
 const MAX_OFFERED: u32 = 50;
-/// Longest label, in letters, that stays on one line.
+/// Maximum number of letters of a label that stays on one line.
 const SHORT: usize = 24;
-/// Largest number of excluded runs that are named.
+/// Maximum number of excluded runs that are named.
 const LISTED: usize = 8;
 
 #[derive(Template)]
@@ -48,7 +48,7 @@ const LISTED: usize = 8;
 struct Compare {
     shell: Shell,
     title: String,
-    /// Subject of the comparison.
+    /// Name of the experiment, or the number of compared runs.
     crumb: String,
     facts: Vec<String>,
     /// Maximum number of compared runs, if the experiment has more runs.
@@ -102,14 +102,14 @@ struct Baseline {
 struct OtherRow {
     name: String,
     total: Option<DifferenceRow>,
-    /// Iterations against those of the baseline.
+    /// Differences between the single iterations of the configuration and of the baseline.
     pairs: Option<PairwiseRow>,
     stages: Vec<DifferenceRow>,
 }
 
 #[derive(Template)]
 #[template(path = "pages/compare_empty.html")]
-struct Empty {
+struct CompareEmpty {
     shell: Shell,
     experiments: Vec<ExperimentSummary>,
 }
@@ -131,7 +131,7 @@ async fn show(
         CompareSelection::parse(&query, "runs or experiment, and optionally stage and baseline")?
     else {
         let experiments = store.experiments(MAX_OFFERED).await?;
-        return page(&Empty { shell: shell("Compare"), experiments });
+        return page(&CompareEmpty { shell: shell("Compare"), experiments });
     };
     let comparison = load_comparison(store, &selection).await?;
     let distributions = distributions(&comparison, selected_stage)?;
@@ -222,6 +222,7 @@ impl Baseline {
             others.clone().flat_map(|(_, stages)| stages.iter().filter_map(|stage| stage.mean_difference));
         let rows = others
             .clone()
+            // `other` is called for each configuration, because each call takes the next entry of `pairs`.
             .map(|one| (has_difference(&one.1), other(one)))
             .filter(|(has_difference, _)| *has_difference);
         let rows: Vec<OtherRow> = rows.map(|(_, row)| row).collect();
@@ -235,7 +236,7 @@ impl Baseline {
     }
 }
 
-/// Returns the name of the pipeline if all runs have the same one, else an empty list.
+/// Returns the name of the pipeline if all runs are runs of one pipeline, else an empty list.
 fn common_pipeline(comparison: &Comparison) -> Vec<String> {
     let mut pipelines: Vec<String> = comparison.runs().map(|run| run.pipeline.to_string()).collect();
     pipelines.dedup();

@@ -35,9 +35,10 @@ pub(super) const PAGE: PageKind = PageKind {
     }),
 };
 
-/// Name of its topic of the live stream.
+/// Name of this page's topic of the live stream.
 const TOPIC: &str = "host";
 
+/// Pairs of a name and a text.
 type Pairs = Vec<(&'static str, String)>;
 
 #[derive(Template)]
@@ -47,6 +48,7 @@ struct Host {
     name: String,
     title: String,
     facts: Vec<String>,
+    /// Route and address of each link of the host.
     links: Vec<(String, String)>,
     line: HostLine,
     agent: Pairs,
@@ -140,7 +142,7 @@ fn step_count(clock: &HostClock) -> String {
     }
 }
 
-/// Returns the links of a host with the addresses of their pages.
+/// Returns the routes of the links of a host, each with the address of its page.
 fn links(snapshot: &LiveState, name: &str) -> Vec<(String, String)> {
     let links = snapshot.links.iter().map(|link| Subject::live(link));
     let links = links.filter(|link| link.edge == name || link.cloud == name);
@@ -201,12 +203,15 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
             ("Synchronised by", discipline(&host.clock)),
             ("Reported error bound", reported_error_bounds(&host.clock)),
             ("Steps noticed", step_count(&host.clock)),
-            ("Clock fault", host.clock.faults.as_ref().map_or_else(|| "none".to_owned(), clock_fault::words)),
+            (
+                "Clock fault",
+                host.clock.faults.as_ref().map_or_else(|| "none".to_owned(), clock_fault::describe),
+            ),
             ("Boot id", description.clock.boot.to_string()),
             ("Clock name", description.clock.clock.to_string()),
         ],
         events: Events::of(host),
-        stored: events::stored(&host.stored, Some(&host.arrivals), host.newest_stored, app.zone),
+        stored: events::stored_count_pairs(&host.stored, Some(&host.arrivals), host.newest_stored, app.zone),
         pipelines: NowTable::new(&own_pipelines).rows,
         name,
     }
@@ -226,7 +231,7 @@ fn past_page(app: &AppState, snapshot: &LiveState, row: &HostRow) -> PastHost {
             ("Boot id", description.clock.boot.to_string()),
             ("Clock name", description.clock.clock.to_string()),
         ],
-        stored: events::stored(&row.stored, None, None, app.zone),
+        stored: events::stored_count_pairs(&row.stored, None, None, app.zone),
         name,
     }
 }

@@ -30,7 +30,7 @@ pub(super) const PAGE: PageKind = PageKind {
     }),
 };
 
-/// Name of its topic of the live stream.
+/// Name of this page's topic of the live stream.
 const TOPIC: &str = "hosts";
 
 #[derive(Template)]
@@ -90,7 +90,7 @@ fn hosts(app: &AppState, snapshot: &LiveState, stored: &[HostRow]) -> Hosts {
     let live: HashSet<_> = snapshot.hosts.iter().map(|host| host.id).collect();
     let past: Vec<&HostRow> = stored.iter().filter(|row| !live.contains(&row.id)).collect();
     let (current_hosts, ended) =
-        HostLine::first(list_limits::MAX_IN_LIST, snapshot, app.clock.identity(), app.zone);
+        HostLine::current_and_ended(list_limits::MAX_IN_LIST, snapshot, app.clock.identity(), app.zone);
     Hosts {
         shell: Shell::new(app, snapshot, "/hosts", "Hosts").live(TOPIC),
         title,

@@ -1,4 +1,4 @@
-//! Page of one iteration: why it took as long as it did.
+//! Page of one iteration: the time that each stage took, and the reasons if the iteration was slow.
 
 use askama::Template;
 use axum::Router;
@@ -37,6 +37,7 @@ struct Iteration {
     shell: Shell,
     run: i64,
     run_name: String,
+    /// Number of the iteration, formatted.
     label: String,
     title: String,
     facts: Vec<String>,
@@ -44,13 +45,18 @@ struct Iteration {
     clock_fault: Option<Chip>,
     /// Address of the page of the link that the iteration used.
     link: Option<String>,
+    /// Number of the previous iteration, plain and formatted.
     previous: Option<(u64, String)>,
+    /// Number of the next iteration, plain and formatted.
     next: Option<(u64, String)>,
+    /// Number of the next slower iteration of the run.
     slower: Option<u64>,
+    /// Number of the next faster iteration of the run.
     faster: Option<u64>,
     edge: String,
     cloud: Option<String>,
     axis: Picture,
+    /// Rails of both hosts with the messages between them; `None` without another host.
     lanes: Option<Picture>,
     rows: Vec<Row>,
     note: Option<String>,

@@ -25,7 +25,7 @@ pub(crate) struct NavigationEntry {
     pub name: &'static str,
     /// Address of the page; the addresses of pages below it begin with it.
     pub address: &'static str,
-    /// Key that opens it, pressed after `g`.
+    /// Key that opens the page if it is pressed after `g`.
     pub key: &'static str,
 }
 
@@ -50,9 +50,9 @@ pub(crate) struct PageTopic {
 impl PageTopic {
     /// Finds the topic of a text, such as `host/cam-1`, among `topics`.
     pub(crate) fn find(text: &str, mut topics: impl Iterator<Item = &'static LiveTopic>) -> Option<Self> {
-        let (name, rest) = parts(text);
+        let (name, rest) = split_topic(text);
         let matches = |topic: &&LiveTopic| {
-            let (topic_name, pattern_rest) = parts(topic.pattern);
+            let (topic_name, pattern_rest) = split_topic(topic.pattern);
             topic_name == name && pattern_rest.is_some() == rest.is_some()
         };
         topics.find(matches).map(|topic| Self { topic, rest: rest.unwrap_or_default().to_owned() })
@@ -64,8 +64,8 @@ impl PageTopic {
     }
 }
 
-/// Returns the name of a topic, and the text after its first slash.
-fn parts(text: &str) -> (&str, Option<&str>) {
+/// Splits the text of a topic into its name, and the text after its first slash; `None` without a slash.
+fn split_topic(text: &str) -> (&str, Option<&str>) {
     text.split_once('/').map_or((text, None), |(name, rest)| (name, Some(rest)))
 }
 

@@ -42,7 +42,7 @@ pub(super) const PAGE: PageKind = PageKind {
     }),
 };
 
-/// Name of its topic of the live stream.
+/// Name of this page's topic of the live stream.
 const TOPIC: &str = "link";
 /// Maximum number of points of the chart.
 const MAX_POINTS: u32 = 360;
@@ -121,12 +121,14 @@ pub(super) struct Link {
     route: String,
     title: String,
     facts: Vec<String>,
+    /// Name of each pipeline that uses the link, and the address of its page.
     pipelines: Vec<(String, String)>,
     clock_fault: Option<Chip>,
     same_clock: bool,
     heading: &'static str,
-    /// Address, name, and whether it is selected.
+    /// Address and name of each time range, and `true` for the selected one.
     ranges: Vec<(String, &'static str, bool)>,
+    /// Address and name of each view of the offset, and `true` for the selected one.
     views: Vec<(String, &'static str, bool)>,
     stats: Vec<Stat>,
     chart: Tracks,
@@ -245,14 +247,14 @@ fn incidents_of_link(
     rows: &[IncidentRow],
 ) -> Vec<IncidentRow> {
     let names = [subject.edge.as_str(), subject.cloud.as_str()];
-    let is_end = |name: &str| names.contains(&name);
-    // Other incidents of the two hosts say nothing about the network between them.
+    let is_host_of_link = |name: &str| names.contains(&name);
+    // Incidents of these kinds say nothing about the network between the two hosts.
     let concerns_network =
         |row: &&IncidentRow| !matches!(row.kind.as_str(), "model-loaded" | "model-unloaded" | "control");
     let of_link = rows.iter().filter(concerns_network);
     let of_link = of_link.filter(|row| {
-        row.host_name.as_ref().is_some_and(|name| is_end(name.as_str()))
-            && row.peer.as_deref().is_none_or(is_end)
+        row.host_name.as_ref().is_some_and(|name| is_host_of_link(name.as_str()))
+            && row.peer.as_deref().is_none_or(is_host_of_link)
     });
     let with_edge_times = of_link.map(|row| {
         let reporter = row.host_name.as_ref().map(peernet_logger::Slug::as_str);
@@ -298,7 +300,7 @@ pub(super) fn link_page(
         |range: Range, offset: OffsetView| format!("?range={}&offset={}", range.query_value(), offset.word());
     let shell = Shell::new(app, snapshot, "/links", subject.route());
     let topic = format!("{TOPIC}/{name}/{}/{}", query.range.query_value(), query.offset.word());
-    let faulty = FaultyClocks::of(snapshot).concerns(&[&subject.edge, &subject.cloud]);
+    let has_clock_fault = FaultyClocks::of(snapshot).concerns(&[&subject.edge, &subject.cloud]);
     Link {
         shell: if subject.live.is_some() { shell.live(topic) } else { shell },
         edge: subject.edge.clone(),
@@ -306,7 +308,7 @@ pub(super) fn link_page(
         title: title(subject, app.zone),
         facts: facts(subject, snapshot),
         pipelines: subject.pipelines(),
-        clock_fault: faulty.then_some(clock_fault::CHIP),
+        clock_fault: has_clock_fault.then_some(clock_fault::CHIP),
         same_clock: subject.same_clock(),
         heading: query.range.heading(),
         ranges: Range::ALL

@@ -27,7 +27,7 @@ pub(super) const PAGE: PageKind = PageKind {
     }),
 };
 
-/// Name of its topic of the live stream.
+/// Name of this page's topic of the live stream.
 const TOPIC: &str = "links";
 
 #[derive(Template)]

@@ -2,7 +2,8 @@
 //!
 //! A page is complete when it is loaded. Its live parts are blocks of its template, which the live stream sends again.
 //!
-//! This file registers them: a page is named here twice, as a module and in [`PAGES`], and nowhere else in the program.
+//! This file registers the pages. Each page is named here twice, as a module and in [`PAGES`], and nowhere else in the
+//! program.
 
 mod compare;
 mod error;
@@ -69,12 +70,12 @@ fn live_topics() -> impl Iterator<Item = &'static LiveTopic> {
     PAGES.iter().filter_map(|page| page.topic.as_ref())
 }
 
-/// Returns the forms of the topics of live pages.
+/// Returns the patterns of the topics of live pages, such as `host/HOST`.
 pub(crate) fn topic_forms() -> impl Iterator<Item = &'static str> {
     live_topics().map(|topic| topic.pattern)
 }
 
-/// Returns the topic of a live page.
+/// Returns the topic of a live page from its text, such as `host/cam-1`; `None` if no page has such a topic.
 pub(crate) fn topic(text: &str) -> Option<PageTopic> {
     PageTopic::find(text, live_topics())
 }
@@ -93,13 +94,13 @@ fn path<T>(path: Result<Path<T>, PathRejection>) -> Result<T, WebError> {
 pub(crate) struct Update {
     /// Identifier of the layout. When it changes, the script reloads the page, because the page has other parts.
     pub layout: String,
-    /// Title of the window.
+    /// Title of the browser's window.
     pub title: String,
-    /// Contents of elements by their id.
+    /// Elements whose contents changed: id, and new HTML.
     pub parts: Vec<(&'static str, String)>,
     /// Incidents to mark on the time axes.
     pub marks: Vec<Mark>,
-    /// Reasons why the upward and the downward throughput have no line, by chart.
+    /// For the key of each chart the reasons why the upward and the downward throughput have no line.
     pub obstacles: Vec<(String, Obstacles)>,
 }
 

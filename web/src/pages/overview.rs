@@ -33,7 +33,7 @@ pub(super) const PAGE: PageKind = PageKind {
     topic: Some(LiveTopic { pattern: TOPIC, update: |app, snapshot, _| Box::pin(update(app, snapshot)) }),
 };
 
-/// Name of its topic of the live stream.
+/// Name of this page's topic of the live stream.
 const TOPIC: &str = "overview";
 
 #[derive(Template)]
@@ -47,7 +47,7 @@ pub(super) struct Overview {
     hosts: Vec<HostLine>,
     /// Hosts that said goodbye.
     ended: Vec<HostLine>,
-    /// Beginning of a sentence about pipelines of such hosts that are not shown.
+    /// Beginning of a sentence about pipelines that are not shown because their hosts said goodbye.
     ended_note: Option<String>,
     /// Sentences shown if the lists of pipelines and of hosts are truncated.
     truncation_note: [Option<String>; 2],
@@ -58,7 +58,7 @@ pub(super) struct Overview {
 
 #[derive(Template)]
 #[template(path = "pages/overview_empty.html", blocks = ["seen"])]
-pub(super) struct Empty {
+pub(super) struct EmptyOverview {
     shell: Shell,
     layout: String,
     listening: String,
@@ -73,7 +73,7 @@ pub(super) struct Empty {
 async fn show(State(app): State<App>) -> Page {
     let snapshot = app.live_state();
     if snapshot.hosts.is_empty() && snapshot.pipelines.is_empty() {
-        return page(&empty(&app, &snapshot));
+        return page(&empty_overview(&app, &snapshot));
     }
     let incidents = incidents(&app).await;
     page(&overview(&app, &snapshot, incidents)?)
@@ -82,7 +82,7 @@ async fn show(State(app): State<App>) -> Page {
 /// Renders the changed parts of the page.
 pub(super) async fn update(app: &AppState, snapshot: &LiveState) -> Result<Update, WebError> {
     if snapshot.hosts.is_empty() && snapshot.pipelines.is_empty() {
-        let page = empty(app, snapshot);
+        let page = empty_overview(app, snapshot);
         let parts = vec![("seen", page.as_seen().render()?)];
         return Ok(Update { layout: page.layout, ..Update::new(page.shell.title, parts) });
     }
@@ -100,6 +100,7 @@ pub(super) async fn update(app: &AppState, snapshot: &LiveState) -> Result<Updat
     Ok(Update { layout: page.layout, marks, obstacles, ..Update::new(page.shell.title, parts) })
 }
 
+/// The newest incidents, or the id of the logged error.
 type Incidents = Result<Vec<IncidentRow>, String>;
 
 /// Returns the newest incidents, or the id of the logged error. An error of the store does not fail the page: only the panel of
@@ -109,10 +110,10 @@ async fn incidents(app: &AppState) -> Incidents {
     rows.map_err(|error| WebError::from(error).to_problem(app).id().unwrap_or_default().to_owned())
 }
 
-pub(super) fn empty(app: &AppState, snapshot: &LiveState) -> Empty {
+pub(super) fn empty_overview(app: &AppState, snapshot: &LiveState) -> EmptyOverview {
     let absent_hosts = startup::absent_hosts_sentence(snapshot);
     let title = if absent_hosts.is_some() { startup::WAITING } else { "No host has reported yet" };
-    Empty {
+    EmptyOverview {
         shell: Shell::new(app, snapshot, "/", title).live(TOPIC),
         title,
         absent_hosts,
@@ -169,7 +170,7 @@ pub(super) fn overview(
     let shown = ShownPipelines::of(snapshot);
     let pipelines = &shown.pipelines;
     let (hosts, ended) =
-        HostLine::first(list_limits::MAX_ON_OVERVIEW, snapshot, app.clock.identity(), app.zone);
+        HostLine::current_and_ended(list_limits::MAX_ON_OVERVIEW, snapshot, app.clock.identity(), app.zone);
     let charts: Vec<ChartCard> =
         pipelines.iter().map(|pipeline| ChartCard::new(pipeline, snapshot, app.zone)).collect();
     let marks = incidents.as_ref().map(|rows| Mark::all(rows)).unwrap_or_default();

@@ -29,7 +29,7 @@ use crate::view::clock_fault::{self, FaultyClocks};
 use crate::view::clocks::ClockCell;
 use crate::view::data::JsonBlock;
 use crate::view::notes::Note;
-use crate::view::now::{state_chip, trouble};
+use crate::view::now::{state_chip, state_reason};
 use crate::view::runs::RunLine;
 use crate::view::speed::{self, NetworkDirection};
 use crate::view::stack::Stack;
@@ -46,7 +46,7 @@ pub(super) const PAGE: PageKind = PageKind {
     }),
 };
 
-/// Name of its topic of the live stream.
+/// Name of this page's topic of the live stream.
 const TOPIC: &str = "pipeline";
 /// Maximum number of runs listed on the page.
 const MAX_RUNS: u32 = 20;
@@ -72,15 +72,19 @@ struct PipelinePage {
     link: Option<String>,
     notes: Vec<Note>,
     facts: Vec<String>,
+    /// Number of the current run.
     run: Option<i64>,
+    /// Length of the selected window, seconds.
     seconds: u32,
+    /// Length of each window, seconds, and its name.
     windows: Vec<(u32, &'static str)>,
     stats: Vec<Stat>,
     clock: ClockCell,
     bar: Picture,
     stages: Vec<StageRow>,
     name: String,
-    /// The charts of the pipeline: always one. It is a list because the page shares the template of charts with the overview.
+    /// The chart of the pipeline. This is a list of one chart, because the page shares the template of charts with the
+    /// overview.
     charts: Vec<ChartCard>,
     runs: Vec<RunLine>,
     data: JsonBlock,
@@ -152,8 +156,8 @@ async fn runs(app: &AppState, pipeline: &PipelineSnapshot) -> Result<Vec<RunSumm
 /// Returns the title of the page: latency and longest stage.
 fn title(pipeline: &PipelineSnapshot, stack: &Stack) -> String {
     let name = &pipeline.pipeline;
-    if let Some(trouble) = trouble(&pipeline.state) {
-        return format!("{name} {trouble}");
+    if let Some(reason) = state_reason(&pipeline.state) {
+        return format!("{name} {reason}");
     }
     match (&pipeline.state, &stack.total) {
         (PipelineState::Away, _) => format!("{name}: its host is not connected"),
@@ -249,13 +253,13 @@ fn pipeline_page(
     let charts = vec![ChartCard::new(pipeline, snapshot, app.zone)];
     let link = link::of_placement(snapshot, &host, placement);
     let cloud = placement.peer.as_ref().map_or("", Slug::as_str);
-    let faulty = FaultyClocks::of(snapshot).concerns(&[&host, cloud]);
+    let has_clock_fault = FaultyClocks::of(snapshot).concerns(&[&host, cloud]);
     Ok(PipelinePage {
         shell: Shell::new(app, snapshot, "/pipelines", format!("{} on {host}", pipeline.pipeline))
             .live(format!("{TOPIC}/{host}/{}/{seconds}", pipeline.pipeline)),
         title: title(pipeline, &stack),
         chip: state_chip(&pipeline.state),
-        clock_fault: faulty.then_some(clock_fault::CHIP),
+        clock_fault: has_clock_fault.then_some(clock_fault::CHIP),
         notes: Note::delay_notes(pipeline.pipeline.as_str(), "", link.as_deref(), &window.bounds, |name| {
             window.value(name).copied()
         }),

@@ -96,20 +96,26 @@ struct Run {
     pinned: bool,
     notes: Vec<Note>,
     end: End,
+    /// Mean total and its standard deviation, ms.
     lead: (String, Option<String>),
+    /// Name, number and unit of each statistic.
     stats: Vec<(&'static str, String, &'static str)>,
+    /// Number of measured iterations, and a note on the iterations that this number leaves out.
     iterations: (String, String),
+    /// Numbers of lost, timed-out and failed iterations, and their common share.
     lost: (String, String),
     /// Miss rate and its base; `None` without a deadline.
     missed: Option<(String, String)>,
     /// Number of skipped starts and their share; `None` if no start was skipped.
     skipped: Option<(String, String)>,
     clock: ClockCell,
+    /// Name of each direction, and the verdict on its delays.
     directions: Vec<(String, Chip)>,
     bar: Picture,
     stages: Vec<StageRow>,
     others: Vec<OtherStatistics>,
     distribution: Distribution,
+    /// Length of a bucket of the chart over time, seconds.
     bucket: u32,
     buckets: Vec<Bucket>,
     /// Texts about episodes, failed iterations, and a standstill.
@@ -118,6 +124,7 @@ struct Run {
     marks: MarkKinds,
     /// `true` if any bucket has enough samples for a 95th percentile.
     has_p95: bool,
+    /// Axis of the bars of the slowest iterations.
     axis: Picture,
     slowest: Vec<SlowIteration>,
     failed: Vec<FailedRow>,
@@ -127,6 +134,7 @@ struct Run {
     accuracies: Vec<(&'static str, String, Option<String>)>,
     actuator: ActuatorNumbers,
     configuration: Vec<(String, String)>,
+    /// Configuration of the pipeline as TOML.
     toml: String,
     data: JsonBlock,
 }
@@ -142,7 +150,9 @@ struct MarkKinds {
 struct Distribution {
     stage: String,
     plot: Option<Picture>,
+    /// Name of each view, the query parameters of its link, and `true` for the selected one.
     views: [(&'static str, String, bool); 2],
+    /// Name of each scale, the query parameters of its link, and `true` for the selected one.
     scales: [(&'static str, String, bool); 2],
     /// Query parameters of view and scale. They are appended to the link of a stage, so that the linked page has the same view and scale.
     view_query: String,
@@ -235,7 +245,7 @@ impl ActuatorNumbers {
 }
 
 /// Returns the miss rate in percent, and its base; `None` without a deadline.
-fn missed(run: &RunSummary) -> Option<(String, String)> {
+fn miss_rate_texts(run: &RunSummary) -> Option<(String, String)> {
     let (misses, deadline) = run.misses.zip(run.deadline_s)?;
     let rate = misses.rate().map_or_else(|| NONE.to_owned(), |rate| format!("{}{SPACE}%", percent(rate)));
     let words = format!(
@@ -248,7 +258,7 @@ fn missed(run: &RunSummary) -> Option<(String, String)> {
 }
 
 /// Returns the number of skipped starts and their share of all due starts; `None` if no start was skipped.
-fn skipped(starts: &Starts) -> Option<(String, String)> {
+fn skipped_start_texts(starts: &Starts) -> Option<(String, String)> {
     let share = percent(starts.skipped_share());
     (starts.skipped > 0).then(|| (count(starts.skipped), format!("{share}{SPACE}% of those that came due")))
 }
@@ -256,7 +266,7 @@ fn skipped(starts: &Starts) -> Option<(String, String)> {
 fn facts(run: &RunDetail, zone: Zone) -> Vec<String> {
     let summary = &run.summary;
     let placement = &summary.placement;
-    let mut facts = vec![match runs::end(summary) {
+    let mut facts = vec![match runs::end_time(summary) {
         Some(end) => zone.range(summary.started, end),
         None => format!("{}, {}", zone.moment(summary.started).date(), zone.moment(summary.started).clock()),
     }];
@@ -332,8 +342,8 @@ fn assemble(
             runs::lost_share(summary)
                 .map_or_else(|| NONE.to_owned(), |share| format!("{}{SPACE}%", percent(share))),
         ),
-        missed: missed(summary),
-        skipped: skipped(&stored.starts),
+        missed: miss_rate_texts(summary),
+        skipped: skipped_start_texts(&stored.starts),
         clock: ClockCell::of(summary.placement.kind, bounds),
         directions: directions(bounds),
         bar: stack.full_width_bar("stages big"),
@@ -388,10 +398,10 @@ mod tests {
     #[test]
     fn missed_deadlines_are_share_and_count() {
         let run = crate::view::compare::tests::run(1, PlacementKind::Remote);
-        assert_eq!(missed(&run), None);
+        assert_eq!(miss_rate_texts(&run), None);
         let misses = Some(Misses { missed: 12, iterations: 1_000 });
         let run = RunSummary { deadline_s: Some(0.1), misses, ..run };
-        let (rate, words) = missed(&run).expect("a deadline");
+        let (rate, words) = miss_rate_texts(&run).expect("a deadline");
         assert_eq!(rate, "1.2\u{202f}%");
         assert_eq!(words, "12 of 1,000 later than 100\u{202f}ms or failed");
     }
@@ -416,8 +426,8 @@ mod tests {
     #[test]
     fn skipped_starts_are_a_sum_and_a_share() {
         let starts = |skipped| Starts { started: 155, skipped, ..Starts::default() };
-        assert_eq!(skipped(&starts(0)), None);
-        let texts = skipped(&starts(161)).expect("there are some");
+        assert_eq!(skipped_start_texts(&starts(0)), None);
+        let texts = skipped_start_texts(&starts(161)).expect("there are some");
         assert_eq!(texts, ("161".to_owned(), "51\u{202f}% of those that came due".to_owned()));
     }
 }

@@ -44,7 +44,7 @@ struct Runs {
     /// `true` for a page after the first.
     is_later_page: bool,
     runs: Vec<RunLine>,
-    /// Query of the next page.
+    /// Query string of the page with older runs; `None` on the last page.
     older: Option<String>,
 }
 

@@ -13,7 +13,7 @@ use crate::view::storing;
 pub(crate) struct Shell {
     /// Address of the navigation entry that is marked; empty for a page that belongs to none.
     pub section: &'static str,
-    /// Title of the window.
+    /// Title of the browser's window.
     pub title: String,
     /// Folder of the static files.
     pub statics: String,
@@ -23,7 +23,7 @@ pub(crate) struct Shell {
     pub offset: i32,
     /// Name of the aggregator.
     pub aggregator: String,
-    /// Topic of the live stream that updates this page, if any.
+    /// Topic of the live stream that updates this page; `None` for a page without live updates.
     pub topic: Option<String>,
     /// `true` if no host has reported yet.
     pub waiting: bool,
@@ -68,7 +68,7 @@ impl Shell {
         }
     }
 
-    /// Subscribes the page to a topic of the live stream.
+    /// Returns the shell of a page that a topic of the live stream updates.
     pub(crate) fn live(mut self, topic: impl Into<String>) -> Self {
         self.topic = Some(topic.into());
         self

@@ -136,7 +136,7 @@ async fn hosts_that_are_known_from_before_are_waited_for() {
     let (app, _folder) = samples::app().await;
     let mut live_state = snapshot(Vec::new(), Vec::new());
     live_state.absent = 2;
-    let html = askama::Template::render(&overview::empty(&app, &live_state)).expect("renders");
+    let html = askama::Template::render(&overview::empty_overview(&app, &live_state)).expect("renders");
     check(&html);
     assert!(
         html.contains("<h1>Waiting for agents to report</h1>") && html.contains("2 hosts are known"),

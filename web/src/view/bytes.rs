@@ -8,13 +8,14 @@ use peernet_store::{IterationDetail, QuantityStatistics};
 
 use crate::timeline::NodeStatistics;
 
-/// Names of each direction, of its sizes of payload and metadata, and of its throughput.
+/// For each direction the names of four nodes: its delay, the sizes of its payload and of its metadata, and its
+/// throughput.
 const DIRECTIONS: [(&str, &str, &str, &str); 2] = [
     ("upload", "upload-bytes", "upload-logger-bytes", "upload-throughput"),
     ("download", "download-bytes", "download-logger-bytes", "download-throughput"),
 ];
 
-/// One direction.
+/// Sizes and throughput of one direction.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct ByteRow {
     pub name: &'static str,
@@ -23,6 +24,7 @@ pub(crate) struct ByteRow {
     pub throughput: String,
     /// Reason why the throughput is an interval or missing; empty for a single value.
     pub throughput_note: &'static str,
+    /// Throughput as a multiple of the run's median throughput.
     pub against_median: String,
 }
 
@@ -33,10 +35,11 @@ pub(crate) struct OtherMeasurement {
     pub kind: String,
     pub value: String,
     pub unit: String,
+    /// Median of the run.
     pub median: String,
 }
 
-/// Returns the value of a size or throughput as statistics count it.
+/// Returns the value of a size or throughput: the value that the statistics of the run include.
 fn value(detail: &IterationDetail, name: &str) -> Option<f64> {
     detail.tree.counted_nodes().get(name)
 }
@@ -57,7 +60,7 @@ impl ByteRow {
             let size = |name: &str| {
                 value(detail, name).map_or_else(|| NONE.to_owned(), |size| bytes(size).to_string())
             };
-            let (throughput, throughput_note) = speed_of(detail, speed, name);
+            let (throughput, throughput_note) = throughput_text(detail, speed, name);
             let run_median = run_statistics(&detail.run_figures, speed)
                 .map(|statistics| statistics.p50)
                 .filter(|median| *median > 0.0);
@@ -79,7 +82,7 @@ impl ByteRow {
 
 /// Returns a throughput, and the reason if it is missing or an interval. If the verdict of the delay is `limited`, the throughput is its
 /// interval and never a single value.
-fn speed_of(detail: &IterationDetail, name: &str, delay: &str) -> (String, &'static str) {
+fn throughput_text(detail: &IterationDetail, name: &str, delay: &str) -> (String, &'static str) {
     let node =
         |name: &str| detail.tree.nodes().iter().find(|node| node.name == *name).map(|node| &node.measure);
     let Some(Measure::Throughput(rate)) = node(name) else {

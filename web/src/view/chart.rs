@@ -20,7 +20,8 @@ use super::stack::Stack;
 use crate::look;
 use crate::zone::{Zone, ZonedTime};
 
-/// Reasons why there is no single number for the upward and the downward throughput.
+/// Reasons why there is no single number for the upward and the downward throughput; `None` for a direction that has a
+/// number.
 pub(crate) type Obstacles = [Option<&'static str>; 2];
 
 /// An incident on a time axis.
@@ -78,7 +79,8 @@ pub(crate) struct Minute {
     pub total: String,
 }
 
-/// Consecutive seconds that begin at `from`. A second without a report is `null` in `n`.
+/// Data of one chart. The lists in `n`, `means` and `transfers` have an element for each second, beginning with the
+/// second `from` (Unix time). A second without a report is `null` in `n`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct ChartData {
     key: String,
@@ -94,7 +96,8 @@ struct ChartData {
     p95: PercentileData,
     /// Reasons why a direction has no line.
     obstacles: Obstacles,
-    /// CPU and GPU of the host in percent, as (unix seconds, value), for a pipeline that sends nothing.
+    /// CPU and GPU load of the host in percent, as (Unix seconds, value). Empty for a pipeline that sends messages,
+    /// whose chart shows throughputs instead.
     cpu: Vec<(i64, RoundedNumber)>,
     gpu: Vec<(i64, RoundedNumber)>,
 }
@@ -109,7 +112,7 @@ struct TransferData {
 /// The 95th percentile of `total` in buckets.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct PercentileData {
-    /// Length of each bucket, seconds; null while none holds enough iterations.
+    /// Length of each bucket, seconds; null while even the longest buckets would hold too few iterations.
     size: Option<u32>,
     /// First second of a bucket (Unix time), and the percentile in ms.
     points: Vec<(i64, RoundedNumber)>,
@@ -128,7 +131,8 @@ struct PageData<'a> {
     marks: &'a [Mark],
 }
 
-/// Returns bytes and sum of delays (µs) of one direction; `None` if no delay is known.
+/// Returns the bytes with a known delay in one direction, and the sum of these delays (µs); `None` if no delay is
+/// known.
 fn timed_transfer(transfer: Option<Transfer>) -> Option<(RoundedNumber, RoundedNumber)> {
     let transfer = transfer.filter(|transfer| transfer.speed().is_some())?;
     Some((RoundedNumber(Some(transfer.timed_bytes)), RoundedNumber(Some(transfer.seconds * 1e6))))
@@ -161,7 +165,8 @@ impl ChartCard {
         }
     }
 
-    /// Returns the reasons why a direction has no line, which are shown under the chart's legend.
+    /// Returns the key of the chart, and the reasons why a direction has no line. The page shows the reasons under the
+    /// chart's legend.
     pub(crate) fn obstacles(&self) -> (String, Obstacles) {
         (self.key.clone(), self.data.obstacles)
     }
@@ -233,7 +238,8 @@ fn minutes(series: &[std::sync::Arc<LiveSecond>], columns: &[&'static str], zone
         by_minute.entry(second.at.div_euclid(60)).or_default().push(second);
     }
     let rows = by_minute.into_iter().rev().map(|(minute, seconds)| {
-        // A second without a part counts as zero, as in the chart.
+        // A second in which a part of the total does not occur counts as a second in which the part took no time, as in
+        // the chart.
         let average = |name: &str| {
             let means = seconds.iter().map(|second| {
                 let mean = drawn_means(second).find(|(node, _)| node == name).map(|(_, mean)| *mean);

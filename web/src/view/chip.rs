@@ -1,4 +1,5 @@
-//! Chip of a sign and a word for verdicts and states. Each has a different sign, so that colour is not needed.
+//! Chips: an icon (sign) and a word for a verdict or a state. No two of them have the same sign, so that readers need
+//! no colours.
 
 use askama::Template;
 use peernet_clock::Verdict;
@@ -17,7 +18,7 @@ pub(crate) enum Tone {
 }
 
 impl Tone {
-    /// Returns the class that carries its colour.
+    /// Returns the CSS class that gives the tone its colour.
     pub(crate) const fn class(self) -> &'static str {
         match self {
             Self::Ok => "ok",
@@ -36,6 +37,7 @@ impl Tone {
 )]
 pub(crate) struct Chip {
     pub tone: Tone,
+    /// Name of the icon.
     pub sign: &'static str,
     pub word: &'static str,
 }

@@ -5,7 +5,7 @@ use std::fmt;
 use peernet_statistics::number::decimals;
 use serde::Serialize;
 
-/// Largest number of decimals of a number for a chart.
+/// Maximum number of decimals of a number for a chart.
 const MAX_DECIMALS: usize = 9;
 
 /// JSON text for a `script` element, escaped so that it cannot close the element.
@@ -39,7 +39,8 @@ impl fmt::Display for JsonBlock {
 
 impl askama::filters::HtmlSafe for JsonBlock {}
 
-/// A number for a chart. Its JSON form has three decimals, and at least four significant digits, because tooltips show three; a gap is `null`.
+/// A number for a chart. Its JSON form has three decimals, or more if it would have fewer than four significant digits:
+/// tooltips show three digits. A gap is `null`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct RoundedNumber(pub Option<f64>);
 
@@ -47,8 +48,8 @@ impl Serialize for RoundedNumber {
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self.0.filter(|value| value.is_finite()) {
             Some(value) => {
-                let per_one = 10f64.powi(decimals(value, 4).clamp(3, MAX_DECIMALS) as i32);
-                serializer.serialize_f64((value * per_one).round() / per_one)
+                let power_of_ten = 10f64.powi(decimals(value, 4).clamp(3, MAX_DECIMALS) as i32);
+                serializer.serialize_f64((value * power_of_ten).round() / power_of_ten)
             }
             None => serializer.serialize_none(),
         }

@@ -6,7 +6,7 @@ use peernet_store::{Episodes, RunSummary};
 use super::counted;
 
 /// Returns `4 episodes of 100 steps`; `None` for a run without episodes.
-pub(crate) fn summary(episodes: &Episodes) -> Option<String> {
+pub(crate) fn episode_count_text(episodes: &Episodes) -> Option<String> {
     let all = format!("{} episodes", count(episodes.count));
     let text = match episodes.steps.filter(|_| episodes.count > 1) {
         Some(steps) => format!("{all} of {}", counted(steps as usize, "step", "steps")),
@@ -18,7 +18,7 @@ pub(crate) fn summary(episodes: &Episodes) -> Option<String> {
 }
 
 /// Returns `3 failed`, or `995 failed, 300 marked` if not all have a mark. `None` if no iteration failed.
-pub(crate) fn failed(episodes: &Episodes, run: &RunSummary) -> Option<String> {
+pub(crate) fn failed_count_text(episodes: &Episodes, run: &RunSummary) -> Option<String> {
     let marked = episodes.failed_starts.len() as u64;
     let counts = &run.counts;
     // The counts of a run do not include the warm-up, and the stored rows lack the iterations that retention deleted.
@@ -42,7 +42,7 @@ mod tests {
 
     #[test]
     fn episodes_are_counted_and_too_many_have_no_marks() {
-        let text_of = |count, steps| summary(&Episodes { count, steps, ..Episodes::default() });
+        let text_of = |count, steps| episode_count_text(&Episodes { count, steps, ..Episodes::default() });
         assert_eq!((text_of(0, None), text_of(1, None)), (None, None));
         assert_eq!(text_of(4, Some(100)).as_deref(), Some("4 episodes of 100 steps"));
         assert_eq!(text_of(31, Some(1)).as_deref(), Some("31 episodes of 1 step"));
@@ -56,7 +56,7 @@ mod tests {
             let marks = vec![samples::NOW; marked];
             let episodes = Episodes { failed_starts: marks, failed_count, ..Episodes::default() };
             let counts = OutcomeCounts { ok: 9, lost, ..OutcomeCounts::default() };
-            failed(&episodes, &RunSummary { counts, ..run(1, PlacementKind::Remote) })
+            failed_count_text(&episodes, &RunSummary { counts, ..run(1, PlacementKind::Remote) })
         };
         assert_eq!(text_of(0, 0, 0), None);
         assert_eq!(text_of(3, 3, 3).as_deref(), Some("3 failed"));

@@ -45,7 +45,7 @@ pub(crate) struct Step {
     pub note: String,
 }
 
-/// Counts of the agent, as its page shows them.
+/// Counts of the agent's events, as the page of its host shows them.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Events {
     pub remarks: Vec<Remark>,
@@ -64,7 +64,7 @@ pub(crate) struct Events {
 /// Fill level of a spool.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Spool {
-    /// Percent of its limit.
+    /// Used percent of the limit.
     pub percent: String,
     /// `312 MB of 1.07 GB`.
     pub words: String,
@@ -176,7 +176,8 @@ fn remarks(host: &HostSnapshot) -> Vec<Remark> {
     }
     let missing = host.missing_events();
     if missing > 0 {
-        // Batches that only the aggregator found missing were lost in another way, for example with a spool that was deleted.
+        // If the agent dropped fewer events than are missing, some were lost in another way, for example with a spool
+        // that was deleted.
         let why = loss_reasons(account).filter(|_| account.dropped == missing).unwrap_or("missing");
         let text = format!(
             "{} {why}; the gaps of its runs, or incidents of the kind gap, say why.",
@@ -191,12 +192,12 @@ fn remarks(host: &HostSnapshot) -> Vec<Remark> {
 }
 
 /// Returns the most severe remark on a host's events.
-pub(crate) fn worst(host: &HostSnapshot) -> Option<Remark> {
+pub(crate) fn most_severe_remark(host: &HostSnapshot) -> Option<Remark> {
     remarks(host).into_iter().min_by_key(|remark| Reverse(remark.chip.tone))
 }
 
 /// Returns the aggregator's counts of a host's data, as pairs of name and text.
-pub(crate) fn stored(
+pub(crate) fn stored_count_pairs(
     stored: &StoredCounts,
     arrivals: Option<&Arrivals>,
     newest: Option<peernet_clock::WallTime>,
@@ -259,7 +260,7 @@ impl EventLine {
             lost: loss_reasons(account),
             spool: Spool::of(&name, account),
             behind: host.behind.map_or_else(|| "0".to_owned(), |behind| fixed(behind.seconds(), 1)),
-            remark: worst(host),
+            remark: most_severe_remark(host),
             name,
         }
     }
@@ -353,7 +354,7 @@ mod tests {
     #[test]
     fn lost_events_are_marked_with_every_reason() {
         let mut host = host();
-        let dropped = worst(&host).expect("50 were dropped");
+        let dropped = most_severe_remark(&host).expect("50 were dropped");
         assert_eq!((dropped.chip.word, dropped.chip.tone), ("lost", Tone::Warn));
         assert_eq!(
             dropped.text,
@@ -361,13 +362,13 @@ mod tests {
         );
         assert_eq!(Events::of(&host).lost, Some(LOST));
         host.accounting.dropped = 0;
-        assert_eq!((worst(&host), EventLine::new(&host).lost), (None, None));
-        // Another database stored them before this one knew the host.
+        assert_eq!((most_severe_remark(&host), EventLine::new(&host).lost), (None, None));
+        // Another database stored these events before this database knew the host.
         (host.stored.missing, host.stored.missing_before) = (849, 849);
-        assert_eq!(worst(&host), None);
+        assert_eq!(most_severe_remark(&host), None);
         host.stored.missing = 2 * 849;
         assert_eq!(
-            worst(&host).expect("batches are missing").text,
+            most_severe_remark(&host).expect("batches are missing").text,
             "849 events missing; the gaps of its runs, or incidents of the kind gap, say why."
         );
     }

@@ -10,7 +10,7 @@ use peernet_stream::PipelineState;
 use super::chip::{Chip, Tone};
 use super::events::FAR_BEHIND;
 use super::notes::Note;
-use super::now::{state_chip, trouble};
+use super::now::{state_chip, state_reason};
 use super::{link, place, startup, warnings};
 use crate::config::WarnConfig;
 use crate::zone::Zone;
@@ -127,7 +127,7 @@ fn pipeline_notes(pipeline: &PipelineSnapshot, snapshot: &LiveState, warn: &Warn
     let note = |chip, text| Note { chip, subject: subject.clone(), href: href.clone(), text, link: None };
     let mut notes = Vec::new();
     notes.extend(
-        state_chip(&pipeline.state).zip(trouble(&pipeline.state)).map(|(chip, text)| note(chip, text)),
+        state_chip(&pipeline.state).zip(state_reason(&pipeline.state)).map(|(chip, text)| note(chip, text)),
     );
     if pipeline.state != PipelineState::Running {
         return notes;

@@ -13,14 +13,14 @@ const NARROWEST_EMS: f64 = 19.6;
 
 /// Draws a distribution with lines at its quantiles.
 pub(crate) fn histogram(stored: &Histogram, view: View, is_logarithmic: bool) -> Picture {
-    let end = stored.edges.last().copied().unwrap_or_default();
-    let unit = axis_unit(&stored.unit, end);
+    let last_edge = stored.edges.last().copied().unwrap_or_default();
+    let unit = axis_unit(&stored.unit, last_edge);
     let statistics = &stored.statistics;
     let quantiles = [("median", Some(statistics.p50)), ("p95", statistics.p95), ("p99", statistics.p99)];
     let quantiles: Vec<(&str, f64)> = quantiles
         .into_iter()
         .filter_map(|(name, value)| Some((name, value?)))
-        .filter(|(_, value)| *value <= end)
+        .filter(|(_, value)| *value <= last_edge)
         .collect();
     let quantile_texts = quantiles.iter().map(|(name, value)| format!("{name} {}", unit.words(*value, 0.0)));
     let label =

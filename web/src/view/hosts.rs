@@ -22,13 +22,16 @@ pub(crate) struct HostLine {
     pub remark: Option<Remark>,
     /// Time of the last report, for a host that does not report now.
     pub away: Option<ZonedTime>,
-    /// Chip of a host that said goodbye: it stopped in order.
+    /// Chip of a host whose agent said goodbye before it stopped; `None` for any other host.
     pub ended: Option<Chip>,
     /// Accelerator of the host, or its processor if it has no accelerator.
     pub kind: String,
+    /// Busy share of the cores, percent.
     pub cpu: String,
     pub cpu_spark: Picture,
+    /// Used memory, GB.
     pub memory: String,
+    /// Installed memory, GB.
     pub memory_of: String,
     pub gpu: String,
     pub gpu_spark: Option<Picture>,
@@ -69,18 +72,20 @@ const ENDED: Chip = Chip::new(Tone::Quiet, "ok", "ended");
 /// Number of points of a sparkline: one every five seconds for ten minutes.
 const POINTS: usize = 120;
 const POINT_INTERVAL_S: f64 = 5.0;
-/// If more time than this is between two points, the host counts as absent between them.
+/// If two points are further apart than this, the host counts as absent between them.
 const MIN_ABSENCE: Span = Span::from_seconds(15);
 
+/// Returns the values of a sparkline, oldest first. `None` makes a gap.
 fn history(
     points: &[std::sync::Arc<MetricsPoint>],
     share_of: impl Fn(&HostMetrics) -> Option<f64>,
 ) -> Vec<Option<f64>> {
-    // With less than ten minutes of points, the missing older points are filled with gaps. The newest point is always at the right end.
+    // The newest point is always at the right end. If there are points of less than ten minutes, the older ones are
+    // filled with gaps.
     let mut newest_first = Vec::with_capacity(POINTS);
     let mut later_time = None;
     for point in points.iter().rev() {
-        // The line has a gap for the time in which the host did not report.
+        // A gap is inserted for the time in which the host did not report.
         let time_to_next = later_time.map_or(Span::ZERO, |later_time| later_time - point.at);
         if time_to_next > MIN_ABSENCE {
             let missing = ((time_to_next.seconds() / POINT_INTERVAL_S) as usize).saturating_sub(1);
@@ -103,7 +108,7 @@ pub(crate) fn hardware_name(hardware: &Hardware) -> String {
     let name = hardware.gpus.first().unwrap_or(&hardware.cpu);
     ["(R)", "(TM)", "NVIDIA ", "Processor", "CPU"]
         .iter()
-        .fold(name.clone(), |name, noise| name.replace(noise, ""))
+        .fold(name.clone(), |name, ignored| name.replace(ignored, ""))
         .split_whitespace()
         .collect::<Vec<_>>()
         .join(" ")
@@ -131,8 +136,9 @@ pub(crate) fn clock_words(theirs: &ClockIdentity, ours: &ClockIdentity, ahead: S
 }
 
 impl HostLine {
-    /// Returns the first `limit` hosts in two lists: hosts that have not ended, and hosts that have ended.
-    pub(crate) fn first(
+    /// Converts the first `limit` hosts of the live state. Returns the hosts that have not ended, and the hosts that
+    /// have ended.
+    pub(crate) fn current_and_ended(
         limit: usize,
         snapshot: &LiveState,
         ours: &ClockIdentity,
@@ -147,7 +153,8 @@ impl HostLine {
         let metrics = &host.metrics;
         let (clock, clock_title) = clock_words(&host.description.clock, ours, host.clock_ahead);
         let is_far_behind = host.behind.is_some_and(|behind| behind > FAR_BEHIND);
-        let remark = events::worst(host).filter(|remark| is_far_behind || remark.chip.tone >= Tone::Warn);
+        let remark =
+            events::most_severe_remark(host).filter(|remark| is_far_behind || remark.chip.tone >= Tone::Warn);
         let tone = match &remark {
             _ if host.has_left => Tone::Quiet,
             _ if !host.connected => Tone::Bad,

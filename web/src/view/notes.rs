@@ -36,6 +36,8 @@ pub(crate) fn delay_notes(
         .filter_map(|bound| Some((bound, clocks::verdict(bound)?)))
         .filter(|(_, verdict)| *verdict != Verdict::Ok)
         .collect();
+    // If both directions have the same verdict, one sentence is enough. But sentences about `limited` delays have
+    // different numbers.
     if let [(_, verdict), (_, other)] = not_ok.as_slice()
         && verdict == other
         && *verdict != Verdict::Limited

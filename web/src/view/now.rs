@@ -40,20 +40,25 @@ pub(crate) struct NowTable {
 pub(crate) struct NowRow {
     pub name: String,
     pub href: String,
-    /// Where it computes, and with which model.
+    /// Place of the model, and the model itself.
     pub placement: String,
     /// State of the pipeline; `None` while it runs.
     pub state: Option<Chip>,
+    /// The mean stages as a bar, with whiskers to p95 and p99.
     pub bar: Picture,
     pub p50: Cell,
     pub p95: Cell,
     pub p99: Cell,
     pub rate: String,
+    /// Share of iterations without success, percent.
     pub lost: Cell,
     /// The miss rate, percent.
     pub missed: Cell,
+    /// Speed while sending up, MB/s.
     pub up: Cell,
+    /// Speed while sending down, MB/s.
     pub down: Cell,
+    /// Traffic up and down, MB/s.
     pub traffic: Cell,
     pub clock: ClockCell,
     /// Means in the order of the table's columns, ms.
@@ -61,7 +66,7 @@ pub(crate) struct NowRow {
     pub total: String,
 }
 
-/// Figure, or the reason for its absence.
+/// Text of a table's cell, and an explanation that is shown as a tooltip.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Cell {
     pub text: String,
@@ -73,6 +78,7 @@ impl Cell {
         Self { text, title: None }
     }
 
+    /// Returns a dash with the reason why there is no value.
     pub(crate) fn none(why: impl Into<String>) -> Self {
         Self { text: NONE.to_owned(), title: Some(why.into()) }
     }
@@ -91,7 +97,7 @@ pub(crate) fn state_chip(state: &PipelineState) -> Option<Chip> {
 }
 
 /// Returns the reason why a pipeline does not run, in words: `waits: the cloud loads its model`.
-pub(crate) fn trouble(state: &PipelineState) -> Option<String> {
+pub(crate) fn state_reason(state: &PipelineState) -> Option<String> {
     let verb = match state {
         PipelineState::Failed(_) => "stopped",
         PipelineState::Waiting(_) => "waits",

@@ -62,6 +62,7 @@ pub(crate) struct SlowIteration {
     pub number_text: String,
     pub at: ZonedTime,
     pub total: String,
+    /// Total as a multiple of the run's median.
     pub factor: String,
     /// The part with the largest excess over its median: name, CSS class of its colour, excess.
     pub cause: Option<(String, &'static str, String)>,
@@ -77,16 +78,21 @@ pub(crate) struct FailedRow {
     pub reason: String,
 }
 
-/// Data of the chart over time: milliseconds of Unix time, milliseconds of duration.
+/// Data of the chart over time. Times are Unix times and durations, both in milliseconds.
 #[derive(Serialize)]
 struct Data {
     run: i64,
+    /// Length of a bucket, seconds.
     bucket: u32,
+    /// Start of each bucket, with the median and the 95th percentile of the total.
     points: Vec<(i64, RoundedNumber, RoundedNumber)>,
+    /// Start of each of the slowest iterations, with its total, the CSS class of its cause, and its number.
     slow: Vec<(i64, RoundedNumber, &'static str, u64)>,
+    /// Beginning and end of each gap, and the number of missing events.
     gaps: Vec<(i64, i64, u64)>,
     /// Starts of episodes, without the first.
     borders: Vec<i64>,
+    /// Beginning and end of each warm-up.
     warm_up: Vec<(i64, i64)>,
     /// Starts of failed iterations.
     failed: Vec<i64>,
@@ -99,7 +105,7 @@ impl StoredRun<'_> {
             number: row.number,
             number_text: count(row.number),
             at: zone.moment(row.started),
-            // Statistics and counts exclude the warm-up.
+            // The warm-up is named, because statistics and counts exclude its iterations.
             outcome: if row.warm_up { format!("{}, warm-up", row.outcome) } else { row.outcome.clone() },
             reason: row.reason.clone().unwrap_or_else(|| NONE.to_owned()),
         };
@@ -108,11 +114,11 @@ impl StoredRun<'_> {
 
     /// Returns texts about the number of episodes, the failed iterations, and a standstill.
     pub(crate) fn time_remarks(&self) -> Vec<String> {
-        let failed = episodes::failed(self.episodes, &self.run.summary);
+        let failed = episodes::failed_count_text(self.episodes, &self.run.summary);
         let standstill = self.starts.times.standstill_s.map(|seconds| {
             format!("nothing for {}: the clock was set, or the pipeline stood still", length(seconds))
         });
-        [episodes::summary(self.episodes), failed, standstill].into_iter().flatten().collect()
+        [episodes::episode_count_text(self.episodes), failed, standstill].into_iter().flatten().collect()
     }
 
     /// Returns the starts per second after the warm-up; `None` where the length of the run is unknown.
@@ -183,7 +189,7 @@ impl StoredRun<'_> {
         let directions = [(NetworkDirection::Up, "upload"), (NetworkDirection::Down, "download")];
         let sent = directions
             .into_iter()
-            .filter_map(|(direction, name)| Some((direction, name, direction.of(&transfers)?)));
+            .filter_map(|(direction, name)| Some((direction, name, direction.transfer(&transfers)?)));
         sent.flat_map(|(direction, name, transfer)| {
             let traffic = self.measured_seconds().and_then(|seconds| transfer.traffic(seconds));
             [
@@ -197,11 +203,12 @@ impl StoredRun<'_> {
     /// Returns the speed while sending: a number, or its interval where the delays are known only within a wide bound.
     fn speed(&self, direction: NetworkDirection, transfer: Transfer) -> Option<String> {
         let speed = transfer.speed()?;
-        let bound = self.statistics.bounds.iter().find(|bound| bound.stage == *direction.delay());
+        let bound = self.statistics.bounds.iter().find(|bound| bound.stage == *direction.delay_name());
         match bound.and_then(clocks::verdict) {
             None | Some(Verdict::Ok) => Some(throughput(speed)),
             Some(Verdict::Limited) => {
-                let delay = self.statistics.stages.iter().find(|stage| stage.stage == *direction.delay());
+                let delay =
+                    self.statistics.stages.iter().find(|stage| stage.stage == *direction.delay_name());
                 speed::interval(speed, &delay?.statistics, bound?)
             }
             Some(_) => None,

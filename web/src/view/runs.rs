@@ -14,13 +14,13 @@ use super::{clock_fault, counted, place};
 use crate::error::WebError;
 use crate::zone::{Zone, ZonedTime};
 
-/// Chip of a pinned run, of which retention deletes nothing.
+/// Chip of a pinned run. Retention deletes nothing of such a run.
 pub(crate) const PINNED: Chip = Chip::new(Tone::Quiet, "pin", "pinned");
 
 /// End of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum End {
-    /// The run has not ended: its host reports it.
+    /// The run has not ended: its host is connected and reports the run.
     InProgress,
     /// The run ended, and its agent reported this reason.
     Reported(String),
@@ -69,6 +69,7 @@ pub(crate) struct RunLine {
     pub route: String,
     pub model: String,
     pub started: ZonedTime,
+    /// Time from the start of the run to its end, or to its last stored iteration if no end was reported.
     pub lasted: String,
     pub end: End,
     pub iterations: String,
@@ -82,7 +83,7 @@ pub(crate) struct RunLine {
 }
 
 /// Returns the reason why iterations are deleted: `after 7 days`.
-fn why_deleted(retention: &RetentionConfig) -> String {
+fn deletion_reason(retention: &RetentionConfig) -> String {
     match (retention.nodes_days, retention.size_limit_bytes) {
         (1, 0) => "after 1 day".to_owned(),
         (days, 0) if days > 0 => format!("after {} days", count(days.into())),
@@ -90,7 +91,7 @@ fn why_deleted(retention: &RetentionConfig) -> String {
     }
 }
 
-/// Returns an error for an iteration whose tree retention deleted.
+/// Rejects a request for an iteration whose tree was deleted by retention.
 pub(crate) fn reject_deleted(
     run: &RunSummary,
     iteration: u64,
@@ -99,7 +100,7 @@ pub(crate) fn reject_deleted(
     if iteration == 0 || iteration > run.nodes_from {
         return Ok(());
     }
-    let (number, last, why) = (run.number, run.nodes_from, why_deleted(retention));
+    let (number, last, why) = (run.number, run.nodes_from, deletion_reason(retention));
     Err(WebError::Gone(format!(
         "iterations 1 to {last} of run {number} were deleted {why}, iteration {iteration} among them; the statistics \
          of the run remain"
@@ -117,7 +118,10 @@ pub(crate) fn deleted_iterations_note(run: &RunSummary, retention: &RetentionCon
         chip: Chip::new(Tone::Quiet, "gap", "deleted"),
         subject: which,
         href: String::new(),
-        text: format!("can no longer be opened: deleted {}. The statistics remain.", why_deleted(retention)),
+        text: format!(
+            "can no longer be opened: deleted {}. The statistics remain.",
+            deletion_reason(retention)
+        ),
         link: None,
     })
 }
@@ -147,13 +151,13 @@ pub(crate) fn gap_notes(gaps: &[GapRow], zone: Zone) -> Vec<Note> {
     notes.collect()
 }
 
-/// Returns the share of failed iterations.
+/// Returns the share of the iterations that failed, were lost or timed out, 0 to 1; `None` without iterations.
 pub(crate) fn lost_share(run: &RunSummary) -> Option<f64> {
     failed_share(&run.counts)
 }
 
 /// Returns the end of the run, or the start of its last stored iteration if no end was reported.
-pub(crate) fn end(run: &RunSummary) -> Option<WallTime> {
+pub(crate) fn end_time(run: &RunSummary) -> Option<WallTime> {
     run.ended.or(run.last_iteration)
 }
 
@@ -167,7 +171,8 @@ impl RunLine {
             route: place::route(run.host_name.as_str(), &run.placement),
             model: place::model(&run.placement),
             started: zone.moment(run.started),
-            lasted: end(run).map_or_else(|| NONE.to_owned(), |end| length((end - run.started).seconds())),
+            lasted: end_time(run)
+                .map_or_else(|| NONE.to_owned(), |end| length((end - run.started).seconds())),
             end: End::of(run, snapshot, zone),
             iterations: count(run.counts.total()),
             lost: lost_share(run).map_or_else(|| NONE.to_owned(), percent),
@@ -238,7 +243,7 @@ mod tests {
     #[test]
     fn reason_of_deletion_is_shown_if_known() {
         let why = |nodes_days, size_limit_bytes| {
-            why_deleted(&RetentionConfig { nodes_days, size_limit_bytes, ..RetentionConfig::default() })
+            deletion_reason(&RetentionConfig { nodes_days, size_limit_bytes, ..RetentionConfig::default() })
         };
         assert_eq!((why(7, 0).as_str(), why(1, 0).as_str()), ("after 7 days", "after 1 day"));
         assert_eq!(why(7, 1 << 30), "because of their age or to free disk space");

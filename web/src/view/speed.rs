@@ -25,16 +25,16 @@ pub(crate) enum NetworkDirection {
 }
 
 impl NetworkDirection {
-    /// Returns the name of the node with the delay of this direction.
-    pub(crate) const fn delay(self) -> &'static str {
+    /// Returns the name of the node whose value is the delay of this direction.
+    pub(crate) const fn delay_name(self) -> &'static str {
         match self {
             Self::Up => "upload",
             Self::Down => "download",
         }
     }
 
-    /// Returns the messages sent in this direction.
-    pub(crate) const fn of(self, transfers: &Transfers) -> Option<Transfer> {
+    /// Returns the transfer in this direction; `None` if nothing was sent.
+    pub(crate) const fn transfer(self, transfers: &Transfers) -> Option<Transfer> {
         match self {
             Self::Up => transfers.up,
             Self::Down => transfers.down,
@@ -42,20 +42,21 @@ impl NetworkDirection {
     }
 }
 
-/// Returns the reason why a direction has no single speed; `None` if it has one.
+/// Returns the reason why the speed of a direction cannot be given as a single number; `None` if it can.
 pub(crate) fn obstacle(window: &Window, direction: NetworkDirection) -> Option<&'static str> {
-    let bound = window.bounds.iter().find(|bound| bound.stage == *direction.delay());
+    let bound = window.bounds.iter().find(|bound| bound.stage == *direction.delay_name());
     find_obstacle(bound.and_then(clocks::verdict), window.counts.ok)
 }
 
-/// Returns the reason why a chart of `series` has no line for a direction; `None` if it has one. Only the minute that ends with the last
-/// answered iteration is considered, even if that iteration is long ago.
+/// Returns the reason why a chart of `series` has no line for a direction; `None` if the chart has such a line. Only
+/// the minute that ends with the last successful iteration is considered, even if that iteration was long ago.
 pub(crate) fn obstacle_in(series: &[Arc<LiveSecond>], direction: NetworkDirection) -> Option<&'static str> {
     let last = series.iter().rfind(|second| second.counts.ok > 0).map(|second| second.at);
     let minute = || series.iter().filter(|second| last.is_some_and(|last| second.at > last - MINUTE_S));
     let verdict_count = |verdict: &Verdict| {
         let verdicts = minute().flat_map(|second| &second.verdicts);
-        let verdicts = verdicts.filter(|(stage, other, _)| *stage == *direction.delay() && other == verdict);
+        let verdicts =
+            verdicts.filter(|(stage, other, _)| *stage == *direction.delay_name() && other == verdict);
         (*verdict, verdicts.map(|(.., count)| count).sum())
     };
     find_obstacle(
@@ -80,14 +81,14 @@ pub(crate) fn cell(kind: PlacementKind, window: &Window, direction: NetworkDirec
     if kind != PlacementKind::Remote {
         return Cell::none("one host: nothing is sent");
     }
-    let speed = direction.of(&window.transfers).and_then(|transfer| transfer.speed());
+    let speed = direction.transfer(&window.transfers).and_then(|transfer| transfer.speed());
     match (obstacle(window, direction), speed) {
         (None, Some(speed)) => Cell::new(throughput(speed)),
         (None, None) => Cell::none("the sizes or the delays are not known"),
         (Some(why), speed) => {
-            let bound = window.bounds.iter().find(|bound| bound.stage == *direction.delay());
+            let bound = window.bounds.iter().find(|bound| bound.stage == *direction.delay_name());
             let limited = bound.and_then(clocks::verdict) == Some(Verdict::Limited);
-            let delay = window.value(direction.delay());
+            let delay = window.value(direction.delay_name());
             match speed.filter(|_| limited).and_then(|speed| interval(speed, delay?, bound?)) {
                 Some(text) => Cell { text, title: Some(why.to_owned()) },
                 None => Cell::none(why),
@@ -112,7 +113,7 @@ pub(crate) fn traffic(kind: PlacementKind, window: &Window) -> Cell {
 
 /// Returns the traffic of a direction in bits per second.
 pub(crate) fn direction_traffic(window: &Window, direction: NetworkDirection) -> Option<f64> {
-    direction.of(&window.transfers)?.traffic(window.covered_s)
+    direction.transfer(&window.transfers)?.traffic(window.covered_s)
 }
 
 /// Returns the interval of a speed while sending in MB/s, from the statistics of the delays. `None` if a delay has no interval.

@@ -11,12 +11,12 @@ use peernet_store::{DelayAccuracy, IterationRow, QuantityStatistics, StageStatis
 
 use crate::picture::Picture;
 
-/// The stages of a window or run, and the unattributed time.
+/// The mean stages of a window or run, or the stages of one iteration, and the unattributed time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Stack {
     /// Parts in the order of [`look::STACK`].
     pub parts: Vec<StagePart>,
-    /// Figures of `total`.
+    /// Statistics of `total`; `None` without a successful iteration.
     pub total: Option<QuantityStatistics>,
 }
 
@@ -49,6 +49,7 @@ impl Stack {
         self
     }
 
+    /// Creates the stack from the numbers of messages sent up and down, and the statistics of nodes by name.
     fn new(sent: [u64; 2], statistics_of: impl Fn(&str) -> Option<QuantityStatistics>) -> Self {
         let mean_of = |name: &str| statistics_of(name).map(|statistics| (statistics.count, statistics.mean));
         Self { parts: bar_parts(StageSplit::new(sent, mean_of).parts), total: statistics_of("total") }

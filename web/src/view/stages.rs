@@ -16,7 +16,9 @@ use crate::picture::Picture;
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct StageRow {
     pub name: String,
+    /// CSS class of the stage's colour.
     pub look: &'static str,
+    /// 1 for a part of the stage in the row above, else 0.
     pub depth: u8,
     pub mean: String,
     pub std: Option<String>,
@@ -25,6 +27,7 @@ pub(crate) struct StageRow {
     pub p99: String,
     pub max: String,
     pub bound: BoundCell,
+    /// Bar that shows the share of the stage in the total.
     pub share: Option<Picture>,
     /// `true` for the row of the total.
     pub is_total: bool,
@@ -34,6 +37,7 @@ pub(crate) struct StageRow {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct BoundCell {
     pub text: String,
+    /// Icon of the verdict on the delays; `None` without delays.
     pub sign: Option<Sign>,
     pub title: &'static str,
 }
@@ -71,7 +75,7 @@ impl StageRow {
         }
     }
 
-    /// Returns whether there are samples, and therefore a distribution.
+    /// Returns whether the stage has values, and therefore a distribution that the row can link to.
     pub(crate) fn is_measured(&self) -> bool {
         self.p50 != NONE
     }
@@ -104,7 +108,8 @@ impl StageRow {
                 Self::new(column, &stage.stage, Some(&stage.statistics), stage.bound.as_ref(), stage.share)
             })
             .collect();
-        // A direction without a known delay has a bound but no statistics, so its row is inserted here.
+        // A direction without a known delay has no statistics, and therefore no row yet. Its row shows the verdict on
+        // the delays.
         for bound in bounds.iter().filter(|bound| stages.iter().all(|stage| stage.stage != bound.stage)) {
             let index = rows.partition_point(|row| rank(&row.name) < rank(&bound.stage));
             rows.insert(index, Self::new(column, &bound.stage, None, Some(bound), None));

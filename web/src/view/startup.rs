@@ -37,19 +37,19 @@ mod tests {
     #[test]
     fn known_agents_are_expected_to_reconnect_after_start() {
         let mut shown = snapshot(Vec::new(), Vec::new());
-        let (now, long_ago) = (shown.at - Span::from_seconds(3), shown.at - Span::from_seconds(3_600));
-        assert!(!is_waiting_for_agents(&shown, now), "a new aggregator knows nobody");
+        let (recently, long_ago) = (shown.at - Span::from_seconds(3), shown.at - Span::from_seconds(3_600));
+        assert!(!is_waiting_for_agents(&shown, recently), "a new aggregator knows nobody");
         shown.absent = 2;
         assert_eq!(absent_hosts_sentence(&shown).as_deref(), Some("2 hosts are known from earlier"));
-        assert!(is_waiting_for_agents(&shown, now) && is_waiting_for_agents(&shown, long_ago));
+        assert!(is_waiting_for_agents(&shown, recently) && is_waiting_for_agents(&shown, long_ago));
 
         let mut shown = snapshot(vec![host("rack-a", "EPYC")], Vec::new());
         shown.absent = 1;
         assert!(
-            is_waiting_for_agents(&shown, now) && !is_waiting_for_agents(&shown, long_ago),
-            "the other one is away by then"
+            is_waiting_for_agents(&shown, recently) && !is_waiting_for_agents(&shown, long_ago),
+            "after an hour, the absent host is missing"
         );
         shown.pipelines.push(pipeline("line", 5.0, 1.0, Verdict::Ok, &[]).into());
-        assert!(!is_waiting_for_agents(&shown, now), "one runs");
+        assert!(!is_waiting_for_agents(&shown, recently), "one runs");
     }
 }

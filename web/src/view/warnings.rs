@@ -15,16 +15,18 @@ use crate::config::WarnConfig;
 /// Minimum time for which the processors must have been busy.
 const MIN_BUSY_TIME: Span = Span::from_seconds(10);
 
-/// Returns a warning if a host's processors have been busy for ten seconds.
+/// Returns a warning if a host's processors have been busy for ten seconds: a chip, and the rest of a sentence about
+/// the host.
 pub(crate) fn host_warning(host: &HostSnapshot, now: WallTime, warn: &WarnConfig) -> Option<(Chip, String)> {
     let limit = warn.cpu_percent / 100.0;
     let current = host.metrics.cpu.filter(|_| host.connected)?;
-    // Checks all points of the last `MIN_BUSY_TIME`, and the first point before it.
+    // Checks all points of the last `MIN_BUSY_TIME`, and the newest point before them, so that the points cover the
+    // whole time.
     let mut points = host.history.iter().rev();
-    let mut least = current;
+    let mut lowest = current;
     loop {
         let MetricsPoint { at, metrics } = &**points.next()?;
-        least = least.min(metrics.cpu?);
+        lowest = lowest.min(metrics.cpu?);
         if now - *at >= MIN_BUSY_TIME {
             break;
         }
@@ -32,13 +34,13 @@ pub(crate) fn host_warning(host: &HostSnapshot, now: WallTime, warn: &WarnConfig
     let text = || {
         format!(
             "has had busy processors for 10{SPACE}s, never below {}{SPACE}%: latencies contain waiting.",
-            percent(least)
+            percent(lowest)
         )
     };
-    (least > limit).then(|| (Chip::new(Tone::Warn, "remark", "busy"), text()))
+    (lowest > limit).then(|| (Chip::new(Tone::Warn, "remark", "busy"), text()))
 }
 
-/// Returns the warnings about a pipeline's last minute.
+/// Returns the warnings about a pipeline's last minute: for each a chip, and the rest of a sentence about the pipeline.
 pub(crate) fn pipeline_warnings(minute: &Window, warn: &WarnConfig) -> Vec<(Chip, String)> {
     let split = split(minute);
     [
@@ -185,10 +187,10 @@ mod tests {
     fn skipped_starts_cause_warning() {
         assert_eq!(words(|minute| set(minute, SKIPPED_STARTS, 0.0)), [] as [&str; 0]);
         assert_eq!(words(|minute| set(minute, SKIPPED_STARTS, 0.01)), ["skipped"]);
-        let patient = WarnConfig { skipped_percent: 2.0, ..WarnConfig::default() };
+        let tolerant = WarnConfig { skipped_percent: 2.0, ..WarnConfig::default() };
         let mut minute = samples::window(60, 30.0, 1.0, Verdict::Ok);
         set(&mut minute, SKIPPED_STARTS, 0.01);
-        assert_eq!(pipeline_warnings(&minute, &patient), []);
+        assert_eq!(pipeline_warnings(&minute, &tolerant), []);
         let text = &pipeline_warnings(&minute, &WarnConfig::default())[0].1;
         assert!(text.starts_with("skipped 18 starts in the last minute"), "{text}");
     }

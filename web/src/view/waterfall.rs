@@ -13,7 +13,7 @@ use peernet_store::IterationDetail;
 pub(crate) use bars::lanes;
 
 use super::chip::Chip;
-use super::link::basis::{brief, source_words};
+use super::link::basis::{brief_words, source_words};
 use super::stack;
 use crate::look;
 use crate::picture::Picture;
@@ -24,22 +24,29 @@ use crate::timeline::{NodeLocation, PlacedNode, Timeline};
 pub(crate) struct Row {
     /// Name of the host, in the first of consecutive rows of one host.
     pub group: Option<String>,
-    /// Number of these rows.
+    /// Number of consecutive rows of the host, in the first of them.
     pub span: usize,
+    /// CSS class: `net` for the network, `cloud` for another host, `total` for the total, else empty.
     pub class: &'static str,
     pub name: String,
+    /// CSS class of the node's colour.
     pub look: &'static str,
     pub depth: u8,
     pub host: String,
     pub value: String,
     pub bound: Option<String>,
     pub chip: Option<Chip>,
+    /// Value minus the run's median.
     pub difference: String,
+    /// `true` if the node is a cause of the iteration's duration.
     pub strong: bool,
     pub bar: Picture,
     pub start: String,
+    /// Lower end of the interval that contains the true value.
     pub lo: String,
+    /// Upper end of that interval.
     pub hi: String,
+    /// Median of the run.
     pub median: String,
 }
 
@@ -47,7 +54,9 @@ pub(crate) struct Row {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct DelayRow {
     pub name: String,
+    /// Receiver's stamp minus sender's stamp.
     pub raw: String,
+    /// Value minus `raw`.
     pub offset: String,
     pub value: String,
     pub lo: String,
@@ -58,7 +67,7 @@ pub(crate) struct DelayRow {
     pub chip: Chip,
 }
 
-fn dash(text: Option<String>) -> String {
+fn or_dash(text: Option<String>) -> String {
     text.unwrap_or_else(|| NONE.to_owned())
 }
 
@@ -75,10 +84,10 @@ pub(crate) fn rows(
         let strong = node.is_counted && is_cause(node.name.as_str());
         Row::of(node, hosts, strong, bars::row(node, timeline, scale, strong), column)
     };
-    let is_late = |node: &&PlacedNode| node.depth == 0 && node.name == *look::LATENESS;
-    let mut rows: Vec<Row> = timeline.nodes.iter().filter(|node| !is_late(node)).map(row).collect();
+    let is_lateness = |node: &&PlacedNode| node.depth == 0 && node.name == *look::LATENESS;
+    let mut rows: Vec<Row> = timeline.nodes.iter().filter(|node| !is_lateness(node)).map(row).collect();
     // Lateness is a part of the unattributed time, so its row is indented. Otherwise the column would seem to add up to more than the total.
-    let late = timeline.nodes.iter().find(is_late).map(|node| Row { depth: 1, ..row(node) });
+    let lateness = timeline.nodes.iter().find(is_lateness).map(|node| Row { depth: 1, ..row(node) });
 
     let medians = detail.medians();
     let edge = hosts.first().cloned().unwrap_or_default();
@@ -97,7 +106,7 @@ pub(crate) fn rows(
             row.strong = is_cause("unattributed");
             rows.push(row);
         }
-        rows.extend(late);
+        rows.extend(lateness);
         let mut total_row = Row::sum(
             "total",
             edge,
@@ -108,18 +117,18 @@ pub(crate) fn rows(
         total_row.class = "total";
         rows.push(total_row);
     }
-    group(&mut rows);
+    name_hosts_once(&mut rows);
     rows
 }
 
 /// Names each host once, at the first of its rows.
-fn group(rows: &mut [Row]) {
+fn name_hosts_once(rows: &mut [Row]) {
     let mut begin = 0;
     while begin < rows.len() {
         let same = |row: &Row| row.host == rows[begin].host && row.class == rows[begin].class;
         let span = rows[begin..].iter().take_while(|row| same(row)).count().max(1);
-        let total = rows[begin].class == "total";
-        rows[begin].group = Some(if total { String::new() } else { rows[begin].host.clone() });
+        let is_total = rows[begin].class == "total";
+        rows[begin].group = Some(if is_total { String::new() } else { rows[begin].host.clone() });
         rows[begin].span = span;
         begin += span;
     }
@@ -130,7 +139,7 @@ impl Row {
         let (host, class) = match node.location {
             NodeLocation::Network => ("network".to_owned(), "net"),
             NodeLocation::Host(0) => (hosts.first().cloned().unwrap_or_default(), ""),
-            NodeLocation::Host(index) => (dash(hosts.get(usize::from(index)).cloned()), "cloud"),
+            NodeLocation::Host(index) => (or_dash(hosts.get(usize::from(index)).cloned()), "cloud"),
         };
         let bounds = node.delay.and_then(|delay| delay.bounds);
         let difference =
@@ -143,16 +152,16 @@ impl Row {
             look: look::class(&node.name),
             depth: node.depth,
             host,
-            value: dash(node.length.map(|length| digits(length, bounds, column))),
+            value: or_dash(node.length.map(|length| format_duration(length, bounds, column))),
             bound: bounds.map(|(lo, hi)| if lo == hi { EXACT.to_owned() } else { interval_ms(lo, hi) }),
             chip: node.delay.map(|delay| Chip::verdict(delay.verdict)),
-            difference: dash(difference),
+            difference: or_dash(difference),
             strong,
             bar,
-            start: dash(node.start.map(|start| column.number(start))),
-            lo: dash(bounds.map(|(lo, hi)| ends_ms(lo, hi)[0].clone())),
-            hi: dash(bounds.map(|(lo, hi)| ends_ms(lo, hi)[1].clone())),
-            median: dash(node.median.map(|median| column.duration(median))),
+            start: or_dash(node.start.map(|start| column.number(start))),
+            lo: or_dash(bounds.map(|(lo, hi)| ends_ms(lo, hi)[0].clone())),
+            hi: or_dash(bounds.map(|(lo, hi)| ends_ms(lo, hi)[1].clone())),
+            median: or_dash(node.median.map(|median| column.duration(median))),
         }
     }
 
@@ -175,19 +184,19 @@ impl Row {
             value: column.duration(seconds),
             bound: (name == look::NETWORK || name == NETWORK_AND_REST).then(|| EXACT.to_owned()),
             chip: None,
-            difference: dash(median.map(|median| column.difference(seconds - median))),
+            difference: or_dash(median.map(|median| column.difference(seconds - median))),
             strong: false,
             bar,
             start: NONE.to_owned(),
             lo: NONE.to_owned(),
             hi: NONE.to_owned(),
-            median: dash(median.map(|median| column.duration(median))),
+            median: or_dash(median.map(|median| column.duration(median))),
         }
     }
 }
 
-/// Returns a duration in ms: with the digits that its bounds support, or those of its column.
-fn digits(seconds: f64, bounds: Option<(f64, f64)>, column: DurationFormat) -> String {
+/// Formats a duration in ms, with the digits that its bounds support; without bounds, with the digits of its column.
+fn format_duration(seconds: f64, bounds: Option<(f64, f64)>, column: DurationFormat) -> String {
     bounds.map_or_else(|| column.number(seconds), |bounds| within_ms(seconds, bounds))
 }
 
@@ -199,32 +208,32 @@ pub(crate) fn delays(timeline: &Timeline, stored_delays: &[peernet_store::DelayR
         let bounds = delay.bounds;
         // An exact delay has no interval next to its value.
         let interval_ends = bounds.filter(|(lo, hi)| hi > lo).map(|(lo, hi)| ends_ms(lo, hi));
-        let end = |at: usize| {
-            interval_ends.as_ref().map(|ends| ends[at].clone()).or(bounds.map(|_| EXACT.to_owned()))
+        let interval_end = |index: usize| {
+            interval_ends.as_ref().map(|ends| ends[index].clone()).or(bounds.map(|_| EXACT.to_owned()))
         };
         DelayRow {
             name: node.name.to_string(),
-            raw: digits(delay.raw, bounds, column),
-            offset: dash(delay.value.map(|value| match bounds {
+            raw: format_duration(delay.raw, bounds, column),
+            offset: or_dash(delay.value.map(|value| match bounds {
                 Some(bounds) => signed_within_ms(value - delay.raw, bounds),
                 None => column.difference(value - delay.raw),
             })),
-            value: dash(delay.value.map(|value| digits(value, bounds, column))),
-            lo: dash(end(0)),
-            hi: dash(end(1)),
+            value: or_dash(delay.value.map(|value| format_duration(value, bounds, column))),
+            lo: or_dash(interval_end(0)),
+            hi: or_dash(interval_end(1)),
             source: source_words(delay.source),
             basis: stored_delays
                 .iter()
                 .find(|row| row.stage == node.name)
                 .and_then(|row| row.assumptions.as_ref())
-                .map_or_else(String::new, brief),
+                .map_or_else(String::new, brief_words),
             chip: Chip::verdict(delay.verdict),
         }
     });
     rows.collect()
 }
 
-/// Returns a sentence on the way of the iteration to the other host and back, for readers who do not see the picture.
+/// Describes the way of the iteration to the other host and back in a sentence, for readers who do not see the picture.
 pub(crate) fn journey(timeline: &Timeline, edge: &str, cloud: &str) -> String {
     let Some(visit) = timeline.visit() else { return String::new() };
     let column = timeline.duration_format();
@@ -240,7 +249,7 @@ pub(crate) fn journey(timeline: &Timeline, edge: &str, cloud: &str) -> String {
     )
 }
 
-/// Returns the effect of the clocks' uncertainty on the picture, in a sentence.
+/// Describes the effect of the clocks' uncertainty on the picture in a sentence; `None` without such an uncertainty.
 pub(crate) fn footnote(timeline: &Timeline, cloud: &str) -> Option<String> {
     let visit = timeline.visit()?;
     let (earlier, later) = visit.shift;

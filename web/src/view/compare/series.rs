@@ -135,7 +135,13 @@ pub(crate) fn over_time(comparison: &Comparison, series_by_run: &TimeSeriesByRun
         let is_short = axes.is_short(data) || data.length < data.width * MIN_EXACT_POINTS;
         let short = is_short.then(|| length_text(run, episodes)).flatten();
         let width = Some(points_of(data.width));
-        let texts = [episodes::summary(episodes), episodes::failed(episodes, run), width, short, beyond];
+        let texts = [
+            episodes::episode_count_text(episodes),
+            episodes::failed_count_text(episodes, run),
+            width,
+            short,
+            beyond,
+        ];
         RunPicture {
             run: run.number,
             name: configuration.name.clone(),
@@ -218,7 +224,9 @@ fn data(
     } else {
         format!("medians from {} to {} over {}", duration(lo), duration(hi), length(length_s))
     };
-    let remarks = [episodes::summary(episodes), episodes::failed(episodes, run)].into_iter().flatten();
+    let remarks = [episodes::episode_count_text(episodes), episodes::failed_count_text(episodes, run)]
+        .into_iter()
+        .flatten();
     let parts: Vec<String> = [range].into_iter().chain(remarks).collect();
     let label = format!("Run {}, {name} over time: {}", run.number, parts.join("; "));
     let data = StagesOverTime {

@@ -71,8 +71,9 @@ pub(crate) fn facts(subject: &Subject<'_>) -> Vec<String> {
     facts
 }
 
-/// Returns the assumptions in a few words, shown with a delay: `by free-running clocks, ρ 200 ppm, κ 1 ppm/s, probes not authenticated`.
-pub(crate) fn brief(assumptions: &DelayAssumptions) -> String {
+/// Returns the assumptions in a few words, for the row of a delay: `by free-running clocks, ρ 200 ppm, κ 1 ppm/s,
+/// probes not authenticated`.
+pub(crate) fn brief_words(assumptions: &DelayAssumptions) -> String {
     let by = match assumptions.clocks {
         RelatedClocks::Raw => "by free-running clocks",
         RelatedClocks::RawToWall => "by the edge's raw and the cloud's wall clock",
@@ -114,7 +115,7 @@ pub(crate) fn pairs(subject: &Subject<'_>, time_series: &LinkTimeSeries) -> Pair
     );
     pairs.push(("Of its change", change));
     pairs.push(("Proven drift", describe_proven_drift(subject, assumptions, newest.proven_skew_ppm)));
-    pairs.push(("Window", window(newest.grown_window)));
+    pairs.push(("Window", window_text(newest.grown_window)));
     let claims = match assumptions.claims_trusted {
         Some(true) => {
             let source = subject.offset().map_or("not used now", |offset| source_words(offset.source));
@@ -164,6 +165,7 @@ fn describe_proven_drift(
         return "not narrower than assumed yet".to_owned();
     };
     let between = format!("between {} and {}{SPACE}ppm", ppm(min), ppm(max));
+    // The smallest absolute drift in the interval; zero or negative if the interval contains zero.
     let least = if min > 0.0 { min } else { -max };
     match assumptions.max_drift_ppm {
         Some(limit) if least > limit => format!(
@@ -175,8 +177,9 @@ fn describe_proven_drift(
     }
 }
 
-fn window(grown: Option<Span>) -> String {
-    grown.map_or_else(
+/// Describes the window of exchanges. `grown_window` is its length if it is longer than configured.
+fn window_text(grown_window: Option<Span>) -> String {
+    grown_window.map_or_else(
         || "no exchange older than [clock] window_s bounds a delay".to_owned(),
         |age| {
             format!(
@@ -226,7 +229,7 @@ mod tests {
     #[test]
     fn few_words_name_clocks_limits_and_authentication() {
         assert_eq!(
-            brief(&RAW).replace(SPACE, " "),
+            brief_words(&RAW).replace(SPACE, " "),
             "by free-running clocks, ρ 200 ppm, κ 1.00 ppm/s, probes authenticated"
         );
         let earlier = DelayAssumptions {
@@ -236,6 +239,6 @@ mod tests {
             probes_authenticated: None,
             ..RAW
         };
-        assert_eq!(brief(&earlier).replace(SPACE, " "), "by wall clocks, ρ 200 ppm");
+        assert_eq!(brief_words(&earlier).replace(SPACE, " "), "by wall clocks, ρ 200 ppm");
     }
 }

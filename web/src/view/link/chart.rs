@@ -42,22 +42,23 @@ impl OffsetView {
 
 /// Approximate maximum number of whiskers over the whole width.
 const MAX_WHISKERS: f64 = 60.0;
-/// Minimum width of a gap with a label above it, as a share of the time axis.
+/// A gap has a label if it is at least this wide, as a share of the time axis.
 const MIN_LABELLED_GAP: f64 = 0.08;
 /// Minimum distance between two signs, as a share of the time axis; closer signs would overlap.
 const MIN_SIGN_DISTANCE: f64 = 0.022;
-/// A value larger than this multiple of the 95th percentile does not extend the scale.
+/// A scale ends at the largest value, or at this multiple of the 95th percentile if that is smaller.
 const TAIL: f64 = 3.0;
 
-/// Time series of a chart, and its gaps.
-pub(super) struct Plan<'a> {
+/// Data from which a chart is drawn: the time series of a link, and its gaps.
+pub(super) struct ChartInput<'a> {
     pub(super) time_series: &'a LinkTimeSeries,
     /// The time series, merged so that it has few enough points for whiskers.
     coarse: LinkTimeSeries,
+    /// Beginning and end of each gap.
     gaps: Vec<(WallTime, WallTime)>,
 }
 
-impl Plan<'_> {
+impl ChartInput<'_> {
     /// Returns the position of a time on the time axis, as a share of the axis.
     fn x(&self, at: WallTime) -> f64 {
         (at - self.time_series.from).seconds() / self.time_series.seconds().max(1.0)
@@ -68,14 +69,15 @@ impl Plan<'_> {
         self.x(at).clamp(0.0, 1.0)
     }
 
-    /// Returns the result of `value_of` for the position and the data of each point. `None` separates two points with a gap or a clock step
-    /// between them. If a clock was set back, times occur twice, so the points of each window are drawn separately.
+    /// Returns the result of `value_of` for the position and the data of each point. `None` separates two points with a
+    /// gap or a clock step between them. A window is the period between two clock steps. If a clock was set back, the
+    /// times of two windows overlap, so the points of each window are drawn separately.
     pub(super) fn with_breaks<T>(
         &self,
         points: &[ClockPoint],
         value_of: impl Fn(f64, &ClockPoint) -> Option<T>,
     ) -> Vec<Option<T>> {
-        let mut drawn = Vec::with_capacity(points.len() + self.gaps.len());
+        let mut values = Vec::with_capacity(points.len() + self.gaps.len());
         let mut previous: Option<&ClockPoint> = None;
         let mut windows: Vec<u64> = Vec::new();
         for point in points {
@@ -91,12 +93,12 @@ impl Plan<'_> {
                     || self.gaps.iter().any(|(from, to)| previous.at <= *from && *to <= point.at)
             };
             if previous.is_some_and(is_separate) {
-                drawn.push(None);
+                values.push(None);
             }
-            drawn.push(value_of(self.x(point.at), point));
+            values.push(value_of(self.x(point.at), point));
             previous = Some(point);
         }
-        drawn
+        values
     }
 }
 
@@ -105,7 +107,7 @@ pub(super) fn reach(values: impl Iterator<Item = f64>) -> f64 {
     values.collect::<SortedValues>().scale_end(0.95, TAIL).unwrap_or(0.0)
 }
 
-/// Returns the number of values beyond the end of a scale, in words.
+/// Returns the number of values beyond the end of a scale, in words; `None` if there are no such values.
 pub(super) fn beyond(values: impl Iterator<Item = f64>, scale: &Scale, unit: &str) -> Option<String> {
     let number = values.filter(|value| *value > scale.ends().1).count() as u64;
     let end = scale.ticks(1).pop().filter(|_| number > 0)?.text;
@@ -128,30 +130,30 @@ pub(crate) fn tracks(
 ) -> Tracks {
     let seconds = (time_series.seconds() / MAX_WHISKERS).ceil() as i64;
     let gaps = time_series.gaps();
-    let plan = Plan { time_series, coarse: time_series.merged(seconds), gaps };
+    let input = ChartInput { time_series, coarse: time_series.merged(seconds), gaps };
     let mut all = Vec::new();
     if !subject.same_clock() {
-        all.push(offset::track(&subject.cloud, &plan, view));
+        all.push(offset::track(&subject.cloud, &input, view));
     }
-    all.push(delays(&plan));
+    all.push(delays(&input));
     // Between hosts that read one clock there may be no probes.
     if !subject.same_clock() || time_series.probes().sent > 0 {
-        all.push(round_trips(&plan));
+        all.push(round_trips(&input));
     }
     let gaps: Vec<(f64, f64)> =
-        plan.gaps.iter().map(|(from, to)| (plan.clamped_x(*from), plan.clamped_x(*to))).collect();
+        input.gaps.iter().map(|(from, to)| (input.clamped_x(*from), input.clamped_x(*to))).collect();
     let labelled_gaps = gaps.iter().filter(|(from, to)| to - from >= MIN_LABELLED_GAP);
     let hatches: Vec<Item> = gaps.iter().map(|gap| span(*gap, "hatch")).collect();
-    let signs = signs(&plan, incidents, zone);
+    let signs = signs(&input, incidents, zone);
     let incident_lines = signs
         .iter()
         .map(|sign| Item::line(At::new(sign.x.0, 0.0), At::new(sign.x.0, 1.0), Style::of_page("incident")));
     let background: Vec<Item> = hatches.iter().cloned().chain(incident_lines).collect();
     Tracks {
-        label: finding(subject, &plan, incidents.len()),
-        reasons: labelled_gaps.map(|(from, to)| (Place(f64::midpoint(*from, *to)), "no report")).collect(),
+        label: finding(subject, &input, incidents.len()),
+        gap_labels: labelled_gaps.map(|(from, to)| (Place(f64::midpoint(*from, *to)), "no report")).collect(),
         strips: [NetworkDirection::Up, NetworkDirection::Down]
-            .map(|direction| strip(&plan, direction, &hatches))
+            .map(|direction| strip(&input, direction, &hatches))
             .to_vec(),
         tracks: all.into_iter().map(|track| track.picture(&background)).collect(),
         signs,
@@ -159,13 +161,13 @@ pub(crate) fn tracks(
     }
 }
 
-fn signs(plan: &Plan<'_>, incidents: &[IncidentRow], zone: Zone) -> Vec<RailSign> {
+fn signs(input: &ChartInput<'_>, incidents: &[IncidentRow], zone: Zone) -> Vec<RailSign> {
     let mut rows: Vec<&IncidentRow> = incidents.iter().collect();
     rows.sort_by_key(|row| row.at);
     let mut last_x = f64::NEG_INFINITY;
     let signs = rows.into_iter().map(|row| {
         let line = IncidentLine::new(row, zone);
-        let x = plan.clamped_x(row.at);
+        let x = input.clamped_x(row.at);
         let is_shown = x - last_x >= MIN_SIGN_DISTANCE;
         if is_shown {
             last_x = x;
@@ -175,14 +177,16 @@ fn signs(plan: &Plan<'_>, incidents: &[IncidentRow], zone: Zone) -> Vec<RailSign
     signs.collect()
 }
 
-/// Draws the verdicts of a direction over time. Stretches without data are hatched.
-fn strip(plan: &Plan<'_>, direction: NetworkDirection, hatches: &[Item]) -> Picture {
-    let bucket_width = plan.time_series.bucket as f64 / plan.time_series.seconds().max(1.0);
+/// Draws the verdicts of a direction over time. Gaps are hatched.
+fn strip(input: &ChartInput<'_>, direction: NetworkDirection, hatches: &[Item]) -> Picture {
+    let bucket_width = input.time_series.bucket as f64 / input.time_series.seconds().max(1.0);
     let mut segments: Vec<(f64, f64, Verdict)> = Vec::new();
-    for point in &plan.time_series.points {
+    for point in &input.time_series.points {
         let Some(verdict) = of_point(point, direction).map(|second| second.verdict) else { continue };
-        let end = plan.x(point.at);
+        let end = input.x(point.at);
         let begin = (end - bucket_width).max(0.0);
+        // A point continues the segment of the previous point if it has the same verdict and no bucket is missing
+        // between the two.
         match segments.last_mut() {
             Some((_, to, last_verdict)) if *last_verdict == verdict && begin - *to < bucket_width * 0.75 => {
                 *to = end;
@@ -195,7 +199,7 @@ fn strip(plan: &Plan<'_>, direction: NetworkDirection, hatches: &[Item]) -> Pict
     for (from, to, verdict) in segments {
         let class = strip_class(Chip::verdict(verdict).tone);
         items.push(span((from, to), class));
-        let words = format!("{} {verdict}", direction.delay());
+        let words = format!("{} {verdict}", direction.delay_name());
         let label = Label::new(At::new(from, 0.5), words, TextStyle { class, ..TextStyle::AXIS });
         texts.push(Item::Text(label.shifted(0.4, 0.36).fits_within(to - from)));
     }
@@ -214,8 +218,8 @@ const fn strip_class(tone: Tone) -> &'static str {
     }
 }
 
-fn delays(plan: &Plan<'_>) -> Track {
-    let points = &plan.coarse.points;
+fn delays(input: &ChartInput<'_>) -> Track {
+    let points = &input.coarse.points;
     let directions = [NetworkDirection::Up, NetworkDirection::Down];
     let upper_bounds = || {
         let medians = points.iter().flat_map(|point| {
@@ -225,14 +229,16 @@ fn delays(plan: &Plan<'_>) -> Track {
     };
     let scale = Scale::up_to(reach(upper_bounds()), 3);
     let mut track =
-        Track::new(format!("one-way delay, median of {}, ms", bucket_text(plan.coarse.bucket)), scale);
+        Track::new(format!("one-way delay, median of {}, ms", bucket_text(input.coarse.bucket)), scale);
     track.note = "whiskers: contain the true value".to_owned();
     track.beyond = beyond(upper_bounds(), &scale, "ms");
-    let half_bucket = plan.coarse.bucket as f64 / plan.time_series.seconds().max(1.0) / 2.0;
+    let half_bucket = input.coarse.bucket as f64 / input.time_series.seconds().max(1.0) / 2.0;
     for (direction, whiskers, dots) in [
         (NetworkDirection::Up, "whiskers up", "dots up"),
         (NetworkDirection::Down, "whiskers down", "dots down"),
     ] {
+        // For each point its position on the time axis, and the positions of the upper bound, the lower bound and the
+        // median.
         let marks: Vec<(f64, f64, f64, f64)> = points
             .iter()
             .filter_map(|point| {
@@ -240,7 +246,7 @@ fn delays(plan: &Plan<'_>) -> Track {
                     of_point(point, direction)?.median.filter(|median| !median.value.is_negative())?;
                 let (lo, hi) = bounds(&median);
                 let at = |seconds: f64| distance_from_top(&scale, seconds * 1e3);
-                Some(((plan.x(point.at) - half_bucket).max(0.0), at(hi), at(lo), at(median.value.seconds())))
+                Some(((input.x(point.at) - half_bucket).max(0.0), at(hi), at(lo), at(median.value.seconds())))
             })
             .collect();
         track.draw(whiskers, Path::whiskers(marks.iter().map(|(x, hi, lo, _)| (*x, *hi, *lo)), 0.003));
@@ -249,8 +255,8 @@ fn delays(plan: &Plan<'_>) -> Track {
     track
 }
 
-fn round_trips(plan: &Plan<'_>) -> Track {
-    let points = &plan.time_series.points;
+fn round_trips(input: &ChartInput<'_>) -> Track {
+    let points = &input.time_series.points;
     let medians =
         || points.iter().filter_map(|point| point.round_trip).map(|trip| trip.median.seconds() * 1e3);
     let scale = Scale::up_to(reach(medians()), 3);
@@ -258,15 +264,16 @@ fn round_trips(plan: &Plan<'_>) -> Track {
     track.note = "strong: smallest · faint: median · ticks: lost probes, by their share".to_owned();
     track.beyond = beyond(medians(), &scale, "ms");
     let line = |time_of: fn(&peernet_stream::RoundTrip) -> Span| {
-        Path::line(plan.with_breaks(points, |x, point| {
+        Path::line(input.with_breaks(points, |x, point| {
             Some((x, distance_from_top(&scale, time_of(point.round_trip.as_ref()?).seconds() * 1e3)))
         }))
     };
     track.draw("faint", line(|trip| trip.median));
     track.draw("strong", line(|trip| trip.min));
+    // A tick is longer for a larger share of lost probes; its length is the same for all shares from 20 % on.
     let lost = points.iter().filter_map(|point| {
         let share = point.probes.lost_share().filter(|share| *share > 0.0)?;
-        Some((plan.x(point.at), 0.03, 0.05 + 0.15 * (share * 5.0).min(1.0)))
+        Some((input.x(point.at), 0.03, 0.05 + 0.15 * (share * 5.0).min(1.0)))
     });
     track.draw("lost", Path::ticks(lost));
     track
@@ -296,20 +303,20 @@ fn range(values: impl Iterator<Item = f64>) -> Option<String> {
     lo.is_finite().then(|| format!("{} to {}{SPACE}ms", figure(lo * 1e3), figure(hi * 1e3)))
 }
 
-fn finding(subject: &Subject<'_>, plan: &Plan<'_>, incidents: usize) -> String {
-    let time_series = plan.time_series;
+fn finding(subject: &Subject<'_>, input: &ChartInput<'_>, incidents: usize) -> String {
+    let time_series = input.time_series;
     let mut text = format!("{} over {}.", subject.route(), length(time_series.seconds()));
     if time_series.points.is_empty() {
         return format!("{text} Nothing was reported.");
     }
     for direction in [NetworkDirection::Up, NetworkDirection::Down] {
-        let seconds = plan.coarse.points.iter().filter_map(|point| of_point(point, direction));
+        let seconds = input.coarse.points.iter().filter_map(|point| of_point(point, direction));
         let worst = seconds.clone().map(|second| second.verdict).max_by_key(|verdict| verdict.severity());
         if let Some(range) =
             range(seconds.filter_map(|second| second.median).map(|median| median.value.seconds()))
         {
             let worst = worst.map_or_else(String::new, |verdict| format!(", worst verdict {verdict}"));
-            text.push_str(&format!(" Median {} {range}{worst}.", direction.delay()));
+            text.push_str(&format!(" Median {} {range}{worst}.", direction.delay_name()));
         }
     }
     let max_errors: Vec<f64> = time_series
@@ -331,10 +338,10 @@ fn finding(subject: &Subject<'_>, plan: &Plan<'_>, incidents: usize) -> String {
         count(probes.lost.into()),
         count(probes.ended().into())
     ));
-    if !plan.gaps.is_empty() {
+    if !input.gaps.is_empty() {
         text.push_str(&format!(
             " {} without a report.",
-            crate::view::counted(plan.gaps.len(), "stretch", "stretches")
+            crate::view::counted(input.gaps.len(), "stretch", "stretches")
         ));
     }
     if incidents > 0 {

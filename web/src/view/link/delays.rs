@@ -16,14 +16,15 @@ pub(crate) struct Delays {
     pub direction: NetworkDirection,
     /// Number of delays.
     pub count: u64,
-    /// Median, with the medians of all lower and of all upper bounds.
+    /// Median delay, with the median of all lower bounds and the median of all upper bounds; `None` without known
+    /// delays.
     pub median: Option<DelayPoint>,
     /// Verdict that prevails among the delays: at least 5 % of them have this verdict or a worse one. A delay counts with the prevailing verdict
     /// of its second, because the verdicts of single delays are not reported.
     pub verdict: Option<Verdict>,
 }
 
-/// Returns the delays of a direction within one point.
+/// Returns the delays of a direction within one point; `None` if nothing was sent.
 pub(crate) fn of_point(point: &ClockPoint, direction: NetworkDirection) -> Option<&DelaySecond> {
     match direction {
         NetworkDirection::Up => point.up.as_ref(),
@@ -31,13 +32,14 @@ pub(crate) fn of_point(point: &ClockPoint, direction: NetworkDirection) -> Optio
     }
 }
 
-/// Returns the bounds of a delay, seconds, at least zero: no message arrives before it was sent.
+/// Returns the lower and the upper bound of a delay, seconds. Negative bounds become zero, because no message arrives
+/// before it was sent.
 pub(crate) fn bounds(point: &DelayPoint) -> (f64, f64) {
     (point.bounds.lo.seconds().max(0.0), point.bounds.hi.seconds().max(0.0))
 }
 
 /// Returns a delay in ms with the digits that its bounds support.
-pub(super) fn digits(point: &DelayPoint) -> String {
+pub(super) fn format_delay(point: &DelayPoint) -> String {
     within_ms(point.value.seconds(), bounds(point))
 }
 
@@ -52,7 +54,7 @@ impl Delays {
         Self::merge(direction, &seconds)
     }
 
-    /// Merges several seconds into one.
+    /// Combines the delays of several seconds.
     pub(crate) fn merge(direction: NetworkDirection, seconds: &[DelaySecond]) -> Self {
         let sum: DelaySummary = seconds.iter().collect();
         Self { direction, count: sum.count(), median: sum.median(), verdict: sum.verdict() }
@@ -73,7 +75,7 @@ impl Delays {
 
     /// Returns the median in ms, or a dash.
     pub(crate) fn value(&self) -> String {
-        self.median.map_or_else(|| NONE.to_owned(), |point| digits(&point))
+        self.median.map_or_else(|| NONE.to_owned(), |point| format_delay(&point))
     }
 
     /// Returns the interval that contains the median, in ms; `None` without a median.

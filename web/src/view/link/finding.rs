@@ -6,8 +6,8 @@ use peernet_statistics::number::{SPACE, bound, ends_ms, interval_ms};
 use super::super::chip::Chip;
 use super::super::clocks;
 use super::super::speed::NetworkDirection;
-use super::delays::{Delays, bounds, digits};
-use super::list::{TOO_YOUNG, no_offset};
+use super::delays::{Delays, bounds, format_delay};
+use super::list::{TOO_YOUNG, missing_offset_reason};
 use super::{CONTRADICTION, Subject, is_young};
 use crate::zone::Zone;
 
@@ -33,7 +33,7 @@ pub(crate) fn title(subject: &Subject<'_>, zone: Zone) -> String {
         return format!("{route}: {CONTRADICTION}, so no one-way delay can be trusted");
     }
     let (Some(max_error), Some(offset)) = (subject.bound(), subject.offset()) else {
-        return format!("{route}: {}, so one-way delays are not known", no_offset(subject));
+        return format!("{route}: {}, so one-way delays are not known", missing_offset_reason(subject));
     };
     let bound = bound(max_error);
     match offset.verdict {
@@ -99,7 +99,7 @@ fn meaning(delays: &Delays, is_young_link: bool) -> Meaning {
         (None, _) => format!("was not used in the last 10{SPACE}s: without data there is nothing to judge."),
         (Some(Verdict::Ok), Some(point)) => {
             let (lo, hi) = bounds(point);
-            let takes = format!("takes {}{SPACE}ms", digits(point));
+            let takes = format!("takes {}{SPACE}ms", format_delay(point));
             let half = (hi - lo) / 2.0;
             if half > 0.0 {
                 let ratio = point.value.seconds() / half;
@@ -117,7 +117,7 @@ fn meaning(delays: &Delays, is_young_link: bool) -> Meaning {
             format!(
                 "takes about {}{SPACE}ms, too little for a bound of {}. Read it as {}{SPACE}ms: the true value can be \
                  anywhere in it.",
-                digits(point),
+                format_delay(point),
                 bound((hi - lo) / 2.0),
                 interval_ms(lo, hi)
             )

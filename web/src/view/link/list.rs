@@ -27,10 +27,13 @@ pub(crate) struct LinkLine {
     pub network: String,
     pub bound: Cell,
     pub offset: Cell,
+    /// Drift of the cloud's clock against the edge's clock, ppm.
     pub drift: Cell,
     pub round_trip: Cell,
+    /// Share of lost probes, percent.
     pub lost: Cell,
     pub probing: String,
+    /// Name of each pipeline that uses the link, and the address of its page.
     pub pipelines: Vec<(String, String)>,
 }
 
@@ -39,6 +42,7 @@ pub(crate) struct LinkLine {
 pub(crate) struct PastLine {
     pub name: String,
     pub href: String,
+    /// Time of the last report.
     pub last: ZonedTime,
 }
 
@@ -54,15 +58,15 @@ impl LinkLine {
         snapshot.links.iter().take(limit).map(|link| Self::new(link, &faulty, zone)).collect()
     }
 
-    fn new(link: &LinkSnapshot, faulty: &FaultyClocks, zone: Zone) -> Self {
+    fn new(link: &LinkSnapshot, faulty_clocks: &FaultyClocks, zone: Zone) -> Self {
         let subject = Subject::live(link);
         let verdict = subject.verdict();
         let offset = subject.offset();
         let is_same_clock = subject.same_clock();
         let probes: ProbeCounts = link.history.iter().map(|point| point.probes).sum();
         let newest_trip = link.history.iter().rev().find_map(|point| point.round_trip);
-        let faulty = faulty.concerns(&[&subject.edge, &subject.cloud]);
-        let why = no_offset(&subject);
+        let has_clock_fault = faulty_clocks.concerns(&[&subject.edge, &subject.cloud]);
+        let why = missing_offset_reason(&subject);
         let clock_cell = |value: Option<String>| {
             if is_same_clock {
                 Cell { text: "0".into(), title: Some("both hosts read one clock".into()) }
@@ -79,7 +83,7 @@ impl LinkLine {
                 (verdict, _) => verdict.map_or("", super::super::clocks::meaning),
             },
             away: (!link.connected).then(|| zone.moment(link.last_seen)),
-            clock_fault: faulty.then_some(clock_fault::CHIP),
+            clock_fault: has_clock_fault.then_some(clock_fault::CHIP),
             network: link.live.network().to_string(),
             bound: clock_cell(subject.bound().map(bound_ms)),
             offset: clock_cell(
@@ -106,7 +110,7 @@ impl LinkLine {
 }
 
 /// Returns the reason why no offset is shown.
-pub(super) fn no_offset(subject: &Subject<'_>) -> &'static str {
+pub(super) fn missing_offset_reason(subject: &Subject<'_>) -> &'static str {
     match (subject.contradicts(), subject.was_related()) {
         (true, _) => CONTRADICTION,
         (false, true) => "no exchange has finished since a clock was stepped",

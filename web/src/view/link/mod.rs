@@ -111,7 +111,7 @@ pub(crate) struct Subject<'a> {
     pub key: LinkKey,
     /// `None` for a link that is stored and not in the live state.
     pub live: Option<&'a LinkSnapshot>,
-    /// The newest point's time, on the edge's wall clock.
+    /// Time of the newest point, on the edge's wall clock.
     pub end: WallTime,
     /// `true` if the edge reports the link now.
     pub connected: bool,
@@ -160,7 +160,7 @@ impl<'a> Subject<'a> {
         }
     }
 
-    /// Sets the assumptions, those of the newest stored window of the link.
+    /// Sets the assumptions. Those of a link that is only stored are the assumptions of its newest stored window.
     pub(crate) fn with_assumptions(self, assumptions: Option<DelayAssumptions>) -> Self {
         Self { assumptions, ..self }
     }
@@ -191,7 +191,7 @@ impl<'a> Subject<'a> {
         name(&self.edge, &self.cloud, &self.key.network)
     }
 
-    /// Returns the address of its page.
+    /// Returns the address of the link's page.
     pub(crate) fn href(&self) -> String {
         href(&self.edge, &self.cloud, &self.key.network)
     }
@@ -201,7 +201,7 @@ impl<'a> Subject<'a> {
         self.live.is_some_and(|link| link.live.same_clock)
     }
 
-    /// Returns the last ten minutes.
+    /// Returns the points of the last ten minutes, oldest first; empty for a link that is only stored.
     pub(crate) fn history(&self) -> &'a [Arc<ClockPoint>] {
         self.live.map_or(&[], |link| link.history.as_slice())
     }
@@ -209,7 +209,8 @@ impl<'a> Subject<'a> {
     /// Returns the current offset, or else the last offset that the edge reported.
     pub(crate) fn offset(&self) -> Option<&Offset> {
         let Some(link) = self.live else { return self.last_offset.as_ref() };
-        // If the edge is connected, an offset from before a clock step says nothing about the present.
+        // If the edge is connected, an offset from before a clock step says nothing about the present. Windows are
+        // separated by clock steps.
         let is_valid =
             |point: &&Arc<ClockPoint>| !self.connected || point.window == link.live.latest_sample.window;
         let recent = if self.connected { 1 } else { link.history.len() };
@@ -243,16 +244,19 @@ impl<'a> Subject<'a> {
     pub(crate) fn delays(&self, direction: NetworkDirection) -> Delays {
         let since = self.end - RECENT_SPAN;
         let recent = self.history().iter().rev().take_while(|point| point.at > since);
-        let mut settled: Vec<&ClockPoint> = recent.map(|point| &**point).collect();
-        let first_unsettled =
-            settled.iter().position(|point| !is_settled(point) || point.window != settled[0].window);
-        let is_whole_history = self.history().len() == settled.len();
-        // In the second in which the relation was established, some delays are older than the relation. The whole second is excluded.
-        let settled_count = first_unsettled.unwrap_or(settled.len() + usize::from(!is_whole_history));
+        let mut newest_first: Vec<&ClockPoint> = recent.map(|point| &**point).collect();
+        let first_unsettled = newest_first
+            .iter()
+            .position(|point| !is_settled(point) || point.window != newest_first[0].window);
+        let is_whole_history = self.history().len() == newest_first.len();
+        // In the second in which the relation was established, some delays are older than the relation. The whole
+        // second is excluded. If all recent points are settled and there are older points, that second is older than
+        // the recent points, and none of them is excluded.
+        let settled_count = first_unsettled.unwrap_or(newest_first.len() + usize::from(!is_whole_history));
         if settled_count > 1 && !self.same_clock() {
-            settled.truncate(settled_count - 1);
+            newest_first.truncate(settled_count - 1);
         }
-        Delays::of(direction, settled)
+        Delays::of(direction, newest_first)
     }
 
     /// Returns the verdict of the whole link. This is the verdict of the offset, with one exception: if the verdict of the offset is `Ok` but
@@ -276,7 +280,8 @@ impl<'a> Subject<'a> {
     }
 }
 
-/// Returns whether the clock relation was established at the end of a second.
+/// Returns whether the relation of the two clocks was established at the time of a point, which is the end of its
+/// second.
 fn is_settled(point: &ClockPoint) -> bool {
     point.offset.as_ref().is_some_and(|offset| offset.verdict == Verdict::Ok)
 }

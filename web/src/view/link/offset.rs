@@ -7,30 +7,32 @@ use peernet_figures::plot::Path;
 use peernet_figures::scale::Scale;
 use peernet_store::ClockPoint;
 
-use super::chart::{OffsetView, Plan, beyond, distance_from_top, reach};
+use super::chart::{ChartInput, OffsetView, beyond, distance_from_top, reach};
 use super::estimate_and_max_error;
 use super::tracks::Track;
 
-/// An interval of another source extends the scale only up to this multiple of the band.
+/// An interval of another source extends the scale only if it is at most this multiple of the band.
 const MAX_OTHER_RATIO: f64 = 4.0;
-/// The widest bands extend the scale only up to this multiple of the 90th percentile of all bands.
+/// The scale ends at the widest band, or at this multiple of the 90th percentile of all bands if that is smaller.
 const MAX_OUTLIER_RATIO: f64 = 1.5;
 
-/// Lower and upper end in ms, as drawn.
+/// Lower and upper end of an interval in ms, as drawn.
 type Ends = (f64, f64);
 
+/// Returns the distance from zero of the end that is further away from zero.
 fn larger_end((lo, hi): Ends) -> f64 {
     lo.abs().max(hi.abs())
 }
 
-/// Returns the end of a scale for most bands. Bands right after a clock step are wide, and may exceed the scale.
+/// Returns the end of a scale that shows most bands. The bands right after a clock step are wide, and may exceed the
+/// scale.
 fn usual_size(sizes: impl Iterator<Item = f64>) -> f64 {
     sizes.collect::<SortedValues>().scale_end(0.9, MAX_OUTLIER_RATIO).unwrap_or(0.0)
 }
 
 /// Returns the track of the offset of `cloud`.
-pub(super) fn track(cloud: &str, plan: &Plan<'_>, view: OffsetView) -> Track {
-    let points = &plan.time_series.points;
+pub(super) fn track(cloud: &str, input: &ChartInput<'_>, view: OffsetView) -> Track {
+    let points = &input.time_series.points;
     let trend = match view {
         OffsetView::Removed => OffsetTrend::of(points),
         OffsetView::Measured => OffsetTrend::default(),
@@ -78,7 +80,7 @@ pub(super) fn track(cloud: &str, plan: &Plan<'_>, view: OffsetView) -> Track {
     };
     let mut track = Track::new(format!("{quantity} {cloud}{suffix}, ms"), scale);
     track.class = "tall";
-    let band_path = plan.with_breaks(points, |x, point| {
+    let band_path = input.with_breaks(points, |x, point| {
         let (lo, hi) = band(point)?;
         Some((x, distance_from_top(&scale, hi), distance_from_top(&scale, lo)))
     });
@@ -92,7 +94,7 @@ pub(super) fn track(cloud: &str, plan: &Plan<'_>, view: OffsetView) -> Track {
             // Values beyond the axis are left out, not drawn along its end.
             let at =
                 |point: &ClockPoint| interval_by(point, *source).map(end).filter(|value| scale.has(*value));
-            let line = plan.with_breaks(points, |x, point| Some((x, distance_from_top(&scale, at(point)?))));
+            let line = input.with_breaks(points, |x, point| Some((x, distance_from_top(&scale, at(point)?))));
             track.draw("dashed", Path::line(line));
         }
         let is_on_scale = intervals.iter().any(|(lo, hi)| scale.has(*lo) || scale.has(*hi));
@@ -104,7 +106,7 @@ pub(super) fn track(cloud: &str, plan: &Plan<'_>, view: OffsetView) -> Track {
         });
     }
     let estimate = |point: &ClockPoint| Some(without_trend(point, offset(point)?.estimate));
-    let line = plan.with_breaks(points, |x, point| Some((x, distance_from_top(&scale, estimate(point)?))));
+    let line = input.with_breaks(points, |x, point| Some((x, distance_from_top(&scale, estimate(point)?))));
     track.draw("strong", Path::line(line));
     note.push("line: estimate".to_owned());
     track.note = note.join(" · ");

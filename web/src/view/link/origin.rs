@@ -12,10 +12,11 @@ use super::{Subject, estimate_and_max_error, is_young};
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct SourceRow {
     pub name: String,
+    /// Ends of the interval, ms.
     pub between: String,
     pub width: String,
-    /// `true` for the bound that results from all sources.
-    pub sum: bool,
+    /// `true` for the row of the bound that results from all sources.
+    pub is_result: bool,
 }
 
 /// The sources of the bounds of an offset, the reasons for their width, and advice.
@@ -32,9 +33,9 @@ pub(crate) struct Origin {
     pub hints: Vec<String>,
 }
 
-fn row(name: String, interval: Interval, sum: bool) -> SourceRow {
+fn row(name: String, interval: Interval, is_result: bool) -> SourceRow {
     let between = interval_ms(interval.lo.seconds(), interval.hi.seconds());
-    SourceRow { name, between, width: trip_ms(interval.width().seconds()), sum }
+    SourceRow { name, between, width: trip_ms(interval.width().seconds()), is_result }
 }
 
 /// Returns a source in words.
@@ -74,10 +75,11 @@ impl Origin {
             .collect();
         let has_several = offset.sources.len() > 1;
         if estimate_and_max_error(offset).is_none() {
-            // The hull of two intervals that exclude each other is not an interval of the offset.
+            // The bounds of such an offset span intervals that exclude each other, and say nothing about the offset.
+            // They are not shown.
             let name = if has_several { "no common interval" } else { "not to be trusted" };
             let none = || NONE.to_owned();
-            rows.push(SourceRow { name: name.to_owned(), between: none(), width: none(), sum: true });
+            rows.push(SourceRow { name: name.to_owned(), between: none(), width: none(), is_result: true });
             let (why, hint) = if has_several { CONTRADICTING_SOURCES } else { CONTRADICTING_EXCHANGES };
             return Self {
                 title: "Why there is no value".to_owned(),
@@ -184,7 +186,8 @@ fn describe_narrowing(offset: &Offset) -> String {
     format!("the offset {} narrows it", others.join(" and "))
 }
 
-/// A time daemon is recommended if half the width of a bound is more than this. A daemon seldom claims a smaller error.
+/// A time daemon is recommended if half the width of the bounds is more than this, because a daemon seldom claims a
+/// smaller error.
 const BEST_CLAIM: Span = Span::from_micros(50);
 
 /// Returns advice to narrow the bound of this link.

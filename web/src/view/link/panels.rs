@@ -16,8 +16,11 @@ pub(crate) type Pairs = Vec<(&'static str, String)>;
 pub(crate) struct HostRow {
     pub name: String,
     pub role: &'static str,
+    /// Synchronisation of the clock in words.
     pub text: String,
+    /// Error bound that the host's time daemon claims.
     pub claims: String,
+    /// Number of detected clock steps.
     pub steps: String,
     pub clock_fault: Option<String>,
 }
@@ -52,7 +55,7 @@ pub(crate) fn discipline(clock: &HostClock) -> String {
     }
 }
 
-/// Returns the rows of both hosts.
+/// Returns the rows of both hosts; empty for a link that is only stored.
 pub(crate) fn hosts(subject: &Subject<'_>) -> Vec<HostRow> {
     let Some(link) = subject.live else { return Vec::new() };
     let row = |name: &str, role, clock: Option<&HostClock>| HostRow {
@@ -61,7 +64,7 @@ pub(crate) fn hosts(subject: &Subject<'_>) -> Vec<HostRow> {
         text: clock.map_or_else(|| "has not reported yet".to_owned(), discipline),
         claims: clock.map_or_else(|| NONE.to_owned(), reported_error_bounds),
         steps: clock.map_or_else(|| NONE.to_owned(), |clock| count(clock.epoch.into())),
-        clock_fault: clock.and_then(|clock| clock.faults.as_ref()).map(clock_fault::words),
+        clock_fault: clock.and_then(|clock| clock.faults.as_ref()).map(clock_fault::describe),
     };
     vec![
         row(&subject.edge, "edge", link.live.edge.as_ref()),
@@ -160,7 +163,7 @@ pub(crate) fn reflector(subject: &Subject<'_>) -> Pairs {
     pairs
 }
 
-/// Returns the counts of the exchanges.
+/// Returns the panel with the counts of the exchanges; empty for a link that is only stored.
 pub(crate) fn exchanges(subject: &Subject<'_>) -> Pairs {
     let Some(link) = subject.live else { return Vec::new() };
     let counts = link.live.latest_sample.exchanges;

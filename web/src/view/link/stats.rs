@@ -7,7 +7,7 @@ use peernet_statistics::number::{
 
 use super::super::chip::Chip;
 use super::super::speed::NetworkDirection;
-use super::list::no_offset;
+use super::list::missing_offset_reason;
 use super::time_series::LinkTimeSeries;
 use super::{CONTRADICTION, Subject, estimate_and_max_error};
 
@@ -18,7 +18,7 @@ pub(crate) struct Stat {
     pub number: String,
     /// Unit of the number; empty without a number.
     pub unit: &'static str,
-    /// Tooltip of the number: the reason for its absence, else empty.
+    /// Tooltip of the number: the reason why the number is missing; empty if it is not missing.
     pub title: String,
     /// Line below the number.
     pub line: String,
@@ -40,7 +40,7 @@ impl Stat {
     }
 }
 
-/// Returns all numbers.
+/// Returns the numbers in their order on the page.
 pub(crate) fn all(subject: &Subject<'_>, time_series: &LinkTimeSeries) -> Vec<Stat> {
     let mut stats = vec![delay(subject, NetworkDirection::Up), delay(subject, NetworkDirection::Down)];
     if !subject.same_clock() {
@@ -73,7 +73,7 @@ fn offset(subject: &Subject<'_>) -> Stat {
     };
     let known = subject.offset().and_then(|offset| Some((offset.bounds, estimate_and_max_error(offset)?)));
     let Some((bounds, (estimate, max_error))) = known else {
-        return Stat::new(name, None, "ms", no_offset(subject).to_owned());
+        return Stat::new(name, None, "ms", missing_offset_reason(subject).to_owned());
     };
     let suffix = if subject.connected { "" } else { ", when last reported" };
     if subject.clocks() != RelatedClocks::Wall {

@@ -21,9 +21,13 @@ pub(crate) struct Row {
     pub offset: String,
     pub bound: String,
     pub drift: String,
+    /// Smallest round trip of probes.
     pub smallest: String,
+    /// Median round trip of probes.
     pub median: String,
+    /// Number of sent probes.
     pub sent: String,
+    /// Number of lost probes.
     pub lost: String,
 }
 
@@ -45,7 +49,7 @@ impl Row {
     pub(crate) fn all(time_series: &LinkTimeSeries, zone: Zone) -> Vec<Self> {
         let approximate_seconds = ((time_series.seconds() / ROWS) as i64).max(MIN_ROW_S);
         let mut widths = BUCKET_WIDTHS_S.into_iter().map(i64::from);
-        // Each row covers whole points.
+        // A row must cover whole points, so its length is a multiple of the distance between points.
         let is_suitable = |width: &i64| *width >= approximate_seconds && *width % time_series.bucket == 0;
         let seconds = widths.find(is_suitable).unwrap_or(time_series.bucket);
         time_series.merged(seconds).points.iter().rev().map(|point| Self::of(point, zone)).collect()

@@ -30,8 +30,9 @@ impl LinkTimeSeries {
         Self { from, to, bucket: 1, points: recent.collect() }.merged(2)
     }
 
-    /// Converts stored samples of a link. The range begins at `from`, or at the first point if the first point is later: the time before the
-    /// first point is not a gap. The range lasts at least a minute, unless `from` is later.
+    /// Converts stored samples of a link. The range begins at `from`, or at the first point if the first point is
+    /// later: the time before the first point is not a gap. The range lasts at least a minute if the time from `from`
+    /// to `to` does.
     pub(crate) fn stored(series: ClockSeries, from: WallTime, to: WallTime) -> Self {
         let bucket = i64::from(series.bucket_s.max(1));
         let first_begin = series.points.first().map(|point| point.at - Span::from_seconds(bucket));
@@ -49,7 +50,7 @@ impl LinkTimeSeries {
         (self.to - self.from).seconds()
     }
 
-    /// Merges points so that each covers `seconds` seconds.
+    /// Returns the time series with points that cover `seconds` seconds each, merged from the points of this one.
     pub(crate) fn merged(&self, seconds: i64) -> Self {
         let seconds = seconds.max(1);
         let width = u32::try_from(seconds).unwrap_or(u32::MAX);
@@ -58,7 +59,8 @@ impl LinkTimeSeries {
         Self { bucket: self.bucket.max(seconds), points, ..*self }
     }
 
-    /// Returns the gaps: each from the last point before the gap to the first point after it, or to the end of the time range.
+    /// Returns the beginning and the end of each gap. A gap begins at the last point before it, and ends at the first
+    /// point after it or at the end of the time range.
     pub(crate) fn gaps(&self) -> Vec<(WallTime, WallTime)> {
         let max_distance = Span::from_seconds_f64(self.bucket as f64 * 1.5 + 1.0);
         let between = self.points.windows(2).map(|pair| (pair[0].at, pair[1].at));

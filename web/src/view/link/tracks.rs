@@ -14,8 +14,8 @@ pub(crate) struct Tracks {
     /// Description of the plot in words.
     pub(super) label: String,
     pub(super) signs: Vec<RailSign>,
-    /// Positions and labels of gaps.
-    pub(super) reasons: Vec<(Place, &'static str)>,
+    /// Position of the middle of a gap, and its label.
+    pub(super) gap_labels: Vec<(Place, &'static str)>,
     pub(super) strips: Vec<Picture>,
     pub(super) tracks: Vec<TrackPicture>,
     pub(super) times: Picture,
@@ -37,9 +37,11 @@ impl std::fmt::Display for Place {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct RailSign {
     pub(super) x: Place,
+    /// Name of the icon.
     pub(super) sign: &'static str,
+    /// CSS class of the tone.
     pub(super) tone: &'static str,
-    /// `true` if its sign is shown. Of signs that would overlap only the first is shown.
+    /// `true` if the icon is drawn, and not only the line. Of icons that would overlap, only the first is drawn.
     pub(super) is_shown: bool,
 }
 
@@ -49,7 +51,7 @@ pub(super) struct Track {
     pub(super) title: String,
     /// Description of the lines.
     pub(super) note: String,
-    /// `tall` or nothing.
+    /// CSS class: `tall`, or empty for a track of the usual height.
     pub(super) class: &'static str,
     scale: Scale,
     lines: Vec<Item>,
@@ -66,7 +68,7 @@ pub(super) struct TrackPicture {
     pub(super) plot: Picture,
 }
 
-/// Returns a span of time in the full height of a picture.
+/// Returns a rectangle from one time to another, as high as the picture.
 pub(super) fn span((from, to): (f64, f64), class: &'static str) -> Item {
     Item::rect(At::new(from, 0.0), At::new(to, 1.0), Style::of_page(class))
 }

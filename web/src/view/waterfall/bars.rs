@@ -1,4 +1,4 @@
-//! One iteration as bars under each other, and as two rails with the messages between them.
+//! One iteration as bars below each other, and as two rails (edge and cloud) with the messages between them.
 
 use peernet_figures::drawing::Orientation;
 use peernet_figures::look::{Style, stage};
@@ -10,22 +10,26 @@ use crate::timeline::{NodeLocation, PlacedNode, Timeline, Visit};
 
 /// Minimum width of a bar, as a share of the axis; narrower bars would be invisible.
 const MIN_WIDTH: f64 = 0.002;
-/// Upper and lower side of a bar, and of the bar of a node below another.
+/// Upper and lower side of a bar, as shares of the height of the picture.
 const BAR: (f64, f64) = (0.24, 0.76);
+/// Upper and lower side of the bar of a child node.
 const CHILD: (f64, f64) = (0.3, 0.7);
-/// Half the width of the caps of a clock bound, in a bar and below a rail, points.
+/// Half the width of the caps of a clock bound, points: in a bar, and below a rail.
 const CAPS: (f64, f64) = (3.8, 2.6);
-/// Heights of the rails of edge and cloud, and half the height of the bars on them.
+/// Vertical positions of the rails of edge and cloud, as shares of the height of the picture.
 const RAILS: (f64, f64) = (0.24, 0.76);
-const HALF: f64 = 0.12;
-/// Height of the clock bounds below the cloud's rail.
+/// Half the height of a bar on a rail.
+const HALF_HEIGHT: f64 = 0.12;
+/// Vertical position of the clock bounds, below the cloud's rail.
 const BOUNDS: f64 = 0.94;
 
+/// Returns the position of a time on the axis.
 fn at(scale: &Scale, seconds: f64) -> f64 {
     scale.at(seconds * 1e3)
 }
 
-fn stretch(scale: &Scale, start: f64, length: f64) -> (f64, f64) {
+/// Returns the positions of the beginning and the end of a bar.
+fn extent(scale: &Scale, start: f64, length: f64) -> (f64, f64) {
     let (from, to) = (at(scale, start), at(scale, start + length.max(0.0)));
     (from, to.max(from + MIN_WIDTH))
 }
@@ -40,8 +44,8 @@ fn bands(visit: &Visit, scale: &Scale) -> Vec<(f64, f64)> {
     if later - earlier <= 0.0 {
         return Vec::new();
     }
-    let ends = [Some(visit.arrival), visit.answer_times.map(|(sent_at, _)| sent_at)];
-    ends.into_iter().flatten().map(|end| stretch(scale, end + earlier, later - earlier)).collect()
+    let times = [Some(visit.arrival), visit.answer_times.map(|(sent_at, _)| sent_at)];
+    times.into_iter().flatten().map(|time| extent(scale, time + earlier, later - earlier)).collect()
 }
 
 /// Returns a row without a bar.
@@ -52,12 +56,12 @@ pub(super) fn blank(scale: &Scale) -> Picture {
 /// Returns the bar of the total.
 pub(super) fn total(seconds: f64, scale: &Scale) -> Picture {
     let mut items = Item::grid(scale);
-    items.push(rect(stretch(scale, 0.0, seconds), BAR, Style::total()));
+    items.push(rect(extent(scale, 0.0, seconds), BAR, Style::total()));
     Picture::of_items(&items, "row", "")
 }
 
-/// Returns the bar of a node. If `tick` is true, a tick marks the run's median.
-pub(super) fn row(node: &PlacedNode, timeline: &Timeline, scale: &Scale, tick: bool) -> Picture {
+/// Returns the bar of a node. If `has_median` is true, a tick marks the run's median.
+pub(super) fn row(node: &PlacedNode, timeline: &Timeline, scale: &Scale, has_median: bool) -> Picture {
     let (visit, look) = (timeline.visit(), stage(&node.name));
     let mut items = Item::grid(scale);
     if let Some(visit) = visit.filter(|_| node.location != NodeLocation::Host(0)) {
@@ -66,17 +70,18 @@ pub(super) fn row(node: &PlacedNode, timeline: &Timeline, scale: &Scale, tick: b
     let is_download = node.name == "download";
     if let Some((start, length)) = node.start.zip(node.length) {
         let sides = if node.depth > 0 { CHILD } else { BAR };
-        items.push(rect(stretch(scale, start, length), sides, look.plain()));
+        items.push(rect(extent(scale, start, length), sides, look.plain()));
     } else if let Some(visit) =
         visit.filter(|_| node.location == NodeLocation::Network && node.length.is_none())
     {
         // The duration of the message is unknown. The outline shows the time in which the message was on the way.
         let ends = if is_download { visit.answer_times } else { Some((visit.sent_at, visit.arrival)) };
-        let ghost =
-            ends.map(|(from, to)| rect(stretch(scale, from, to - from), BAR, Style::of_page("ghost")));
+        let ghost = ends.map(|(from, to)| rect(extent(scale, from, to - from), BAR, Style::of_page("ghost")));
         items.extend(ghost);
     }
-    if let Some(((start, length), median)) = node.start.zip(node.length).zip(node.median).filter(|_| tick) {
+    if let Some(((start, length), median)) =
+        node.start.zip(node.length).zip(node.median).filter(|_| has_median)
+    {
         let x = at(scale, start + median);
         items.push(Item::line(At::new(x, 0.08), At::new(x, 0.92), Style::of_page("medtick")));
         let label = Label::new(
@@ -108,8 +113,12 @@ pub(crate) fn lanes(timeline: &Timeline, label: &str, scale: &Scale) -> Option<P
     let mut items = Item::grid(scale);
     items.extend(bands.iter().map(|it| rect(*it, (0.5, 1.0), Style::of_page("band"))));
     items.extend([edge, cloud].map(|y| Item::line(At::new(0.0, y), At::new(1.0, y), Style::rail())));
-    let hop = |(from, y): (f64, f64), (to, end): (f64, f64), class| {
-        Item::line(At::new(at(scale, from), y), At::new(at(scale, to), end), Style::of_page(class))
+    let hop = |(sent_at, from_y): (f64, f64), (received_at, to_y): (f64, f64), class| {
+        Item::line(
+            At::new(at(scale, sent_at), from_y),
+            At::new(at(scale, received_at), to_y),
+            Style::of_page(class),
+        )
     };
     items.push(hop((visit.sent_at, edge), (visit.arrival, cloud), "hop h-up"));
     items.extend(
@@ -121,8 +130,8 @@ pub(crate) fn lanes(timeline: &Timeline, label: &str, scale: &Scale) -> Option<P
         let nodes =
             timeline.nodes.iter().filter(|it| it.depth == 0 && it.location == NodeLocation::Host(host));
         items.extend(nodes.filter_map(|node| {
-            let ends = stretch(scale, node.start?, node.length?);
-            Some(rect(ends, (y - HALF, y + HALF), stage(&node.name).plain()))
+            let ends = extent(scale, node.start?, node.length?);
+            Some(rect(ends, (y - HALF_HEIGHT, y + HALF_HEIGHT), stage(&node.name).plain()))
         }));
     }
     for (from, to) in bands {
