@@ -13,7 +13,8 @@ use crate::view::chip::Chip;
 use crate::view::notes::REPLAYED;
 use crate::view::trust::chip;
 
-/// Address of the dashboard in commands if the Host header of the request has characters that a shell could interpret.
+/// Address of the dashboard in commands if the request has no Host header, or one with characters that a shell could
+/// interpret.
 const DEFAULT_ADDRESS: &str = "127.0.0.1:8040";
 
 /// Returns the caveats, each with its chip: runs that cannot be published as they are, replayed latencies, unfinished runs, skipped starts, and
@@ -22,17 +23,18 @@ pub(crate) fn caveats(comparison: &Comparison) -> Vec<(Chip, String)> {
     let configurations = &comparison.configurations;
     let report = |run: i64| comparison.trust_by_run.get(&run);
     let reports = configurations.iter().flat_map(|one| {
-        let named = one.runs.iter().filter_map(move |run| Some((run, report(run.number)?)));
-        named.map(move |(run, report)| (name_with_other_edges(comparison, one, run), report))
+        let runs_with_report = one.runs.iter().filter_map(move |run| Some((run, report(run.number)?)));
+        runs_with_report.map(move |(run, report)| (name_with_other_edges(comparison, one, run), report))
     });
     let publication = publication_caveats(reports).into_iter().map(|(grade, text)| (chip(grade), text));
-    let described = configurations.iter().map(|one| {
+    let replayed_descriptions = configurations.iter().map(|one| {
         let runs = one.runs.iter().filter_map(|run| comparison.replayed_by_run.get(&run.number).cloned());
         (one.name.clone(), ReplayedLatencies::describe_all(runs))
     });
-    let described: Vec<(String, Option<String>)> = described.collect();
-    let replayed =
-        replayed_configurations(described.iter().map(|(name, text)| (name.clone(), text.as_deref())));
+    let replayed_descriptions: Vec<(String, Option<String>)> = replayed_descriptions.collect();
+    let replayed = replayed_configurations(
+        replayed_descriptions.iter().map(|(name, text)| (name.clone(), text.as_deref())),
+    );
     let unfinished: Vec<String> = comparison
         .runs()
         .map(|run| (run.number, RunState::from_end_reason(run.reason.as_ref())))
@@ -64,12 +66,13 @@ pub(crate) fn caveats(comparison: &Comparison) -> Vec<(Chip, String)> {
     publication.chain(replayed.map(|text| (REPLAYED, text))).chain(others).collect()
 }
 
-/// Returns the name of a run: `#11`, or `#11 + #12` if the stored runs of an experiment are those of edges that measured at the same time. They
-/// are one run in the tables of files.
+/// Returns the name of a run, such as `#11`. The edges of an experiment that measured at the same time have a stored
+/// run each, but the tables of `peernet compare` show them as one run. Its name contains all their numbers: `#11 +
+/// #12`.
 fn name_with_other_edges(comparison: &Comparison, configuration: &Configuration, run: &RunSummary) -> String {
     let is_same = |other: &&RunSummary| {
-        let is_edge = comparison.experiment.is_some() && other.experiment == run.experiment;
-        other.number == run.number || is_edge
+        let is_other_edge = comparison.experiment.is_some() && other.experiment == run.experiment;
+        other.number == run.number || is_other_edge
     };
     let numbers: Vec<String> =
         configuration.runs.iter().filter(is_same).map(|other| format!("#{}", other.number)).collect();

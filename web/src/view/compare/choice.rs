@@ -1,4 +1,4 @@
-//! Choice of the runs that are drawn if there are too many to draw each of them.
+//! Choice of the runs that are drawn if there are too many runs to draw all of them.
 
 use peernet_statistics::number::count;
 use peernet_store::RunSummary;
@@ -8,7 +8,7 @@ use super::{Comparison, Configuration};
 /// Maximum number of runs that are drawn next to each other.
 const MAX_DRAWN_RUNS: usize = 24;
 
-/// Maximum number of runs in the list of a sentence.
+/// Maximum number of runs that a sentence names.
 const MAX_NAMED_RUNS: usize = 8;
 
 /// A run with its configuration and its data to draw.
@@ -16,7 +16,8 @@ pub(super) type ChosenRun<'a, T> = (&'a Configuration, &'a RunSummary, T);
 
 /// Chooses runs that have data: the first of each configuration, then the second of each, and so on, up to the maximum.
 ///
-/// Returns them in the order of the configurations. If not all runs with data were chosen, also returns their number.
+/// Returns the chosen runs in the order of the configurations. If not all runs with data were chosen, also returns the
+/// number of all runs with data.
 pub(super) fn choose_runs<'a, T>(
     comparison: &'a Comparison,
     data_of: impl Fn(&'a RunSummary) -> Option<T>,
@@ -27,15 +28,19 @@ pub(super) fn choose_runs<'a, T>(
         with_data.enumerate().map(move |(repeat, run)| (repeat, index, run))
     });
     let mut all: Vec<(usize, usize, ChosenRun<'a, T>)> = all.collect();
-    let with_data = all.len();
+    let count_with_data = all.len();
+    // The first order decides which runs are kept, the second order is that of the result.
     all.sort_by_key(|(repeat, index, _)| (*repeat, *index));
     all.truncate(MAX_DRAWN_RUNS);
     all.sort_by_key(|(repeat, index, _)| (*index, *repeat));
-    (all.into_iter().map(|(.., run)| run).collect(), (with_data > MAX_DRAWN_RUNS).then_some(with_data))
+    (
+        all.into_iter().map(|(.., run)| run).collect(),
+        (count_with_data > MAX_DRAWN_RUNS).then_some(count_with_data),
+    )
 }
 
 /// Returns a sentence about the runs that cannot be drawn because none of their iterations succeeded; `None` if there are no such runs.
-pub(super) fn without_success(comparison: &Comparison) -> Option<String> {
+pub(super) fn unsuccessful_runs_sentence(comparison: &Comparison) -> Option<String> {
     let runs: Vec<&RunSummary> = comparison.runs().filter(|run| run.counts.ok == 0).collect();
     let numbers: Vec<String> =
         runs.iter().take(MAX_NAMED_RUNS).map(|run| format!("#{}", run.number)).collect();

@@ -11,7 +11,7 @@ use peernet_store::{RunSummary, StageMeans, Store};
 use super::{Comparison, Configuration};
 use crate::error::WebError;
 
-/// Maximum number of buckets in which a run is read.
+/// Maximum number of buckets per run that are read.
 const MAX_BUCKETS: usize = 120;
 /// Number of runs that are read concurrently.
 pub(super) const CONCURRENT_READS: usize = 4;
@@ -72,7 +72,7 @@ impl Differences {
         let names = compared_stages();
         let all = &comparison.configurations;
         let estimate = |configuration: &Configuration, name: &Name| {
-            // A run without values is left out. A run with values is not, even if its buckets are deleted.
+            // A run without values of the stage is left out. A run with values stays even if its buckets were deleted.
             let has_values = |run: &&RunSummary| comparison.summary(run.number, name).is_some();
             let runs =
                 configuration.runs.iter().filter(has_values).map(|run| buckets(means, run.number, name));
@@ -110,13 +110,15 @@ impl Differences {
         Self { baseline, others, total_column, ranking }
     }
 
-    /// Returns the difference of the mean total of a configuration to the baseline.
+    /// Returns the difference between the mean totals of a configuration and of the baseline; `None` for the baseline
+    /// itself, and without totals.
     pub(crate) fn total(&self, index: usize) -> Option<&StageDifference> {
         let (_, stages) = self.others.iter().find(|(other, _)| *other == index)?;
         stages.iter().find(|stage| stage.name == *self.total_column.name())
     }
 }
 
+/// Returns the count and the mean of each bucket of a stage of a run; empty if the buckets are not stored.
 fn buckets(means: &RunMeans, run: i64, name: &Name) -> Vec<(u64, f64)> {
     let of_run = means.get(&run).into_iter().flatten().filter(|stage| stage.stage == *name);
     of_run.flat_map(|stage| stage.buckets.iter().map(|bucket| (bucket.count, bucket.mean))).collect()

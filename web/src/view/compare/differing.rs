@@ -25,14 +25,16 @@ impl DifferingSettings {
     /// Returns the axes of the experiment's file.
     pub(super) fn of_experiment(runs: &[RunDetail]) -> Self {
         let all = experiment_columns(&places(runs)).unwrap_or_default();
-        // A single configuration has no differences; it is identified by its declared values.
+        // If no axis differs, there is a single configuration. All axes are shown then, because its declared values
+        // identify it.
         let has_several = all.iter().any(Column::differs);
         let (columns, settings) = all.into_iter().partition(|column| !has_several || column.differs());
         Self::from_columns(runs.len(), ChosenColumns { columns, rest: settings })
     }
 
-    /// Returns the columns that distinguish the runs in `peernet compare`: the fields in which runs of one experiment differ, or the smallest set of
-    /// facts about other runs. If runs of an experiment have equal fields, such as its edges, facts distinguish them.
+    /// Returns the columns by which `peernet compare` distinguishes the runs. For runs of one experiment these are the
+    /// fields in which the runs differ, and further facts if runs have equal fields, such as the edges of one run. For
+    /// other runs these are the fewest facts that distinguish them.
     pub(super) fn of_runs(runs: &[RunDetail]) -> Self {
         let facts = runs.iter().map(|run| (run.summary.experiment.as_ref(), run_facts(run)));
         let all = tabulate(&distinguishing_pairs(&facts.collect::<Vec<_>>()));
@@ -61,6 +63,7 @@ impl DifferingSettings {
     }
 }
 
+/// Returns the place of each run in its experiment; `None` for a run without an experiment.
 fn places(runs: &[RunDetail]) -> Vec<Option<&ExperimentPlace>> {
     runs.iter().map(|run| run.summary.experiment.as_ref()).collect()
 }

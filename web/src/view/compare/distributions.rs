@@ -10,7 +10,7 @@ use peernet_statistics::Summary;
 use peernet_statistics::number::count;
 
 use super::Comparison;
-use super::choice::{choose_runs, without_success};
+use super::choice::{choose_runs, unsuccessful_runs_sentence};
 use super::median::{DELAY_OF_QUANTITY, Median};
 use crate::error::WebError;
 use crate::picture::Picture;
@@ -18,7 +18,7 @@ use crate::view::chip::Chip;
 use crate::view::counted;
 use crate::view::units::shown_in;
 
-/// Maximum number of pictures. Up to this number the distributions of all quantities are drawn together.
+/// Maximum number of pictures with which the distributions of all quantities are drawn together.
 const MAX_PICTURES: usize = 24;
 
 /// Distributions that are drawn, and links to others.
@@ -26,7 +26,7 @@ pub(crate) struct Distributions {
     pub groups: Vec<Group>,
     /// Quantities that can be selected; empty where there is no choice.
     pub choices: Vec<Choice>,
-    /// Part of the address with the subject of the comparison.
+    /// Part of the page's address that names the compared runs.
     pub address: Address,
     /// A sentence about runs without a successful iteration.
     pub missing: Option<String>,
@@ -56,12 +56,13 @@ pub(crate) struct RunHistogram {
 /// A link to other distributions.
 pub(crate) struct Choice {
     pub name: String,
-    /// Node of the link; `None` for all.
+    /// Name of the node whose distributions the link shows; `None` for the distributions of all nodes.
     pub stage: Option<String>,
+    /// `true` if the page shows these distributions now.
     pub is_shown: bool,
 }
 
-/// Subject of a comparison as in an address.
+/// Compared runs, as the address of the page names them.
 pub(crate) enum Address {
     /// Id of an experiment.
     Experiment(String),
@@ -95,7 +96,7 @@ impl Quantity {
     }
 
     /// Returns the number of runs that have this quantity.
-    fn runs(&self, comparison: &Comparison) -> usize {
+    fn run_count(&self, comparison: &Comparison) -> usize {
         comparison.runs().filter(|run| comparison.summary(run.number, &self.name).is_some()).count()
     }
 
@@ -155,7 +156,8 @@ impl Quantity {
     }
 }
 
-/// Returns the number of values of a quantity: of iterations if each has one value at most.
+/// Returns the number of values of a quantity in words. If an iteration has at most one value, the word is
+/// `iterations`, else `values`.
 fn counted_values(name: &Name, values: &Summary) -> String {
     let (one, many) =
         if IterationValues::has_one_value(name) { ("iteration", "iterations") } else { ("value", "values") };
@@ -175,7 +177,7 @@ pub(crate) fn distributions(
     let mut offered = Quantity::usual();
     if let Some(name) = selected.filter(|name| offered.iter().all(|quantity| quantity.name != **name)) {
         offered.push(Quantity { name: Name::from(name), title: name.to_owned() });
-        if offered.last().is_some_and(|quantity| quantity.runs(comparison) == 0) {
+        if offered.last().is_some_and(|quantity| quantity.run_count(comparison) == 0) {
             let usual: Vec<String> =
                 Quantity::usual().iter().map(|quantity| quantity.name.to_string()).collect();
             let usual = usual.join(", ");
@@ -184,8 +186,9 @@ pub(crate) fn distributions(
             )));
         }
     }
-    offered.retain(|quantity| quantity.runs(comparison) > 0);
-    let all_fit = offered.iter().map(|quantity| quantity.runs(comparison)).sum::<usize>() <= MAX_PICTURES;
+    offered.retain(|quantity| quantity.run_count(comparison) > 0);
+    let all_fit =
+        offered.iter().map(|quantity| quantity.run_count(comparison)).sum::<usize>() <= MAX_PICTURES;
     let single_name: Option<Name> = match selected {
         Some(name) => Some(Name::from(name)),
         None if all_fit => None,
@@ -206,6 +209,6 @@ pub(crate) fn distributions(
         groups,
         choices,
         address: Address::of(comparison),
-        missing: without_success(comparison),
+        missing: unsuccessful_runs_sentence(comparison),
     }))
 }

@@ -27,7 +27,7 @@ pub(crate) const MAX_EXPERIMENT_RUNS: u32 = 200;
 pub(crate) enum CompareSelection {
     /// These runs; each is a separate configuration.
     Runs(Vec<i64>),
-    /// All valid runs of an experiment, repeats together.
+    /// All valid runs of an experiment. The repeats of a configuration are combined.
     Experiment(String),
 }
 
@@ -126,18 +126,18 @@ pub(crate) async fn load_comparison(
         Some(_) => group_by_labels(&axis_values),
         None => (0..details.len()).map(|run| vec![run]).collect(),
     };
-    // Each run is moved into its group, because statistics are large.
+    // Each run is moved into its group and not copied, because its statistics are large.
     let mut loaded: Vec<_> =
         details.into_iter().map(|detail| detail.summary).zip(statistics).map(Some).collect();
-    let group = |group: Vec<usize>| {
-        let (runs, statistics) = group.iter().filter_map(|run| loaded[*run].take()).unzip();
-        let settings = other_settings.iter().map(|column| column.labels[group[0]].clone()).collect();
-        Group { values: axis_values[group[0]].clone(), settings, runs, statistics }
+    let group = |indexes: Vec<usize>| {
+        let (runs, statistics) = indexes.iter().filter_map(|index| loaded[*index].take()).unzip();
+        let settings = other_settings.iter().map(|column| column.labels[indexes[0]].clone()).collect();
+        Group { values: axis_values[indexes[0]].clone(), settings, runs, statistics }
     };
     let mut groups: Vec<Group> = run_groups.into_iter().map(group).collect();
     if experiment.is_some() {
-        let places = |a: &Group, b: &Group| Some(compare_places(a.place()?, b.place()?));
-        groups.sort_by(|a, b| places(a, b).unwrap_or(Ordering::Equal));
+        let order = |a: &Group, b: &Group| Some(compare_places(a.place()?, b.place()?));
+        groups.sort_by(|a, b| order(a, b).unwrap_or(Ordering::Equal));
     }
     let setting = |(index, column): (usize, &Column)| Setting {
         name: column.axis.clone(),
@@ -208,7 +208,7 @@ fn select_runs(runs: Vec<RunSummary>) -> (Vec<RunSummary>, Vec<ExcludedRun>) {
     (selected.collect(), left_out)
 }
 
-/// Placements of models. The boolean is `false` if the model is an echo model.
+/// Placements of models, each with `true` if the model computes. An echo model does not compute.
 struct ComputingPlacements(Vec<(Placement, bool)>);
 
 impl ComputingPlacements {
@@ -235,8 +235,11 @@ impl ComputingPlacements {
     }
 }
 
+/// Runs of one configuration.
 struct Group {
+    /// Value on each axis.
     values: Vec<String>,
+    /// Value of each further setting.
     settings: Vec<String>,
     runs: Vec<RunSummary>,
     statistics: Vec<RunStatistics>,

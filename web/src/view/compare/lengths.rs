@@ -21,10 +21,11 @@ use crate::view::counted;
 
 /// Maximum number of configurations that are drawn.
 const MAX_CONFIGURATIONS: usize = 6;
-/// Maximum number of iterations that a page reads, of all configurations and of one configuration.
+/// Maximum number of iterations that a page reads, of all configurations together.
 const MAX_READ: u64 = 1_500;
+/// Maximum number of iterations that a page reads of one configuration.
 const MAX_READ_PER_CONFIGURATION: u64 = 750;
-/// If the longest answer has at least this length, bytes, lengths are shown in kB.
+/// Lengths are shown in kB if the longest answer has at least this number of bytes.
 const KILOBYTES: f64 = 10_000.0;
 
 /// A configuration whose answers differ in length.
@@ -108,8 +109,9 @@ pub(crate) async fn answers(store: &Store, comparison: &Comparison) -> Result<Ve
             is_whole: true,
         };
         for run in &varying_configuration.configuration.runs {
-            // `value_pairs` also reads warm-up and failed iterations. If the successful iterations of all runs fit into the limit, a run
-            // is therefore read with the larger limit `MAX_READ`, so that it is read whole.
+            // The limit of `value_pairs` also counts warm-up and failed iterations. If the successful iterations of all
+            // runs fit into `max_read`, each run is therefore read with the larger limit `MAX_READ`, so that none of
+            // its successful iterations is omitted.
             let limit = if all_answered <= max_read {
                 MAX_READ
             } else {
@@ -137,7 +139,7 @@ pub(crate) struct LengthRow {
     pub sentences: Vec<String>,
 }
 
-/// Pictures side by side.
+/// Pictures of the configurations, side by side.
 pub(crate) struct Lengths {
     pub rows: Vec<LengthRow>,
     /// Names of the configurations that are not drawn; `None` if all are drawn.
@@ -161,13 +163,13 @@ fn without_usage(comparison: &Comparison) -> Option<String> {
     })
 }
 
-/// Returns the configurations whose answers differ in length, on shared axes, and those whose lengths are not counted in tokens although they
-/// could be. `None` where there are neither.
+/// Draws the configurations whose answers differ in length, on shared axes, and names those whose lengths could be
+/// counted in tokens if their servers reported the numbers. `None` if there are neither.
 pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Lengths> {
     let mut varying = VaryingLengths::all(comparison);
     let not_drawn = varying.split_off(varying.len().min(MAX_CONFIGURATIONS));
     let without_usage = without_usage(comparison);
-    let Some(up) = BinnedAxis::from_zero(
+    let Some(vertical) = BinnedAxis::from_zero(
         varying.iter().map(|varying_configuration| varying_configuration.latencies),
         Unit::symbol("ms", 1e3),
     ) else {
@@ -187,7 +189,7 @@ pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Le
         };
         let longest = same_unit().map(|lengths| lengths.moments.max).fold(0.0, f64::max);
         let (unit, per_si, what, each) = varying_configuration.unit(longest);
-        let across = BinnedAxis::from_zero(same_unit(), Unit::symbol(&unit, per_si))?;
+        let horizontal = BinnedAxis::from_zero(same_unit(), Unit::symbol(&unit, per_si))?;
         let sample = answers.iter().find(|sample| sample.name == varying_configuration.configuration.name);
         let sample = sample.cloned().unwrap_or_default();
         let growth = Growth::from_iterations(&sample.points);
@@ -199,8 +201,8 @@ pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Le
         let joint = Joint {
             stage: stage(LATENCY),
             points: &sample.points,
-            x: (&across, varying_configuration.lengths),
-            y: (&up, varying_configuration.latencies),
+            x: (&horizontal, varying_configuration.lengths),
+            y: (&vertical, varying_configuration.latencies),
             line: growth.ok().and_then(|growth| growth.line().ok()),
         };
         let label = format!(
@@ -214,8 +216,8 @@ pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Le
             is_counted: joint.has_cells(),
             sentences: [medians, slope]
                 .into_iter()
-                .chain([amount(varying_configuration, &sample)])
-                .chain(beyond(varying_configuration, (&across, &up)))
+                .chain([amount_sentence(varying_configuration, &sample)])
+                .chain(beyond(varying_configuration, (&horizontal, &vertical)))
                 .collect(),
         })
     };
@@ -250,7 +252,7 @@ fn medians_sentence(varying_configuration: &VaryingLengths<'_>) -> String {
 }
 
 /// Returns a sentence about the number of iterations that are drawn as points.
-fn amount(varying_configuration: &VaryingLengths<'_>, sample: &Answers) -> String {
+fn amount_sentence(varying_configuration: &VaryingLengths<'_>, sample: &Answers) -> String {
     let points = sample.points.len() as u64;
     let [lengths, latencies] =
         [varying_configuration.lengths, varying_configuration.latencies].map(Summary::count);
@@ -292,15 +294,15 @@ fn amount(varying_configuration: &VaryingLengths<'_>, sample: &Answers) -> Strin
 /// Returns a sentence about the number of values beyond the axes; `None` if there are none.
 fn beyond(
     varying_configuration: &VaryingLengths<'_>,
-    (across, up): (&BinnedAxis, &BinnedAxis),
+    (horizontal, vertical): (&BinnedAxis, &BinnedAxis),
 ) -> Option<String> {
     let outside = |axis: &BinnedAxis, values: &Summary| {
         let (below, above) = axis.beyond(values);
         below + above
     };
     let outside = [
-        (outside(across, varying_configuration.lengths), "length", "lengths"),
-        (outside(up, varying_configuration.latencies), "latency", "latencies"),
+        (outside(horizontal, varying_configuration.lengths), "length", "lengths"),
+        (outside(vertical, varying_configuration.latencies), "latency", "latencies"),
     ];
     let counts: Vec<String> = outside
         .iter()

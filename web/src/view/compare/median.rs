@@ -22,11 +22,12 @@ pub(super) static DELAY_OF_QUANTITY: [(Name, Name); 4] = [
 /// A median in words.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Median {
-    /// Median with its unit and its uncertainty by the clocks. Only the interval if the uncertainty is too large for a single value.
+    /// Median with its unit, and the interval by the clock bounds. The text has only the interval if it is too wide for
+    /// a single value.
     pub text: String,
     /// Interval of the median by the clock bounds, in the SI unit; `None` without uncertainty.
     pub within: Option<(f64, f64)>,
-    /// Verdict that needs attention.
+    /// Verdict on the clock bounds; `None` if it needs no attention.
     pub doubt: Option<Chip>,
 }
 
@@ -37,29 +38,33 @@ impl Median {
         let delay = DELAY_OF_QUANTITY.iter().find(|(quantity, _)| *quantity == *name).map(|(_, delay)| delay);
         let bound = delay.and_then(|delay| mergeable.bound(delay));
         let verdict = bound.as_ref().and_then(clocks::verdict).filter(|verdict| *verdict != Verdict::Ok);
-        let ends = delay.and_then(|delay| interval(mergeable, name, delay));
-        let shown = shown_in(unit);
-        let remark = ends.and_then(|ends| ends.method.remark()).map(|remark| format!(" ({remark})"));
+        let interval = delay.and_then(|delay| median_interval(mergeable, name, delay));
+        let (symbol, _) = shown_in(unit);
+        let remark =
+            interval.and_then(|interval| interval.method.remark()).map(|remark| format!(" ({remark})"));
         let remark = remark.unwrap_or_default();
-        let text = match (ends, verdict) {
-            (None, _) => format!("median {}", with_unit(&without_unit(unit, value), &shown.0)),
-            (Some(ends), None) => {
+        let text = match (interval, verdict) {
+            (None, _) => format!("median {}", with_unit(&without_unit(unit, value), &symbol)),
+            (Some(interval), None) => {
                 let value =
-                    if unit == "s" { within_ms(value, ends.ends()) } else { without_unit(unit, value) };
-                let value = with_unit(&value, &shown.0);
-                format!("median {value}, by the clocks {}{remark}", between(unit, ends))
+                    if unit == "s" { within_ms(value, interval.ends()) } else { without_unit(unit, value) };
+                let value = with_unit(&value, &symbol);
+                format!("median {value}, by the clocks {}{remark}", format_interval(unit, interval))
             }
-            (Some(ends), Some(_)) => {
-                format!("median by the clocks {}{remark}", with_unit(&between(unit, ends), &shown.0))
+            (Some(interval), Some(_)) => {
+                format!(
+                    "median by the clocks {}{remark}",
+                    with_unit(&format_interval(unit, interval), &symbol)
+                )
             }
         };
-        let within = ends.map(|ends| ends.ends());
+        let within = interval.map(|interval| interval.ends());
         Some(Self { text, within, doubt: verdict.map(Chip::verdict) })
     }
 }
 
 /// Returns the interval of the median by the clock bounds of the delay; `None` if it is not known or has no width.
-fn interval(mergeable: &MergeableStatistics, name: &str, delay: &Name) -> Option<ClockInterval> {
+fn median_interval(mergeable: &MergeableStatistics, name: &str, delay: &Name) -> Option<ClockInterval> {
     let clocked = ClockedSummaries {
         values: mergeable.summary(name)?,
         ends: mergeable.ends(name),
@@ -83,8 +88,9 @@ fn without_unit(unit: &str, value: f64) -> String {
     Scale::for_unit(unit).format(value)
 }
 
-/// Formats both ends. A no-break space before the dash keeps the dash from beginning a line.
-fn between(unit: &str, ClockInterval { lo, hi, .. }: ClockInterval) -> String {
+/// Formats both ends of an interval without their unit. A no-break space before the dash keeps the dash from beginning
+/// a line.
+fn format_interval(unit: &str, ClockInterval { lo, hi, .. }: ClockInterval) -> String {
     let text = if unit == "bit/s" { throughput_between((lo, Some(hi))) } else { interval_ms(lo, hi) };
     text.replace(" –", "\u{a0}–")
 }

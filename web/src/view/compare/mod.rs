@@ -67,9 +67,10 @@ pub(crate) struct Comparison {
     pub configurations: Vec<Configuration>,
     /// All stored statistics of each run, by its number.
     pub statistics_by_run: HashMap<i64, Arc<MergeableStatistics>>,
-    /// Report of each run on whether it can be published, by its number.
+    /// Report on whether a run can be published, by the number of the run.
     pub trust_by_run: HashMap<i64, Report>,
-    /// Distribution from which the latencies of a run are drawn, by its number. Runs with measured latencies are absent.
+    /// Distribution from which the latencies of a run are drawn, by the number of the run. Runs with measured latencies
+    /// are absent.
     pub replayed_by_run: HashMap<i64, ReplayedLatencies>,
     /// Excluded runs of the experiment, oldest first.
     pub left_out: Vec<ExcludedRun>,
@@ -115,7 +116,7 @@ pub(crate) struct Configuration {
     pub values: Vec<String>,
     /// Runs, oldest first.
     pub runs: Vec<RunSummary>,
-    /// Statistics of all its runs together.
+    /// Statistics of each stage, of all its runs together.
     pub stages: Vec<StageStatistics>,
     /// Accuracy of the one-way delays.
     pub bounds: Vec<DelayAccuracy>,
@@ -179,7 +180,7 @@ impl Comparison {
     /// Returns the index of the chosen baseline: the configuration of the run with the number `run`; `None` if no number is given.
     ///
     /// # Errors
-    /// When the run is not compared.
+    /// Returns an error when the run is not one of the compared runs.
     pub(crate) fn baseline(&self, run: Option<&str>) -> Result<Option<usize>, WebError> {
         let Some(text) = run.filter(|text| !text.is_empty()) else { return Ok(None) };
         let index_of = |number: i64| {

@@ -11,13 +11,13 @@ pub(super) fn configuration_names<'a>(
 ) -> Vec<String> {
     let (values, runs): (Vec<&[String]>, Vec<&[RunSummary]>) = configurations.unzip();
     let words = readable_names(axes, values);
-    let name = |(words_of, runs): (&String, &&[RunSummary])| {
-        let is_unique = words.iter().filter(|other| *other == words_of).count() == 1;
-        let first = runs.first().map_or_else(String::new, |run| format!("#{}", run.number));
-        match (words_of.is_empty(), is_unique) {
-            (true, _) => first,
-            (false, true) => words_of.clone(),
-            (false, false) => format!("{words_of}, {first}"),
+    let name = |(own_words, runs): (&String, &&[RunSummary])| {
+        let is_unique = words.iter().filter(|other| *other == own_words).count() == 1;
+        let first_run = runs.first().map_or_else(String::new, |run| format!("#{}", run.number));
+        match (own_words.is_empty(), is_unique) {
+            (true, _) => first_run,
+            (false, true) => own_words.clone(),
+            (false, false) => format!("{own_words}, {first_run}"),
         }
     };
     words.iter().zip(&runs).map(name).collect()

@@ -13,7 +13,7 @@ use crate::picture::Picture;
 /// Maximum number of distributions that are drawn.
 const MAX_DISTRIBUTIONS: usize = 24;
 
-/// Difference of a configuration from the baseline.
+/// Differences between the iterations of a configuration and those of the baseline.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct PairwiseRow {
     /// Share of the pairs in which the configuration is faster than the baseline, percent.
@@ -32,11 +32,12 @@ pub(crate) fn pairwise(comparison: &Comparison, differences: &Differences) -> Ve
         .take(MAX_DISTRIBUTIONS)
         .map(|(index, _)| PairwiseDifference::between(total(differences.baseline)?, total(*index)?))
         .collect();
-    // The axis must contain zero: differences left of zero are pairs in which the configuration is faster.
+    // The axis must contain zero, because zero divides the pairs in which the configuration is faster (left) from the
+    // others.
     let mut zero = Summary::default();
     zero.record(0.0);
-    let drawn = pairwise_differences.iter().flatten().map(|pairwise| &pairwise.differences);
-    let Some(axis) = BinnedAxis::around(drawn.chain([&zero]), Unit::symbol("ms", 1e3)) else {
+    let distributions = pairwise_differences.iter().flatten().map(|pairwise| &pairwise.differences);
+    let Some(axis) = BinnedAxis::around(distributions.chain([&zero]), Unit::symbol("ms", 1e3)) else {
         return Vec::new();
     };
     let row = |(pairwise, (index, _)): (Option<PairwiseDifference>, &(usize, _))| {

@@ -22,7 +22,7 @@ pub(crate) struct PayloadPlots {
     pub rows: Vec<SizeRow>,
 }
 
-/// Plot of a quantity against size, and how to read it.
+/// Plot of a quantity against size, and notes on how to read the plot.
 pub(crate) struct PayloadPlot {
     pub picture: Picture,
     pub notes: Vec<String>,
@@ -31,6 +31,7 @@ pub(crate) struct PayloadPlot {
 /// Messages of one size in one direction.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct SizeRow {
+    /// `upload` or `download`.
     pub way: &'static str,
     /// Median size on the wire: payload and metadata.
     pub size: String,
@@ -42,7 +43,7 @@ pub(crate) struct SizeRow {
     pub throughput: (String, Option<String>),
 }
 
-/// Returns the studies of all links whose messages have sizes that differ enough.
+/// Returns the studies of all links whose messages differ enough in size.
 pub(super) fn studies(comparison: &Comparison) -> Vec<PayloadStudy> {
     let runs = comparison.configurations.iter().flat_map(|one| one.runs.iter().map(move |run| (one, run)));
     let links = group_by_link(runs.map(|(one, run)| (link_of(run), run.experiment.as_ref(), (one, run))));
@@ -66,6 +67,7 @@ fn link_of(run: &RunSummary) -> Link {
     }
 }
 
+/// Returns the distributions of the messages of a run in one direction; `None` if no message was sent.
 fn sketches<'a>(comparison: &'a Comparison, run: i64, name: &str) -> Option<MessageSketches<'a>> {
     let statistics = comparison.statistics_by_run.get(&run)?;
     Some(MessageSketches {
@@ -77,7 +79,7 @@ fn sketches<'a>(comparison: &'a Comparison, run: i64, name: &str) -> Option<Mess
     })
 }
 
-/// Returns the plots of each link. Empty if no direction has sizes that differ enough.
+/// Returns the plots of each link; empty if the messages of no direction differ enough in size.
 pub(crate) fn payload(comparison: &Comparison) -> Vec<PayloadPlots> {
     let studies = studies(comparison);
     let has_several = studies.len() > 1;

@@ -25,11 +25,13 @@ const MAX_NAMED_CONFIGURATIONS: usize = 3;
 pub(crate) struct StackRow {
     pub name: String,
     pub bar: Picture,
+    /// Mean total and its standard deviation, ms.
     pub total: (String, Option<String>),
+    /// `true` for the best configuration of the ranking.
     pub best: bool,
 }
 
-/// The labels of a scale: once above all bars, and on narrow screens under each bar.
+/// The labels of a scale: once above all bars, and again below each bar on narrow screens.
 pub(crate) struct Axes {
     pub above: Picture,
     pub under: Picture,
@@ -56,7 +58,9 @@ pub(crate) struct PlaceRow {
     pub configuration: String,
     /// Name of the place, the host of the model, and the hosts that it serves.
     pub place: String,
+    /// Mean inference and its standard deviation, ms.
     pub inference: (String, Option<String>),
+    /// Box plot of the inference.
     pub spread: Picture,
 }
 
@@ -134,8 +138,8 @@ fn routes(configurations: &[&Configuration]) -> String {
     routes.into_iter().map(route).collect::<Vec<_>>().join("; ")
 }
 
-/// Returns the models that ran at several places, such as on board and in the cloud, each with its inference alone, all on one scale. All
-/// configurations of a model at a place are combined.
+/// Returns the models that ran at several places, such as on board and in the cloud. Only their inference is compared,
+/// on one scale. All configurations of a model at one place are combined.
 pub(crate) fn pairs(comparison: &Comparison) -> (Vec<Pair>, Axes) {
     let measured = comparison.configurations.iter().filter(|one| one.summary(&stage::INFERENCE).is_some());
     let measured: Vec<(&Configuration, &Placement)> =
@@ -155,8 +159,8 @@ pub(crate) fn pairs(comparison: &Comparison) -> (Vec<Pair>, Axes) {
             (model, values.collect())
         })
         .collect();
-    let tops = rows.iter().flat_map(|(_, places)| places).map(|place| place.quartiles.top());
-    let scale = Scale::up_to(tops.fold(0.0, f64::max) * 1e3, 6);
+    let upper_ends = rows.iter().flat_map(|(_, places)| places).map(|place| place.quartiles.top());
+    let scale = Scale::up_to(upper_ends.fold(0.0, f64::max) * 1e3, 6);
     let pair = |(model, places): &(&String, Vec<PlaceValues<'_>>)| Pair {
         model: (*model).clone(),
         places: places.iter().map(|place| place.row(&scale)).collect(),

@@ -15,9 +15,9 @@ pub(crate) struct QualityPlot {
     pub plot: Picture,
     /// Titles of the columns of numbers.
     pub columns: Vec<String>,
-    /// Name of each configuration, in the order of the numbers in the plot, with its numbers.
+    /// Name of each configuration with the texts of its columns, in the order of the numbers in the plot.
     pub rows: Vec<(String, Vec<String>)>,
-    /// Number of all configurations with the quality, if not all of them are drawn.
+    /// Number of all configurations with the quality; `None` if all of them are drawn.
     pub all: Option<usize>,
 }
 
@@ -39,7 +39,7 @@ pub(super) const fn title(quality: Quality) -> (&'static str, &'static str) {
     }
 }
 
-/// Returns the estimate and its interval: shares in per cent.
+/// Formats an estimate and its interval; shares are in percent.
 pub(super) fn texts(quality: Quality, estimate: &QualityEstimate) -> (String, Option<String>) {
     let form = |value: f64| estimate.format(quality, value);
     let interval = |(low, high): (f64, f64)| format!("{}{SPACE}–{SPACE}{}", form(low), form(high));

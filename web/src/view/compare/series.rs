@@ -15,21 +15,23 @@ use peernet_store::{
     DelayAccuracy, Episodes, MeanBucket, RunSummary, Series, SeriesPoint, StageMeans, Store,
 };
 
-use super::choice::{ChosenRun, choose_runs, without_success};
+use super::choice::{ChosenRun, choose_runs, unsuccessful_runs_sentence};
 use super::differences::CONCURRENT_READS;
 use super::{Comparison, Configuration};
 use crate::error::WebError;
 use crate::picture::Picture;
 use crate::view::{counted, episodes, stack};
 
-/// Maximum and minimum number of points that are requested for a run.
+/// Maximum number of points that are requested for a run.
 const MAX_POINTS: usize = 100;
+/// Minimum number of points that are requested for a run.
 const MIN_POINTS: u64 = 20;
 /// Number of samples that a point should have: enough for a 95th percentile.
 const SAMPLES_PER_POINT: u64 = 60;
-/// Minimum number of points of a drawn run. With fewer points the drawn length of a run is too inexact.
+/// A run with fewer points is not drawn, because its drawn length would be too inexact.
 const MIN_DRAWN_POINTS: usize = 3;
-/// If a run has fewer points, the caption states the length of the run, because the drawn length is inexact by up to a point at each end.
+/// If a run has fewer points than this, the caption states its length, because the drawn length is inexact by up to one
+/// point at each end.
 const MIN_EXACT_POINTS: f64 = 5.0;
 
 /// Stored data of a run over time.
@@ -51,7 +53,7 @@ pub(crate) struct OverTime {
     /// Unit of the horizontal axes.
     pub unit: &'static str,
     pub legend: Picture,
-    /// Number of all runs with data, if not all of them are drawn.
+    /// Number of all runs with data; `None` if all of them are drawn.
     pub all_runs: Option<usize>,
     /// A sentence about runs without a successful iteration.
     pub missing: Option<String>,
@@ -134,7 +136,7 @@ pub(crate) fn over_time(comparison: &Comparison, series_by_run: &TimeSeriesByRun
         };
         let is_short = axes.is_short(data) || data.length < data.width * MIN_EXACT_POINTS;
         let short = is_short.then(|| length_text(run, episodes)).flatten();
-        let width = Some(points_of(data.width));
+        let width = Some(bucket_width_text(data.width));
         let texts = [
             episodes::episode_count_text(episodes),
             episodes::failed_count_text(episodes, run),
@@ -154,7 +156,7 @@ pub(crate) fn over_time(comparison: &Comparison, series_by_run: &TimeSeriesByRun
         unit: axes.unit(),
         legend: Picture::of_legend(&OverTimeAxes::legend(&all), "key plain"),
         all_runs,
-        missing: without_success(comparison),
+        missing: unsuccessful_runs_sentence(comparison),
     })
 }
 
@@ -165,8 +167,8 @@ fn length_text(run: &RunSummary, episodes: &Episodes) -> Option<String> {
     (seconds > 0.0).then(|| format!("{length} from first to last start"))
 }
 
-/// Returns `points of 10 s`.
-fn points_of(seconds: f64) -> String {
+/// Returns the time that a point of the plot covers, in words: `points of 10 s`.
+fn bucket_width_text(seconds: f64) -> String {
     let (count, unit) = match seconds as u64 {
         hours if hours >= 3_600 => (hours / 3_600, "h"),
         minutes if minutes >= 60 => (minutes / 60, "min"),
@@ -199,7 +201,7 @@ fn data(
     let bounds = [stage::UPLOAD, stage::DOWNLOAD].map(|way| statistics.and_then(|all| all.bound(&way)));
     let sent_messages = DelayAccuracy::sent_messages(&bounds.into_iter().flatten().collect::<Vec<_>>());
     let bucket = |point: &SeriesPoint| {
-        // The number of unknown delays is not stored by time.
+        // How many messages were sent is stored only for the whole run, so the number for this bucket is estimated.
         let sent_in_bucket = sent_in_part(sent_messages, run.counts.ok, point.count);
         let latency_of = |name: &str| {
             let MeanBucket { count, mean, .. } = *mean(name, point.at)?;

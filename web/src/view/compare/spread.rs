@@ -11,6 +11,7 @@ use crate::picture::Picture;
 pub(crate) struct BoxRow {
     pub name: String,
     pub median: String,
+    /// First and third quartile, ms.
     pub quartiles: String,
     pub picture: Picture,
 }
@@ -24,7 +25,7 @@ pub(super) fn box_plot(stage: &str, quantity: &str, quartiles: &Quartiles, scale
     )
 }
 
-/// Returns the total of each configuration, its runs together, all on one scale.
+/// Returns a box for the total of each configuration, all on one scale. The runs of a configuration are combined.
 pub(crate) fn boxes(comparison: &Comparison) -> (Vec<BoxRow>, Axes) {
     let total = comparison.total_column.name();
     let measured: Vec<_> = comparison

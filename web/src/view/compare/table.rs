@@ -47,14 +47,15 @@ pub(crate) struct Row {
     /// Numbers of its runs.
     pub runs: Vec<i64>,
     pub iterations: String,
-    /// Mean and standard deviation.
+    /// Mean and standard deviation in each column.
     pub cells: Vec<(String, Option<String>)>,
     /// Estimate of each quality and its interval.
     pub accuracies: Vec<(String, Option<String>)>,
-    /// Payload sent up on average, with unit.
+    /// Mean size of the payloads sent up, with its unit.
     pub sent: String,
-    /// Miss rate, percent, and its base.
+    /// Miss rate, percent, with the counts from which it is computed as the tooltip.
     pub missed: Cell,
+    /// `true` for the best configuration of the ranking.
     pub best: bool,
 }
 
@@ -86,7 +87,7 @@ impl Table {
             sent: one
                 .statistics(&stage::UPLOAD_BYTES)
                 .map_or_else(|| NONE.to_owned(), |sent| bytes(sent.mean).to_string()),
-            missed: missed(one),
+            missed: miss_rate_cell(one),
             best: best == Some(index),
         };
         Self {
@@ -105,7 +106,7 @@ impl Table {
 /// Column of a quality.
 enum QualityColumn {
     Quality(Quality),
-    /// Share of the answers whose best five classes contain the right one.
+    /// Share of the answers whose five best classes contain the right class.
     Top5,
 }
 
@@ -142,7 +143,7 @@ impl QualityColumn {
 }
 
 /// Returns the miss rate of a configuration.
-fn missed(configuration: &Configuration) -> Cell {
+fn miss_rate_cell(configuration: &Configuration) -> Cell {
     let Some(misses) = configuration.misses() else { return Cell::none("no deadline") };
     let Some(rate) = misses.rate() else { return Cell::none("no iteration") };
     let deadline = match configuration.deadline_s() {
@@ -159,10 +160,13 @@ fn missed(configuration: &Configuration) -> Cell {
 pub(crate) struct DifferenceRow {
     pub name: String,
     pub look: &'static str,
+    /// Mean of the baseline.
     pub first: String,
+    /// Mean of the other configuration.
     pub second: String,
     /// The second minus the first; a dash if only one configuration has the stage.
     pub difference: String,
+    /// 95 % interval of the difference; `None` if it is unknown.
     pub interval: Option<String>,
     /// `true` if the difference is significant; `None` if that cannot be determined.
     pub certain: Option<bool>,

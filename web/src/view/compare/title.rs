@@ -28,10 +28,11 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
     let mean = comparison.total(best).map_or_else(String::new, |total| duration(total.mean).to_string());
     let (ties, untested) = (ranking.ties(), ranking.untested());
     if !ties.is_empty() {
-        return format!("{} and {} do not differ by more than chance", best.name, names(all, &ties));
+        return format!("{} and {} do not differ by more than chance", best.name, join_names(all, &ties));
     }
     if !untested.is_empty() {
-        // With enough iterations only the buckets of whole seconds are too few. The command has single iterations.
+        // If all these runs have enough iterations, only their buckets of whole seconds, which this page reads, are too
+        // few. The command reads single iterations and can therefore tell more.
         let mut compared = untested.iter().chain([&ranking.best]).flat_map(|index| &all[*index].runs);
         let is_too_short = compared.all(|run| run.counts.ok >= MIN_VALUES as u64);
         let statement = match ranking.differences.len() {
@@ -41,7 +42,7 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
             }
         };
         let configurations = match untested.len() < ranking.differences.len() {
-            true => format!(" of {}", names(all, &untested)),
+            true => format!(" of {}", join_names(all, &untested)),
             false => String::new(),
         };
         if !is_too_short {
@@ -70,7 +71,8 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
     )
 }
 
-/// Returns the configuration with which the best is compared: the baseline, or the next configuration if the baseline is the best.
+/// Returns the configuration with which the title compares the best one: the baseline, or the configuration with the
+/// next larger mean if the baseline is the best. `None` if no difference was tested.
 fn reference_configuration(ranking: &Ranking, baseline: usize) -> Option<(usize, Difference)> {
     let tested =
         || ranking.differences.iter().filter_map(|(index, difference)| Some((*index, (*difference)?)));
@@ -78,7 +80,8 @@ fn reference_configuration(ranking: &Ranking, baseline: usize) -> Option<(usize,
     tested().find(|(index, _)| *index == baseline).or_else(next)
 }
 
-fn names(all: &[Configuration], indexes: &[usize]) -> String {
+/// Returns the names of configurations, of which at most [`MAX_NAMED`] are named.
+fn join_names(all: &[Configuration], indexes: &[usize]) -> String {
     let names: Vec<&str> = indexes.iter().take(MAX_NAMED).map(|index| all[*index].name.as_str()).collect();
     match indexes.len() - names.len() {
         0 => names.join(" and "),

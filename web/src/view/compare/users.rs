@@ -21,7 +21,7 @@ pub(crate) struct UsersRow {
     pub users: String,
     /// Answers per second of all users together.
     pub rate: String,
-    /// Answers per second of the users that got the fewest and the most.
+    /// Answers per second of the user that got the fewest answers, and of the user that got the most.
     pub each: String,
     /// Jain's index.
     pub fairness: String,
@@ -32,7 +32,8 @@ pub(crate) struct UsersRow {
 /// Measurements of the users of each configuration from the time that they have in common.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct MeasuredUsers {
-    /// Repeats of each configuration, without repeats that lack a user. Empty if the numbers of users do not differ.
+    /// Repeats of each configuration, without repeats that lack a user. Empty if all configurations have the same
+    /// number of users.
     pub repeats: Vec<Vec<Repeat<Summary>>>,
     /// Width of the buckets in which starts are counted, seconds; 0 if single iterations are counted.
     pub resolution_s: u32,
@@ -42,12 +43,12 @@ pub(crate) struct MeasuredUsers {
 pub(crate) struct UsersPlot {
     pub plot: Picture,
     pub rows: Vec<UsersRow>,
-    /// Method of counting, in a sentence.
+    /// Sentence about the iterations that are counted.
     pub method: String,
 }
 
-/// Reads what the users of each configuration measured at the same time. Reads nothing unless an experiment is compared whose configurations
-/// have different numbers of users.
+/// Reads the measurements of the users of each configuration from the time that they have in common. Reads nothing
+/// unless an experiment is compared whose configurations have different numbers of users.
 ///
 /// # Errors
 /// Returns an error when the store cannot be read.
@@ -89,7 +90,8 @@ fn complete_repeats(configuration: &Configuration) -> Vec<Vec<&RunSummary>> {
     repeats
 }
 
-/// Reads what the users of a repeat measured at the same time, and the resolution of that time in seconds.
+/// Reads the measurements of the users of a repeat from the time that they have in common. Also returns the resolution
+/// of that time, seconds.
 async fn measured_repeat(store: &Store, users: &[RunSummary]) -> Result<(Repeat<Summary>, u32), WebError> {
     let mut times = Vec::with_capacity(users.len());
     for run in users {
@@ -97,7 +99,8 @@ async fn measured_repeat(store: &Store, users: &[RunSummary]) -> Result<(Repeat<
     }
     let resolution_s = times.iter().flatten().map(|time| time.resolution_s).max().unwrap_or_default();
     let width_ns = i64::from(resolution_s) * 1_000_000_000;
-    // Within a resolution only whole buckets are known.
+    // If starts are counted in buckets, only buckets that lie completely within the time are counted: the beginning is
+    // rounded up to a whole bucket, and the end is rounded down.
     let rounded = |time: MeasuredTime| {
         let (first, last) = (time.first.unix_nanos(), time.last.unix_nanos());
         if width_ns == 0 {
@@ -121,7 +124,7 @@ async fn measured_repeat(store: &Store, users: &[RunSummary]) -> Result<(Repeat<
 pub(crate) fn users(comparison: &Comparison, measured: &MeasuredUsers) -> Option<UsersPlot> {
     comparison.experiment.as_ref()?;
     let lines = comparison.configurations.iter().zip(&measured.repeats);
-    let lines = lines.map(|(one, repeats)| line(one, repeats));
+    let lines = lines.map(|(one, repeats)| users_line(one, repeats));
     let users = Users { axes: comparison.axes.clone(), lines: lines.collect() };
     let curves = Curve::from_users(&users);
     let users_of_line = |line: Option<&&UsersLine>| line.map(|line| line.edges);
@@ -147,12 +150,12 @@ pub(crate) fn users(comparison: &Comparison, measured: &MeasuredUsers) -> Option
 }
 
 /// Returns the answers per second of each user of a configuration, and the totals of all its users.
-fn line(configuration: &Configuration, repeats: &[Repeat<Summary>]) -> UsersLine {
+fn users_line(configuration: &Configuration, repeats: &[Repeat<Summary>]) -> UsersLine {
     let edges = complete_repeats(configuration).first().map_or(0, Vec::len);
     let mut totals = Summary::default();
     if edges == 1 {
-        // A single user shares its time with nobody, so all its totals count. They are measured totals, as those of several users, even
-        // if the table has sums of stages.
+        // A single user shares its time with nobody, so all its totals count. As for several users, these are the
+        // measured totals, even if the table compares sums of stages.
         configuration.summary(&stage::TOTAL).into_iter().for_each(|total| totals.merge(total));
     } else {
         repeats.iter().flat_map(|repeat| &repeat.edges).for_each(|edge| totals.merge(&edge.totals));
