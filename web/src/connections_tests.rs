@@ -32,8 +32,11 @@ struct Server {
     task: JoinHandle<()>,
     /// Requests to `/wait` that may be answered.
     answers: Arc<Semaphore>,
+    /// Notified when a request to `/wait` arrives.
     entered: Arc<Notify>,
+    /// Number of requests to `/wait` in progress.
     inside: Arc<AtomicUsize>,
+    /// Largest number of such requests at one time.
     maximum: Arc<AtomicUsize>,
 }
 
@@ -150,7 +153,8 @@ async fn request_in_progress_does_not_time_out() {
     let server = Server::start(Limits { header_timeout: SOON, ..LONG_LIMITS }).await;
     let waiting = server.connect_and_send(WAIT).await;
     server.wait_for_requests(1).await;
-    // By the time this connection reaches its header timeout, the request has been waiting as long.
+    // When this silent connection is closed by the header timeout, the request has waited at least as long as that
+    // timeout.
     read_to_end(server.connect().await).await;
     server.answers.add_permits(1);
     assert!(read_to_end(waiting).await.ends_with("waited"));
@@ -239,7 +243,8 @@ async fn streams_are_limited_per_address_and_in_total() {
     assert!(refusal.starts_with("3 live streams are open, "), "{refusal}");
 }
 
-async fn with_headers(length: usize) -> String {
+/// Returns the answer to a request whose headers have `length` bytes.
+async fn answer_to_headers_of_length(length: usize) -> String {
     let server = Server::start(LONG_LIMITS).await;
     let begin = "GET / HTTP/1.1\r\nHost: here\r\nConnection: close\r\nX-Long: ";
     let filler = "x".repeat(length - begin.len() - 4);
@@ -253,8 +258,8 @@ async fn with_headers(length: usize) -> String {
 
 #[tokio::test]
 async fn headers_beyond_the_limit_are_refused() {
-    assert!(with_headers(MAX_HEADER_BYTES).await.starts_with("HTTP/1.1 200"));
+    assert!(answer_to_headers_of_length(MAX_HEADER_BYTES).await.starts_with("HTTP/1.1 200"));
     for length in [MAX_HEADER_BYTES + 1, 100_000, 1_000_000] {
-        assert!(with_headers(length).await.starts_with("HTTP/1.1 431"), "{length}");
+        assert!(answer_to_headers_of_length(length).await.starts_with("HTTP/1.1 431"), "{length}");
     }
 }

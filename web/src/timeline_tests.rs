@@ -6,7 +6,9 @@ use peernet_logger::{HostId, RawStamps, Recorder, stage};
 use super::*;
 use crate::tests::samples;
 
-/// 2 ms sensing, 20 ms up, 4 ms on the cloud, 1 ms down; the cloud's wall clock is `ahead` of the edge's.
+/// Returns an iteration with 2 ms of sensing, 20 ms of upload, 4 ms of inference on the cloud, and 1 ms of download.
+/// The cloud's wall clock is ahead of the edge's wall clock by `ahead`. `judge` returns a delay from the difference of
+/// its wall-clock stamps, and from its true value.
 fn offloaded(ahead: Span, judge: impl Fn(Span, Span) -> OneWayDelay) -> IterationDetail {
     let edge = Arc::new(ManualClock::new(
         WallTime::from_unix_nanos(1_000_000_000),
@@ -28,14 +30,15 @@ fn offloaded(ahead: Span, judge: impl Fn(Span, Span) -> OneWayDelay) -> Iteratio
     let up = log.start_transit(stage::UPLOAD, edge_stamp(&edge));
     let sent = log.finish();
     pass(20);
-    let mut there = Recorder::resume(cloud.clone(), HostId::random(), sent.clone(), up, cloud_stamp(&cloud))
-        .expect("under way");
+    let mut cloud_log =
+        Recorder::resume(cloud.clone(), HostId::random(), sent.clone(), up, cloud_stamp(&cloud))
+            .expect("under way");
     {
-        let _inference = there.time(stage::INFERENCE);
+        let _inference = cloud_log.time(stage::INFERENCE);
         pass(4);
     }
-    let down = there.start_transit(stage::DOWNLOAD, cloud_stamp(&cloud));
-    let delta = there.into_tree_delta().expect("it came from elsewhere");
+    let down = cloud_log.start_transit(stage::DOWNLOAD, cloud_stamp(&cloud));
+    let delta = cloud_log.into_tree_delta().expect("it came from elsewhere");
     pass(1);
     let mut tree = sent;
     tree.apply_delta(delta).expect("it fits");
@@ -62,7 +65,7 @@ fn close(a: f64, b: f64) -> bool {
 }
 
 #[test]
-fn with_one_clock_everything_has_its_place() {
+fn one_clock_gives_every_node_a_position() {
     let timeline = Timeline::of(&offloaded(Span::ZERO, |raw, _| OneWayDelay::same_clock(raw)));
     let visit = timeline.visit().expect("one other host");
     assert!(close(visit.sent_at, 0.002) && close(visit.arrival, 0.022), "{visit:?}");
@@ -91,7 +94,7 @@ fn bound_of_upload_shifts_whole_visit() {
 }
 
 #[test]
-fn unrelated_clocks_leave_the_sum_exact_and_the_place_open() {
+fn unrelated_clocks_leave_sum_exact_and_position_uncertain() {
     let timeline =
         Timeline::of(&offloaded(Span::from_seconds(-77), |raw, _| OneWayDelay::unsynchronised(raw)));
     let visit = timeline.visit().expect("one other host");
@@ -138,7 +141,7 @@ fn lost_message_gives_timeline_without_visit() {
 #[test]
 fn visit_is_placed_despite_edge_clock_step() {
     let truth_judged = |_, truth: Span| OneWayDelay {
-        // Between free-running clocks, of which one was started 5,000 s before the other.
+        // The delay is a difference of free-running clocks, one of which was started 5,000 s before the other.
         raw: truth + Span::from_seconds(5_000),
         value: Some(truth),
         bounds: Some(Interval::exactly(truth)),
@@ -147,7 +150,8 @@ fn visit_is_placed_despite_edge_clock_step() {
     };
     let mut detail = offloaded(Span::from_seconds(77), truth_judged);
     let raw = |millis: i64| RawTime::from_nanos(millis * 1_000_000);
-    // Sent at 2, there at 22, answered at 26, back at 27 ms; in between the edge's wall clock was set back by an hour.
+    // The request is sent at 2 ms and arrives at 22 ms, the answer is sent at 26 ms and arrives at 27 ms. Meanwhile the
+    // edge's wall clock is set back by an hour.
     let (up, down) = ((raw(1_002), raw(6_001_022)), (raw(6_001_026), raw(1_027)));
     let ids: Vec<NodeId> = (0..detail.tree.nodes().len() as u32).map(NodeId).collect();
     let mut stamps = [up, down].into_iter();

@@ -244,7 +244,7 @@ fn common_pipeline(comparison: &Comparison) -> Vec<String> {
 }
 
 #[cfg(test)]
-pub(super) fn rendered(
+pub(super) fn render_comparison(
     shell: Shell,
     comparison: &Comparison,
     means: &RunMeans,
@@ -254,7 +254,7 @@ pub(super) fn rendered(
     let over_time = over_time(comparison, &crate::view::compare::tests::run_time_series(comparison));
     let baseline = comparison.baseline(baseline)?;
     let compare = assemble(shell, comparison, (means, baseline), distributions, "localhost:8040");
-    let lengths = lengths(comparison, &crate::view::compare::lengths::tests::read(comparison));
+    let lengths = lengths(comparison, &crate::view::compare::lengths::tests::all_answers(comparison));
     let users = users(comparison, &crate::view::compare::tests::measured_users(comparison));
     Ok(Compare { over_time, lengths, users, ..compare }.render().expect("renders"))
 }

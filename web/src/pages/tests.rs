@@ -15,7 +15,7 @@ use super::*;
 use crate::tests::samples::{self, HOSTILE, figures, host, incident, pipeline, placement, refused, snapshot};
 use crate::view::now::{Cell, NowTable};
 
-/// Checks what holds for every page.
+/// Checks the HTML of a page: the security policy, escaping, closed elements and valid numbers.
 fn check(html: &str) {
     assert!(!html.contains(" style="), "inline styles are refused by the policy: {html}");
     assert!(!html.contains("<script>alert") && !html.contains("onmouseover=\""), "not escaped: {html}");
@@ -68,7 +68,7 @@ async fn miss_rates_are_column_where_a_pipeline_has_a_deadline() {
 }
 
 #[tokio::test]
-async fn latencies_that_spread_and_busy_processors_are_to_be_looked_at() {
+async fn spread_latencies_and_busy_processors_cause_notes() {
     let mut live = pipeline("line", 30.0, 1.0, Verdict::Ok, &[]);
     for (_, statistics) in live.windows[2].values.iter_mut().filter(|(name, _)| name.as_str() == "total") {
         (statistics.p50, statistics.p99) = (0.018, Some(0.311));
@@ -88,7 +88,7 @@ async fn latencies_that_spread_and_busy_processors_are_to_be_looked_at() {
 }
 
 #[tokio::test]
-async fn thirty_pipelines() {
+async fn overview_shows_charts_of_thirty_pipelines() {
     let pipelines = (0..30).map(|index| {
         pipeline(&format!("line-{index:02}"), 5.0, 1.0 + f64::from(index), Verdict::Limited, &[])
     });
@@ -99,7 +99,7 @@ async fn thirty_pipelines() {
 }
 
 #[tokio::test]
-async fn thousands_of_pipelines_and_hosts_are_cut_off_where_the_page_says() {
+async fn long_lists_are_truncated_with_a_note() {
     let pipelines = (0..2_000).map(|index| {
         pipeline(&format!("line-{index:04}"), 5.0, 1.0 + f64::from(index), Verdict::Limited, &[])
     });
@@ -121,7 +121,7 @@ async fn thousands_of_pipelines_and_hosts_are_cut_off_where_the_page_says() {
 }
 
 #[tokio::test]
-async fn hosts_that_were_turned_away_stand_on_the_page_of_hosts() {
+async fn refused_hosts_are_listed_on_hosts_page() {
     let (app, _folder) = samples::app().await;
     let mut live_state = snapshot(Vec::new(), Vec::new());
     live_state.refused.push(refused("its name is taken"));
@@ -132,7 +132,7 @@ async fn hosts_that_were_turned_away_stand_on_the_page_of_hosts() {
 }
 
 #[tokio::test]
-async fn hosts_that_are_known_from_before_are_waited_for() {
+async fn pages_wait_for_known_hosts_after_start() {
     let (app, _folder) = samples::app().await;
     let mut live_state = snapshot(Vec::new(), Vec::new());
     live_state.absent = 2;
@@ -151,7 +151,7 @@ async fn hosts_that_are_known_from_before_are_waited_for() {
 }
 
 #[tokio::test]
-async fn too_few_samples_give_no_quantile_but_a_reason() {
+async fn missing_quantile_has_a_reason() {
     let html =
         overview_of(&snapshot(Vec::new(), vec![pipeline("slow", 0.5, 1.0, Verdict::Ok, &[])]), Vec::new())
             .await;
@@ -165,7 +165,8 @@ async fn too_few_samples_give_no_quantile_but_a_reason() {
 #[tokio::test]
 async fn bars_quantiles_and_whiskers_are_of_one_window() {
     let mut live = pipeline("line", 5.0, 1.0, Verdict::Ok, &[]);
-    // Slower in the last seconds than in the minute: a bar of the one would end beyond the quantiles of the other.
+    // The pipeline was slower in the last seconds than over the minute. A bar of the last seconds would end beyond the
+    // quantiles of the minute.
     let window = |seconds, scale| samples::window(seconds, 30.0, scale, Verdict::Ok);
     live.windows = [window(1, 4.0), window(10, 4.0), window(60, 1.0)];
     let row = NowTable::new(&[&live]).rows.remove(0);
@@ -178,7 +179,7 @@ async fn bars_quantiles_and_whiskers_are_of_one_window() {
 }
 
 #[tokio::test]
-async fn gaps_stay_gaps() {
+async fn gap_is_null_in_chart_data() {
     let (app, _folder) = samples::app().await;
     let gap: Vec<i64> = (20..50).collect();
     let live_state = snapshot(Vec::new(), vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &gap)]);
@@ -192,7 +193,7 @@ async fn gaps_stay_gaps() {
 }
 
 #[tokio::test]
-async fn unrelated_clocks_show_a_dash_with_the_reason_and_the_exact_sum() {
+async fn unrelated_clocks_show_reason_and_exact_sum() {
     let html = overview_of(
         &snapshot(Vec::new(), vec![pipeline("line", 30.0, 1.0, Verdict::Unsynchronised, &[])]),
         Vec::new(),
@@ -204,7 +205,7 @@ async fn unrelated_clocks_show_a_dash_with_the_reason_and_the_exact_sum() {
 }
 
 #[tokio::test]
-async fn huge_numbers_keep_their_place() {
+async fn huge_number_is_shown_with_all_digits() {
     let mut one = pipeline("line", 30_000.0, 5e6, Verdict::Ok, &[]);
     one.windows[2].values.push((Name::from("gripper"), figures(1e300, 5)));
     let html = overview_of(&snapshot(vec![host("cam-1", "Orin")], vec![one]), Vec::new()).await;
@@ -247,7 +248,7 @@ async fn hostile_texts_are_escaped_everywhere() {
 }
 
 #[tokio::test]
-async fn problems_are_listed_worst_first() {
+async fn most_severe_problems_are_listed_first() {
     let mut away = host("cam-1", "Orin");
     away.connected = false;
     away.accounting.dropped = 1_050;

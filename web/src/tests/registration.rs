@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 /// A folder of modules that its `mod.rs` registers.
 struct Registry {
     folder: &'static str,
-    /// Modules of the folder that register nothing: the others use them.
+    /// Modules of the folder that register nothing, because they are parts of the others.
     shared: &'static [&'static str],
     /// Text after a module's name in its registration.
     registered: &'static str,
@@ -21,7 +21,7 @@ fn source() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("src")
 }
 
-/// Adds the files of a folder and of the folders in it that are part of the program, with their text.
+/// Adds the path and the text of each file of the program in a folder and its subfolders. Tests are omitted.
 fn add_files(folder: &Path, found: &mut Vec<(PathBuf, String)>) {
     for entry in fs::read_dir(folder).expect("a folder") {
         let path = entry.expect("an entry").path();

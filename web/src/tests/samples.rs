@@ -1,4 +1,4 @@
-//! Answers of the aggregator, from which tests render every page in every state.
+//! Sample data of the aggregator, from which tests render every page in every state.
 
 use std::sync::Arc;
 
@@ -36,7 +36,7 @@ pub(crate) fn slug(text: &str) -> Slug {
     text.parse().expect("a name")
 }
 
-/// Handlers' state over a real aggregator with an empty database.
+/// Returns the state of the handlers, with a real aggregator on an empty database in the returned folder.
 pub(crate) async fn app() -> (App, tempfile::TempDir) {
     let folder = tempfile::tempdir().expect("a folder");
     let clock = Arc::new(ManualClock::new(NOW, ClockIdentity::new("boot", "system")));
@@ -52,6 +52,7 @@ pub(crate) async fn app() -> (App, tempfile::TempDir) {
     (AppState::new(&config, running.handle, clock, stop), folder)
 }
 
+/// Returns the statistics of `count` values with this mean. Quantiles are present if there are enough values.
 pub(crate) fn figures(mean: f64, count: u64) -> QuantityStatistics {
     QuantityStatistics {
         count,
@@ -80,7 +81,7 @@ const MEANS: [(&str, f64); 11] = [
     ("unattributed", 0.0001),
 ];
 
-/// Returns the sums of messages of 150 kB and more that take `upload` seconds each, if that is known.
+/// Returns the transfers of messages of 150 kB that take `upload` seconds each; `None` for unknown delays.
 fn transfers(messages: u64, upload: Option<f64>) -> Transfers {
     Transfers::from_statistics(|name| match name.as_str() {
         "upload-bytes" => (messages > 0).then_some((messages, 149_625.0)),
@@ -92,7 +93,8 @@ fn transfers(messages: u64, upload: Option<f64>) -> Transfers {
 /// Half the width of the clock bounds, seconds.
 const HALF_WIDTH: f64 = 0.00065;
 
-/// Returns a window whose means are `scale` times the usual values.
+/// Returns a window of `seconds` seconds with `hz` iterations per second, whose means are `scale` times the usual
+/// values.
 pub(crate) fn window(seconds: u32, hz: f64, scale: f64, verdict: Verdict) -> Window {
     let ok = (f64::from(seconds) * hz) as u64;
     let crossing = |name: &str| matches!(name, "upload" | "download");
@@ -138,7 +140,7 @@ pub(crate) fn placement(kind: PlacementKind) -> Placement {
     }
 }
 
-/// Returns a pipeline whose series lacks the seconds with the indexes `gaps`.
+/// Returns a pipeline with a series of two minutes, without the seconds that are `gaps` seconds ago.
 pub(crate) fn pipeline(name: &str, hz: f64, scale: f64, verdict: Verdict, gaps: &[i64]) -> PipelineSnapshot {
     let last = NOW.unix_seconds();
     let series = (last - 120..=last).filter(|at| !gaps.contains(&(last - at)));
@@ -221,7 +223,7 @@ pub(crate) fn host(name: &str, kind: &str) -> HostSnapshot {
     }
 }
 
-/// Returns an account that adds up: some events wait, some were dropped.
+/// Returns event counts that add up. Some events wait, and some were dropped.
 pub(crate) fn accounting() -> Accounting {
     Accounting {
         produced: 1_204_500,
@@ -254,8 +256,8 @@ pub(crate) fn snapshot(hosts: Vec<HostSnapshot>, pipelines: Vec<PipelineSnapshot
     }
 }
 
-/// Returns a sample of a cloud's clock: bounds of `half` seconds about an offset of 1.204 s that grows with 12.4 ppm, delays of 6.3 and
-/// 0.6 ms; no offset without bounds.
+/// Returns a sample of a cloud's clock, with an offset of 1.204 s that grows by 12.4 ppm, and delays of 6.3 and 0.6 ms.
+/// `half` is half the width of all bounds, seconds; `None` for a sample without an offset.
 pub(crate) fn clock_sample(at: WallTime, window: u64, half: Option<f64>) -> ClockSample {
     let seconds = Span::from_seconds_f64;
     let estimate = seconds(1.204 + 12.4e-6 * (at - NOW).seconds());
@@ -327,7 +329,8 @@ pub(crate) fn clock_point(at: WallTime, window: u64, half: Option<f64>) -> Clock
     }
 }
 
-/// Returns a link from `cam-1` to `rack-a` of two minutes; seconds whose place in `gaps` is reached are missing.
+/// Returns a link from `cam-1` to `rack-a` with a history of two minutes, without the seconds that are `gaps` seconds
+/// ago.
 pub(crate) fn link(half: Option<f64>, gaps: &[i64]) -> LinkSnapshot {
     let second = |ago: i64| WallTime::from_unix_nanos((NOW.unix_seconds() - ago) * 1_000_000_000);
     let known = (0..120).rev().filter(|ago| !gaps.contains(ago));

@@ -11,7 +11,7 @@ use peernet_store::{MergeableStatistics, RunSummary};
 use peernet_stream::ExperimentPlace;
 use peernet_stream::PlacementKind::{Local, Remote};
 
-use super::super::compare::rendered;
+use super::super::compare::render_comparison;
 use super::check;
 use crate::error::WebError;
 use crate::pages::shell::Shell;
@@ -24,15 +24,15 @@ async fn page_of(configurations: Vec<Configuration>, is_long: bool) -> String {
     let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
     let comparison = comparison(configurations);
     let means = if is_long { totals(&comparison, 20) } else { RunMeans::new() };
-    let html = rendered(shell, &comparison, &means, (None, None)).expect("nothing asked for");
+    let html = render_comparison(shell, &comparison, &means, (None, None)).expect("nothing asked for");
     check(&html);
     html
 }
 
-async fn asked_for(configurations: &[Configuration], stage: &str) -> Result<String, WebError> {
+async fn page_of_stage(configurations: &[Configuration], stage: &str) -> Result<String, WebError> {
     let (app, _folder) = samples::app().await;
     let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
-    rendered(shell, &comparison(configurations.to_vec()), &RunMeans::new(), (Some(stage), None))
+    render_comparison(shell, &comparison(configurations.to_vec()), &RunMeans::new(), (Some(stage), None))
         .inspect(|html| check(html))
 }
 
@@ -71,13 +71,13 @@ async fn several_configurations_have_a_table_bars_and_a_plot() {
     assert_eq!(latency.matches("class=\"g-upload bar\"").count(), 8, "5th to 95th percentile: {latency}");
     assert!(latency.contains("point: median") && latency.contains("messages of 8 runs, pooled"), "{latency}");
     assert!(latency.contains("messages of each size: 300"), "{latency}");
-    // Statistics over time are deleted: there are differences without intervals.
+    // The means over time were deleted, so the differences have no intervals.
     let differences = panel(&html, "cd-h");
     assert!(differences.contains("an interval needs at least"), "{differences}");
 }
 
 #[tokio::test]
-async fn accuracies_stand_beside_the_latencies() {
+async fn accuracies_are_columns_next_to_latencies() {
     let mut one = configuration(0, Local, 1.0, 1e3);
     let mut top = one.stages[0].clone();
     (top.stage, top.unit, top.statistics.mean) = (peernet_logger::Name::from("top-1"), String::new(), 0.84);
@@ -113,12 +113,12 @@ async fn accuracy_is_drawn_against_the_median_of_the_total() {
 }
 
 #[tokio::test]
-async fn users_that_measured_at_once_are_drawn_against_their_number() {
+async fn latency_is_drawn_against_number_of_users() {
     let with = |at: usize, users: usize| {
         let mut one = configuration(at, Remote, 1.0 + users as f64, 1e3);
         one.values = vec![users.to_string(), "zmq-tcp".to_owned()];
         let usual = one.runs.remove(0);
-        // Twice, and in the second repeat one of the users is missing.
+        // There are two repeats, and the first user is missing in the second one.
         for (repeat, user) in (0..users).map(|user| (0, user)).chain((1..users).map(|user| (1, user))) {
             let host_name = samples::slug(&format!("user-{}", user + 1));
             let place = ExperimentPlace {
@@ -143,11 +143,11 @@ async fn users_that_measured_at_once_are_drawn_against_their_number() {
 }
 
 #[tokio::test]
-async fn interval_that_cannot_be_known_is_explained() {
+async fn missing_interval_is_explained() {
     let two = comparison(vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)]);
     let (app, _folder) = samples::app().await;
     let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
-    let html = rendered(shell, &two, &totals(&two, 3), (None, None)).expect("nothing asked for");
+    let html = render_comparison(shell, &two, &totals(&two, 3), (None, None)).expect("nothing asked for");
     check(&html);
     assert!(
         html.contains("an interval needs at least 30 iterations of each run, in at least 5 stretches"),
@@ -170,7 +170,7 @@ async fn verdict_and_replayed_latencies_have_chips_of_run_page() {
     two.replayed_by_run.insert(1, replayed);
     let (app, _folder) = samples::app().await;
     let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
-    let html = rendered(shell, &two, &RunMeans::new(), (None, None)).expect("nothing asked for");
+    let html = render_comparison(shell, &two, &RunMeans::new(), (None, None)).expect("nothing asked for");
     check(&html);
     let notes = html.split("<ul class=\"notes\">").nth(1).and_then(|rest| rest.split("</ul>").next());
     let lines: Vec<&str> = notes.expect("caveats").split("<li>").skip(1).collect();
@@ -185,7 +185,7 @@ async fn baseline_can_be_chosen_among_configurations() {
     let (app, _folder) = samples::app().await;
     let page = |baseline| {
         let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
-        rendered(shell, &three, &totals(&three, 20), (None, Some(baseline)))
+        render_comparison(shell, &three, &totals(&three, 20), (None, Some(baseline)))
     };
     let html = page("2").expect("it is compared");
     check(&html);
@@ -200,7 +200,7 @@ async fn baseline_can_be_chosen_among_configurations() {
 }
 
 #[tokio::test]
-async fn iterations_stand_against_those_of_baseline() {
+async fn iterations_are_compared_with_those_of_baseline() {
     let two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
     let html = page_of(two, true).await;
     let pairs = html.split("class=\"bars pairs\"").nth(1).and_then(|rest| rest.split("</table>").next());
@@ -224,7 +224,7 @@ async fn missed_deadlines_are_column_where_there_is_a_deadline() {
 }
 
 #[tokio::test]
-async fn runs_without_an_iteration_can_be_looked_at() {
+async fn page_of_runs_without_iterations_renders() {
     let mut empty = configuration(0, Remote, 1.0, 1e3);
     empty.stages.clear();
     let html = page_of(vec![empty.clone(), Configuration { name: "B".to_owned(), ..empty }], false).await;
@@ -232,7 +232,7 @@ async fn runs_without_an_iteration_can_be_looked_at() {
 }
 
 #[tokio::test]
-async fn starts_that_were_skipped_stand_below_the_title() {
+async fn skipped_starts_are_named_below_title() {
     let mut two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
     assert!(!page_of(two.clone(), false).await.contains("skipped"));
     (two[1].runs[0].counts.ok, two[1].runs[0].skipped_starts) = (127, 73);
@@ -256,7 +256,7 @@ async fn throughput_is_drawn_against_payload_with_its_numbers() {
         two.contains("Throughput against payload") && !two.contains(" fit\" d=\"M"),
         "points without a line"
     );
-    // The largest must be twice the smallest.
+    // There is no plot, because the largest size must be at least twice the smallest.
     let similar: Vec<_> = (0..3).map(|at| configuration(at, Remote, 1.0, 1e3 + 3e2 * at as f64)).collect();
     assert!(!page_of(similar, false).await.contains("against payload"));
 }
@@ -308,7 +308,7 @@ async fn few_runs_show_all_distributions_or_selected_one() {
     );
     assert!(all.contains("bin f-upload\"") && all.contains("bin f-sensing\""), "{all}");
 
-    let html = asked_for(&two, "upload").await.expect("there");
+    let html = page_of_stage(&two, "upload").await.expect("there");
     let one = panel(&html, "distributions");
     assert_eq!((one.matches("<h3").count(), one.matches("<figcaption>").count()), (1, 2), "{one}");
     assert!(
@@ -316,12 +316,12 @@ async fn few_runs_show_all_distributions_or_selected_one() {
             "?experiment=a&amp;stage=upload#distributions\" data-swap=\"distributions\" aria-current"
         )
     );
-    // Any stage that a run has can be asked for, whatever it is called.
-    let html = asked_for(&two, "preprocessing").await.expect("there");
+    // Any stage that a run has can be selected, even one that the page does not offer for all comparisons.
+    let html = page_of_stage(&two, "preprocessing").await.expect("there");
     assert!(panel(&html, "distributions").contains("aria-current=\"true\">preprocessing</a>"), "{html}");
-    let html = asked_for(&two, "download-throughput").await.expect("a usual one");
+    let html = page_of_stage(&two, "download-throughput").await.expect("a usual one");
     assert!(panel(&html, "distributions").contains("No run that is compared has measured this."), "{html}");
-    let refused = asked_for(&two, "<b>").await.expect_err("nobody has it").to_string();
+    let refused = page_of_stage(&two, "<b>").await.expect_err("nobody has it").to_string();
     assert!(refused.contains("none of the compared runs has \"<b>\"; ask for"), "{refused}");
 
     let alone = page_of(two[..1].to_vec(), false).await;
@@ -365,12 +365,12 @@ async fn delay_with_wide_interval_is_drawn_as_band() {
         one
     };
     let two = vec![of(0, 0.000_65, Verdict::Ok), of(1, 0.004, Verdict::Limited)];
-    let html = asked_for(&two, "upload").await.expect("there");
+    let html = page_of_stage(&two, "upload").await.expect("there");
     let drawn = panel(&html, "distributions");
     assert_eq!(drawn.matches("class=\"band\"").count(), 2, "{drawn}");
     assert!(drawn.contains("ms, by the clocks 5.") && drawn.contains("median by the clocks 2."), "{drawn}");
     assert_eq!(drawn.matches("chip warn").count(), 1, "only the second is limited: {drawn}");
-    let html = asked_for(&two, "upload-throughput").await.expect("there");
+    let html = page_of_stage(&two, "upload-throughput").await.expect("there");
     assert_eq!(
         panel(&html, "distributions").matches("class=\"band\"").count(),
         2,
@@ -381,6 +381,6 @@ async fn delay_with_wide_interval_is_drawn_as_band() {
     mergeable.add(stage::TOTAL, "s", undetermined.summary(&stage::TOTAL).expect("measured"));
     mergeable.add_verdicts(stage::UPLOAD, Verdict::Unsynchronised, 300);
     undetermined.mergeable = Arc::new(mergeable);
-    let html = asked_for(&[two[0].clone(), undetermined], "upload").await.expect("there");
+    let html = page_of_stage(&[two[0].clone(), undetermined], "upload").await.expect("there");
     assert!(panel(&html, "distributions").contains("The clocks do not determine it for 1 run."), "{html}");
 }

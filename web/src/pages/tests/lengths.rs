@@ -2,11 +2,11 @@
 
 use peernet_stream::PlacementKind::Remote;
 
-use super::super::compare::rendered;
+use super::super::compare::render_comparison;
 use super::check;
 use crate::pages::shell::Shell;
 use crate::tests::samples;
-use crate::view::compare::lengths::tests::{answered, answers_of_lengths};
+use crate::view::compare::lengths::tests::{answers_of_lengths, sample_answers};
 use crate::view::compare::tests::{comparison, configuration};
 use crate::view::compare::{Configuration, RunMeans};
 
@@ -15,7 +15,8 @@ const HEADING: &str = "<h2 id=\"cr-h\">Response length against latency</h2>";
 async fn page_of(configurations: Vec<Configuration>) -> String {
     let (app, _folder) = samples::app().await;
     let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
-    let html = rendered(shell, &comparison(configurations), &RunMeans::new(), (None, None)).expect("renders");
+    let html = render_comparison(shell, &comparison(configurations), &RunMeans::new(), (None, None))
+        .expect("renders");
     check(&html);
     html
 }
@@ -29,8 +30,8 @@ fn panel(html: &str) -> &str {
 async fn answers_of_varying_and_equal_length_are_drawn() {
     let html = page_of(vec![
         configuration(0, Remote, 1.0, 1e3),
-        answers_of_lengths(1, "completion-tokens", &answered(300)),
-        answers_of_lengths(2, "completion-tokens", &answered(900)),
+        answers_of_lengths(1, "completion-tokens", &sample_answers(300)),
+        answers_of_lengths(2, "completion-tokens", &sample_answers(900)),
     ])
     .await;
     let panel = panel(&html);
@@ -60,7 +61,7 @@ async fn without_answers_of_different_length_there_is_no_panel() {
 
 #[tokio::test]
 async fn panel_without_usage_has_remedy() {
-    let html = page_of(vec![answers_of_lengths(0, "output-chunks", &answered(80))]).await;
+    let html = page_of(vec![answers_of_lengths(0, "output-chunks", &sample_answers(80))]).await;
     let panel = panel(&html);
     assert!(panel.contains("the server sent no `usage`; use --x output-chunks with peernet plot"), "{panel}");
     assert!(!panel.contains("<figure>"), "{panel}");
@@ -69,7 +70,8 @@ async fn panel_without_usage_has_remedy() {
 #[tokio::test]
 async fn configurations_beyond_six_are_named() {
     let html =
-        page_of((0..9).map(|at| answers_of_lengths(at, "download-bytes", &answered(80))).collect()).await;
+        page_of((0..9).map(|at| answers_of_lengths(at, "download-bytes", &sample_answers(80))).collect())
+            .await;
     let panel = panel(&html);
     assert_eq!(panel.matches("<figcaption>").count(), 6, "{panel}");
     assert!(

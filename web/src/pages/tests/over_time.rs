@@ -7,7 +7,7 @@ use peernet_logger::stage;
 use peernet_store::{Episodes, MergeableStatistics, RunSummary};
 use peernet_stream::PlacementKind::{Local, Remote};
 
-use super::super::compare::rendered;
+use super::super::compare::render_comparison;
 use super::check;
 use crate::pages::shell::Shell;
 use crate::tests::samples;
@@ -17,7 +17,7 @@ use crate::view::compare::{Configuration, RunMeans, over_time};
 async fn panel_of(configurations: Vec<Configuration>) -> Option<String> {
     let (app, _folder) = samples::app().await;
     let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
-    let html = rendered(shell, &comparison(configurations), &RunMeans::new(), (None, None))
+    let html = render_comparison(shell, &comparison(configurations), &RunMeans::new(), (None, None))
         .expect("nothing asked for");
     check(&html);
     let panel = html.split("id=\"cc-h\"").nth(1)?;
@@ -53,7 +53,7 @@ async fn each_run_is_drawn_with_episodes_and_losses() {
 }
 
 #[tokio::test]
-async fn of_very_many_runs_the_first_of_each_configuration_are_drawn() {
+async fn first_runs_of_each_configuration_are_drawn() {
     let mut many: Vec<_> = (0..20).map(|at| configuration(at, Remote, 1.0, 1e3)).collect();
     for one in &mut many {
         let again = RunSummary { number: one.runs[0].number + 100, ..one.runs[0].clone() };
@@ -93,7 +93,8 @@ async fn runs_without_a_single_answer_are_named() {
     let (app, _folder) = samples::app().await;
     let page = |all: &[Configuration]| {
         let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
-        rendered(shell, &comparison(all.to_vec()), &RunMeans::new(), (None, None)).expect("nothing asked for")
+        render_comparison(shell, &comparison(all.to_vec()), &RunMeans::new(), (None, None))
+            .expect("nothing asked for")
     };
     let html = page(&all);
     check(&html);
@@ -104,7 +105,7 @@ async fn runs_without_a_single_answer_are_named() {
 }
 
 #[tokio::test]
-async fn short_run_shows_length_shorter_is_omitted() {
+async fn caption_states_length_of_short_run() {
     let mut one = configuration(0, Local, 1.0, 1e3);
     let whole = panel_of(vec![one.clone()]).await.expect("a panel");
     assert!(!whole.contains("from first to last start"), "{whole}");

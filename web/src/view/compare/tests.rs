@@ -8,7 +8,7 @@ use super::series::{RunTimeSeries, TimeSeriesByRun};
 use super::*;
 use crate::tests::samples::{self, HOSTILE};
 
-/// Returns a run with figures `scale` times the usual values.
+/// Returns a run of 300 successful iterations, which ended after a minute.
 pub(crate) fn run(number: i64, kind: PlacementKind) -> RunSummary {
     RunSummary {
         number,
@@ -35,6 +35,8 @@ pub(crate) fn run(number: i64, kind: PlacementKind) -> RunSummary {
     }
 }
 
+/// Returns the statistics of stages, whose means are `scale` times the usual values, and of uploads of `bytes` bytes.
+/// Also returns the accuracy of the delays.
 pub(crate) fn stages(scale: f64, bytes: f64) -> (Vec<StageStatistics>, Vec<DelayAccuracy>) {
     let window = samples::window(60, 5.0, scale, Verdict::Ok);
     let stage = |(name, statistics): &(Name, QuantityStatistics)| StageStatistics {
@@ -57,6 +59,8 @@ pub(crate) fn stages(scale: f64, bytes: f64) -> (Vec<StageStatistics>, Vec<Delay
     (all, window.bounds)
 }
 
+/// Returns a configuration of one run. Its name is the letter, and the number of its run the number, that belong to the
+/// index `at`.
 pub(crate) fn configuration(at: usize, kind: PlacementKind, scale: f64, bytes: f64) -> Configuration {
     let (stages, bounds) = stages(scale, bytes);
     let values = vec![format!("{} kB", bytes / 1e3), HOSTILE.to_owned()];
@@ -65,6 +69,7 @@ pub(crate) fn configuration(at: usize, kind: PlacementKind, scale: f64, bytes: f
     Configuration { name, values, runs, stages, bounds, mergeable, model_computes: true }
 }
 
+/// Returns the comparison of these configurations, as those of an experiment.
 pub(crate) fn comparison(configurations: Vec<Configuration>) -> Comparison {
     let axes = vec!["size".to_owned(), "where".to_owned()];
     let experiment = Some(("sizes".to_owned(), "a".to_owned()));
@@ -92,7 +97,7 @@ pub(crate) fn comparison(configurations: Vec<Configuration>) -> Comparison {
     }
 }
 
-/// Samples with the means that stages have.
+/// Returns stored statistics of 300 values of each stage, with the mean of the stage.
 fn mergeable(stages: &[StageStatistics]) -> Arc<MergeableStatistics> {
     let mut mergeable = MergeableStatistics::default();
     for stage in stages {
@@ -105,8 +110,8 @@ fn mergeable(stages: &[StageStatistics]) -> Arc<MergeableStatistics> {
     Arc::new(mergeable)
 }
 
-/// Returns a run's total in buckets: a mean with some waves about it.
-pub(crate) fn course(mean: f64, buckets: usize) -> Vec<StageMeans> {
+/// Returns the total of a run in buckets, which varies by 1 % about `mean`.
+pub(crate) fn total_in_buckets(mean: f64, buckets: usize) -> Vec<StageMeans> {
     let bucket = |at: usize| {
         let mut summary = Summary::default();
         (0..20).for_each(|n| summary.record(mean * (1.0 + 0.01 * ((at * 20 + n) as f64).sin())));
@@ -157,7 +162,7 @@ pub(crate) fn run_time_series(comparison: &Comparison) -> TimeSeriesByRun {
         .collect()
 }
 
-/// Returns users that all measured for 59 s, 300 answers each.
+/// Returns the measurements of users that each got 300 answers in 59 s.
 pub(crate) fn measured_users(comparison: &Comparison) -> users::MeasuredUsers {
     let edge = |configuration: &Configuration| {
         let totals = configuration.summary(&stage::TOTAL).cloned().unwrap_or_default();
@@ -196,7 +201,7 @@ fn addresses_name_runs_or_an_experiment() {
     assert!(parse(&[("runs", &many)]).is_err());
 }
 
-/// Returns series of the configurations' totals with this number of buckets each.
+/// Returns the total of the first run of each configuration, in `buckets` buckets.
 pub(crate) fn totals(comparison: &Comparison, buckets: usize) -> RunMeans {
     let number_and_mean = |configuration: &Configuration| {
         configuration
@@ -206,21 +211,22 @@ pub(crate) fn totals(comparison: &Comparison, buckets: usize) -> RunMeans {
             .map(|(run, total)| (run.number, total.mean))
     };
     let measured = comparison.configurations.iter().filter_map(number_and_mean);
-    measured.map(|(run, mean)| (run, course(mean, buckets))).collect()
+    measured.map(|(run, mean)| (run, total_in_buckets(mean, buckets))).collect()
 }
 
 fn title_of(comparison: &Comparison, means: &RunMeans, baseline: usize) -> String {
     title(comparison, &Differences::of(comparison, means, baseline))
 }
 
-fn scaled(scales: &[f64]) -> Comparison {
+/// Returns the comparison of a configuration for each scale.
+fn comparison_of_scales(scales: &[f64]) -> Comparison {
     let one = |(at, scale): (usize, &f64)| configuration(at, PlacementKind::Remote, *scale, 1e3);
     comparison(scales.iter().enumerate().map(one).collect())
 }
 
 #[test]
 fn title_says_which_is_fastest_by_how_much() {
-    let two = scaled(&[1.5, 1.0]);
+    let two = comparison_of_scales(&[1.5, 1.0]);
     let found = Differences::of(&two, &totals(&two, 20), 0);
     let total = found.total(1).expect("compared");
     assert_eq!((total.is_distinct(), found.others.len()), (Some(true), 1));
@@ -230,7 +236,7 @@ fn title_says_which_is_fastest_by_how_much() {
     let of_stages = found.others[0].1[1].mean_difference.expect("both means are known");
     assert_eq!(of_stages.interval, None, "nothing is known of the course of the stages");
 
-    let three = scaled(&[2.0, 1.0, 3.0]);
+    let three = comparison_of_scales(&[2.0, 1.0, 3.0]);
     let text = |baseline| title_of(&three, &totals(&three, 20), baseline);
     assert!(text(2).contains("ms less than C"), "{}", text(2));
     assert!(text(1).contains("ms less than A"), "the next one where the best is the baseline: {}", text(1));
@@ -238,14 +244,14 @@ fn title_says_which_is_fastest_by_how_much() {
 
 #[test]
 fn title_without_ranking_names_no_fastest() {
-    let equal = scaled(&[1.5, 1.5, 1.5, 1.5, 9.0]);
+    let equal = comparison_of_scales(&[1.5, 1.5, 1.5, 1.5, 9.0]);
     let text = title_of(&equal, &totals(&equal, 20), 0);
     assert_eq!(text, "A and B, C and 1 more do not differ by more than chance");
-    let short = scaled(&[1.0, 1.5, 2.0]);
+    let short = comparison_of_scales(&[1.0, 1.5, 2.0]);
     let text = title_of(&short, &totals(&short, 3), 0);
     let known = "A has the smallest mean of the 3 configurations, 16.0\u{202f}ms; too short for this page (needs 5\u{202f}s): peernet compare can tell";
     assert_eq!(text, known);
-    let mut few = scaled(&[1.0, 1.5, 2.0]);
+    let mut few = comparison_of_scales(&[1.0, 1.5, 2.0]);
     few.configurations[1].runs[0].counts.ok = 29;
     let text = title_of(&few, &totals(&few, 3), 0);
     assert!(text.ends_with("; too little is known to tell more"), "the command cannot tell either: {text}");
@@ -254,7 +260,7 @@ fn title_without_ranking_names_no_fastest() {
 
 #[test]
 fn configuration_that_computes_nothing_is_not_ranked() {
-    let mut all = scaled(&[2.0, 1.0, 3.0]);
+    let mut all = comparison_of_scales(&[2.0, 1.0, 3.0]);
     all.configurations[1].model_computes = false;
     let text = |all: &Comparison| title_of(all, &totals(all, 20), 0);
     assert!(text(&all).starts_with("A is the fastest"), "{}", text(&all));
@@ -269,9 +275,9 @@ fn configuration_that_computes_nothing_is_not_ranked() {
 }
 
 #[test]
-fn title_counts_only_what_was_measured() {
+fn title_ignores_unmeasured_configurations() {
     let without = |failed: &[usize]| {
-        let mut all = scaled(&[1.0, 1.5, 2.0]);
+        let mut all = comparison_of_scales(&[1.0, 1.5, 2.0]);
         for at in failed {
             all.configurations[*at].stages.clear();
             all.configurations[*at].runs[0].counts.ok = 0;
@@ -286,7 +292,7 @@ fn title_counts_only_what_was_measured() {
 
 #[test]
 fn baseline_is_named_by_one_of_its_runs() {
-    let two = scaled(&[1.0, 2.0]);
+    let two = comparison_of_scales(&[1.0, 2.0]);
     let index_of = |run| two.baseline(run).map_err(|error| error.to_string());
     assert_eq!(
         (index_of(None), index_of(Some("")), index_of(Some("2")), index_of(Some("#1"))),
@@ -299,7 +305,7 @@ fn baseline_is_named_by_one_of_its_runs() {
 
 #[test]
 fn best_configuration_is_the_baseline_unless_one_is_chosen() {
-    let three = scaled(&[2.0, 1.0, 3.0]);
+    let three = comparison_of_scales(&[2.0, 1.0, 3.0]);
     let baseline = |chosen: Option<usize>| Differences::of(&three, &totals(&three, 20), chosen).baseline;
     assert_eq!([baseline(None), baseline(Some(0)), baseline(Some(2))], [1, 0, 2]);
     let without_buckets = Differences::of(&three, &RunMeans::new(), None);
@@ -308,7 +314,7 @@ fn best_configuration_is_the_baseline_unless_one_is_chosen() {
 
 #[test]
 fn difference_is_that_of_shown_means_after_deletion() {
-    let two = scaled(&[1.0, 2.0]);
+    let two = comparison_of_scales(&[1.0, 2.0]);
     let mut means = totals(&two, 20);
     let complete = Differences::of(&two, &means, 0);
     // The rest of a run was slower than its deleted half.

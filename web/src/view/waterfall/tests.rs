@@ -6,7 +6,7 @@ use super::*;
 use crate::tests::samples;
 
 /// Returns an answered iteration of 1.2 s whose two directions were judged `stepped`.
-fn stepped() -> IterationDetail {
+fn stepped_iteration() -> IterationDetail {
     let mut detail = samples::iteration();
     let at = |seconds: i64| WallTime::from_unix_nanos(seconds * 1_000_000_000);
     for name in [stage::UPLOAD, stage::DOWNLOAD] {
@@ -30,7 +30,8 @@ fn stepped() -> IterationDetail {
     detail
 }
 
-fn shown(detail: &IterationDetail) -> Vec<(String, String)> {
+/// Returns name and value of each row of the page.
+fn names_and_values(detail: &IterationDetail) -> Vec<(String, String)> {
     let timeline = Timeline::of(detail);
     let rows = rows(detail, &timeline, &["cam-1".to_owned()], &Scale::up_to(1_200.0, 6));
     rows.into_iter().map(|row| (row.name, row.value)).collect()
@@ -38,7 +39,7 @@ fn shown(detail: &IterationDetail) -> Vec<(String, String)> {
 
 #[test]
 fn table_of_stepped_iteration_agrees_with_api() {
-    let rows = shown(&stepped());
+    let rows = names_and_values(&stepped_iteration());
     let of =
         |stage_name: &str| rows.iter().find(|(name, _)| name == stage_name).map(|(_, value)| value.as_str());
     assert_eq!((of("upload"), of("download")), (Some("—"), Some("—")));
@@ -47,9 +48,9 @@ fn table_of_stepped_iteration_agrees_with_api() {
 
 #[test]
 fn inseparable_times_have_one_common_row() {
-    let mut detail = stepped();
+    let mut detail = stepped_iteration();
     (detail.row.unattributed, detail.row.both_ways) = (None, None);
-    let rows = shown(&detail);
+    let rows = names_and_values(&detail);
     assert!(rows.contains(&(NETWORK_AND_REST.to_owned(), "1,197.80".to_owned())), "{rows:?}");
     assert!(rows.iter().all(|(name, _)| name != "unattributed"), "{rows:?}");
 }

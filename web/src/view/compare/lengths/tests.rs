@@ -9,7 +9,8 @@ use peernet_stream::PlacementKind::Remote;
 use super::super::tests::{comparison, configuration};
 use super::*;
 
-/// Returns a configuration with answers of these lengths, counted as `name`, and the seconds they took.
+/// Returns a configuration whose answers have the lengths and the latencies in seconds of `points`. `name` is the node
+/// with the lengths.
 pub(crate) fn answers_of_lengths(at: usize, name: &str, points: &[(f64, f64)]) -> Configuration {
     let mut one = configuration(at, Remote, 1.0, 1e3);
     let (mut x, mut y) = (Summary::default(), Summary::default());
@@ -29,8 +30,8 @@ pub(crate) fn answers_of_lengths(at: usize, name: &str, points: &[(f64, f64)]) -
     one
 }
 
-/// Answers of 20 to 320 tokens: 30 ms and 10 ms for each token, with a tail.
-pub(crate) fn answered(count: usize) -> Vec<(f64, f64)> {
+/// Returns answers of 20 to 320 tokens that take 30 ms and 10 ms for each token. One in fifty takes 1.5 s longer.
+pub(crate) fn sample_answers(count: usize) -> Vec<(f64, f64)> {
     let point = |n: usize| {
         let tokens = 20.0 + (n * 11 % 301) as f64;
         let late = if n % 50 == 3 { 1.5 } else { 0.002 * (n as f64 * 1.7).sin() };
@@ -39,8 +40,9 @@ pub(crate) fn answered(count: usize) -> Vec<(f64, f64)> {
     (0..count).map(point).collect()
 }
 
-/// Returns answers as if every iteration were stored: the sorted values of both quantities, paired.
-pub(crate) fn read(comparison: &Comparison) -> Vec<Answers> {
+/// Returns at most 500 answers of each configuration, from the quantiles of its lengths and latencies, as if the
+/// iterations were stored.
+pub(crate) fn all_answers(comparison: &Comparison) -> Vec<Answers> {
     let varying = VaryingLengths::all(comparison).into_iter().take(MAX_CONFIGURATIONS);
     let answers_of = |varying_lengths: VaryingLengths<'_>| {
         let most = varying_lengths.lengths.count().min(500);
@@ -57,15 +59,16 @@ pub(crate) fn read(comparison: &Comparison) -> Vec<Answers> {
     varying.map(answers_of).collect()
 }
 
-fn with(points: Vec<(f64, f64)>, is_whole: bool) -> Vec<Answers> {
+/// Returns the answers of the first configuration, which is named `A`.
+fn answers_of_first(points: Vec<(f64, f64)>, is_whole: bool) -> Vec<Answers> {
     vec![Answers { name: "A".to_owned(), points, is_whole }]
 }
 
 #[test]
 fn cost_of_a_token_has_an_interval() {
-    let points = answered(800);
+    let points = sample_answers(800);
     let one = comparison(vec![answers_of_lengths(0, "completion-tokens", &points)]);
-    let found = lengths(&one, &with(points, true)).expect("answers of all lengths");
+    let found = lengths(&one, &answers_of_first(points, true)).expect("answers of all lengths");
     let sentences = &found.rows[0].sentences;
     assert_eq!(sentences[0], "Median 1.73\u{202f}s; answers of 20 to 320 tokens, median 169 tokens.");
     assert!(
@@ -86,10 +89,10 @@ fn cost_of_a_token_has_an_interval() {
 
 #[test]
 fn sample_has_number_of_all_and_deleted_iterations() {
-    let points = answered(800);
+    let points = sample_answers(800);
     let mut one = answers_of_lengths(0, "tokens", &points);
     let amount = |configuration: &Configuration, points: &[(f64, f64)], is_whole| {
-        let found = lengths(&comparison(vec![configuration.clone()]), &with(points.to_vec(), is_whole));
+        let found = lengths(&comparison(vec![configuration.clone()]), &answers_of_first(points.to_vec(), is_whole));
         found.expect("lengths").rows[0]
             .sentences
             .iter()
@@ -118,25 +121,25 @@ fn too_few_or_flat_points_give_no_growth() {
     let sentence = |points: &[(f64, f64)]| {
         Growth::from_iterations(points).map(|growth| growth.describe_slope("kB", 1e3))
     };
-    assert_eq!(sentence(&answered(59)), Err(NoLine::Answers(59)));
+    assert_eq!(sentence(&sample_answers(59)), Err(NoLine::Answers(59)));
     let equal_lengths: Vec<(f64, f64)> =
-        answered(60).iter().map(|(x, y)| (f64::from(*x > 30.0 && *x < 32.0), *y)).collect();
+        sample_answers(60).iter().map(|(x, y)| (f64::from(*x > 30.0 && *x < 32.0), *y)).collect();
     assert_eq!(sentence(&equal_lengths), Err(NoLine::Lengths(60)), "one other length tells nothing");
     let flat: Vec<(f64, f64)> =
         (0..400).map(|n| (f64::from(n % 97), 0.1 + 0.01 * (f64::from(n) * 1.7).sin())).collect();
     let text = sentence(&flat).expect("enough");
     assert!(text.starts_with("Whether longer answers take longer cannot be told: \u{2212}"), "{text}");
     assert_eq!(Growth::from_iterations(&flat).and_then(|growth| growth.line()), Err(NoLine::Slope(400)));
-    let falling: Vec<(f64, f64)> = answered(400).iter().map(|(x, y)| (320.0 - x, *y)).collect();
+    let falling: Vec<(f64, f64)> = sample_answers(400).iter().map(|(x, y)| (320.0 - x, *y)).collect();
     let text = sentence(&falling).expect("enough");
     assert!(text.starts_with("Each further kB takes ") && text.contains("\u{202f}ms less (95"), "{text}");
 }
 
 #[test]
 fn missing_line_is_explained_with_numbers() {
-    let points = answered(37);
+    let points = sample_answers(37);
     let one = comparison(vec![answers_of_lengths(0, "tokens", &points)]);
-    let found = lengths(&one, &with(points, true)).expect("lengths");
+    let found = lengths(&one, &answers_of_first(points, true)).expect("lengths");
     let sentences = &found.rows[0].sentences;
     assert_eq!(sentences[1], "No line: it needs 60 answers, and there are 37.");
     assert_eq!(sentences[2], "All 37 iterations.");
@@ -144,7 +147,7 @@ fn missing_line_is_explained_with_numbers() {
 
 #[test]
 fn server_without_usage_is_named_with_remedy() {
-    let points = answered(80);
+    let points = sample_answers(80);
     let chunks = answers_of_lengths(0, "output-chunks", &points);
     let found = lengths(&comparison(vec![chunks]), &[]).expect("a sentence");
     assert!(found.rows.is_empty());
@@ -158,22 +161,23 @@ fn server_without_usage_is_named_with_remedy() {
     assert_eq!(lengths(&counted, &[]).expect("lengths").without_usage, None);
 }
 
-/// Uniform from 0 to 1, ends excluded.
+/// Draws uniformly from 0 to 1 without both ends.
 fn uniform(random: &mut SplitMix64) -> f64 {
-    // Half of the distance between two numbers of the generator.
+    // Adds half of the distance between two numbers of the generator, which can return 0.
     random.unit() + f64::EPSILON / 4.0
 }
 
-/// Box and Muller 1958.
+/// Draws from the standard normal distribution (Box and Muller 1958).
 fn normal(random: &mut SplitMix64) -> f64 {
     (-2.0 * uniform(random).ln()).sqrt() * (std::f64::consts::TAU * uniform(random)).cos()
 }
 
 const SLOPE: f64 = 0.4e-3;
 
-/// Returns in how many of 200 sets of `iterations` iterations the interval contains the true slope; `iteration` gives a length and the
-/// part of the latency that does not depend on it.
-fn held(iterations: usize, iteration: impl Fn(&mut SplitMix64) -> (f64, f64)) -> usize {
+/// Estimates the slope from 200 sets of `iterations` iterations. Returns the number of sets whose interval contains the
+/// true slope. `iteration` draws the length of an answer, and the part of its latency that does not depend on the
+/// length.
+fn count_intervals_with_slope(iterations: usize, iteration: impl Fn(&mut SplitMix64) -> (f64, f64)) -> usize {
     let mut random = SplitMix64::new(13);
     let mut holds = || {
         let answer = |_| {
@@ -190,19 +194,21 @@ fn held(iterations: usize, iteration: impl Fn(&mut SplitMix64) -> (f64, f64)) ->
 
 #[test]
 fn interval_contains_slope_for_skewed_and_uniform_lengths() {
-    let tailed = held(120, |random| {
+    let tailed = count_intervals_with_slope(120, |random| {
         let tokens = (4.5 + 0.6 * normal(random)).exp().round();
         let late = if uniform(random) < 0.05 { -0.08 * uniform(random).ln() } else { 0.0 };
         (tokens, (0.2e-3 + 0.005e-3 * tokens) * normal(random) + late)
     });
     assert!(tailed >= 180, "{tailed} of 200");
-    let even = held(300, |random| ((3.0 + 38.0 * uniform(random)).floor(), 2e-5 * normal(random).abs()));
+    let even = count_intervals_with_slope(300, |random| {
+        ((3.0 + 38.0 * uniform(random)).floor(), 2e-5 * normal(random).abs())
+    });
     assert!(even >= 180, "{even} of 200");
 }
 
 #[test]
 fn slope_of_nanoseconds_has_significant_digits() {
-    let points: Vec<(f64, f64)> = answered(200).iter().map(|(x, _)| (*x, 1e-3 + x * 2.0e-9)).collect();
+    let points: Vec<(f64, f64)> = sample_answers(200).iter().map(|(x, _)| (*x, 1e-3 + x * 2.0e-9)).collect();
     let noisy: Vec<(f64, f64)> =
         points.iter().enumerate().map(|(n, (x, y))| (*x, y + 2e-9 * (n as f64 * 1.7).sin())).collect();
     let text = Growth::from_iterations(&noisy).expect("enough").describe_slope("token", 1.0);
@@ -215,7 +221,7 @@ fn slope_of_nanoseconds_has_significant_digits() {
 
 #[test]
 fn iterations_without_valid_length_are_counted() {
-    let mut points = answered(295);
+    let mut points = sample_answers(295);
     for (n, (length, _)) in points.iter_mut().enumerate() {
         *length = [1e308, -5.0, 0.0, 1e-320, 1e300, 3.0, -1e308][n % 7];
     }
@@ -223,13 +229,13 @@ fn iterations_without_valid_length_are_counted() {
     let counted: Vec<(f64, f64)> =
         points.iter().copied().filter(|(length, _)| is_included(*length)).collect();
     assert_eq!(counted.len(), 168);
-    let found = lengths(&one, &with(counted.clone(), true)).expect("lengths");
+    let found = lengths(&one, &answers_of_first(counted.clone(), true)).expect("lengths");
     let sentences = &found.rows[0].sentences;
     assert_eq!(
         sentences.last().map(String::as_str),
         Some("168 of 295 iterations; the others have no such number.")
     );
-    let part = lengths(&one, &with(counted[..100].to_vec(), false)).expect("lengths");
+    let part = lengths(&one, &answers_of_first(counted[..100].to_vec(), false)).expect("lengths");
     assert!(
         part.rows[0].sentences.iter().any(|text| text
             == "100 of 168 iterations, evenly spread; histograms of all. 127 of 295 iterations have no such number."),
@@ -240,20 +246,20 @@ fn iterations_without_valid_length_are_counted() {
 
 #[test]
 fn repeated_lengths_of_an_iteration_count_once() {
-    let points = answered(80);
+    let points = sample_answers(80);
     let mut one = answers_of_lengths(0, "tokens", &points);
     let mut mergeable = MergeableStatistics::clone(&one.mergeable);
     let lengths_again = mergeable.summary("tokens").expect("lengths").clone();
     mergeable.add(Name::from("tokens"), "", &lengths_again);
     one.mergeable = Arc::new(mergeable);
-    let found = lengths(&comparison(vec![one]), &with(points, true)).expect("lengths");
+    let found = lengths(&comparison(vec![one]), &answers_of_first(points, true)).expect("lengths");
     let sentences = &found.rows[0].sentences;
     assert_eq!(sentences.last().map(String::as_str), Some("All 80 iterations."), "{sentences:?}");
 }
 
 #[test]
 fn at_most_six_configurations_with_varying_lengths_are_drawn() {
-    let points = answered(100);
+    let points = sample_answers(100);
     let equal_lengths: Vec<(f64, f64)> = points.iter().map(|(x, y)| (96.0 + x % 4.0, *y)).collect();
     let mut all: Vec<Configuration> =
         (0..8).map(|at| answers_of_lengths(at, "download-bytes", &points)).collect();
@@ -262,20 +268,20 @@ fn at_most_six_configurations_with_varying_lengths_are_drawn() {
     );
     assert!(lengths(&comparison(Vec::new()), &[]).is_none());
     all[1] = answers_of_lengths(1, "download-bytes", &equal_lengths);
-    let found = lengths(&comparison(all.clone()), &read(&comparison(all))).expect("lengths");
+    let found = lengths(&comparison(all.clone()), &all_answers(&comparison(all))).expect("lengths");
     let names: Vec<&str> = found.rows.iter().map(|row| row.name.as_str()).collect();
     assert_eq!((names.join(""), found.others.as_deref()), ("ACDEFG".to_owned(), Some("H")));
 }
 
 #[test]
 fn tokens_and_bytes_have_separate_axes() {
-    let points = answered(450);
+    let points = sample_answers(450);
     let many: Vec<(f64, f64)> = points.iter().map(|(x, y)| (x * 1e3, y * 2.0)).collect();
     let both = comparison(vec![
         answers_of_lengths(0, "tokens", &points),
         answers_of_lengths(1, "download-bytes", &many),
     ]);
-    let found = lengths(&both, &read(&both)).expect("lengths");
+    let found = lengths(&both, &all_answers(&both)).expect("lengths");
     assert!(found.is_counted, "450 are many");
     let [tokens, bytes] = [0, 1].map(|at| found.rows[at].plot.to_string());
     assert!(tokens.contains(">tokens<") && bytes.contains(">kB of answer<"), "{bytes}");

@@ -11,7 +11,7 @@ use super::time_series;
 use crate::tests::samples::{NOW, clock_point, link};
 use crate::zone::Zone;
 
-/// Returns the path of that class in a track.
+/// Returns the path with a CSS class in a track; `None` if the track has no such path.
 pub(super) fn path(track: &TrackPicture, class: &str) -> Option<String> {
     let html = track.plot.to_string();
     let path = html.split(&format!("<path class=\"{class}\" d=\"")).nth(1)?;
@@ -19,7 +19,7 @@ pub(super) fn path(track: &TrackPicture, class: &str) -> Option<String> {
 }
 
 #[test]
-fn a_gap_parts_every_line_and_is_hatched() {
+fn gap_interrupts_lines_and_is_hatched() {
     let gap: Vec<i64> = (40..60).collect();
     let link = link(Some(0.00065), &gap);
     let subject = Subject::live(&link);
@@ -39,7 +39,7 @@ fn a_gap_parts_every_line_and_is_hatched() {
 }
 
 #[test]
-fn nothing_at_all_still_makes_a_picture() {
+fn chart_without_data_renders() {
     let mut empty = link(None, &[]);
     empty.history.clear();
     let subject = Subject::live(&empty);
@@ -53,7 +53,8 @@ fn nothing_at_all_still_makes_a_picture() {
 #[test]
 fn points_outside_the_range_change_neither_line_nor_scale() {
     let mut link = link(Some(0.000_01), &[]);
-    // A clock was set back by five seconds: the second after it still holds the offset from before, and the first band is wide.
+    // A clock was set back by five seconds. The first second after the step still has the offset from before the step,
+    // and the band of the next second is wide.
     for (place, point) in link.history.iter_mut().enumerate().skip(60) {
         let point = Arc::make_mut(point);
         point.window = 2;
@@ -75,13 +76,13 @@ fn points_outside_the_range_change_neither_line_nor_scale() {
 }
 
 #[test]
-fn seconds_that_came_twice_are_drawn_window_by_window() {
+fn repeated_seconds_are_drawn_per_window() {
     let at = |half_seconds: i64| WallTime::from_unix_nanos(NOW.unix_nanos() + half_seconds * 500_000_000);
     let points: Vec<ClockPoint> = (0..40).map(|n| clock_point(at(n), (n % 2) as u64, Some(0.0005))).collect();
     let whole = LinkTimeSeries { from: at(0), to: at(40), bucket: 1, points };
-    let mut picture_of = link(Some(0.0005), &[]);
-    picture_of.history.clear();
-    let picture = tracks(&Subject::live(&picture_of), &whole, OffsetView::Removed, &[], Zone::Utc);
+    let mut subject_link = link(Some(0.0005), &[]);
+    subject_link.history.clear();
+    let picture = tracks(&Subject::live(&subject_link), &whole, OffsetView::Removed, &[], Zone::Utc);
     let band = path(&picture.tracks[0], "band").expect("a band");
     assert_eq!(band.matches('Z').count(), 2, "{band}");
 }

@@ -1,4 +1,4 @@
-//! Delays of several seconds put together.
+//! Delays of several seconds, combined.
 
 use peernet_clock::Interval;
 use peernet_stream::{DelayPoint, DelaySecond};

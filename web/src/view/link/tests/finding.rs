@@ -9,35 +9,43 @@ use crate::zone::Zone;
 
 #[test]
 fn title_says_whether_delays_can_be_trusted() {
-    let say = |link: &LinkSnapshot| title(&Subject::live(link), Zone::Utc);
+    let title_of = |link: &LinkSnapshot| title(&Subject::live(link), Zone::Utc);
     let mixed = link(Some(0.00065), &[]);
     assert_eq!(
-        say(&mixed),
+        title_of(&mixed),
         "cam-1 → rack-a: upload times can be trusted to ±0.65\u{202f}ms, download times cannot"
     );
     assert_eq!(
-        say(&link(Some(0.00005), &[])),
+        title_of(&link(Some(0.00005), &[])),
         "cam-1 → rack-a: upload and download times can be trusted to ±0.050\u{202f}ms"
     );
-    assert!(say(&link(Some(0.004), &[])).contains("read them as intervals"));
+    assert!(title_of(&link(Some(0.004), &[])).contains("read them as intervals"));
     // The true offset may be farther from the estimate than half the width of its bounds.
-    let mut beside = link(Some(0.0005), &[]);
-    let offset = beside.live.latest_sample.offset.as_mut().expect("known");
+    let mut off_centre = link(Some(0.0005), &[]);
+    let offset = off_centre.live.latest_sample.offset.as_mut().expect("known");
     offset.estimate = offset.bounds.lo + Span::from_micros(100);
-    assert!(say(&beside).contains(" can be trusted to ±0.90\u{202f}ms"), "{}", say(&beside));
-    assert!(say(&link(None, &[])).contains("were never related"));
+    assert!(
+        title_of(&off_centre).contains(" can be trusted to ±0.90\u{202f}ms"),
+        "{}",
+        title_of(&off_centre)
+    );
+    assert!(title_of(&link(None, &[])).contains("were never related"));
     let mut one = link(Some(0.0), &[]);
     one.live.same_clock = true;
-    assert_eq!(say(&one), "cam-1 and rack-a read one clock: delays between them are exact");
+    assert_eq!(title_of(&one), "cam-1 and rack-a read one clock: delays between them are exact");
     let mut away = mixed.clone();
     away.connected = false;
-    assert!(say(&away).contains("last reported this link on 19 Nov 2026, 12:01:07"), "{}", say(&away));
+    assert!(
+        title_of(&away).contains("last reported this link on 19 Nov 2026, 12:01:07"),
+        "{}",
+        title_of(&away)
+    );
     let mut silent = mixed;
     silent.history.iter_mut().for_each(|point| {
         let point = Arc::make_mut(point);
         (point.up, point.down) = (None, None);
     });
-    assert!(say(&silent).contains("nothing was sent in the last 10"), "{}", say(&silent));
+    assert!(title_of(&silent).contains("nothing was sent in the last 10"), "{}", title_of(&silent));
 }
 
 #[test]

@@ -12,7 +12,7 @@ use crate::tests::samples::{NOW, link};
 use crate::zone::Zone;
 
 #[test]
-fn claims_that_are_not_used_stand_beside_the_exchanges() {
+fn unused_claims_are_listed_with_exchanges() {
     let mut link = link(Some(0.00065), &[]);
     let error = Interval { lo: Span::from_millis(-1), hi: Span::from_millis(1) };
     let claims = HostClock {
@@ -63,7 +63,7 @@ fn narrow_bound_names_its_sources_and_needs_no_time_daemon() {
 }
 
 #[test]
-fn where_a_bound_comes_from_and_what_would_narrow_it() {
+fn origin_lists_sources_reasons_and_hints() {
     let mut link = link(Some(0.00065), &[]);
     let origin = Origin::of(&Subject::live(&link), &time_series(&link));
     assert_eq!(origin.title, "Where the bounds come from");
@@ -92,7 +92,7 @@ fn where_a_bound_comes_from_and_what_would_narrow_it() {
 }
 
 #[test]
-fn a_link_that_fell_silent_keeps_what_it_told() {
+fn disconnected_link_shows_last_offset() {
     let mut away = link(Some(0.00065), &[]);
     away.connected = false;
     away.live.latest_sample.offset = None;
@@ -119,7 +119,7 @@ fn a_link_that_fell_silent_keeps_what_it_told() {
 }
 
 #[test]
-fn why_probes_are_not_answered_is_told_where_it_is_known() {
+fn known_reason_for_unanswered_probes_is_shown() {
     let mut link = link(Some(0.00065), &[]);
     let mut answers_and_hint = |reason: Option<&str>| {
         link.live.probing =

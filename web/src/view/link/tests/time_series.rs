@@ -1,4 +1,4 @@
-//! The points of a chart: put together, and the steady drift in them.
+//! The points of a chart: merging, and the steady drift.
 
 use peernet_analysis::offset_trend::OffsetTrend;
 
