@@ -1,10 +1,16 @@
 //! Preview of the pages with a simulated site: `cargo run -p peernet-web --example preview`.
 //!
-//! `--late` lets the hosts connect after ten seconds, `--empty` shows the pages before the first host has reported, `--many` uses thirty
-//! pipelines, `--grid` experiments of fifty configurations, of many users and with a repeated run, and long names, `--unrelated` clocks
-//! that were never related, `--one-clock` a camera that reads the rack's clock, `--talking` a camera whose answers have all lengths,
-//! `--clock-fault` a camera with an injected clock fault, `--backlog` an agent with hours of backlog, one whose disk is full, and a run
-//! with gaps. The address is the first free argument, 127.0.0.1:8040 otherwise.
+//! The first argument without dashes is the address, by default 127.0.0.1:8040. Options:
+//!
+//! - `--late`: the hosts connect after ten seconds
+//! - `--empty`: no host ever reports
+//! - `--many`: thirty pipelines
+//! - `--grid`: experiments of fifty configurations, of many users and with a repeated run, and long names
+//! - `--unrelated`: clocks that were never related
+//! - `--one-clock`: a camera that reads the rack's clock
+//! - `--varying-answers`: a camera whose answers differ in length
+//! - `--clock-fault`: a camera with an injected clock fault
+//! - `--backlog`: an agent with hours of backlog, an agent whose disk is full, and a run with gaps
 
 #[path = "../tests/it/test_site/mod.rs"]
 mod test_site;
@@ -57,8 +63,8 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         if has("--one-clock") {
             pipelines.push(TestPipeline { host: "cam-5", ..TestPipeline::one_clock() });
         }
-        if has("--talking") {
-            pipelines.push(TestPipeline { host: "cam-6", ..TestPipeline::talking() });
+        if has("--varying-answers") {
+            pipelines.push(TestPipeline { host: "cam-6", ..TestPipeline::varying_answers() });
         }
         if has("--many") {
             pipelines = (0..30)

@@ -14,17 +14,17 @@ use zeromq::{Message, Options, Socket, SocketType};
 
 use crate::{clocks, generate, start};
 
-/// Nodes of an iteration.
+/// Number of nodes of an iteration.
 const NODES: u64 = 21;
 /// Number of iterations per batch; such a batch has about 100 kB.
 const ITERATIONS: u64 = 240;
 /// Iterations per second.
 const HZ: u64 = 100;
-/// Every 1,000th iteration ends with a timeout.
-const LOST_EVERY: u64 = 1_000;
-/// Number of short runs before the long run: one experiment of `CONFIGURATIONS` configurations with two repeats each. The
-/// pages' lists show these runs.
+/// One in this many iterations ends with a timeout.
+const TIMEOUT_EVERY: u64 = 1_000;
+/// Number of short runs before the long run. They are an experiment, and fill the lists on pages.
 const RUNS: u32 = 100;
+/// Number of configurations of the experiment; each has two repeats.
 const CONFIGURATIONS: u32 = RUNS / 2;
 
 /// Ingests about `nodes` nodes into a new database.
@@ -44,12 +44,12 @@ pub(crate) async fn fill(database: &Path, nodes: u64, clock: &SharedClock) {
         agent.run(ITERATIONS * NODES, Some(place)).await;
     }
     agent.run(nodes, None).await;
-    agent.settle().await;
+    agent.wait_until_stored().await;
     stop.cancel();
     running.join().await.expect("ends well");
 }
 
-/// The sending end of an event stream.
+/// An agent: the sending end of an event stream.
 struct Agent {
     socket: Socket,
     /// The edge host and the cloud host.
@@ -62,6 +62,7 @@ struct Agent {
     events: u64,
     /// Number of the newest batch that was acknowledged.
     stored: u64,
+    /// Maximum number of batches that may be sent and not yet acknowledged.
     window: u32,
     /// Source of the iterations' values.
     numbers: generate::Numbers,
@@ -126,7 +127,7 @@ impl Agent {
         for number in 1..=nodes.div_ceil(NODES) {
             let at = generate::at(start_s as f64) + Span::from_seconds_f64(number as f64 / HZ as f64);
             let mut iteration = generate::iteration_at(run, number, self.hosts, at, &mut self.numbers);
-            if number.is_multiple_of(LOST_EVERY) {
+            if number.is_multiple_of(TIMEOUT_EVERY) {
                 iteration.outcome = Outcome::Timeout(String::new());
                 events.push(Event::Incident(self.incident(run)));
             }
@@ -189,7 +190,7 @@ impl Agent {
     }
 
     /// Waits until all batches are acknowledged.
-    async fn settle(&mut self) {
+    async fn wait_until_stored(&mut self) {
         while self.stored < self.number {
             self.handle_acknowledgement().await;
         }

@@ -25,19 +25,19 @@ pub(crate) struct ResponseTimes {
 pub(crate) async fn measure(router: &Router, clock: &SharedClock) -> Vec<ResponseTimes> {
     let mut times = Vec::new();
     for (page, address) in addresses(router).await {
-        let mut took = Vec::with_capacity(REPEATS);
+        let mut times_ms = Vec::with_capacity(REPEATS);
         for _ in 0..REPEATS {
             let began = clock.mono();
             get(router, &address, "gzip").await;
-            took.push((clock.mono() - began).seconds() * 1e3);
+            times_ms.push((clock.mono() - began).seconds() * 1e3);
         }
-        took.sort_by(f64::total_cmp);
-        times.push(ResponseTimes { page, median_ms: took[REPEATS / 2], max_ms: took[REPEATS - 1] });
+        times_ms.sort_by(f64::total_cmp);
+        times.push(ResponseTimes { page, median_ms: times_ms[REPEATS / 2], max_ms: times_ms[REPEATS - 1] });
     }
     times
 }
 
-/// Returns the pages and resources with their addresses.
+/// Returns the name and the address of each page and resource.
 async fn addresses(router: &Router) -> Vec<(String, String)> {
     let newest = &json(router, "/api/v1/runs?limit=12").await["runs"];
     let numbers: Vec<String> =

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use crate::test_dashboard::{ITERATIONS, TestDashboard};
 use crate::test_site::TestPipeline;
 
-/// Every route, with an address that exists when two lines are stored.
+/// Every route, with an address of that route that exists when two pipelines have a stored run each.
 const ROUTES: &[(&str, &str)] = &[
     ("/api/v1/hosts", "/api/v1/hosts"),
     ("/api/v1/hosts/{host}", "/api/v1/hosts/cam-2"),
@@ -36,7 +36,7 @@ const ROUTES: &[(&str, &str)] = &[
     ("/readyz", "/readyz"),
     ("/metrics", "/metrics"),
 ];
-/// Routes that change something and cannot be read.
+/// Routes that only change something, and have no GET operation.
 const CHANGES: [&str; 1] = ["/api/v1/runs/{run}/pin"];
 
 #[tokio::test]
@@ -62,7 +62,7 @@ async fn openapi_describes_every_route() {
         );
         let operation = &document["paths"][route]["get"];
         assert!(!operation["summary"].as_str().unwrap_or_default().is_empty(), "{route} has no summary");
-        // A stream never ends: its head is answer enough here.
+        // A stream never ends, so only the head of each answer is checked.
         let response = dashboard.send(Request::get(address).body(Body::empty()).expect("a request")).await;
         assert_eq!(response.status(), StatusCode::OK, "{address}");
     }
@@ -292,7 +292,7 @@ async fn export_has_one_row_per_iteration() {
     assert!((number("at") - dashboard.clock.wall().unix_nanos() as f64 / 1e9).abs() < 3_600.0);
     assert_eq!((cell("upload-verdict").as_str(), cell("warm-up").as_str()), ("ok", "0"));
 
-    // As any other file of rows.
+    // The export can be opened like any other file of rows.
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("export.csv");
     std::fs::write(&file, &answer.body).expect("writable");

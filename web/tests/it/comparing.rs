@@ -1,4 +1,4 @@
-//! Whether a run can be published, and runs side by side, over stored data.
+//! Trust reports and comparisons of stored runs.
 
 use axum::http::StatusCode;
 use peernet_analysis::compare::{Comparison, Differences};
@@ -44,7 +44,7 @@ async fn run_page_states_trust_and_reasons() {
 #[tokio::test]
 async fn skipped_starts_before_failed_iterations_are_shown() {
     let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
-    // Twenty are of the warm-up, ten of the others timed out.
+    // 20 of the 120 iterations are warm-up, and 10 of the other 100 timed out.
     site.store_skipping(0, 120, 7).await;
     assert_eq!(dashboard.get("/api/v1/runs/1").await.json()["skipped_starts"], 0);
     assert_eq!(dashboard.get("/api/v1/runs/2").await.json()["skipped_starts"], 70);
@@ -109,7 +109,7 @@ async fn values_of_repeated_nodes_are_not_called_iterations() {
     assert!(header.split(',').any(|column| column == "crop_2"), "files have a column for each: {header}");
 }
 
-/// Returns the panel of distributions.
+/// Returns the HTML of the panel of distributions.
 fn distributions(page: &str) -> &str {
     let panel = page.split("id=\"distributions\"").nth(1).expect("a panel");
     panel.split("</section>").next().expect("its end")
@@ -144,7 +144,7 @@ async fn repeats_of_an_experiment_are_combined() {
     assert_eq!(configurations.len(), 3, "{compared}");
     assert!(configurations.iter().all(|one| one["runs"].as_array().expect("runs").len() == 2), "{compared}");
 
-    // Two runs of one configuration are as many iterations as both have.
+    // A configuration of two runs has the iterations of both.
     let runs = configurations[0]["runs"].as_array().expect("runs");
     let (mut counts, mut medians) = (0, Vec::new());
     for run in runs {
@@ -166,7 +166,8 @@ async fn repeats_of_an_experiment_are_combined() {
     assert_eq!(page.status, StatusCode::OK, "{}", page.text());
     assert!(page.text().contains(" is the fastest: "), "{}", page.text());
     assert!(page.text().contains("<span>experiment pictures</span>"), "{}", page.text());
-    // Six runs of which each has its distribution, and three configurations with a box over both of theirs.
+    // Each of the six runs has a distribution, and each of the three configurations has a box for its two runs
+    // together.
     assert_eq!(page.text().matches("#distribution\">#").count(), 6, "{}", page.text());
     assert!(page.text().contains(&format!("; {counts} samples\"")), "{}", page.text());
     let address = format!("/compare?experiment={id}&stage=");
@@ -297,14 +298,14 @@ async fn difference_of_two_runs_states_its_significance() {
     let [lo, value, hi] = [&total["interval"][0], &total["value"], &total["interval"][1]]
         .map(|it| it.as_f64().expect("a number"));
     assert!(lo < value && value < hi, "{total}");
-    // The form of the list of runs repeats the name.
+    // The form on the list of runs sends the parameter `runs` once for each run.
     let page = dashboard.get("/compare?runs=1&runs=2").await;
     assert!(page.text().contains("<h2 id=\"cd-h\">Difference to "), "{}", page.text());
     let other_way = dashboard.get("/api/v1/compare?runs=1,2&baseline=2").await.json();
     assert_eq!((&compared["baseline"], &other_way["baseline"]), (&"A".into(), &"B".into()));
-    let turned = &other_way["differences"][0];
-    assert_eq!(turned["value"].as_f64(), Some(-value), "{turned}");
-    assert_eq!((&total["configuration"], &turned["configuration"]), (&"B".into(), &"A".into()));
+    let reversed = &other_way["differences"][0];
+    assert_eq!(reversed["value"].as_f64(), Some(-value), "{reversed}");
+    assert_eq!((&total["configuration"], &reversed["configuration"]), (&"B".into(), &"A".into()));
     assert!(page.text().contains("http://127.0.0.1:8040/api/v1/runs/{1,2}/export"), "{}", page.text());
     assert!(page.text().contains("peernet compare run-1.csv run-2.csv"), "{}", page.text());
     let again = dashboard.get("/api/v1/compare?runs=1,1").await.json();
@@ -330,9 +331,10 @@ async fn difference_of_two_runs_states_its_significance() {
     assert!(api.text().contains(&format!("{known}, and optionally baseline\"")), "{}", api.text());
 }
 
-/// Counts and means are equal, deviations up to their last digits; quantiles are within the sketch's 1 %. Intervals come from 30 batches of
-/// the run. The store has one mean for each second and the file has each iteration, so their batches begin at different times. The width of
-/// such an interval varies by 13 % (standard deviation); here each end differs by less than half of the width.
+/// Counts and means are equal, and standard deviations are equal up to their last digits. The quantiles differ by at
+/// most the 1 % of the sketch. Intervals come from 30 batches of the run. The store has one mean for each second and
+/// the file has each iteration, so their batches begin at different times. The width of such an interval varies by 13 %
+/// (standard deviation), so the test permits a difference of half the width at each end.
 #[tokio::test]
 async fn run_files_and_store_give_same_comparison() {
     let (dashboard, _site) =
@@ -398,7 +400,7 @@ async fn repeated_run_after_interruption_counts_once() {
     assert!(page.text().contains(&expected), "{}", page.text());
     assert!(page.text().contains("<span>1 run</span>"), "{}", page.text());
 
-    // Asked for by its number it is compared like any other.
+    // A run that is selected by its number is compared even if it was interrupted.
     let named = dashboard.get(&format!("/api/v1/compare?runs={first},{}", first + 1)).await.json();
     assert_eq!(named["configurations"].as_array().map(Vec::len), Some(2), "{named}");
     assert_eq!(named["left_out"], serde_json::json!([]));

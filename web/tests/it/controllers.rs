@@ -8,7 +8,8 @@ use serde_json::{Value, json};
 use crate::test_dashboard::TestDashboard;
 use crate::test_site::TestPipeline;
 
-/// Reads lines of an answer and two pipelines each, and decides.
+/// Calls the documented `decide` for each line of the input: an answer, and the names of two pipelines. Then calls
+/// `ask` without a server.
 const DRIVER: &str = r#"
 import json, sys
 for line in sys.stdin:
@@ -25,26 +26,26 @@ async fn documented_controller_decides_by_known_values() {
         TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;
     let mut answer = dashboard.get("/api/v1/pipelines?window=10&stage=total").await.json();
     for pipeline in answer["pipelines"].as_array_mut().expect("pipelines") {
-        // However long this machine took to come here.
+        // A slow machine may have reported another state by now.
         pipeline["state"] = json!("running");
     }
     let name = |at: usize| json!([answer["pipelines"][at]["host"], answer["pipelines"][at]["name"]]);
     let (local, cloud) = (name(0), name(1));
-    let with = |change: &dyn Fn(&mut Value)| {
+    let answer_with = |change: &dyn Fn(&mut Value)| {
         let mut changed = answer.clone();
         let window = &mut changed["pipelines"][1]["windows"][0];
         (window["values"][0]["p95"], window["lost_fraction"]) = (json!(0.001), json!(0.0));
         change(&mut changed["pipelines"][1]);
         changed
     };
-    let asked = [
-        (with(&|_| {}), "cloud"),
-        (with(&|pipeline| pipeline["windows"][0]["values"][0]["p95"] = json!(9.0)), "local"),
-        (with(&|pipeline| pipeline["state"] = json!("away")), "local"),
-        (with(&|pipeline| pipeline["windows"][0]["values"] = json!([])), "local"),
-        (with(&|pipeline| pipeline["windows"][0]["values"][0]["p95"] = Value::Null), "local"),
-        (with(&|pipeline| pipeline["windows"][0]["lost_fraction"] = json!(0.5)), "local"),
-        (with(&|pipeline| pipeline["windows"][0]["lost_fraction"] = Value::Null), "local"),
+    let cases = [
+        (answer_with(&|_| {}), "cloud"),
+        (answer_with(&|pipeline| pipeline["windows"][0]["values"][0]["p95"] = json!(9.0)), "local"),
+        (answer_with(&|pipeline| pipeline["state"] = json!("away")), "local"),
+        (answer_with(&|pipeline| pipeline["windows"][0]["values"] = json!([])), "local"),
+        (answer_with(&|pipeline| pipeline["windows"][0]["values"][0]["p95"] = Value::Null), "local"),
+        (answer_with(&|pipeline| pipeline["windows"][0]["lost_fraction"] = json!(0.5)), "local"),
+        (answer_with(&|pipeline| pipeline["windows"][0]["lost_fraction"] = Value::Null), "local"),
         (json!({ "pipelines": [] }), "local"),
     ];
 
@@ -59,12 +60,12 @@ async fn documented_controller_decides_by_known_values() {
         .spawn()
         .expect("python3 starts");
     let mut input = python.stdin.take().expect("its input");
-    for (answer, _) in &asked {
+    for (answer, _) in &cases {
         writeln!(input, "{}", json!([answer, local, cloud])).expect("it reads");
     }
     drop(input);
     let output = python.wait_with_output().expect("it ends");
     let decided = String::from_utf8(output.stdout).expect("text");
-    let wanted: Vec<&str> = asked.iter().map(|(_, wanted)| *wanted).chain(["local"]).collect();
+    let wanted: Vec<&str> = cases.iter().map(|(_, wanted)| *wanted).chain(["local"]).collect();
     assert_eq!(decided.lines().collect::<Vec<_>>(), wanted, "the last one: nobody answers");
 }

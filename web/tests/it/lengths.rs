@@ -5,8 +5,8 @@ use crate::test_site::TestPipeline;
 
 const HEADING: &str = "Response length against latency</h2>";
 
-/// Returns the length and latency of the iterations that count, from the file of a run.
-fn exported(csv: &str) -> Vec<(String, String)> {
+/// Returns length and latency of the successful iterations after the warm-up, from the file of a run.
+fn lengths_and_latencies(csv: &str) -> Vec<(String, String)> {
     let mut rows = csv::Reader::from_reader(csv.as_bytes());
     let header = rows.headers().expect("a header").clone();
     let place = |name: &str| header.iter().position(|column| column == name).expect("a column");
@@ -20,8 +20,8 @@ fn exported(csv: &str) -> Vec<(String, String)> {
 #[tokio::test]
 async fn lengths_of_answers_match_data_file() {
     let (dashboard, _site) =
-        TestDashboard::with_pipelines(vec![TestPipeline::talking(), TestPipeline::full()]).await;
-    let rows = exported(dashboard.get("/api/v1/runs/1/export").await.text());
+        TestDashboard::with_pipelines(vec![TestPipeline::varying_answers(), TestPipeline::full()]).await;
+    let rows = lengths_and_latencies(dashboard.get("/api/v1/runs/1/export").await.text());
     assert!(rows.len() > 300 && rows.len() < 400, "{}", rows.len());
     let pairs = dashboard.aggregator.store().value_pairs(1, ["download-bytes", "inference"], 1_000).await;
     let pairs = pairs.expect("answers").points.into_iter();
@@ -31,7 +31,11 @@ async fn lengths_of_answers_match_data_file() {
     let page = dashboard.get("/compare?runs=1,2").await;
     let panel = page.text().split(HEADING).nth(1).expect("a panel");
     let panel = panel.split("</section>").next().expect("its end");
-    assert_eq!(panel.matches("class=\"joint\"").count(), 1, "those of the other are all alike: {panel}");
+    assert_eq!(
+        panel.matches("class=\"joint\"").count(),
+        1,
+        "the answers of the other run have equal lengths: {panel}"
+    );
     let dots = panel.split("class=\"dots d-inference\" d=\"").nth(1).and_then(|rest| rest.split('"').next());
     assert_eq!(dots.map(|dots| dots.matches('M').count()), Some(rows.len()), "a dot for each: {panel}");
     assert!(panel.contains(&format!("All {} iterations.", rows.len())), "{panel}");
@@ -40,7 +44,7 @@ async fn lengths_of_answers_match_data_file() {
 
 #[tokio::test]
 async fn long_run_is_drawn_as_sample() {
-    let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::talking()]).await;
+    let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::varying_answers()]).await;
     site.store_experiment(900, 2).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");

@@ -7,18 +7,20 @@ use peernet_clock::Span;
 use crate::test_dashboard::TestDashboard;
 use crate::test_site::TestPipeline;
 
-/// Lines of one metric.
+/// The lines of one metric, as read from an answer.
 #[derive(Debug, Default, PartialEq)]
 struct Family {
     kind: String,
     unit: String,
     help: String,
+    /// Names of the labels.
     labels: BTreeSet<String>,
+    /// Values by series: name and labels, as in the line.
     samples: BTreeMap<String, f64>,
 }
 
-/// Reads `name="value",…` with its escapes; returns the names.
-fn labels(text: &str) -> Vec<String> {
+/// Returns the names in a list of labels, `name="value",…`, in which values may contain escapes.
+fn label_names(text: &str) -> Vec<String> {
     let mut names = Vec::new();
     let mut rest = text;
     while !rest.is_empty() {
@@ -44,8 +46,8 @@ fn labels(text: &str) -> Vec<String> {
     names
 }
 
-/// Reads an answer; panics at the first invalid line.
-fn read(text: &str) -> BTreeMap<String, Family> {
+/// Parses an answer into metrics by name. Panics at the first invalid line.
+fn parse_metrics(text: &str) -> BTreeMap<String, Family> {
     let body = text.strip_suffix("# EOF\n").expect("the last line says that it is the last");
     let mut families: BTreeMap<String, Family> = BTreeMap::new();
     let mut current = String::new();
@@ -78,7 +80,7 @@ fn read(text: &str) -> BTreeMap<String, Family> {
         assert_eq!(name, format!("{current}{suffix}"), "{line:?} stands among others");
         assert!(family.kind == "counter" || family.kind == "gauge", "{line:?}");
         assert!(value.is_finite() && (value >= 0.0 || family.kind == "gauge"), "{line:?}");
-        let names = labels(inner);
+        let names = label_names(inner);
         let known: BTreeSet<String> = names.iter().cloned().collect();
         assert_eq!(known.len(), names.len(), "a label stands twice: {line:?}");
         assert!(family.samples.is_empty() || family.labels == known, "other labels than before: {line:?}");
@@ -106,7 +108,7 @@ async fn metric_lines_are_valid_and_counters_grow() {
     .await;
     let answer = dashboard.get("/metrics").await;
     assert_eq!(answer.header("content-type"), "application/openmetrics-text; version=1.0.0; charset=utf-8");
-    let first = read(answer.text());
+    let first = parse_metrics(answer.text());
 
     let value = |families: &BTreeMap<String, Family>, series: &str| {
         let name = series.split('{').next().expect("a name").trim_end_matches("_total");
@@ -160,7 +162,7 @@ async fn metric_lines_are_valid_and_counters_grow() {
                 && live_state.hosts.iter().all(|host| host.accounting.stored == host.stored.events)
         })
         .await;
-    let second = read(dashboard.get("/metrics").await.text());
+    let second = parse_metrics(dashboard.get("/metrics").await.text());
     let mut grown = 0;
     for (name, family) in &first {
         assert_eq!(family.kind, second[name].kind);
@@ -178,7 +180,7 @@ async fn metric_lines_are_valid_and_counters_grow() {
 #[tokio::test]
 async fn documented_metrics_are_the_served_ones() {
     let (dashboard, _site) = TestDashboard::with_pipelines(vec![TestPipeline::full()]).await;
-    let served = read(dashboard.get("/metrics").await.text());
+    let served = parse_metrics(dashboard.get("/metrics").await.text());
     let document = include_str!("../../../docs/metrics.md");
     let document = document.split("## Worth an alert").next().expect("the tables");
     let mut listed = BTreeSet::new();
@@ -205,7 +207,7 @@ async fn documented_metrics_are_the_served_ones() {
 #[tokio::test]
 async fn aggregator_without_hosts_has_metrics() {
     let dashboard = TestDashboard::empty().await;
-    let families = read(dashboard.get("/metrics").await.text());
+    let families = parse_metrics(dashboard.get("/metrics").await.text());
     assert_eq!(families["peernet_aggregator_known_hosts"].samples["peernet_aggregator_known_hosts"], 0.0);
     assert!(families["peernet_host_produced_events"].samples.is_empty());
 }

@@ -3,7 +3,7 @@
 use crate::test_dashboard::TestDashboard;
 use crate::test_site::TestPipeline;
 
-/// Returns attribute `d` of the first SVG path with this class.
+/// Returns the attribute `d` of the first SVG path with a CSS class; empty without such a path.
 fn path<'a>(html: &'a str, class: &str) -> &'a str {
     let rest = html.split(&format!("<path class=\"{class}\" d=\"")).nth(1).unwrap_or_default();
     rest.split('"').next().unwrap_or_default()
@@ -21,7 +21,7 @@ async fn runs_with_episodes_are_drawn_over_time() {
     let panel = panel.split("</section>").next().expect("its end");
     assert_eq!(panel.matches("<figure>").count(), 2, "{panel}");
     assert!(panel.contains(&format!("<a href=\"/runs/{first}#course\">#{first}</a>")), "{panel}");
-    // Four in all, of which one is in the warm-up.
+    // Four iterations failed, one of them during the warm-up.
     assert!(panel.contains("4 episodes of 100 steps, 4 failed, points of "), "{panel}");
     assert_eq!(path(panel, "border").matches('M').count(), 3, "{panel}");
     assert_eq!(path(panel, "lost").matches('M').count(), 4, "{panel}");

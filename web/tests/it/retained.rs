@@ -41,12 +41,12 @@ async fn deleted_data_is_named_and_remaining_data_shown() {
     tokio::time::timeout(Duration::from_secs(60), deleted).await.expect("what is old goes");
 
     let incidents = dashboard.get("/api/v1/incidents").await.json();
-    // One an hour of the storage clock: there may be later ones.
-    let tells = |incident: &&serde_json::Value| {
+    // Retention reports an incident per hour of the storage clock, so there may be later ones.
+    let is_expected = |incident: &&serde_json::Value| {
         let text = incident["text"].as_str().expect("a sentence");
         text.contains("200 iterations with their trees of 1 run (nodes_days = 7)")
     };
-    let incident = incidents["incidents"].as_array().expect("a list").iter().find(tells);
+    let incident = incidents["incidents"].as_array().expect("a list").iter().find(is_expected);
     let incident = incident.unwrap_or_else(|| panic!("{incidents}"));
     assert_eq!((&incident["kind"], &incident["host"]), (&json!("retention"), &json!(null)));
     let page = dashboard.get("/incidents").await;

@@ -49,7 +49,7 @@ async fn send_request(server: std::net::SocketAddr, from: &str, head: &str) -> T
     stream
 }
 
-/// Returns the received text up to a chunk that contains `sign`.
+/// Reads chunks until the received text contains `sign`, and returns the text.
 async fn read_until(stream: &mut TcpStream, sign: &str) -> String {
     let mut received = String::new();
     while !received.contains(sign) {
@@ -81,7 +81,7 @@ async fn streams_leave_connections_to_other_requests() {
         read_until(&mut send_request(server, "127.0.0.1", LIVE).await, "4 live streams are open, ").await;
     assert!(received.starts_with("HTTP/1.1 503") && received.contains("retry-after: 2"), "{received}");
     assert!(received.contains("application/problem+json"), "{received}");
-    // Another address takes the place of the oldest.
+    // A stream of another address replaces the oldest stream of the first address.
     let mut other = send_request(server, "127.0.0.2", LIVE).await;
     assert!(read_until(&mut other, "event: status").await.starts_with("HTTP/1.1 200"));
     let mut rest = Vec::new();
@@ -95,7 +95,7 @@ async fn streams_leave_connections_to_other_requests() {
             "{path}"
         );
     }
-    // A stream that its listener closes makes room for another.
+    // If listeners close their streams, others can be opened.
     drop((open, other));
     loop {
         let received = read_until(&mut send_request(server, "127.0.0.3", LIVE).await, "\r\n").await;
@@ -176,7 +176,7 @@ async fn foreign_host_names_are_refused_without_authentication() {
         }
         for host in ["192.0.2.7:8040", "[2001:db8::1]:8040", "localhost"] {
             assert_eq!(status("GET", "/api/v1/runs", host).await, StatusCode::OK, "{host}");
-            // There is no such run: the request was let through.
+            // 404 shows that the request was let through: there is no such run.
             assert_eq!(status("DELETE", "/api/v1/runs/1/pin", host).await, StatusCode::NOT_FOUND, "{host}");
         }
         let expected = match config.allow_unauthenticated {

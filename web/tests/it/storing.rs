@@ -1,4 +1,4 @@
-//! Tests of readiness, of accounts that add up, and of pinned runs.
+//! Tests of readiness, of event counts that add up, and of pinned runs.
 
 use axum::body::Body;
 use axum::http::{Method, Request, StatusCode};
@@ -61,7 +61,7 @@ async fn damaged_database_errors_match_readiness() {
     let (dashboard, _site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
     let options = SqliteConnectOptions::new().filename(dashboard.database());
     let mut connection = options.connect().await.expect("opens");
-    // From then on the file itself is read.
+    // After this checkpoint, all data is in the database file and none in the write-ahead log.
     sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut connection).await.expect("carries over");
     let file = std::fs::File::options().write(true).open(dashboard.database()).expect("opens");
     let bytes = file.metadata().expect("is there").len();
@@ -88,10 +88,10 @@ async fn agent_and_aggregator_counts_agree_when_idle() {
         TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;
     let live_state = dashboard
         .wait_until(|live_state| {
-            let rests = |host: &peernet_aggregator::HostSnapshot| {
+            let is_idle = |host: &peernet_aggregator::HostSnapshot| {
                 host.accounting.waiting == 0 && host.accounting.stored == host.stored.events
             };
-            live_state.hosts.iter().all(|host| rests(host)) && live_state.totals.stored.events > 0
+            live_state.hosts.iter().all(|host| is_idle(host)) && live_state.totals.stored.events > 0
         })
         .await;
     for host in &live_state.hosts {
@@ -116,6 +116,7 @@ async fn agent_and_aggregator_counts_agree_when_idle() {
     assert!(page.text().contains("produced = acknowledged + waiting + lost"), "{}", page.text());
 }
 
+/// Sends a request to pin (PUT) or unpin (DELETE) a run. `site` is the header `Sec-Fetch-Site` of a browser.
 async fn pin(dashboard: &TestDashboard, method: Method, run: &str, site: Option<&str>) -> Answer {
     let mut request = Request::builder().method(method).uri(format!("/api/v1/runs/{run}/pin"));
     if let Some(site) = site {

@@ -9,9 +9,10 @@ use serde_json::Value;
 use crate::test_dashboard::TestDashboard;
 use crate::test_site::TestPipeline;
 
-/// Reads events from a body as they come.
+/// Reads the events of a live stream one by one.
 struct Events {
     body: BodyDataStream,
+    /// Received text that was not returned yet.
     text: String,
 }
 
@@ -46,6 +47,7 @@ impl Events {
         }
     }
 
+    /// Waits for the next event with a name, and returns its data.
     async fn wait_until(&mut self, name: &str) -> Value {
         loop {
             let (event, data) = self.next().await.expect("the stream goes on");

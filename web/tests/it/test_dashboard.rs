@@ -22,6 +22,7 @@ pub(crate) struct TestDashboard {
     pub(crate) clock: SharedClock,
     pub(crate) stop: CancellationToken,
     pub(crate) config: WebConfig,
+    /// Address at which the aggregator accepts agents.
     pub(crate) listening: String,
     router: Router,
     _running: peernet_aggregator::RunningAggregator,
@@ -81,9 +82,9 @@ impl TestDashboard {
         site.report(now - Span::from_seconds(70), now).await;
         dashboard
             .wait_until(|snapshot| {
-                let full = |second: &[Arc<peernet_aggregator::LiveSecond>]| second.len() >= 30;
+                let has_half_a_minute = |series: &[Arc<peernet_aggregator::LiveSecond>]| series.len() >= 30;
                 snapshot.pipelines.len() == expected
-                    && snapshot.pipelines.iter().all(|one| full(&one.series))
+                    && snapshot.pipelines.iter().all(|one| has_half_a_minute(&one.series))
                     && snapshot.links.iter().all(|link| link.history.len() >= 70)
             })
             .await;

@@ -13,7 +13,7 @@ use peernet_stream::{
 };
 use zeromq::{Message, Options, Socket, SocketType};
 
-/// Timeout of an operation that should finish at once.
+/// Timeout of an operation that usually finishes at once.
 const TEST_TIMEOUT: Duration = Duration::from_secs(60);
 /// Limits of the queue in memory, large enough that no event is dropped.
 const MEMORY: Usage = Usage { events: 1_000_000, bytes: 1 << 30 };
@@ -52,7 +52,7 @@ impl Agent {
         self.sending.accounting()
     }
 
-    /// Queues events.
+    /// Queues events, to be sent by the next `wait_until_stored`.
     pub(crate) fn offer(&mut self, events: impl IntoIterator<Item = Event>) {
         events.into_iter().for_each(|event| self.sending.offer(&event, self.clock.stamp()));
     }
@@ -87,8 +87,9 @@ impl Agent {
         }
     }
 
+    /// Exchanges messages until `done` returns true. `what` describes that condition.
     async fn wait_until(&mut self, what: &str, done: impl Fn(&Sending) -> bool) {
-        let speak = async {
+        let exchange = async {
             loop {
                 self.sending.tick(self.clock.stamp());
                 while let Some(action) = self.sending.next(self.clock.mono()) {
@@ -110,7 +111,7 @@ impl Agent {
             }
         };
         assert!(
-            tokio::time::timeout(TEST_TIMEOUT, speak).await.is_ok(),
+            tokio::time::timeout(TEST_TIMEOUT, exchange).await.is_ok(),
             "timeout while waiting until {what}"
         );
     }

@@ -10,7 +10,8 @@ const RATE: f64 = 48.0;
 /// Events per second of measurement.
 const HZ: f64 = 300.0;
 
-/// Changes the event counts of some agents: since `since`, the second one catches up with a backlog, and the third has a failing disk.
+/// Returns the event counts of the agent with this index. Since the time `since`, the second agent catches up with a
+/// backlog, and the third agent has a failing disk. Without that time, all counts stay as they are.
 pub(crate) fn add_backlog(
     account: Accounting,
     index: usize,

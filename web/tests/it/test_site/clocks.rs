@@ -16,7 +16,7 @@ use super::{Clocks, TestPipeline, slug};
 
 /// The rack's wall clock minus a camera's, middle of the reported bounds.
 pub(super) const AHEAD: Span = Span::from_micros(1_204_180);
-/// Rate at which that offset grows.
+/// Rate at which the offset [`AHEAD`] grows.
 const SKEW_PPM: f64 = 12.4;
 
 fn seconds(seconds: f64) -> Span {
@@ -62,7 +62,8 @@ fn delays(pipeline: &TestPipeline, name: &str, numbers: &mut SplitMix64) -> Dela
     }
 }
 
-/// Returns the clock sample at the end of a second; `ago` seconds before the newest one.
+/// Returns the clock sample at the end of the second that contains `at`, which is `ago` seconds before the newest
+/// sample.
 pub(super) fn sample(
     pipeline: &TestPipeline,
     rack: HostId,
@@ -76,7 +77,8 @@ pub(super) fn sample(
         Clocks::Shared => Some(0.0),
         Clocks::Unrelated => None,
     };
-    // The network is slow for half a minute; a clock was stepped a minute ago.
+    // The network was slow for half a minute. A clock was stepped a minute ago, and the bounds were wider for a few
+    // seconds after the step.
     let slow = if (140..175).contains(&ago) { 1.9 } else { 1.0 };
     let (window, stepped) = if ago > 60 { (11, seconds(-0.0182)) } else { (12, Span::ZERO) };
     let truth = if pipeline.clocks == Clocks::Shared {

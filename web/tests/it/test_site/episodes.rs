@@ -6,8 +6,8 @@ use peernet_stream::{Event, ExperimentPlace, Outcome};
 use super::TestSite;
 
 impl TestSite {
-    /// Stores an experiment with a run of each pipeline, in episodes of `steps` steps: the first is warm-up, and every hundredth iteration
-    /// has no answer.
+    /// Stores an experiment with a run of each pipeline, in episodes of `steps` steps. The first episode is warm-up,
+    /// and every hundredth iteration times out.
     pub(crate) async fn store_episodes(&mut self, iterations: u64, steps: u32) {
         let id = RunId::random().to_string();
         for index in 0..self.pipelines.len() {

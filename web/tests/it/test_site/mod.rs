@@ -27,7 +27,8 @@ pub(crate) struct TestSite {
     pub(crate) pipelines: Vec<TestPipeline>,
     /// Agents of the cameras, in the order of the pipelines, and of the rack.
     pub(crate) agents: Vec<Agent>,
-    /// Time since which the second pipeline catches up with a day's backlog and the third has a failing spool.
+    /// Time since which the second agent catches up with a backlog and the third has a failing disk; `None` for agents
+    /// without these problems.
     pub(crate) backlog: Option<WallTime>,
     clock: SharedClock,
     numbers: SplitMix64,
@@ -141,13 +142,13 @@ impl TestSite {
         self.pipelines[index] = usual;
     }
 
-    /// Stores an experiment with a configuration for each number of concurrent users. Users are the first pipelines; more users have a longer
-    /// queue.
+    /// Stores an experiment with a configuration for each number of concurrent users. The first pipelines are the
+    /// users. The more users there are, the longer they wait in the queue.
     pub(crate) async fn store_users(&mut self, iterations: u64, numbers: &[usize]) {
         let (id, usual) = (RunId::random().to_string(), self.pipelines.clone());
         for users in numbers {
             for (index, known) in usual.iter().enumerate().take(*users) {
-                // All are alike, and wait for one another.
+                // All users have equal pipelines, and wait for one another in the queue of the model.
                 let pipeline = TestPipeline::resized();
                 let queue = |(name, mean, spread): &(Name, f64, f64)| {
                     let waits = if *name == stage::QUEUE { 3.5 * (*users as f64 - 1.0) } else { 0.0 };
@@ -220,12 +221,14 @@ impl TestSite {
         }
     }
 
+    /// Stores a run of a pipeline at a place in an experiment.
     async fn store_placed(&mut self, index: usize, iterations: u64, place: ExperimentPlace) {
         let events = self.run(index, RunId::random(), iterations, true, Some(place));
         self.agents[index].offer(events);
         self.agents[index].wait_until_stored().await;
     }
 
+    /// Returns the events of a run that ends now. `ended` adds the event of its end.
     fn run(
         &mut self,
         index: usize,
@@ -326,7 +329,7 @@ impl TestSite {
         self.agents[index].wait_until_stored().await;
     }
 
-    /// Reports the seconds from `from` to `to` of all pipelines; the last one may be under way.
+    /// Reports the seconds from `from` to `to` of all pipelines. The last second may be incomplete.
     pub(crate) async fn report(&mut self, from: WallTime, to: WallTime) {
         let seconds: Vec<i64> = (from.unix_seconds()..=to.unix_seconds()).collect();
         for chunk in seconds.chunks(20) {
@@ -344,7 +347,8 @@ impl TestSite {
                 };
                 let load = 0.3 + 0.1 * index as f64;
                 self.report_second(index, vec![pipeline], chunk.first().copied(), load, to).await;
-                // An update holds one second of a link: the other seconds are sent one after the other.
+                // An update holds only one second of a link, so each of the other seconds is sent in an update of its
+                // own.
                 let others = if self.pipelines[index].remote { &chunk[1..] } else { &[] };
                 for at in others {
                     self.report_second(index, Vec::new(), Some(*at), load, to).await;
@@ -355,6 +359,8 @@ impl TestSite {
         }
     }
 
+    /// Sends one live update of an agent: the seconds of its pipelines, and the clock sample of its link for the second
+    /// `second`.
     async fn report_second(
         &mut self,
         index: usize,
@@ -397,8 +403,8 @@ impl TestSite {
     }
 }
 
-/// Returns the conditions of an edge. If `careless`, its CPU governor is not `performance`.
-fn conditions(host: &str, careless: bool) -> Vec<Condition> {
+/// Returns the conditions of an edge. If `is_careless` is true, its CPU governor is not `performance`.
+fn conditions(host: &str, is_careless: bool) -> Vec<Condition> {
     let found = |about: &str, found: &str, grade, advice: &str| Condition {
         host: host.to_owned(),
         about: about.to_owned(),
@@ -406,7 +412,7 @@ fn conditions(host: &str, careless: bool) -> Vec<Condition> {
         grade,
         advice: advice.to_owned(),
     };
-    let governor = if careless {
+    let governor = if is_careless {
         let advice = "set it to `performance` for the measurement";
         found("CPU governor", "schedutil: the frequency follows the load", Grade::Doubtful, advice)
     } else {

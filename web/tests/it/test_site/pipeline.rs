@@ -19,15 +19,15 @@ pub(crate) enum Clocks {
 /// A pipeline on a camera.
 #[derive(Clone, Debug)]
 pub(crate) struct TestPipeline {
-    /// The pipeline.
+    /// Name of the pipeline.
     pub(crate) name: &'static str,
-    /// The camera.
+    /// Name of the camera.
     pub(crate) host: &'static str,
-    /// `true` if the rack computes for it.
+    /// `true` if the rack computes for the pipeline.
     pub(crate) remote: bool,
     /// Iterations per second.
     pub(crate) hz: f64,
-    /// Clocks.
+    /// Relation of the clocks of the camera and the rack.
     pub(crate) clocks: Clocks,
     /// Bytes of a sample.
     pub(crate) bytes: f64,
@@ -93,9 +93,9 @@ impl TestPipeline {
         Self { name: "offload-here", clocks: Clocks::Shared, ..Self::resized() }
     }
 
-    /// Returns `resized` with answers of all lengths.
-    pub(crate) fn talking() -> Self {
-        Self { name: "offload-talking", answer: (100.0, 900.0), ..Self::resized() }
+    /// Returns `resized` with answers of different lengths.
+    pub(crate) fn varying_answers() -> Self {
+        Self { name: "offload-answers", answer: (100.0, 900.0), ..Self::resized() }
     }
 
     fn new(
@@ -138,12 +138,12 @@ impl TestPipeline {
     /// the run, and a few iterations take much longer.
     pub(crate) fn draw(&self, numbers: &mut SplitMix64, when: f64) -> Vec<(Name, f64)> {
         let slow = if (0.42..0.45).contains(&when) { 1.9 } else { 1.0 };
-        let hiccup = numbers.unit() < 0.001;
+        let is_outlier = numbers.unit() < 0.001;
         let stages = self.stages.iter().map(|(name, mean, spread)| {
             let mut value = mean + spread * numbers.normal();
             if *name == stage::UPLOAD {
-                value *= slow * if hiccup { 3.0 + 2.0 * numbers.unit() } else { 1.0 };
-            } else if *name == stage::INFERENCE && hiccup && !self.remote {
+                value *= slow * if is_outlier { 3.0 + 2.0 * numbers.unit() } else { 1.0 };
+            } else if *name == stage::INFERENCE && is_outlier && !self.remote {
                 value *= 2.0;
             }
             (name.clone(), value.max(mean * 0.2) / 1e3)
@@ -156,7 +156,7 @@ impl TestPipeline {
         self.name == "offload-full" && (200..235).contains(&ago)
     }
 
-    /// Returns the placement of its pipeline.
+    /// Returns the placement of the pipeline.
     pub(crate) fn placement(&self) -> Placement {
         let name = |text: &str| text.parse().expect("a name");
         Placement {
@@ -169,7 +169,7 @@ impl TestPipeline {
         }
     }
 
-    /// Returns the facts of its configuration for people.
+    /// Returns the facts of the configuration, for people.
     pub(crate) fn facts(&self) -> Vec<(String, String)> {
         let pairs =
             [("Sensor", "images, 1280 × 960"), ("Transforms", "resize to 320 × 240"), ("Load", "30 Hz")];
@@ -177,7 +177,7 @@ impl TestPipeline {
         pairs.into_iter().chain(faults).map(|(name, value)| (name.to_owned(), value.to_owned())).collect()
     }
 
-    /// Returns its configuration as in the file.
+    /// Returns the configuration as in the configuration file.
     pub(crate) fn configuration(&self) -> String {
         format!(
             "name = \"{}\"\nload = {{ kind = \"rate\", hz = {} }}\nmodel = \"quality-control\"\n",
@@ -185,10 +185,11 @@ impl TestPipeline {
         )
     }
 
-    /// Returns the data of one second of the wall clock, up to `now`.
+    /// Returns the data of the second that begins at the Unix time `at`; of the current second only the part before
+    /// `now`.
     pub(crate) fn second(&self, at: i64, now: WallTime, numbers: &mut SplitMix64) -> Second {
-        let into = (now - WallTime::from_unix_nanos(at * 1_000_000_000)).seconds().clamp(0.0, 1.0);
-        let ok = (self.hz * into).round() as u64;
+        let elapsed = (now - WallTime::from_unix_nanos(at * 1_000_000_000)).seconds().clamp(0.0, 1.0);
+        let ok = (self.hz * elapsed).round() as u64;
         let mut values: Vec<(Name, Summary)> = Vec::new();
         let mut record = |name: Name, value: f64| {
             let at = values.iter().position(|(known, _)| *known == name).unwrap_or_else(|| {
@@ -253,7 +254,7 @@ impl TestPipeline {
         }
     }
 
-    /// Returns the verdict of a direction.
+    /// Returns the verdict on the delays of a direction.
     pub(crate) fn verdict(&self, name: &Name) -> &'static str {
         let mean =
             self.stages.iter().find(|(known, ..)| known == name).map_or(0.0, |(_, mean, _)| mean / 1e3);

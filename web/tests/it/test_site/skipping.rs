@@ -7,8 +7,8 @@ use peernet_stream::{Event, Outcome};
 use super::TestSite;
 
 impl TestSite {
-    /// Stores a run of a pipeline: every tenth iteration gets no answer in time, and `skipped` starts before it are skipped. Each iteration has
-    /// two nodes of the name `crop`, as for two objects in a picture.
+    /// Stores a run of a pipeline. Every tenth iteration times out, and `skipped` starts are skipped before it. Each
+    /// iteration has two nodes with the name `crop`, as for two objects in a picture.
     pub(crate) async fn store_skipping(&mut self, index: usize, iterations: u64, skipped: u32) {
         let mut events = self.run(index, RunId::random(), iterations, true, None);
         for event in &mut events {

@@ -16,7 +16,8 @@ impl Nodes {
     }
 }
 
-/// Returns the reported delay whose true value is `delay`.
+/// Returns the delay that the edge reports for a message with the true delay `delay`. `raw` is the difference of its
+/// wall-clock stamps.
 fn judged_delay(pipeline: &TestPipeline, name: &Name, delay: Span, raw: Span) -> OneWayDelay {
     match pipeline.clocks {
         Clocks::Shared => OneWayDelay::same_clock(delay),
@@ -34,14 +35,15 @@ fn judged_delay(pipeline: &TestPipeline, name: &Name, delay: Span, raw: Span) ->
     }
 }
 
-/// Returns a pseudo-random length of the answer that depends only on `at`.
+/// Returns a pseudo-random length of the answer, bytes. It depends only on the pipeline and on `at`.
 fn answer_bytes(pipeline: &TestPipeline, at: WallTime) -> f64 {
     let (shortest, longest) = pipeline.answer;
     let chance = at.unix_nanos().unsigned_abs().wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40;
     (shortest + (longest - shortest) * chance as f64 / f64::from(1 << 24)).round()
 }
 
-/// Returns the tree of an iteration that started at `at`. The rack's wall clock is 1.2 s ahead unless both read one clock.
+/// Returns the tree of an iteration that started at `at`. The rack's wall clock is 1.2 s ahead of the edge's wall
+/// clock, unless both hosts read one clock.
 pub(super) fn build_tree(
     pipeline: &TestPipeline,
     stages: &[(Name, f64)],
@@ -62,6 +64,8 @@ pub(super) fn build_tree(
         measure: Measure::Container,
     };
     let mut nodes = Nodes(vec![root]);
+    // `now` is the time on the edge since the start of the iteration, `there` the time on the rack since the arrival of
+    // the request.
     let (mut now, mut there, mut host) = (Span::ZERO, Span::ZERO, 0);
     for (name, seconds) in stages {
         let length = Span::from_seconds_f64(*seconds);
