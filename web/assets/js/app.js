@@ -32,7 +32,7 @@
     find("#menu").setAttribute("aria-expanded", String(open));
   }
 
-  // --- alternative views, of which one is shown; a chart can be replaced by its table
+  // --- alternative views: one of them is shown; a chart can be replaced by its table
   function selectView(button) {
     for (const other of findAll("[data-shows]", button.closest(".seg"))) {
       const on = other === button;
@@ -125,7 +125,7 @@
       await navigator.clipboard.writeText(text);
       button.textContent = "Copied";
     } catch {
-      // The clipboard is not allowed here: the text is selected, so that the user can copy it.
+      // The browser forbids the use of the clipboard. The text is selected instead, so that the user can copy it.
       getSelection().selectAllChildren(button.parentElement.querySelector("pre"));
     }
   }

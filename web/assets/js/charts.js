@@ -12,7 +12,8 @@ const PEER = (() => {
     if (!cache.has(key)) cache.set(key, read());
     return cache.get(key);
   }
-  // These listeners run before those that redraw the charts, so that the charts read the new values.
+  // These listeners are registered, and therefore run, before the listeners that redraw the charts. So the charts read
+  // the new values.
   document.addEventListener("peer-theme", () => cache.clear());
   addEventListener("resize", () => cache.clear());
 
@@ -40,7 +41,7 @@ const PEER = (() => {
     }
     return { image: canvas, repeat: "repeat", scaleX: 1 / ratio, scaleY: 1 / ratio };
   }
-  // Fill for both directions together: narrow rows of both colours.
+  // Returns the fill for both directions together: narrow rows in the colours of both directions.
   function both(up, down) {
     const canvas = document.createElement("canvas");
     canvas.width = 1;
@@ -96,7 +97,7 @@ const PEER = (() => {
       trigger: "axis", confine: false, transitionDuration: 0, backgroundColor: css("--surface"), borderColor: css("--line-strong"), borderWidth: 1,
       padding: [px(0.5), px(0.75)], extraCssText: "box-shadow:none;border-radius:6px;z-index:4",
       axisPointer: { type: "line", lineStyle: { color: css("--ink-3"), width: 1, type: "solid" } },
-      // It opens below the plot, so that it never covers the data.
+      // The tooltip opens below the plot, so that it never covers the data.
       position: (point, _params, _node, _rect, size) => [Math.max(0, Math.min(size.viewSize[0] - size.contentSize[0], point[0] - size.contentSize[0] / 2)), size.viewSize[1] - px(0.25)],
       formatter,
     };
@@ -139,6 +140,7 @@ const PEER = (() => {
     unsynchronised: "M6 1.4a4.6 4.6 0 1 0 0 9.2 4.6 4.6 0 0 0 0-9.2M2.8 9.2 9.2 2.8",
     run: "M3 1.8v8.4L10 6z",
   };
+  // Marks and gaps that are closer than this, px, are drawn as one.
   const TOUCHING = 6;
   // Returns the visible gaps in pixels. Neighbours closer than TOUCHING px are merged. If `commonText` is given, it is
   // the text of the widest gap, and the others have none.
@@ -204,8 +206,9 @@ const PEER = (() => {
     };
   }
 
-  // --- length of the buckets of means. It depends only on time range and rate, so that every screen shows the same figures. It is the
-  // shortest one that contains an iteration even with jitter, and of which the range has at most MAX_BUCKETS, as many as a small screen shows.
+  // --- length of the buckets of means. It depends only on the time range and the rate, so that every screen shows the
+  // same figures. It is the shortest length with which every bucket contains an iteration even with jitter, and the
+  // range has at most MAX_BUCKETS buckets, as many as a small screen can show.
   const BUCKETS = [1, 2, 5, 10, 30, 60], MAX_BUCKETS = 150;
   const bucket = (range, rate) => BUCKETS.find((size) => range / size <= MAX_BUCKETS && (!(rate > 0) || rate * size >= 1.5)) || 60;
   const ticks = ({ max, interval }) => Array.from({ length: Math.round(max / interval) + 1 }, (_, step) => NUMBERS.tick(step * interval));
@@ -242,7 +245,7 @@ const PEER = (() => {
   }
   function draw(node, make) {
     const one = { node, make, chart: echarts.init(node, null, { renderer: "canvas" }), seen: true, stale: false };
-    // By default it requests ten more animation frames after each drawing, which cost processor time.
+    // By default the renderer requests ten more animation frames after each drawing, which cost processor time.
     one.chart.getZr().setSleepAfterStill(1);
     node.peer = one;
     drawn.add(one);

@@ -5,7 +5,8 @@
   const MAX_SECONDS = 600, RETRY_MS = 2000;
   // Longest time between two reports of a connected host, which reports every five seconds.
   const MAX_REPORT_GAP_S = 15;
-  // Minimum time between two drawings of new data, milliseconds. Only the newest bucket changes meanwhile, too little to be visible.
+  // Minimum time between two drawings of new data, milliseconds. Meanwhile only the newest bucket changes, and too
+  // little to be visible.
   const MIN_REDRAW_MS = 1000;
   let cards = [], range = 600, isolatedStage = null, paused = false, marks = [], scale = { max: 0, since: 0 }, queued = 0, drawnAt = 0;
 
@@ -55,7 +56,8 @@
     card.last = card.from + card.n.length - 1;
   }
 
-  // Stores received percentiles. Returns false if percentiles of other buckets are missing now.
+  // Stores received percentiles; `complete` says that they are all percentiles. Returns false if the buckets have
+  // another length than before and older percentiles are therefore missing.
   function putPercentiles(card, { bucket_s: size, points }, complete) {
     state++;
     const same = size === card.p95.size, fresh = points.map(({ at, p95 }) => [at, p95 * 1e3]), times = new Set(points.map(({ at }) => at));
@@ -114,7 +116,7 @@
     return { rows, size, p95: percentiles(card, start, end), stages, start: start * 1e3, end: end * 1e3 };
   }
 
-  // Seconds without a report, between seconds with one.
+  // Returns the gaps: at least three seconds without a report, between seconds with a report.
   function gaps(card) {
     const found = [];
     let gapStart = null;
@@ -126,7 +128,8 @@
     return found;
   }
 
-  // Returns one scale for all charts, so that they can be compared. It grows at once and shrinks after half a minute.
+  // Returns one scale for all charts, so that they can be compared. It grows at once, and shrinks only half a minute
+  // after its last change.
   function sharedScale() {
     let highest = 0;
     for (const card of cards) {
@@ -168,7 +171,8 @@
     return points;
   }
 
-  // A single bucket between empty ones is drawn as wide as the bucket; otherwise its area would be invisible.
+  // Returns the points of the area of a stage. The area of a single bucket between empty buckets is as wide as the
+  // bucket. Otherwise it would have no width.
   function areas(rows, stage, size) {
     const points = [];
     rows.forEach((row, index) => {
@@ -241,7 +245,7 @@
   }
   function scheduleRefresh() {
     if (queued || paused || document.hidden) return;
-    // Until a bucket ends, only the newest one changes.
+    // Until a bucket ends, only the newest bucket changes, so a drawing per bucket is enough.
     const pace = Math.max(MIN_REDRAW_MS, ...cards.map((card) => (card.view?.size ?? 0) * 1000));
     queued = setTimeout(refresh, Math.max(0, pace - (performance.now() - drawnAt)));
   }
@@ -265,7 +269,7 @@
     }
     scheduleRefresh();
   });
-  // Seconds that this page missed are fetched; seconds that were never reported remain a gap.
+  // Fetches the seconds that this page missed. Seconds that were never reported remain a gap.
   async function catchUp(card) {
     card.missed = true;
     if (performance.now() - (card.asked ?? -RETRY_MS) < RETRY_MS) return;
@@ -278,7 +282,7 @@
       putPercentiles(card, pipeline.total_over_time, true);
       card.missed = false;
       refresh();
-    } catch { /* asked again with one of the next seconds */ }
+    } catch { /* The next update asks again. */ }
   }
   document.addEventListener("peer-back", () => cards.forEach(catchUp));
   document.addEventListener("peer-updated", ({ detail }) => {

@@ -1,5 +1,6 @@
 // Updates a page from the live stream: replaces figures in place, and shows when the stream is disconnected.
 (() => {
+  // A stream without any event for SILENCE_MS counts as lost. The server sends a heartbeat every two seconds.
   const RETRY_MS = 2000, SILENCE_MS = 6500;
   const $ = (id) => document.getElementById(id);
   const dispatch = (name, detail) => document.dispatchEvent(new CustomEvent(name, { detail }));
@@ -25,7 +26,8 @@
     old.slice(fresh.length).forEach((node) => node.remove());
   }
 
-  // The server sends only changed parts, so a part that was not shown yet is kept until a newer one replaces it.
+  // Combines two updates that were not shown yet. The server sends only changed parts, so parts of the older update are
+  // kept unless the newer update replaces them.
   function mergeUpdates(before, update) {
     if (!before) return update;
     const parts = new Map([...before.parts, ...update.parts]);
@@ -69,7 +71,7 @@
       if (!part) continue;
       const template = document.createElement("template");
       template.innerHTML = html;
-      // The element of a part may also contain nodes that are not live. The first nodes are those of the part.
+      // The element of a part may also contain nodes that are not live. The nodes of the part come first.
       morph(part, template.content);
       any = true;
     }
@@ -134,7 +136,7 @@
     }));
     banner.hidden = sentences.length === 0;
   }
-  // Every page shows while events are not being stored.
+  // A banner on every page says so while events are not being stored.
   function showNotStoring(sentence) {
     const banner = $("storing");
     if (banner.textContent !== (sentence || "")) banner.textContent = sentence || "";
@@ -162,7 +164,7 @@
   function connect() {
     disconnect();
     if (document.hidden) return;
-    // A new EventSource cannot send the header Last-Event-ID, so a parameter has it.
+    // A new EventSource cannot send the header Last-Event-ID, so the id is sent as a parameter.
     const after = lastEventId && `&last_event_id=${encodeURIComponent(lastEventId)}`;
     source = new EventSource(`/api/v1/live?topics=${encodeURIComponent(requestedTopics())}${after}`);
     const on = (name, handle) => source.addEventListener(name, (event) => {
@@ -177,7 +179,7 @@
     on("heartbeat", () => {});
     source.addEventListener("error", handleDisconnect);
   }
-  // The timeout of silence starts with the stream.
+  // Opens the stream. The silence is measured from now on.
   function resume() {
     lastEventAt = performance.now();
     connect();
@@ -192,7 +194,7 @@
     document.body.classList.add("away");
     $("banner").textContent = `Connection to the aggregator lost at ${at}. Trying again every 2\u202fs; the figures below are the last ones received.`;
     $("banner").hidden = false;
-    // Live titles get the time of the last data; titles of stored data stay valid.
+    // The title of a live page gets the time of the last data. Titles of stored data stay valid.
     const title = document.querySelector("h1[data-past], [id^=part-] h1");
     if (title) title.textContent = title.dataset.past ? `${title.dataset.past} at ${at}` : `${title.textContent} (as of ${at})`;
     updateState();

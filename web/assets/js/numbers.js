@@ -4,7 +4,8 @@ const NUMBERS = (() => {
   // Numbers from this size on are written with a power of ten.
   const HUGE = 1e12;
 
-  // With a fixed count of decimals: a true minus sign, thousands with commas, no signed zero.
+  // Formats a number with a fixed count of decimals, a true minus sign, and commas between thousands. A number that is
+  // rounded to zero has no sign.
   function fixed(value, decimals) {
     if (value == null || !Number.isFinite(value)) return NONE;
     const size = Math.abs(value);
@@ -15,7 +16,8 @@ const NUMBERS = (() => {
   }
   const group = (digits) => digits.replace(/\B(?=(\d{3})+$)/g, ",");
 
-  // Number of decimals that show `digits` significant digits. The value is rounded first, because that may carry into the next place.
+  // Returns the number of decimals that show `digits` significant digits. The exponent is that of the rounded value,
+  // because rounding may add a digit before the decimal point (9.996 becomes 10.0).
   function decimals(value, digits) {
     if (!value || !Number.isFinite(value)) return digits - 1;
     return Math.max(0, digits - 1 - Number(value.toExponential(digits - 1).split("e")[1]));
@@ -23,9 +25,9 @@ const NUMBERS = (() => {
 
   return {
     fixed,
-    // Milliseconds with three significant digits, at most to the nanosecond.
+    // Milliseconds with three significant digits, but without digits below a nanosecond.
     milliseconds: (value) => fixed(value, Math.abs(value) < 1e-6 ? 2 : Math.min(6, decimals(value, 3))),
-    // Megabytes per second with three significant digits, at most to the byte.
+    // Megabytes per second with three significant digits, but without digits below a byte per second.
     throughput: (value) => (value === 0 ? "0" : fixed(value, Math.min(6, decimals(value, 3)))),
     count: (value) => group(String(value)),
     // Label of an axis. Its value is round, so trailing zeros are removed.

@@ -3,6 +3,7 @@
   const node = document.getElementById("run-chart");
   if (!node) return;
   const data = JSON.parse(document.getElementById("data").textContent), size = data.bucket * 1000;
+  // Selected time range as Unix times in ms; `null` for the whole run.
   let range = null;
   const fromHash = /^#t=(\d+)-(\d+)$/.exec(location.hash);
   if (fromHash) range = [Number(fromHash[1]), Number(fromHash[2])];
@@ -12,8 +13,9 @@
   const end = Math.max(...data.points.map((point) => point[0] + size), ...moments);
   if (!Number.isFinite(begin)) return;
 
-  const TOP = () => PEER.px(2.25), plotBottom = () => node.clientHeight - PEER.px(3.5);
+  const plotTop = () => PEER.px(2.25), plotBottom = () => node.clientHeight - PEER.px(3.5);
 
+  // Returns the points of a line, each in the middle of its bucket. `index` is the position of the quantity in a point.
   // The line is interrupted where buckets are missing.
   function line(index) {
     const points = [];
@@ -26,7 +28,7 @@
 
   function options() {
     const [from, to] = range || [begin, end];
-    const top = TOP(), height = plotBottom() - top;
+    const top = plotTop(), height = plotBottom() - top;
     const highest = Math.max(...data.points.map((point) => Math.max(point[1] || 0, point[2] || 0)), ...data.slow.map((point) => point[1] || 0));
     const ends = PEER.steps(highest), short = to - from < 5000, seconds = short ? "ms" : to - from < 600000;
     const { left, right } = PEER.sides(PEER.ticks(ends), seconds);
@@ -65,38 +67,39 @@
     };
   }
 
-  const one = PEER.draw(node, options);
-  one.chart.on("click", (event) => { if (event.data?.number) location.href = `/runs/${data.run}/iterations/${event.data.number}`; });
+  const drawing = PEER.draw(node, options);
+  drawing.chart.on("click", (event) => { if (event.data?.number) location.href = `/runs/${data.run}/iterations/${event.data.number}`; });
 
   // --- a slider, Ctrl and the wheel, or a drag across the plot select a time range; a double click resets it
   function select(next) {
     range = next;
     history.replaceState(null, "", next ? `#t=${Math.round(next[0])}-${Math.round(next[1])}` : location.pathname + location.search);
   }
-  one.chart.on("datazoom", () => {
-    const { startValue, endValue } = one.chart.getOption().dataZoom[0];
+  drawing.chart.on("datazoom", () => {
+    const { startValue, endValue } = drawing.chart.getOption().dataZoom[0];
     select(startValue <= begin && endValue >= end ? null : [startValue, endValue]);
   });
-  const zoom = (next) => { select(next); PEER.redraw(one); };
-  const surface = one.chart.getZr();
+  const zoom = (next) => { select(next); PEER.redraw(drawing); };
+  const surface = drawing.chart.getZr();
   const inside = (event) => event.offsetY < plotBottom();
-  let pressed = null, veil = null;
-  surface.on("mousedown", (event) => { if (!event.target && inside(event)) pressed = event.offsetX; });
+  // Position of the pointer when the button was pressed, and the rectangle that shows the dragged range.
+  let pressedX = null, dragArea = null;
+  surface.on("mousedown", (event) => { if (!event.target && inside(event)) pressedX = event.offsetX; });
   surface.on("mousemove", (event) => {
-    if (pressed == null || Math.abs(event.offsetX - pressed) < 4) return;
-    const shape = { x: Math.min(pressed, event.offsetX), y: TOP(), width: Math.abs(event.offsetX - pressed), height: plotBottom() - TOP() };
-    if (veil) { veil.setShape(shape); return; }
-    veil = new echarts.graphic.Rect({ silent: true, z: 9, style: { fill: PEER.css("--ink"), opacity: 0.09 }, shape });
-    surface.add(veil);
+    if (pressedX == null || Math.abs(event.offsetX - pressedX) < 4) return;
+    const shape = { x: Math.min(pressedX, event.offsetX), y: plotTop(), width: Math.abs(event.offsetX - pressedX), height: plotBottom() - plotTop() };
+    if (dragArea) { dragArea.setShape(shape); return; }
+    dragArea = new echarts.graphic.Rect({ silent: true, z: 9, style: { fill: PEER.css("--ink"), opacity: 0.09 }, shape });
+    surface.add(dragArea);
   });
   const release = (event) => {
-    if (veil) {
-      surface.remove(veil);
-      const time = (x) => one.chart.convertFromPixel({ xAxisIndex: 0 }, x);
-      const [from, to] = event ? [time(Math.min(pressed, event.offsetX)), time(Math.max(pressed, event.offsetX))] : [0, 0];
+    if (dragArea) {
+      surface.remove(dragArea);
+      const time = (x) => drawing.chart.convertFromPixel({ xAxisIndex: 0 }, x);
+      const [from, to] = event ? [time(Math.min(pressedX, event.offsetX)), time(Math.max(pressedX, event.offsetX))] : [0, 0];
       if (to - from >= 1000) zoom([Math.max(begin, from), Math.min(end, to)]);
     }
-    pressed = veil = null;
+    pressedX = dragArea = null;
   };
   surface.on("mouseup", release);
   surface.on("globalout", () => release(null));

@@ -31,13 +31,15 @@ impl Sample {
 /// Receiver of samples: the values of the metric's labels, in their order, and the number.
 pub(super) type Sink<'a> = dyn FnMut(&[&str], Sample) + 'a;
 
-/// One metric. Its full name is `peernet_<name>_<unit>`, and `peernet_<name>_<unit>_total` for a counter.
+/// One metric. The full name is `peernet_<name>_<unit>` for a gauge, and `peernet_<name>_<unit>_total` for a counter.
 pub(super) struct Metric {
     pub(super) name: &'static str,
     pub(super) unit: &'static str,
     pub(super) kind: Kind,
+    /// Names of the labels.
     pub(super) labels: &'static [&'static str],
     pub(super) help: &'static str,
+    /// Writes the samples of the metric.
     pub(super) samples: fn(&Scrape, &mut Sink<'_>),
 }
 
@@ -50,6 +52,7 @@ const fn metric(
     Metric { name, unit, kind, labels, help, samples }
 }
 
+// Names of the labels of the metrics below.
 const NONE: &[&str] = &[];
 const HOST: &[&str] = &["host"];
 const PIPELINE: &[&str] = &["host", "pipeline"];
