@@ -33,10 +33,10 @@ pub(crate) struct Header {
     pub columns: Vec<&'static str>,
     /// Title of each quality, and its unit.
     pub accuracies: Vec<(&'static str, &'static str)>,
-    /// `true` if something was sent.
-    pub sent: bool,
-    /// `true` if a run has a deadline.
-    pub missed: bool,
+    /// `true` if a configuration sends payloads, so that there is a column with their size.
+    pub has_uploads: bool,
+    /// `true` if a run has a deadline, so that there is a column with the miss rates.
+    pub has_deadlines: bool,
 }
 
 /// One configuration. Times in ms.
@@ -96,8 +96,8 @@ impl Table {
                 axes: if has_axes { comparison.axes.clone() } else { vec![String::new()] },
                 columns: columns.into_iter().map(|(_, title)| title).collect(),
                 accuracies: accuracies.iter().map(QualityColumn::title).collect(),
-                sent: is_measured(&stage::UPLOAD_BYTES),
-                missed: comparison.configurations.iter().any(|one| one.misses().is_some()),
+                has_uploads: is_measured(&stage::UPLOAD_BYTES),
+                has_deadlines: comparison.configurations.iter().any(|one| one.misses().is_some()),
             },
         }
     }
@@ -169,7 +169,7 @@ pub(crate) struct DifferenceRow {
     /// 95 % interval of the difference; `None` if it is unknown.
     pub interval: Option<String>,
     /// `true` if the difference is significant; `None` if that cannot be determined.
-    pub certain: Option<bool>,
+    pub is_certain: Option<bool>,
 }
 
 /// Maximum number of decimals of a difference in ms.
@@ -204,7 +204,7 @@ impl DifferenceRow {
             second: mean(stage.means.1),
             difference: estimate.as_ref().map_or_else(|| NONE.to_owned(), Estimate::signed),
             interval: estimate.as_ref().filter(|_| has_interval).map(Estimate::shift),
-            certain: stage.is_distinct(),
+            is_certain: stage.is_distinct(),
         }
     }
 }
