@@ -214,7 +214,7 @@ run 7: computed again by free-running clocks from 60 seconds of exchanges betwee
         let earlier = Recomputed { clocks: wall_clocks(), ..recomputed };
         let text = describe(7, &earlier);
         assert!(
-            text.contains("again by wall clocks, whose steps and slews reach these delays, with 60 seconds"),
+            text.contains("again by wall clocks, whose steps and slews reach these delays, from 60 seconds"),
             "{text}"
         );
 

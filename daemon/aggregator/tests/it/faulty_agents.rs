@@ -239,7 +239,7 @@ async fn batches_missing_at_first_hello_are_stored_as_gap() {
     scripted_agent.send_next().await;
     scripted_agent.until_stored_over_requests(8).await;
     assert_eq!(
-        testbed.count("SELECT count(*) FROM gap WHERE reason LIKE 'batches 1 to 7 of stream%'").await,
+        testbed.count("SELECT count(*) FROM gap WHERE reason LIKE 'from before this database: batches 1 to 7 of stream%'").await,
         1
     );
     testbed.stop().await;

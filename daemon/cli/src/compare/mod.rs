@@ -219,7 +219,7 @@ mod tests {
             let line = line_of(&comparison, baseline).expect("one line");
             (baseline_sentence(&comparison.lines[line]), missing_comparison_reason(&comparison))
         };
-        assert_eq!(describe(&[1]), ("Baseline: a, repeat 2: one run.".to_owned(), None));
+        assert_eq!(describe(&[1]), ("Baseline: repeat 2: one run.".to_owned(), None));
         let (sentence, reason) = describe(&[0, 2]);
         assert_eq!((sentence.as_str(), reason), ("Baseline: a, 2 repeats: 2 runs, pooled.", None));
         let (sentence, reason) = describe(&[0, 1, 2]);

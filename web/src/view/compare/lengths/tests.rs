@@ -92,7 +92,8 @@ fn sample_has_number_of_all_and_deleted_iterations() {
     let points = sample_answers(800);
     let mut one = answers_of_lengths(0, "tokens", &points);
     let amount = |configuration: &Configuration, points: &[(f64, f64)], is_whole| {
-        let found = lengths(&comparison(vec![configuration.clone()]), &answers_of_first(points.to_vec(), is_whole));
+        let found =
+            lengths(&comparison(vec![configuration.clone()]), &answers_of_first(points.to_vec(), is_whole));
         found.expect("lengths").rows[0]
             .sentences
             .iter()
