@@ -4,9 +4,9 @@ use peernet_statistics::number::{Estimate, SPACE, count, duration};
 
 use crate::fit::{Fit, Point, theil_sen};
 
-/// Column of the time that an answer takes.
+/// Column of the time that the model takes for an answer, seconds.
 pub const LATENCY: &str = "inference";
-/// Column of the length of an answer where no tokens are counted.
+/// Column of the size of an answer in bytes: its length if no tokens are counted.
 const ANSWER_BYTES: &str = "download-bytes";
 /// Node with the number of chunks of a language model's answer. It is recorded even if the server counts no tokens.
 const ANSWER_CHUNKS: &str = "output-chunks";
@@ -16,12 +16,12 @@ pub const NO_USAGE: &str = "the server sent no `usage`; use --x output-chunks";
 const TOKENS_SUFFIX: &str = "tokens";
 /// Words in the names of quantities that count the question and not the answer.
 const QUESTION_WORDS: [&str; 2] = ["prompt", "input"];
-/// Minimum ratio of the longest to the shortest answer. Below this ratio the length does not explain the latency.
+/// Minimum ratio of the longest to the shortest answer. Below this ratio the lengths differ too little to explain the latency.
 const MIN_LENGTH_RATIO: f64 = 1.5;
 
 /// Returns the name of the quantity that is the length of an answer. Quantities that count tokens of the answer are preferred to quantities
-/// that count tokens of the question. Of several such quantities, the first in alphabetical order is returned, and without any,
-/// `download-bytes`.
+/// that count tokens of the question. Among equals, the first in alphabetical order is returned. If no quantity counts tokens,
+/// `download-bytes` is returned.
 pub fn answer_length<'a>(names: impl Iterator<Item = &'a str>) -> &'a str {
     names
         .filter(|name| is_tokens(name))
@@ -39,7 +39,7 @@ pub fn answer_tokens<'a>(names: impl Iterator<Item = &'a str>) -> Option<&'a str
 }
 
 /// Returns whether these quantities are those of a language model whose server reports no numbers of tokens: chunks of answers are counted,
-/// and tokens of answers are not. [`NO_USAGE`] says so.
+/// and tokens of answers are not. In this case, users are shown [`NO_USAGE`].
 pub fn lacks_usage<'a>(names: impl Iterator<Item = &'a str> + Clone) -> bool {
     let counts_chunks = |name: &str| name.rsplit('_').next() == Some(ANSWER_CHUNKS);
     names.clone().any(counts_chunks) && answer_tokens(names).is_none()
@@ -50,7 +50,8 @@ pub fn is_tokens(name: &str) -> bool {
     name.ends_with(TOKENS_SUFFIX)
 }
 
-/// Returns the name of a column that counts tokens without its stage: `output-tokens` of `inference_output-tokens`. `None` for other columns.
+/// Returns the name of a column that counts tokens, with the name of the stage removed: `output-tokens` for `inference_output-tokens`.
+/// `None` for columns that do not count tokens.
 pub fn tokens_of_column(column: &str) -> Option<&str> {
     is_tokens(column).then(|| column.rsplit_once('_').map_or(column, |(_, name)| name))
 }
@@ -60,9 +61,9 @@ pub fn varies(shortest: f64, longest: f64) -> bool {
     longest > shortest && longest >= MIN_LENGTH_RATIO * shortest
 }
 
-/// Minimum number of iterations for a line.
+/// Minimum number of iterations for a line of latency over length.
 const MIN_ITERATIONS: usize = 60;
-/// Maximum number of iterations that a line is computed from. The slopes of all pairs of these are half a million.
+/// Maximum number of iterations that a line is computed from. They form half a million pairs, and each pair has a slope.
 const MAX_ITERATIONS: usize = 1_000;
 /// If the interval of a slope is wider than this share of the slope, the slope is not reported as one number.
 const MAX_RELATIVE_WIDTH: f64 = 0.5;
@@ -119,26 +120,26 @@ impl Growth {
         self.interval.1 - self.interval.0 > MAX_RELATIVE_WIDTH * self.fit.slope.value.abs()
     }
 
-    /// Describes the slope and its interval in a sentence. `what` names the unit of length, and `each` is the length of this unit in measured
-    /// units.
-    pub fn describe_slope(&self, what: &str, each: f64) -> String {
+    /// Describes the slope and its interval in a sentence. `unit` names the unit of length in the sentence, such as "kB", and `unit_length`
+    /// is the length of this unit in the unit of the measured lengths, such as 1,000 bytes.
+    pub fn describe_slope(&self, unit: &str, unit_length: f64) -> String {
         let Self { fit, interval } = self;
-        let (value, lo, hi) = (fit.slope.value * each, interval.0 * each, interval.1 * each);
+        let (value, lo, hi) = (fit.slope.value * unit_length, interval.0 * unit_length, interval.1 * unit_length);
         let (magnitude, near, far) = (value.abs(), lo.abs().min(hi.abs()), lo.abs().max(hi.abs()));
         let more = if value > 0.0 { "more" } else { "less" };
         let statement = if self.is_significant() {
             let slope = Estimate::new(magnitude, (near, far));
             let interval = slope.between();
             if self.is_imprecise() {
-                format!("Each further {what} takes {interval}{SPACE}ms {more} (95{SPACE}%)")
+                format!("Each further {unit} takes {interval}{SPACE}ms {more} (95{SPACE}%)")
             } else {
                 let value = slope.value();
-                format!("Each further {what} takes {value}{SPACE}ms {more} (95{SPACE}%: {interval})")
+                format!("Each further {unit} takes {value}{SPACE}ms {more} (95{SPACE}%: {interval})")
             }
         } else {
             let interval = Estimate::new(value, (lo, hi)).between();
             format!(
-                "Whether longer answers take longer cannot be told: {interval}{SPACE}ms more per {what} (95{SPACE}%)"
+                "Whether longer answers take longer cannot be told: {interval}{SPACE}ms more per {unit} (95{SPACE}%)"
             )
         };
         format!("{statement}, by Theil–Sen through {} iterations.", count(fit.points as u64))
@@ -153,7 +154,7 @@ impl Growth {
         ))
     }
 
-    /// Returns intercept and slope.
+    /// Returns the intercept in seconds and the slope in seconds per unit of length.
     ///
     /// # Errors
     /// If the slope is not significant.

@@ -1,8 +1,8 @@
 //! Batches of consecutive values.
 //!
-//! Consecutive latencies are correlated: a queue empties slowly, a processor stays warm. The means of batches that are longer than this
-//! correlation are nearly independent; single values are not (non-overlapping batch means, Schmeiser, *Batch size effects in the analysis of
-//! simulation output*, Operations Research 30, 1982).
+//! Consecutive latencies are correlated: a queue empties slowly, a processor stays warm. Single values are therefore not independent, but the
+//! means of batches nearly are, if a batch lasts longer than the correlation (non-overlapping batch means, Schmeiser, *Batch size effects in
+//! the analysis of simulation output*, Operations Research 30, 1982).
 
 use std::ops::Range;
 
@@ -37,7 +37,7 @@ pub(crate) trait Series {
         (count > 0).then(|| sum / count as f64)
     }
 
-    /// Splits the series into at most `parts` non-empty ranges of about the same number of values. Buckets are not divided.
+    /// Splits the series into at most `parts` non-empty ranges of buckets, each with about the same number of values. Buckets are not divided.
     fn parts(&self, parts: u64) -> Vec<Range<usize>> {
         let total_count = self.total_count();
         let (mut ranges, mut start, mut count) = (Vec::new(), 0, 0);
@@ -68,7 +68,7 @@ impl Series for [f64] {
     }
 }
 
-/// Counts and means of buckets.
+/// Each item is a bucket: the number of its values and their mean.
 impl Series for [(u64, f64)] {
     fn bucket_count(&self) -> usize {
         self.len()

@@ -20,7 +20,7 @@ pub struct Misses {
 
 impl Misses {
     /// Returns the misses of a run in which `late` of the `successful` iterations took longer than the deadline. All `failed` iterations
-    /// missed it too.
+    /// count as misses, too.
     pub fn new(successful: u64, late: u64, failed: u64) -> Self {
         Self { missed: late.min(successful) + failed, iterations: successful + failed }
     }

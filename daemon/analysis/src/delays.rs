@@ -24,7 +24,7 @@ pub struct DelaySummary {
 impl DelaySummary {
     /// Adds the delays of a second.
     pub fn add(&mut self, second: &DelaySecond) {
-        // A judged second has at least the weight 1.
+        // A second with a verdict has at least one judged delay, even if its stored count is 0.
         let weight = u64::from(second.count.max(1));
         self.count += u64::from(second.count);
         // A negative delay is impossible, so it is left out.
@@ -41,15 +41,15 @@ impl DelaySummary {
         self.count
     }
 
-    /// Returns the median of the medians of all seconds, each weighted by its number of delays. Its bounds are the medians of their lower and of
-    /// their upper bounds, as those of [`median_bounds`]. `None` if no second has a median.
+    /// Returns the median of the medians of all seconds, each weighted by its number of delays. The lower bound of the result is the median of
+    /// the lower bounds, and likewise for the upper bound, as in [`median_bounds`]. `None` if no second has a median.
     pub fn median(&self) -> Option<DelayPoint> {
         let lo = self.weighted_median(|point| point.bounds.lo)?.bounds.lo;
         let hi = self.weighted_median(|point| point.bounds.hi)?.bounds.hi;
         Some(DelayPoint { bounds: Interval { lo, hi }, ..self.weighted_median(|point| point.value)? })
     }
 
-    /// Returns the second in the middle by a key.
+    /// Returns the median of one second: of the second that stands in the middle if the seconds are sorted by `key` and weighted.
     fn weighted_median(&self, key: fn(&DelayPoint) -> Span) -> Option<DelayPoint> {
         let mut medians = self.medians.clone();
         medians.sort_unstable_by_key(|(point, _)| key(point));

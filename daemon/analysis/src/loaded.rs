@@ -9,7 +9,7 @@ use crate::record::{Counts, RunRecord};
 use crate::rows::Rows;
 use crate::run_trust_input::early_end;
 
-/// Reason for the end of a run that has rows but no record. The record is written after the rows.
+/// Reason that stands in for the end of a run whose folder has rows but no record. A run writes its record after its rows.
 pub const NO_RECORD: &str =
     "run.json is missing: the run is in progress or was killed, or data.csv was copied without it";
 
@@ -30,7 +30,7 @@ pub enum RowsDamage {
     /// The number of rows is the same, but outcomes or warm-up differ.
     #[error("the outcomes or the warm-up iterations in data.csv differ from the counts in run.json")]
     Outcomes,
-    /// There are more or fewer rows.
+    /// There are more or fewer rows than `run.json` counts.
     #[error("data.csv has {rows} of the {} that run.json counts", counted(*.measured, "iteration"))]
     Length {
         /// Number of rows.

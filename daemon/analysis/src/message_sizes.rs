@@ -1,6 +1,6 @@
 //! Delay of messages against their size, in one direction of a link: the statistics of each size, and the line through the medians.
 //!
-//! A calibration, the payload study of recorded runs and the page that compares runs all use them, so that they give equal numbers for
+//! A calibration, the payload study of recorded runs and the page that compares runs all use this module, so that they show equal numbers for
 //! equal messages.
 
 use peernet_statistics::{Sketch, Summary};
@@ -24,8 +24,8 @@ pub struct Message {
     pub bounds: Option<(f64, f64)>,
 }
 
-/// Messages of a run in one direction, as stored statistics have them. Sketches do not say which delay belongs to which size, so the messages
-/// of a run count as one size.
+/// Statistics of a run's messages in one direction, as they are stored. Sketches do not say which delay belongs to which size, so all messages
+/// of a run count as messages of one size.
 #[derive(Clone, Copy, Debug)]
 pub struct MessageSketches<'a> {
     /// Sizes of the payloads, bytes.
@@ -93,7 +93,7 @@ impl SizeSummary {
         Some(size.with_throughput())
     }
 
-    /// Returns the summary of the messages of these runs, which have one size; `None` without a known delay.
+    /// Returns the summary of the messages of these runs, as messages of one size; `None` without a known delay.
     pub fn from_sketches(payload_bytes: u64, runs: &[MessageSketches<'_>]) -> Option<Self> {
         let mut merged = [(); 4].map(|()| Summary::default());
         for run in runs {
@@ -112,9 +112,9 @@ impl SizeSummary {
         let relative_error = Sketch::RELATIVE_ERROR;
         let median_error = ranks_around_median(delay.count()).and_then(|[lower, upper]| {
             let at = |rank: u64| delay.quantile((rank - 1) as f64 / (delay.count() - 1) as f64);
-            let of_sample = (at(upper)? - at(lower)?) / (2.0 * Z95);
-            // Standard deviation of a uniform distribution between the ends of the error.
-            Some(of_sample.hypot(relative_error * median / 3.0_f64.sqrt()))
+            let sampling_error = (at(upper)? - at(lower)?) / (2.0 * Z95);
+            // The error of the sketch counts as uniformly distributed between ±e, which has the standard deviation e / √3.
+            Some(sampling_error.hypot(relative_error * median / 3.0_f64.sqrt()))
         });
         let clocked = ClockedSummaries {
             values: &delay,
@@ -150,7 +150,7 @@ impl SizeSummary {
         }
     }
 
-    /// Returns the median delay over the median size.
+    /// Returns the point of the size in a chart: the median size on the x axis, the median delay on the y axis.
     pub fn point(&self) -> Point {
         Point { x: self.wire_bytes, y: self.median }
     }

@@ -5,9 +5,9 @@ use peernet_stream::PlacementKind;
 /// Model of a run, and where it ran.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PlacedModel {
-    /// Name of the model, or of a run without a model.
+    /// Name of the model; for a run without a model, the name of the run.
     pub model: String,
-    /// Name of the kind of placement; empty if it is not known, which counts as remote.
+    /// Name of the kind of placement; empty if the kind is not known. An unknown kind counts as remote.
     pub kind: String,
     /// Device of the model; empty if it is not known.
     pub device: String,
@@ -18,9 +18,9 @@ pub struct PlacedModel {
 pub struct ModelPlaces {
     /// Names of all places, the local ones first: the kind of placement in a word, followed by the device if several places have this kind.
     pub places: Vec<String>,
-    /// Each model with the indexes of its runs at each of the places.
+    /// Each model with the indexes of its runs: one list of indexes for each of `places`, in the order of `places`.
     pub models: Vec<(String, Vec<Vec<usize>>)>,
-    /// Models that are left out, because they ran at one place only: nothing can be compared.
+    /// Models that ran at one place only. They are not in `models`, because there is nothing to compare.
     pub at_one_place: Vec<String>,
 }
 

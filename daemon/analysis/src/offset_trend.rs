@@ -47,17 +47,18 @@ impl OffsetTrend {
         Self { lines: lines.collect() }
     }
 
-    /// Returns the value of the trend at a time, seconds; zero without a trend.
+    /// Returns the value of the trend at a time in a window, seconds; 0 if the window has no line.
     pub fn at(&self, window: u64, at: WallTime) -> f64 {
         self.lines.get(&window).map_or(0.0, |line| line.level + line.slope * (at - line.middle).seconds())
     }
 }
 
 impl Line {
-    /// Fits a line by the Theil–Sen estimator, which a few outliers do not affect. With too few points the line is horizontal.
+    /// Fits a line by the Theil–Sen estimator, which a few outliers do not affect. With too few points for a slope, the line is horizontal at
+    /// the median. `None` without points.
     fn through(estimates: &[(WallTime, f64)]) -> Option<Self> {
         let middle = estimates.get(estimates.len() / 2)?.0;
-        // Counted from the middle, because a slope times the seconds since 1970 would leave few digits for the level.
+        // Times are counted from the middle: a slope times the seconds since 1970 would be so large that few digits remain for the level.
         let points: Vec<Point> =
             estimates.iter().map(|(at, value)| Point { x: (*at - middle).seconds(), y: *value }).collect();
         let horizontal =

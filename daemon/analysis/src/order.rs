@@ -1,8 +1,9 @@
-//! Order statistics. They describe delays better than means, because the distribution of delays has a long tail.
+//! Order statistics: the median and other quantiles. They describe delays better than means do, because the distribution of delays has a long
+//! tail.
 
 use peernet_statistics::{MIN_VALUES_FOR_P95, MIN_VALUES_FOR_P99};
 
-/// Quantile of the standard normal distribution for a 95 % interval.
+/// 97.5 % quantile of the standard normal distribution: half the width of a 95 % interval in standard errors.
 pub(crate) const Z95: f64 = 1.959_963_984_540_054;
 
 /// Values in ascending order, without NaN.
@@ -39,7 +40,7 @@ impl SortedValues {
     pub fn quantile(&self, p: f64) -> Option<f64> {
         let rank = p.clamp(0.0, 1.0) * self.0.len().checked_sub(1)? as f64;
         let (below, above) = (self.0[rank.floor() as usize], self.0[rank.ceil() as usize]);
-        // Equal values may both be infinite, and their difference would be NaN.
+        // Two equal values may both be infinite. The difference of the two would then be NaN.
         Some(if below == above { below } else { below + (above - below) * rank.fract() })
     }
 
@@ -63,8 +64,8 @@ impl SortedValues {
         self.quantile(0.99).filter(|_| self.0.len() as u64 >= MIN_VALUES_FOR_P99)
     }
 
-    /// Returns the end of a scale for these values: the largest, but at most `factor` times the quantile at `p`. A quantile of 0 does not
-    /// limit the scale. `None` without finite values.
+    /// Returns the upper end of an axis for these values: the largest finite value, but at most `factor` times the quantile at `p`. A quantile
+    /// of 0 does not limit the axis. `None` without finite values.
     pub fn scale_end(&self, p: f64, factor: f64) -> Option<f64> {
         let finite: Self = self.0.iter().copied().filter(|value| value.is_finite()).collect();
         let (largest, limit) = (finite.0.last().copied()?, finite.quantile(p)? * factor);
@@ -72,14 +73,15 @@ impl SortedValues {
     }
 
     /// Returns the standard error of the median, from the two values that bound the median with 95 % confidence (McKean and Schrader 1984).
-    /// It does not depend on the shape of the distribution. `None` with fewer than 6 values.
+    /// The method makes no assumption about the shape of the distribution. `None` with fewer than 6 values.
     pub fn median_error(&self) -> Option<f64> {
         let [lower, upper] = ranks_around_median(self.0.len() as u64)?.map(|rank| self.0[rank as usize - 1]);
         Some((upper - lower) / (2.0 * Z95))
     }
 }
 
-/// Returns the ranks, from 1, of the two of `n` sorted values that bound the median with 95 % confidence. `None` with fewer than 6 values.
+/// Returns two ranks, counted from 1: of `n` sorted values, the values with these ranks bound the median with 95 % confidence. `None` with
+/// fewer than 6 values, because even the smallest and the largest of 5 values bound the median only with 94 % confidence.
 pub(crate) fn ranks_around_median(n: u64) -> Option<[u64; 2]> {
     (n >= 6).then_some(())?;
     let lower = ((n as f64 + 1.0) / 2.0 - Z95 * (n as f64 / 4.0).sqrt()).round().max(1.0) as u64;

@@ -1,6 +1,7 @@
 //! Delay and throughput against payload in recorded runs: which messages are compared, and which of them are drawn.
 //!
-//! A file has every message of a run; a page has the sketches of the run. Both fill [`DirectionSizes`], and the rest is the same.
+//! A file of results has every message of a run; a page has only the run's sketches. Both fill [`DirectionSizes`], and the further steps are
+//! the same for both.
 
 use std::collections::BTreeMap;
 
@@ -16,7 +17,7 @@ pub const DIRECTIONS: [&str; 2] = ["upload", "download"];
 /// Maximum number of sizes. If there are more, neighbouring sizes are merged, so that each has enough messages.
 const MAX_SIZES: usize = 24;
 
-/// Link of a run. The address is part of it, because a host has a different address in each network.
+/// Link of a run. The address of the cloud is part of the link, because the cloud has a different address in each network.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Link {
     /// Names of the edge and of the cloud, each empty if it is not known.
@@ -49,8 +50,9 @@ impl Link {
     }
 }
 
-/// Groups runs by their link, in the order of the first run of each. Each run is given with its position in an experiment. Runs over the same
-/// link are one study, and so are the users of an experiment, which are edges `NAME-1`, `NAME-2`, … on one machine.
+/// Groups runs by their link, in the order of the first run of each link. Each run is given as its link, its place in an experiment, if it has
+/// one, and an item that stands for the run. Runs over the same link are one study. The users of an experiment, which are edges `NAME-1`,
+/// `NAME-2`, … on one machine, are one study, too.
 pub fn group_by_link<'a, T>(
     runs: impl IntoIterator<Item = (Link, Option<&'a ExperimentPlace>, T)>,
 ) -> Vec<(Link, Vec<T>)> {
@@ -72,7 +74,7 @@ pub fn group_by_link<'a, T>(
     links
 }
 
-/// Returns the name of an edge without the number of its user; `None` if it has no number.
+/// Returns the name of an edge without the number of its user; `None` if the name has no number.
 fn name_without_number(edge: &str) -> Option<String> {
     let (name, number) = edge.rsplit_once('-')?;
     number.bytes().all(|byte| byte.is_ascii_digit()).then(|| name.to_owned())
@@ -85,7 +87,7 @@ pub struct DirectionSizes {
     pub name: &'static str,
     /// Sizes, the smallest first.
     pub sizes: Vec<SizeSummary>,
-    /// Number of messages that have a size but no delay.
+    /// Number of messages whose size is known and whose delay is not.
     unknown_delays: u64,
     /// Number of runs whose messages have several sizes and count as one size.
     runs_with_several_sizes: u64,
@@ -137,7 +139,7 @@ impl DirectionSizes {
         Self { name, sizes: sizes.filter_map(summary).collect(), unknown_delays, runs_with_several_sizes }
     }
 
-    /// Returns whether the sizes differ enough to show their effect.
+    /// Returns whether the sizes differ enough to show the effect of size on delay: the largest is at least twice the smallest.
     fn is_varied(&self) -> bool {
         let ends = self.sizes.first().zip(self.sizes.last());
         ends.is_some_and(|(smallest, largest)| largest.wire_bytes >= 2.0 * smallest.wire_bytes)
@@ -151,7 +153,8 @@ impl DirectionSizes {
         Some(format!("not drawn: {}, {sizes}: the largest must be twice the smallest", self.name))
     }
 
-    /// Returns notes on the messages that are in neither figure, and on those that are not told apart.
+    /// Returns notes on the messages that neither the latency figure nor the throughput figure shows, and on runs whose messages of several
+    /// sizes are shown as one point.
     fn notes(&self) -> impl Iterator<Item = String> {
         let name = self.name;
         let negative_sizes = self.sizes.iter().filter(|size| size.median <= 0.0).count();
@@ -182,7 +185,7 @@ fn merge_sizes<T>(by_payload: BTreeMap<u64, Vec<T>>, count: impl Fn(&T) -> u64) 
     let mut merged: Vec<(u64, Vec<T>)> = Vec::new();
     let (mut messages_before, mut last_part) = (0, None);
     for (payload, items) in by_payload {
-        // A size belongs to the part in which its first message is.
+        // All messages, sorted by size, are divided into MAX_SIZES parts. A size belongs to the part of its first message.
         let part = messages_before * MAX_SIZES as u64 / total;
         messages_before += messages(&items);
         match merged.last_mut() {
@@ -255,8 +258,8 @@ impl PayloadStudy {
     }
 }
 
-/// Returns a note that the messages of several runs are pooled, with the names of the axes on which the labels of the runs differ. `None` for a
-/// single run.
+/// Returns a note that the messages of several runs are pooled. The note names the axes of the experiment on which the runs differ.
+/// `labels_of_runs` has the labels of each run, one for each axis. `None` for a single run.
 pub fn pooled_note(axes: &[String], labels_of_runs: &[&[String]]) -> Option<String> {
     let (first, others) = labels_of_runs.split_first()?;
     (!others.is_empty()).then_some(())?;

@@ -9,14 +9,14 @@ use crate::accuracy::{ACCURACIES, Accuracy, MeanScore, score};
 use crate::actuator_results::{ActuatorResults, EPISODE_RETURN, EPISODE_SUCCESS, return_decimals};
 use crate::rows::RowRef;
 
-/// Quantity that says how good a configuration is, beside its latency.
+/// Quantity, other than latency, that says how good a configuration is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quality {
     /// Share of the answers that are right.
     Top1,
-    /// Mean of the mean average precisions of the pictures.
+    /// Mean average precision (mAP) at an overlap of 50 %, as the mean over the pictures.
     Map50,
-    /// Mean of the mean ratios of intersection to union of the pictures of a segmentation.
+    /// Mean intersection over union (mIoU) of a segmentation, as the mean over the pictures.
     MeanIou,
     /// Share of the episodes that were a success.
     Success,
@@ -38,7 +38,8 @@ pub struct QualityEstimate {
 }
 
 impl QualityEstimate {
-    /// Returns the confidence interval; `None` for the mean of a single value, which has none. A share of a single iteration or episode has one.
+    /// Returns the confidence interval; `None` for the mean of a single value, which has no interval. A share has an interval even if there is
+    /// only a single iteration or episode.
     pub fn known_interval(&self) -> Option<(f64, f64)> {
         Some(self.interval).filter(|(low, high)| self.count > 1 || low < high)
     }
@@ -75,24 +76,27 @@ impl Quality {
         matches!(self, Self::Success | Self::Return)
     }
 
-    /// Returns the estimate from the statistics of nodes over all runs of a configuration; `None` without values. Counts, means and standard
-    /// deviations are exact in roll-ups.
-    pub fn from_statistics(self, figures: impl Fn(&str) -> Option<CountMeanStd>) -> Option<QualityEstimate> {
-        let of_mean = |(count, mean, std): CountMeanStd, range: (f64, f64)| {
+    /// Returns the estimate for a configuration; `None` without values. `statistics_of` returns the statistics of the node with a name, over all
+    /// runs of the configuration. Counts, means and standard deviations are exact in roll-ups.
+    pub fn from_statistics(
+        self,
+        statistics_of: impl Fn(&str) -> Option<CountMeanStd>,
+    ) -> Option<QualityEstimate> {
+        let mean_estimate = |(count, mean, std): CountMeanStd, range: (f64, f64)| {
             let MeanScore { mean, interval, count } = MeanScore::from_statistics(count, mean, std, range)?;
             Some(QualityEstimate { value: mean, interval: interval.unwrap_or((mean, mean)), count, std })
         };
         match self {
             Self::Top1 => {
-                let (count, mean, _) = figures(self.name())?;
+                let (count, mean, _) = statistics_of(self.name())?;
                 let Accuracy { share, interval, count, .. } = Accuracy::from_mean(mean, count, count)?;
                 Some(QualityEstimate { value: share, interval, count, std: None })
             }
             // For a detection, this node holds the mean overlap of the found objects, which is not a score of the answer.
-            Self::MeanIou if figures(Self::Map50.name()).is_some() => None,
-            Self::Map50 | Self::MeanIou => of_mean(figures(self.name())?, (0.0, 1.0)),
+            Self::MeanIou if statistics_of(Self::Map50.name()).is_some() => None,
+            Self::Map50 | Self::MeanIou => mean_estimate(statistics_of(self.name())?, (0.0, 1.0)),
             Self::Success => {
-                let success = ActuatorResults::from_statistics(figures).success?;
+                let success = ActuatorResults::from_statistics(statistics_of).success?;
                 Some(QualityEstimate {
                     value: success.rate,
                     interval: success.interval,
@@ -100,11 +104,12 @@ impl Quality {
                     std: None,
                 })
             }
-            Self::Return => of_mean(figures(self.name())?, (f64::NEG_INFINITY, f64::INFINITY)),
+            Self::Return => mean_estimate(statistics_of(self.name())?, (f64::NEG_INFINITY, f64::INFINITY)),
         }
     }
 
-    /// Returns the estimate from the rows of all runs of a configuration; `None` without values. Values that are no scores are left out.
+    /// Returns the estimate from the rows of all runs of a configuration; `None` without values. Values outside the range of the quality are
+    /// left out. `rows` is called once for each node that is needed.
     pub fn from_rows<'a, I: Iterator<Item = RowRef<'a>>>(
         self,
         rows: impl Fn() -> I,
@@ -123,7 +128,8 @@ impl Quality {
     }
 }
 
-/// Returns a valid value of an iteration. Values of episodes count even if the iteration is not counted.
+/// Returns the value of a node in an iteration; `None` if it is missing or invalid. Iterations that are not counted have only the values of
+/// episodes.
 fn value(row: RowRef<'_>, name: &str) -> Option<f64> {
     match name {
         EPISODE_SUCCESS | EPISODE_RETURN => row.value(name).filter(|value| Summary::accepts(*value)),

@@ -1,5 +1,5 @@
-//! Choice of the runs that count. A run counts if it was measured to its end or if a user names it. Of each repeat of a configuration, one
-//! run counts.
+//! Choice of the runs that count, which means that comparisons and studies use them. A run can count if it was measured to its end or if a
+//! user names it. If several runs measured the same repeat of a configuration, only the newest of them counts, and those that a user names.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -62,7 +62,7 @@ impl fmt::Display for RunState {
     }
 }
 
-/// Reason why a run does not count.
+/// Reason why a run does not count. An index is the position of a run in the argument of [`exclusions`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Exclusion {
     /// The run was not measured to its end.
@@ -74,7 +74,7 @@ pub enum Exclusion {
 }
 
 impl Exclusion {
-    /// Returns the reason as text. `run_name` returns the name of the run with an index.
+    /// Returns the reason as text. `run_name` returns the name of a run from the run's index.
     pub fn describe(&self, run_name: impl Fn(usize) -> String) -> String {
         match self {
             Self::Unfinished(state) => state.to_string(),
@@ -93,7 +93,7 @@ pub struct Candidate {
     pub state: Option<RunState>,
     /// Repeat that the run measured; `None` outside of experiments.
     pub repeat: Option<Repeat>,
-    /// Position in time: a later run has a larger number.
+    /// Position in time: a later run has a larger number, such as the start in nanoseconds since the Unix epoch.
     pub sequence: i64,
     /// True if a user names the run, so its progress does not matter.
     pub is_named: bool,
@@ -143,8 +143,8 @@ pub fn exclusions(runs: &[Candidate]) -> Vec<Option<Exclusion>> {
         Some(Exclusion::Unfinished(state.clone()))
     };
     let mut exclusions: Vec<Option<Exclusion>> = runs.iter().map(unfinished).collect();
-    // Copies are excluded before repeats are compared. Copies of one run are also of one repeat, but the rank chooses among them, not the
-    // time.
+    // Copies are excluded before repeats are compared: copies of one run belong to one repeat, and if the comparison of repeats came first,
+    // the time would choose among the copies instead of the rank.
     let originals = best_runs(runs, &exclusions, |run| run.id, |index, run| (!run.is_named, run.rank, index));
     exclude(runs, &mut exclusions, |run| Some(Exclusion::CopyOf(*originals.get(&run.id?)?)));
     let newest_runs = best_runs(
@@ -161,7 +161,7 @@ pub fn exclusions(runs: &[Candidate]) -> Vec<Option<Exclusion>> {
     exclusions
 }
 
-/// Returns for each key the index of the run with the smallest order, among the runs that are not excluded yet.
+/// Returns for each key, such as an id or a repeat, the index of its run with the smallest `order`. Excluded runs are left out.
 fn best_runs<'a, K: Eq + std::hash::Hash, O: Ord>(
     runs: &'a [Candidate],
     exclusions: &[Option<Exclusion>],

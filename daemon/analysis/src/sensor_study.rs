@@ -10,7 +10,7 @@ use crate::table::Table;
 /// Suffix of the columns in which sensors report their dropped samples.
 const DROPPED_SAMPLES_SUFFIX: &str = "dropped-samples";
 
-/// Periods and jitter of a sensor, from the samples of a run. Seconds, and samples per second.
+/// Periods and jitter of a sensor, from the samples of a run. Times are in seconds.
 ///
 /// The time of a sample is the time at which it was ready: the start of its iteration plus its `sensing`. A period is the time between two
 /// consecutive samples, without the warm-up. The jitter of a period is its absolute difference from the median period.
@@ -36,7 +36,7 @@ pub struct SensorStudy {
     pub jitter_median: f64,
     /// Longest time between two samples, including failed iterations between them.
     pub longest_gap: f64,
-    /// Number of the iteration whose sample ended this gap.
+    /// Number of the iteration whose sample ended the longest gap.
     pub longest_gap_at: u64,
     /// Median time from the request for a sample until it was ready.
     pub sensing: f64,
@@ -65,7 +65,7 @@ impl SensorStudy {
         periods.values().iter().for_each(|period| moments.record(*period));
         let jitter: SortedValues = periods.values().iter().map(|period| (period - median).abs()).collect();
         let gap = sample_times.windows(2).max_by(|a, b| length(a).total_cmp(&length(b)))?;
-        // The duration of a failed attempt, such as a time limit, is no time until a sample was ready.
+        // Failed iterations are left out: they measured how long the sensor failed, such as a time limit, and not how long a sample took.
         let sensing: SortedValues = rows.counted_values("sensing").collect();
         Some(Self {
             samples: sample_times.len() as u64,

@@ -7,12 +7,12 @@ use serde::Serialize;
 
 use crate::rows::LATENESS;
 
-/// Name of the sum of upload and download, for runs in which only the sum is known.
+/// Name of the sum of upload and download. It is used for runs in which the clocks are not related, so that only the sum is known.
 pub const BOTH_DIRECTIONS: &str = "upload + download";
 
-/// Ratios of a total to the median of its run that are the usual variation.
+/// Range of the ratio of an iteration's total to the median total of its run that counts as the usual variation.
 pub const USUAL_RATIOS: Range<f64> = 0.95..1.05;
-/// Minimum share of an iteration's excess that the causes explain together.
+/// Share of an iteration's excess over the median that the listed causes explain together. No further causes are listed.
 const MIN_EXPLAINED_SHARE: f64 = 0.8;
 
 /// Part of an iteration that took longer than its median over the run.
@@ -27,7 +27,7 @@ pub struct Cause {
 }
 
 impl Cause {
-    /// Returns the difference from the median, seconds.
+    /// Returns the time by which the part took longer than its median, seconds.
     pub fn excess(&self) -> f64 {
         self.value - self.median
     }

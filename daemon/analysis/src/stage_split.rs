@@ -6,7 +6,7 @@ use peernet_statistics::{Moments, Summary};
 use crate::rows::{LATENESS, Rows};
 use crate::slowness::{self, BOTH_DIRECTIONS};
 
-/// If the time in no stage is less than this share of the total, it is a rounding error.
+/// If the time that belongs to no stage is less than this share of the total, it is a rounding error.
 const MIN_REST_SHARE: f64 = 1e-9;
 /// If at least this share of the total is unexplained, the trust report has a caveat and the overview warns.
 pub const NOTABLE_UNEXPLAINED_SHARE: f64 = 0.05;
@@ -17,7 +17,8 @@ pub const NEGLIGIBLE_UNEXPLAINED_S: f64 = 1e-4;
 /// Parts that add up to the mean total latency, unless the clocks show a stage as longer than it was.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StageSplit {
-    /// Mean of each part per iteration, seconds, in the order of the stages. The last is `unattributed`: the time in no stage.
+    /// Mean of each part per iteration, seconds, in the order of the stages. The last part is `unattributed`, if there is time that belongs to
+    /// no stage.
     pub parts: Vec<(Name, f64)>,
     /// Part of `unattributed` before the real start of the iteration, seconds. It is not longer than `unattributed`, even if the clocks
     /// disagree.
@@ -26,10 +27,10 @@ pub struct StageSplit {
     pub total: f64,
     /// Mean time from the intended to the real start, seconds; `None` in a closed loop.
     pub lateness: Option<f64>,
-    /// Mean wait for a process of the model that was restarted, seconds. It is a part of `unattributed`, because it is no stage. The wait for
-    /// the process of a sensor or actuator is a part of the stage that waited.
+    /// Mean wait for the restart of the model's process, seconds. This wait is a part of `unattributed`, because it is not a stage. A wait for
+    /// the restart of the process of a sensor or actuator is a part of the stage that waited.
     pub model_restarts: f64,
-    /// Total minus all stages, seconds, negative if stages overlap. `None` if the stages of no iteration are all known.
+    /// Total minus all stages, seconds; negative if stages overlap. `None` unless all stages of at least one iteration are known.
     rest: Option<f64>,
 }
 
@@ -37,9 +38,9 @@ pub struct StageSplit {
 pub type CountAndMean = (u64, f64);
 
 impl StageSplit {
-    /// Splits the mean of the total. `mean_of` returns the values of a node, `None` if it has none. `sent` holds the number of iterations
-    /// that sent a message to the other host, and the number of iterations that received a message from it. The delays of some of these
-    /// messages may be unknown. The result is empty without a total.
+    /// Splits the mean of the total. `mean_of` returns the number and the mean of a node's values; `None` if it has none. `sent` holds the
+    /// number of iterations that sent a message to the other host, and the number of iterations that received a message from it. The delays
+    /// of some of these messages may be unknown. The result is empty without a total.
     ///
     /// A stage that an iteration does not have took no time. An unknown delay counts as the mean of the known ones. If neither direction is
     /// known, because the clocks are not related, the sum of upload and download replaces both. The sum needs no clock relation.
@@ -86,7 +87,7 @@ impl StageSplit {
     }
 
     /// Returns the time that neither a stage nor a late start nor the restart of a process of the model explains, seconds; negative if
-    /// stages overlap. `None` if the stages of no iteration are all known.
+    /// stages overlap. `None` unless all stages of at least one iteration are known.
     pub fn unexplained(&self) -> Option<f64> {
         Some(self.rest? - self.lateness.unwrap_or_default() - self.model_restarts)
     }
@@ -118,15 +119,15 @@ impl StageSplit {
         Self::new(sent, mean_of)
     }
 
-    /// Returns the time in no stage without the late start, seconds.
+    /// Returns the time that belongs to no stage, minus the late start, seconds.
     pub fn unattributed_without_late_start(&self) -> f64 {
         let unattributed = self.parts.last().filter(|(name, _)| *name == stage::UNATTRIBUTED);
         unattributed.map_or(0.0, |(_, seconds)| seconds - self.late_start)
     }
 }
 
-/// Returns the share of a node in the mean total, 0 to 1: of a part of the split, or of another node, such as a part of a stage. `None`
-/// without a total or without values of the node. The arguments are those of [`StageSplit::new`].
+/// Returns the share of a node in the mean total, 0 to 1. The node is a part of the split or any other node, such as a part of a stage. `None`
+/// without a total or without values of the node. For `sent` and `mean_of`, see [`StageSplit::new`].
 pub fn share_of_total(
     name: &str,
     sent: [u64; 2],
@@ -146,7 +147,7 @@ pub fn sent_in_part(sent: [u64; 2], iterations: u64, in_part: u64) -> [u64; 2] {
     sent.map(|count| ((count as f64 * share).round() as u64).max(count.min(1)))
 }
 
-/// Returns the position at which the time of both directions stands among parts: where `upload` would stand.
+/// Returns the index at which the time of both directions is inserted into the parts: the index that `upload` would have.
 pub fn index_of_network(parts: &[(Name, f64)]) -> usize {
     let stages_before: Vec<Name> =
         stage::ORDER.into_iter().take_while(|name| *name != stage::UPLOAD).collect();
@@ -158,8 +159,9 @@ pub fn mean_per_iteration((count, mean): CountAndMean, iterations: u64) -> f64 {
     mean * count as f64 / iterations.max(1) as f64
 }
 
-/// Returns the mean per iteration of a node over groups of iterations, such as seconds: each group has its number of iterations and its mean per
-/// iteration. The iterations of a group without the node count as zero. `None` without iterations, and if no group has the node.
+/// Returns the mean of a node per iteration over groups of iterations. A group, such as all iterations of a second, is given as its number of
+/// iterations and its mean per iteration, `None` if the group does not have the node. The iterations of such a group count as zero. `None`
+/// without iterations, or if no group has the node.
 pub fn mean_of_groups(groups: impl IntoIterator<Item = (u64, Option<f64>)>) -> Option<f64> {
     let (mut iterations, mut sum) = (0, None);
     for (count, mean) in groups {

@@ -30,15 +30,15 @@ use peernet_clock::{DelaySource, Verdict};
 use chunks::Chunks;
 use numbers::Numbers;
 
-/// Iterations of a run, in order. Each takes about 150 bytes, whereas a [`Row`] takes more than a thousand.
+/// Iterations of a run, in order. Each iteration takes about 150 bytes of memory, whereas a [`Row`] takes more than a thousand.
 ///
-/// Nothing is rounded: every row is read back exactly.
+/// No number is rounded: every row comes out exactly as it was appended.
 #[derive(Clone)]
 pub struct Rows {
     names: Vec<Column>,
     /// Index of each column in `names` and `numbers`.
     column_indexes: HashMap<Column, usize>,
-    /// Columns of numbers, in the order of `names`. Each is as long as `outcomes`.
+    /// Columns of numbers, in the order of `names`. Each column is as long as `outcomes`.
     numbers: Vec<Numbers>,
     /// Outcome of each iteration, and whether it is warm-up.
     outcomes: Chunks<(Outcome, bool)>,
@@ -46,14 +46,14 @@ pub struct Rows {
     verdicts: [Chunks<Option<JudgedDelay>>; 2],
     /// Index and reason of each row that has a reason, in order. Consecutive equal reasons share their text.
     reasons: Vec<(usize, Arc<str>)>,
-    /// Last row that was appended. Its memory is used for the next row.
+    /// Last row that was appended. It is kept so that the next row uses its memory instead of allocating.
     builder: RowBuilder,
 }
 
 /// Column of the flag for warm-up. It is stored with the outcomes, because every statistic reads both.
 const WARM_UP: &str = "warm-up";
 
-/// Largest magnitude that can have been measured: a year is 3·10⁷ s, and the fastest links carry 10¹⁵ bit/s.
+/// Magnitude above which a number cannot have been measured: a year is 3·10⁷ s, and the fastest links carry 10¹⁵ bit/s.
 const MAX_MAGNITUDE: f64 = 1e18;
 
 /// Returns whether a number can have been measured. Figures show no other numbers.
@@ -69,7 +69,7 @@ pub type JudgedDelay = (Verdict, DelaySource);
 pub struct RowBuilder {
     /// Numbers, by [`RowBuilder::column_index`]; `None` for a missing number.
     pub numbers: Vec<Option<f64>>,
-    /// Outcome of the iteration; `None` means an answer.
+    /// Outcome of the iteration; `None` stands for [`Outcome::Ok`].
     pub outcome: Option<Outcome>,
     /// True if the iteration is warm-up, which is excluded from statistics.
     pub warm_up: bool,
@@ -206,7 +206,7 @@ impl Rows {
 
 #[cfg(test)]
 impl Rows {
-    /// Changes every row.
+    /// Applies `change` to every row.
     pub(crate) fn change(&mut self, mut change: impl FnMut(&mut Row)) {
         let changed = self.iter().map(|row| {
             let mut row = row.to_row();
