@@ -15,27 +15,29 @@ pub struct IterationDurations<'a> {
     pub total: f64,
     /// Durations in the order of the stages.
     pub stages: &'a [(Name, f64)],
-    /// Sum of upload and download, if only the sum is known. A step of a clock does not change it.
+    /// Sum of upload and download, if only the sum is known. A step of a clock does not change the sum.
     pub both_ways: Option<f64>,
-    /// Part of the total in no stage; `None` if it is not known.
+    /// Part of the total that belongs to no stage; `None` if it is not known.
     pub unattributed: Option<f64>,
-    /// `true` if the delay of a message is not known.
+    /// `true` if the delay of at least one message of the iteration is not known.
     pub has_unknown_delay: bool,
     /// `true` if the iteration has an answer.
     pub is_answered: bool,
 }
 
-/// Parts of a total that no stage accounts for, seconds: the network, if its delays are not known, and the time in no stage.
+/// Parts of a total that no stage accounts for, seconds: the time in the network, if its delays are not known, and the time that belongs to no
+/// stage.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct UnaccountedTime {
-    /// [`BOTH_DIRECTIONS`] or [`NETWORK_AND_REST`], with its duration; `None` if both directions are known, and if nothing was answered.
+    /// [`BOTH_DIRECTIONS`] or [`NETWORK_AND_REST`], with its duration. `None` if the delays of both directions are known, or if they are not and
+    /// the iteration has no answer.
     pub network: Option<(&'static str, f64)>,
-    /// Time in no stage, if it is known and above zero.
+    /// Time that belongs to no stage; `None` unless it is known and above zero.
     pub unattributed: Option<f64>,
 }
 
 impl UnaccountedTime {
-    /// Determines the parts. If a delay is not known, the sum of upload and download that the agent measured takes its place.
+    /// Determines the parts. If a delay is not known, the sum of upload and download that the agent measured replaces both directions.
     pub fn of(durations: &IterationDurations<'_>) -> Self {
         let IterationDurations { total, stages, both_ways, unattributed, .. } = *durations;
         let sum_of_stages = |with_one_way: bool| {
@@ -61,7 +63,7 @@ impl UnaccountedTime {
     /// Returns all parts of the total in their order: the stages and the unaccounted time.
     pub fn parts_of(durations: &IterationDurations<'_>) -> Vec<(Name, f64)> {
         let Self { network, unattributed } = Self::of(durations);
-        // The sum contains upload and download, so that a direction that is known by itself is left out.
+        // The sum of both directions already contains a direction whose delay is known, so that this direction is left out.
         let is_separate = |(name, _): &&(Name, f64)| network.is_none() || !is_one_way(name);
         let mut parts: Vec<(Name, f64)> = durations.stages.iter().filter(is_separate).cloned().collect();
         if let Some((name, seconds)) = network {

@@ -1,11 +1,11 @@
 //! Periods of warm-up and beginnings of episodes in charts of a run.
 
-/// Maximum number of beginnings of episodes that a chart shows. More would cover everything else, so none is drawn.
+/// Maximum number of beginnings of episodes that a chart shows. If there are more, none is drawn, because they would cover everything else.
 pub const MAX_EPISODE_BORDERS: u32 = 30;
 
-/// Returns the periods of consecutive iterations of warm-up, each with its beginning and end. An iteration is given by its position, such as its
-/// start, and whether it is warm-up; the iterations are in their order. A period ends at the next iteration that is not warm-up, or at the
-/// last iteration. Iterations within a period, and between periods, may be left out.
+/// Returns the beginning and end of each period of consecutive warm-up iterations. `iterations` has, in order, the position of each iteration,
+/// such as its start, and whether the iteration is warm-up. A period ends at the next iteration that is not warm-up, or at the last
+/// iteration. The caller may leave out iterations within a period and iterations between periods.
 pub fn warm_up_periods<T: Copy>(iterations: impl IntoIterator<Item = (T, bool)>) -> Vec<(T, T)> {
     let mut periods = Vec::new();
     let (mut start, mut last) = (None, None);

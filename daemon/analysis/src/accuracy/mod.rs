@@ -28,8 +28,8 @@ pub struct Accuracy {
     pub interval: (f64, f64),
     /// Number of scored iterations.
     pub count: u64,
-    /// Number of unscored iterations: they have an answer and are not warm-up, but have no score of 0 or 1. Either no label was known, the label is [not a class of the
-    /// model](UnknownLabels), the answer named no class, or the score is not valid.
+    /// Number of unscored iterations: they have an answer and are not warm-up, but have no score of 0 or 1. The reason is one of these: no
+    /// label is known, the label is [not a class of the model](UnknownLabels), the answer names no class, or the score is not valid.
     pub unscored: u64,
 }
 
@@ -68,7 +68,7 @@ impl Accuracy {
     }
 }
 
-/// Returns whether the answer was right; `None` without a score.
+/// Returns whether the answer was right, from the score in a column of [`ACCURACIES`]; `None` without a valid score.
 pub fn score(row: RowRef<'_>, column: &str) -> Option<bool> {
     match row.value(column)? {
         1.0 => Some(true),
@@ -77,8 +77,8 @@ pub fn score(row: RowRef<'_>, column: &str) -> Option<bool> {
     }
 }
 
-/// Returns the score interval of a proportion (E. B. Wilson, *Probable inference, the law of succession, and statistical inference*, JASA
-/// 22, 1927). It stays between 0 and 1 and is valid near the ends, unlike the usual interval.
+/// Returns the 95 % score interval of a proportion (E. B. Wilson, *Probable inference, the law of succession, and statistical inference*, JASA
+/// 22, 1927). Unlike the usual interval (share ± margin), it stays between 0 and 1 and is valid for shares near 0 and 1.
 fn wilson(share: f64, count: u64) -> (f64, f64) {
     let n = count as f64;
     let z2 = Z95 * Z95;

@@ -6,9 +6,9 @@ use crate::rows::Rows;
 
 /// Name of the column that is 1 for a sample whose label is not a class of the model.
 pub const UNKNOWN_LABEL: &str = "unknown-label";
-/// Name of the fact of a run with the number and examples of labels: `100 of 100: dented, good`.
+/// Name of the fact of a run that gives the number of labels and examples of them: `100 of 100: dented, good`.
 const LABELS_FACT: &str = "Labels";
-/// Name of the fact of a run with the number and examples of classes: `4: good, scratched, …`.
+/// Name of the fact of a run that gives the number of classes and examples of them: `4: good, scratched, …`.
 const CLASSES_FACT: &str = "Classes";
 
 /// Number of iterations whose label is not a class of the model, with examples of labels and classes.
@@ -16,7 +16,7 @@ const CLASSES_FACT: &str = "Classes";
 pub struct UnknownLabels {
     /// Number of these iterations, without warm-up and failed iterations; at least one.
     pub count: u64,
-    /// Text ` (labels: …; classes: …)`; empty if neither is known.
+    /// Text ` (labels: …; classes: …)` with only the part that is known; empty if neither part is known.
     examples: String,
 }
 

@@ -20,20 +20,21 @@ pub struct DirectionStudy {
     pub sizes: Vec<SizeSummary>,
     /// Fits of delay against bytes; `None` with fewer than three sizes.
     pub fits: Option<Fits>,
-    /// Bounds that the clock relation gives for the smallest payload.
+    /// Bounds that the clock relation gives for the smallest payload; `None` if not every delay of this payload has bounds.
     pub claimed: Option<Claim>,
-    /// Throughput that follows from the slope of the main fit.
+    /// Throughput that follows from the slope of the main fit; `None` without fits, or if delays do not grow with size.
     pub throughput: Option<Throughput>,
     /// Number of delays by verdict.
     pub verdicts: BTreeMap<&'static str, u64>,
-    /// True if both ends read one clock.
+    /// True if both hosts read the same clock, so that the delays have no clock error.
     pub same_clock: bool,
 }
 
 /// Fits of the delay in seconds against the bytes on the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Fits {
-    /// Fits to the medians of the sizes. The fit by least squares is weighted by the precision of each median, and the verdict depends on it.
+    /// Fits to the medians of the sizes. The fit by least squares, which is weighted by the precision of each median, is the main fit: the
+    /// verdict depends on it.
     pub medians: FitPair,
     /// Fits to every sample.
     pub samples: FitPair,
@@ -70,9 +71,9 @@ pub struct Throughput {
     pub value: f64,
     /// Reciprocals of the ends of the slope's confidence interval. The upper end is `None` if the confidence interval reaches zero.
     pub interval: Option<(f64, Option<f64>)>,
-    /// Range of the throughput for delays anywhere within their clock bounds. It is computed from the lines with the lowest and the highest slope
-    /// between the smallest and the largest size. This range is wider than necessary, because a constant error of the clocks does not change
-    /// the slope.
+    /// Range of the throughput if the delays can lie anywhere within their clock bounds. The range is computed from the flattest and the steepest
+    /// line between the smallest and the largest size. It is wider than necessary: it treats the clock errors of both sizes as independent, but
+    /// a constant error of the clocks does not change the slope. `None` if the bounds are not known.
     pub bounds: Option<(f64, Option<f64>)>,
 }
 
@@ -121,18 +122,19 @@ impl DirectionStudy {
     }
 }
 
-/// Returns the median delay of the counted messages with this payload, seconds, as the study has it; `None` if none of their delays is known.
+/// Returns the median delay of the counted messages with this payload, seconds, computed as in the study. `None` if none of these delays is
+/// known.
 pub fn median_delay(direction: Direction, samples: &[Sample], payload_bytes: u64) -> Option<f64> {
     size_summary(payload_bytes, &counted_passages(direction, samples)).map(|size| size.median)
 }
 
-/// Returns the payload and the message of each counted sample.
+/// Returns the payload in bytes and the message of each counted sample that has a message in this direction.
 fn counted_passages(direction: Direction, samples: &[Sample]) -> Vec<(u64, &Passage)> {
     let counted = samples.iter().filter(|sample| sample.is_counted());
     counted.filter_map(|sample| Some((sample.payload_bytes, sample.passage(direction)?))).collect()
 }
 
-/// Returns the summary of all messages with this payload; `None` if none of their delays is known.
+/// Returns the summary of all messages with this payload; `None` if none of these delays is known.
 fn size_summary(payload_bytes: u64, passages: &[(u64, &Passage)]) -> Option<SizeSummary> {
     let message = |passage: &Passage| {
         let delay = passage.delay.known_seconds()?;
@@ -183,7 +185,7 @@ impl Throughput {
         let (first, last) = (sizes.first()?, sizes.last()?);
         let bytes = last.wire_bytes - first.wire_bytes;
         let lines = first.bounds.zip(last.bounds).map(|((first_lo, first_hi), (last_lo, last_hi))| {
-            // The flattest line goes from the highest possible first delay to the lowest possible last one.
+            // The flattest line goes from the highest possible delay of the smallest size to the lowest possible delay of the largest size.
             ((last_lo - first_hi) / bytes, (last_hi - first_lo) / bytes)
         });
         Some(Self { bounds: lines.and_then(rate_range), ..Self::from_slope(slope)? })

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::sample::Sample;
 
-/// Payloads without an answer that have the same outcome, without the warm-up.
+/// Number of payloads that were not answered and have the same outcome, without the warm-up.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Failures {
     /// `failed`, `lost` or `timeout`.
@@ -19,7 +19,7 @@ pub struct Failures {
 }
 
 impl Failures {
-    /// Returns the failures among all samples, the most frequent outcome first.
+    /// Returns one item for each outcome of the unanswered samples, the most frequent outcome first.
     pub(super) fn by_outcome(samples: &[Sample]) -> Vec<Self> {
         let mut reasons: BTreeMap<&'static str, BTreeMap<Option<&str>, u64>> = BTreeMap::new();
         for sample in samples.iter().filter(|sample| !sample.warm_up && !sample.is_counted()) {
@@ -52,7 +52,7 @@ impl Failures {
     }
 }
 
-/// Returns the sentence about payloads without an answer; empty if every payload was answered.
+/// Returns the sentence about payloads without an answer; empty if every payload was answered. `sent` is the number of all payloads.
 pub(super) fn sentence(failures: &[Failures], sent: u64) -> String {
     if failures.is_empty() {
         return String::new();

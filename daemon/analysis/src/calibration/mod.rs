@@ -1,9 +1,9 @@
 //! Calibration of a link: one-way delay against size, the intercept of the linear fit, and the bounds that the clocks allow.
 //!
 //! The paper's study (IROS 2024, section on network timing) sent payloads of several sizes and fitted a line to the differences of the two
-//! hosts' stamps. It took the intercept of the line, −2.01 ms, as the error of every delay. This module fits a line to corrected delays and
-//! compares its intercept with the bounds that the clock relation allows. The intercept is the real delay of an empty message, so it is
-//! never negative and lies within the bounds of the smallest payload.
+//! hosts' stamps. The study took the intercept of the line, −2.01 ms, as the error of every delay. This module fits a line to corrected delays
+//! and compares its intercept with the bounds that the clock relation allows. If the clocks are right, the intercept is the real delay of an
+//! empty message. It is then not negative and lies within the bounds that follow from those of the smallest payload.
 
 mod clocks;
 mod direction;
@@ -28,7 +28,7 @@ use serde::Serialize;
 
 use crate::{WriteError, write_file};
 
-/// Setting of a study, as given by the program that made it.
+/// Setting of a study, as given by the program that made the study.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Setting {
     /// Address of the peer.
@@ -45,11 +45,11 @@ pub struct Setting {
     pub version: String,
     /// Payload sizes, bytes.
     pub sizes_bytes: Vec<u64>,
-    /// Number of times that each size was to be sent.
+    /// Planned number of times that each size is sent.
     pub repeats: u64,
     /// True if the study ended early.
     pub interrupted: bool,
-    /// Reason for an early end, as text; `None` when the study was complete or the user ended it.
+    /// Reason for an early end, as text; `None` if the study was complete or the user ended it.
     pub ended: Option<String>,
     /// Number of times that the peer went away and came back while its clock remained the same. The clocks were related again each time.
     pub reconnections: u64,
@@ -61,11 +61,11 @@ pub struct Setting {
 /// Number of iterations by outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Counts {
-    /// Number of answered iterations without the warm-up. All results are computed from them.
+    /// Number of answered iterations, without the warm-up. All results are computed from these iterations.
     pub measured: u64,
     /// Number of iterations of the warm-up.
     pub warm_up: u64,
-    /// Number of iterations without an answer, without the warm-up.
+    /// Number of iterations that have no answer, without the warm-up.
     pub failed: u64,
 }
 
@@ -92,7 +92,7 @@ pub struct Study {
 }
 
 impl Study {
-    /// Makes a study of all iterations of a payload sweep and of the seconds of the clock relation during it.
+    /// Makes a study of all iterations of a payload sweep and of the samples of the clock relation during the sweep, one per second.
     pub fn new(setting: Setting, samples: Vec<Sample>, clocks: &[ClockSample]) -> Self {
         let count = |condition: &dyn Fn(&Sample) -> bool| {
             samples.iter().filter(|sample| condition(sample)).count() as u64
@@ -109,7 +109,7 @@ impl Study {
         Self { failures: Failures::by_outcome(&samples), setting, counts, clocks, up, down, verdict, samples }
     }
 
-    /// Writes `samples.csv`, `summary.csv` and `calibration.json` into an existing folder. Returns the files that were written.
+    /// Writes `samples.csv`, `summary.csv` and `calibration.json` into an existing folder. Returns the paths of the files.
     ///
     /// # Errors
     /// If a file cannot be written.

@@ -21,7 +21,7 @@ pub struct Sample {
     pub outcome: &'static str,
     /// Reason for a missing answer, if one was reported.
     pub reason: Option<String>,
-    /// Duration of the iteration, seconds.
+    /// Duration of the iteration, seconds; `None` if it was not measured.
     pub total: Option<f64>,
     /// Message from edge to cloud; `None` if it was never sent, or its delay was never judged.
     pub up: Option<Passage>,

@@ -18,7 +18,7 @@ pub enum Kind {
     Exact,
     /// An intercept lies outside of the clock bounds.
     Contradicted,
-    /// The intercepts are less certain than the bounds that they would be compared with.
+    /// The margin of an intercept is larger than the width of the clock bounds, so that a comparison says nothing.
     Inconclusive,
     /// A clock was stepped during the study.
     Stepped,
@@ -31,7 +31,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Returns whether the study has a result. Without related clocks or a line there is nothing to compare.
+    /// Returns whether the study has a result. Without related clocks, or without a line, there is nothing to compare.
     pub const fn is_result(self) -> bool {
         !matches!(self, Self::Unsynchronised | Self::Insufficient)
     }
@@ -48,12 +48,12 @@ pub struct Verdict {
     pub sentence: String,
 }
 
-/// Values of one direction that the comparison needs.
+/// Values of one direction for the comparison of its intercept with the clock bounds.
 struct InterceptCheck {
     name: &'static str,
     intercept: Estimate,
     claim: Claim,
-    /// Distance from the median delay of the smallest payload to its lower or its upper bound, whichever is farther. Seconds.
+    /// Distance from the median delay of the smallest payload to the farther of its two bounds, seconds.
     max_error: f64,
 }
 
@@ -111,7 +111,7 @@ impl Verdict {
         }
     }
 
-    /// Adds the number of times that the peer was away, and the consequence for the clocks.
+    /// Adds to the sentence how often the peer was away, and what follows for the clocks. Nothing is added if the peer was never away.
     pub(super) fn with_reconnections(mut self, times: u64) -> Self {
         let times = match times {
             0 => return self,
@@ -151,7 +151,7 @@ impl Verdict {
             (true, false) => format!("the intercept of the {}", up.name),
             _ => format!("the intercept of the {}", down.name),
         };
-        // A wrong offset lengthens one direction by the amount that it shortens the other.
+        // A wrong offset lengthens one direction and shortens the other by the same amount, so the two distances have different signs.
         let reason = if up_distance * down_distance < 0.0 {
             let limit = clocks.max_drift_ppm.map_or_else(String::new, |ppm| format!(" than {ppm} ppm"));
             format!(

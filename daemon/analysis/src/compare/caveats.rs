@@ -12,7 +12,8 @@ use crate::loaded::Loaded;
 use crate::rows::RowRef;
 use crate::trust::{Starts, publication_caveats};
 
-/// Returns sentences about runs that cannot be published as they are, skipped starts, incomplete folders, and numbers that are missing without a reason.
+/// Returns sentences about runs that cannot be published as they are, about skipped starts, replayed latencies and incomplete folders, and about
+/// numbers that are missing without a reason.
 pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
     let incomplete: Vec<String> = runs
         .iter()
@@ -24,7 +25,7 @@ pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
     let name = |index: usize| {
         let has_several_edges = lines.iter().any(|line| line.edges > 1 && line.runs.contains(&index));
         let folder = &runs[index].folder;
-        // The results of edges that measured at the same time are in the folder of their run.
+        // Edges that measured at the same time have one folder each, inside the folder of their common run.
         let folder = folder.parent().filter(|_| has_several_edges).unwrap_or(folder);
         let relative = folder.strip_prefix(&shared).ok().filter(|path| !path.as_os_str().is_empty());
         relative.or_else(|| folder.file_name().map(Path::new)).unwrap_or(folder).display().to_string()
@@ -88,7 +89,7 @@ fn describe_missing_numbers(runs: &[Loaded], line: &Line) -> Vec<String> {
     let rows = || line.runs.iter().flat_map(|run| &runs[*run].rows).filter(|row| row.is_counted());
     let describe = |(name, latency): (&str, &Option<super::Latency>)| {
         let known_share = (*latency)?.count as f64 / line.count as f64;
-        // If many delays are unknown, a different sentence covers them.
+        // If many delays are unknown, the note that MIN_KNOWN_SHARE describes reports them.
         (known_share >= MIN_KNOWN_SHARE || !["upload", "download"].contains(&name)).then_some(())?;
         let missing_count = rows().filter(|row| is_missing(*row, name)).count();
         let iterations = format!("{missing_count} of {}", counted(line.count, "iteration"));
@@ -97,7 +98,8 @@ fn describe_missing_numbers(runs: &[Loaded], line: &Line) -> Vec<String> {
     LATENCIES.into_iter().zip(&line.latencies).filter_map(describe).collect()
 }
 
-/// Returns whether the number is missing without a recorded reason, or too large for the statistics.
+/// Returns whether the number of a column is missing without a recorded reason, or too large for the statistics. A delay is missing for a
+/// reason if its verdict says that it cannot be known.
 fn is_missing(row: RowRef<'_>, name: &str) -> bool {
     let [up, down] = row.verdicts();
     let explains_missing = |verdict: Option<Verdict>| {

@@ -2,14 +2,14 @@
 
 use super::labels::{EMPTY_CELL, readable_name};
 
-/// Maximum number of values of a fact without a column that are listed.
+/// Maximum number of values that a sentence lists of a fact that has no column. Also the maximum number of configurations listed for a value.
 const MAX_LISTED: usize = 4;
-/// Minimum number of hexadecimal digits of a label that counts as a hash.
+/// A word of at least this many characters, all of them hexadecimal digits, counts as a hash.
 const MIN_HASH_DIGITS: usize = 32;
-/// A label of at least this size is too long for a table, for example a list of libraries. Bytes.
+/// A label of at least this many bytes, for example a list of libraries, is too long for a table.
 const MIN_LIST_BYTES: usize = 120;
 
-/// Fact with the label of each configuration.
+/// Column of a table: a fact, such as the network, and its label for each configuration.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Column {
     /// Name of the fact.
@@ -23,13 +23,13 @@ pub struct Column {
 pub struct ChosenColumns {
     /// Columns that distinguish the configurations.
     pub columns: Vec<Column>,
-    /// Columns with different labels that were not chosen.
+    /// Columns that were not chosen, although their labels differ.
     pub rest: Vec<Column>,
 }
 
-/// Chooses a column in two cases: if it distinguishes configurations that the columns before it do not distinguish, or if it has a label for a
-/// configuration that has no label in the other chosen columns. Columns of hashes or paths are never chosen, because the names of folders,
-/// which people gave, are easier to read.
+/// Chooses a column in two cases: if it distinguishes configurations that the columns chosen before do not distinguish, or if it has a label for
+/// a configuration that has no label in the other chosen columns. Columns of hashes or paths are never chosen: if no other column distinguishes
+/// the runs, the names of their folders, which people gave, are easier to read.
 pub fn choose_columns(candidates: Vec<Column>) -> ChosenColumns {
     choose_further_columns(Vec::new(), candidates)
 }
@@ -45,6 +45,7 @@ pub fn choose_further_columns(already_chosen: Vec<Column>, candidates: Vec<Colum
         already_chosen.iter().chain(newly_chosen.map(|(column, _)| column)).cloned().collect()
     };
     for index in 0..candidates.len() {
+        // The column is chosen for a trial, and stays chosen if there are then more different rows.
         let rows_without = distinct_rows(&chosen_columns(&is_chosen), configurations);
         is_chosen[index] = !candidates[index].is_opaque();
         is_chosen[index] =
@@ -102,7 +103,7 @@ fn configuration_name(columns: &[Column], index: usize) -> String {
 
 /// Returns sentences about the facts that differ but have no column.
 pub(super) fn sentences(columns: &[Column], rest: &[Column]) -> Vec<String> {
-    // Texts of the facts whose values are listed, and names of the facts that are only named.
+    // Texts of the facts whose values are listed, and names of the facts whose values are not.
     let (mut listed, mut names): (Vec<String>, Vec<&str>) = (Vec::new(), Vec::new());
     for column in rest {
         match column.values_with_configurations(columns) {
@@ -121,17 +122,18 @@ pub(super) fn sentences(columns: &[Column], rest: &[Column]) -> Vec<String> {
 }
 
 impl Column {
-    /// Returns whether not all labels are the same.
+    /// Returns whether at least two labels differ.
     pub fn differs(&self) -> bool {
         self.labels.windows(2).any(|pair| pair[0] != pair[1])
     }
 
-    /// Returns whether the labels are hashes, paths or lists.
+    /// Returns whether some of the labels are hashes, paths or long lists.
     pub fn is_opaque(&self) -> bool {
         is_opaque(self.labels.iter().map(String::as_str))
     }
 
-    /// Returns each label, followed by the configurations that have it; `None` if the text would be long.
+    /// Returns a text of each label, followed by the names of the configurations that have the label. `columns` gives these names. `None` if the
+    /// text would be long.
     fn values_with_configurations(&self, columns: &[Column]) -> Option<String> {
         // Each value with the names of the configurations that have it.
         let mut values: Vec<(&str, Vec<String>)> = Vec::new();
@@ -155,14 +157,14 @@ impl Column {
         })
     }
 
-    /// Returns the name of a configuration for which the naming column has no label: its other labels if it is the only one of this kind,
-    /// else `the others`.
+    /// Returns the name of a configuration for which the naming column has no label. If no other configuration lacks this label, the name
+    /// consists of the configuration's labels in all columns, else it is `the others`.
     fn name_without_label(&self, columns: &[Self], index: usize) -> String {
         let naming_column = columns.iter().find(|column| column.determines(self));
-        let alone = naming_column
+        let is_only_unlabelled = naming_column
             .is_some_and(|column| column.labels.iter().filter(|label| *label == EMPTY_CELL).count() == 1);
         let name = configuration_name(columns, index);
-        if alone && !name.is_empty() { name } else { "the others".to_owned() }
+        if is_only_unlabelled && !name.is_empty() { name } else { "the others".to_owned() }
     }
 
     /// Returns whether the labels of this column determine the labels of another column: equal labels here mean equal labels there.

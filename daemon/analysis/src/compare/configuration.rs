@@ -9,10 +9,11 @@ use super::labels::{EMPTY_CELL, RunFacts, differ, distinguishing_pairs, experime
 use crate::loaded::Loaded;
 use crate::record::RunRecord;
 
-/// Maximum number of different labels of one group that are listed. Of more labels only the number is given.
+/// Maximum number of different labels that a group's joined label lists. If there are more, the joined label gives only their number.
 const MAX_JOINED_LABELS: usize = 3;
 
-/// Returns the runs with equal labels as groups, in the order of their first runs. `labels` has the labels of each run.
+/// Groups the runs with equal labels. A group has the indexes of its runs, and the groups are in the order of their first runs. `labels` has the
+/// labels of each run.
 pub fn group_by_labels(labels: &[Vec<String>]) -> Vec<Vec<usize>> {
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for (run, run_labels) in labels.iter().enumerate() {
@@ -37,8 +38,8 @@ impl Configurations {
     /// Returns the configurations of runs.
     ///
     /// Runs of one experiment are distinguished by all fields that the author of the experiment declared. Other runs are distinguished by as few
-    /// columns as necessary. If the columns do not distinguish runs, or if nothing is known about a run, a column names the folders or files of
-    /// the runs. Repeats and edges of one configuration always have the same labels.
+    /// columns as necessary. If these columns do not distinguish all runs, or have no label for a run, a further column names the folders or
+    /// files of the runs. Repeats and edges of one configuration always have the same labels.
     pub fn from_runs(runs: &[Loaded]) -> Self {
         Self::with_other_differences(runs).0
     }
@@ -158,8 +159,8 @@ impl Configurations {
     }
 }
 
-/// Returns whether two runs are of the same configuration in the same execution of an experiment: either different repeats, or different edges
-/// that measured the same repeat at the same time, as users of one cloud.
+/// Returns whether two runs measured the same configuration in the same execution of an experiment. Such runs are either different repeats, or
+/// the same repeat on different edges, which measured at the same time as users of one cloud.
 fn are_repeats(a: &RunRecord, b: &RunRecord) -> bool {
     let have_different_edges = a.edge.name != b.edge.name;
     let (Some(a), Some(b)) = (&a.experiment, &b.experiment) else { return false };
@@ -182,7 +183,7 @@ fn facts_of(record: &RunRecord) -> RunFacts<'_> {
     }
 }
 
-/// Returns groups of the indexes of runs. A group has all repeats and edges of one configuration.
+/// Groups the runs by configuration. A group has the indexes of the runs of one configuration: all its repeats on all edges.
 fn groups(runs: &[Loaded]) -> Vec<Vec<usize>> {
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for (index, run) in runs.iter().enumerate() {
@@ -206,7 +207,7 @@ fn labels_by_run(runs: usize, groups: &[Vec<usize>], group_labels: &[String]) ->
     run_labels
 }
 
-/// Returns the labels of the runs of a group as one label.
+/// Joins the labels of the runs of a group into one label: `a + b`. Equal labels appear once.
 fn join_labels<'a>(labels: impl Iterator<Item = &'a String>) -> String {
     let mut distinct: Vec<&str> = Vec::new();
     for label in labels {
@@ -224,7 +225,7 @@ fn join_labels<'a>(labels: impl Iterator<Item = &'a String>) -> String {
 /// named after the file.
 fn folders(runs: &[Loaded], groups: &[Vec<usize>]) -> Vec<String> {
     let path = |run: &Loaded| {
-        // A file of rows without a record is named after itself.
+        // A file of rows without a record is a run of its own: the file's name, and not the folder's, names the run.
         let is_single_file = run.record.format == 0 && !run.folder.ends_with(&run.record.name);
         if is_single_file { run.folder.join(&run.record.name) } else { run.folder.clone() }
     };

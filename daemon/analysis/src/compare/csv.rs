@@ -7,7 +7,7 @@ use crate::deadline::Misses;
 use crate::quality::QualityEstimate;
 use crate::table::csv_text;
 
-/// Columns of the actuator.
+/// Names of the columns with the results of the actuator.
 const ACTUATOR_COLUMNS: [&str; 8] = [
     "superseded",
     "success-rate",
@@ -70,11 +70,11 @@ impl Comparison {
                 [rate, lo, hi, episodes as f64].map(Some)
             });
             let episode_return = line.actuator.episode_return;
-            let of_return = episode_return
+            let return_numbers = episode_return
                 .map(|EpisodeReturn { mean, std, episodes }| [Some(mean), std, Some(episodes as f64)]);
             cells.push(line.actuator.superseded.to_string());
             cells.extend(success.unwrap_or_default().map(number));
-            cells.extend(of_return.unwrap_or_default().map(number));
+            cells.extend(return_numbers.unwrap_or_default().map(number));
             cells.extend(
                 [
                     line.first_token.map(|latency| latency.mean),

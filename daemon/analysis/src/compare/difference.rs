@@ -23,16 +23,15 @@ pub struct Difference {
 impl Difference {
     /// Returns the second mean minus the first.
     ///
-    /// The interval is Welch's for unequal variances (Biometrika 34, 1947). It is computed from the means of batches. The difference is
-    /// computed from the exact means. Batches may differ in length, so the mean of their means may differ a little from the mean of all
-    /// values.
+    /// The interval is Welch's for unequal variances (Biometrika 34, 1947). Its width is computed from the means of batches, but its middle is
+    /// the difference of the means of all values. The mean of the batch means would differ a little, because batches may differ in length.
     pub fn between_means(first: &MeanEstimate, second: &MeanEstimate) -> Self {
         let value = second.mean - first.mean;
         let half_width = first.error().zip(second.error()).and_then(|(a, b)| half_width(&a, &b));
         Self { value, interval: half_width.map(|half_width| (value - half_width, value + half_width)) }
     }
 
-    /// Returns half the width of the interval.
+    /// Returns half the width of the interval; `None` if there is no interval.
     pub(super) fn margin(self) -> Option<f64> {
         self.interval.map(|(lo, hi)| (hi - lo) / 2.0)
     }
@@ -104,7 +103,8 @@ impl MeanEstimate {
     }
 }
 
-/// Returns the means of at most 30 batches with at least ten values each. A short run has five batches with fewer values.
+/// Returns the means of the batches of a run: at most 30 batches with at least ten values each. A run of fewer than 50 values is split into five
+/// batches, which are shorter than ten values.
 fn batch_means<S: Series + ?Sized>(run: &S) -> Vec<f64> {
     let batches = (run.total_count() / MIN_BATCH_VALUES).clamp(MIN_BATCHES as u64, MAX_BATCHES);
     run.parts(batches).into_iter().filter_map(|range| run.mean(range)).collect()

@@ -6,9 +6,9 @@ use peernet_statistics::number::{EXACT, column_decimals, decimals, fixed, fixed_
 use super::{Difference, Differences, EMPTY_CELL, StageDifference};
 use crate::table::{CaptionedTable, Table, csv_text, interval};
 
-/// Maximum number of decimals of a number of ms: a microsecond. The clock of another host is never known more precisely.
+/// Maximum number of decimals of a number of ms, which gives a microsecond: the clock of another host is never known more precisely.
 pub(super) const MAX_MS_DECIMALS: usize = 3;
-/// Explanation of an interval.
+/// Explanation of the intervals of means and medians.
 const INTERVAL_MEANING: &str = "The interval says how far the difference would vary if the same minutes were measured again \
      (of means: Welch, from batch means; of medians: stationary bootstrap).";
 /// Explanation of an interval of means.
@@ -121,7 +121,7 @@ pub(super) fn in_milliseconds(seconds: f64, decimals: usize) -> String {
     fixed(seconds * 1e3, decimals)
 }
 
-/// Returns a difference and its interval in milliseconds.
+/// Returns two cells: a difference and its interval, in milliseconds.
 pub(super) fn with_interval(difference: Difference, decimals: usize) -> [String; 2] {
     let signed_ms = |seconds: f64| format_signed(seconds, decimals);
     let ends = difference.interval.map(|(lo, hi)| interval([signed_ms(lo), signed_ms(hi)]));

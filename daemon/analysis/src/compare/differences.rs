@@ -13,7 +13,7 @@ use super::{Comparison, Difference, MeanEstimate, values};
 use crate::loaded::Loaded;
 use crate::rows::RowRef;
 
-/// Stages in their order. The names are stored in a static, so that [`STAGES`] can borrow them.
+/// Stages in their order. They are in a static, so that [`STAGES`] can borrow their names.
 static ORDER: [Name; stage::COUNT] = stage::ORDER;
 
 /// Returns the names of the stages, in their order.
@@ -32,7 +32,7 @@ pub(super) static STAGES: LazyLock<Vec<&'static str>> = LazyLock::new(|| {
 pub struct Differences {
     /// Name of the line that is the reference.
     pub baseline: String,
-    /// Name of the line that is compared with it.
+    /// Name of the line that is compared with the reference.
     pub other: String,
     /// Stages that both lines have.
     pub stages: Vec<StageDifference>,
@@ -51,13 +51,14 @@ pub struct StageDifference {
     pub medians: (f64, f64),
     /// Median of the other line minus the median of the baseline.
     pub median: Difference,
-    /// Further error of the difference, because the clock offset is only known within bounds. The interval does not include this error. It is
-    /// the sum of two means: the mean half width of the bounds in each of the two lines. `None` for stages that a single clock measured.
+    /// Further error of the difference, because the clock offset is known only within bounds. The intervals of `mean` and `median` do not
+    /// include this error. It is the mean half width of the clock bounds in the baseline plus that in the other line. `None` for stages that a
+    /// single clock measured.
     pub clocks: Option<f64>,
 }
 
 impl Differences {
-    /// Compares a line of a comparison of `runs` with another line.
+    /// Compares two lines of a comparison of `runs`. `baseline` and `other` are indexes of lines; `seed` is the seed of the bootstrap.
     pub fn between_lines(
         comparison: &Comparison,
         runs: &[Loaded],
@@ -114,7 +115,7 @@ impl StageDifference {
     }
 }
 
-/// Returns half the mean width of the bounds of a delay. `None` for stages that are not delays, and without bounds.
+/// Returns half the mean width of a delay's bounds, seconds. `None` for stages that are not delays, and if no delay has bounds.
 fn half_width(runs: &[&Loaded], stage: &str) -> Option<f64> {
     ["upload", "download"].contains(&stage).then_some(())?;
     let width =

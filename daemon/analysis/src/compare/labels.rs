@@ -7,11 +7,12 @@ use crate::model_places::place_word;
 
 /// Cell of a run that does not have the fact of the column.
 pub(super) const EMPTY_CELL: &str = "—";
-/// Facts that follow from the model or the data set of a run, which have their own columns.
+/// Names of facts that get no column, because they follow from the model or the data set of a run, which have their own columns.
 const IMPLIED_FACTS: [&str; 6] = ["model", "device", "task", "input", "labels", "classes"];
 
-/// Returns the name of each configuration from its labels: those of the columns in which the configurations differ, or all labels if there is no
-/// difference. Configurations whose labels differ but would have one name, such as `no` and `none`, have the name of each axis before its label.
+/// Returns the name of each configuration. The name has the labels of the columns in which the configurations differ, or all labels if there is no
+/// difference. If two configurations with different labels, such as `no` and `none`, would have the same name, their names have each label after
+/// the name of its axis.
 pub fn readable_names<'a>(
     axes: &[String],
     configurations: impl IntoIterator<Item = &'a [String]>,
@@ -45,8 +46,8 @@ fn name_with_axes(axes: &[String], labels: &[String]) -> String {
     present.map(|(axis, label)| format!("{axis} {label}")).collect::<Vec<_>>().join(", ")
 }
 
-/// Returns the name of a configuration from its labels. A label that is not clear without the name of its axis has it: `no resize` instead of
-/// `no`, `edges 4` instead of `4`. Missing labels are left out.
+/// Returns the name of a configuration from its labels. A label that is not clear by itself is combined with the name of its axis: `no resize`
+/// instead of `no`, `edges 4` instead of `4`. Missing labels are left out.
 pub(super) fn readable_name(axes: &[String], labels: &[String]) -> String {
     let present = axes.iter().zip(labels).filter(|(_, label)| *label != EMPTY_CELL);
     let words = present.map(|(axis, label)| match label.as_str() {
@@ -61,17 +62,17 @@ pub(super) fn readable_name(axes: &[String], labels: &[String]) -> String {
 /// Facts about a run that distinguish it from other runs, besides the fields that an experiment declares.
 #[derive(Clone, Copy, Debug)]
 pub struct RunFacts<'a> {
-    /// Name of the model.
+    /// Name of the model; `None` for a run without a model.
     pub model: Option<&'a str>,
-    /// Device of the model.
+    /// Device of the model; `None` if it is not known.
     pub device: Option<&'a str>,
     /// Kind of the placement.
     pub placement: &'a str,
-    /// Kind of the network.
+    /// Kind of the network; `None` if it is not known.
     pub network: Option<&'a str>,
     /// Name of the edge.
     pub edge: &'a str,
-    /// Name of the cloud.
+    /// Name of the cloud; `None` for a run without a cloud.
     pub cloud: Option<&'a str>,
     /// Facts about sensor, transforms, load and so on, as pairs of name and text.
     pub facts: &'a [(String, String)],
@@ -79,8 +80,9 @@ pub struct RunFacts<'a> {
     pub pipeline: Option<&'a str>,
 }
 
-/// Returns everything that may distinguish runs, as pairs of name and label for each run: the fields that its experiment declares, the execution of
-/// the experiment, and the facts. Columns are chosen from them ([`tabulate`], [`choose_columns`](super::choose_columns)).
+/// Returns everything that may distinguish runs: for each run, pairs of name and label. They are the fields that the run's experiment declares,
+/// the execution of the experiment, and the facts. The columns are chosen from these pairs ([`tabulate`],
+/// [`choose_columns`](super::choose_columns)).
 pub fn distinguishing_pairs(runs: &[(Option<&ExperimentPlace>, RunFacts<'_>)]) -> Vec<Vec<(String, String)>> {
     let places: Vec<Option<&ExperimentPlace>> = runs.iter().map(|(place, _)| *place).collect();
     let pairs = runs.iter().zip(executions(&places)).map(|((place, facts), execution)| {
@@ -90,8 +92,8 @@ pub fn distinguishing_pairs(runs: &[(Option<&ExperimentPlace>, RunFacts<'_>)]) -
     pairs.collect()
 }
 
-/// Returns the columns of runs that are all of experiments with the same declared fields: these fields, and the execution of the experiment if the
-/// runs are of several. `None` for other runs.
+/// Returns the columns of runs of experiments: the fields that the experiments declare, and the execution of the experiment if the runs belong to
+/// several executions. `None` unless every run belongs to an experiment and all experiments declare the same fields.
 pub fn experiment_columns(places: &[Option<&ExperimentPlace>]) -> Option<Vec<Column>> {
     let declared: Vec<Vec<(String, String)>> = places.iter().map(|place| declared_labels(*place)).collect();
     let names = |labels: &[(String, String)]| labels.iter().map(|(axis, _)| axis.clone()).collect::<Vec<_>>();
@@ -111,8 +113,8 @@ pub(super) fn differ(labels: &[String]) -> bool {
     labels.windows(2).any(|pair| pair[0] != pair[1])
 }
 
-/// Returns a label for the experiment of each run. If all runs are of experiments with the same name, the label is the short id of the
-/// execution.
+/// Returns a label for the experiment of each run: the name of the experiment. If all names are the same, the label is the short id of the
+/// execution of the experiment instead.
 pub(super) fn executions(places: &[Option<&ExperimentPlace>]) -> Vec<String> {
     let names: Vec<String> =
         places.iter().map(|place| place.map_or(EMPTY_CELL, |place| &place.name).to_owned()).collect();
@@ -124,7 +126,7 @@ pub(super) fn executions(places: &[Option<&ExperimentPlace>]) -> Vec<String> {
 }
 
 impl RunFacts<'_> {
-    /// Returns pairs of name and label. The columns of the paper come first.
+    /// Returns the facts as pairs of name and label. The columns of the paper's table come first.
     fn pairs(&self) -> Vec<(String, String)> {
         let pair = |axis: &str, label: Option<&str>| (axis.to_owned(), label.unwrap_or_default().to_owned());
         let mut pairs = vec![

@@ -11,18 +11,18 @@ use crate::total_column::TotalColumn;
 /// Mean latency of a configuration and its parts, seconds.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LatencyBar {
-    /// Mean of each part per iteration, in the [order of all parts](part_order). They add up to the total, unless the clocks show a stage as
-    /// longer than it was. The late start is a separate part here, not a part of the unattributed time.
+    /// Mean of each part per iteration, in the [order of all parts](part_order). The parts add up to the total, unless the clocks show a stage as
+    /// longer than it was. Unlike in [`StageSplit`], the late start is a separate part, not a part of the unattributed time.
     pub parts: Vec<(Name, f64)>,
-    /// Mean of the column by which configurations are compared. If the configuration has no such values, it is the sum of the parts.
+    /// Mean of the column by which configurations are compared. If the configuration has no values of this column, the sum of the parts.
     pub total: f64,
     /// Sample standard deviation of the total; `None` below two values.
     pub std: Option<f64>,
 }
 
 impl LatencyBar {
-    /// Returns the bar of a configuration with this number of counted iterations. `latency_of` returns the values of a node, `None` if it has
-    /// none. `sent` is that of [`StageSplit::new`]. `None` without an iteration.
+    /// Returns the bar of a configuration with this number of counted iterations. `latency_of` returns the latency of a node; `None` if the
+    /// node has no values. For `sent`, see [`StageSplit::new`]. Returns `None` without an iteration.
     pub fn new(
         column: TotalColumn,
         iterations: u64,
@@ -40,7 +40,7 @@ impl LatencyBar {
         let total_mean = total.map_or_else(sum_of_stages, count_and_mean);
         let split = StageSplit::new(sent, |name| match column {
             _ if stage::TOTAL == *name => Some(total_mean),
-            // The sum of the stages has no part outside of the stages.
+            // If runs are compared by the sum of their stages, no time is outside of the stages.
             TotalColumn::SumOfStages if stage::UNATTRIBUTED == *name => Some((iterations, 0.0)),
             _ => latency_of(name).map(count_and_mean),
         });

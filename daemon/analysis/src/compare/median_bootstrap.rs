@@ -7,23 +7,23 @@ use super::blocks;
 use super::difference::{Difference, MIN_VALUES};
 use crate::order::SortedValues;
 
-/// Number of resamples. The ends of a 95 % interval are then the 50th values from both sides.
+/// Number of resamples. With 2000 resamples, the ends of a 95 % interval are the 50th smallest and the 50th largest value.
 const RESAMPLES: usize = 2000;
-/// Maximum number of pieces of a run. Neighbouring values of a longer run are joined to pieces before the bootstrap, so that a draw takes the
-/// same time for a run of any length. With this number of pieces the error of an interval's width is about 2 %. The finite number of
-/// [`RESAMPLES`] resamples causes an error of the same size.
+/// Maximum number of pieces of a run. If a run has more values, neighbouring values are joined to pieces before the bootstrap, so that a resample
+/// takes the same time for a run of any length. With 2000 pieces the error of an interval's width is about 2 %. More pieces would not help,
+/// because the finite number of [`RESAMPLES`] causes an error of the same size.
 const MAX_PIECES: usize = 2000;
 
 /// Values of pooled runs.
 pub(super) struct Sample<'a> {
     /// Values of each run, in the order in which they were measured.
     runs: &'a [Vec<f64>],
-    /// Values of all runs.
+    /// Values of all runs together.
     sorted: SortedValues,
 }
 
 impl<'a> Sample<'a> {
-    /// Returns the sample of the values of each run.
+    /// Pools the values of several runs; `runs` has the values of each run.
     pub(super) fn new(runs: &'a [Vec<f64>]) -> Self {
         let sorted = runs.iter().flatten().copied().collect();
         Self { runs, sorted }
@@ -34,7 +34,7 @@ impl<'a> Sample<'a> {
         self.sorted.median()
     }
 
-    /// Returns whether each run with values has enough of them for an interval.
+    /// Returns whether each run has enough values for an interval. Runs without values are ignored.
     fn has_enough_values(&self) -> bool {
         self.runs.iter().all(|run| run.is_empty() || run.len() >= MIN_VALUES)
     }
@@ -42,13 +42,14 @@ impl<'a> Sample<'a> {
 
 /// Returns the median of `b` minus the median of `a`; `None` if `a` or `b` has no values.
 ///
-/// The ends of the interval are percentiles of the stationary bootstrap (Politis and Romano, JASA 89, 1994). Every run is resampled from blocks
-/// of itself. The blocks have random lengths with the mean that [`blocks::length`] returns.
+/// The ends of the interval are percentiles of the stationary bootstrap (Politis and Romano, JASA 89, 1994). Every run is resampled from its own
+/// blocks. The blocks have random lengths, whose mean [`blocks::length`] returns.
 ///
 /// To first order, the median of a resample depends only on the number of its values above the median of all values (Bahadur, *A note on
-/// quantiles in large samples*, Annals of Mathematical Statistics 37, 1966). If the resample has more such values than expected, its median is
-/// a higher quantile of all values, shifted by the difference. The excess of a resample is the sum of the excesses of its blocks, and prefix
-/// sums of the run give the excess of a block without reading the values. The block length is computed from the series of excesses as well.
+/// quantiles in large samples*, Annals of Mathematical Statistics 37, 1966). If the resample has `excess` more such values than expected, its
+/// median is the quantile of all values at 0.5 + `excess` / n instead of at 0.5. The excess of a resample is the sum of the excesses of its
+/// blocks. The prefix sums of a run give the excess of a block without reading the block's values. The block length, too, is computed from the
+/// series of excesses.
 pub(super) fn median_difference(a: &Sample<'_>, b: &Sample<'_>, seed: u64) -> Option<Difference> {
     difference_from_resamples(a, b, seed, RESAMPLES)
 }
@@ -77,10 +78,10 @@ struct BootstrapSample<'a> {
     runs: Vec<Run>,
 }
 
-/// Run as prefix sums of the excess of its pieces. The excess of a piece is the number of its values above the median of all values, minus the
-/// expected number.
+/// A run, stored as prefix sums of the excesses of its pieces. The excess of a piece is the number of its values above the median of all values,
+/// minus the expected number of such values.
 struct Run {
-    /// Sums of the first 0, 1, 2, … pieces.
+    /// Sums of the excesses of the first 0, 1, 2, … pieces.
     sums: Vec<f64>,
     /// Mean length of a block, in pieces.
     mean_block_length: f64,
@@ -118,8 +119,8 @@ impl<'a> BootstrapSample<'a> {
 }
 
 impl Run {
-    /// Draws blocks at random positions until they have as many pieces as the run, and calls `take` with the range of each. The run is circular:
-    /// a block that reaches beyond its end continues at its beginning, as a second range.
+    /// Draws blocks at random positions until the blocks together have as many pieces as the run. Calls `take` with the beginning and the end of
+    /// each block. The run is circular: a block that reaches beyond the end of the run continues at the run's beginning, as a second range.
     fn draw_blocks(&self, random: &mut StdRng, mut take: impl FnMut(usize, usize)) {
         let count = self.sums.len() - 1;
         let minus_end_probability = -1.0 / self.mean_block_length;

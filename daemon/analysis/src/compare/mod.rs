@@ -62,10 +62,10 @@ const FIRST_TOKEN: &str = "inference_time-to-first-token";
 /// Default seed of the bootstrap, so that the same runs give the same figures.
 pub const SEED: u64 = 1;
 
-/// If a delay is known for less than this share of the iterations, a note reports the share.
+/// A note reports the share of the iterations for which a delay is known, if the share is below this value.
 const MIN_KNOWN_SHARE: f64 = 0.95;
 
-/// A note lists the stages without a column that take at least this share of the sum of all stages.
+/// A note lists the stages that have no column in the table, if they take at least this share of the sum of all stages.
 const MIN_HIDDEN_SHARE: f64 = 0.01;
 
 /// Treatment of repeats of one configuration.
@@ -76,15 +76,15 @@ pub enum Repeats<'a> {
     Pooled,
     /// Each repeat is a line.
     Separate,
-    /// Repeats are pooled, except for the runs with these indices. Each of these runs has a separate line, next to the other repeats of
-    /// its configuration.
+    /// Repeats are pooled, except for the runs with these indices. Each of these runs has a separate line, next to the line of the other
+    /// repeats of the same configuration.
     PooledExcept(&'a [usize]),
 }
 
 /// Comparison of runs.
 #[derive(Clone, Debug)]
 pub struct Comparison {
-    /// Names of the columns that distinguish the lines.
+    /// Names of the columns that distinguish the lines, such as `model` and `network`.
     pub axes: Vec<String>,
     /// One line for each configuration, in the order of the input.
     pub lines: Vec<Line>,
@@ -119,13 +119,13 @@ pub struct Line {
     pub edges: usize,
     /// Number of counted iterations: neither warm-up nor failed.
     pub count: u64,
-    /// Number of iterations without an answer or with one that the actuator failed to act on, without the warm-up.
+    /// Number of failed iterations, without the warm-up: iterations that have no answer, or an answer that the actuator failed to act on.
     pub failed: u64,
     /// Number of counted and failed iterations that missed their deadline; `None` without a deadline.
     pub misses: Option<Misses>,
     /// Superseded answers, and success and return of the episodes.
     pub actuator: ActuatorResults,
-    /// Numbers of actual and of skipped starts of an open loop. The rates are `None`.
+    /// Numbers of actual and of skipped starts of an open loop. The rates in this value are `None`, because each run has its own rate.
     pub starts: Starts,
     /// Distribution that the latencies of the model are drawn from; `None` if all of them are measured.
     pub replayed: Option<String>,
@@ -225,7 +225,7 @@ impl Line {
 
     /// Computes the statistics of the line from its runs.
     fn fill(&mut self, runs: &[Loaded], total_column: &str) {
-        // Number of each repeat, and the number of its edges. Each edge has its own results.
+        // Number of each repeat in the experiment, and how many edges measured it. Each edge has its own results.
         let mut repeats: Vec<(Option<u32>, usize)> = Vec::new();
         for Loaded { record, rows, .. } in self.runs.iter().map(|run| &runs[*run]) {
             self.count += rows.iter().filter(|row| row.is_counted()).count() as u64;
@@ -289,7 +289,7 @@ fn values(rows: &Rows, column: &str) -> Vec<f64> {
     rows.counted_values(column).filter(|value| Summary::accepts(*value)).collect()
 }
 
-/// Returns whether a comparison needs a column, so that `peernet_results::ResultFolder::open_columns` reads it.
+/// Returns whether a comparison needs a column. `peernet_results::ResultFolder::open_columns` reads only such columns.
 pub fn is_compared(column: &str) -> bool {
     let bounds = ["upload-lo", "upload-hi", "download-lo", "download-hi"];
     let columns = differences::STAGES.iter().chain(&LATENCIES).chain(&ACCURACIES).chain(&bounds);

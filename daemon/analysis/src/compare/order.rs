@@ -1,10 +1,10 @@
-//! Order of the configurations of an experiment. Runs are executed in random order, but readers expect the order of the file.
+//! Order of the configurations of an experiment. Runs are executed in random order, but readers expect the order of the experiment's file.
 
 use std::cmp::Ordering;
 
 use peernet_stream::ExperimentPlace;
 
-/// Units of labels, each with its value in the smallest unit of its kind.
+/// Units of labels, each with its size in the base unit of its kind: bytes, seconds or hertz.
 const UNITS: [(&str, f64); 14] = [
     ("b", 1.0),
     ("kb", 1e3),
@@ -23,7 +23,7 @@ const UNITS: [(&str, f64); 14] = [
 ];
 
 /// Compares the places of two runs in an experiment: by the position of the configuration in the experiment's file, then by its labels, then by
-/// the repeat. A configuration whose position is not known, because an earlier version ran it, follows those with a position.
+/// the repeat. A configuration whose position is not known, because an earlier version ran it, follows the configurations with a position.
 pub fn compare_places(a: &ExperimentPlace, b: &ExperimentPlace) -> Ordering {
     let position = |place: &ExperimentPlace| (place.position.is_none(), place.position);
     let labels = || compare_labels(&a.configuration, &b.configuration);
@@ -37,7 +37,8 @@ fn compare_labels(a: &[(String, String)], b: &[(String, String)]) -> Ordering {
     first_difference.unwrap_or_else(|| a.len().cmp(&b.len()))
 }
 
-/// Compares two labels in their natural order. Numbers come first, ordered by value and unit. Words follow, ordered with the numbers in them by value.
+/// Compares two labels in their natural order. Labels that begin with a number come first, ordered by value and unit. Other labels follow in
+/// alphabetical order, except that numbers within them are ordered by value: `run 9` before `run 10`.
 pub fn compare_label(a: &str, b: &str) -> Ordering {
     match (quantity(a), quantity(b)) {
         (Some(x), Some(y)) => x.total_cmp(&y).then_with(|| a.cmp(b)),
@@ -47,7 +48,8 @@ pub fn compare_label(a: &str, b: &str) -> Ordering {
     }
 }
 
-/// Returns the numeric value of a label such as `30`, `-1.5`, `1,000`, `1e6`, `30 kB` or `50 Hz`. For `224x224` it is the first number.
+/// Returns the numeric value of a label such as `30`, `-1.5`, `1,000`, `1e6`, `30 kB` or `50 Hz`. For `224x224` it is the first number. `None`
+/// if the label does not begin with a number.
 fn quantity(label: &str) -> Option<f64> {
     let text = label.trim().replace(',', "");
     let finite_number = |text: &str| text.parse::<f64>().ok().filter(|value| value.is_finite());
@@ -55,7 +57,7 @@ fn quantity(label: &str) -> Option<f64> {
     let (value, rest) =
         ends.into_iter().find_map(|end| Some((finite_number(&text[..end])?, &text[end..])))?;
     let unit = rest.trim().to_lowercase();
-    Some(value * UNITS.iter().find(|(name, _)| *name == unit).map_or(1.0, |(_, times)| *times))
+    Some(value * UNITS.iter().find(|(name, _)| *name == unit).map_or(1.0, |(_, size)| *size))
 }
 
 #[derive(PartialEq, Eq, PartialOrd, Ord)]

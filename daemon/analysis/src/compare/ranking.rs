@@ -7,7 +7,8 @@ use super::difference::{Difference, MeanEstimate};
 pub struct Ranking {
     /// Index of the configuration with the smallest mean.
     pub best: usize,
-    /// Index of each other configuration, and its mean minus the smallest mean; `None` if it has no mean.
+    /// Index of each other ranked configuration, and its mean minus the smallest mean. The difference is `None` if the configuration has no
+    /// mean.
     pub differences: Vec<(usize, Option<Difference>)>,
     /// Indexes of the configurations that are not ranked, because their model computes nothing.
     pub unranked: Vec<usize>,
@@ -16,15 +17,15 @@ pub struct Ranking {
 /// Total latency of a configuration, by which it is ranked.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ConfigurationTotal {
-    /// `false` if the model of a run only returns its input: see [`model_computes`].
+    /// `false` if the model of at least one run only returns its input: see [`model_computes`].
     pub model_computes: bool,
     /// Mean of the [`TotalColumn`](crate::total_column::TotalColumn) of all configurations; `None` without measurements.
     pub mean: Option<MeanEstimate>,
 }
 
 impl Ranking {
-    /// Ranks configurations by their means. Configurations whose model computes nothing are ranked only if all are of this kind. Returns
-    /// `None` for fewer than two ranked configurations, and if none of them has a mean.
+    /// Ranks configurations by their means. Configurations whose model computes nothing are ranked only if no configuration has a model that
+    /// computes something. Returns `None` with fewer than two ranked configurations, or if none of them has a mean.
     pub fn new(configurations: &[ConfigurationTotal]) -> Option<Self> {
         let any_model_computes = configurations.iter().any(|configuration| configuration.model_computes);
         let (ranked, unranked): (Vec<usize>, Vec<usize>) = (0..configurations.len())
@@ -45,7 +46,7 @@ impl Ranking {
         self.indexes_by_verdict(Some(false))
     }
 
-    /// Returns the indexes of the configurations for which there are too few values for a test.
+    /// Returns the indexes of the configurations that have too few values for a test.
     pub fn untested(&self) -> Vec<usize> {
         self.indexes_by_verdict(None)
     }
