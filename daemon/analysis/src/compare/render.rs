@@ -27,7 +27,7 @@ impl Comparison {
         format!("{}\n{}\n", self.table().markdown(), self.notes("Bold").join("\n"))
     }
 
-    /// Returns LaTeX, with booktabs.
+    /// Returns LaTeX for the package booktabs.
     pub fn latex(&self) -> String {
         self.table().latex(&self.notes("Bold").join(" "))
     }
@@ -90,14 +90,14 @@ impl Comparison {
         Table { header, labels: self.axes.len(), rows, marked: best_cell }
     }
 
-    /// Returns the number of decimals of a latency, which is the same for all rows, so that the numbers are easy to compare.
+    /// Returns the number of decimals of a column of latencies. It is the same for all rows, so that the numbers are easy to compare.
     fn decimals(&self, latency: impl Fn(&Line) -> Option<Latency>) -> usize {
         let latencies = self.lines.iter().filter_map(latency);
         latencies.map(|latency| column_decimals(latency.std)).max().unwrap_or_default()
     }
 
-    /// Returns the notes below the table: the meaning of its numbers, and what the table does not show. `mark` is how the smallest mean total
-    /// is marked.
+    /// Returns the notes below the table: the meaning of its numbers, and what the table does not show. `mark` says how the table marks the
+    /// smallest mean total: `*` or `Bold`.
     fn notes(&self, mark: &str) -> Vec<String> {
         let mut notes: Vec<String> =
             self.best.map(|_| format!("{mark}: smallest mean total.")).into_iter().collect();
@@ -177,7 +177,7 @@ impl Comparison {
 
     /// Returns what the columns of the actuator mean.
     fn actuator_notes(&self) -> Vec<String> {
-        let any = |has: fn(&Line) -> bool| self.lines.iter().any(has);
+        let any = |condition: fn(&Line) -> bool| self.lines.iter().any(condition);
         let notes = [
             any(|line| line.actuator.superseded > 0).then_some(
                 "Superseded: answers that were not acted on, because a newer answer had been acted on or the episode had ended.",
@@ -195,7 +195,7 @@ impl Comparison {
         notes.into_iter().flatten().map(str::to_owned).collect()
     }
 
-    /// Returns the notes on lines with labels that are not classes of the model, one for each reason.
+    /// Returns the notes on samples whose label is not a class of the model. Lines with the same reason share a note.
     fn unknown_labels(&self) -> Vec<String> {
         let mut reasons: Vec<(String, Vec<String>)> = Vec::new();
         for line in &self.lines {
@@ -228,7 +228,7 @@ impl Comparison {
             clauses.push(format!("{subject} differs from it with 95 % confidence"));
         }
         if !self.untested.is_empty() {
-            // Each edge has its own results, so that it counts alone.
+            // Each edge has its own results, so that each of them needs enough iterations.
             let lines = self.untested.iter().map(|line| &self.lines[*line]).chain([best]);
             let each = if lines.into_iter().any(|line| line.edges > 1) { "edge in each run" } else { "run" };
             clauses.push(format!(
@@ -254,12 +254,12 @@ impl Comparison {
 }
 
 impl Line {
-    /// Returns a text about the line after the name of the line.
+    /// Puts the name of the line before a text about the line: `name: text`.
     pub(super) fn with_name(&self, text: &str) -> String {
         with_name(&self.name, text)
     }
 
-    /// Returns the text with the stages that have no column; `None` if they take no notable part of the sum of all stages.
+    /// Returns the text with the stages that have no column; `None` if no such stage takes a notable part of the sum of all stages.
     fn hidden_stages_text(&self) -> Option<String> {
         let stage = |(name, seconds): &(&str, f64)| {
             let ms = seconds * 1e3;
@@ -279,14 +279,14 @@ impl Line {
         Some(self.with_name(&range_ms(ends)))
     }
 
-    /// Returns the texts on iterations without a score, one for each accuracy. Iterations whose label is not a class of the model have their own
-    /// note and are not counted here.
+    /// Returns the texts on iterations without a score, one for each accuracy. Iterations whose label is not a class of the model are not
+    /// included: [`Comparison::unknown_labels`] returns the note on them.
     fn unscored(&self) -> Vec<String> {
         let with_unknown_label = self.unknown_labels.as_ref().map_or(0, |unknown| unknown.count);
         let unscored_text = |(name, accuracy): (&str, &Option<Accuracy>)| {
-            let left_out = (*accuracy)?.unscored.saturating_sub(with_unknown_label);
-            let text = || format!("{name} of {}: {} of {}", self.name, count(left_out), count(self.count));
-            (left_out > 0).then(text)
+            let unscored = (*accuracy)?.unscored.saturating_sub(with_unknown_label);
+            let text = || format!("{name} of {}: {} of {}", self.name, count(unscored), count(self.count));
+            (unscored > 0).then(text)
         };
         ACCURACIES.into_iter().zip(&self.accuracies).filter_map(unscored_text).collect()
     }
@@ -301,7 +301,7 @@ impl Line {
     }
 }
 
-/// Returns a text after a name. If the name is empty, because there is only one line, returns the text alone.
+/// Puts a name before a text: `name: text`. If the name is empty, because there is only one line, returns the text alone.
 pub(super) fn with_name(name: &str, text: &str) -> String {
     if name.is_empty() { text.to_owned() } else { format!("{name}: {text}") }
 }

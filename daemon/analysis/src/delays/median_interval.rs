@@ -1,4 +1,4 @@
-//! Interval of the median of delays and throughputs by the clock bounds: from single values, and from stored statistics.
+//! Interval that the clock bounds give for the median of delays or throughputs, from single values or from stored statistics.
 
 use peernet_statistics::Summary;
 
@@ -32,10 +32,10 @@ impl CountedAverage {
 /// Method that computed the interval of a median or mean from stored statistics.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum IntervalMethod {
-    /// From the lower and the upper ends of all intervals, as [`median_bounds`] from single values.
+    /// From the lower and the upper ends of all intervals. [`median_bounds`] does the same with single values.
     Ends,
-    /// From half the widths of all intervals, because an earlier version recorded the values and no ends. It differs from [`median_bounds`] if the
-    /// values do not lie in the middle of their intervals, or if these are not equally wide.
+    /// From half the widths of all intervals, because an earlier version recorded no ends. The result differs from [`median_bounds`] if the
+    /// values do not lie in the middle of their intervals, or if the intervals are not equally wide.
     HalfWidths,
 }
 
@@ -49,7 +49,7 @@ impl IntervalMethod {
     }
 }
 
-/// Interval by the clock bounds of the median or mean of a delay or throughput, from stored statistics.
+/// Interval that the clock bounds give for the median or mean of a delay or throughput.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClockInterval {
     /// Lower end.
@@ -71,17 +71,17 @@ impl ClockInterval {
         (self.lo, self.hi)
     }
 
-    /// Returns the interval of a speed, of which this is the interval of the delay: the bytes that the speed transfers in `delay`, divided by the
-    /// ends of this interval.
+    /// Converts the interval of a delay into the interval of a speed. The amount of data that `speed` transfers in `delay` seconds is divided by
+    /// the ends of the delay's interval.
     #[must_use]
     pub fn of_speed(&self, speed: f64, delay: f64) -> Self {
-        let bytes = speed * delay;
-        let over = |seconds: f64| if seconds > 0.0 { bytes / seconds } else { f64::INFINITY };
-        Self { lo: over(self.hi), hi: over(self.lo), method: self.method }
+        let amount = speed * delay;
+        let speed_for = |seconds: f64| if seconds > 0.0 { amount / seconds } else { f64::INFINITY };
+        Self { lo: speed_for(self.hi), hi: speed_for(self.lo), method: self.method }
     }
 
-    /// Returns the interval from an average and half the width. Its lower end is at least 0 unless delays are negative: messages of one session
-    /// never arrive before they were sent, but an observed system may have negative delays.
+    /// Returns the interval from an average and half the width. If the average is not negative, the lower end is at least 0, because messages
+    /// never arrive before they were sent. Only an observed system can have a negative average.
     fn from_half_width(average: f64, half_width: f64) -> Self {
         let lo = average - half_width;
         let lo = if average < 0.0 { lo } else { lo.max(0.0) };
@@ -89,14 +89,14 @@ impl ClockInterval {
     }
 }
 
-/// Medians, or means, of the stored statistics of delays, seconds.
+/// Medians of the stored statistics of delays, or means, seconds.
 #[derive(Clone, Copy, Debug)]
 pub struct DelayAverages {
     /// Median or mean of the delays.
     pub delay: CountedAverage,
-    /// Medians or means of the lower and of the upper ends of their intervals; `None` if the ends are not stored.
+    /// Medians or means of the lower ends and of the upper ends of the delays' intervals; `None` if the ends are not stored.
     pub ends: Option<[CountedAverage; 2]>,
-    /// Median or mean of half the widths of their intervals; `None` if no delay has an interval.
+    /// Median or mean of half the widths of the delays' intervals; `None` if no delay has an interval.
     pub half_width: Option<CountedAverage>,
 }
 
@@ -126,7 +126,7 @@ impl DelayAverages {
 pub struct ClockedSummaries<'a> {
     /// The quantity: the delays themselves, or the throughputs of messages with these delays.
     pub values: &'a Summary,
-    /// Lower and upper ends of the intervals of these values, without infinite ones; `None` if they are not stored.
+    /// Lower and upper ends of the intervals of `values`, without infinite ends; `None` if the ends are not stored.
     pub ends: Option<&'a [Summary; 2]>,
     /// Delays, seconds.
     pub delays: &'a Summary,
@@ -142,11 +142,11 @@ impl ClockedSummaries<'_> {
 
     /// Returns the interval of the median throughput. `None` unless every delay has an interval.
     ///
-    /// If the ends are not stored, they are the number of bytes that the median throughput transfers in the median delay, divided by the ends of
-    /// the delay's interval. These are the ends of [`median_bounds`] only if all messages have about the same size, too.
+    /// If the ends are not stored, they are computed from the interval of the median delay ([`ClockInterval::of_speed`]). They then equal the
+    /// ends of [`median_bounds`] only if all messages have about the same size and the conditions of [`IntervalMethod::HalfWidths`] hold.
     pub fn interval_of_median_throughput(&self) -> Option<ClockInterval> {
         self.interval_from_throughput_ends().or_else(|| {
-            // The ends that are stored for throughputs are no ends of delays.
+            // `self.ends` are the ends of throughputs here, not of delays, so only the half widths of the delays can be used.
             let medians = DelayAverages { ends: None, ..self.delay_medians()? };
             let interval = medians.interval()?;
             Some(interval.of_speed(self.values.quantile(0.5)?, medians.delay.value))
@@ -166,7 +166,7 @@ impl ClockedSummaries<'_> {
     fn interval_from_throughput_ends(&self) -> Option<ClockInterval> {
         let [lower, upper] = self.ends?;
         let count = lower.count();
-        // A throughput has a lower end whenever it has an interval.
+        // The lower end of a throughput is always finite, so the number of lower ends is the number of intervals.
         (count > 0 && count >= self.values.count()).then_some(())?;
         let hi = upper_median(upper, count);
         Some(ClockInterval { lo: lower.quantile(0.5)?, hi, method: IntervalMethod::Ends })

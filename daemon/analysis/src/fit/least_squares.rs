@@ -21,7 +21,7 @@ impl From<Point> for Weighted {
 
 /// Returns the line with the smallest weighted sum of squared deviations. Intervals follow Student's distribution with n − 2 degrees of
 /// freedom; the scale of the errors is estimated from the residuals (Draper and Smith, Applied Regression Analysis, chapters 1 and 9).
-/// `None` when there are fewer than three points, all have the same x, or a coordinate or a weight is not valid.
+/// `None` if there are fewer than three points, if all points have the same x, or if a coordinate or a weight is not valid.
 pub fn least_squares(points: &[Weighted]) -> Option<Fit> {
     let are_weights_valid = points.iter().all(|point| point.weight.is_finite() && point.weight > 0.0);
     if !are_weights_valid || !can_be_fitted(points.iter().map(|point| point.point)) {
@@ -31,7 +31,7 @@ pub fn least_squares(points: &[Weighted]) -> Option<Fit> {
         |term: &dyn Fn(&Weighted) -> f64| points.iter().map(|point| point.weight * term(point)).sum::<f64>();
     let total_weight = sum(&|_| 1.0);
     let (mean_x, mean_y) = (sum(&|w| w.point.x) / total_weight, sum(&|w| w.point.y) / total_weight);
-    // Deviations from the means keep digits that differences of sums of squares would lose.
+    // The sums are taken over deviations from the means: differences of sums of squares would lose digits.
     let sum_xx = sum(&|w| (w.point.x - mean_x).powi(2));
     let slope = sum(&|w| (w.point.x - mean_x) * (w.point.y - mean_y)) / sum_xx;
     let intercept = mean_y - slope * mean_x;

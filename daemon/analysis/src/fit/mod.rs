@@ -21,10 +21,10 @@ pub use theil_sen::theil_sen;
 /// Confidence of every interval.
 pub const CONFIDENCE: f64 = 0.95;
 
-/// Point to fit: a value that was set and a value that was measured.
+/// Point to fit: x, such as a size, and the value y that was measured at this x, such as a delay.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
-    /// Value that was set.
+    /// Value that was set, such as the size of a message.
     pub x: f64,
     /// Value that was measured.
     pub y: f64,
@@ -42,7 +42,8 @@ pub struct Estimate {
 }
 
 impl Estimate {
-    /// Returns the larger distance from the value to an end of the interval. It is half the width if the value is in the middle.
+    /// Returns the distance from the value to the farther end of the interval, which is half the width if the value is in the middle. `None`
+    /// without an interval.
     pub fn margin(&self) -> Option<f64> {
         self.interval.map(|(lo, hi)| (hi - self.value).max(self.value - lo))
     }
@@ -71,7 +72,7 @@ impl Fit {
     }
 }
 
-/// Maximum width of the interval of a rate, as a share of the rate. A rate with a wider interval is not given.
+/// Maximum width of the interval of a rate, as a share of the rate. A rate with a wider interval is not shown.
 const MAX_RELATIVE_WIDTH: f64 = 0.5;
 
 /// Rate that follows from a slope in seconds per byte, bits per second.
@@ -98,12 +99,12 @@ impl SlopeRate {
     }
 }
 
-/// Returns the rate of a slope with its margin, if the slope determines it: [`SlopeRate::with_margin`].
+/// Returns the rate of a slope and the rate's margin; `None` unless the slope is above 0 and [`SlopeRate::with_margin`] returns a rate.
 pub fn rate(slope: Estimate) -> Option<(f64, f64)> {
     SlopeRate::new(slope)?.with_margin()
 }
 
-/// Returns the bits per second of a slope in seconds per byte; `None` unless it is above 0.
+/// Converts a slope in seconds per byte into bits per second; `None` unless the slope is above 0.
 fn rate_of(slope: f64) -> Option<f64> {
     (slope > 0.0).then(|| 8.0 / slope)
 }

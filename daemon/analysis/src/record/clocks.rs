@@ -24,7 +24,7 @@ pub struct Clocks {
 pub struct ClockCounts {
     /// Number of delays by verdict.
     pub verdicts: BTreeMap<String, u64>,
-    /// Number of delays by source of their clock relation.
+    /// Number of delays by the source of the clock relation that corrected them.
     pub sources: BTreeMap<String, u64>,
     /// Median width of the bounds, seconds; `None` without bounds.
     pub median_width: Option<f64>,
@@ -32,7 +32,7 @@ pub struct ClockCounts {
     pub first_offset: Option<Bounded>,
     /// Offset at the last message with a known offset.
     pub last_offset: Option<Bounded>,
-    /// Average growth of the offset between these two messages, seconds per second.
+    /// Average growth of the offset between the first and the last of these messages, seconds per second.
     pub skew: Option<Bounded>,
 }
 
@@ -88,8 +88,8 @@ impl ClockCounts {
     }
 }
 
-/// Returns the offset that was subtracted from the difference of the stamps, in seconds. A long delay means a small offset, so the upper
-/// bound of the delay gives the lower bound of the offset.
+/// Returns the clock offset that was subtracted from the difference of the stamps to give the delay, in seconds. The longer the delay, the
+/// smaller the offset, so the upper bound of the delay gives the lower bound of the offset.
 fn offset(delay: &OneWayDelay) -> Option<Bounded> {
     delay.known_seconds()?;
     let offset_for = |true_delay| (delay.raw - true_delay).seconds();

@@ -45,19 +45,19 @@ pub struct RunRecord {
     pub version: String,
     /// Command line that started the run.
     pub command: String,
-    /// Working directory of the command: relative paths of the command and of the configuration start there.
+    /// Working directory of the command. Relative paths in the command and in the configuration start in this directory.
     pub folder: String,
     /// Environment variables that influence file lookup and speed, if they were set.
     pub environment: BTreeMap<String, String>,
-    /// The file of devices that the command or the experiment names.
+    /// The file of network devices that the command or the experiment names; `None` if neither names one.
     pub network_config: Option<NetworkConfig>,
     /// Edge host, which ran the sensor.
     pub edge: HostRecord,
-    /// Cloud host, which ran the model; `None` if there was none, or it was not reached.
+    /// Cloud host, which ran the model; `None` if the run had no cloud host, or if the host was not reached.
     pub cloud: Option<HostRecord>,
-    /// Place of the computation.
+    /// Place at which the model ran.
     pub placement: Placement,
-    /// Model; `None` if a sensor ran alone.
+    /// Model of the run; `None` if a sensor ran alone.
     pub model: Option<ModelRecord>,
     /// Facts about sensor, transforms, load and so on, as pairs of name and text for display.
     pub facts: Vec<(String, String)>,
@@ -65,9 +65,9 @@ pub struct RunRecord {
     pub pipeline: Value,
     /// The agent's other tables.
     pub agent: Value,
-    /// Position in an experiment, if it belongs to one.
+    /// Position of the run in an experiment; `None` if the run does not belong to an experiment.
     pub experiment: Option<ExperimentPlace>,
-    /// Number of this edge, if several edges used the cloud at the same time.
+    /// Number of this edge among the edges that used the cloud at the same time; `None` if this was the only edge.
     pub user: Option<User>,
     /// Longest wait for a missing peer, before the run and during it; seconds.
     #[serde(rename = "patience_s")]
@@ -80,7 +80,7 @@ pub struct RunRecord {
     pub counts: Counts,
     /// Deadline of an iteration, seconds; `None` without a deadline.
     pub deadline_s: Option<f64>,
-    /// Number of iterations that missed the deadline.
+    /// Number of iterations that missed the deadline; `None` without a deadline.
     pub misses: Option<Misses>,
     /// Superseded answers, and success and return of the episodes.
     pub actuator: ActuatorResults,
@@ -101,7 +101,7 @@ impl RunRecord {
     }
 }
 
-/// File of devices, as it was when the command started.
+/// File of network devices, as it was when the command started.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct NetworkConfig {
@@ -115,9 +115,9 @@ pub struct NetworkConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct User {
-    /// Number, from 1.
+    /// Number of this edge, from 1.
     pub number: u32,
-    /// Number of users.
+    /// Number of edges that use the cloud at the same time.
     #[serde(rename = "of")]
     pub count: u32,
 }
@@ -130,13 +130,13 @@ pub struct HostRecord {
     pub name: String,
     /// Random identifier of the host, which stays the same when the host is renamed.
     pub id: Option<HostId>,
-    /// Version of its program.
+    /// Version of the program on this host.
     pub version: String,
     /// Hardware of the host.
     pub hardware: Option<Hardware>,
-    /// Clock discipline in words, such as `chrony, stratum 2, to 10.0.0.1`; empty if it was not inspected.
+    /// Program that disciplines the clock, in words, such as `chrony, stratum 2, to 10.0.0.1`; empty if it was not inspected.
     pub clock: String,
-    /// Conditions of the host that were found before the run.
+    /// Conditions of the host, found before the run, that affect measurements.
     pub conditions: Vec<Condition>,
 }
 
@@ -165,9 +165,9 @@ impl Placement {
 pub struct ModelRecord {
     /// Name in the model bank.
     pub name: String,
-    /// Device that it ran on.
+    /// Device that the model ran on; `None` if it is not known.
     pub device: Option<String>,
-    /// SHA-256 of its file, hexadecimal.
+    /// SHA-256 of the model's file, hexadecimal; `None` if the model has no file or the hash is not known.
     pub sha256: Option<String>,
 }
 
@@ -211,7 +211,7 @@ impl Counts {
         counts
     }
 
-    /// Returns the number of rows without the warm-up.
+    /// Returns the number of iterations with any outcome, without the warm-up and without [`unseen`](Self::unseen) iterations.
     pub const fn measured(&self) -> u64 {
         self.ok + self.all_failed()
     }

@@ -6,8 +6,7 @@ use peernet_logger::{IterationValues, Measure, Node, NodeId, NodeRole, Tree, Uni
 
 use super::Column;
 
-/// Column that counts skipped starts: the starts of an open loop that were skipped before this iteration, because the pipeline was too
-/// far behind.
+/// Column with the number of scheduled starts that an open loop skipped before this iteration, because the pipeline was too far behind.
 pub const SKIPPED_STARTS: &str = "skipped-starts";
 /// Column of the time from the scheduled to the actual start, in an open loop: a part of `unattributed`.
 pub const LATENESS: &str = "lateness";
@@ -15,11 +14,11 @@ pub const LATENESS: &str = "lateness";
 /// Kind of the cells of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ColumnKind {
-    /// Position of the iteration in the run, its start time, or its outcome.
+    /// Property of the iteration itself: its position in the run, its start time, or its outcome.
     Position,
     /// Value of a node of the tree.
     Node,
-    /// Property of a delay other than its value.
+    /// Property of a one-way delay other than its value, such as its bounds or its verdict.
     Delay,
 }
 
@@ -94,12 +93,12 @@ pub fn column(name: &str) -> Column {
         .map_or_else(|| Column::Owned(name.to_owned()), |index| Column::Borrowed(FIXED_COLUMNS[index].0))
 }
 
-/// Returns every number of a tree with the name of its column. The columns that every file has come first, in their order, then the others in
-/// the order of logging.
+/// Returns every number of a tree with the name of its column. First come the columns that every file has, in their order, then the other
+/// columns, in the order in which they were logged.
 ///
 /// The rules for names are those of the paper's original program: the names of nested nodes are joined with `_`, and `_val` is appended for a
-/// node that has both a value and children. The columns that every file has are exceptions. Their names never change: `sensing` is `sensing`
-/// with any children, and its parts are `capture` and `transform`.
+/// node that has both a value and children. The columns that every file has are exceptions, because their names never change: the column is
+/// `sensing` and not `sensing_val`, although the node has children, and these are `capture` and `transform` and not `sensing_capture`.
 pub(super) fn values(tree: &Tree) -> Vec<(Column, f64)> {
     TreeValues::from_tree(tree).values()
 }
@@ -107,13 +106,13 @@ pub(super) fn values(tree: &Tree) -> Vec<(Column, f64)> {
 /// Measurements of a tree.
 #[derive(Default)]
 pub(super) struct TreeValues<'a> {
-    /// Values of the names that have one value in each iteration.
+    /// Values of the nodes whose names stand for one value in each iteration, wherever the node is in the tree.
     of_iteration: IterationValues,
     /// Columns of the bounds of throughputs, which have no nodes of their own.
     bounds: Vec<(&'static str, f64)>,
     /// Name, value and unit of each further column.
     further: Vec<(Column, f64, Unit)>,
-    /// Number of children with each name that a parent has so far.
+    /// Number of children with this name that were added so far, by parent and name.
     siblings: HashMap<(NodeId, &'a str), usize>,
 }
 
@@ -130,7 +129,7 @@ impl<'a> TreeValues<'a> {
     pub(super) fn values(self) -> Vec<(Column, f64)> {
         let Self { of_iteration, bounds, further, .. } = self;
         let fixed = FIXED_COLUMNS.into_iter().filter_map(|(name, _)| {
-            // Of several nodes, the bounds of the last one count.
+            // If several nodes have bounds, the bounds of the last node count.
             let bound = || bounds.iter().rev().find(|(column, _)| *column == name).map(|(_, bound)| *bound);
             Some((Column::Borrowed(name), of_iteration.get(name).or_else(bound)?))
         });
@@ -142,7 +141,8 @@ impl<'a> TreeValues<'a> {
         self.further.iter().map(|(name, _, unit)| (name.as_ref(), unit))
     }
 
-    /// Adds the value of a node. Returns the label that the names of the node's children begin with.
+    /// Adds the value of a node. Returns the text with which the column names of the node's children begin. `labels` has these texts for the
+    /// nodes that were added before.
     fn add_node(&mut self, tree: &Tree, id: NodeId, node: &'a Node, labels: &[Column]) -> Column {
         let parent = node.parent.unwrap_or(NodeId::ROOT);
         let value = node.measure.value().filter(|value| !value.is_nan());

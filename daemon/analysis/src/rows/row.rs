@@ -12,10 +12,10 @@ use super::columns;
 /// Name of a column. The name of a standard column is not allocated.
 pub type Column = Cow<'static, str>;
 
-/// One iteration. Seconds, bytes, bits per second.
+/// One iteration. The units are seconds, bytes and bits per second.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
-    /// Number in the run, from 1.
+    /// Number of the iteration in the run, from 1.
     pub iteration: u64,
     /// Planned start, seconds of the edge's wall clock since the Unix epoch; 0 if it was not recorded.
     pub at: f64,
@@ -29,7 +29,7 @@ pub struct Row {
     pub outcome: Outcome,
     /// Reason for a missing answer, if one was reported.
     pub reason: Option<String>,
-    /// Columns and values of the measurements. The columns that every file has come first. No value is NaN; a bound of a throughput may be
+    /// Columns and values of the measurements. First come the columns that every file has. No value is NaN; a bound of a throughput may be
     /// infinite.
     pub values: Vec<(Column, f64)>,
     /// Delay from edge to cloud; `None` if no message was sent, or its delay was never judged.
@@ -66,7 +66,7 @@ impl Outcome {
         }
     }
 
-    /// Returns the value of that name, if there is one.
+    /// Returns the outcome with this name; `None` if no outcome has it.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|outcome| outcome.name() == name)
     }
@@ -84,7 +84,7 @@ impl From<&stream::Outcome> for Outcome {
 }
 
 impl Row {
-    /// Returns the measurements of an iteration.
+    /// Returns the row of an iteration.
     pub fn from_iteration(iteration: &stream::Iteration) -> Self {
         Self::from_values(iteration, columns::values(&iteration.tree))
     }
@@ -134,7 +134,7 @@ impl Row {
 }
 
 /// Returns the delay of the stage `upload` or `download`; `None` if no message was sent, or its delay was never judged.
-// The messages of an observed ROS system have delays, but their sizes on the network are not known.
+// The delay does not depend on a known size: the messages of an observed ROS system have delays, but their sizes on the network are not known.
 pub(crate) fn judged_delay(tree: &Tree, transit: &str) -> Option<OneWayDelay> {
     match &tree.find(&[transit])?.1.measure {
         Measure::Transit(transit) => transit.delay,

@@ -77,7 +77,7 @@ impl<'a> RowRef<'a> {
         Some(&reasons[position].1)
     }
 
-    /// Returns columns and values of the measurements. The columns that every file has come first.
+    /// Returns the columns and values of the measurements. First come the columns that every file has.
     pub fn values(&self) -> impl Iterator<Item = (&'a Column, f64)> {
         let Self { rows, index } = *self;
         // All columns after the fixed columns are measurements.
@@ -104,9 +104,10 @@ impl<'a> RowRef<'a> {
         [0, 1].map(|direction: usize| self.rows.verdicts[direction][self.index].map(|(verdict, _)| verdict))
     }
 
-    /// Returns whether a message was sent to the other host, and back. Results of other programs have delays without verdicts.
+    /// Returns whether a message was sent to the other host, and whether one was sent back.
     pub fn has_messages(&self) -> [bool; 2] {
         let has_delay = |column: &str| self.value(column).is_some();
+        // A message has a verdict even if its delay is unknown. But results of other programs have delays without verdicts.
         let [up, down] = self.verdicts().map(|verdict| verdict.is_some());
         [up || has_delay(UPLOAD[0]), down || has_delay(DOWNLOAD[0])]
     }
@@ -116,7 +117,7 @@ impl<'a> RowRef<'a> {
         let [value, raw, lo, hi] = columns.map(|column| self.value(column));
         let bounds = lo
             .zip(hi)
-            // Files can be edited by hand, and an interval must not be empty.
+            // An interval must not be empty, but the file can have been edited by hand.
             .filter(|(lo, hi)| lo <= hi)
             .map(|(lo, hi)| Interval { lo: Span::from_seconds_f64(lo), hi: Span::from_seconds_f64(hi) });
         Some(OneWayDelay {

@@ -13,12 +13,12 @@ use super::{Row, columns};
 pub struct Units(BTreeMap<String, String>);
 
 impl Units {
-    /// Returns an iteration as a row, and stores the units of its columns.
+    /// Converts an iteration into a row, and remembers the units of its columns.
     pub fn row(&mut self, iteration: &Iteration) -> Row {
         let tree_values = columns::TreeValues::from_tree(&iteration.tree);
         for (column, unit) in tree_values.units() {
             match self.0.get_mut(column) {
-                // An empty unit marks a column whose iterations have different units.
+                // An empty unit marks a column whose unit differs between iterations.
                 Some(symbol) if symbol != unit.symbol() => symbol.clear(),
                 Some(_) => {}
                 None if unit.symbol().is_empty() => {}

@@ -1,4 +1,4 @@
-//! Times of the starts from a run's record and rows.
+//! Times at which a run's iterations started, from the run's record and rows.
 
 use chrono::{DateTime, Utc};
 use peernet_clock::WallTime;
@@ -10,7 +10,7 @@ use crate::standstill::{RunExtent, standstill};
 use crate::trust::StartTimes;
 
 impl StartTimes {
-    /// Returns the times of these rows and their record.
+    /// Returns the start times of a run from its record and rows.
     pub fn from_run(record: &RunRecord, rows: &Rows) -> Self {
         let start = |row: RowRef<'_>| WallTime::from_unix_nanos((row.at() * 1e9) as i64);
         let started = || rows.iter().filter(|row| !row.warm_up() && row.at() > 0.0);
@@ -28,7 +28,7 @@ impl StartTimes {
             iterations: started().count() as u64,
             slowest_s,
         });
-        // Missing iterations may have started meanwhile.
+        // Missing iterations may have started during a pause between rows, which is then no standstill.
         let extent = extent.filter(|_| record.counts.unseen == 0);
         let busy = started().map(start).map(|at| (at, at));
         Self { first, last, standstill_s: extent.and_then(|extent| standstill(&extent, busy)) }
