@@ -46,8 +46,8 @@ fn load(record: &RunRecord) -> Load {
     record.pipeline.get("load").and_then(|load| Load::deserialize(load).ok()).unwrap_or_default()
 }
 
-/// Returns how far the run was when it ended before its limits; `None` if it reached them or has none. The iterations of the run are its rows and
-/// the iterations without a row, whose number is in the record.
+/// Returns how far the run was when it ended, if it ended before its limits; else `None`. The iterations of the run are its rows and the
+/// iterations without a row, whose number is in the record.
 fn ended_early(record: &RunRecord, rows: &Rows, times: &StartTimes) -> Option<EndedEarly> {
     let counts = Counts::from_rows(rows, record.counts.unseen);
     let progress = Progress {

@@ -2,7 +2,7 @@
 
 use super::Table;
 
-/// Greek letters, which the text fonts lack, with their commands.
+/// Greek letters with their commands. The text fonts of LaTeX do not have these letters.
 const GREEK: [(char, &str); 34] = [
     ('α', "alpha"),
     ('β', "beta"),
@@ -81,24 +81,24 @@ fn fonts(chars: impl Iterator<Item = char>) -> String {
     format!("% needs LuaLaTeX or XeLaTeX, and a font that has {other_letters}\n")
 }
 
-/// Returns whether pdfLaTeX prints the letter with fonts in the encoding T1. These are Latin-1 and Latin Extended-A with few exceptions, and
-/// some punctuation.
+/// Returns whether pdfLaTeX can print the letter with fonts in the encoding T1. It can print Latin-1 and Latin Extended-A with few exceptions,
+/// and some punctuation.
 const fn is_latin(char: char) -> bool {
     !matches!(char, 'Ħ' | 'ħ' | 'ĸ' | 'Ŀ' | 'ŀ' | 'ŉ' | 'Ŧ' | 'ŧ') && char <= 'ž'
         || matches!(char, '‘' | '’' | '‚' | '“' | '”' | '„' | '†' | '‡' | '•' | '…' | '‰' | '€' | '™')
 }
 
-/// Escapes any text for LaTeX, so that LaTeX prints the same text. No part of it can act as a command, as an argument of the command before it,
-/// or as a ligature. Invisible characters, such as control characters, become a blank or are removed.
+/// Escapes any text, so that LaTeX prints exactly this text. No part of the result can act as a command, as an argument of the command before
+/// it, or as a ligature. Invisible characters, such as control characters, become a blank or are removed.
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     let mut previous = ' ';
     for char in text.chars() {
         match char {
             '&' | '%' | '$' | '#' | '_' | '{' | '}' => out.extend(['\\', char]),
-            // After the end of a row LaTeX would read these as its arguments.
+            // After `\\`, the end of a row, LaTeX would read these characters as arguments of `\\`.
             '[' | ']' | '*' => out.extend(['{', char, '}']),
-            // Two such characters would become one dash, or one quotation mark.
+            // Two equal characters of this kind would become one dash or one quotation mark.
             '-' | '\'' | ',' | '`' if previous == char => out.extend(['{', '}', char]),
             '`' if matches!(previous, '?' | '!') => out.push_str("{}`"),
             '\\' => out.push_str("\\textbackslash{}"),

@@ -12,7 +12,7 @@ pub use text::text;
 
 use peernet_statistics::number::decimals;
 
-/// Formats an interval between two numbers. If both ends have the same text, returns a single number.
+/// Formats an interval from the texts of its ends. If both texts are the same, returns a single number.
 pub fn interval([lo, hi]: [String; 2]) -> String {
     let is_signed = |end: &str| end.starts_with(['\u{2212}', '+']);
     match (lo == hi, is_signed(&lo) || is_signed(&hi)) {
@@ -22,8 +22,8 @@ pub fn interval([lo, hi]: [String; 2]) -> String {
     }
 }
 
-/// Returns the number of decimals of a column. It is so large that the smallest number that is not zero has three significant digits. It is at
-/// most two larger than the largest number needs for three significant digits.
+/// Returns the number of decimals of a column. The number that is closest to zero, but not zero, has three significant digits. This would take
+/// very many decimals if the numbers differ much, so there are at most two decimals more than the largest number needs for three digits.
 pub fn decimals_of(values: impl Iterator<Item = f64>) -> usize {
     let (mut needed, mut largest) = (0, 0.0_f64);
     for value in values.filter(|value| value.is_finite() && *value != 0.0) {
@@ -33,7 +33,7 @@ pub fn decimals_of(values: impl Iterator<Item = f64>) -> usize {
     needed.min(decimals(largest, 3) + 2)
 }
 
-/// Cells under a header.
+/// Table: rows of cells under a header.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Table {
     /// Titles of the columns.
@@ -82,7 +82,7 @@ impl CaptionedTable {
         format!("{}\n\n{}\n{}\n", self.heading, self.table.markdown(), self.notes)
     }
 
-    /// Returns LaTeX, with booktabs.
+    /// Returns LaTeX for the package booktabs.
     pub fn latex(&self) -> String {
         self.table.latex(&format!("{} {}", self.heading, self.notes))
     }

@@ -4,7 +4,7 @@ use peernet_statistics::number::{counted, fixed, significant};
 use peernet_stream::EndReason;
 use serde::Deserialize;
 
-/// Limits of a run: its pipeline's `limit`. A field that is `None` sets no limit.
+/// Limits of a run: the table `limit` of its pipeline. A field that is `None` sets no limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct Limits {
@@ -12,8 +12,8 @@ pub struct Limits {
     pub iterations: Option<f64>,
     /// Number of iterations including the warm-up.
     pub total: Option<f64>,
-    /// Episodes including the warm-up. The actuator may end each before its last step, so that the number of iterations is not known
-    /// beforehand.
+    /// Number of episodes including the warm-up. The actuator may end an episode before its last step, so that the number of iterations is not
+    /// known beforehand.
     pub episodes: Option<f64>,
     /// Seconds from the first iteration that is not warm-up.
     pub duration_s: Option<f64>,
@@ -22,7 +22,8 @@ pub struct Limits {
 /// Part of a run that was measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
-    /// Number of iterations without the warm-up, successful or failed. It includes measured iterations whose events were not received.
+    /// Number of iterations without the warm-up, successful or failed. Iterations that were measured but whose events were not received are
+    /// included.
     pub measured: u64,
     /// Number of iterations of the warm-up.
     pub warm_up: u64,
@@ -39,7 +40,7 @@ pub struct EndedEarly {
     pub limit: f64,
     /// Unit of both amounts.
     pub unit: Unit,
-    /// True if the run was interrupted.
+    /// True if somebody interrupted the run; false if it ended for another reason.
     pub interrupted: bool,
 }
 
@@ -53,7 +54,7 @@ pub enum Unit {
 }
 
 impl EndedEarly {
-    /// Compares a run that ended for `reason` with its limits. `None` if the run reached a limit or had none.
+    /// Compares the progress of a run that ended for `reason` with its limits. `None` if the run is complete, or if it had no limits.
     pub fn from_progress(limits: &Limits, progress: &Progress, reason: &EndReason) -> Option<Self> {
         let interrupted = *reason == EndReason::Stopped;
         let limits_and_reached = [
@@ -65,7 +66,7 @@ impl EndedEarly {
             let limit = limit.filter(|limit| *limit > 0.0)?;
             Some(Self { reached: reached?, limit, unit, interrupted })
         });
-        // A run ends at the first limit that it reaches. The relevant limit is therefore the limit of which the run reached the largest share.
+        // A run ends as soon as it reaches one of its limits, so the relevant limit is the one that the run came closest to.
         let nearest = amounts.max_by(|a, b| a.share().total_cmp(&b.share()))?;
         // The last iteration ends shortly before a limit of time, and episodes may end early, so the reason for the end decides whether
         // such a run is complete.

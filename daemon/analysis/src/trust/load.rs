@@ -19,9 +19,9 @@ pub struct Load {
 pub struct Starts {
     /// Configured starts per second; `None` in a closed loop, and if the rate is not known.
     pub hz: Option<f64>,
-    /// Number of iterations that started, without those in `missing`.
+    /// Number of iterations that started and whose measurements are not missing.
     pub started: u64,
-    /// Number of iterations that started and whose measurements are missing; `None` if it is not known.
+    /// Number of further iterations that started, but whose measurements are missing; `None` if this number is not known.
     pub missing: Option<u64>,
     /// Number of starts that were skipped because the pipeline was too far behind.
     pub skipped: u64,
@@ -55,15 +55,15 @@ impl Starts {
         }
     }
 
-    /// Returns the actual starts per second, of all iterations that started; `None` with fewer than two starts, and if their number or their time
-    /// is not known.
+    /// Returns the actual starts per second of all iterations, including those in `missing`. `None` with fewer than two starts, or if the number
+    /// or the times of the starts are not known.
     pub fn actual_hz(&self) -> Option<f64> {
         let started = self.started.saturating_add(self.missing?);
         let seconds = self.times.seconds().filter(|seconds| *seconds > 0.0)?;
         (started > 1).then(|| (started - 1) as f64 / seconds)
     }
 
-    /// Returns the number of all starts that were due.
+    /// Returns the number of scheduled starts: those that took place and those that were skipped.
     pub const fn total(&self) -> u64 {
         self.started + self.skipped
     }
@@ -83,8 +83,8 @@ impl Starts {
 }
 
 impl StartTimes {
-    /// Returns the time from the first to the last start, seconds. `None` if it is not known: also with a standstill, and if the last start is
-    /// before the first one, because the wall clock was set back.
+    /// Returns the time from the first to the last start, seconds. `None` if the first or the last start is not known, if there was a standstill,
+    /// or if the wall clock was set back, so that the last start lies before the first.
     pub fn seconds(&self) -> Option<f64> {
         let seconds = (self.last? - self.first?).seconds();
         (self.standstill_s.is_none() && seconds >= 0.0).then_some(seconds)

@@ -2,17 +2,17 @@
 
 use peernet_statistics::number::{count, counted};
 
-/// Number of missing events of several gaps.
+/// Number of missing events in several gaps together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MissingCount {
     /// Number of missing events in the gaps whose number is known.
     pub known: u64,
-    /// Whether a gap has an unknown number of missing events.
+    /// True if at least one gap has an unknown number of missing events.
     pub is_incomplete: bool,
 }
 
 impl MissingCount {
-    /// Adds the numbers of gaps. A gap with an unknown number has 0.
+    /// Adds up the numbers of missing events of the gaps. A number of 0 means that the number is not known.
     pub fn from_gaps(counts: impl Iterator<Item = u64>) -> Self {
         let start = Self { known: 0, is_incomplete: false };
         counts.fold(start, |sum, count| Self {

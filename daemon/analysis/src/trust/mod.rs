@@ -99,7 +99,7 @@ impl Report {
         Self { verdict, findings }
     }
 
-    /// Returns the answer in a sentence, with the number of findings against publication.
+    /// Returns the answer in a sentence, with the number of caveats or of problems.
     pub fn answer(&self) -> String {
         let count = |grade| self.findings.iter().filter(|finding| finding.grade == grade).count() as u64;
         match self.verdict {
@@ -116,7 +116,8 @@ impl Report {
         }
     }
 
-    /// Returns the text for a terminal: the answer, then each finding after a sign for its grade, with the advice on the next line.
+    /// Returns the text for a terminal: the answer, then a line for each finding. The line begins with a sign for the grade, and the advice is on
+    /// the next line.
     pub fn text(&self) -> String {
         let mut lines = vec![format!("Can this run be published? {}", self.answer()), String::new()];
         for finding in &self.findings {
@@ -129,7 +130,7 @@ impl Report {
     }
 }
 
-/// Returns the sign of a grade; the corresponding word is the grade's name.
+/// Returns the sign that stands for a grade in a terminal.
 const fn sign(grade: Grade) -> char {
     match grade {
         Grade::Good => '✓',

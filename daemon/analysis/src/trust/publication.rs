@@ -23,16 +23,16 @@ pub fn publication_caveats<'a>(runs: impl IntoIterator<Item = (String, &'a Repor
     let runs = reports_by_run;
     let sentence = |verdict: Publish, grade: Grade, meaning: &str| {
         let worst = |reports: &[&Report]| reports.iter().map(|report| report.verdict).max();
-        let of_verdict: Vec<&(String, Vec<&Report>)> =
+        let affected_runs: Vec<&(String, Vec<&Report>)> =
             runs.iter().filter(|(_, reports)| worst(reports) == Some(verdict)).collect();
-        (!of_verdict.is_empty()).then_some(())?;
-        let named_runs = of_verdict.iter().take(MAX_NAMED_RUNS);
+        (!affected_runs.is_empty()).then_some(())?;
+        let named = affected_runs.iter().take(MAX_NAMED_RUNS);
         let mut names: Vec<String> =
-            named_runs.map(|(name, reports)| format!("{name} ({})", subjects(reports, grade))).collect();
-        if of_verdict.len() > MAX_NAMED_RUNS {
-            names.push(format!("and {} more", of_verdict.len() - MAX_NAMED_RUNS));
+            named.map(|(name, reports)| format!("{name} ({})", subjects(reports, grade))).collect();
+        if affected_runs.len() > MAX_NAMED_RUNS {
+            names.push(format!("and {} more", affected_runs.len() - MAX_NAMED_RUNS));
         }
-        let count = match (of_verdict.len(), runs.len()) {
+        let count = match (affected_runs.len(), runs.len()) {
             (1, 1) => "The run".to_owned(),
             (count, all) => format!("{count} of {all} runs"),
         };

@@ -6,7 +6,7 @@ use crate::rows::Rows;
 
 /// Name of the fact by which a model says that its latencies are drawn from a distribution.
 const REPLAYED_FACT: &str = "Replayed";
-/// Text before the seed, at the end of the distribution.
+/// Text before the seed, which the description of a distribution ends with.
 const SEED: &str = ", seed ";
 
 /// Name of the node with the latency that was drawn for an iteration, seconds.
@@ -17,8 +17,8 @@ pub const OVERRUN: &str = "overrun";
 pub(crate) const DRAWN_LATENCY_COLUMN: &str = "inference_drawn-latency";
 pub(crate) const OVERRUN_COLUMN: &str = "inference_overrun";
 
-/// The overrun is stated if it is above this share of the mean drawn latency.
-const STATED_OVERRUN: f64 = 0.05;
+/// The mean overrun is reported if it is above this share of the mean drawn latency.
+const MIN_REPORTED_OVERRUN_SHARE: f64 = 0.05;
 
 /// Latencies of a run's model that are drawn from a distribution.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,23 +32,24 @@ pub struct ReplayedLatencies {
 }
 
 impl ReplayedLatencies {
-    /// Returns the distribution by the facts of a run; `None` if the latencies are measured. The means are not known.
+    /// Returns the distribution that the facts of a run name, without the means; `None` if the latencies are measured.
     pub fn from_facts(facts: &[(String, String)]) -> Option<Self> {
         let (_, text) = facts.iter().find(|(name, _)| name == REPLAYED_FACT)?;
         Some(Self { distribution: text.clone(), drawn: None, overrun: None })
     }
 
-    /// Returns the replayed latencies by the facts and the rows of a run; `None` if the latencies are measured.
+    /// Returns the replayed latencies, with the distribution from the facts of a run and the means from its rows. `None` if the latencies are
+    /// measured.
     pub fn from_run(facts: &[(String, String)], rows: &Rows) -> Option<Self> {
         let mean = |column: &str| mean(rows.counted_values(column));
         let replayed = Self::from_facts(facts)?;
         Some(Self { drawn: mean(DRAWN_LATENCY_COLUMN), overrun: mean(OVERRUN_COLUMN), ..replayed })
     }
 
-    /// Returns the distribution, and the overrun if it is large.
+    /// Describes the distribution, and the mean overrun if it is large.
     pub fn describe(&self) -> String {
         let overrun =
-            self.drawn.zip(self.overrun).filter(|(drawn, overrun)| *overrun > drawn * STATED_OVERRUN);
+            self.drawn.zip(self.overrun).filter(|(drawn, overrun)| *overrun > drawn * MIN_REPORTED_OVERRUN_SHARE);
         match overrun {
             None => self.distribution.clone(),
             Some((drawn, overrun)) => format!(

@@ -11,14 +11,14 @@ pub struct Restarts {
     pub owner: &'static str,
     /// Number of affected iterations that statistics include.
     pub count: u64,
-    /// Total time that these iterations waited for restarts.
+    /// Total time that these iterations waited for restarts, seconds.
     pub seconds: f64,
     /// Numbers of these iterations in the run; empty if they are not known.
     pub iterations: Vec<u64>,
 }
 
 impl Restarts {
-    /// Owner of the process, node with the time of a restart, and column of this node in `data.csv`.
+    /// For each owner of a process: its name, the node with the time of a restart, and the column of this node in `data.csv`.
     pub const NODES: [(&'static str, Name, &'static str); 3] = [
         ("sensor", stage::CAPTURE_RESTART, "capture_capture-restart"),
         ("model", stage::RESTART, "restart"),

@@ -11,14 +11,14 @@ use crate::order::SortedValues;
 const MIN_BEGINNING_VALUES: u64 = 20;
 /// Maximum number of blocks of a run. The first block is its beginning.
 const MAX_BLOCKS: u64 = 200;
-/// Minimum change of the median from the first half of a run to the second that is reported, as a share of the median of the first half.
+/// Minimum change of the median from the first to the second half of a run that is reported, as a share of the first half's median.
 pub(super) const MIN_NOTABLE_CHANGE: f64 = 0.05;
 /// Standard deviation of a normal distribution divided by its median absolute deviation (MAD).
 const MAD_TO_STD: f64 = 1.4826;
-/// A value is an outlier if it exceeds the median by more than this number of deviations, which are computed from the MAD (Iglewicz and
-/// Hoaglin 1993).
+/// A value is an outlier if it exceeds the median by more than this number of standard deviations, where the standard deviation is computed
+/// from the MAD (Iglewicz and Hoaglin 1993).
 const OUTLIER_DEVIATIONS: f64 = 3.5;
-/// Minimum deviation, as a share of the median: the resolution of the stored quantiles.
+/// Minimum of this standard deviation, as a share of the median: the resolution of the stored quantiles.
 const MIN_RELATIVE_DEVIATION: f64 = 0.01;
 
 /// Statistics of a duration over the time of a run, in seconds. Only successful iterations that are not warm-up are included.
@@ -32,15 +32,15 @@ pub struct TimeSeries {
     pub mean: f64,
     /// Medians of at most 30 batches, in order of time. Batches have about the same number of values, at least ten.
     pub batches: Vec<f64>,
-    /// Median of the first half and median of the second half of the values.
+    /// Median of the first half and median of the second half of the values; `None` if there is no second half.
     pub halves: Option<(f64, f64)>,
-    /// Comparison of the first values with the rest.
+    /// Comparison of the first values with the rest; `None` with fewer than 40 values.
     pub beginning: Option<Beginning>,
     /// Values far above the others.
     pub outliers: Outliers,
 }
 
-/// The first values of a run.
+/// The first values of a run, compared with the rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Beginning {
     /// Number of values in the beginning.
@@ -49,7 +49,8 @@ pub struct Beginning {
     pub median: f64,
     /// Median of the rest, seconds.
     pub rest: f64,
-    /// Share of the later blocks of equal size whose median is at least as high, 0 to 1.
+    /// Share of the later blocks whose median is at least as high as that of the beginning, 0 to 1. A block has about as many values as the
+    /// beginning.
     pub share_as_high: f64,
     /// Number of later blocks.
     pub blocks: usize,
@@ -102,7 +103,7 @@ impl TimeSeries {
             influence: outlier_values.map(|value| value - median).sum::<f64>() / count as f64,
         };
         let mean = finite().sum::<f64>() / count as f64;
-        // Values are copied only if some are not finite, because a long run has millions.
+        // The values are copied only if some of them are not finite, because a long run has millions of values.
         let over_time = if count == values.len() as u64 {
             Self::over_time(values)
         } else {
@@ -134,7 +135,8 @@ impl TimeSeries {
         Some(Self { count, median, mean, outliers, ..Self::over_time(buckets) })
     }
 
-    /// Returns the change of the median from the first half of the run to the second, as a share of the first. `None` without halves.
+    /// Returns the change of the median from the first half of the run to the second, as a share of the first half's median. `None` without
+    /// halves.
     pub fn change(&self) -> Option<f64> {
         let (first, second) = self.halves?;
         Some(if first > 0.0 { second / first - 1.0 } else { 0.0 })

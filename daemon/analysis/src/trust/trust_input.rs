@@ -32,7 +32,7 @@ pub struct TrustInput {
     pub starts: Starts,
     /// Measurements that are missing.
     pub missing: Vec<MissingEvents>,
-    /// Reason for which the run broke off. `None` if it finished or was stopped.
+    /// Reason for which the run broke off. `None` if it finished or was stopped, or is in progress.
     pub failure: Option<String>,
     /// True if the run has not ended yet.
     pub open: bool,
@@ -58,7 +58,7 @@ pub struct TrustInput {
     pub accuracy: BTreeMap<String, Accuracy>,
     /// Samples whose label is not a class of the model. Their answers are neither right nor wrong.
     pub unknown_labels: Option<UnknownLabels>,
-    /// Distribution from which the latencies of the model are drawn; `None` if they are measured.
+    /// Distribution from which the latencies of the model are drawn; `None` if the latencies are measured.
     pub replayed: Option<String>,
     /// Mean drawn latency, seconds; `None` if no latencies are drawn.
     pub drawn: Option<f64>,
@@ -66,7 +66,7 @@ pub struct TrustInput {
     pub overrun: Option<f64>,
 }
 
-/// Number of iterations of a run by outcome. Only `warm_up` includes the warm-up.
+/// Number of iterations of a run by outcome. Warm-up iterations are counted only in `warm_up`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
     /// Number of successful iterations, the input of statistics.
@@ -75,7 +75,7 @@ pub struct Counts {
     pub failed: u64,
     /// Number of iterations whose connection broke.
     pub lost: u64,
-    /// Number of iterations without an answer in time.
+    /// Number of iterations whose answer did not come in time.
     pub timeout: u64,
     /// Number of iterations of the warm-up, which statistics exclude.
     pub warm_up: u64,
@@ -97,9 +97,9 @@ pub struct Clocks {
     pub stage: String,
     /// Number of delays by verdict.
     pub verdicts: Vec<(Verdict, u64)>,
-    /// Median delay, seconds.
+    /// Median of the known delays, seconds; `None` if no delay is known.
     pub delay: Option<f64>,
-    /// Interval of the median delay by the clock bounds, seconds; `None` unless every delay has bounds.
+    /// Interval that the clock bounds give for the median delay, seconds; `None` unless every known delay has bounds.
     pub interval: Option<ClockInterval>,
 }
 
@@ -186,7 +186,7 @@ fn two_modes(rows: &Rows) -> Vec<(String, TwoModes)> {
     let modes_of = |name: &str| {
         let mut summary = Summary::default();
         rows.counted_values(name).for_each(|value| summary.record(value));
-        // As in the store, where a node has no prefix.
+        // The store names nodes without the names of their parents. The same name is used here, so that both sources give equal reports.
         let node = tokens_of_column(name).unwrap_or(name);
         Some((node.to_owned(), summary.two_modes()?))
     };
@@ -211,7 +211,7 @@ impl Clocks {
         let (mut known_delays, mut bounds) = (Vec::new(), Vec::new());
         for delay in delays {
             let verdict = delay.verdict;
-            // The order in which the store numbers verdicts, so that both sources list them alike.
+            // Verdicts are listed in the order in which the store numbers them, so that input from rows and from the store is the same.
             let order = Verdict::ALL.iter().position(|other| *other == verdict).unwrap_or(usize::MAX);
             verdicts.entry(order).or_insert((verdict, 0)).1 += 1;
             if let Some(seconds) = delay.known_seconds() {

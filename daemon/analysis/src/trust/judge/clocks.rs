@@ -1,4 +1,4 @@
-//! Judgement of the one-way delays. The total does not depend on them, because it is measured on the edge alone.
+//! Judgement of the one-way delays. The total latency does not depend on these delays, because it is measured on the edge alone.
 
 use peernet_clock::Verdict;
 use peernet_statistics::number::{ends_ms, milliseconds, within_ms};
@@ -18,7 +18,7 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
 fn judge_direction(clocks: &Clocks) -> Option<Finding> {
     let stage = &clocks.stage;
     let about = format!("clocks, {stage}");
-    // The same rule determines the verdict that pages show beside these delays.
+    // Pages use the same rule for the verdict that they show beside these delays.
     let prevailing = Verdict::prevailing(clocks.verdicts.iter().copied())?;
     let total: u64 = clocks.verdicts.iter().map(|(_, count)| count).sum();
     let verdict_shares: Vec<String> = clocks
