@@ -6,15 +6,15 @@ use crate::order::SortedValues;
 use crate::rows::RowRef;
 use crate::total_column::TotalColumn;
 
-/// Groups the edges that measured the same repeat of the same configuration of an experiment. The edges of a group measured at the same
-/// time. Groups and edges keep the order of the input.
+/// Groups the results of edges that measured at the same time, which are the edges that measured the same repeat of the same configuration of an
+/// experiment. Groups and edges keep the order of the input.
 pub(super) fn concurrent_groups(edges: &[Loaded]) -> Vec<Vec<&Loaded>> {
     let mut groups: Vec<Vec<&Loaded>> = Vec::new();
     for edge in edges {
         let belongs_to = |group: &&mut Vec<&Loaded>| {
             let is_same_repeat =
                 edge.record.experiment.is_some() && edge.record.experiment == group[0].record.experiment;
-            // A copy of an edge's results is not a further edge of the group; it becomes a separate group.
+            // A copy of an edge's results is not a further edge of the group. The copy becomes a separate group.
             is_same_repeat && group.iter().all(|other| other.record.edge.name != edge.record.edge.name)
         };
         match groups.iter_mut().find(belongs_to) {
@@ -41,7 +41,7 @@ pub(super) fn complete_groups(groups: Vec<Vec<&Loaded>>) -> Vec<Vec<&Loaded>> {
     groups.into_iter().filter(is_complete).collect()
 }
 
-/// Returns what the edges of a repeat measured at the same time.
+/// Returns what the edges of a repeat measured while all of them were measuring.
 pub(super) fn repeat(edges: &[&Loaded]) -> Repeat<SortedValues> {
     let rows: Vec<Vec<RowRef<'_>>> =
         edges.iter().map(|edge| edge.rows.iter().filter(RowRef::is_counted).collect()).collect();

@@ -8,7 +8,7 @@ use crate::compare::readable_names;
 pub struct Curve<'a> {
     /// Name that distinguishes the curve from the others, such as `s, cuda:0`; empty if there is only one curve.
     pub name: String,
-    /// Points of the curve, the fewest edges first.
+    /// Points of the curve, in ascending order of the number of edges.
     pub points: Vec<&'a UsersLine>,
 }
 

@@ -18,9 +18,9 @@ use crate::loaded::Loaded;
 use crate::order::SortedValues;
 use crate::trust::ReplayedLatencies;
 
-/// Returns Jain's index of fairness, (Σx)² / (n Σx²). It is 1/n if one of n users gets everything, and 1 if all get the same. `None` if all
-/// shares are 0 (Jain, Chiu and Hawe 1984, *A Quantitative Measure of Fairness and Discrimination for Resource Allocation in Shared
-/// Computer Systems*, DEC-TR-301).
+/// Returns Jain's index of fairness, (Σx)² / (n Σx²) (Jain, Chiu and Hawe 1984, *A Quantitative Measure of Fairness and Discrimination for
+/// Resource Allocation in Shared Computer Systems*, DEC-TR-301). The index is 1/n if one of n users gets everything, and 1 if all users get
+/// the same. `None` if all shares are 0.
 pub fn jain_index(shares: &[f64]) -> Option<f64> {
     let (sum, squares) = shares.iter().fold((0.0, 0.0), |(sum, squares), x| (sum + x, squares + x * x));
     // Because of rounding, the index of equal shares can be a little more than 1.
@@ -45,17 +45,17 @@ pub struct UsersLine {
     pub edges: usize,
     /// Answers per second of all edges together, on average over the repeats; `None` if the edges never measured at the same time.
     pub rate: Option<f64>,
-    /// [`jain_index`] of the edges' rates, on average over the repeats.
+    /// [`jain_index`] of the edges' rates, on average over the repeats; `None` without rates.
     pub fairness: Option<f64>,
     /// Share of each edge in each repeat.
     pub shares: Vec<EdgeShare>,
     /// The totals of all edges.
     pub totals: Totals,
-    /// Distribution that the latencies of the model are drawn from; `None` if all of them are measured.
+    /// Distribution that the latencies of the model are drawn from; `None` if all latencies are measured.
     pub replayed: Option<String>,
 }
 
-/// Measurements of the edges of one repeat of a configuration from the time in which all of them were measuring. `T` holds the totals of an edge.
+/// One repeat of a configuration: what its edges measured while all of them were measuring. `T` holds the totals of an edge.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Repeat<T> {
     /// Length of the [common time](common_time); `None` if the edges never measured at the same time.
@@ -67,9 +67,9 @@ pub struct Repeat<T> {
 /// Measurements of one edge within the common time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EdgeMeasured<T> {
-    /// Number of starts of answered iterations.
+    /// Number of answered iterations that started in the common time.
     pub starts: u64,
-    /// Their totals, seconds.
+    /// Totals of these iterations, seconds.
     pub totals: T,
 }
 
@@ -91,10 +91,11 @@ impl WithMedian for Summary {
     }
 }
 
-/// Returns the time in which all edges were measuring: from the latest first start to the earliest last start of their answered iterations
-/// after the warm-up. An edge is given by its first and its last start. `None` if there is no such time.
+/// Returns the beginning and the end of the time in which all edges were measuring. An edge is given by the first and the last start of its
+/// answered iterations after the warm-up. The common time lasts from the latest of the first starts to the earliest of the last starts. `None`
+/// if there is no such time.
 ///
-/// For a rate, the starts must be as many as the periods within the time. A start at the end of the time is therefore not counted.
+/// For a rate, the number of starts must equal the number of periods within the time. A start at the end of the time is therefore not counted.
 pub fn common_time<T: PartialOrd + Copy>(edges: impl IntoIterator<Item = Option<(T, T)>>) -> Option<(T, T)> {
     let edges: Vec<(T, T)> = edges.into_iter().collect::<Option<_>>()?;
     // `T` may be a floating-point number, which has no `Ord::max`.
@@ -104,7 +105,7 @@ pub fn common_time<T: PartialOrd + Copy>(edges: impl IntoIterator<Item = Option<
     (common.1 > common.0).then_some(common)
 }
 
-/// Share of one edge while all edges were measuring.
+/// What one edge got of the cloud while all edges were measuring.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EdgeShare {
     /// Answers per second.
@@ -118,9 +119,9 @@ pub struct EdgeShare {
 pub struct Totals {
     /// Number of totals.
     pub count: usize,
-    /// Mean of the totals.
+    /// Mean of the totals; `None` without totals.
     pub mean: Option<f64>,
-    /// Median of the totals.
+    /// Median of the totals; `None` without totals.
     pub median: Option<f64>,
     /// 95th percentile; `None` below 60 totals.
     pub p95: Option<f64>,
@@ -129,8 +130,8 @@ pub struct Totals {
 }
 
 impl Users {
-    /// Returns the statistics of runs, one run for each edge. Edges that measured at the same time are found by their records. `None` if no
-    /// two edges measured at the same time.
+    /// Returns the statistics of runs, one run for each edge. The records of the runs tell which edges measured at the same time. `None` if no
+    /// two edges did.
     pub fn from_runs(runs: &[Loaded]) -> Option<Self> {
         let concurrent_groups = concurrent_edges::complete_groups(concurrent_edges::concurrent_groups(runs));
         concurrent_groups.iter().any(|edges| edges.len() > 1).then_some(())?;
@@ -148,7 +149,8 @@ impl Users {
             let axis_and_label = configuration(edges).into_iter().find(|(name, _)| name == axis);
             axis_and_label.map_or_else(|| tables::EMPTY_CELL.to_owned(), |(_, label)| label)
         };
-        // Repeats of each configuration: the groups of edges with the same labels and the same number of edges.
+        // Labels and repeats of each configuration. A repeat is a group of concurrent edges. Groups with the same labels and the same number of
+        // edges are repeats of one configuration.
         let mut configurations: Vec<(Vec<String>, Vec<&[&Loaded]>)> = Vec::new();
         for edges in &concurrent_groups {
             let labels: Vec<String> = axes.iter().map(|axis| label(edges, axis)).collect();
@@ -164,7 +166,7 @@ impl Users {
             let repeats: Vec<Repeat<SortedValues>> =
                 groups.iter().map(|edges| concurrent_edges::repeat(edges)).collect();
             let totals: SortedValues = match groups.as_slice() {
-                // An edge alone has all its totals, as in the table of all configurations.
+                // If each repeat has a single edge, all its totals are used, so that the table of all configurations shows the same numbers.
                 groups if groups[0].len() == 1 => {
                     groups.iter().flat_map(|edges| edges[0].rows.counted_values("total")).collect()
                 }

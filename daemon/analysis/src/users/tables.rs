@@ -23,7 +23,7 @@ impl Users {
         format!("{}\n{}\n", self.table().markdown(), self.notes().join("\n"))
     }
 
-    /// Returns LaTeX, with booktabs.
+    /// Returns LaTeX for the package booktabs.
     pub fn latex(&self) -> String {
         self.table().latex(&self.notes().join(" "))
     }

@@ -7,10 +7,10 @@ use peernet_stream::Grade;
 use super::{END, finding, iterations, percent, with_advice};
 use crate::trust::{Counts, EndedEarly, Finding, MissingCount, MissingEvents, Starts, TrustInput};
 
-/// The finding is doubtful if more than this share of the iterations failed, more than this share of the starts was skipped, or more than
-/// this share of the answers was superseded.
+/// A finding about failed iterations, skipped starts or superseded answers is doubtful if their share is above this value.
 pub const NOTABLE_SHARE: f64 = 0.001;
-/// Above this share of failed iterations, of skipped starts, or of superseded answers, the latency of the successful iterations is misleading.
+/// If the share of failed iterations, skipped starts or superseded answers is above this value, the finding is bad, because the latency of the
+/// successful iterations is misleading.
 const MISLEADING_SHARE: f64 = 0.1;
 /// If at least this share of the events is missing, the received events do not represent the whole run.
 const MAX_MISSING_SHARE: f64 = 0.05;

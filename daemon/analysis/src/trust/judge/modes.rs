@@ -1,4 +1,4 @@
-//! Judgement of distributions with two modes, which mean and standard deviation do not describe.
+//! Judgement of distributions with two modes. Mean and standard deviation do not describe such distributions.
 
 use peernet_logger::stage;
 use peernet_statistics::TwoModes;

@@ -5,10 +5,11 @@ use peernet_stream::Grade;
 use super::{finding, ms, percent, with_advice};
 use crate::trust::{Finding, TrustInput};
 
-/// A finding reports the overrun if it is at least this share of the mean total.
-const NOTABLE_OVERRUN: f64 = 0.01;
-/// If the overrun is at least this share of the mean total, the latencies come from this host rather than from the distribution.
-const MAX_OVERRUN: f64 = 0.1;
+/// A finding reports the mean overrun if it is at least this share of the mean total.
+const NOTABLE_OVERRUN_SHARE: f64 = 0.01;
+/// If the mean overrun is at least this share of the mean total, the finding is bad: the latencies come from this host rather than from the
+/// distribution.
+const BAD_OVERRUN_SHARE: f64 = 0.1;
 
 /// Returns the findings about drawn latencies; none if the latencies of the model are measured.
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
@@ -25,8 +26,8 @@ fn judge_overrun(input: &TrustInput) -> Option<Finding> {
     let overrun = input.overrun?;
     let share = overrun / input.total.as_ref()?.mean;
     let grade = match share {
-        share if share >= MAX_OVERRUN => Grade::Bad,
-        share if share >= NOTABLE_OVERRUN => Grade::Doubtful,
+        share if share >= BAD_OVERRUN_SHARE => Grade::Bad,
+        share if share >= NOTABLE_OVERRUN_SHARE => Grade::Doubtful,
         _ => return None,
     };
     let text = format!(

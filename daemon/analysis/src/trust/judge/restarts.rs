@@ -6,10 +6,10 @@ use peernet_stream::Grade;
 use super::{finding, iterations, ms, percent, with_advice};
 use crate::trust::{Finding, Restarts, TrustInput};
 
-/// Restarts are doubtful if they took at least this share of the time of all iterations. Outliers have the same limit: their contribution
-/// to the mean.
+/// Restarts are doubtful if they took at least this share of the time of all iterations. The limit for the contribution of outliers to the mean is
+/// the same.
 const MAX_INFLUENCE: f64 = 0.05;
-/// Maximum number of iterations in the list of a finding.
+/// Maximum number of iterations that a finding lists.
 const MAX_NAMED: usize = 5;
 
 /// Returns one finding for each process that was restarted.

@@ -9,19 +9,20 @@ use crate::trust::time_series::MIN_NOTABLE_CHANGE;
 use crate::trust::trend::chance_of_trend;
 use crate::trust::{Finding, TimeSeries, TrustInput};
 
-/// If the median changes by at least this share from the first half to the second, one number for the whole run is meaningless.
+/// If the median changes by at least this share from the first half to the second, the finding is bad, because one number for the whole run is
+/// meaningless.
 const STRONG_DRIFT: f64 = 0.2;
-/// If the relative change is smaller, the medians of both halves are printed as one number.
+/// If the relative change of the median is below this, the medians of both halves are printed as one number.
 const MIN_VISIBLE_CHANGE: f64 = 0.000_5;
-/// If the probability of the trend by chance is at least this, the trend is attributed to chance.
+/// Significance level: if chance alone causes such a trend with at least this probability, the trend is attributed to chance.
 const MAX_CHANCE: f64 = 0.05;
-/// Share by which the first iterations may take longer than the rest.
+/// Share by which the first iterations may take longer than the rest without a doubt about the warm-up.
 const MAX_COLD_EXCESS: f64 = 0.1;
-/// The finding is doubtful if outliers contribute at least this share of the mean.
+/// The finding about outliers is doubtful if they contribute at least this share of the mean.
 const MAX_INFLUENCE: f64 = 0.05;
-/// The finding is bad if at least this share of the total lies outside of all stages.
+/// The finding about unattributed time is bad if at least this share of the total lies outside of all stages.
 const BAD_UNATTRIBUTED_SHARE: f64 = 0.25;
-/// Minimum number of iterations for a judgement of the series.
+/// Minimum number of iterations that can be judged over time.
 const MIN_ITERATIONS: u64 = 100;
 
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
@@ -33,7 +34,8 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     findings
 }
 
-/// Returns the reason why a run is too short to tell `whether` something is the case.
+/// Returns the sentence that says why it cannot be told whether something is the case. `whether` is the clause after "whether": `the run
+/// drifted`.
 ///
 /// A run with enough iterations can have too few time buckets. The dashboard's buckets last a second or longer. After the clock was set
 /// forward, a single bucket can contain the whole jump.
@@ -109,8 +111,8 @@ fn judge_warm_up(total: &TimeSeries) -> Finding {
         ms(beginning.median),
         ms(beginning.rest)
     );
-    // If all blocks are alike, each block is the highest with the same probability. `share_as_high` is then the probability that the first
-    // block is so high by chance.
+    // If nothing distinguishes the first block, it has every place in the order of all blocks with the same probability. `share_as_high` is
+    // then the probability that it is so high by chance.
     if excess > MAX_COLD_EXCESS && beginning.share_as_high < MAX_CHANCE {
         let text = format!(
             "{comparison}: {} more. Nearly all later groups of {} took less.",
@@ -164,8 +166,8 @@ fn judge_outliers(total: &TimeSeries) -> Finding {
     with_advice(finding(about, Grade::Doubtful, text), advice)
 }
 
-/// Returns the finding about the time outside of all stages. Lateness and the wait for a restarted process of the model are subtracted:
-/// they are not stages, but they are measured and have separate findings. `None` if the stages are not known.
+/// Returns the finding about the time outside of all stages. Lateness and the wait for the restart of the model's process are subtracted from
+/// this time: they are not stages, but they are measured and have separate findings. `None` if the stages are not known.
 fn judge_unattributed(split: &StageSplit) -> Option<Finding> {
     let about = "unattributed";
     let seconds = split.unexplained()?;
@@ -196,7 +198,8 @@ fn judge_unattributed(split: &StageSplit) -> Option<Finding> {
     Some(with_advice(finding(about, grade, text), advice))
 }
 
-/// Returns the finding about lateness, the wait for earlier iterations. It is part of the total and no defect.
+/// Returns the finding about lateness, the time for which iterations waited for earlier iterations. Lateness is a part of the total, not a
+/// defect.
 fn judge_lateness(seconds: f64, split: &StageSplit) -> Finding {
     let text = format!(
         "Iterations began {} after their scheduled start on average: this late start is {} of the total.",
@@ -206,7 +209,7 @@ fn judge_lateness(seconds: f64, split: &StageSplit) -> Finding {
     finding("late start", Grade::Good, text)
 }
 
-/// Returns the change from one value to the other, as a share of the first.
+/// Returns the change from one value to the other, as a share of `from`; 0 if `from` is not above 0.
 fn relative_change(from: f64, to: f64) -> f64 {
     if from > 0.0 { to / from - 1.0 } else { 0.0 }
 }
