@@ -5,8 +5,8 @@
 //! Study ────────────── of_calibration ─┴─ drawing ── SVG, PNG, PDF, text
 //! ```
 //!
-//! `of_results` decides which figures a run or an experiment has, `of_calibration` those of a study of a
-//! link; both draw delays against the size of messages by `of_messages`. `drawing` defines the layout of all figures.
+//! `of_results` decides which figures a run or an experiment has, `of_calibration` which figures the study of a link has. Both use
+//! `of_messages` for the figures of delay against the size of messages. `drawing` defines the layout of all figures.
 
 pub mod drawing;
 pub mod look;

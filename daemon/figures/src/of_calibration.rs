@@ -8,7 +8,7 @@ use peernet_analysis::WriteError;
 use peernet_analysis::calibration::Study;
 
 /// Draws the figures `latency` and `throughput` of a study into an existing folder, each as `.png`, `.svg`, `.pdf` and `-caption.txt`.
-/// Returns the files that were written. A figure without data is left out.
+/// Returns the paths of the files. A figure without data is left out.
 ///
 /// # Errors
 /// If a file cannot be written.

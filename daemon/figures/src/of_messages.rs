@@ -15,11 +15,11 @@ pub(crate) struct MessageSeries {
     pub name: &'static str,
     /// Sizes, the smallest first.
     pub sizes: Vec<SizeSummary>,
-    /// Line through the medians.
+    /// Line through the median delays of the sizes; `None` with fewer than three sizes.
     fit: Option<Fit>,
 }
 
-/// Messages over one link, from which both figures are drawn.
+/// Messages over one link. The figure of latency and the figure of throughput are drawn from them.
 #[derive(Clone, Debug)]
 pub(crate) struct MessageFigures {
     /// Name of the link, for the title; empty if the title needs none.
@@ -53,7 +53,8 @@ impl MessageSeries {
         self.fit.filter(|fit| fit.slope.value > 0.0)
     }
 
-    /// Returns the rate by the slope of the fitted line, with its margin, bits per second. `None` if the sizes do not determine the rate.
+    /// Returns the rate that follows from the slope of the fitted line, and the margin of the rate, bits per second. `None` if the sizes do not
+    /// determine the rate.
     fn rate(&self) -> Option<(f64, f64)> {
         self.increasing_fit().and_then(|fit| rate(fit.slope))
     }

@@ -17,10 +17,10 @@ use peernet_sample::printable_line;
 
 use crate::look::Rgb;
 
-/// Decimals of coordinates: a thousandth of a point.
+/// Number of decimals of coordinates, which gives a thousandth of a point.
 const DECIMALS: usize = 3;
 
-/// Element.
+/// Kind of element of SVG or HTML.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[expect(missing_docs, reason = "each is called like its element")]
 pub enum Tag {

@@ -8,13 +8,14 @@ use crate::plot::{Axis, Figure, Item, Key, Path, Plot, Swatch, Unit};
 use crate::scale::Scale;
 use peernet_analysis::order::SortedValues;
 
-/// Points of a curve.
+/// Maximum number of points of a curve.
 const CURVE_POINTS: usize = 240;
 /// The axis is logarithmic if the ratio of the largest to the smallest median is at least this.
 const LOGARITHMIC_RATIO: f64 = 12.0;
-/// Room beyond the values at each end of a logarithmic axis, as a power of their ratio.
+/// Exponent that gives the room beyond the values at each end of a logarithmic axis: the factor is the ratio of the largest to the smallest
+/// value to this power.
 const AXIS_MARGIN: f64 = 0.02;
-/// Share of the largest value: an axis begins at zero unless the smallest value is above it.
+/// An axis begins at zero unless the smallest value is more than this share of the largest value.
 const ZERO_THRESHOLD: f64 = 0.5;
 /// Height of the mark of the first curve, as a share of the plot.
 const FIRST_MARK_HEIGHT: f64 = 0.12;
@@ -28,7 +29,7 @@ const RADIUS: f64 = 1.7;
 pub struct Cumulative {
     /// Title.
     pub title: String,
-    /// Horizontal axis.
+    /// Quantity and unit of the horizontal axis.
     pub unit: Unit,
     /// Curves in the order of the legend.
     pub curves: Vec<CumulativeCurve>,
@@ -50,7 +51,7 @@ pub struct CumulativeCurve {
 }
 
 impl CumulativeCurve {
-    /// Returns the name of the curve and the number of its values above `max`; `None` if there are none.
+    /// Returns the name of the curve and the number of its values above `max`, as text; `None` if no value is above `max`.
     fn count_beyond(&self, max: f64) -> Option<(&str, String)> {
         let count = self.values.values().iter().filter(|value| **value > max).count();
         (count > 0).then(|| (self.name.as_str(), fixed(count as f64, 0)))

@@ -1,4 +1,4 @@
-//! A sample of points, with the distributions of both quantities over all iterations at the sides of the plot.
+//! Plot of a sample of points, with the distribution of each quantity over all iterations at a side of the plot.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use super::binned::BinnedAxis;
 use crate::look::{Fill, INK, Stage, Style};
 use crate::plot::{At, Item, Path, Plot, Strip};
 
-/// If there are at least this number of points, cells with shades replace the points, because dots would hide each other.
+/// If there are at least this many points, cells with shades replace the points, because dots would hide each other.
 const MIN_POINTS_FOR_CELLS: usize = 400;
 /// Number of cells across and upwards. A cell is about 4 points wide and high in a file.
 const CELLS: (f64, f64) = (50.0, 25.0);
@@ -32,7 +32,7 @@ pub struct Joint<'a> {
     pub x: (&'a BinnedAxis, &'a Summary),
     /// Vertical axis, and the distribution of its quantity over all iterations.
     pub y: (&'a BinnedAxis, &'a Summary),
-    /// Intercept and slope of a line through the points.
+    /// Intercept and slope of the line through the points, in SI units; `None` if no line is drawn.
     pub line: Option<(f64, f64)>,
 }
 
@@ -89,8 +89,8 @@ impl Joint<'_> {
     }
 }
 
-/// Counts points into this number of cells across and upwards. Returns a path of rectangles for each shade from 0 to 1, the lightest shade
-/// first. The shade grows with the logarithm of the count, so that a single point is visible.
+/// Divides the plot into `columns` × `rows` cells and counts the points in each cell. Returns a path of the cells with each shade, the lightest
+/// shade first. A shade is an opacity from 0 to 1. It grows with the logarithm of the count, so that a single point is visible.
 fn cells(points: impl Iterator<Item = (f64, f64)>, (columns, rows): (f64, f64)) -> Vec<(f64, Path)> {
     let mut counts: BTreeMap<(u32, u32), u32> = BTreeMap::new();
     for (x, y) in points {

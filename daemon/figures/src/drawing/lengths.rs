@@ -17,11 +17,11 @@ pub struct Lengths {
     pub x: Unit,
     /// Unit of the vertical axis.
     pub y: Unit,
-    /// Quantity of the vertical axis, which determines the colour of the points.
+    /// Stage whose quantity the vertical axis shows. It determines the colour of the points.
     pub stage: String,
     /// One point for each iteration, SI units; points that are not finite are left out.
     pub points: Vec<(f64, f64)>,
-    /// Intercept and slope of a line through the points.
+    /// Intercept and slope of the line through the points, in SI units; `None` if no line is drawn.
     pub line: Option<(f64, f64)>,
     /// Notes below the figure, such as the number of points and what is left out.
     pub notes: Vec<String>,

@@ -27,14 +27,14 @@ pub struct Quartiles {
 }
 
 impl Quartiles {
-    /// Returns the numbers of a distribution; `None` without samples. Quantiles are within 1 % of the true quantiles.
+    /// Returns the box plot of a distribution; `None` without samples. Quantiles are within 1 % of the true quantiles.
     pub fn of(summary: &Summary) -> Option<Self> {
         let [p25, p50, p75] = [0.25, 0.5, 0.75].map(|q| summary.quantile(q));
         let (count, mean) = (summary.count(), summary.moments.mean);
         Some(Self { count, mean, middle: [p25?, p50?, p75?], tails: summary.tails() })
     }
 
-    /// Returns the largest value that is drawn.
+    /// Returns the largest value that is drawn, seconds.
     pub fn top(&self) -> f64 {
         self.tails.map_or(self.middle[2], |(_, p95)| p95).max(self.mean)
     }

@@ -1,4 +1,4 @@
-//! Figure of a quantity against size, on logarithmic axes. It has a point with its spread for each size and a fitted line for each series.
+//! Figure of a quantity against size, on logarithmic axes. Each size has a point with its spread, and each series has a fitted line.
 
 use peernet_statistics::number::bytes;
 
@@ -18,7 +18,8 @@ const PLOT_WIDTH: f64 = 220.0;
 const RADIUS: f64 = 1.9;
 const LINE_WIDTH: f64 = 0.75;
 const WHISKER_WIDTH: f64 = 0.45;
-/// Room beyond the values at each end of the vertical axis: a factor that is this power of the ratio of the ends, and its minimum.
+/// Room beyond the values at each end of the vertical axis. The first number is an exponent: the room is a factor, the ratio of the highest to the
+/// lowest value to this power. The second number is the minimum of this factor.
 const AXIS_MARGIN: (f64, f64) = (0.06, 1.15);
 /// Space on both sides of the sizes, as a factor.
 const SIDE_FACTOR: f64 = 1.4;
@@ -32,7 +33,7 @@ pub struct Value {
     pub bytes: f64,
     /// Value of the point.
     pub value: f64,
-    /// Range of most values, drawn as a bar.
+    /// Range from the 5th to the 95th percentile, drawn as a bar; `None` if it is not known.
     pub spread: Option<(f64, f64)>,
     /// Lower and upper bound of the true value, drawn as a whisker. A whisker without an upper bound leaves the plot.
     pub bounds: Option<(f64, Option<f64>)>,
@@ -49,12 +50,12 @@ pub struct Series {
     pub mark: Mark,
     /// Values, one per size.
     pub values: Vec<Value>,
-    /// Line of the series: intercept and slope, in SI units and per byte.
+    /// Line of the series: intercept in SI units and slope in SI units per byte; `None` if no line is drawn.
     pub line: Option<(f64, f64)>,
 }
 
 impl Value {
-    /// Returns the bounds of the whisker; `None` if one clock measured both ends.
+    /// Returns the bounds of the whisker; `None` if there are no bounds, or if they are equal, because one clock measured both ends.
     fn whisker(&self) -> Option<(f64, Option<f64>)> {
         self.bounds.filter(|(lo, hi)| hi.is_none_or(|hi| hi > *lo))
     }
@@ -91,7 +92,8 @@ impl Scaling {
         self.series.iter().flat_map(|series| &series.values).filter(|value| value.value > 0.0)
     }
 
-    /// Returns the lowest and the highest of all values, bars and bounds, SI units. Bounds that are far from their value are ignored in part.
+    /// Returns the lowest and the highest of all values, bars and bounds, SI units. A bound that is far from its value counts only up to a
+    /// certain distance.
     fn heights(&self) -> Option<(f64, f64)> {
         let extent = |value: &Value| {
             let (lo, hi) = value.spread.unwrap_or((value.value, value.value));
@@ -104,7 +106,8 @@ impl Scaling {
         self.values().map(extent).reduce(|(lo, hi), (a, b)| (lo.min(a), hi.max(b)))
     }
 
-    /// Returns the height of the line of a series and whether it is near enough to the values to be drawn. `None` if the line is not level.
+    /// Returns the height of a series' level line, and whether the line is near enough to the values to be drawn. `None` if the series has no
+    /// line, or if its line is not level.
     fn level(&self, series: &Series) -> Option<(f64, bool)> {
         let (height, _) = series.line.filter(|(height, slope)| *slope == 0.0 && *height > 0.0)?;
         let (low, high) = self.heights()?;
@@ -116,7 +119,8 @@ impl Scaling {
         self.level(series).is_some_and(|(_, is_near)| !is_near)
     }
 
-    /// Returns the explanations of the parts that are drawn, and notes on the parts that are not drawn.
+    /// Returns notes on how to read the figure: the explanations of the parts that are drawn, the lines that are not drawn, and the further
+    /// notes.
     fn reading_notes(&self) -> Vec<String> {
         let mut parts = vec![format!("point: {}", self.parts.point)];
         if self.values().any(|value| value.spread.is_some()) {

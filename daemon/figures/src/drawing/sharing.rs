@@ -25,7 +25,8 @@ const FAIRNESS_HEIGHT: f64 = 28.5;
 const LOGARITHMIC_EDGES_RATIO: f64 = 8.0;
 /// The axis of latencies is logarithmic if the ratio of the highest to the lowest latency is more than this.
 const LOGARITHMIC_RATIO: f64 = 12.0;
-/// Room beyond the values at each end, as a share of their range; on a logarithmic axis, as a power of their ratio.
+/// Room beyond the values at each end of a linear axis, as a share of their range. On a logarithmic axis, the room is a factor: the ratio of the
+/// largest to the smallest value to this power.
 const AXIS_MARGIN: f64 = 0.06;
 
 /// Latency and fairness against the number of edges.
@@ -46,11 +47,11 @@ pub struct Sharing {
 pub struct SharingCurve {
     /// Name for the legend; if it is empty, there is no entry.
     pub name: String,
-    /// Points of the curve, the fewest edges first.
+    /// Points of the curve, in ascending order of the number of edges.
     pub points: Vec<SharingPoint>,
 }
 
-/// Latency and fairness of a number of edges at the same time. Seconds.
+/// Latency and fairness with a certain number of edges at the same time. Latencies are in seconds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SharingPoint {
     /// Number of edges.
@@ -59,9 +60,9 @@ pub struct SharingPoint {
     pub median: f64,
     /// 95th percentile of all totals; `None` for few values.
     pub p95: Option<f64>,
-    /// Median of each edge.
+    /// Median of the totals of each edge.
     pub each: Vec<f64>,
-    /// Jain's index of their rates, from 0 to 1.
+    /// Jain's index of the edges' rates, from 0 to 1; `None` if the rates are not known.
     pub fairness: Option<f64>,
 }
 
@@ -87,7 +88,7 @@ impl Sharing {
         self.curves.iter().flat_map(|curve| &curve.points).filter(|point| point.median.is_finite())
     }
 
-    /// Returns the different numbers of edges.
+    /// Returns the numbers of edges that were measured, each once, in ascending order.
     fn edge_counts(&self) -> Vec<usize> {
         let mut edges: Vec<usize> = self.points().map(|point| point.edges).collect();
         edges.sort_unstable();

@@ -39,7 +39,7 @@ impl Orientation {
         items
     }
 
-    /// Returns the same whisker on a rim in the colour of the background.
+    /// Returns a whisker, as [`Self::whisker`] does, on a rim in the colour of the background.
     pub fn rimmed_whisker(self, ends: [At; 2], has_cap: [bool; 2], cap: f64) -> Vec<Item> {
         [Style::halo(), Style::whisker()]
             .iter()
@@ -51,7 +51,7 @@ impl Orientation {
 /// Parts of one bar.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stack<'a> {
-    /// Stage and value of each part, in the unit of the scale, from the first to the last. A value may be negative if clocks were not
+    /// Stage and value of each part, in the order of time. Values are in the unit of the scale. A value may be negative if clocks were not
     /// corrected. Negative parts lie on the other side of zero.
     pub parts: Vec<(&'a str, f64)>,
     /// Scale of the values.

@@ -14,10 +14,10 @@ use crate::text::width;
 
 /// Height of a horizontal bar with the space around it, points.
 const ROW_HEIGHT: f64 = 14.4;
-/// Height of a horizontal bar with the space around it if there are many bars, points: sixty bars fill a page.
+/// Height of a horizontal bar with the space around it if there are many bars, points. With this height, sixty bars fill a page.
 const CLOSE_ROW_HEIGHT: f64 = 10.0;
-/// Maximum number of bars with [`ROW_HEIGHT`]. More bars are closer to each other.
-const CLOSE_ROW_COUNT: usize = 16;
+/// Maximum number of bars with [`ROW_HEIGHT`]. If there are more bars, all of them have [`CLOSE_ROW_HEIGHT`].
+const MAX_WIDE_ROWS: usize = 16;
 /// Maximum number of upright bars, because their labels must fit side by side.
 const MAX_UPRIGHT_BARS: usize = 6;
 /// Space at the sides of the bars of an upright plot, points.
@@ -41,7 +41,7 @@ pub struct Stacked {
     pub title: String,
     /// Unit of the axis of values: ms.
     pub unit: Unit,
-    /// Stages from the first to the last; every bar has a value for each, 0 for a stage that it does not have.
+    /// Stages in the order of time. Every bar has a value for each stage, which is 0 for a stage that the bar does not have.
     pub stages: Vec<String>,
     /// One bar for each configuration.
     pub bars: Vec<Bar>,
@@ -54,16 +54,16 @@ pub struct Stacked {
 pub struct Bar {
     /// Label of the configuration.
     pub label: String,
-    /// Mean of each stage. It may be negative if clocks were not corrected.
+    /// Mean of each stage of the figure. A mean may be negative if clocks were not corrected.
     pub means: Vec<f64>,
-    /// Mean of the total. The parts add up to it if all of them are known.
+    /// Mean of the total. If the means of all stages are known, they add up to the total.
     pub total: f64,
     /// Standard deviation of the total; `None` if it is not known.
     pub std: Option<f64>,
 }
 
 impl Bar {
-    /// Returns the mean and the standard deviation of the total.
+    /// Returns the mean and the standard deviation of the total; `None` unless the deviation is known and above 0.
     fn spread(&self) -> Option<(f64, f64)> {
         self.std.filter(|std| *std > 0.0).map(|std| (self.total, std))
     }
@@ -88,7 +88,7 @@ impl Bar {
 }
 
 impl Stacked {
-    /// Returns the figure of bars with their labels, in ms. Its stages are the parts of all bars, in their order.
+    /// Returns the figure of these bars, each given with its label, in ms. The stages of the figure are the parts that at least one bar has.
     pub fn new(title: &str, bars: &[(String, LatencyBar)], notes: Vec<String>) -> Self {
         let has_part = |name: &Name| bars.iter().any(|(_, bar)| bar.part(name).is_some());
         let stages: Vec<Name> = part_order().filter(has_part).collect();
@@ -107,7 +107,7 @@ impl Stacked {
         }
     }
 
-    /// Lays each bar out by itself, with the values of its parts, for pages. All bars have the scale that is also returned, in ms.
+    /// Lays each bar out as a picture of its own, with the values of its parts, for pages. Returns the bars and their common scale, in ms.
     pub fn rows(&self) -> (Vec<Vec<Item>>, Scale) {
         let (low, high) = self.range();
         let scale = if low < 0.0 { Scale::from_zero((low, high)) } else { Scale::up_to(high, 6) };
@@ -192,7 +192,7 @@ impl Stacked {
         let names = Axis::new(Scale::linear((0.0, 1.0)), "", "").marked(Marks::Names(names.collect()));
         let mut plot = Plot::new(self.unit.axis(values).with_grid(), names);
         plot.height = Height::Points(
-            count * if self.bars.len() > CLOSE_ROW_COUNT { CLOSE_ROW_HEIGHT } else { ROW_HEIGHT },
+            count * if self.bars.len() > MAX_WIDE_ROWS { CLOSE_ROW_HEIGHT } else { ROW_HEIGHT },
         );
         plot.free_right = self.free_space(values);
         for (number, bar) in self.bars.iter().enumerate() {
@@ -207,8 +207,8 @@ impl Stacked {
         plot
     }
 
-    /// Returns the width that must stay free at the right of the plot for the sums after horizontal bars, points. The sum of a shorter bar
-    /// uses the free space after its bar.
+    /// Returns the width that must stay free at the right of the plot for the sums that follow horizontal bars, points. The sum of a short bar
+    /// needs less of it, because it begins at the end of its bar.
     fn free_space(&self, values: Scale) -> f64 {
         let names_width = self.bars.iter().map(|bar| width(&bar.label, TEXT)).fold(0.0, f64::max);
         let available_width = WIDTH - NAME_DISTANCE - names_width.min(MAX_NAME_WIDTH);
@@ -220,8 +220,8 @@ impl Stacked {
         available_width - self.bars.iter().map(max_plot_width).fold(available_width, f64::min)
     }
 
-    /// Returns a bar with its error bar, and the end of both in the unit shown. The bar is centred at `middle`, and `half` is half its width;
-    /// both are shares across the bars.
+    /// Returns a bar with its error bar, and the farther end of the two, in the unit that is shown. `middle` is the centre of the bar and `half` is
+    /// half its width, both as shares of the plot across the bars.
     fn bar(
         &self,
         bar: &Bar,

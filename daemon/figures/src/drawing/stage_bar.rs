@@ -41,7 +41,7 @@ pub struct StagePart {
     pub name: String,
     /// Length, seconds.
     pub seconds: f64,
-    /// Half the width of the interval of the length by the clock bounds, seconds. Only one-way delays have it.
+    /// Half the width of the interval that the clock bounds give for the length, seconds; `None` for stages that are not one-way delays.
     pub bound: Option<f64>,
 }
 
@@ -56,7 +56,8 @@ pub struct StageBar<'a> {
     pub has_grid: bool,
     /// True if values and clock bounds are shown. A low bar has no room for them.
     pub has_values: bool,
-    /// Mean and standard deviation of the total, seconds. A whisker shows the standard deviation on both sides of the mean.
+    /// Mean and standard deviation of the total, seconds; `None` if they are not shown. A whisker shows the standard deviation on both sides of
+    /// the mean.
     pub spread: Option<(f64, f64)>,
     /// 95th and 99th percentile of the total, seconds.
     pub quantiles: [Option<f64>; 2],
@@ -78,7 +79,7 @@ impl<'a> StageBar<'a> {
         }
     }
 
-    /// Returns a bar without a grid that its parts fill from end to end.
+    /// Returns a bar without a grid. The scale ends at the end of the last part, so that the parts fill the picture.
     pub fn whole(parts: &'a [StagePart]) -> Self {
         let end = parts.iter().map(|part| part.seconds.max(0.0)).sum::<f64>() * 1e3;
         let scale = if end > 0.0 { Scale::linear((0.0, end)) } else { Scale::up_to(0.0, 1) };
@@ -115,8 +116,8 @@ impl<'a> StageBar<'a> {
         Some([mean - std, mean + std].map(|seconds| self.scale.at(seconds * 1e3)))
     }
 
-    /// Returns the value of a stage, with the name of the stage where there is room. The label is hidden where the whisker of the total would
-    /// cross it.
+    /// Returns the label of a stage: its value, and before it the name of the stage if there is room. The label is hidden if the whisker of the
+    /// total would cross it.
     fn value_label(&self, (name, from, to): (&str, f64, f64)) -> Label {
         let (begin, end) = (self.scale.at(from), self.scale.at(to));
         let (middle, value) = (f64::midpoint(begin, end), to - from);
