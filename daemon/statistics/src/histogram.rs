@@ -1,4 +1,4 @@
-//! Range and bins of a histogram, for single values and for summaries.
+//! Range and bins of a histogram, computed from single values or from a summary.
 
 use crate::Summary;
 
@@ -14,7 +14,7 @@ const SMALL_SAMPLE_CUT: u64 = 3;
 const SMALL_SAMPLE_VALUES_PER_CUT: u64 = 8;
 /// Values are cut off only if they would widen the axis by at least this factor.
 const MIN_GAIN: f64 = 1.5;
-/// Tukey's far fence: distance from the quartile in interquartile ranges.
+/// Distance of Tukey's far fence from the nearer quartile, as a multiple of the interquartile range.
 const FAR_FENCE: f64 = 3.0;
 
 /// Values in ascending order.
@@ -33,7 +33,7 @@ pub trait OrderedValues {
     fn quantile_of_ranks(&self, p: f64) -> Option<f64> {
         let rank = p.clamp(0.0, 1.0) * self.count().checked_sub(1)? as f64;
         let (below, above) = (self.at(rank.floor() as u64)?, self.at(rank.ceil() as u64)?);
-        // Equal values may both be infinite, and their difference would be NaN.
+        // Two equal values may both be infinite. The difference of the two would then be NaN.
         Some(if below == above { below } else { below + (above - below) * rank.fract() })
     }
 }
@@ -55,7 +55,7 @@ impl OrderedValues for [f64] {
     }
 }
 
-/// Values are known within 1 %. The ends of a range are the ends of bins of the sketch, so that no bin is counted in part.
+/// The values of a summary are known within 1 %. The ends of a range are the ends of bins of the sketch, so that no bin is counted in part.
 impl OrderedValues for Summary {
     fn count(&self) -> u64 {
         self.count()
@@ -86,7 +86,8 @@ impl OrderedValues for Summary {
 ///
 /// - It is beyond the far fence of Tukey (*Exploratory Data Analysis*, 1977), three interquartile ranges beyond the quartile.
 /// - It is beyond the range of the typical values by more than half the width of that range. The typical values are all values
-///   except 1 % at each end. Of fewer than 400 values, three at each end are left out; of fewer than 24 values, one in eight at each end.
+///   except 1 % at each end. If there are fewer than 400 values, three at each end are not typical; if there are fewer than 24 values,
+///   one in eight at each end.
 pub fn shown_range<V: OrderedValues + ?Sized>(values: &V) -> Option<(f64, f64)> {
     let count = values.count();
     let all = (values.at(0)?, values.at(count.checked_sub(1)?)?);
@@ -120,12 +121,13 @@ pub struct Binning {
 }
 
 impl Binning {
-    /// Returns between 8 and 60 bins with the width of Freedman and Diaconis (1981): twice the interquartile range, divided by the cube root of
-    /// the count; at most `max_bins`. Equal values are in a single bin. The bins cover the [shown range](shown_range). `None` without values
-    /// and if the range is infinite.
+    /// Divides the [shown range](shown_range) of these values into bins. Their width is that of Freedman and Diaconis (1981): twice the
+    /// interquartile range, divided by the cube root of the number of values. There are between 8 and 60 bins, but at most `max_bins`. If all
+    /// values are equal, there is a single bin. `None` without values, or if the range is infinite.
     pub fn of<V: OrderedValues + ?Sized>(values: &V, max_bins: usize) -> Option<Self> {
         let (lo, hi) = shown_range(values).filter(|(lo, hi)| lo.is_finite() && hi.is_finite())?;
         if lo == hi {
+            // A bin needs a width that is not 0; how wide it is does not matter.
             let width = lo.abs().max(f64::MIN_POSITIVE) / 50.0;
             return Some(Self { range: (lo, hi), from: lo - width / 2.0, width, count: 1 });
         }
@@ -155,13 +157,13 @@ pub struct BinCounts {
 }
 
 impl Summary {
-    /// Counts the values in bins. Each value is counted once.
+    /// Counts the values in each bin, below the first bin and above the last bin. Each value is counted once.
     pub fn count_in(&self, binning: &Binning) -> BinCounts {
         let total = self.count();
-        // The cumulative counts are rounded instead of the bins, so that the counts add up to the number of values.
+        // The cumulative counts are rounded, not the counts of the bins, so that the counts add up to the number of values.
         let below = |x: f64| (self.fraction_below(x).unwrap_or(0.0) * total as f64).round() as u64;
         let mut cumulative: Vec<u64> = binning.edges().into_iter().map(below).collect();
-        // The edges are rounded. The first and the last bin must not lose values to that.
+        // The edges are rounded. Because of this, the smallest value could lie below the first bin, or the largest above the last bin.
         if let Some(first) = cumulative.first_mut().filter(|_| binning.range.0 <= self.moments.min) {
             *first = 0;
         }

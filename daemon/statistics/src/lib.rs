@@ -1,9 +1,9 @@
 //! Statistics of a stream of numbers in bounded memory.
 //!
 //! [`Moments`] are count, mean, variance and extremes, computed without cancellation. [`Sketch`] is a mergeable quantile
-//! sketch with a guaranteed error. [`Summary`] combines both. [`RecentSeconds`] is a ring of one-second cells. [`histogram`]
-//! has range and bins of a distribution, [`TwoModes`] is the result of a test for two modes. [`number`] formats numbers for
-//! people. [`SplitMix64`] generates reproducible random numbers.
+//! sketch with a guaranteed error. [`Summary`] combines moments and sketch. [`RecentSeconds`] is a ring of one-second cells.
+//! [`histogram`] computes the range and the bins of a histogram. [`TwoModes`] is the result of a test for two modes. [`number`]
+//! formats numbers for people. [`SplitMix64`] generates reproducible random numbers.
 //!
 //! All statistics can be merged. The merged statistics of several hosts, seconds or buckets equal the statistics of all
 //! their numbers together. [`Moments`] and [`Sketch`] are sent in live updates and stored; both are checked when they are
@@ -33,7 +33,7 @@ pub const BUCKET_WIDTHS_S: [u32; 15] =
     [1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 900, 3_600, 7_200, 21_600, 86_400];
 
 /// Largest count that is accepted from other hosts.
-// Every integer up to it is exact as `f64`, and thousands of such counts can be added in 64 bits.
+// Every integer up to this count is exact as `f64`, and thousands of such counts can be added in 64 bits.
 const MAX_COUNT: u64 = 1 << 53;
 
 /// Largest magnitude of a number that is recorded.

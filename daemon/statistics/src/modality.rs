@@ -2,23 +2,23 @@
 
 use crate::Summary;
 
-/// Minimum number of values.
+/// Minimum number of values for the test.
 const MIN_VALUES: u64 = 100;
-/// The excess mass of a uniform distribution exceeds this number, divided by the square root of the number of values, in fewer than 1 % of all
-/// samples of 100 to 500 values. In simulations, the 99th percentile is 1.04 for 100 values, 1.11 for 300 and 1.19 for 1,000. Above 529
-/// values, [`MIN_EXCESS`] is the higher limit.
+/// Excess mass that chance can cause in n values, multiplied by √n. If samples of 100 to 500 values are drawn from a uniform distribution, fewer
+/// than 1 % of them have a larger excess mass. In simulations, the 99th percentile of the excess mass times √n is 1.04 for 100 values, 1.11 for
+/// 300 values and 1.19 for 1,000 values. This constant matters only up to 529 values: above, [`MIN_EXCESS`] is the higher limit.
 const EXCESS_BY_CHANCE: f64 = 1.15;
 /// Minimum excess mass: a twentieth of the values would have to be moved to remove the second mode.
 const MIN_EXCESS: f64 = 0.05;
-/// Minimum ratio of the upper mode to the lower mode. If the modes are closer, mean and standard deviation describe both.
+/// Minimum ratio of the upper mode to the lower mode. If the modes are closer together, mean and standard deviation still describe the values.
 const MIN_RATIO: f64 = 1.2;
-/// Maximum extent of a bin of the sketch to each side, as a difference of logarithms.
+/// Maximum distance by which a bin of the sketch is extended to each side, as a difference of natural logarithms.
 const MAX_REACH: f64 = 0.1;
-/// Factor by which bins of neighbouring whole numbers may extend farther, because the sketch rounds them.
+/// Factor by which the bins of two neighbouring whole numbers may extend beyond the middle between the two, because the sketch rounds values.
 const WHOLE_NUMBER_MARGIN: f64 = 1.1;
 /// A shorter gap between two bins is an error of rounding.
 const ROUNDING: f64 = 1e-9;
-/// Number of densities at which the excess mass is computed.
+/// Number of steps between the lowest and the highest density. The excess mass is computed at each step.
 const LEVELS: i32 = 128;
 
 /// Two groups of values: those around the lower mode and those around the upper mode.
@@ -41,14 +41,15 @@ struct Bin {
 }
 
 impl Summary {
-    /// Returns the two modes if the values above zero clearly have two: the excess mass of two modes over one (Müller and Sawitzki, *Excess mass
-    /// estimates and tests for multimodality*, Journal of the American Statistical Association 86, 1991) is larger than by chance, p < 0.01,
-    /// and at least a twentieth of the values. The excess mass is twice the dip of Hartigan and Hartigan (The Annals of Statistics 13, 1985).
-    /// As in their test, chance is that of a uniform distribution; distributions with a peak, such as log-normal ones, cause even fewer false
-    /// alarms. The groups are divided at the threshold
-    /// of Otsu (IEEE Transactions on Systems, Man, and Cybernetics 9, 1979), on a logarithmic axis.
+    /// Returns the two modes of the values above zero, if the values clearly have two modes. They do if the excess mass of two modes over one
+    /// (Müller and Sawitzki, *Excess mass estimates and tests for multimodality*, Journal of the American Statistical Association 86, 1991) is
+    /// larger than chance explains (p < 0.01) and is at least a twentieth of the values.
     ///
-    /// `None` with fewer than 100 values, with one mode, and if the upper mode is less than 20 % above the lower.
+    /// The excess mass is twice the dip of Hartigan and Hartigan (The Annals of Statistics 13, 1985). As in their test, chance means samples of a
+    /// uniform distribution. Distributions with a peak, such as log-normal distributions, cause even fewer false alarms. The two groups are
+    /// divided at the threshold of Otsu (IEEE Transactions on Systems, Man, and Cybernetics 9, 1979), on a logarithmic axis.
+    ///
+    /// `None` with fewer than 100 values above zero, with one mode, or if the upper mode is less than 20 % above the lower mode.
     pub fn two_modes(&self) -> Option<TwoModes> {
         let positive: Vec<(f64, u64)> = self.sketch.bins().filter(|(value, _)| *value > 0.0).collect();
         let count: u64 = positive.iter().map(|(_, count)| count).sum();
@@ -92,8 +93,9 @@ fn bins(positive: &[(f64, u64)], count: u64) -> Vec<Bin> {
     bins
 }
 
-/// Returns the largest difference between the excess mass of two intervals and that of one, over all densities. The excess mass of intervals
-/// at a density is the share of values in them, minus the share that the density puts there.
+/// Returns the excess mass of two modes over one: the largest difference, over all densities, between the excess mass of the best two intervals
+/// and that of the best single interval. The excess mass of intervals at a density is the share of the values in the intervals, minus the share
+/// that a uniform distribution with this density has there.
 fn excess_mass(bins: &[Bin]) -> f64 {
     let densities = || bins.iter().filter(|bin| bin.mass > 0.0).map(|bin| bin.mass / bin.length);
     // The density that separates two groups best puts at least `MIN_EXCESS` on the whole axis, if their excess is that large.
@@ -103,15 +105,15 @@ fn excess_mass(bins: &[Bin]) -> f64 {
     let level = |step: i32| lowest * (highest / lowest).powf(f64::from(step) / f64::from(LEVELS));
     let excess = (0..=LEVELS).map(|step| {
         let gain = |bin: &Bin| bin.mass - level(step) * bin.length;
-        let [one, two] = most_in_intervals(bins.iter().map(gain));
+        let [one, two] = largest_interval_sums(bins.iter().map(gain));
         two - one
     });
     excess.fold(0.0, f64::max)
 }
 
-/// Returns the largest sum of consecutive numbers, and the largest sum of two such groups.
-fn most_in_intervals(gains: impl Iterator<Item = f64>) -> [f64; 2] {
-    // Largest sum with the first interval open, closed, the second open, closed.
+/// Returns the largest sum of an interval of consecutive numbers, and the largest sum of two such intervals. An interval may be empty.
+fn largest_interval_sums(gains: impl Iterator<Item = f64>) -> [f64; 2] {
+    // Largest sum so far in four states: within the first interval, after it, within the second interval, after it.
     let (mut first, mut after_first, mut second, mut after_second) =
         (f64::NEG_INFINITY, 0.0_f64, f64::NEG_INFINITY, 0.0_f64);
     for gain in gains {

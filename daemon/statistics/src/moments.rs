@@ -6,8 +6,8 @@ use crate::Merge;
 
 /// Count, mean, sum of squared deviations from the mean, and extremes.
 ///
-/// Updated by Welford's method (1962), merged by the method of Chan, Golub and LeVeque (1979).
-// Sums of squares would lose precision where the mean is much larger than the deviation, as with durations.
+/// Numbers are added by Welford's method (1962), and instances are merged by the method of Chan, Golub and LeVeque (1979).
+// Sums of squares would lose precision if the mean is much larger than the deviation, as is usual for durations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "UncheckedMoments")]
 pub struct Moments {
@@ -104,7 +104,7 @@ impl TryFrom<UncheckedMoments> for Moments {
 
 impl Merge for Moments {
     fn merge(&mut self, other: &Self) {
-        // The method of the same name without the trait.
+        // The inherent method has the same name. It can be called without the trait in scope.
         Self::merge(self, other);
     }
 }

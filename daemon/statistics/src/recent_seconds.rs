@@ -2,8 +2,8 @@
 
 use crate::Merge;
 
-/// Ring of one-second cells. A new second overwrites the oldest one, and any number of the last seconds can be
-/// merged.
+/// Ring of one-second cells. The cell of a new second overwrites the oldest cell, and the cells of any number of the last
+/// seconds can be merged.
 ///
 /// The caller numbers the seconds, usually since the Unix epoch. A second that is further in the past than the ring
 /// reaches clears the ring.
@@ -22,7 +22,7 @@ use crate::Merge;
 pub struct RecentSeconds<C> {
     /// Cells, each with its second. The index of a cell is its second modulo the length of the ring.
     cells: Box<[Option<(i64, C)>]>,
-    /// Newest second with a cell.
+    /// Newest second with a cell; `None` while the ring is empty.
     newest: Option<i64>,
 }
 
@@ -32,12 +32,12 @@ impl<C: Merge + Default> RecentSeconds<C> {
         Self { cells: (0..seconds.max(1)).map(|_| None).collect(), newest: None }
     }
 
-    /// Returns the number of cells.
+    /// Returns the number of seconds that the ring covers: the number of its cells.
     pub fn seconds(&self) -> usize {
         self.cells.len()
     }
 
-    /// Returns the newest second with a cell.
+    /// Returns the newest second with a cell; `None` while the ring is empty.
     pub fn newest(&self) -> Option<i64> {
         self.newest
     }
@@ -67,8 +67,8 @@ impl<C: Merge + Default> RecentSeconds<C> {
         cell
     }
 
-    /// Removes the cells from `second` on.
-    // A clock that was set back reaches these seconds again.
+    /// Removes the cells of `second` and of all later seconds.
+    // After a clock was set back, it reaches these seconds again, and their old cells must not be mixed with new values.
     pub fn remove_from(&mut self, second: i64) {
         for slot in &mut self.cells {
             slot.take_if(|(cell_second, _)| *cell_second >= second);
@@ -76,14 +76,14 @@ impl<C: Merge + Default> RecentSeconds<C> {
         self.newest = self.cells.iter().flatten().map(|(cell_second, _)| *cell_second).max();
     }
 
-    /// Returns the cell of a second.
+    /// Returns the cell of a second; `None` if the ring does not have it.
     pub fn get(&self, second: i64) -> Option<&C> {
         let slot = self.cells[second.rem_euclid(self.cells.len() as i64) as usize].as_ref();
         slot.filter(|(cell_second, _)| *cell_second == second).map(|(_, cell)| cell)
     }
 
-    /// Iterates over the cells of the last `seconds` seconds up to and including `now`, oldest first. At most as many
-    /// seconds as the ring has cells are covered. Seconds without a cell are left out.
+    /// Iterates over seconds and their cells: the last `seconds` seconds up to and including `now`, oldest first. At most as
+    /// many seconds as the ring has cells are covered. Seconds without a cell are left out.
     pub fn iter(&self, now: i64, seconds: usize) -> impl Iterator<Item = (i64, &C)> {
         let length = seconds.min(self.cells.len()) as i64;
         (now.saturating_sub(length)..now)

@@ -20,7 +20,7 @@ pub struct Summary {
 
 impl Summary {
     /// Returns whether a number is recorded: it must be finite, and small enough that squares can be added.
-    // Some drivers report the largest number for a missing reading.
+    // Some drivers report the largest floating-point number if a reading is missing.
     #[inline]
     pub fn accepts(value: f64) -> bool {
         value.abs() <= MAX_MAGNITUDE
@@ -46,10 +46,10 @@ impl Summary {
         self.moments.count
     }
 
-    /// Returns the number below which the fraction `q` of all numbers lies. It is never outside of the observed extremes.
-    /// `None` without numbers.
+    /// Returns the quantile at `q` from 0 to 1: the number below which the fraction `q` of all numbers lies. It is never outside
+    /// of the observed extremes. `None` without numbers.
     pub fn quantile(&self, q: f64) -> Option<f64> {
-        // The midpoint of the outermost bin may lie beyond the extreme.
+        // The midpoint of the lowest or the highest bin may lie beyond the smallest or the largest number.
         self.sketch.quantile(q).map(|value| value.max(self.moments.min).min(self.moments.max))
     }
 
@@ -80,8 +80,8 @@ impl Summary {
         }
     }
 
-    /// Returns the number of values between each edge and the next, for drawing, as [`Sketch::histogram`] does. Outside of
-    /// the observed extremes the number is 0.
+    /// Returns the number of values between each edge and the next, for drawing, as [`Sketch::histogram`] does. Unlike in a
+    /// sketch, the number is exactly 0 between edges that lie outside of the observed extremes.
     pub fn histogram(&self, edges: &[f64]) -> Vec<f64> {
         let below = |x: f64| self.fraction_below(x).unwrap_or(0.0) * self.count() as f64;
         edges.windows(2).map(|pair| (below(pair[1]) - below(pair[0])).max(0.0)).collect()
@@ -90,7 +90,7 @@ impl Summary {
 
 impl Merge for Summary {
     fn merge(&mut self, other: &Self) {
-        // The method of the same name without the trait.
+        // The inherent method has the same name. It can be called without the trait in scope.
         Self::merge(self, other);
     }
 }

@@ -1,5 +1,5 @@
-//! Stages of one run over time, stacked, with the quantiles of the total. Several runs share their axes. This plot is drawn only on web pages,
-//! not in files.
+//! Plot of the stages of one run over time, stacked, with the quantiles of the total. The plots of several runs have the same axes. They are
+//! drawn only on web pages, not in files.
 
 use peernet_analysis::slowness::BOTH_DIRECTIONS;
 
@@ -10,18 +10,18 @@ use crate::scale::Scale;
 
 /// The vertical axis extends beyond the largest quantile by this share of the quantile.
 const MARGIN: f64 = 0.05;
-/// Units of the horizontal axis: length of the longest axis with the unit, seconds; length of the unit, seconds; name of the unit.
+/// Units of the horizontal axis. Each has the length of the longest axis for which it is used, seconds; its own length, seconds; and its name.
 const UNITS: [(f64, f64, &str); 4] = [
     (180.0, 1.0, "seconds"),
     (10_800.0, 60.0, "minutes"),
     (259_200.0, 3_600.0, "hours"),
     (f64::INFINITY, 86_400.0, "days"),
 ];
-/// Runs shorter than this share of the axis are reported as short.
-const SHORT: f64 = 0.02;
+/// A run that is shorter than this share of the axis is reported as short.
+const SHORT_RUN_SHARE: f64 = 0.02;
 /// Minimum width of a period of warm-up, as a share of the axis.
 const MIN_SHADE: f64 = 0.002;
-/// Marks of failed iterations become one mark if their distance is less than this share of the axis.
+/// Failed iterations share a mark if they are closer together than this share of the axis.
 const MIN_MARK_DISTANCE: f64 = 0.005;
 
 /// Returns the position of a stage in a stack, counted from below.
@@ -53,7 +53,7 @@ impl StageBucket {
 /// A run over time. Times are seconds since the run's first iteration.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StagesOverTime {
-    /// Length of the run.
+    /// Length of the run, seconds.
     pub length: f64,
     /// Width of a bucket, seconds.
     pub width: f64,
@@ -65,7 +65,7 @@ pub struct StagesOverTime {
     pub warm_up: Vec<(f64, f64)>,
     /// Times of failed iterations.
     pub failed: Vec<f64>,
-    /// The 95th percentile of the whole run, seconds.
+    /// The 95th percentile of the total over the whole run, seconds; `None` for few values.
     pub p95: Option<f64>,
 }
 
@@ -85,17 +85,18 @@ impl StagesOverTime {
         self.buckets.iter().any(|bucket| bucket.p95.is_some())
     }
 
-    /// Returns a line through one value of all buckets, as times and values; `None` interrupts the line. The line has a point in the middle of
-    /// each bucket. It is interrupted where buckets or values are missing. Each piece is extended to the beginning of its first bucket and to
-    /// the end of its last bucket.
+    /// Returns the line through the values of all buckets, as points of time and value. `None` interrupts the line where buckets or values are
+    /// missing. The line has a point in the middle of each bucket. Each piece between interruptions is extended to the beginning of its first
+    /// bucket and to the end of its last bucket.
     fn outline(&self, value: impl Fn(&StageBucket) -> Option<f64>) -> Vec<Option<(f64, f64)>> {
-        // A bucket in which the warm-up ends contains only iterations after the warm-up.
+        // The bucket in which the warm-up ends has only iterations after the warm-up, so the line begins at the end of the warm-up and not at
+        // the beginning of the bucket.
         let at_start = self.warm_up.first().filter(|(from, _)| *from <= 0.0);
         let start = at_start.map_or(0.0, |(_, until)| until.clamp(0.0, self.length));
         let within_run = |time: f64| time.clamp(start, self.length);
         let mut points = Vec::with_capacity(self.buckets.len() + 4);
         for consecutive in self.buckets.chunk_by(|a, b| b.begin - a.begin < self.width * 1.5) {
-            // A quantile may be missing in some of consecutive buckets.
+            // A bucket with few iterations has no quantile, although it has neighbours.
             for piece in consecutive.chunk_by(|a, b| value(a).is_some() == value(b).is_some()) {
                 let point = |bucket: &StageBucket, share: f64| {
                     Some((within_run(bucket.begin + self.width * share), value(bucket)?))
@@ -121,8 +122,8 @@ impl StagesOverTime {
         names
     }
 
-    /// Lays the run out on shared axes: areas of the stages, and lines over the areas. Each area reaches down to the axis, and the areas of
-    /// lower stages are drawn over it.
+    /// Lays the run out on shared axes: areas of the stages, and lines over the areas. The area of each stage reaches down to the axis, and the
+    /// areas of the stages below it are drawn over its lower part.
     pub fn plot(&self, axes: &OverTimeAxes) -> Plot {
         let x = Axis::new(axes.x(), "", "").marked(Marks::Round(4));
         let y = Axis::new(axes.y(), "", "").marked(Marks::Round(5)).with_grid();
@@ -181,8 +182,8 @@ pub struct OverTimeAxes {
 }
 
 impl OverTimeAxes {
-    /// Returns axes for these runs. Both axes begin at zero. The time axis ends at the end of the longest run, the axis of latencies a
-    /// little above the largest latency. `None` if no run has a bucket.
+    /// Returns axes for these runs. Both axes begin at zero. The time axis ends at the end of the longest run. The axis of latencies ends a
+    /// little above the largest latency that must be shown. `None` if no run has a bucket.
     pub fn of(runs: &[StagesOverTime]) -> Option<Self> {
         let max = |value: fn(&StagesOverTime) -> f64| runs.iter().map(value).fold(0.0, f64::max);
         let top = max(StagesOverTime::largest_latency) * (1.0 + MARGIN);
@@ -190,7 +191,7 @@ impl OverTimeAxes {
         has_bucket.then(|| Self { length: max(|run| run.length), top: if top > 0.0 { top } else { 1e-3 } })
     }
 
-    /// Returns the entries of the legend for the lines, marks and shades that these runs have. Stages are not among them.
+    /// Returns the entries of the legend for the lines, marks and shades that these runs have, without the entries for stages.
     pub fn legend(runs: &[StagesOverTime]) -> Vec<Key> {
         let any = |condition: fn(&StagesOverTime) -> bool| runs.iter().any(condition);
         let line = |class| Swatch::Line(Style::of_page(class));
@@ -205,12 +206,12 @@ impl OverTimeAxes {
         shown.map(|(_, swatch, text)| Key::new(swatch, text)).collect()
     }
 
-    /// Returns the unit of the horizontal axis.
+    /// Returns the name of the unit of the horizontal axis, such as `minutes`.
     pub fn unit(&self) -> &'static str {
         self.time_unit().1
     }
 
-    /// Returns length in seconds and name of the unit of the horizontal axis.
+    /// Returns the length in seconds and the name of the unit of the horizontal axis.
     fn time_unit(&self) -> (f64, &'static str) {
         let fits = |(max_length, ..): &&(f64, f64, &str)| self.length <= *max_length;
         UNITS.iter().find(fits).map_or((1.0, "seconds"), |(_, seconds, name)| (*seconds, *name))
@@ -231,6 +232,6 @@ impl OverTimeAxes {
 
     /// Returns whether a run is so much shorter than the longest run that it can hardly be seen.
     pub fn is_short(&self, run: &StagesOverTime) -> bool {
-        run.length < self.length * SHORT
+        run.length < self.length * SHORT_RUN_SHARE
     }
 }

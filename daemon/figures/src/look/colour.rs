@@ -19,7 +19,7 @@ impl Rgb {
         Self(mix(self.0), mix(self.1), mix(self.2))
     }
 
-    /// Returns the contrast with another colour, from 1 to 21 (WCAG 2.1, relative luminance). Tests check the tables of colours with it.
+    /// Returns the contrast with another colour, from 1 to 21 (WCAG 2.1, relative luminance). Only tests of the tables of colours use it.
     #[cfg(test)]
     pub(crate) fn contrast(self, other: Self) -> f64 {
         let linear = |part: u8| {
@@ -43,7 +43,7 @@ impl fmt::Display for Rgb {
 /// Colour of the dashboard in both themes. Files use the colour of the light theme.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Token {
-    /// Name of the custom property without its dashes.
+    /// Name of the CSS custom property, without the two dashes before it.
     pub name: &'static str,
     /// Colour in the light theme and in files.
     pub light: Rgb,

@@ -1,4 +1,4 @@
-//! Hatches: areas that differ without colour.
+//! Hatches, by which areas differ without colour.
 
 /// Distance between two lines of a hatch, points.
 const STEP: f64 = 3.9;
@@ -28,12 +28,12 @@ type Line = [(f64, f64); 2];
 /// Returns the lines of a hatch over a rectangle, which is given by its left upper and its right lower corner. The lines of all rectangles
 /// of a figure are on one grid.
 pub(crate) fn lines([(left, top), (right, bottom)]: Line, hatch: Hatch) -> Vec<Line> {
-    // Multiples of `step` between two edges. All areas use the same multiples, so the lines of neighbouring areas meet.
+    // Multiples of `step` between two edges. All areas use the same multiples, so that the lines of neighbouring areas meet at their border.
     let multiples = |lo: f64, hi: f64, step: f64| {
         let first = ((lo + EDGE) / step).ceil() as i64;
         (first..).map(move |number| number as f64 * step).take_while(move |position| *position < hi - EDGE)
     };
-    // The factor makes slanted lines look as close as straight lines.
+    // The factor makes slanted lines look as close together as horizontal and vertical lines.
     let slanted_step = STEP * 1.4;
     // On a rising line x + y is constant, on a falling line x − y.
     let rising = || {

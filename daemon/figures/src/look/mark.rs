@@ -1,6 +1,6 @@
-//! Points that differ without colour.
+//! Shapes of points, by which series differ without colour.
 
-/// Shape of the points of a series; each shape comes with a different dash of the line.
+/// Shape of the points of a series. The line of the series has a dash that belongs to the shape.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mark {
     /// Discs on a solid line.

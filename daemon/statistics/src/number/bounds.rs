@@ -1,5 +1,5 @@
-//! Numbers whose bounds follow from clocks, in ms. They have as many digits as the bound supports, but none below a
-//! microsecond, because no clock of another host is known more precisely.
+//! Formatting of numbers whose bounds follow from clocks, in ms. They have as many digits as the bound supports, but no
+//! digit below a microsecond, because the clock of another host is never known more precisely.
 
 use super::milliseconds::default_decimals;
 use super::{EXACT, SPACE, decimals, fixed, fixed_or_less_than, join_ends, milliseconds, signed};
@@ -7,8 +7,8 @@ use super::{EXACT, SPACE, decimals, fixed, fixed_or_less_than, join_ends, millis
 /// Number of decimals for a resolution of a microsecond.
 const MAX_DECIMALS: usize = 3;
 
-/// Returns the number of decimals for a value with a known bound: up to the bound's second digit. An exact value has
-/// the decimals of its size.
+/// Returns the number of decimals of a value in ms whose error is known: down to the second significant digit of the error. If
+/// the error is zero, the number of decimals follows from the size of the value.
 fn decimals_within(seconds: f64, half_width: f64) -> usize {
     if half_width > 0.0 {
         decimals(half_width * 1e3, 2).min(MAX_DECIMALS)
@@ -31,7 +31,7 @@ pub fn bound(half_width: f64) -> String {
     format!("{}{unit}", bound_ms(half_width))
 }
 
-/// Formats both ends of an interval, with the digits that its width supports.
+/// Formats both ends of an interval in ms, with the digits that the width of the interval supports.
 pub fn ends_ms(lo: f64, hi: f64) -> [String; 2] {
     let decimals = decimals_within(hi, (hi - lo) / 2.0);
     [lo, hi].map(|end| fixed(end * 1e3, decimals))
@@ -43,7 +43,7 @@ pub fn interval_ms(lo: f64, hi: f64) -> String {
     if lo == hi { milliseconds(lo) } else { join_ends(ends_ms(lo, hi)) }
 }
 
-/// Formats a value within an interval, with the digits that its width supports: `0.043`, `6.3`.
+/// Formats a value within an interval in ms, with the digits that the width of the interval supports: `0.043`, `6.3`.
 pub fn within_ms(seconds: f64, (lo, hi): (f64, f64)) -> String {
     fixed(seconds * 1e3, decimals_within(seconds, (hi - lo) / 2.0))
 }

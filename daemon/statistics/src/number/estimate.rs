@@ -3,10 +3,10 @@
 use super::milliseconds::default_decimals;
 use super::{decimals, fixed, has_nonzero_digit, join_ends, with_plus_sign};
 
-/// Largest number of decimals of an estimate: a picosecond.
+/// Largest number of decimals of an estimate in ms, which gives a picosecond.
 const MAX_DECIMALS: usize = 9;
 
-/// Estimate with its interval, in ms. Both are shown to the second significant digit of the interval's half width. Unlike
+/// Estimate with its interval, in ms. Both are shown down to the second significant digit of half the interval's width. Unlike
 /// bounds from clocks, the interval may be arbitrarily narrow.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimate {
@@ -19,7 +19,8 @@ pub struct Estimate {
 }
 
 impl Estimate {
-    /// Creates an estimate from seconds. If the interval has no width, the digits follow from the value's size.
+    /// Creates an estimate from seconds. If both ends of the interval are equal, the number of decimals follows from the size of
+    /// the value.
     pub fn new(seconds: f64, (lo, hi): (f64, f64)) -> Self {
         let [value, lo, hi] = [seconds, lo, hi].map(|seconds| seconds * 1e3);
         let half_width = (hi - lo) / 2.0;
@@ -36,7 +37,7 @@ impl Estimate {
         self.decimals
     }
 
-    /// Returns the estimate with this number of decimals, for example the number in its column.
+    /// Returns the estimate with this number of decimals, for example the number that all values of a column have.
     #[must_use]
     pub fn with_decimals(self, decimals: usize) -> Self {
         Self { decimals, ..self }

@@ -7,7 +7,7 @@ pub fn length(seconds: f64) -> String {
     if !seconds.is_finite() || seconds < 0.0 {
         return NONE.to_owned();
     }
-    // From here on, one decimal would be rounded to `10.0`.
+    // From 9.95 s on, one decimal would be rounded to `10.0`.
     if seconds < 9.95 {
         return format!("{}{SPACE}s", fixed_or_less_than(seconds, 1));
     }
@@ -31,6 +31,6 @@ pub fn roughly(seconds: f64) -> String {
         seconds if seconds < 86_400.0 => 600.0,
         _ => 3_600.0,
     };
-    // Rounded up, because ending earlier than announced does no harm.
+    // The duration is rounded up, because it does no harm if something ends earlier than announced.
     length((seconds / step).ceil() * step)
 }

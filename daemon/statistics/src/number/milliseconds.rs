@@ -2,20 +2,20 @@
 
 use super::{Quantity, decimals, figure, fixed, fixed_or_less_than, join_ends, signed};
 
-/// Largest number of decimals of a value in ms: a nanosecond.
+/// Largest number of decimals of a value in ms, which gives a nanosecond.
 const MAX_DECIMALS: usize = 6;
-/// Number of decimals for a resolution of a tenth of a microsecond.
+/// Number of decimals of a value in ms that give a resolution of a tenth of a microsecond.
 const TENTH_OF_MICROSECOND: usize = 4;
-/// Shortest duration that a clock distinguishes from zero.
+/// Shortest duration that a clock distinguishes from zero: a nanosecond.
 const MIN_DISTINGUISHABLE_MS: f64 = 1e-6;
 
 /// Duration below which two decimals of a millisecond would show only one significant digit.
-// From here on, three significant digits are rounded to at least `0.100`.
+// The limit is not 0.1: from this limit on, three significant digits are rounded to at least `0.100`.
 const SHORT_DURATION_MS: f64 = 0.099_95;
 
 /// Smallest number of decimals in a column of values with a bound or deviation.
 const MIN_COLUMN_DECIMALS: usize = 2;
-/// Largest number of decimals in such a column.
+/// Largest number of decimals in a column of values with a bound or deviation.
 const MAX_COLUMN_DECIMALS: usize = 3;
 
 /// Returns the number of decimals of a value in ms without an interval: three significant digits, at most to the nanosecond.
@@ -39,8 +39,9 @@ pub fn short_duration(seconds: f64) -> Quantity {
     Quantity::new(milliseconds(seconds), "ms")
 }
 
-/// Format of the durations of one table, in ms, by its total: three significant digits of a total below 0.1 ms, otherwise two decimals, or three if the
-/// deviation's second significant digit is the third decimal.
+/// Format of all durations of one table, in ms. Their number of decimals follows from the total of the table. If the total is below 0.1 ms, the
+/// total has three significant digits. Otherwise there are two decimals, or three if the second significant digit of the total's deviation is
+/// the third decimal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DurationFormat {
     decimals: usize,
@@ -80,14 +81,15 @@ impl DurationFormat {
 /// Formats a total for a live page, in ms with one decimal; below 1 ms with three significant digits.
 pub fn total_ms(seconds: f64) -> String {
     let ms = seconds * 1e3;
-    // From here on, three significant digits are rounded to at least `1.00`.
+    // From 0.9995 ms on, three significant digits are rounded to at least `1.00`.
     fixed_or_less_than(ms, if ms.abs() < 0.999_5 { default_decimals(ms) } else { 1 })
 }
 
 /// Formats mean and deviation, or value and margin, in ms: `16.2` and `1.1`.
 ///
-/// Both are rounded to the second significant digit of the deviation, but no finer than a tenth of a microsecond, or than three
-/// significant digits of the mean where these are finer. Without a deviation the mean has three significant digits.
+/// Both numbers have the same decimals: down to the second significant digit of the deviation, but at most as many as give a
+/// tenth of a microsecond or, if these are more, three significant digits of the mean. Without a deviation, the mean has three
+/// significant digits.
 pub fn mean_std_ms(mean: f64, std: Option<f64>) -> (String, Option<String>) {
     let std = std.filter(|std| std.is_finite());
     let decimals = match std {
@@ -107,8 +109,8 @@ pub fn mean_std(mean: f64, std: Option<f64>) -> String {
     }
 }
 
-/// Formats an interval of measured values in ms: `0.0418 – 0.0561`, `−1.54 to −1.35`. Both ends have as many decimals as
-/// half the width needs for two significant digits. Equal ends give one number.
+/// Formats an interval of measured values in ms: `0.0418 – 0.0561`, `−1.54 to −1.35`. Both ends have as many decimals as half
+/// the interval's width needs for two significant digits. If the ends are equal, one number is returned.
 pub fn range_ms((lo, hi): (f64, f64)) -> String {
     if lo == hi {
         return milliseconds(lo);
@@ -117,8 +119,9 @@ pub fn range_ms((lo, hi): (f64, f64)) -> String {
     join_ends([lo, hi].map(|end| fixed(end * 1e3, decimals)))
 }
 
-/// Returns the number of decimals of a column in ms whose values have a known error: three if the half width needs so many
-/// for two significant digits, otherwise two. All values of a column have the same number, so that they can be compared.
+/// Returns the number of decimals of a column in ms whose values have a known error: three if the error, `half_width`, needs so
+/// many for two significant digits, otherwise two. All values of a column have the same number of decimals, so that they can be
+/// compared.
 pub fn column_decimals(half_width: Option<f64>) -> usize {
     match half_width {
         None => MIN_COLUMN_DECIMALS,
@@ -128,8 +131,8 @@ pub fn column_decimals(half_width: Option<f64>) -> usize {
     }
 }
 
-/// Formats a round trip in ms with three significant digits and at most two decimals: `1.30`. A short round trip is given to
-/// the microsecond: `0.018`.
+/// Formats a round trip in ms with three significant digits, but at most two decimals: `1.30`. A round trip below 0.095 ms has
+/// three decimals: `0.018`.
 pub fn trip_ms(seconds: f64) -> String {
     let ms = seconds * 1e3;
     fixed_or_less_than(ms, if ms.abs() < 0.095 { 3 } else { decimals(ms, 3).min(2) })

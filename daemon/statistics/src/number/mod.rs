@@ -35,7 +35,7 @@ pub const EXACT: &str = "exact";
 const MINUS: &str = "\u{2212}";
 
 /// Magnitude from which numbers are written with their power of ten.
-// More digits than these are hard to read.
+// More than twelve digits before the point are hard to read.
 const EXPONENT_FROM: f64 = 1e12;
 /// Magnitude below which numbers are written with their power of ten if [`MAX_DECIMALS`] decimals were requested.
 const EXPONENT_BELOW: f64 = 1e-12;
@@ -88,7 +88,7 @@ pub fn counted(value: u64, noun: &str) -> String {
     format!("{} {noun}{}", count(value), if value == 1 { "" } else { "s" })
 }
 
-/// Returns the number of decimals that show this number of significant digits.
+/// Returns the number of decimals with which `value` has `digits` significant digits.
 pub fn decimals(value: f64, digits: usize) -> usize {
     let digits_after_first = digits.saturating_sub(1);
     if value == 0.0 || !value.is_finite() {
@@ -122,7 +122,7 @@ pub fn fixed_or_less_than(value: f64, decimals: usize) -> String {
     }
 }
 
-/// Formats a number with its sign, unless it is shown as zero.
+/// Formats a number with a plus or minus sign. A number that is rounded to zero has no sign.
 fn signed(value: f64, decimals: usize) -> String {
     with_plus_sign(fixed(value, decimals))
 }

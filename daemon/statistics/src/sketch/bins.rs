@@ -1,8 +1,8 @@
-//! Counts per logarithmic bin, stored densely between the lowest and the highest bin in use.
+//! Numbers of values in logarithmic bins. All bins between the lowest and the highest bin in use are stored, also empty ones.
 
 use super::Sketch;
 
-/// Maximum number of bins. If there would be more, the lowest bins are merged into one.
+/// Maximum number of bins for numbers of one sign. If more would be needed, the lowest bins are merged into one.
 pub(super) const MAX_BINS_PER_SIGN: usize = 2048;
 
 /// Ratio of the upper to the lower end of a bin.
@@ -11,7 +11,7 @@ const GAMMA: f64 = (1.0 + Sketch::RELATIVE_ERROR) / (1.0 - Sketch::RELATIVE_ERRO
 const LN_GAMMA: f64 = 0.020_000_666_706_669_524;
 const PER_LN_GAMMA: f64 = 1.0 / LN_GAMMA;
 
-/// Keys of all numbers between [`Sketch::MIN_MAGNITUDE`] and the largest finite number, with a margin for rounding.
+/// Range that contains the keys of all numbers from [`Sketch::MIN_MAGNITUDE`] to the largest finite number, with a margin for rounding.
 pub(super) const VALID_KEYS: std::ops::RangeInclusive<i32> = -1_200..=35_600;
 
 /// Returns the key of the bin of a finite magnitude.
@@ -89,8 +89,8 @@ impl Bins {
         Some(self.first + i32::try_from(self.counts.len()).ok()? - 1).filter(|_| !self.counts.is_empty())
     }
 
-    /// Extends the stored range to the keys `low..=high`. The range has at most [`MAX_BINS_PER_SIGN`] bins, counted down from the highest key;
-    /// lower bins are merged into its lowest bin.
+    /// Extends the stored range to the keys `low..=high`. If the range would have more than [`MAX_BINS_PER_SIGN`] bins, its lowest bins are merged
+    /// into one.
     fn extend_range(&mut self, low: i32, high: i32) {
         let (lowest, highest) = match self.highest_key() {
             None => (low, high),
@@ -104,7 +104,7 @@ impl Bins {
             let collapsed = ((lowest - self.first) as usize).min(self.counts.len());
             let sum: u64 = self.counts.drain(..collapsed).sum();
             self.first = lowest;
-            // All bins may have been merged; their sum needs one.
+            // If all bins were merged, none is left, but their sum needs a bin.
             self.counts.resize(self.counts.len().max(1), 0);
             self.counts[0] += sum;
         } else if lowest < self.first {
@@ -116,7 +116,7 @@ impl Bins {
     }
 }
 
-/// Compares the counts. The allocated range is ignored.
+/// Compares the counts of the bins that are not empty. The stored range is ignored.
 impl PartialEq for Bins {
     fn eq(&self, other: &Self) -> bool {
         self.total == other.total && self.iter().eq(other.iter())

@@ -13,7 +13,7 @@ use crate::Merge;
 ///
 /// This is a DDSketch (Masson, Rim and Lee, VLDB 2019). The key of a number's bin is the logarithm of the number to the
 /// base γ = 1.01 / 0.99, rounded up. The midpoint of a bin differs by at most 1 % from every number in the bin. Merging
-/// adds the counts of the bins; the order does not matter, and nothing is lost.
+/// adds the counts of the bins. The order in which sketches are merged does not matter, and no precision is lost.
 ///
 /// Memory is bounded: each sign has at most [`Sketch::MAX_BINS`] bins. These span a factor of 6 × 10¹⁷ between the largest
 /// number and the smallest number that is distinguished. Numbers closer to zero share a bin, so that the error of the
@@ -42,7 +42,7 @@ impl Sketch {
     /// Largest number of bins per sign.
     pub const MAX_BINS: usize = bins::MAX_BINS_PER_SIGN;
 
-    /// Numbers of smaller magnitude count as zero: a tenth of a nanosecond, in seconds.
+    /// Numbers of smaller magnitude count as zero. For durations in seconds, this is a tenth of a nanosecond.
     const MIN_MAGNITUDE: f64 = 1e-10;
 
     /// Adds a number. A number that is not finite is ignored.
@@ -58,7 +58,7 @@ impl Sketch {
         }
     }
 
-    /// Adds all numbers of another sketch, at the cost of one addition per bin.
+    /// Adds all numbers of another sketch. This takes one addition per bin.
     pub fn merge(&mut self, other: &Self) {
         self.positive.merge(&other.positive);
         self.negative.merge(&other.negative);
@@ -70,10 +70,11 @@ impl Sketch {
         self.positive.count() + self.negative.count() + self.zero
     }
 
-    /// Returns the number below which the fraction `q` (0 to 1) of all numbers lies; `None` if there are none.
+    /// Returns the quantile at `q` from 0 to 1: the number below which the fraction `q` of all numbers lies. `None` if no number
+    /// was recorded.
     ///
     /// Interpolates linearly between neighbours, like numpy by default (definition 7 of Hyndman and Fan 1996). Both
-    /// neighbours are known within 1 %, and so is every value between two neighbours of the same sign.
+    /// neighbours are known within 1 %. If they have the same sign, every value between them is also known within 1 %.
     pub fn quantile(&self, q: f64) -> Option<f64> {
         let rank = q.clamp(0.0, 1.0) * self.count().checked_sub(1)? as f64;
         let (lower, upper) = (rank.floor() as u64, rank.ceil() as u64);
@@ -111,8 +112,8 @@ impl Sketch {
         negative.chain(zero).chain(positive)
     }
 
-    /// Returns the number of values below `x`, for drawing. The values of a bin are taken as evenly distributed within the
-    /// bin, so the result may be a fraction.
+    /// Returns the number of values below `x`, for drawing. The values of a bin are assumed to be evenly distributed within the
+    /// bin, so the result may have a fractional part.
     pub fn count_below(&self, x: f64) -> f64 {
         let share_below = |lower: f64, upper: f64| ((x - lower) / (upper - lower)).clamp(0.0, 1.0);
         let negative = self.negative.iter().map(|(key, count)| {
@@ -127,14 +128,14 @@ impl Sketch {
         negative.sum::<f64>() + zero + positive.sum::<f64>()
     }
 
-    /// Returns the share of all numbers below `x`, 0 to 1; `None` if there are none.
+    /// Returns the share of all numbers that are below `x`, 0 to 1; `None` if no number was recorded.
     pub fn fraction_below(&self, x: f64) -> Option<f64> {
         let count = self.count();
         (count > 0).then(|| self.count_below(x) / count as f64)
     }
 
     /// Returns the number of values between each edge and the next (lower edge included, upper edge excluded), for
-    /// drawing. `edges` must be ascending. The result has one element fewer than `edges`; elements may be fractions.
+    /// drawing. `edges` must be ascending. The result has one element fewer than `edges`. Elements may have a fractional part.
     pub fn histogram(&self, edges: &[f64]) -> Vec<f64> {
         edges
             .windows(2)
@@ -158,7 +159,7 @@ impl Sketch {
 
 impl Merge for Sketch {
     fn merge(&mut self, other: &Self) {
-        // The method of the same name without the trait.
+        // The inherent method has the same name. It can be called without the trait in scope.
         Self::merge(self, other);
     }
 }

@@ -15,7 +15,8 @@ pub enum PackedError {
     /// The sketch has more bins than permitted.
     #[error("the sketch has {0} bins, the limit is {max}", max = MAX_BINS_PER_SIGN)]
     TooManyBins(u64),
-    /// A bin is outside of the range of finite numbers, occurs twice, is empty, or is too far from the first bin.
+    /// A bin is outside of the range of finite numbers, occurs twice, is empty, or is so far above the first bin that the sketch would have too many
+    /// bins.
     #[error("the sketch has an invalid bin")]
     InvalidBin,
     /// The counts add up to more than 2⁵³. Sums of such counts could overflow.
@@ -84,7 +85,7 @@ impl Reader<'_> {
             let byte = *self.bytes.get(self.position).ok_or(PackedError::Damaged(self.position))?;
             self.position += 1;
             let bits = u64::from(byte & 0x7f);
-            // The tenth byte has room for one bit only.
+            // Nine bytes have 63 of the 64 bits, so the tenth byte has only one.
             if shift == 63 && bits > 1 {
                 break;
             }

@@ -19,9 +19,9 @@ const RIM: f64 = 0.4;
 const LOGARITHMIC_RATIO: f64 = 12.0;
 /// Maximum number of points that a reader can distinguish.
 pub const MAX_SCORES: usize = 24;
-/// Room beyond the intervals of shares, percentage points.
+/// Room that the axis of a quality has beyond the intervals, if the quality is a share; percentage points.
 const AXIS_MARGIN: f64 = 2.0;
-/// The horizontal whiskers of two points can overlap if the accuracies differ by less than this share of the axis.
+/// The horizontal whiskers of two points can overlap if the qualities of the points differ by less than this share of the axis.
 const OVERLAP_DISTANCE: f64 = 0.03;
 
 /// Quality and latency of one configuration.
@@ -43,17 +43,18 @@ impl Score {
     }
 }
 
-/// Words and numbers of a quality in the figure.
+/// How the figure shows a quality: texts, range and unit.
 struct Shown {
     title: &'static str,
-    /// Title of the axis, and of the column in the table.
+    /// Title of the axis.
     axis: &'static str,
+    /// Title of the column in the table.
     column: &'static str,
-    /// Method by which the intervals are computed.
+    /// Method by which the intervals are computed: the name of its author.
     method: &'static str,
     /// Factor from the value to the shown value: shares are shown in per cent.
     factor: f64,
-    /// Possible shown values.
+    /// Lowest and highest possible value, after multiplication by `factor`.
     range: (f64, f64),
     /// Symbol of the unit on the axis.
     symbol: &'static str,
@@ -110,10 +111,12 @@ pub struct Accuracy {
     pub notes: Vec<String>,
 }
 
-/// Position of a point, vertical extent of its interval, and horizontal position of its 95th percentile. Shares of the plot.
+/// Place of a point and its whiskers in the plot. Positions are shares of the plot.
 struct Spot {
     at: At,
+    /// Vertical position of the lower and of the upper end of the quality's interval.
     interval: (f64, f64),
+    /// Horizontal position of the 95th percentile; `None` if the point has no horizontal whisker.
     p95: Option<f64>,
 }
 
@@ -128,7 +131,7 @@ impl Accuracy {
         Shown::of(self.quality).method
     }
 
-    /// Returns the scores that are drawn, each with its shown quality: low, estimate, high.
+    /// Returns the scores that are drawn, each with its quality as it is shown: lower end of the interval, estimate, upper end.
     fn shown_scores(&self) -> impl Iterator<Item = (&Score, [f64; 3])> {
         let factor = Shown::of(self.quality).factor;
         let finite = self.scores.iter().filter(|score| score.median.is_finite() && score.median > 0.0);
@@ -138,7 +141,7 @@ impl Accuracy {
         })
     }
 
-    /// Returns the room beyond the intervals.
+    /// Returns the room that the vertical axis has beyond these ends of the intervals.
     fn margin(&self, (low, high): (f64, f64)) -> f64 {
         if self.quality == Quality::Return {
             (high - low).max(low.abs() * 0.01).max(1e-9) * 0.1
@@ -147,7 +150,7 @@ impl Accuracy {
         }
     }
 
-    /// Returns the lowest and the highest end of the intervals.
+    /// Returns the lowest and the highest end of all intervals; `None` if no score is drawn.
     fn interval_range(&self) -> Option<(f64, f64)> {
         self.shown_scores().map(|(_, [low, _, high])| (low, high)).reduce(union)
     }
@@ -157,7 +160,7 @@ impl Accuracy {
         let Some((low, high)) = self.interval_range() else { return false };
         let min_distance = (high - low + 2.0 * self.margin((low, high))) * OVERLAP_DISTANCE;
         let latency_range = |score: &Score| (score.median, score.p95_latency().unwrap_or(score.median));
-        // Ends of each whisker and its accuracy.
+        // For each point: the ends of its horizontal whisker, and its quality.
         let whiskers: Vec<((f64, f64), f64)> =
             self.shown_scores().map(|(score, [_, share, _])| (latency_range(score), share)).collect();
         let overlap = |((from_a, to_a), share_a): &((f64, f64), f64),
@@ -186,7 +189,8 @@ impl Accuracy {
             .map(|(score, _)| (score.median * self.unit.per_si, right_end(score) * self.unit.per_si))
             .reduce(union)?;
         let shown = Shown::of(self.quality);
-        // The axis ends a little below 0 or above 100, so that points at these ends are complete. The next mark is not reached.
+        // If shares are near 0 or 100, the axis ends a little beyond, so that points at 0 or 100 are not cut off. It ends before the next
+        // mark, which would be an impossible share.
         let rest = (high - low).max(1.0) * 0.04;
         let margin = self.margin((low, high));
         let ends = ((low - margin).max(shown.range.0 - rest), (high + margin).min(shown.range.1 + rest));

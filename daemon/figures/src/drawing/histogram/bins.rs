@@ -57,7 +57,7 @@ impl Bins {
     }
 }
 
-/// Returns the range of the values that are shown on an axis; `None` without values.
+/// Returns the [range of the values that are shown](shown_range) on an axis; `None` without values.
 pub(in crate::drawing) fn range(all: &SortedValues) -> Option<(f64, f64)> {
     shown_range(all.values())
 }

@@ -8,7 +8,7 @@ use crate::text::width;
 
 /// Share of the plot that a single bar fills.
 const SINGLE_BAR_WIDTH: f64 = 0.1;
-/// Minimum width and height of a bar in a file, points: one iteration in ten thousand is visible.
+/// Minimum width and height of a bar in a file, points, so that even one iteration in ten thousand is visible.
 const MIN_BAR_SIZE: (f64, f64) = (0.4, 0.45);
 /// Distance from the line of a quantile to its label and between labels, as a multiple of the type size.
 const LABEL_GAP: f64 = 0.3;
@@ -47,7 +47,7 @@ pub struct Distribution {
     pub counted: Counted,
     /// Number of samples below the first bin, and number of samples above the last bin.
     pub beyond: (u64, u64),
-    /// Name and value, in SI units, of the quantiles that have a line: `median`, `p95`, `p99`.
+    /// Quantiles that have a line: name (`median`, `p95` or `p99`) and value in SI units.
     pub quantiles: Vec<(&'static str, f64)>,
     /// Quantity and unit.
     pub unit: Unit,
@@ -78,7 +78,7 @@ impl Distribution {
         (end(self.edges.first()), end(self.edges.last()))
     }
 
-    /// Returns the axis of values. A single bin is in the middle of the axis and does not fill the plot.
+    /// Returns the axis of values. If there is a single bin, it is in the middle of the axis and does not fill the plot.
     fn value_axis(&self) -> Axis {
         let ((from, to), per_si) = (self.value_range(), self.unit.per_si);
         let middle = f64::midpoint(from, to) * per_si;
@@ -141,9 +141,9 @@ impl Distribution {
     /// Returns the lines of quantiles with their labels above the plot, and the number of lines of text that the labels need.
     fn quantile_items(&self, plot: &Plot) -> (Vec<Item>, usize) {
         let (from, to) = self.value_range();
-        // A single bin means equal values, which have no spread.
+        // If there is a single bin, all values are equal and have no spread. The width of the bin means nothing then.
         let spread = if self.counts.len() == 1 { 0.0 } else { to - from };
-        // Line and right end of each label that has a position.
+        // Line of text and right end of each label that is already placed.
         let mut label_ends: Vec<(usize, f64)> = Vec::new();
         let mut placed = Vec::new();
         for (name, value) in self.quantiles.iter().filter(|(_, value)| (from..=to).contains(value)) {

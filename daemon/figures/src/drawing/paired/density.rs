@@ -1,21 +1,22 @@
-//! Kernel density of values.
+//! Kernel density estimate of the distribution of values.
 
 use peernet_analysis::order::SortedValues;
 
-/// Number of evaluation points per width of the kernel, so that no peak lies between two points.
+/// Number of evaluation points per width of the kernel: enough that no peak is missed between two points.
 const POINTS_PER_WIDTH: f64 = 4.0;
 /// Minimum number of evaluation points.
 const MIN_POINTS: usize = 24;
 /// Maximum number of evaluation points.
 const MAX_POINTS: usize = 768;
-/// Number of cells into which values are counted first, so that the cost of a point does not depend on the number of values.
+/// Number of cells into which the values are counted before the densities are computed. The time for the density at a point then depends on the
+/// number of cells and not on the number of values.
 const CELLS: usize = MAX_POINTS;
 
-/// Returns evaluation points between `lo` and `hi` with the density there, relative to the highest density.
+/// Returns evaluation points between `lo` and `hi`, each with the density at this point as a share of the highest density.
 ///
-/// The kernel is Gaussian with Silverman's width, 0.9 · min(s, IQR / 1.34) · n^−1/5 (*Density Estimation*, 1986, equation 3.31). Here n is
-/// the number of finite values in the range; s and IQR are computed from all values. The result is empty if the range is empty or if the values
-/// have no such width: if they are fewer than two, if all are equal, or if one is infinite.
+/// The kernel is Gaussian with Silverman's width, 0.9 · min(s, IQR / 1.34) · n^−1/5 (*Density Estimation*, 1986, equation 3.31). Here s is the
+/// standard deviation and IQR the interquartile range of all values, and n is the number of finite values in the range. The result is empty if
+/// the range is empty, if there are fewer than two values, if all values are equal, or if one of them is infinite.
 pub(super) fn density(values: &SortedValues, (lo, hi): (f64, f64)) -> Vec<(f64, f64)> {
     let finite = || values.values().iter().filter(|value| value.is_finite() && (lo..=hi).contains(value));
     let n = finite().count() as f64;
@@ -45,7 +46,7 @@ fn kernel_width(values: &SortedValues, n: f64) -> Option<f64> {
     let scaled_iqr = (values.quantile(0.75)? - values.quantile(0.25)?) / 1.34;
     let mean = values.values().iter().sum::<f64>() / n;
     let s = (values.values().iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
-    // If half of the values are equal, the quartiles do not describe the rest.
+    // If half of the values are equal, the interquartile range can be 0, although the other values differ.
     let spread = if scaled_iqr > 0.0 { scaled_iqr.min(s) } else { s };
     let width = 0.9 * spread * n.powf(-0.2);
     (width.is_finite() && width > 0.0).then_some(width)

@@ -22,9 +22,10 @@ const CROSS_HALF_WIDTH: f64 = 1.7;
 const RADIUS: f64 = 1.7;
 /// Maximum number of marks on a line.
 const MAX_MARKS: usize = 7;
-/// Number of different positions of marks. Lines have their marks at different positions, so that the marks do not overlap.
-const SHIFTED_LINES: usize = 4;
-/// A line is interrupted between two values only if they are farther apart than this. Columns.
+/// Number of different positions that the marks of a line can have. Each line has its own position, so that the marks of different lines do not
+/// overlap.
+const MARK_POSITIONS: usize = 4;
+/// A line is interrupted between two values only if they are more than this number of columns apart.
 const MIN_GAP_COLUMNS: f64 = 12.0;
 /// Minimum width of a period of warm-up, points.
 const MIN_WARM_UP_WIDTH: f64 = 0.6;
@@ -161,14 +162,15 @@ impl TimeSeries {
         warm_up.chain(borders).collect()
     }
 
-    /// Returns the medians of a stage as a line with marks. For the total (`number` is `None`), returns the line and the band of its range.
+    /// Returns the medians of a stage as a line with marks; `number` is the index of the stage. For the total, `number` is `None`, and the line has
+    /// no marks, but a band that shows the range of the values.
     fn line_items(&self, plot: &Plot, line: &Line, number: Option<usize>) -> Vec<Item> {
         let columns = columns(&line.values, plot.x.scale.ends(), MAX_COLUMNS);
         let x = |column: &Column| (column.number as f64 + 0.5) / MAX_COLUMNS as f64;
         let y = |value: f64| plot.y_share(value * self.unit.per_si);
         let steps: SortedValues =
             columns.windows(2).map(|pair| (pair[1].number - pair[0].number) as f64).collect();
-        // The columns of few values are far apart even without a gap in time. The limit therefore grows with the median distance.
+        // If there are few values, their columns are far apart even without a gap in time. The limit therefore grows with the median distance.
         let max_step = (4.0 * steps.median().unwrap_or_default()).max(MIN_GAP_COLUMNS);
         let pieces = || columns.chunk_by(|a, b| (b.number - a.number) as f64 <= max_step);
         let medians = pieces()
@@ -186,7 +188,7 @@ impl TimeSeries {
         // Marks of different stages are shifted against each other, so that no mark hides another.
         let columns_per_mark = (MAX_COLUMNS / MAX_MARKS).max(1);
         for group in columns.chunk_by(|a, b| a.number / columns_per_mark == b.number / columns_per_mark) {
-            if let Some(column) = group.get(group.len() * (number + 1) / (SHIFTED_LINES + 1)) {
+            if let Some(column) = group.get(group.len() * (number + 1) / (MARK_POSITIONS + 1)) {
                 items.push(Item::mark(
                     At::new(x(column), y(column.median)),
                     mark(number),
