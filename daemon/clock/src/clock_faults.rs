@@ -16,19 +16,19 @@ pub struct ClockFaults {
     pub drift_ppm: f64,
     /// Steps, in any order.
     pub steps: Vec<ClockFaultStep>,
-    /// True wall-clock time at which the faults start; drift and steps count from then.
+    /// True wall-clock time at which the faults start. Drift and steps are counted from this time.
     pub since: WallTime,
 }
 
 /// A step of a clock with injected faults.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ClockFaultStep {
-    /// Time of the step after the start.
+    /// Time from the start of the faults to the step.
     pub at: Span,
     /// Size of the step.
     pub by: Span,
     /// Clock that is stepped.
-    // The serialised form omits the wall clock, because earlier releases step no other clock.
+    // The serialised form omits the wall clock, so that earlier releases, which step no other clock, can read it.
     #[serde(default, skip_serializing_if = "SteppedClock::is_wall")]
     pub clock: SteppedClock,
 }
@@ -93,13 +93,13 @@ impl ClockFaults {
 
     /// Returns the true wall-clock time at which this clock showed `shown_wall`, to the nanosecond.
     ///
-    /// A clock that was set back shows some times twice; the result is then the last of them. A clock that was set
-    /// forward skips some times; the result is then the time of the step.
+    /// A clock that was set back shows some times twice; the result is then the later of the two true times. A clock that was
+    /// set forward skips some times; the result is then the time of the step.
     pub fn true_wall(&self, shown_wall: WallTime) -> WallTime {
         let steps = self.steps.iter().filter(|step| step.clock.is_wall());
         let mut starts: Vec<WallTime> = steps.map(|step| self.since + step.at).collect();
         starts.push(WallTime::from_unix_nanos(i64::MIN));
-        // The loop goes backwards from the last step, because the last matching time is the result.
+        // The loop goes from the last step to the first, because the last matching time is the result.
         starts.sort_unstable_by(|a, b| b.cmp(a));
         let mut end = WallTime::from_unix_nanos(i64::MAX);
         for start in starts {
@@ -121,11 +121,11 @@ impl ClockFaults {
         self.offset + Span::from_nanos(drift.round() as i64) + steps
     }
 
-    /// Returns the true time at which the clock showed `shown_wall`, without steps.
+    /// Returns the true time at which the clock would have shown `shown_wall` if it had no steps.
     fn true_wall_without_steps(&self, shown_wall: WallTime) -> WallTime {
         let without_offset = shown_wall - self.offset;
         let elapsed = (without_offset - self.since).nanos() as f64;
-        // Solved for the true time: shown − true is drift × true elapsed, and only the shown time is known.
+        // The shown elapsed time is the true elapsed time × (1 + drift). Only the shown time is known, so it is divided.
         let drift = elapsed - elapsed / (1.0 + self.drift_ppm * 1e-6);
         without_offset - Span::from_nanos(drift.round() as i64)
     }

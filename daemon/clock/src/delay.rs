@@ -1,4 +1,4 @@
-//! The one-way delay between two hosts: its raw difference, its corrected value with an interval, and a verdict on it.
+//! The one-way delay between two hosts: the raw difference of the stamps, the corrected value with an interval, and a verdict on the value.
 
 use std::fmt;
 
@@ -38,13 +38,13 @@ impl Interval {
         self.lo <= span && span <= self.hi
     }
 
-    /// Returns the common part of two intervals; `None` if they exclude each other.
+    /// Returns the common part of two intervals; `None` if they do not overlap.
     pub fn intersection(self, other: Self) -> Option<Self> {
         let common = Self { lo: self.lo.max(other.lo), hi: self.hi.min(other.hi) };
         (common.lo <= common.hi).then_some(common)
     }
 
-    /// Returns the smallest interval that contains both.
+    /// Returns the smallest interval that contains both intervals.
     pub fn hull(self, other: Self) -> Self {
         Self { lo: self.lo.min(other.lo), hi: self.hi.max(other.hi) }
     }
@@ -62,13 +62,13 @@ pub enum DelaySource {
     Kernel,
     /// The error bounds that chrony states.
     Chrony,
-    /// The intersection of several of the above.
+    /// Several of the sources above: the offset lies in the intersection of their intervals.
     Intersection,
     /// No source: the clocks were never related.
     None,
 }
 
-/// A verdict prevails if at least one delay in this many has it or a worse one.
+/// A verdict prevails if at least one delay in this many has this verdict or a worse one.
 const MIN_SHARE_RECIPROCAL: u64 = 20;
 
 /// Degree to which a delay can be trusted.
@@ -77,9 +77,9 @@ const MIN_SHARE_RECIPROCAL: u64 = 20;
 pub enum Verdict {
     /// The interval contains the true delay and is at most half as wide as the delay.
     Ok,
-    /// The interval contains the true delay but is wider than half of it.
+    /// The interval contains the true delay but is wider than half of the delay.
     Limited,
-    /// No recent exchanges, or too few.
+    /// There are no recent exchanges, or too few.
     Stale,
     /// The two clocks were never related.
     Unsynchronised,
@@ -102,8 +102,8 @@ impl Verdict {
         }
     }
 
-    /// Returns the verdict on many delays from the number of delays by verdict: the worst verdict that at least a
-    /// twentieth of the delays have or exceed. `None` without delays.
+    /// Returns one verdict on many delays, from the number of delays with each verdict: the worst verdict for which at least a
+    /// twentieth of the delays have this verdict or a worse one. `None` without delays.
     // A few bad delays must not hide that all others are good, and many bad delays must not be hidden by good ones.
     pub fn prevailing(counts: impl IntoIterator<Item = (Self, u64)>) -> Option<Self> {
         let mut counts: Vec<(Self, u64)> = counts.into_iter().filter(|(_, count)| *count > 0).collect();
@@ -181,11 +181,12 @@ pub struct OneWayDelay {
 }
 
 impl OneWayDelay {
-    /// Returns half the width of the bounds in seconds: the ± of the delay. `None` without bounds, and for a delay without a value, which no
-    /// statistics include.
+    /// Returns half the width of the bounds in seconds: the ± of the delay. `None` if the delay has no bounds or no value. Statistics do not
+    /// include a delay without a value.
     pub fn half_width(&self) -> Option<f64> {
         self.value?;
-        // Computed from the ends in seconds, as they are stored, so that a rebuild of the statistics gives equal numbers.
+        // The ends are stored in seconds. The result is computed from them and not from the nanoseconds, so that statistics that are rebuilt
+        // from the store have equal numbers.
         self.bounds.map(|bounds| (bounds.hi.seconds() - bounds.lo.seconds()) / 2.0)
     }
 
@@ -213,7 +214,7 @@ impl OneWayDelay {
 
     /// Creates a delay between two stamps of one clock.
     ///
-    /// A negative difference means that a wall clock was set back in between; the delay is then `stepped`.
+    /// A negative difference means that a wall clock was set back between the two stamps; the delay is then `stepped`.
     pub const fn same_clock(raw: Span) -> Self {
         if raw.is_negative() {
             return Self::stepped(raw, DelaySource::SameClock);

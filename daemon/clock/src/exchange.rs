@@ -18,20 +18,21 @@ pub struct Exchange {
     pub replied: RawTime,
     /// Time on the edge's clock at which the answer arrived there, or later.
     pub returned: RawTime,
-    /// Upper limit of the sum of two errors: by how much a departure is stamped too late, and by how much its arrival is
-    /// stamped too early. They come from the resolution of the clocks and of the format in which stamps are sent.
+    /// Upper limit of the sum of two errors: by how much the departure of a message is stamped too late, and by how much the
+    /// arrival of the same message is stamped too early. The errors come from the resolution of the clocks and of the format
+    /// in which stamps are sent.
     pub uncertainty: Span,
 }
 
 impl Exchange {
     /// Returns an upper bound of the offset (cloud minus edge) at the edge's time [`sent`](Self::sent).
-    // When the edge showed `sent`, the cloud showed no more than `received`, because its clock was read later.
+    // When the edge's clock showed `sent`, the cloud's clock showed no more than `received`, because it was read later.
     pub fn upper(&self) -> Span {
         self.received - self.sent + self.uncertainty
     }
 
     /// Returns a lower bound of the offset (cloud minus edge) at the edge's time [`returned`](Self::returned).
-    // When the edge showed `returned`, the cloud showed at least `replied`, because its clock was read earlier.
+    // When the edge's clock showed `returned`, the cloud's clock showed at least `replied`, because it was read earlier.
     pub fn lower(&self) -> Span {
         self.replied - self.returned - self.uncertainty
     }
@@ -42,7 +43,7 @@ impl Exchange {
         (self.returned - self.sent) - (self.replied - self.received)
     }
 
-    /// Returns the bounds of the offset by this exchange alone. They assume that the clocks do not drift during the exchange.
+    /// Returns the bounds of the offset that follow from this exchange alone, if the clocks do not drift during the exchange.
     pub fn bounds(&self) -> Interval {
         Interval { lo: self.lower(), hi: self.upper() }
     }
@@ -53,12 +54,11 @@ impl Exchange {
 pub struct ExchangeObservation {
     /// The stamps.
     pub exchange: Exchange,
-    /// Time from `received` to `replied` by the cloud's monotonic clock, if these two stamps are of its wall clock
-    /// ([`RawTime`] holds times of either clock). If the stamps differ by another time, the wall clock was stepped in
-    /// between. `None` unless the monotonic clock was read together with
-    /// both stamps.
-    // A kernel's stamp does not qualify: it is earlier than the program's reading of another clock by as long as the
-    // program waited for the processor.
+    /// Time from `received` to `replied` by the cloud's monotonic clock, if these two stamps are of the cloud's wall clock
+    /// ([`RawTime`] holds times of either clock). If the difference of the stamps is not this time, the wall clock was
+    /// stepped between them. `None` unless the monotonic clock was read together with both stamps.
+    // The monotonic clock cannot be read together with a stamp of the kernel: the kernel takes its stamp first, and the program
+    // reads the other clock only after it has waited for the processor.
     pub cloud_elapsed: Option<Span>,
     /// [`Clock::epoch`](crate::Clock::epoch) of the edge, read after `returned` was stamped.
     pub edge_epoch: u32,

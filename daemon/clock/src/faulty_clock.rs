@@ -34,7 +34,7 @@ impl FaultyClock {
         Self { inner, identity, faults, raw_since, step_counts }
     }
 
-    /// Updates and returns the numbers of steps. An injected step counts from the moment it is due.
+    /// Updates and returns the numbers of steps. An injected step counts as soon as its time has come.
     fn update_step_counts(&self) -> MutexGuard<'_, StepCounts> {
         let mut step_counts = self.step_counts.lock().unwrap_or_else(PoisonError::into_inner);
         let inner = self.inner.wall_epoch();

@@ -22,7 +22,7 @@ pub(crate) fn read(clock: ClockId) -> i64 {
 
 /// Returns whether the C library returns the same time as a direct system call, which no preloaded library can change.
 pub(crate) fn matches_kernel(clock: ClockId, direct: rustix::time::ClockId) -> bool {
-    // There are several attempts, because the wall clock may be set between two reads.
+    // Several attempts are made, because the wall clock may be set between two reads.
     (0..4).any(|_| {
         let before = read_by_system_call(direct);
         let shown = read(clock);

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 /// Instant of a host's wall clock (`CLOCK_REALTIME`): nanoseconds since 1970-01-01 00:00 UTC without leap seconds.
 ///
-/// Comparable only with stamps of the same host, unless a [`Relation`](crate::Relation) translates them.
+/// It can be compared only with wall times of the same host, unless a [`Relation`](crate::Relation) translates it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct WallTime(i64);
@@ -24,9 +24,9 @@ pub struct MonoTime(i64);
 
 /// Instant of a host's free-running clock (`CLOCK_MONOTONIC_RAW`): nanoseconds since an arbitrary moment near boot.
 ///
-/// No time daemon steps or slews this clock, so it drifts steadily against the free-running clock of another host.
-/// Comparable only with stamps of the same host since the same boot, unless a [`Relation`](crate::Relation) translates
-/// them.
+/// No time daemon steps or slews this clock, so it drifts steadily against the free-running clock of another host. An instant
+/// can be compared only with instants of the same host since the same boot, unless a [`Relation`](crate::Relation)
+/// translates it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct RawTime(i64);
@@ -71,8 +71,8 @@ impl RawTime {
         Self(nanos)
     }
 
-    /// Uses a wall-clock time in place of a free-running one.
-    // For peers that send no free-running stamps, and for runs that were recorded with wall clocks only.
+    /// Returns a wall-clock time in the type of free-running times.
+    // Needed for peers that send no free-running stamps, and for runs that were recorded with wall clocks only.
     pub const fn from_wall(wall: WallTime) -> Self {
         Self(wall.0)
     }

@@ -1,8 +1,8 @@
 //! The interval that contains the offset of two clocks, at each time, as the exchanges prove it.
 //!
-//! The offset θ(x) is the cloud's clock minus the edge's clock when the edge's shows x. Each exchange bounds it from
-//! above at the time it was sent and from below at the time it returned. The limit of drift extends both bounds to
-//! other times.
+//! The offset θ(x) is the cloud's clock minus the edge's clock when the edge's clock shows x. Each exchange bounds the offset
+//! from above at the time at which the message was sent, and from below at the time at which the answer returned. The limit of
+//! drift extends both bounds to other times.
 
 mod best_points;
 mod drift;
@@ -24,15 +24,15 @@ use trend::Trend;
 
 use crate::{Exchange, Interval, RawTime, Span};
 
-/// Number of newest exchanges that bound the offset at any age. If the window contains fewer exchanges, it is extended
-/// back to the oldest of these.
+/// The newest exchanges of this number bound the offset at any age. If the window contains fewer exchanges, it is extended back to
+/// the oldest of them.
 const MIN_EXCHANGES: usize = 8;
 
-/// Time from the newest exchange to the time of query for which the hulls are built in advance, nanoseconds.
-// These hulls serve all queries within that time. Points that leave the window before its end are left out.
+/// The hulls are built in advance for queries up to this time after the newest exchange, nanoseconds.
+// These hulls serve all queries up to then. Points that leave the window before then are left out.
 const HULL_LEAD_NANOS: i64 = 1_000_000_000;
 
-/// Widening of each bound for the rounding of stamps to whole nanoseconds.
+/// Amount by which each bound is widened, because stamps are rounded to whole nanoseconds.
 // A bound is the difference of two stamps, each of which is wrong by less than one nanosecond.
 const ROUNDING_NANOS: i64 = 2;
 
@@ -65,29 +65,30 @@ impl Bounds {
     }
 }
 
-/// Assumption under which an exchange and the earlier exchanges exclude each other.
+/// Assumption that cannot be true together with an exchange and the earlier exchanges.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Contradiction {
     /// The limit of drift.
     Drift,
-    /// The limit of the drift's change; the limit of drift holds.
+    /// The limit of the drift's change. The limit of drift is not contradicted.
     DriftChange,
 }
 
 /// Interval that contains the offset at one time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct OffsetInterval {
-    /// The interval by both assumptions. If no offset satisfies both, the interval by the limit of drift alone.
+    /// The interval that follows from the limit of drift and the limit of the drift's change. If no offset satisfies both limits,
+    /// the interval that follows from the limit of drift alone.
     pub(crate) interval: Interval,
-    /// `true` if an offset exists that satisfies both assumptions and all exchanges.
+    /// `true` if an offset exists that satisfies both limits and all exchanges.
     pub(crate) is_consistent: bool,
 }
 
 /// The interval of the offset over time that the exchanges of a window prove.
 ///
-/// An exchange bounds the offset only at times within one window of it, except for the newest eight exchanges, which
-/// count at any age. A clock that violates the limit of drift, or jumps unnoticed, therefore makes intervals wrong for no
-/// longer than these exchanges reach back.
+/// An exchange bounds the offset only at times that are at most one window away from it. The newest eight exchanges are
+/// exceptions: they count at any age. If a clock violates the limit of drift or jumps unnoticed, intervals are therefore wrong
+/// only as long as the window, or these eight exchanges, reach back to the violation.
 #[derive(Clone, Debug)]
 pub(crate) struct Band {
     drift: DriftModel,
@@ -188,7 +189,7 @@ impl Band {
         }
     }
 
-    /// Removes the bounds of exchanges after `end`. The estimate keeps its points, because it is no bound.
+    /// Removes the bounds of exchanges after `end`. The estimate keeps its points of these exchanges, because it is not a bound.
     pub(crate) fn truncate(&mut self, end: RawTime) {
         let end = end.nanos();
         self.upper.truncate(end);
@@ -238,7 +239,8 @@ impl Band {
         query(&hulls)
     }
 
-    /// Builds the hulls of the points around `q`. The insertions say which sides changed since the last call.
+    /// Builds the hulls of the points around `q`. The two [`Insertion`]s say how the upper and the lower points changed since the
+    /// last call.
     fn fill_hulls(
         &self,
         hulls: &mut Hulls,
@@ -247,7 +249,8 @@ impl Band {
         change: DriftChangeLimit,
     ) {
         if self.is_sparse(q) {
-            // The latest exchanges are in the order of their return, in which the upper points need not be sorted.
+            // The latest exchanges are in the order in which they returned. The upper points may be in another order: that in which
+            // the exchanges were sent.
             let mut upper: Vec<Point> = self.latest.iter().map(|bounds| bounds.upper).collect();
             upper.sort_unstable_by_key(|point| point.x);
             hulls.set_upper(upper.iter().copied(), change);
@@ -336,7 +339,7 @@ impl Band {
         RawTime::from_nanos(start.min(oldest))
     }
 
-    /// Returns the time on the edge's clock at which the newest exchange returned.
+    /// Returns the time on the edge's clock at which the newest exchange returned; `None` without exchanges.
     pub(crate) fn newest(&self) -> Option<RawTime> {
         (self.exchanges > 0).then(|| RawTime::from_nanos(self.newest))
     }
