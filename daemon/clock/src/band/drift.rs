@@ -1,11 +1,12 @@
-//! The assumptions about the drift between two clocks, as integers that are rounded so that bounds stay valid.
+//! The assumptions about the drift between two clocks. They are stored as integers, which are rounded so that bounds stay valid.
 
 /// The two assumptions about the rate at which two clocks drift apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct DriftModel {
     /// Largest rate.
     pub(crate) limit: DriftLimit,
-    /// Largest change of the rate; `None` where a clock may be slewed, because its rate then changes at once.
+    /// Limit of the speed at which the rate changes; `None` if one of the clocks may be slewed, because a slew changes the rate at
+    /// once.
     pub(crate) change: Option<DriftChangeLimit>,
 }
 
@@ -18,17 +19,17 @@ pub(crate) struct DriftLimit {
 
 impl DriftLimit {
     const BITS: u32 = 40;
-    /// Largest limit: half a second per second. No clock drifts faster.
+    /// Largest limit that can be set: half a second per second. No clock drifts faster.
     const MAX_PPM: f64 = 500_000.0;
 
-    /// Converts a limit in parts per million, whichever of the two clocks it is relative to.
+    /// Converts a limit in parts per million. The result is valid whichever of the two clocks the limit is relative to.
     ///
-    /// If the edge's clock is the slower one, a difference of ρ per second of the cloud's clock is ρ / (1 − ρ) per
-    /// second of the edge's clock. NaN is converted to the largest limit.
+    /// If the edge's clock is the slower clock, a difference of ρ per second of the cloud's clock is a difference of ρ / (1 − ρ)
+    /// per second of the edge's clock. NaN is converted to the largest limit.
     pub(crate) fn new(ppm: f64) -> Self {
         let ppm = if ppm.is_nan() { Self::MAX_PPM } else { ppm.clamp(0.0, Self::MAX_PPM) };
         let rate = ppm / (1e6 - ppm);
-        // The relative 1e-12 is far larger than the rounding error of this line.
+        // The factor 1 + 1e-12 makes up for the rounding error of this line, which is far smaller.
         Self { rate: (rate * (1.0 + 1e-12) * (1u64 << Self::BITS) as f64).ceil() as u64 }
     }
 
@@ -64,13 +65,13 @@ pub(crate) struct DriftChangeLimit {
 
 impl DriftChangeLimit {
     const BITS: u32 = 80;
-    /// Largest limit: a thousandth per second. No oscillator changes faster.
+    /// Largest limit that can be set: a thousandth per second. The rate of no oscillator changes faster.
     const MAX_PPM_PER_S: f64 = 1_000.0;
 
-    /// Converts a limit in parts per million per second, whichever of the two clocks it is relative to.
+    /// Converts a limit in parts per million per second. The result is valid whichever of the two clocks the limit is relative to.
     ///
-    /// Clocks that drift apart by ρ see each other's second derivatives larger by up to (1 − ρ)⁻³. NaN is converted to
-    /// the largest limit.
+    /// If two clocks drift apart by ρ, the second derivative of the offset by one clock is at most (1 − ρ)⁻³ times that by the
+    /// other clock. NaN is converted to the largest limit.
     pub(crate) fn new(ppm_per_s: f64, rate: DriftLimit) -> Self {
         let max = Self::MAX_PPM_PER_S;
         let ppm_per_s = if ppm_per_s.is_nan() { max } else { ppm_per_s.clamp(0.0, max) };

@@ -1,5 +1,5 @@
-//! Bounds by the limit of the change of the drift: the rate that two exchanges prove at one time holds approximately at
-//! other times.
+//! Bounds that follow from the limit of the drift's change. Two exchanges prove a rate at one time. Because the rate changes
+//! slowly, it holds approximately at other times.
 //!
 //! With |θ''| ≤ κ, ψ(x) = θ(x) + κx²/2 is convex and φ(x) = θ(x) − κx²/2 is concave. Hence, for points (a, U_a) from
 //! above and (a, L_a) from below and a time q:
@@ -18,13 +18,14 @@ use super::drift::DriftChangeLimit;
 use super::hull;
 use super::slots::Point;
 
-/// Maximum number of points of one side that are used before the time of a bound, and as many after that time: 12 s of slots.
-// At the usual κ, older points give no better bound.
+/// Maximum number of points of one side that are used before the time of a bound, and again after that time. This is 12 s of slots
+/// before and 12 s after.
+// At the usual κ, points that are farther away give no better bound.
 pub(super) const MAX_POINTS_PER_SIDE: usize = 24;
 /// Longest distance in time over which a rate extends bounds: 13 days.
 const MAX_LENGTH_NANOS: u64 = 1 << 50;
 
-/// The points of both sides that can give a bound.
+/// The upper and the lower points that can give a bound.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Hulls {
     upper: Side,
@@ -54,7 +55,8 @@ struct Hull {
 enum BoundPair {
     /// Two points of one side, one before the time and one after it.
     Interpolated(Point, Point),
-    /// The nearer point, of the side that is bounded, and the farther one, of the other side.
+    /// Two points on the same side in time: the nearer point, which belongs to the side that is bounded, and the farther point, which
+    /// belongs to the other side.
     Extrapolated(Point, Point),
 }
 
@@ -79,12 +81,12 @@ impl Hulls {
         self.lower.replace(newest, change.half_limit_per_nano());
     }
 
-    /// Returns the upper bound at `q`; `None` where no two points give one.
+    /// Returns the upper bound at `q`; `None` if no two points give a bound.
     pub(super) fn upper_bound(&self, q: i64, change: DriftChangeLimit) -> Option<i64> {
         best_bound(&self.upper, &self.lower, q, change)
     }
 
-    /// Returns the lower bound at `q` with the opposite sign.
+    /// Returns the lower bound at `q` with the opposite sign; `None` if no two points give a bound.
     pub(super) fn lower_bound(&self, q: i64, change: DriftChangeLimit) -> Option<i64> {
         best_bound(&self.lower, &self.upper, q, change)
     }
@@ -129,18 +131,18 @@ impl Side {
     /// Replaces the newest point. `half_limit` is κ / 2 per nanosecond.
     fn replace(&mut self, newest: Point, half_limit: f64) {
         for (hull, half_limit) in [(&mut self.raised, half_limit), (&mut self.lowered, -half_limit)] {
-            // The newest point changes with almost each exchange; the hull of the others is reused.
+            // The newest point changes with almost every exchange, so the hull of the other points is kept and reused.
             hull.points.clone_from(&hull.others);
             hull::push(&mut hull.points, newest, half_limit);
         }
     }
 }
 
-/// Returns the best bound of a side at `q` by two points.
+/// Returns the best bound of a side at `q` that follows from two points. `opposite` has the points of the other side.
 fn best_bound(side: &Side, opposite: &Side, q: i64, change: DriftChangeLimit) -> Option<i64> {
     let (raised, lowered, opposite_points) =
         (&side.raised.points, &side.lowered.points, &opposite.raised.points);
-    // Values are relative to an origin, because a large offset loses nanoseconds when it becomes a floating-point number.
+    // Values are relative to the first bound, because a large offset loses nanoseconds when it becomes a floating-point number.
     let origin = raised.first()?.bound;
     let half_limit = change.half_limit_per_nano();
     let mut best: Option<(f64, BoundPair)> = None;
@@ -187,7 +189,7 @@ fn best_bound(side: &Side, opposite: &Side, q: i64, change: DriftChangeLimit) ->
     }
 }
 
-/// Returns the bound at `q` by two points of one side, before and after `q`, rounded up.
+/// Returns the bound at `q` that follows from two points of one side, `a` before `q` and `b` after `q`, rounded up.
 fn interpolate(a: Point, b: Point, q: i64, change: DriftChangeLimit) -> Option<i64> {
     let (from_a, to_b) = (q.abs_diff(a.x), q.abs_diff(b.x));
     let change_from_a =
@@ -195,8 +197,8 @@ fn interpolate(a: Point, b: Point, q: i64, change: DriftChangeLimit) -> Option<i
     Some(a.bound.saturating_add(change_from_a).saturating_add(change.max_deviation(from_a, to_b)))
 }
 
-/// Returns the bound at `q` by the point `b` of one side and the rate that it and the point `a` of the other side
-/// prove, rounded up.
+/// Returns the bound at `q` that follows from the point `b` of one side and a rate, rounded up. The rate is the one that `b` and
+/// the point `a` of the other side prove.
 fn extrapolate(b: Point, a: Point, q: i64, change: DriftChangeLimit) -> Option<i64> {
     let (near, far) = (q.abs_diff(b.x), q.abs_diff(a.x));
     let change_from_b = multiply_divide(near, i128::from(b.bound) + i128::from(a.bound), a.x.abs_diff(b.x))?;
@@ -211,7 +213,7 @@ fn multiply_divide(part: u64, value: i128, whole: u64) -> Option<i64> {
     // The computation uses integers, because the bound must be rounded up and never down.
     let product = value.checked_mul(i128::from(part))?;
     let quotient = match i64::try_from(product) {
-        // Most products fit 64 bits, for which the processor has a division instruction.
+        // Most products fit into 64 bits. The processor divides such numbers with one instruction.
         Ok(product) => i128::from(-(-product.max(-i64::MAX)).div_euclid(i64::try_from(whole).ok()?)),
         Err(_) => -(-product).div_euclid(i128::from(whole)),
     };

@@ -12,15 +12,15 @@ use super::slots::Point;
 
 /// Length of the intervals of which the best point is kept.
 const INTERVAL_NANOS: i64 = 16_000_000_000;
-/// Maximum number of intervals: half an hour.
+/// Maximum number of intervals, which together last half an hour.
 const MAX_INTERVALS: usize = 128;
 
 /// Range of the skew that the exchanges of the last half hour prove.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProvenSkew {
-    /// Parts per million. At some time the skew was this or more.
+    /// At some time the skew was at least this, parts per million.
     pub min_ppm: f64,
-    /// Parts per million. At some time the skew was this or less. It is below `min_ppm` only if the skew changed.
+    /// At some time the skew was at most this, parts per million. The value is below `min_ppm` only if the skew changed.
     pub max_ppm: f64,
 }
 
@@ -44,7 +44,7 @@ impl SkewProof {
     /// Inserts an exchange; `slope` is the estimated skew in seconds per second.
     pub(super) fn insert(&mut self, upper: Point, lower: Point, slope: f64) {
         let results = [self.upper.insert(upper, slope), self.lower.insert(lower, -slope)];
-        // Computed once per interval, because it compares all pairs of points of the hulls.
+        // The skew is proven anew only once per interval, because the proof compares all pairs of points of the hulls.
         if results.contains(&InsertResult::First) {
             self.proven_skew = self.prove();
         }

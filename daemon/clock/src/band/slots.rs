@@ -4,19 +4,19 @@
 //! it is at most U + w(|q − x|) at any time q, where w(d) is ρ·d rounded up: a cone that opens upwards. The bound at q
 //! is the lowest of all cones. Bounds from below are the same with the opposite sign.
 //!
-//! A slot keeps one of its points: of two, the point whose cone is lower at the time of the later one.
-//! By w(a + b) ≥ w(a) + w(b) − 1 that cone is, to a nanosecond, also the lower one at every time after the slot: a query
-//! about the present gets the bound that all exchanges together give. Thinning has two costs: the oldest slot of the
-//! window expires as a whole, and the bound at a time within a slot may be wider by ρ × twice the slot's length.
-//! Thinning never makes an interval wrong, because any subset of valid bounds is valid.
+//! A slot keeps only one of its points. Of two points, it keeps the one whose cone is lower at the time of the later point.
+//! Because w(a + b) ≥ w(a) + w(b) − 1, this cone is, to a nanosecond, also the lower one at every time after the slot. A query
+//! about the present therefore gets the bound that all exchanges together give. The removal of the other points has two costs:
+//! the oldest slot of the window expires as a whole, and the bound at a time within a slot may be wider by ρ × twice the
+//! slot's length. It never makes an interval wrong, because any subset of valid bounds is valid.
 
 use std::collections::VecDeque;
 
 use super::drift::DriftLimit;
 
-/// Usual length of a slot: the default window has 20 slots.
+/// Usual length of a slot. With this length, the default window has 20 slots.
 const DEFAULT_SLOT_NANOS: i64 = 500_000_000;
-/// Maximum number of slots. Longer retention makes the slots longer instead.
+/// Maximum number of slots. If the retention is so long that there would be more, the slots are longer instead.
 const MAX_SLOTS: i64 = 1_200;
 
 /// An upper bound of the offset (`bound`, nanoseconds) at one time of the edge's clock (`x`, nanoseconds).
@@ -33,9 +33,10 @@ impl Point {
         self.bound.saturating_add(drift.max_change_between(self.x, q))
     }
 
-    /// Returns whether the bound at time `q` that follows from this point is lower than `bound`. The first comparison is cheap and decides most cases.
+    /// Returns whether the bound at time `q` that follows from this point is lower than `bound`.
     #[inline]
     pub(super) fn is_below(self, bound: i64, drift: DriftLimit, q: i64) -> bool {
+        // The first comparison is cheap and decides most cases.
         self.bound < bound && self.bound_at(drift, q) < bound
     }
 }
@@ -92,8 +93,8 @@ impl Slots {
         self.points.back().copied()
     }
 
-    /// Returns the points within `reach` of `q` in the order of time: at most `max_per_side` before `q`, and at most as many
-    /// after it.
+    /// Returns the points within `reach` of `q` in the order of time: at most `max_per_side` points up to `q`, and at most
+    /// `max_per_side` points after `q`.
     pub(super) fn around(
         &self,
         q: i64,
@@ -128,7 +129,7 @@ impl Slots {
         };
         match self.points.get_mut(index) {
             Some(best) if best.x.div_euclid(self.length) == point.x.div_euclid(self.length) => {
-                // Compared at the later time, because queries are mostly about times after the slot.
+                // The bounds are compared at the later time, because queries are mostly about times after the slot.
                 let later = best.x.max(point.x);
                 if point.bound_at(self.drift, later) >= best.bound_at(self.drift, later) {
                     return Insertion::Unchanged;

@@ -1,10 +1,10 @@
 //! The point estimate of the offset within the band, and its rate.
 //!
-//! The estimate keeps the best point of each second on either side. The skew is the mean slope of two lines, one below
-//! all upper points and the other above all lower points, of about twenty seconds around the time of the query. After the skew is
-//! removed, the remaining drift is a wander much slower than the limit, so the band of these points is much
-//! narrower. The estimate is the middle of this narrow band. It assumes that the shortest delays of both directions are
-//! equal. This cannot be verified, and the bounds do not rely on it.
+//! The estimate keeps the best upper and the best lower point of each second. It uses the points of about twenty seconds around
+//! the time of the query. The skew is the mean slope of two lines, one below all upper points and the other above all lower
+//! points. After the skew is removed, the remaining drift is a wander that is much slower than the limit of drift, so that the
+//! band of these points is much narrower. The estimate is the middle of this narrow band. The estimate is right only if the
+//! shortest delays of both directions are equal. This cannot be verified, and the bounds do not rely on it.
 //!
 //! The slots of the band are unsuitable for the estimate. The best point of a slot is the point that bounds later times
 //! best. For two clocks that drift apart at the limit, that is always the earliest or the latest point.
@@ -24,7 +24,7 @@ const MAX_SECONDS: usize = 1024;
 const ESTIMATE_SECONDS: usize = 20;
 /// Number of seconds with exchanges that the reported skew uses.
 const SKEW_SECONDS: usize = 120;
-/// Largest time between a point and a query that it is used for.
+/// A point is used only for queries about times at most this far from the point.
 const MAX_DISTANCE_NANOS: i64 = 120 * SECOND;
 /// Assumed wander of clocks around their skew, seconds per second.
 // Crystals wander far less, even at changing temperature.
@@ -34,7 +34,7 @@ const MIN_EXCHANGES: u64 = 8;
 /// Shortest time between the first and the last exchange from which a skew is computed.
 const MIN_EXCHANGE_RANGE_NANOS: i64 = 5 * SECOND;
 
-/// The best points of each second on either side.
+/// The best upper and the best lower point of each second, and the skew that follows from them.
 #[derive(Clone, Debug)]
 pub(super) struct Trend {
     upper: BestPoints,
@@ -68,7 +68,7 @@ impl Default for Trend {
 }
 
 impl Trend {
-    /// Inserts an exchange; `limit` is the largest slope that clocks can have.
+    /// Inserts the two points of an exchange. `limit` is the largest slope that the offset can have, seconds per second.
     pub(super) fn insert(&mut self, upper: Point, lower: Point, limit: f64) {
         let (first, last) = self.time_range.unwrap_or((upper.x, lower.x));
         self.time_range = Some((first.min(upper.x), last.max(lower.x)));
@@ -78,7 +78,7 @@ impl Trend {
         if results != [InsertResult::Worse; 2] {
             self.newest_slope.take();
         }
-        // Once per second is enough, because the skew changes slowly.
+        // The slope is updated once per second. This is enough, because the skew changes slowly.
         if results.contains(&InsertResult::First) {
             self.slope = self.slope(lower.x, ESTIMATE_SECONDS, limit).unwrap_or(0.0);
         }
@@ -93,7 +93,7 @@ impl Trend {
             let slope = self.slope(x, seconds, limit)?;
             let above = lowest_bound(&self.upper, x, seconds, slope)?;
             let below = lowest_bound(&self.lower, x, seconds, -slope)?;
-            // Below 0 the narrow band is empty.
+            // If the sum is below 0, the narrow band is empty.
             (above.saturating_add(below) >= 0).then(|| above.saturating_sub(below) / 2)
         })
     }
@@ -118,7 +118,8 @@ impl Trend {
         self.upper.memory_bytes() + self.lower.memory_bytes() + self.proof.memory_bytes()
     }
 
-    /// Returns the rate of the offset by the points of the `seconds` seconds nearest to `x`, in seconds per second.
+    /// Returns the rate of the offset in seconds per second, from the points of the `seconds` seconds nearest to `x`. `None` without
+    /// enough exchanges.
     fn slope(&self, x: i64, seconds: usize, limit: f64) -> Option<f64> {
         let (first, last) = self.time_range?;
         if self.exchanges < MIN_EXCHANGES || last.saturating_sub(first) < MIN_EXCHANGE_RANGE_NANOS {
@@ -136,12 +137,13 @@ impl Trend {
         } else {
             compute()
         };
-        // A steeper slope is noise of the delays, because the clocks cannot drift as fast.
+        // A steeper slope is noise of the delays, because the clocks cannot drift so fast.
         Some(slope?.clamp(-limit, limit))
     }
 }
 
-/// Returns the lowest bound at `x` by the points around it, for a known skew and the assumed wander around it.
+/// Returns the lowest bound at `x` that the points around `x` give, if the skew is `slope` and clocks wander around it by at most
+/// [`MAX_WANDER`].
 fn lowest_bound(points: &BestPoints, x: i64, seconds: usize, slope: f64) -> Option<i64> {
     let bound_at = |point: Point| {
         let distance = x.saturating_sub(point.x) as f64;

@@ -9,7 +9,7 @@ use crate::{RawTime, Span};
 // A single wrong stamp must not discard the window.
 const MIN_SUSPECTS_FOR_STEP: u64 = 4;
 
-/// Two unreported steps within this time prove a violated limit. The limit counts as violated for the same time after the
+/// Two unreported steps within this time show that a limit is violated. The limit then counts as violated for as long after the
 /// second step.
 // Clocks are rarely set twice a minute. A clock that drifts faster than the limit, or a peer that sends wrong stamps,
 // contradicts the band again and again.
@@ -22,10 +22,12 @@ pub(super) struct Contradictions {
     pub(super) unannounced_steps: UnannouncedSteps,
 }
 
-/// Times of steps that no host reported, and the limit that several of them violate.
+/// The last step that no host reported, and the limit that several such steps violate.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct UnannouncedSteps {
+    /// Time of the last step, and the contradiction that showed it.
     last_step: Option<(RawTime, Contradiction)>,
+    /// Time until which a limit counts as violated, and the limit.
     violated_limit: Option<(RawTime, ViolatedLimit)>,
 }
 
@@ -42,7 +44,7 @@ impl UnannouncedSteps {
         self.last_step = Some((at, contradiction));
     }
 
-    /// Returns the limit that the steps before a time violate.
+    /// Returns the limit that counts as violated at a time; `None` if there is none.
     pub(super) fn violated_limit(&self, at: RawTime) -> Option<ViolatedLimit> {
         // If the edge's clock was set back far, the end of the violation lies far in the future. The violation then counts as over.
         self.violated_limit
@@ -84,9 +86,10 @@ impl SuspectExchanges {
     /// - the exchange contradicts them,
     /// - they contradict no exchange that still bounds the offset, or
     /// - they are too old to bound the offset themselves.
-    // A wide exchange that fits both the band and the suspects keeps them; otherwise no step could be recognised under
-    // load. The suspicion still ends: if the clocks changed, the exchanges from before the change leave the window.
-    // Suspects are rare, and `learn` is called for every message.
+    // The suspects stay if the exchange has such wide bounds that it fits both the band and the suspects. If they were removed,
+    // no step could be recognised under load. The suspicion still ends: if the clocks changed, the exchanges from before the
+    // change leave the window at some time.
+    // The method is `cold`, because suspects are rare, but `learn` is called for every message.
     #[cold]
     pub(super) fn reconsider(&mut self, exchange: &Bounds, current: &Band) {
         let start = current.window_start(exchange.sent());

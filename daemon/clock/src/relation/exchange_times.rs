@@ -1,4 +1,4 @@
-//! Times of a part of the exchanges, which show whether an exchange took place near a given time.
+//! Times of exchanges, which show whether an exchange took place near a given time. Only a part of the times is kept.
 
 use std::collections::VecDeque;
 
@@ -18,7 +18,7 @@ pub(super) struct ExchangeTimes {
 
 impl ExchangeTimes {
     pub(super) fn new(max_fresh_age: Span, window: Span) -> Self {
-        // This is a fraction of `max_fresh_age`, so thinning hardly changes whether an exchange counts as recent.
+        // The gap is a fraction of `max_fresh_age`, so that the removal of times hardly changes whether an exchange counts as recent.
         let min_gap = (max_fresh_age.nanos() / 8).max(window.nanos() / MAX_TIMES).max(1);
         Self { times: VecDeque::new(), newest: None, min_gap: Span::from_nanos(min_gap), window }
     }

@@ -4,7 +4,7 @@ use super::sources::{CombinedOffset, OffsetSources};
 use super::{Direction, JudgedExchange, LearnResult, Refusal, Relation};
 use crate::{DelaySource, Exchange, ExchangeObservation, Interval, OneWayDelay, RawTime, Span, Verdict};
 
-/// Minimum number of exchanges in the window; with fewer, all delays are `stale`.
+/// Minimum number of exchanges in the window. As long as there are fewer, all delays are `stale`.
 const MIN_EXCHANGES: u64 = 3;
 
 impl Relation {
@@ -17,8 +17,8 @@ impl Relation {
             exchange.returned,
             self.settings.max_fresh_age,
         );
-        // `is_fresh` is computed before the exchange is learned, because the exchange must not count as a recent exchange for
-        // its own delays. But the exchange narrows the intervals of these delays.
+        // `is_fresh` is computed before the exchange is learned: the exchange must not count as a recent exchange for its own
+        // delays. But it is learned before its delays are computed, so that it narrows their intervals.
         let learned = self.learn(observation);
         let Exchange { sent, received, replied, returned, .. } = *exchange;
         if let LearnResult::Refused(refusal) = learned {
@@ -44,12 +44,12 @@ impl Relation {
         self.corrected_delay(direction, sent, received, self.combined_offset(at), is_fresh)
     }
 
-    /// Returns the differences between the times at which two receivers on the two hosts got the same message, for one
-    /// message in each direction. Each pair contains the stamps of the two receivers; the stamp of the receiver on the
-    /// sender's host comes first.
+    /// Returns the reception difference of two messages, one in each direction. Each message was received on both hosts. Its
+    /// reception difference is the time at which the receiver on the other host got it, minus the time at which the receiver
+    /// on the sender's host got it. `up` and `down` contain the stamps of the two receivers, first that on the sender's host.
     ///
     /// A difference and its interval may be negative, because each receiver has its own delay.
-    // The relation learns nothing from these stamps. None of them is a departure, so they do not bound the offset.
+    // The relation learns nothing from these stamps: none of them is the stamp of a departure, so that they do not bound the offset.
     pub fn reception_differences(
         &self,
         up: (RawTime, RawTime),
@@ -107,7 +107,7 @@ impl Relation {
         [self.offset_sources(sent, up_estimate).combine(), down]
     }
 
-    /// Returns the offset at a time by all sources together; `None` if there is no source.
+    /// Returns the offset at a time that follows from all sources together; `None` if there is no source.
     fn combined_offset(&self, at: RawTime) -> Option<CombinedOffset> {
         self.offset_sources(at, None).combine()
     }
@@ -131,8 +131,8 @@ impl Relation {
         }
     }
 
-    /// Returns `ok`, `stale` or `inconsistent`. `is_fresh` says whether there are recent exchanges.
-    // Old exchanges and violated assumptions matter only if exchanges narrow the interval.
+    /// Returns the verdict on an offset: `ok`, `stale` or `inconsistent`. `is_fresh` says whether there are recent exchanges.
+    // The age of exchanges and violated limits matter only if exchanges narrow the interval of the offset.
     pub(super) fn verdict_of(&self, offset: &CombinedOffset, is_fresh: bool) -> Verdict {
         let uses_exchanges = matches!(offset.source, DelaySource::InBand | DelaySource::Intersection);
         if !offset.is_consistent || (uses_exchanges && self.violates_limit()) {
@@ -171,8 +171,8 @@ impl Relation {
 
     /// Computes a delay from the offset at the time of the edge's stamp.
     ///
-    /// The interval contains the delay as measured by either clock. The two differ by up to ρ × delay, where ρ is the
-    /// limit of drift.
+    /// A delay has a slightly different length by each of the two clocks: the lengths differ by up to ρ × delay, where ρ is the
+    /// limit of drift. The interval contains both.
     fn corrected_delay(
         &self,
         direction: Direction,
@@ -190,7 +190,7 @@ impl Relation {
             return OneWayDelay::same_clock(raw);
         }
         let (lo, hi, value) = subtract_offset(direction, raw, &offset);
-        // No delay is negative, so a clock was stepped near this message.
+        // A delay cannot be negative. If even the upper bound is, a clock was stepped near this message.
         if hi.is_negative() {
             return OneWayDelay::stepped(raw, offset.source);
         }
@@ -215,7 +215,7 @@ impl Relation {
             Verdict::Ok if is_wide || self.windows.is_near_suspected_jump(at) => Verdict::Limited,
             verdict => verdict,
         };
-        // One of the sources is wrong, and it is unknown which, so there is no valid interval.
+        // If the verdict is `inconsistent`, one of the sources is wrong. It is not known which, so there is no valid interval.
         let is_valid = verdict != Verdict::Inconsistent;
         OneWayDelay {
             raw,

@@ -1,29 +1,30 @@
 //! Detection of jumps of a clock that no other clock of its host shows, as when a virtual machine is paused or migrated.
 //!
-//! A message that waits on the network moves the middle of an exchange's bounds by half of its waiting time, and
-//! lengthens its round trip by all of it. A middle that moves further than half of the round trip's growth was not
-//! moved by waiting: either the path changed, or a clock jumped. Exchanges cannot tell these two apart.
+//! If a message of an exchange waits on the network, the middle of the exchange's bounds moves by half of the waiting time, and
+//! the round trip grows by all of the waiting time. So if a middle moves further than half of the round trip's growth, it was
+//! not moved by waiting: either the path changed, or a clock jumped. Exchanges cannot tell these two cases apart.
 //!
-//! When the edge's clock is set back, the exchanges in flight have one bound from before the jump and the other from
-//! after it, and seem shorter than the path. Their round trips would hide the jump in later exchanges. Such an exchange
-//! therefore counts only if an exchange that was sent later is as short, which shows that the path became shorter.
+//! When the edge's clock is set back, the exchanges in flight have one bound from before the jump and the other from after it,
+//! so that they seem shorter than the path. Later exchanges would be compared with these short round trips, and their jump
+//! would look like waiting. An exchange that seems shorter than the path therefore counts only if an exchange that was sent
+//! later is as short, which shows that the path itself became shorter.
 
 use std::collections::VecDeque;
 
 use crate::band::DriftLimit;
 use crate::{Exchange, RawTime, Span};
 
-/// Length of the intervals. Of each interval, only the exchange with the shortest round trip is kept.
+/// Length of an interval. In each interval, only the exchange with the shortest round trip is kept.
 const INTERVAL_NANOS: i64 = 500_000_000;
 /// Number of newest points that are kept at any age.
 const MIN_POINTS: usize = 8;
 /// Maximum number of points.
 const MAX_POINTS: usize = 20;
-/// Minimum number of points from which the shortest round trip is reliable.
+/// Minimum number of points for the shortest round trip to be reliable.
 const MIN_POINTS_TO_SUSPECT: usize = 4;
-/// Movement of a middle that is never suspected.
+/// Smallest tolerance. A middle that moves by less than the tolerance is never suspected of a jump.
 const MIN_TOLERANCE_NANOS: i64 = 100_000;
-/// The tolerance is the shortest round trip divided by this number, if that is more than the minimum.
+/// The tolerance is the shortest round trip divided by this number, but at least [`MIN_TOLERANCE_NANOS`].
 const ROUND_TRIP_TO_TOLERANCE: i64 = 50;
 
 /// The exchange with the shortest round trip of each interval of the window.
@@ -36,7 +37,7 @@ pub(super) struct ShortestRoundTrips {
     /// the round trip of the path itself by this much.
     spread: i64,
     /// Time until which short exchanges are ignored, because an exchange seemed shorter than the path.
-    // An exchange that is sent later was not in flight together with the short one.
+    // An exchange that is sent after this time was not in flight together with the short exchange.
     ignore_short_until: Option<RawTime>,
 }
 
@@ -54,10 +55,10 @@ struct RoundTripPoint {
 /// A jump that an exchange suggests.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SuspectedJump {
-    /// Movement of the middle.
+    /// Movement of the middle of the bounds: the size of the jump.
     pub(super) movement: Span,
-    /// Times at which the last exchange before the jump was sent and returned. Only exchanges that could have shown the jump
-    /// are considered.
+    /// Times at which the last exchange before the jump was sent and returned. It is the last exchange whose round trip was short
+    /// enough to show the jump.
     pub(super) last_before: (RawTime, RawTime),
 }
 
@@ -79,7 +80,7 @@ impl ShortestRoundTrips {
         let point = RoundTripPoint::from(exchange);
         let extra_round_trip = point.round_trip.saturating_sub(self.shortest).saturating_abs();
         let newest = self.points.back()?;
-        // Cheap check first: usually the middle is close to the middle of the newest point.
+        // A cheap check comes first: usually the middle is close to the middle of the newest point.
         let tolerance = self.tolerance();
         let movement_from = |earlier: &RoundTripPoint| point.middle.saturating_sub(earlier.middle);
         if self.points.len() < MIN_POINTS_TO_SUSPECT
@@ -126,8 +127,8 @@ impl ShortestRoundTrips {
             }
             Some(_) => is_short,
             None => {
-                // The exchange departed before the jump. Because of the jump it seems shorter than it was. By the clock before
-                // the jump, it returned later by this difference.
+                // If the exchange spans a jump, it was sent before the jump and seems shorter than it was. By the clock before the
+                // jump, it returned later by the missing time.
                 let delay = Span::from_nanos(deficit.saturating_add(max_explained));
                 self.ignore_short_until = is_short.then(|| point.returned + delay);
                 is_short
@@ -149,7 +150,7 @@ impl ShortestRoundTrips {
                     self.shortest = self.shortest.min(point.round_trip);
                 }
             }
-            // A late answer of an earlier interval adds nothing.
+            // The exchange belongs to an earlier interval, because its answer was late. It is ignored.
             Some(last) if interval(last) > interval(&point) => {}
             _ => {
                 self.points.push_back(point);

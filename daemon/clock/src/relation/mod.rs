@@ -32,11 +32,11 @@ const MAX_STAMP: Span = Span::from_nanos(1 << 61);
 // The two clocks are read one after the other.
 const MAX_READING_DIFFERENCE: Span = Span::from_micros(50);
 /// Addition to [`MAX_READING_DIFFERENCE`], in parts per million of the progress.
-// A clock with injected faults drifts against the monotonic clock.
+// A clock with injected faults drifts against the monotonic clock, which is not a step.
 const MAX_RATE_DIFFERENCE_PPM: i64 = 500;
 
-/// The relation between a clock of an edge and a clock of a cloud. It belongs to the pair of hosts: all links between them
-/// contribute exchanges.
+/// The relation between a clock of an edge and a clock of a cloud. There is one relation for a pair of hosts, and all links
+/// between the two hosts contribute exchanges.
 ///
 /// `docs/clocks.md` explains the method.
 #[derive(Debug)]
@@ -47,8 +47,8 @@ pub struct Relation {
     exchange_times: ExchangeTimes,
     contradictions: Contradictions,
     steps: StepTracker,
-    /// `Some` until the first exchange of a window that a step started: the last estimate before the step, or `Some(None)`
-    /// if there was no estimate.
+    /// `Some` from a step until the first exchange after it. The inner value is the last estimate before the step; `None` if there
+    /// was no estimate.
     estimate_before_restart: Option<Option<Span>>,
     claims: Claims,
     counts: ExchangeCounts,
@@ -78,8 +78,8 @@ impl Relation {
         self.same_clock
     }
 
-    /// Sets whether it is proven that both processes read one clock. Exchanges are learnt in either case: they check
-    /// the proof, and bound the offset after it ends.
+    /// Sets whether it is proven that both processes read one clock. Exchanges are learnt in either case: they check the proof, and
+    /// they bound the offset when the proof no longer holds.
     pub fn set_same_clock(&mut self, is_proven: bool) {
         // A host's wall clock and its free-running clock are different clocks.
         self.same_clock = is_proven && self.settings.clocks != RelatedClocks::RawToWall;
@@ -90,8 +90,8 @@ impl Relation {
         &self.settings
     }
 
-    /// Sets the current claims of the two hosts' time daemons; `None` for a host without a claim. A claim counts, if
-    /// the settings trust it, until the next call or until its clock is stepped.
+    /// Sets the current claims of the two hosts' time daemons; `None` for a host without a claim. A claim is used only if the
+    /// settings trust time daemons. It counts until the next call or until its clock is stepped.
     pub fn set_claims(&mut self, edge: Option<Discipline>, cloud: Option<Discipline>) {
         self.claims = Claims { edge, cloud };
     }
@@ -121,14 +121,14 @@ impl Relation {
         self.counts
     }
 
-    /// Returns the number of the current window. A step, which invalidates all earlier exchanges, and a suspected jump
-    /// start a new one.
+    /// Returns the number of the current window. A new window starts after a step, which invalidates all earlier exchanges, and
+    /// after a suspected jump.
     pub const fn window_number(&self) -> u32 {
         self.counts.restarts
     }
 
-    /// Returns the skew that the exchanges of the current window prove, whatever their delays were. `None` without
-    /// enough exchanges.
+    /// Returns the skew that the exchanges of the current window prove. The proof holds whatever the delays of the exchanges were.
+    /// `None` without enough exchanges.
     pub fn proven_skew(&self) -> Option<ProvenSkew> {
         self.windows.current().proven_skew()
     }
@@ -139,10 +139,11 @@ impl Relation {
         self.windows.current().window_span(at)
     }
 
-    /// Returns the limit that the clocks seem to violate. Delays are `inconsistent` then.
+    /// Returns the limit that the clocks seem to violate; `None` if they seem to violate none. If a limit is violated, delays are
+    /// `inconsistent`.
     ///
-    /// A limit is violated if exchanges prove a skew beyond it, or contradict each other repeatedly. A peer that sends
-    /// wrong stamps has the same effect.
+    /// A limit is violated if exchanges prove a skew beyond the limit, or if exchanges contradict each other repeatedly. A peer that
+    /// sends wrong stamps has the same effect.
     pub fn violated_limit(&self) -> Option<ViolatedLimit> {
         if self.excess_skew().is_some() {
             return Some(ViolatedLimit::Drift);
@@ -150,7 +151,7 @@ impl Relation {
         self.contradictions.unannounced_steps.violated_limit(self.windows.current().newest()?)
     }
 
-    /// Returns the proven skew if it is beyond the limit.
+    /// Returns the proven skew if it is beyond the limit of drift; else `None`.
     pub fn excess_skew(&self) -> Option<ProvenSkew> {
         self.windows.current().excess_skew()
     }
@@ -269,7 +270,7 @@ impl Relation {
     }
 
     /// Returns whether two clocks can produce these stamps:
-    /// - each departure and its arrival are in order on each host's clock;
+    /// - the two stamps of each host are in order;
     /// - the round trip is not negative by more than the stamps' uncertainty and the clocks' drift;
     /// - the uncertainty is not negative;
     /// - no stamp and no bound exceeds [`MAX_STAMP`].
@@ -292,7 +293,7 @@ impl Relation {
     /// Starts a new window after a step of a clock.
     fn restart(&mut self) {
         self.contradictions.suspects.clear();
-        // A second report of the same step must not replace the estimate before it.
+        // A step can be reported twice. The second report finds an empty window, and must not replace the estimate from before the step.
         let Some(newest) = self.windows.current().newest() else { return };
         self.estimate_before_restart = Some(self.estimate_at(newest));
         self.windows.restart(self.windows.new_band());
@@ -300,7 +301,7 @@ impl Relation {
         self.counts.restarts += 1;
     }
 
-    /// Returns the estimate of the offset at a time that follows from the exchanges.
+    /// Returns the estimate of the offset at a time, from the exchanges alone; `None` without exchanges.
     fn estimate_at(&self, at: RawTime) -> Option<Span> {
         self.windows.interval(at).map(|interval| self.windows.estimate(at, interval))
     }

@@ -1,7 +1,7 @@
 //! Combination of several sources by intersection (RFC 5905, section 11.2.1, after Marzullo 1984).
 //!
-//! The offset lies in the overlap of two sources if both are right. Without an overlap at least one is wrong; the result
-//! says so, and does not average them.
+//! If two sources are right, the offset lies in the overlap of their intervals. If the intervals do not overlap, at least one
+//! source is wrong. The result then says so instead of averaging the sources.
 
 use crate::{DelaySource, Discipline, Interval, Span};
 
@@ -13,7 +13,7 @@ pub(super) struct Claims {
 }
 
 impl Claims {
-    /// Returns the offset by both claims together; `None` if one is missing.
+    /// Returns the offset that follows from both claims together, and its source; `None` if a claim is missing.
     pub(super) fn offset(&self) -> Option<(DelaySource, Interval)> {
         Some(Discipline::offset(self.edge.as_ref()?, self.cloud.as_ref()?))
     }
@@ -30,15 +30,15 @@ pub(super) struct OffsetSources {
     pub(super) other: Option<(DelaySource, Interval)>,
 }
 
-/// The offset at one time by all sources together.
+/// The offset at one time that follows from all sources together.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CombinedOffset {
     pub(super) bounds: Interval,
     /// Estimate within the bounds.
     pub(super) estimate: Span,
     pub(super) source: DelaySource,
-    /// `true` if the sources overlap and the exchanges agree. If the sources do not overlap, the bounds contain all of
-    /// them, and the estimate is the band's.
+    /// `true` if the sources overlap and the exchanges agree. If the sources do not overlap, `bounds` contains the intervals of all
+    /// sources, and `estimate` is the estimate of the band.
     pub(super) is_consistent: bool,
 }
 
@@ -86,8 +86,8 @@ impl OffsetSources {
                 is_consistent: false,
             });
         };
-        // The proof prevails over a band that is as narrow: with it as source, a delay is the exact
-        // difference.
+        // If the band is as narrow as the proof that both hosts read one clock, the proof is the source: a delay is then the exact
+        // difference of the stamps.
         let source = if source != DelaySource::SameClock && bounds == band {
             DelaySource::InBand
         } else if bounds == other {

@@ -1,16 +1,17 @@
-//! Tracking of the steps that both hosts report, and exclusion of the exchanges that were in flight during a step.
+//! Tracking of the steps that the two hosts report, and exclusion of the exchanges that were in flight during a step.
 
 use crate::{Exchange, ExchangeObservation, RawTime, Span};
 
-/// Number of answers in a row with the same lower epoch after which the peer counts as restarted.
-// If there are fewer, they are late answers that a later answer overtook.
+/// If this many answers in a row have the same epoch, and it is lower than the current epoch, the peer counts as restarted.
+// If there are fewer such answers, they are late answers, which a later answer overtook.
 const LOWER_EPOCHS_FOR_RESTART: u32 = 8;
 /// An exchange is excluded only if it was sent at most this long before the return of the exchange that reported a step of
 /// the edge.
 // The time is short, because the stamps themselves may have been set back. An exchange that took longer needs no
 // exclusion: in its stamps the step is visible as a difference between the wall clock and the monotonic clock.
 const MAX_EDGE_REACH: Span = Span::from_seconds(2);
-/// The same limit for a step of the cloud.
+/// An exchange is excluded only if it was sent at most this long before the return of the exchange that reported a step of the
+/// cloud.
 // The time is long, because a step of the cloud does not change the edge's stamps, by which the reach is measured.
 const MAX_CLOUD_REACH: Span = Span::from_seconds(60);
 
@@ -19,14 +20,14 @@ const MAX_CLOUD_REACH: Span = Span::from_seconds(60);
 pub(super) struct StepTracker {
     edge: Option<u32>,
     cloud: Option<u32>,
-    /// An epoch of the cloud below the current one, and the number of answers in a row that carried it.
+    /// An epoch of the cloud that is lower than the current epoch, and the number of answers in a row that carried it.
     lower_epoch: Option<(u32, u32)>,
     barrier: Barrier,
 }
 
 /// Rule that excludes exchanges which were in flight during a step.
-// The edge compares its epoch before and after an exchange. The cloud's epoch is read after its
-// stamps, so a stamp may belong to an earlier epoch, but never to a later one.
+// The edge compares its epoch before and after an exchange. The cloud's epoch is read after the cloud's stamps, so a stamp may
+// belong to an earlier epoch, but never to a later epoch.
 #[derive(Clone, Copy, Debug, Default)]
 enum Barrier {
     /// Excludes nothing.
@@ -35,7 +36,7 @@ enum Barrier {
     /// Excludes the next exchange, whose return gives the time of the step. The span is the reach of
     /// [`Barrier::Before`].
     Next(Span),
-    /// Excludes exchanges sent before a time, by no more than the reach.
+    /// Excludes exchanges that were sent before a time, but at most the reach before it.
     Before(RawTime, Span),
 }
 
@@ -44,7 +45,7 @@ enum Barrier {
 pub(super) struct StepReport {
     pub(super) has_edge_step: bool,
     pub(super) has_cloud_step: bool,
-    /// `true` if the epochs of the exchange equal the previous ones, so it reports no step.
+    /// `true` if the epochs of the exchange equal the previous epochs, so that the exchange reports no step.
     pub(super) is_current: bool,
 }
 
@@ -111,7 +112,8 @@ impl StepTracker {
         match self.barrier {
             Barrier::Open => false,
             Barrier::Next(reach) => {
-                // The step was before this return; exchanges sent before it may have begun before the step.
+                // The step happened before this exchange returned. Exchanges that were sent before this return may have been sent
+                // before the step.
                 self.barrier = Barrier::Before(exchange.returned, reach);
                 true
             }
