@@ -1,9 +1,9 @@
 //! Trees as a CSV table: one row per iteration, one column per path of names.
 //!
-//! The format follows the published program: the first column is `iteration`; a child of the root has a column of its
-//! name; deeper nodes join the names with `_`; a node that has both a value and children gets `_val`. Columns are in
-//! the order in which nodes were logged. Values are seconds, bytes and bits per second as plain numbers. A cell is
-//! empty if the iteration has no such node or its value is unknown.
+//! The format follows the published program. The first column is `iteration`. The column of a child of the root has the name of
+//! the node. The column of a deeper node has the names of its ancestors and its own name, joined with `_`. If a node has both a
+//! value and children, `_val` is appended. Columns are in the order in which nodes were logged. Values are seconds, bytes and
+//! bits per second as plain numbers. A cell is empty if the iteration has no such node or if its value is unknown.
 //!
 //! Later iterations may have nodes that earlier iterations do not have. A first pass over the trees therefore collects the columns,
 //! and a second pass writes the rows, so that memory does not grow with the number of rows.
@@ -47,19 +47,21 @@ where
     table.finish()
 }
 
-/// The columns of a table: the union of the paths of all trees added.
+/// The columns of a table: the paths of the nodes of all trees that were added.
 #[derive(Clone, Debug, Default)]
 pub struct Columns {
-    /// Index of each path segment by its parent segment, its name, and its position among siblings of that name.
+    /// Index of each path segment in `segments`, by the index of its parent, its name, and its number among the siblings of this
+    /// name, from 1.
     segment_indices: HashMap<(Option<usize>, Name, usize), usize>,
     segments: Vec<Segment>,
     /// Indices of all segments in the order of their columns.
     order: Vec<usize>,
 }
 
-/// The last name of a path.
+/// The last name of a path, with a link to the path of the parent.
 #[derive(Clone, Debug)]
 struct Segment {
+    /// Index of the parent's segment; `None` for children of the root.
     parent: Option<usize>,
     /// Name of the node. The second of several siblings with one name gets the suffix `_2`, and so on.
     label: String,
@@ -107,7 +109,7 @@ impl Columns {
         self.segments.push(Segment { parent, label, has_value: false, has_children: false });
     }
 
-    /// Returns the unique names of the columns after `iteration`, each with its segment.
+    /// Returns the columns after `iteration`: the index of the segment and the unique name of each.
     fn headers(&self) -> Vec<(usize, String)> {
         // Different paths can give the same text when they are joined with `_`, but columns need unique names.
         let mut used_headers = HashSet::from([ITERATION.to_owned()]);
@@ -139,7 +141,8 @@ impl Columns {
     }
 }
 
-/// Returns the segment of a node's parent, `Some(None)` if the parent is the root; `None` if the parent has no segment.
+/// Returns the segment of a node's parent. The inner value is `None` if the parent is the root, which has no segment. The result is `None` if
+/// the node has no parent, or if its parent has no segment and is not the root.
 fn parent_segment(tree: &Tree, id: NodeId, segments: &[Option<usize>]) -> Option<Option<usize>> {
     match tree.get(id)?.parent? {
         NodeId::ROOT => Some(None),
@@ -200,7 +203,7 @@ impl<W: io::Write> Table<W> {
         for (id, node) in tree.iter().skip(1) {
             let Some(parent) = parent_segment(tree, id, &segments) else { continue };
             let key = (parent, node.name.clone(), siblings.count_occurrence(parent, &node.name));
-            // The columns may have been collected from other trees.
+            // A node has no column if its tree was not added to the columns.
             let Some(index) = self.columns.segment_indices.get(&key) else { continue };
             segments[id.index()] = Some(*index);
             if let (Some(column), Some(value)) = (self.column_of_segment.get(index), node.measure.value()) {

@@ -58,8 +58,8 @@ random_id! {
     RunId
 }
 
-/// Name of a host, a pipeline or a model for people: 1 to 64 characters of `A-Z a-z 0-9 . _ -`, the first a letter or
-/// digit. It needs no escaping in addresses, file names and tables.
+/// Name of a host, a pipeline or a model for people: 1 to 64 characters of `A-Z a-z 0-9 . _ -`, of which the first is a letter
+/// or digit. Such a name needs no escaping in addresses, file names and tables.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Slug(Arc<str>);
@@ -87,7 +87,7 @@ impl Slug {
         Self("none".into())
     }
 
-    /// Returns `observed`, which replaces the model's name where nodes of another system are observed.
+    /// Returns `observed`, which replaces the model's name if PEERNet only observes the nodes of another system.
     pub fn observed() -> Self {
         Self("observed".into())
     }
@@ -121,7 +121,7 @@ impl From<Slug> for String {
 
 impl fmt::Display for Slug {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        // Not `write_str`, which ignores the width and alignment of a format.
+        // `pad` applies the width and alignment of a format; `write_str` would ignore them.
         f.pad(&self.0)
     }
 }

@@ -1,6 +1,7 @@
-//! Limits on the size of trees and of lists in messages, in one place.
+//! Limits on the size of trees and of lists in messages.
 //!
-//! A recorder stays within them: it leaves nodes out and counts them. A received tree that exceeds them is refused.
+//! A recorder never exceeds these limits: it leaves out further nodes and counts them. A received tree that exceeds the limits is
+//! refused.
 
 /// Maximum number of levels of a tree, including the root's.
 // The level of a node is computed from its ancestors, so that this limits the work for each node of a hostile
@@ -10,10 +11,10 @@ pub const MAX_DEPTH: usize = 32;
 /// Maximum number of nodes of a tree.
 pub const MAX_NODES: usize = 4096;
 
-/// Nodes that a recorder leaves free for values computed afterwards: sizes, throughputs, totals.
+/// Number of nodes that a recorder leaves free for values that are computed after the recording: sizes, throughputs, totals.
 pub const RESERVED_NODES: usize = 64;
 
-/// Maximum number of hosts of a tree.
+/// Maximum number of hosts of a tree. Each host has one anchor.
 pub const MAX_ANCHORS: usize = 8;
 
 /// Maximum number of bytes (UTF-8) of a name, a kind, or a unit's symbol.

@@ -25,12 +25,12 @@ pub enum Measure {
     Custom(Name, Unit, Option<f64>),
 }
 
-/// A rate with the interval that follows from its delay's interval.
+/// A rate of a transfer, bits per second, with the interval that follows from the interval of the transfer's delay.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Rate {
     /// Estimate; `None` if the delay has no estimate.
     pub value: Option<f64>,
-    /// Lower and upper bound. The upper bound is infinite if the delay's interval includes zero.
+    /// Lower and upper bound; `None` if the delay has no interval. The upper bound is infinite if the delay's interval includes zero.
     pub bounds: Option<(f64, f64)>,
 }
 
@@ -49,8 +49,8 @@ pub struct Transit {
     pub raw_stamps: Option<RawStamps>,
 }
 
-/// Times at which a message left one host and arrived at another, on the free-running clock of each. A cloud without
-/// such stamps sends stamps of its wall clock ([`RawTime::from_wall`]).
+/// Time at which a message left one host, and time at which it arrived at another, each on the free-running clock of its host. A
+/// cloud that has no stamps of this clock sends stamps of its wall clock ([`RawTime::from_wall`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RawStamps {
     /// Time on the sender's clock just before the message was handed to the network.
@@ -60,7 +60,7 @@ pub struct RawStamps {
 }
 
 impl Measure {
-    /// Returns whether the node has no end yet.
+    /// Returns whether the node is still open. A custom node also counts as open if its reading failed.
     pub fn is_open(&self) -> bool {
         match self {
             Self::Timer(None) | Self::TokenRate(None) | Self::Custom(_, _, None) => true,
@@ -69,7 +69,8 @@ impl Measure {
         }
     }
 
-    /// Returns the number that is stored and used in statistics, in the unit of [`unit`](Self::unit).
+    /// Returns the number that is stored and used in statistics, in the unit [`unit`](Self::unit). `None` if there is no number, such as for a
+    /// container, an open node or an unknown delay.
     pub fn value(&self) -> Option<f64> {
         match self {
             Self::Container => None,
@@ -98,14 +99,14 @@ impl Measure {
     pub(crate) fn without_nan(self) -> Self {
         match self {
             Self::Value(value, unit) if value.is_nan() => {
-                // A `Value` always has a number, a custom kind need not.
+                // A `Value` always has a number. A custom kind can be without one.
                 Self::Custom(Name::from_static("value"), unit, None)
             }
             Self::Custom(kind, unit, Some(value)) if value.is_nan() => Self::Custom(kind, unit, None),
             Self::TokenRate(Some(rate)) if rate.is_nan() => Self::TokenRate(None),
             Self::Throughput(rate) => Self::Throughput(Rate {
                 value: rate.value.filter(|value| !value.is_nan()),
-                // The comparison is false for NaN, too.
+                // If a bound is NaN, the comparison is false, so that the bounds are removed.
                 bounds: rate.bounds.filter(|(lo, hi)| lo <= hi),
             }),
             other => other,

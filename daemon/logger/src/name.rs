@@ -11,9 +11,9 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::limits::MAX_NAME_BYTES;
 
-/// A short text that is cloned without copying: static for the standard names, shared for all others.
+/// A short text that is cloned without copying. Standard names are static texts; all other names are shared.
 ///
-/// It has at most [`MAX_NAME_BYTES`] bytes. A longer name is truncated if the program creates it, and refused if it
+/// A name has at most [`MAX_NAME_BYTES`] bytes. A longer text is truncated if the program makes a name of it, and refused if it
 /// comes from a peer.
 #[derive(Clone)]
 pub struct Name(Repr);
@@ -104,7 +104,7 @@ impl Ord for Name {
 
 impl Hash for Name {
     fn hash<H: Hasher>(&self, state: &mut H) {
-        // The text decides, as `Borrow<str>` requires; a static and a shared name with one text are equal.
+        // Only the text is hashed, as `Borrow<str>` requires: a static and a shared name with the same text are equal.
         self.as_str().hash(state);
     }
 }
@@ -136,7 +136,7 @@ impl<'de> Deserialize<'de> for Name {
                 f.write_str("a name")
             }
             fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<Name, E> {
-                // A long name is refused and not truncated, because two names of a peer could become equal.
+                // A long name is refused and not truncated: two different names of a peer could become equal.
                 if name.len() > MAX_NAME_BYTES {
                     return Err(E::custom(format_args!(
                         "a name has {} bytes, the limit is {MAX_NAME_BYTES}",

@@ -44,16 +44,16 @@ pub struct Recorder {
     pub(crate) level: usize,
     /// Number of nodes left out because the tree had reached its limits.
     skipped_nodes: u32,
-    /// State of the tree on its arrival; `None` for a tree that was created here.
+    /// State of the tree when it arrived from another host; `None` for a tree that was created on this host.
     resume_state: Option<ResumeState>,
 }
 
 /// State of a tree when it arrived from another host.
 #[derive(Clone, Copy, Debug)]
 struct ResumeState {
-    /// Number of nodes.
+    /// Number of nodes that the tree had on its arrival.
     base: u32,
-    /// The transit that ended here, and the time of its end.
+    /// The transit with which the tree arrived, and the time of its end on this host's wall clock.
     closed: (NodeId, WallTime),
 }
 
@@ -64,7 +64,7 @@ impl Recorder {
         Self::starting_at(clock, host, now)
     }
 
-    /// Creates the recorder of an iteration with the intended start `at`, now or earlier.
+    /// Creates the recorder of an iteration whose intended start is `at`: now or an earlier time.
     pub fn starting_at(clock: SharedClock, host: HostId, at: Stamp) -> Self {
         let tree = Tree::new(stage::ITERATION, Anchor { host, wall: at.wall });
         Self::for_tree(clock, tree, HostIndex::EDGE, at.mono, None)
@@ -81,7 +81,7 @@ impl Recorder {
         transit: NodeId,
         arrival: Stamp,
     ) -> Result<Self, TreeError> {
-        // Nodes from this position on are sent back.
+        // Nodes from this position on are added on this host and sent back.
         let base = tree.nodes().len() as u32;
         if tree.anchors.len() >= MAX_ANCHORS {
             return Err(TreeError::TooManyHosts(tree.anchors.len() + 1));
@@ -92,7 +92,7 @@ impl Recorder {
             }
             _ => return Err(TreeError::NotInFlight(transit.index())),
         }
-        // The arrival is the origin of this host's times, so they need no relation to the sender's clock.
+        // The times of this host's nodes are counted from the arrival, so that they need no relation to the sender's clock.
         tree.anchors.push(Anchor { host, wall: arrival.wall });
         let host = HostIndex((tree.anchors.len() - 1) as u8);
         let resume_state = Some(ResumeState { base, closed: (transit, arrival.wall) });
@@ -145,7 +145,7 @@ impl Recorder {
         self.enter(name, started_at, Measure::Timer(None))
     }
 
-    /// Opens a timer that [`stop`](Self::stop) closes. For cases in which a guard cannot live long enough.
+    /// Opens a timer that [`stop`](Self::stop) closes. Needed if a guard cannot live long enough.
     pub fn start(&mut self, name: Name) -> NodeId {
         let now = self.clock.mono();
         self.append_at(name, now, Measure::Timer(None))
@@ -214,13 +214,13 @@ impl Recorder {
     /// Inserts a tree that was recorded elsewhere below the innermost open node, completely or not at all. Returns the
     /// position of the inserted root.
     ///
-    /// The nodes keep their hosts. If a host already belongs to this tree, its wall clock determines the offset of the
-    /// inserted nodes.
+    /// The nodes keep their hosts. If a host already belongs to this tree, the host's wall clock determines how far the inserted
+    /// nodes are from the host's anchor in this tree.
     ///
     /// # Errors
     /// If this tree would exceed its limits, or the other tree is invalid.
     pub fn insert(&mut self, tree: &Tree) -> Result<NodeId, TreeError> {
-        // Reserved nodes stay free for values that are computed afterwards, as they do for recorded nodes.
+        // As for recorded nodes, the reserved nodes stay free for values that are computed afterwards.
         let fits = self.tree.nodes.len() + tree.nodes().len() <= MAX_NODES - RESERVED_NODES;
         if !fits {
             return Err(TreeError::TooManyNodes(self.tree.nodes.len() + tree.nodes().len()));
@@ -251,7 +251,7 @@ impl Recorder {
     fn enter(&mut self, name: Name, started_at: MonoTime, measure: Measure) -> TimerGuard<'_> {
         let (outer, outer_level) = (self.innermost, self.level);
         let node = self.append_at(name, started_at, measure);
-        // Children of a node that was left out are added to the node that is open now.
+        // If the node was left out, the previous node stays the innermost open node, so that it gets the children.
         if node != NodeId::SKIPPED {
             self.innermost = node;
             self.level += 1;

@@ -8,14 +8,14 @@ static ORDER: [Name; stage::COUNT] = stage::ORDER;
 
 /// Durations of the standard stages of a finished tree, and their sum.
 ///
-/// `upload` and `download` cross hosts, so each contains the error of the offset between the two hosts' clocks.
-/// Their *sum* needs no offset. With the offset θ (cloud minus edge), the raw differences are `upload + θ` and
-/// `download − θ`; in the sum θ cancels. In other words, the sum is the round trip on the edge's clock minus the time
-/// between receipt and reply on the cloud's clock, and each of these two is a difference on one clock. The sum of all
-/// stages is therefore exact even if its split between the two directions is unknown. The remaining error is the drift
-/// between the clocks during the sample's stay (50 ppm of 100 ms are 5 µs).
+/// `upload` and `download` cross hosts, so each contains the error of the offset between the two hosts' clocks. The *sum* of the
+/// two needs no offset. With the offset θ (cloud minus edge), the raw differences are `upload + θ` and `download − θ`; in the
+/// sum θ cancels. In other words, the sum is the round trip on the edge's clock minus the time between receipt and reply on the
+/// cloud's clock, and each of these two times is a difference on one clock. The sum of all stages is therefore exact even if it
+/// is unknown how much of it belongs to each direction. The remaining error is the drift between the clocks while the sample is
+/// on the cloud (50 ppm of 100 ms are 5 µs).
 ///
-/// A step of the cloud's wall clock during the stay has no effect, because the cloud's part is taken from its monotonic
+/// A step of the cloud's wall clock during this time has no effect, because the time on the cloud is measured by its monotonic
 /// clock. A step of the edge's wall clock between sending and receipt looks like a delay.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stages {
@@ -57,7 +57,7 @@ impl Stage {
     }
 }
 
-/// Sum of the two directions' raw differences, which is exact if both directions have the same number of transits.
+/// Sum of the raw differences of both directions. It is exact if both directions have the same number of transits.
 #[derive(Default)]
 struct Transport {
     uploads: usize,
@@ -82,8 +82,8 @@ impl Transport {
             self.downloads += 1;
             self.last_received = transit.received;
         }
-        // On the cloud, the anchor is the receipt of the upload, and the start of the download is on the same monotonic
-        // clock.
+        // The download is sent by the cloud. The cloud's anchor is the receipt of the upload on its wall clock, and the start of the
+        // download is counted from there on the monotonic clock. So a step of the wall clock in between has no effect.
         let cloud_sent = tree.wall_start(node).filter(|_| node.host != HostIndex::EDGE);
         match transit.received {
             Some(received) => self.sum += received - cloud_sent.unwrap_or(transit.sent),
@@ -92,7 +92,7 @@ impl Transport {
     }
 
     fn sum(&self) -> Option<Span> {
-        // Without a reply to each upload the offset does not cancel.
+        // The offset cancels only if there is a reply to each upload.
         let is_paired = self.uploads > 0 && self.uploads == self.downloads && !self.is_unfinished;
         // A negative sum means that the edge's wall clock was set back in between.
         Some(self.sum).filter(|sum| is_paired && !sum.is_negative())
@@ -154,7 +154,8 @@ impl Stages {
         self.durations[index]
     }
 
-    /// Returns the sum of `upload` and `download`, which needs no offset; `None` if the answer has not arrived or the edge's clock was set back.
+    /// Returns the sum of `upload` and `download`, which needs no offset. `None` if the answer has not arrived, or if the edge's clock was set
+    /// back while the message and the answer were in transit.
     pub const fn transport(&self) -> Option<Span> {
         self.transport
     }
@@ -170,13 +171,13 @@ impl Stages {
         self.total
     }
 
-    /// Returns the sum of all existing stages; `None` if one of them is unfinished, or the delay of one direction is
-    /// unknown and the other direction is missing.
+    /// Returns the sum of all stages that the iteration has. `None` if one of them is unfinished, or if the delay of one direction is
+    /// unknown and the iteration lacks the other direction.
     pub const fn stages_total(&self) -> Option<Span> {
         self.stages_total
     }
 
-    /// Returns the part of the total that no stage accounts for; negative if stages overlapped.
+    /// Returns the part of the total that no stage accounts for; negative if stages overlapped. `None` if the total or a stage is unknown.
     pub fn unattributed(&self) -> Option<Span> {
         Some(self.total? - self.stages_total?)
     }

@@ -18,7 +18,7 @@ use crate::{HostId, Name, TreeError};
 pub struct NodeId(pub u32);
 
 impl NodeId {
-    /// Position of the root, which every tree has.
+    /// Position of the root node. Every tree has a root.
     pub const ROOT: Self = Self(0);
 
     /// Invalid position, which a recorder returns for a node that it left out. Operations on it have no effect.
@@ -45,7 +45,7 @@ impl HostIndex {
 pub struct Anchor {
     /// Host that the anchor belongs to.
     pub host: HostId,
-    /// Time of the host's wall clock at the anchor, which is the origin of its nodes' starts.
+    /// Time of the host's wall clock when it joined. The starts of the host's nodes are counted from this moment.
     pub wall: WallTime,
 }
 
@@ -58,7 +58,7 @@ pub struct Node {
     pub name: Name,
     /// Host on which the node was opened.
     pub host: HostIndex,
-    /// Time of opening on that host's monotonic clock, relative to that host's anchor.
+    /// Time at which the node was opened, on the monotonic clock of `host`, counted from the anchor of `host`.
     pub start: Span,
     /// Kind and value of the node.
     pub measure: Measure,
@@ -84,7 +84,7 @@ pub struct TreeDelta {
     pub base: u32,
     /// Anchor of the host that added the nodes.
     pub anchor: Anchor,
-    /// Anchors of further hosts with nodes in the delta: those whose trees were inserted.
+    /// Anchors of further hosts with nodes in the delta: the hosts whose trees were inserted into it.
     pub others: Vec<Anchor>,
     /// Transit that ended at this host, and the wall-clock time of its end.
     pub closed: (NodeId, WallTime),
@@ -174,7 +174,7 @@ impl Tree {
         self.push(Node { parent: Some(parent), name, host: HostIndex::EDGE, start, measure })
     }
 
-    /// Returns the value of a node for modification; the edge records corrections with it.
+    /// Returns the measure of a node for modification; `None` if there is no such node. The edge uses it to record corrected delays.
     pub fn measure_mut(&mut self, id: NodeId) -> Option<&mut Measure> {
         self.nodes.get_mut(id.index()).map(|node| &mut node.measure)
     }
@@ -185,7 +185,7 @@ impl Tree {
     /// If the delta does not fit this tree. The tree is then unchanged.
     pub fn apply_delta(&mut self, delta: TreeDelta) -> Result<(), TreeError> {
         let base = self.nodes.len();
-        // The delta's parents are positions in the tree that was sent, so its length must not have changed.
+        // The delta refers to parents by their positions in the tree that was sent, so this tree must still have the same length.
         if delta.base as usize != base {
             return Err(TreeError::BaseMismatch { expected: delta.base as usize, actual: base });
         }
@@ -232,15 +232,16 @@ impl Tree {
         Ok(root)
     }
 
-    /// Returns the position of the anchor of `anchor`'s host, which is added if the host has none. Also returns how much
-    /// later `anchor` is than the anchor at that position.
+    /// Returns the position of the anchor that the host of `anchor` has in this tree. If the host has none, `anchor` is added.
+    /// Also returns how much later `anchor` is than the anchor at that position.
     fn find_or_add_anchor(&mut self, anchor: &Anchor) -> (HostIndex, Span) {
-        // A host has one anchor only; its wall clock relates the two origins.
+        // A host has only one anchor in a tree. The host's wall clock tells how far apart the two anchors are.
         if let Some(index) = self.anchors.iter().position(|existing| existing.host == anchor.host) {
             return (HostIndex(index as u8), anchor.wall - self.anchors[index].wall);
         }
         self.anchors.push(anchor.clone());
-        // Two trees within their limits have fewer than 256 hosts; `check` refuses the sum afterwards.
+        // The index fits into a `u8`, because two trees within their limits have fewer than 256 hosts. If they exceed the limit together,
+        // `check` refuses the result afterwards.
         (HostIndex((self.anchors.len() - 1) as u8), Span::ZERO)
     }
 
@@ -277,8 +278,7 @@ impl Tree {
         Ok(())
     }
 
-    /// Returns the level of a node, with the root on level 1; `None` below [`MAX_DEPTH`].
-    ///
+    /// Returns the level of a node, with the root on level 1; `None` if the node is deeper than [`MAX_DEPTH`].
     // The level is computed from the ancestors and not stored, because trees are shallow: even a hostile tree costs at most 32 steps per
     // node.
     pub(crate) fn level(&self, id: NodeId) -> Option<usize> {

@@ -5,7 +5,7 @@ use crate::limits::{MAX_ANCHORS, MAX_DEPTH, MAX_NODES};
 /// Reason why a tree or a tree delta is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TreeError {
-    /// The root is missing, a node other than the root has no parent, or the root has one.
+    /// The root is missing, the root has a parent, or another node has none.
     #[error("node {0} has no parent, or the root has one")]
     Orphan(usize),
     /// A node precedes its parent.

@@ -21,15 +21,15 @@ pub struct RelationSettings {
     pub clocks: RelatedClocks,
     /// Largest drift between the two clocks, parts per million. All bounds hold as long as the clocks keep this limit.
     pub max_drift_ppm: f64,
-    /// Largest change of the drift, parts per million per second. Used where both clocks run freely: all bounds then
-    /// hold as long as the clocks keep this limit, too.
+    /// Largest speed at which the drift changes, parts per million per second. Used only if both clocks run freely: all bounds
+    /// then hold as long as the clocks keep this limit, too.
     pub max_drift_change_ppm_per_s: f64,
-    /// Largest time between an exchange and a query at which the exchange bounds the offset. The newest eight exchanges
-    /// bound it at any distance.
+    /// Largest time between an exchange and a query at which the exchange still bounds the offset. The newest eight exchanges
+    /// bound the offset at any distance.
     pub window: Span,
     /// Time for which exchanges are kept to answer queries about the past. A value below `window` counts as `window`.
     pub retention: Span,
-    /// Largest distance in time to the nearest other exchange at which a delay is not `stale`.
+    /// A delay is `stale` if the nearest other exchange is farther away in time than this.
     pub max_fresh_age: Span,
     /// `true` if the claims of both hosts' time daemons narrow the interval. No exchange proves a claim: if a daemon is
     /// wrong about its clock, the interval is wrong, too.
@@ -56,7 +56,7 @@ impl Default for RelationSettings {
 pub enum Refusal {
     /// No two clocks can produce the stamps: the answer left before the message came, or the round trip is negative.
     Impossible,
-    /// The exchange contradicts earlier exchanges. If more exchanges agree with it, a step is assumed.
+    /// The exchange contradicts earlier exchanges. If further exchanges agree with it, a step is assumed.
     Outlier,
     /// A clock was stepped while the exchange was in flight.
     Stepped,
@@ -70,9 +70,9 @@ pub enum LearnResult {
     /// The exchange was accepted as the first of a new window, because a clock was stepped before it. The value is the estimate
     /// after the step minus the estimate before it, if both exist.
     Restarted(Option<Span>),
-    /// The exchange was accepted as the first of a new window, because a jump is suspected. The value is the movement of the
-    /// offset, which is more than queueing on the network explains. Either the path between the hosts changed, or a
-    /// clock jumped without notice. Delays are `limited` until the window is full again.
+    /// The exchange was accepted as the first of a new window, because a jump is suspected: the offset moved by more than queueing
+    /// on the network explains. The value is this movement. Either the path between the hosts changed, or a clock jumped
+    /// without notice. Delays are `limited` until the window is full again.
     Jumped(Span),
     /// The exchange was refused.
     Refused(Refusal),
@@ -90,12 +90,12 @@ pub enum ViolatedLimit {
 /// The offset between two clocks at one time: cloud minus edge.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Offset {
-    /// Time of the edge's wall clock.
+    /// Time of the edge's wall clock at which the offset holds.
     pub at: WallTime,
     /// Estimate within `bounds`; if the verdict is `inconsistent`, the estimate of `source` alone.
     pub estimate: Span,
-    /// Interval that contains the truth as long as the clocks keep the limits of drift. If the verdict is
-    /// `inconsistent`, it contains the intervals of all sources, of which at least one is wrong.
+    /// Interval that contains the true offset as long as the clocks keep the limits of drift. If the verdict is `inconsistent`,
+    /// the interval contains the intervals of all sources, of which at least one is wrong.
     pub bounds: Interval,
     /// Source of the bounds; if the verdict is `inconsistent`, source of the estimate.
     pub source: DelaySource,
@@ -103,7 +103,7 @@ pub struct Offset {
     pub sources: Vec<(DelaySource, Interval)>,
     /// `ok`, `stale` or `inconsistent`. Other verdicts apply to delays only.
     pub verdict: Verdict,
-    /// Rate of the offset by the exchanges of the window, parts per million; `None` without enough exchanges.
+    /// Rate at which the offset changes, from the exchanges of the window, parts per million; `None` without enough exchanges.
     pub skew_ppm: Option<f64>,
     /// Number of exchanges in the window.
     pub exchanges: u64,
@@ -114,7 +114,7 @@ pub struct Offset {
 /// Numbers of accepted and refused exchanges since the relation was created.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ExchangeCounts {
-    /// Accepted exchanges.
+    /// Number of accepted exchanges.
     #[serde(rename = "taken")]
     pub accepted: u64,
     /// Exchanges that were refused because no two clocks can produce their stamps.
@@ -132,8 +132,8 @@ pub struct ExchangeCounts {
 pub struct JudgedExchange {
     /// Result of learning the exchange itself.
     pub learned: LearnResult,
-    /// Edge to cloud.
+    /// Delay of the message, edge to cloud.
     pub up: OneWayDelay,
-    /// Cloud to edge.
+    /// Delay of the answer, cloud to edge.
     pub down: OneWayDelay,
 }

@@ -7,12 +7,12 @@ use super::jumps::{ShortestRoundTrips, SuspectedJump};
 use crate::band::{Band, Bounds, Contradiction, DriftChangeLimit, DriftLimit, DriftModel, OffsetInterval};
 use crate::{Exchange, RawTime, Span};
 
-/// Maximum number of earlier windows that are kept to judge delays of their time.
+/// Maximum number of past windows that are kept to judge delays from their time.
 const MAX_PAST_WINDOWS: usize = 16;
-/// Time for which past windows are kept beyond `retention`: the longest duration of a message.
+/// Longest duration of a message. Past windows are kept for this time in addition to `retention`.
 const MAX_MESSAGE_DURATION: Span = Span::from_seconds(60);
 
-/// Bounds of the offset by the exchanges of each window.
+/// The exchanges of the current and of past windows, and the bounds of the offset that follow from them.
 ///
 /// A suspected jump happened at some time between two exchanges. The earlier window holds before the first of these
 /// exchanges, and the later window holds after the second. Between the two exchanges either window may hold, so the
@@ -42,7 +42,7 @@ struct PastWindow {
 impl Windows {
     pub(super) fn new(settings: &RelationSettings) -> Self {
         let limit = DriftLimit::new(settings.max_drift_ppm);
-        // A time daemon may change the rate of a wall clock at once, so its drift has no limited change.
+        // A time daemon may change the rate of a wall clock at once, so that no limit holds for the change of its drift.
         let are_free_running = settings.clocks.are_free_running();
         let change =
             are_free_running.then(|| DriftChangeLimit::new(settings.max_drift_change_ppm_per_s, limit));
@@ -78,8 +78,8 @@ impl Windows {
         self.current.contradiction(bounds)
     }
 
-    /// Inserts an exchange that contradicts nothing. Returns the movement of the offset if a jump is suspected before
-    /// the exchange, which is then the first of a new window.
+    /// Inserts an exchange that contradicts nothing. If a jump is suspected before the exchange, the exchange is the first of a new
+    /// window, and the movement of the offset is returned.
     pub(super) fn insert(&mut self, exchange: &Exchange, bounds: &Bounds) -> Option<Span> {
         if self.past.back().is_some_and(|past| exchange.sent < past.next_sent) {
             // The exchange that showed the jump overtook this one, which may be from before the jump.
@@ -89,12 +89,12 @@ impl Windows {
         if let Some(SuspectedJump { last_before: (sent, returned), .. }) = suspected {
             let new_band = self.new_band();
             let mut band = std::mem::replace(&mut self.current, new_band);
-            // Exchanges that returned later may be from after the jump, and too wide to show it.
+            // Exchanges that returned later may be from after the jump: their bounds can be too wide to show it.
             band.truncate(returned);
-            // The edge's own clock may have jumped back, so the second exchange has the earlier stamps.
+            // If the edge's own clock jumped back, the second exchange has the earlier stamps. Hence minimum and maximum.
             let (holds_until, next_holds_from) = (sent.min(exchange.sent), returned.max(exchange.returned));
             self.past.push_back(PastWindow { band, holds_until, next_holds_from, next_sent: exchange.sent });
-            // Older windows can answer no query any more.
+            // Windows that are older than this are not needed for any query.
             let start = exchange.returned - self.retention - MAX_MESSAGE_DURATION;
             while self.past.len() > MAX_PAST_WINDOWS
                 || self.past.front().is_some_and(|past| past.next_holds_from < start)
@@ -111,7 +111,7 @@ impl Windows {
     /// Replaces all windows by `window`, after a step of a clock.
     pub(super) fn restart(&mut self, window: Band) {
         self.current = window;
-        // A step makes all earlier bounds invalid, unlike a suspected jump, whose time is known.
+        // A step makes all earlier bounds invalid. After a suspected jump, past windows stay valid, because the time of the jump is known.
         self.past.clear();
         self.shortest_round_trips.clear();
     }
@@ -136,7 +136,7 @@ impl Windows {
         self.current.offset_change(from, to)
     }
 
-    /// Returns whether a jump is suspected within the length of the window before a time, so delays are `limited`.
+    /// Returns whether a jump is suspected in the last window before a time. Delays are then `limited`.
     pub(super) fn is_near_suspected_jump(&self, at: RawTime) -> bool {
         self.past.iter().any(|past| past.holds_until <= at && at <= past.next_holds_from + self.window)
     }
@@ -144,7 +144,7 @@ impl Windows {
     /// Returns the number of exchanges of the current window, and of the window before it if a suspected jump separates
     /// them.
     pub(super) fn exchange_count(&self) -> u64 {
-        // Otherwise a suspected jump would make delays `stale`, although both windows bound them.
+        // If only the current window counted, delays would be `stale` after a suspected jump, although both windows bound them.
         self.current.exchange_count() + self.past.back().map_or(0, |past| past.band.exchange_count())
     }
 

@@ -16,15 +16,15 @@ use crate::{MonoTime, RawTime, Span, WallTime};
 pub struct Readings {
     /// `CLOCK_REALTIME`, with injected faults if there are any.
     pub wall: WallTime,
-    /// `CLOCK_MONOTONIC`: slewed like the wall clock, so the two differ by steps only.
+    /// `CLOCK_MONOTONIC`: slewed like the wall clock, so that only steps change the difference between the two.
     pub mono: MonoTime,
-    /// `CLOCK_MONOTONIC_RAW`: never slewed, so the wall clock's slews show against it.
+    /// `CLOCK_MONOTONIC_RAW`: never slewed, so that a comparison with it shows the slews of the wall clock.
     pub raw: RawTime,
     /// `CLOCK_BOOTTIME`: continues while the machine sleeps.
     pub boot: MonoTime,
 }
 
-/// A change between two clocks counts as a step only if it is larger than this.
+/// A change of the difference between two clocks counts as a step only if it is larger than this.
 // Smaller changes may come from the time that reading takes.
 const MIN_STEP: Span = Span::from_micros(20);
 

@@ -5,7 +5,8 @@ use std::ops::Sub;
 use super::{MIN_STEP, parts_per_million};
 use crate::{MonoTime, Span};
 
-/// A value read between two reads of a clock: another clock's time in nanoseconds, or several clocks.
+/// A value that was read between two reads of a clock. The value is another clock's time in nanoseconds, or the times of several
+/// clocks.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PairedReading<T = i64, C = MonoTime> {
     pub(crate) before: C,
@@ -13,9 +14,9 @@ pub(crate) struct PairedReading<T = i64, C = MonoTime> {
     pub(crate) after: C,
 }
 
-/// Longest time between the two reads of an uninterrupted reading.
+/// If the time between the two reads is longer than this, the reading counts as interrupted.
 const MAX_UNINTERRUPTED_GAP: Span = Span::from_micros(3);
-/// Maximum number of readings in search of an uninterrupted one.
+/// Maximum number of readings that are made to get an uninterrupted one.
 const MAX_READS: u32 = 8;
 
 impl<T, C: Copy + Sub<Output = Span>> PairedReading<T, C> {
@@ -40,7 +41,7 @@ impl<T, C: Copy + Sub<Output = Span>> PairedReading<T, C> {
 }
 
 impl PairedReading {
-    /// Returns the other clock minus the monotonic one; the error is at most half the gap.
+    /// Returns the time of the other clock minus that of the monotonic clock. The error is at most half the gap.
     fn difference(&self) -> Span {
         let mono = self.before.nanos() + self.gap().nanos() / 2;
         Span::from_nanos(self.between.saturating_sub(mono))
@@ -76,8 +77,8 @@ impl StepWatch {
             self.epoch += 1;
             self.last_step = Some(change);
         } else if now.gap() > MAX_UNINTERRUPTED_GAP && last.gap() < now.gap() {
-            // An interrupted reading is uncertain and could hide a step from all later readings, so the better one
-            // is kept.
+            // An interrupted reading is uncertain. As a reference it could hide a step from all later readings, so the better
+            // one of the two readings is kept as the reference.
             self.last = Some(last);
         }
         self.epoch

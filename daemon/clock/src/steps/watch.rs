@@ -17,12 +17,12 @@ pub enum Disturbance {
 
 /// Detector of disturbances, which compares all clocks of a host with each other.
 ///
-/// A slew is a change of the wall clock's rate against `CLOCK_MONOTONIC_RAW`. The rate itself is no slew: on a machine
-/// whose crystal is off by 60 ppm and whose time daemon compensates for it, the rate is a constant 60 ppm and the wall
-/// clock is excellent. A rate that exceeds the rate error of any crystal (100 ppm) by more than the limit counts as a
-/// slew from the start.
-// The limit applies to a pair of hosts. No host knows how much the other host contributes, so each may use the
-// whole limit. Exchanges between the two hosts detect what this check misses.
+/// A slew is a change of the wall clock's rate against `CLOCK_MONOTONIC_RAW`. A constant rate is not a slew: on a machine whose
+/// crystal is off by 60 ppm and whose time daemon compensates for this, the rate is a constant 60 ppm and the wall clock is
+/// excellent. There is one exception: if the rate exceeds the rate error of any crystal (100 ppm) by more than the limit, it
+/// counts as a slew even if it never changed.
+// The limit applies to the clocks of two hosts together. A host does not know how much of it the other host uses, so this check
+// allows each host the whole limit. Exchanges between the two hosts detect the violations that this check misses.
 #[derive(Debug)]
 pub struct ClockWatch {
     max_drift_ppm: f64,
@@ -31,7 +31,7 @@ pub struct ClockWatch {
     base: Option<Readings>,
     /// Rate of the wall clock in its normal state, parts per million.
     usual_rate: Option<f64>,
-    /// A rate other than the usual one, and its number of measurements in a row.
+    /// The last rate that was not the usual rate, and how many measurements in a row gave this rate.
     deviating_rate: (f64, u32),
 }
 
@@ -39,12 +39,12 @@ impl ClockWatch {
     /// Largest difference in rate that does not count as a step, for clocks with injected drift; parts per million.
     const MAX_RATE_DIFFERENCE_PPM: f64 = 500.0;
     /// Shortest sleep that is reported.
-    // The time between the reads of two clocks is shorter.
+    // The time between the reads of two clocks, which looks like a sleep, is shorter.
     const MIN_SLEEP: Span = Span::from_millis(100);
     /// Shortest time over which a rate is measured.
-    // The time that reading takes then changes the rate by less than one part per million.
+    // Over this time, the duration of a reading changes the rate by less than one part per million.
     const MIN_TIME: Span = Span::from_seconds(5);
-    /// Largest rate error of a crystal.
+    /// Largest rate error of a crystal, parts per million.
     const MAX_CRYSTAL_PPM: f64 = 100.0;
     /// Number of equal measurements after which a rate becomes the usual one.
     const MEASUREMENTS_TO_SETTLE: u32 = 12;
@@ -54,7 +54,7 @@ impl ClockWatch {
         Self { max_drift_ppm, last: None, base: None, usual_rate: None, deviating_rate: (0.0, 0) }
     }
 
-    /// Compares a new reading with the last one. Returns the disturbances in between.
+    /// Compares a new reading with the last one. Returns the disturbances between the two.
     pub fn compare(&mut self, now: Readings) -> Vec<Disturbance> {
         let mut disturbances = Vec::new();
         let Some(last) = self.last.replace(now) else {
@@ -92,7 +92,7 @@ impl ClockWatch {
         let crystal_rate = rate.clamp(-Self::MAX_CRYSTAL_PPM, Self::MAX_CRYSTAL_PPM);
         let usual_rate = self.usual_rate.get_or_insert(crystal_rate);
         if (rate - *usual_rate).abs() <= self.max_drift_ppm {
-            // Follows slow changes, as with temperature.
+            // The usual rate follows slow changes, such as those caused by temperature.
             *usual_rate += (crystal_rate - *usual_rate) / 16.0;
             self.deviating_rate.1 = 0;
             return None;
@@ -101,7 +101,7 @@ impl ClockWatch {
         let is_same_rate = self.deviating_rate.1 > 0
             && (rate - self.deviating_rate.0).abs() <= 1.0 + self.max_drift_ppm / 10.0;
         self.deviating_rate = (rate, if is_same_rate { self.deviating_rate.1 + 1 } else { 1 });
-        // A lasting rate becomes the usual one, so it is not reported for ever.
+        // A rate that lasts becomes the usual rate, so that it is not reported for ever.
         if self.deviating_rate.1 >= Self::MEASUREMENTS_TO_SETTLE {
             self.usual_rate = Some(crystal_rate);
             self.deviating_rate.1 = 0;

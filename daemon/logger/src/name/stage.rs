@@ -9,7 +9,7 @@ macro_rules! standard_names {
     ) => {
         $($(#[$doc])* pub const $constant: Name = Name::from_static($name);)*
 
-        /// All standard names. The position is the number of the name on the wire.
+        /// All standard names. The position of a name in this list is its number on the wire.
         const NAMES: &[&str] = &[$($name),*];
 
         /// Returns the static form of a standard name or of a standard unit's symbol; `None` for any other text.
@@ -56,11 +56,12 @@ standard_names! {
         TRANSFORM = "transform";
         /// Edge: conversion of the sample to wire frames.
         ENCODE = "encode";
-        /// Edge: from ready to send until handed to the network, including the wait while too many iterations are in flight.
+        /// Edge: from when the sample is ready to send until it is handed to the network, including the wait while too many iterations are in
+        /// flight.
         SEND_QUEUE = "send-queue";
-        /// Edge to cloud: from handed to the network until the whole message is received. A transit, with bounds.
+        /// Edge to cloud: from when the message is handed to the network until all of it is received. A transit, with bounds.
         UPLOAD = "upload";
-        /// Cloud or edge: from received until a worker starts.
+        /// Cloud or edge: from when the sample is received until a worker starts.
         QUEUE = "queue";
         /// Cloud or edge: preparation of the model's input.
         PREPROCESSING = "preprocessing";
@@ -72,7 +73,8 @@ standard_names! {
         DOWNLOAD = "download";
         /// Edge: from the answer until the actuator is done.
         ACTUATION = "actuation";
-        /// Edge: from the intended start to the end, on the monotonic clock, without error between hosts.
+        /// Edge: from the intended start to the end of the iteration. The edge's monotonic clock measures both, so that there is no clock error
+        /// between hosts.
         TOTAL = "total";
         /// Sum of the stages, called Total in the paper.
         STAGES_TOTAL = "stages-total";
@@ -104,16 +106,16 @@ standard_names! {
 // The wire form contains this name as text, like the name `ipc`.
 pub const BATCH_WAIT: Name = Name::from_static("batch-wait");
 /// Cloud or edge: overhead of the communication with the worker process that runs the model's code, in both directions.
-// The wire form contains it as text, like names supplied by users.
+// The wire form contains this name as text, like names supplied by users.
 pub const IPC: Name = Name::from_static("ipc");
 /// Overhead of the communication with a sensor's worker process, below `capture`.
-// It has a separate name, because statistics are grouped by name.
+// The name differs from `ipc`, because statistics are grouped by name.
 pub const CAPTURE_IPC: Name = Name::from_static("capture-ipc");
 /// Overhead of the communication with an actuator's worker process, below `actuation`.
 pub const ACTUATION_IPC: Name = Name::from_static("actuation-ipc");
 
 /// Cloud or edge: wait of a sample for the restart of a model's worker whose process died. It is part of `unattributed`.
-// It is not a stage, because the death of the process causes it and not the loop. The wire form contains it as text.
+// The wait is not a stage, because the death of the process causes it and not the pipeline. The wire form contains the name as text.
 pub const RESTART: Name = Name::from_static("restart");
 /// Wait for a sensor's restarted worker, below `capture` and part of it.
 pub const CAPTURE_RESTART: Name = Name::from_static("capture-restart");

@@ -6,11 +6,13 @@ use peernet_clock::{MonoTime, Span};
 
 use crate::{Measure, Meter, NodeId, Recorder, Unit, stage};
 
-/// Guard of an open node. Nodes recorded through it become its children; dropping it closes the node.
+/// Guard of an open node. Nodes that are recorded through the guard become children of the node. The node closes when the guard is
+/// dropped.
 #[derive(Debug)]
 pub struct TimerGuard<'a> {
     pub(crate) recorder: &'a mut Recorder,
     pub(crate) node: NodeId,
+    /// Innermost open node before this node was opened.
     pub(crate) outer: NodeId,
     pub(crate) outer_level: usize,
     pub(crate) started_at: MonoTime,
@@ -100,8 +102,8 @@ impl<M: Meter> Drop for MeterGuard<'_, M> {
 /// Guard of an open token rate, created by [`Recorder::tokens`]. When it is dropped it adds `tokens` and
 /// `time-to-first-token` as children.
 ///
-/// The rate is the number of tokens divided by the time from opening to the last token. That time includes the wait for
-/// the first token.
+/// The rate is the number of tokens divided by the time from the opening of the node to the last token. This time includes the
+/// wait for the first token.
 #[derive(Debug)]
 pub struct TokenGuard<'a> {
     guard: TimerGuard<'a>,
@@ -121,7 +123,7 @@ impl<'a> TokenGuard<'a> {
         self.guard.node
     }
 
-    /// Counts tokens that arrived at once.
+    /// Counts tokens that arrived now, all at the same time.
     pub fn add_tokens(&mut self, tokens: u64) {
         if tokens > 0 {
             self.last_token = self.guard.clock().mono();
