@@ -60,7 +60,7 @@ pub struct RawStamps {
 }
 
 impl Measure {
-    /// Returns whether the node is still open. A custom node also counts as open if its reading failed.
+    /// Returns whether the node is still open. A custom node or a token rate without a value counts as open, too.
     pub fn is_open(&self) -> bool {
         match self {
             Self::Timer(None) | Self::TokenRate(None) | Self::Custom(_, _, None) => true,

@@ -4,11 +4,11 @@ use super::colour::{INK, LINE_STRONG, ON_DARK, ON_PALE, Rgb, Token, WHITE};
 use super::hatch::Hatch;
 use super::style::{Fill, Style, TextStyle};
 
-/// Name of the part of `total` beyond its stages.
+/// Name of the part of `total` that belongs to no stage.
 pub const UNATTRIBUTED: &str = "unattributed";
 /// Name of the time from the intended to the real start of an iteration. This time is a part of the unattributed time.
 pub const LATENESS: &str = "lateness";
-/// Name of the sum of upload and download, if the clocks cannot separate the two.
+/// Class of the sum of upload and download, which is shown if the clocks cannot separate the two.
 const NETWORK: &str = "network";
 /// Class of totals. A total is the sum of all stages.
 const TOTAL: &str = "total";
@@ -24,7 +24,7 @@ pub struct Stage {
     pub colour: Token,
     /// Darker edge of a fill that is pale on paper, so that every boundary has a contrast of at least 3.
     pub edge: Option<Token>,
-    /// Hatch in a file, so that stages also differ without colour. On pages only waiting and the unattributed time are hatched.
+    /// Hatch in a file, so that stages also differ without colour. On pages, only stages of waiting and the unattributed time have a hatch.
     pub hatch: Hatch,
     /// Colour of a line in a file, if neither the fill colour nor the edge colour is suitable for a line.
     line: Option<Rgb>,
@@ -37,10 +37,12 @@ const ENCODE_EDGE: Token = Token::new("e-encode", 0x4f_8f68, 0xbe_e1c9);
 const UNKNOWN: Token = Token::new("s-unattributed", 0xa0_a7b0, 0x62_6974);
 const UNKNOWN_EDGE: Token = Token::new("e-unattributed", 0x72_7b87, 0x8e_98a6);
 
+/// Returns a stage whose fill is dark enough to need no edge.
 const fn dark(name: &'static str, colour: Token, hatch: Hatch) -> Stage {
     Stage { name, class: name, colour, edge: None, hatch, line: None }
 }
 
+/// Returns a stage with a pale fill and a darker edge.
 const fn pale(name: &'static str, class: &'static str, colour: Token, edge: Token, hatch: Hatch) -> Stage {
     Stage { name, class, colour, edge: Some(edge), hatch, line: None }
 }
@@ -79,7 +81,8 @@ pub const STAGES: [Stage; 14] = [
     pale(UNATTRIBUTED, UNATTRIBUTED, UNKNOWN, UNKNOWN_EDGE, Hatch::Falling),
 ];
 
-/// Looks of quantities that are not stages: parts of stages, both directions together, totals. They have the names that events use.
+/// Looks of quantities that are not stages: parts of stages, both directions together, totals. Each has the name that events use for the
+/// quantity.
 const PARTS: [Stage; 6] = [
     Stage { name: "capture", class: "capture", ..STAGES[0] },
     Stage { name: "transform", class: "transform", ..STAGES[0] },
@@ -104,13 +107,14 @@ pub fn label(name: &str) -> &str {
     if name == LATENESS { "late start" } else { name }
 }
 
-/// Returns the look of a stage, of a part of a stage, or of a total. A stage that a user's program defines has the colour of quiet text.
+/// Returns the look of the stage, part of a stage or total with this name. Any other name is that of a stage that a user's program defines;
+/// such a stage has the colour of quiet text.
 pub fn stage(name: &str) -> Stage {
     STAGES.iter().chain(&PARTS).copied().find(|stage| stage.name == name).unwrap_or(OTHER)
 }
 
 impl Stage {
-    /// Returns whether the stage is one of [`STAGES`]. Only these have a colour of their own.
+    /// Returns whether the stage is one of [`STAGES`]. Only these stages have a colour of their own.
     pub fn has_colour(&self) -> bool {
         STAGES.iter().any(|stage| stage.name == self.name)
     }
@@ -155,7 +159,8 @@ impl Stage {
         Style::area(class("f-", self.class), Fill::of(self.colour.light))
     }
 
-    /// Returns the colour of the stage's line or marks in a file. The colour has enough contrast to white; a pale fill does not.
+    /// Returns the colour of the stage's line or marks in a file. It can differ from the colour of the fill, because a pale colour would not
+    /// have enough contrast to white paper.
     pub fn line_colour(&self) -> Rgb {
         self.line.unwrap_or_else(|| self.edge.unwrap_or(self.colour).light)
     }

@@ -1,4 +1,4 @@
-//! Styles: the look of a shape on both sheets.
+//! Styles: the look of a shape on a page and in a file.
 
 use std::borrow::Cow;
 
@@ -11,7 +11,7 @@ use super::mark::Mark;
 pub struct Fill {
     /// Colour of the fill.
     pub colour: Rgb,
-    /// Opacity from 0 to 1. The opacity represents a number, so it is also used on pages.
+    /// Opacity from 0 to 1. Unlike the colour, it is also used on pages, because it represents a number.
     pub opacity: f64,
     /// Lines over the fill, and their colour.
     pub hatch: Option<(Hatch, Rgb)>,
@@ -71,7 +71,7 @@ impl Style {
         self
     }
 
-    /// Returns the same area with a thin edge, if there is a colour for it.
+    /// Returns the same area with a thin edge; without a colour, returns the area unchanged.
     #[must_use]
     pub fn edged(self, colour: Option<Rgb>) -> Self {
         let stroke = colour.map(|colour| Stroke { colour, width: 0.3, dash: None });
@@ -200,13 +200,13 @@ impl TextStyle {
 /// Look of one of several series: runs, placements, configurations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Series {
-    /// Ink or a grey.
+    /// Colour of the line and the points: black or a grey.
     pub colour: Rgb,
-    /// Fill of its areas.
+    /// Colour of the fill of areas.
     pub ground: Rgb,
-    /// Mark of its points.
+    /// Mark of the points.
     pub mark: Mark,
-    /// Class of its line, and class of its points and areas.
+    /// Class of the line, and class of the points and areas.
     classes: [&'static str; 2],
 }
 
@@ -230,17 +230,17 @@ pub fn series(number: usize) -> Series {
 }
 
 impl Series {
-    /// Returns the style of its line, with its dash.
+    /// Returns the style of the series' line, with the dash that belongs to its mark.
     pub fn line(&self, width: f64) -> Style {
         Style::line(self.classes[0], self.colour, width).dashed(self.mark.dash())
     }
 
-    /// Returns the style of its points.
+    /// Returns the style of the series' points.
     pub fn marks(&self) -> Style {
         Style::area(self.classes[1], Fill::of(self.colour))
     }
 
-    /// Returns the style of its area: a tint with an edge.
+    /// Returns the style of the series' area: a tint with an edge.
     pub fn shape(&self) -> Style {
         let edge = Stroke { colour: self.colour, width: 0.5, dash: None };
         Style { stroke: Some(edge), ..Style::area(self.classes[1], Fill::of(self.ground)) }

@@ -8,7 +8,7 @@ use peernet_analysis::order::SortedValues;
 use peernet_analysis::rows::{RowRef, Rows, Units};
 use peernet_analysis::summary::Scale;
 
-/// Returns a note on the count of numbers in these columns that are too large to be drawn; `None` if there are none.
+/// Returns a note on how many numbers in these columns are too large to be drawn; `None` if none is too large.
 pub(super) fn too_large_note<'a>(rows: impl Iterator<Item = RowRef<'a>>, columns: &[&str]) -> Option<String> {
     let counted_rows = rows.filter(|row| row.is_counted());
     let numbers = counted_rows.flat_map(|row| columns.iter().filter_map(move |column| row.value(column)));
@@ -49,8 +49,7 @@ pub(super) fn heading(column: &str) -> String {
     chars.next().map_or_else(String::new, |first| first.to_uppercase().chain(chars).collect())
 }
 
-/// Returns the note on the number of values that are shown and the numbers of rows that are left out: `n = 10,000 · left out: 5 warm-up, 3
-/// failed`.
+/// Returns the note that says how many values are shown and how many rows are left out: `n = 10,000 · left out: 5 warm-up, 3 failed`.
 pub(super) fn count_note<'a>(
     rows: &(impl Iterator<Item = RowRef<'a>> + Clone),
     shown_count: usize,

@@ -12,11 +12,13 @@ use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
 use peernet_analysis::total_column::TotalColumn;
 
-/// Width of lines, points; the total's is stronger.
+/// Width of the line of a stage, points.
 const LINE_WIDTH: f64 = 0.9;
+/// Width of the line of the total, points.
 const TOTAL_LINE_WIDTH: f64 = 1.2;
 
-/// Returns a curve for the total and each of the longest stages, or the curve of a column.
+/// Returns the figure with a curve for the total and a curve for each of the longest stages. If a column is given, returns the figure with the
+/// curve of the column.
 pub(super) fn drawings(
     record: &RunRecord,
     rows: &Rows,

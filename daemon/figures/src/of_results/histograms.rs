@@ -33,7 +33,7 @@ pub(super) fn original_histograms(record: &RunRecord, rows: &Rows) -> Vec<Drawin
     drawings.collect()
 }
 
-/// Returns the histogram of `column`, or without a column the histograms of the paper's original program.
+/// Returns the histogram of `column`. If no column is given, returns the histograms of the paper's original program.
 pub(super) fn drawings(run: &Loaded, column: Option<&str>) -> Result<Vec<Drawing>, MissingData> {
     let Some(column) = column else { return Ok(original_histograms(&run.record, &run.rows)) };
     let histogram = histogram(&run.record, &run.rows, column, &heading(column));
@@ -70,7 +70,8 @@ fn negative_delays_note(column: &str, values: &SortedValues) -> Option<String> {
 }
 
 /// Returns a note on the bounds of the true median. The true median lies between the median of the lower clock bounds and the median of the
-/// upper clock bounds. `None` if some counted value of the column has no bounds, or if one clock measured both ends of all delays.
+/// upper clock bounds. `None` if some counted value of the column has no bounds, or if the two medians are equal because one clock measured
+/// both ends of all delays.
 fn clock_bounds_note(rows: &Rows, column: &str) -> Option<String> {
     let (lo, hi) = median_bounds_of(rows, column)?;
     let interval = match Scale::for_column(column, None) {

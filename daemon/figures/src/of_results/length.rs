@@ -1,4 +1,4 @@
-//! Response length against latency.
+//! Figure of latency against response length.
 
 use super::Columns;
 use super::columns::{count_note, heading, is_drawable, too_large_note, unit, with_name};
@@ -22,7 +22,7 @@ pub(super) fn has_tokens(rows: &Rows) -> bool {
     rows.names().iter().any(|name| is_tokens(name) && rows.counted_values(name).next().is_some())
 }
 
-/// Returns the figure of length and latency of each answer.
+/// Returns the figure with a point for each answer: its length and its latency.
 pub(super) fn drawings(
     record: &RunRecord,
     rows: &Rows,
@@ -36,9 +36,9 @@ pub(super) fn drawings(
         .collect::<Vec<&str>>();
     let x =
         columns.x.clone().unwrap_or_else(|| answer_length(columns_with_values.iter().copied()).to_owned());
-    // Whoever names a column has decided on a length.
+    // If the user named a column of lengths, it does not matter that the server reports no numbers of tokens.
     let lacks_usage = columns.x.is_none() && lacks_usage(columns_with_values.iter().copied());
-    // A model on the robot sends no answer over a network.
+    // If the model runs on the robot, no answer is sent over a network, so that the number of bytes is not a length.
     let is_measured = rows.counted_values(&x).any(|value| value > 0.0);
     let usage_x = is_measured.then(|| x.clone());
     let missing = |missing| if lacks_usage { MissingData::Usage { x: usage_x.clone() } } else { missing };
@@ -66,7 +66,7 @@ pub(super) fn drawings(
     let growth = Growth::from_iterations(&points);
     let line = growth.and_then(|growth| growth.line());
     let y_unit = unit(&record.units, &y, &heading(&y));
-    // The sentences are about latencies.
+    // The sentences on the growth say "takes … ms", so they are left out if the vertical axis does not show a latency.
     let growth = growth.ok().filter(|_| y_unit.symbol == MILLISECONDS && line.is_ok());
     let (length_unit, each) = match (tokens_of_column(&x), x.ends_with(BYTES_SUFFIX)) {
         (Some(_), _) => ("token".to_owned(), 1.0),

@@ -1,4 +1,4 @@
-//! Stages that have a curve beside the total.
+//! Choice of the stages that have a curve beside the curve of the total.
 
 use peernet_analysis::rows::Rows;
 use peernet_logger::{Name, stage};
@@ -8,7 +8,7 @@ use super::columns::values;
 /// Maximum number of stages with a curve; more curves would be hard to distinguish.
 const MAX_CURVES: usize = 4;
 
-/// The longest stages of a run, and the others, both in the order of the stages.
+/// The longest stages of a run and its other stages, both in the order of time.
 pub(super) struct LongestStages {
     pub(super) longest: Vec<Name>,
     shorter: Vec<Name>,

@@ -39,10 +39,10 @@ pub enum MissingData {
         /// The columns with this name.
         columns: Vec<String>,
     },
-    /// A language model's server reported no numbers of tokens, and the other measure of the length shows nothing.
+    /// A language model's server reported no numbers of tokens, and the column that is used as length instead shows no differences.
     #[error("the lengths of the answers are not known{}: {NO_USAGE}", .x.as_ref().map_or_else(String::new, |x| format!(" ({x} does not show how they differ)")))]
     Usage {
-        /// The column of the other measure; `None` if nothing was measured there.
+        /// The column that is used as length instead; `None` if nothing was measured in this column.
         x: Option<String>,
     },
     /// The length is the same in every iteration.
@@ -61,7 +61,7 @@ pub enum MissingData {
         /// The column of lengths.
         x: String,
     },
-    /// All runs with the column have the same placement.
+    /// No model has numbers in the column at two placements.
     #[error(
         "it needs the {column} of one model at two placements, such as a local and a remote run of the same model"
     )]

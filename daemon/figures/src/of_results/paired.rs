@@ -12,7 +12,7 @@ use peernet_analysis::model_places::{ModelPlaces, PlacedModel};
 use peernet_analysis::order::SortedValues;
 use peernet_analysis::record::RunRecord;
 
-/// Returns the figure of the models that ran at several placements. There must be such a model.
+/// Returns the figure of the models that ran at several placements. It is an error if there is no such model.
 pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Drawing>, MissingData> {
     let column = column.unwrap_or("inference");
     let runs_with_values: Vec<&Loaded> =
@@ -32,10 +32,10 @@ pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Draw
         values.collect()
     };
     let is_replayed = |run: &usize| is_replayed(&runs_with_values[*run].record);
-    let of_side = |side: usize| models.iter().flat_map(move |(_, places)| &places[side]);
-    // A side is marked if all its latencies are replayed, otherwise the models with replayed latencies.
+    let runs_of_side = |side: usize| models.iter().flat_map(move |(_, places)| &places[side]);
+    // If all latencies of a side are replayed, the name of the side is marked. Otherwise the names of its models with replayed latencies are.
     let replayed_sides: Vec<bool> = (0..sides.len())
-        .map(|side| of_side(side).next().is_some() && of_side(side).all(is_replayed))
+        .map(|side| runs_of_side(side).next().is_some() && runs_of_side(side).all(is_replayed))
         .collect();
     let group = |(name, runs): &(String, Vec<Vec<usize>>)| Group {
         name: marked(

@@ -42,7 +42,7 @@ pub(super) fn note(runs: &[Loaded]) -> Option<String> {
     for (run, name) in runs.iter().zip(readable_names(&axes, labels.iter().map(Vec::as_slice))) {
         let Some(replayed) = ReplayedLatencies::from_run(&run.record.facts, &run.rows) else { continue };
         match configurations.iter_mut().find(|(other, _)| *other == name) {
-            Some((_, of_configuration)) => of_configuration.push(replayed),
+            Some((_, latencies)) => latencies.push(replayed),
             None => configurations.push((name, vec![replayed])),
         }
     }

@@ -61,7 +61,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     Ok(vec![Drawing::new("stacked", AnyFigure::Stacked(stacked)).with_left_out(missing)])
 }
 
-/// Returns the note on counts with the number of iterations of each bar: `n = 88 (44 each)`, `n = 120 (10 to 110 each)`.
+/// Adds the number of iterations of each bar to [`count_note`]: `n = 88 (44 each)`, `n = 120 (10 to 110 each)`.
 fn with_count_per_bar(count_note: &str, counts: &[usize]) -> String {
     let (Some(fewest), Some(most), true) = (counts.iter().min(), counts.iter().max(), counts.len() > 1)
     else {

@@ -56,7 +56,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
             notes: std::iter::once(format!("n = {each} each")).chain(notes.iter().cloned()).collect(),
         };
         let drawing = Drawing::new(format!("totals{suffix}"), AnyFigure::Cumulative(figure));
-        // The text files of all figures have these notes. Only one figure passes them on to the printed list, so that each is printed once.
+        // All figures show the notes on what is missing. Only the first passes them on to the terminal, so that each note is printed once.
         if number == 0 { drawing.with_left_out(missing.clone()) } else { drawing }
     });
     Ok(drawings.collect())

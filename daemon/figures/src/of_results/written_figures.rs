@@ -1,4 +1,4 @@
-//! Figures with the names of their files, and writing them.
+//! Figures with the names of their files, and the function that writes the files.
 
 use std::path::{Path, PathBuf};
 
@@ -13,14 +13,14 @@ use peernet_analysis::WriteError;
 /// Figure with the common beginning of the names of its files.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Drawing {
-    /// Names of the files without their endings.
+    /// Common beginning of the names of the files: the name without the ending.
     pub(super) stem: String,
     pub(super) figure: AnyFigure,
     /// Notes on runs, directions or configurations that are not in the figure.
     pub(super) missing: Vec<String>,
 }
 
-/// Figures that were written.
+/// Result of writing figures.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct WrittenFigures {
     /// The files, four for each figure: PNG, SVG, PDF and its text.
@@ -84,8 +84,8 @@ impl Drawing {
     }
 }
 
-/// Writes figures into a folder. `replayed` is the note on latencies that are not measured; it is part of the text of each figure that shows
-/// such latencies.
+/// Writes figures into a folder. `replayed` is the note on latencies that were not measured. It is added to each figure that shows such
+/// latencies.
 pub(super) fn write(
     drawings: &[Drawing],
     replayed: Option<&str>,

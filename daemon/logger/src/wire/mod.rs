@@ -1,4 +1,5 @@
-//! The wire form of trees and tree deltas: MessagePack, arrays by position, standard names as small numbers.
+//! The wire form of trees and tree deltas. It is MessagePack: fields are identified by their positions in arrays, and standard names are small
+//! numbers.
 //!
 //! | | |
 //! | --- | --- |
@@ -8,7 +9,7 @@
 //! | node | `[parent or nil, name, host, start, kind, …]`, further fields by kind as below |
 //! | 0 container | |
 //! | 1 timer | duration or nil |
-//! | 2 transit | sent, received or nil, delay or nil; where they are known, sent and received by the free-running clocks |
+//! | 2 transit | sent, received or nil, delay or nil; if they are known, also sent and received by the free-running clocks |
 //! | 3 value | number, unit |
 //! | 4 throughput | number or nil, lower and upper bound or nil and nil |
 //! | 5 token rate | number or nil |
@@ -16,8 +17,8 @@
 //! | delay | `[raw, value or nil, lower and upper bound or nil and nil, source, verdict]` |
 //!
 //! Times are integers in nanoseconds. A name is its position among the standard names, or a string. Numbers without a
-//! fraction may be written as integers. A tree of 12 nodes takes about 280 bytes, because the form is written with `rmp`
-//! directly and not through serde.
+//! fraction may be written as integers. A tree of 12 nodes takes about 280 bytes. The form is so short because it is written with
+//! `rmp` directly and not through serde.
 //!
 //! The reader accepts input from untrusted peers: it allocates at most a small multiple of the input's length, enforces
 //! [`crate::limits`], and refuses everything else with the reason.
@@ -65,7 +66,7 @@ pub enum WireError {
     /// Bytes follow the end.
     #[error("{0} bytes follow the end of the input")]
     Trailing(usize),
-    /// The input is well-formed but no valid tree.
+    /// The input is well-formed, but not a valid tree.
     #[error(transparent)]
     Tree(#[from] TreeError),
 }
@@ -117,7 +118,7 @@ pub fn decode_tree_delta(bytes: &[u8]) -> Result<TreeDelta, WireError> {
     let nodes = reader.nodes()?;
     reader.finish()?;
     for (index, node) in nodes.iter().enumerate() {
-        // `Tree::apply_delta` checks everything else, because it knows the tree.
+        // Only the values are checked here. `Tree::apply_delta` checks everything else, because it knows the tree.
         node.measure.check(base as usize + index)?;
     }
     Ok(TreeDelta { base, anchor, others, closed: (transit, received_at), nodes })

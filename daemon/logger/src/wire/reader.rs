@@ -7,12 +7,11 @@ use super::{VERSION, WireError};
 use crate::limits::{MAX_ANCHORS, MAX_NAME_BYTES, MAX_NODES, MAX_TREE_BYTES};
 use crate::{Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Rate, RawStamps, Transit, Unit, stage};
 
-/// Length of the shortest node.
-// The length of the remaining input divided by this length limits the capacity that is reserved for nodes.
-// This is one byte each for the array, its parent, its name, its host, its start and its kind.
+/// Length of the shortest node, bytes. The length of the remaining input divided by this limits the capacity that is reserved for nodes.
+// One byte each for the array and the node's parent, name, host, start and kind.
 const MIN_NODE_BYTES: usize = 6;
-/// Length of the shortest anchor. It limits the capacity that is reserved for anchors.
-// The array, the head and the 16 bytes of the host, and one byte for the time: 1 + 2 + 16 + 1.
+/// Length of the shortest anchor, bytes. The length of the remaining input divided by this limits the capacity that is reserved for anchors.
+// One byte for the array, two for the head of the host's identifier and 16 for the identifier itself, one for the time: 1 + 2 + 16 + 1.
 const MIN_ANCHOR_BYTES: usize = 20;
 
 /// Position in the wire form of a tree or a tree delta.
@@ -33,7 +32,7 @@ impl<'a> Reader<'a> {
         let mut reader = Self { rest: bytes, length: bytes.len() };
         let field_count = reader.array(item)?;
         match reader.uint("a version")? {
-            // The version decides first: another version may have another number of fields.
+            // The version is checked before the number of fields, because another version may have another number of fields.
             VERSION if field_count == fields => Ok(reader),
             VERSION => Err(WireError::Malformed { at: 0, expected: item }),
             other => Err(WireError::Version(other)),
@@ -68,7 +67,7 @@ impl<'a> Reader<'a> {
     pub(super) fn position(&mut self, expected: &'static str) -> ReadResult<u32> {
         let number = self.uint(expected)?;
         match u32::try_from(number) {
-            // The limit itself is valid, because the length of a full tree is read here as well.
+            // The limit itself is valid, because this function also reads the length of a tree, which may be full.
             Ok(position) if position as usize <= MAX_NODES => Ok(position),
             _ => {
                 let found = usize::try_from(number).unwrap_or(usize::MAX);
@@ -113,7 +112,7 @@ impl<'a> Reader<'a> {
     fn text(&mut self, expected: &'static str) -> ReadResult<&'a str> {
         let error = self.malformed(expected);
         let length = decode::read_str_len(&mut self.rest).map_err(|_| error)? as usize;
-        // Refused and not truncated: two names could become the same.
+        // A long text is refused and not truncated: two different names could become the same.
         if length > MAX_NAME_BYTES {
             return Err(WireError::Limit { what: "bytes of a name", found: length, limit: MAX_NAME_BYTES });
         }
@@ -229,7 +228,7 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// Returns both ends if both exist, or `Some(None)` if neither exists; `None` if only one of them exists.
+/// Returns both bounds if both exist, or `Some(None)` if neither exists. The result is `None`, which is an error, if only one of them exists.
 fn paired_bounds<T>(lo: Option<T>, hi: Option<T>) -> Option<Option<(T, T)>> {
     match (lo, hi) {
         (Some(lo), Some(hi)) => Some(Some((lo, hi))),
@@ -238,6 +237,7 @@ fn paired_bounds<T>(lo: Option<T>, hi: Option<T>) -> Option<Option<(T, T)>> {
     }
 }
 
+/// Returns the variant at a position; `None` if there is none, such as for a variant of a later release.
 fn variant<T: Copy>(all: &[T], position: u64) -> Option<T> {
     all.get(usize::try_from(position).ok()?).copied()
 }

@@ -83,7 +83,7 @@ impl<'de> Deserialize<'de> for TreeDelta {
         if deserializer.is_human_readable() {
             let PlainTreeDelta { base, anchor, others, closed, nodes } =
                 PlainTreeDelta::deserialize(deserializer)?;
-            // `Tree::apply_delta` checks the nodes; the wire form has the same limit before that.
+            // `Tree::apply_delta` checks the nodes later. Their number is limited here, as it is in the wire form.
             if nodes.len() > MAX_NODES {
                 return Err(D::Error::custom(TreeError::TooManyNodes(nodes.len())));
             }

@@ -42,7 +42,7 @@ fn optional<T>(out: &mut Vec<u8>, value: Option<T>, write: impl Fn(&mut Vec<u8>,
 /// Writes a number. Whole numbers such as sizes and counts take five bytes instead of nine.
 fn number(out: &mut Vec<u8>, number: f64) {
     let whole = number as i64;
-    // Compared by bits, because -0.0 would lose its sign as an integer.
+    // The bits are compared, because −0.0 equals 0 and would lose its sign as an integer.
     if number.abs() < MAX_EXACT_INTEGER && (whole as f64).to_bits() == number.to_bits() {
         int(out, whole);
     } else {
