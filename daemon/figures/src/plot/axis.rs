@@ -6,10 +6,10 @@ use peernet_statistics::number::{decimals, fixed};
 
 use crate::scale::{Scale, Tick};
 
-/// Approximate maximum number of round marks on an axis that does not set another.
+/// Approximate maximum number of round marks on an axis, unless the axis sets another maximum.
 pub(super) const MARKS: usize = 6;
 
-/// Quantity: its name and the factor from a value in SI units to the number shown.
+/// Unit in which a quantity is shown, with the name of the quantity.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Unit {
     /// Title with the unit: `One-way delay, ms`.
@@ -36,8 +36,8 @@ impl Unit {
         Self { title: symbol.to_owned(), symbol: symbol.to_owned().into(), per_si }
     }
 
-    /// Returns a value in SI units as text: `5.66 ms`. The number has three significant digits. It has more decimals if values that are
-    /// `spread` apart would otherwise differ by less than two digits; 0 for no such values. Bytes are whole.
+    /// Returns a value in SI units as text: `5.66 ms`. The number has three significant digits. It has more decimals if they are needed to show a
+    /// difference of `spread` with two digits; a `spread` of 0 needs none. Numbers of bytes have no decimals.
     pub fn words(&self, value: f64, spread: f64) -> String {
         let spread_decimals = if spread > 0.0 { decimals(spread * self.per_si, 2) } else { 0 };
         let decimals = decimals(value * self.per_si, 3).max(spread_decimals);
@@ -58,7 +58,7 @@ pub enum Marks {
     Round(usize),
     /// Marks at these positions.
     At(Vec<Tick>),
-    /// Marks at categories; their names may have several lines.
+    /// Marks at categories, whose names may have several lines.
     Names(Vec<Tick>),
 }
 
@@ -67,7 +67,7 @@ pub enum Marks {
 pub struct Axis {
     /// Scale, in the unit that is shown.
     pub scale: Scale,
-    /// Name of the quantity with the unit; files write it out.
+    /// Name of the quantity with the unit. Files show this title.
     pub title: String,
     /// Name of the unit. Pages show only the unit, because the title of the panel names the quantity.
     pub unit: Cow<'static, str>,
@@ -112,7 +112,7 @@ impl Axis {
         }
     }
 
-    /// Returns the title on a page: the unit, followed by `logarithmic` if the scale is. It is empty for a linear axis without a unit.
+    /// Returns the title on a page: the unit, followed by `logarithmic` for a logarithmic axis. It is empty for a linear axis without a unit.
     pub fn page_title(&self) -> String {
         let scale = if self.scale.is_logarithmic() { "logarithmic" } else { "" };
         [&*self.unit, scale].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(", ")

@@ -7,7 +7,7 @@ use super::path::Path;
 
 /// Number of pieces of a drawn function, which is a curve on logarithmic axes.
 const CURVE_PIECES: u32 = 64;
-/// Number of bisections to find where a curve leaves the plot: to a millionth of the length of a piece.
+/// Number of bisections that find the place at which a curve leaves the plot, to a millionth of the length of a piece.
 const BISECTIONS: u32 = 20;
 
 /// Strip along one side of a plot, such as the distribution of one of the plot's quantities. Positions are shares of the strip.
@@ -15,7 +15,7 @@ const BISECTIONS: u32 = 20;
 pub struct Strip {
     /// Items of the strip.
     pub items: Vec<Item>,
-    /// Height in a file, points; the width of a strip at the right.
+    /// Height of the strip in a file, points. For a strip at the right of the plot, its width.
     pub size: f64,
 }
 
@@ -35,7 +35,7 @@ pub struct Plot {
     pub x: Axis,
     /// Vertical axis.
     pub y: Axis,
-    /// Items of the plot, the lowest first.
+    /// Items of the plot. Each item is drawn over the items before it.
     pub items: Vec<Item>,
     /// Strip above the plot. It shares the horizontal axis.
     pub top_strip: Option<Strip>,
@@ -52,7 +52,8 @@ pub struct Plot {
 }
 
 impl Plot {
-    /// Returns a function of the values of the horizontal axis between two of its values as a path. It ends where it leaves the plot.
+    /// Returns the graph of a function as a path. The function maps values of the horizontal axis, between `from` and `to`, to values of the
+    /// vertical axis. The path is interrupted where it leaves the plot.
     pub fn curve(&self, (from, to): (f64, f64), function: impl Fn(f64) -> f64) -> Path {
         let is_inside = |x: f64| self.y.scale.has(function(x));
         // Returns the value between `inside` and `outside` at which the function leaves the plot.
@@ -108,9 +109,9 @@ impl Plot {
 /// Table below the plots. It explains the numbers in the plots.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Table {
-    /// Titles of the columns after the names. The column of names has no title.
+    /// Titles of the columns, without the column of names, which has no title.
     pub titles: Vec<String>,
-    /// Name and cells of each line.
+    /// Lines of the table: the name and the cells of each.
     pub lines: Vec<(String, Vec<String>)>,
 }
 

@@ -25,7 +25,7 @@ impl At {
         Self { x, y, dx: 0.0, dy: 0.0 }
     }
 
-    /// Returns the place `dx` points to the right of this place and `dy` points below it, whatever the size of the plot.
+    /// Returns the place that is `dx` points to the right of this place and `dy` points below it, whatever the size of the plot.
     #[must_use]
     pub fn offset_by(self, dx: f64, dy: f64) -> Self {
         Self { dx: self.dx + dx, dy: self.dy + dy, ..self }
@@ -67,9 +67,9 @@ pub struct Label {
     pub words: String,
     /// Look.
     pub style: TextStyle,
-    /// Minimum width of a picture in which a page shows the text, rem. A text with 0 is always shown, a text with `None` never.
+    /// Minimum width of a picture in which a page shows the text, rem. If it is 0, the text is always shown; if it is `None`, never.
     pub min_width: Option<u16>,
-    /// Words before the text and the minimum width of a picture in which a page shows both. Files do not show these words.
+    /// Words before the text, and the minimum width of a picture in which a page shows the words and the text. Files do not show the words.
     pub lead: Option<(String, Option<u16>)>,
 }
 
@@ -95,14 +95,14 @@ impl Label {
         Self { shift: (right, down), ..self }
     }
 
-    /// Returns the same text with words before it, where there is room for both.
+    /// Returns the same text with words before it, which are shown only if there is room for both.
     #[must_use]
     pub fn led_by(self, words: String) -> Self {
         Self { lead: Some((words, Some(0))), ..self }
     }
 
-    /// Returns the same text with a limit of its width: pages show the text only if it takes at most this share of the picture's width. If
-    /// the method is called several times, the smallest share applies.
+    /// Returns the same text with a limit of its width: pages show the text only if it takes at most the share `share` of the picture's width.
+    /// If the method is called several times, the smallest share applies.
     #[must_use]
     pub fn fits_within(self, share: f64) -> Self {
         let raise = |min_width: Option<u16>, words: &str| {
@@ -115,7 +115,7 @@ impl Label {
         Self { min_width: raise(self.min_width, &self.words), lead, ..self }
     }
 
-    /// Returns the left end, top, right end and bottom of the text for a type size in points, as distances from its place.
+    /// Returns the left end, top, right end and bottom of the text, as distances from its place in points. `size` is the type size in points.
     pub fn extent(&self, size: f64) -> [f64; 4] {
         let wide = text::width(&self.words, size);
         let left = match self.anchor {
@@ -137,7 +137,7 @@ pub enum Item {
         from: At,
         /// Opposite corner.
         to: At,
-        /// Minimum width and height in a file.
+        /// Minimum width and height in a file, points.
         least: (f64, f64),
         /// Look.
         style: Style,
@@ -164,7 +164,7 @@ pub enum Item {
         at: At,
         /// Shape of the mark.
         mark: Mark,
-        /// Points.
+        /// Radius of the mark, points.
         radius: f64,
         /// Look.
         style: Style,
@@ -200,8 +200,8 @@ impl Item {
         scale.ticks(MARKS).into_iter().map(|tick| line(tick.at)).collect()
     }
 
-    /// Returns an upright whisker between two places. `has_cap` says which of the two ends have a cap, which extends `cap` points to each
-    /// side. An end where the whisker leaves the plot should have none.
+    /// Returns an upright whisker between two places. `has_cap` says which of the two ends have a cap. A cap extends `cap` points to each side.
+    /// An end at which the whisker leaves the plot should have no cap.
     pub fn whisker([from, to]: [At; 2], has_cap: [bool; 2], cap: f64, style: &Style) -> Vec<Self> {
         let mut items = vec![Self::line(from, to, style.clone())];
         for (end, _) in [from, to].into_iter().zip(has_cap).filter(|(_, has_cap)| *has_cap) {

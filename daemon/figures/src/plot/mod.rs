@@ -6,8 +6,8 @@
 //! ```
 //!
 //! A kind of figure is one function that makes [`Plot`]s. It chooses the scales and uses them to place [`Item`]s. Positions are
-//! shares from the left and from the top, not pixels or points ([`Plot::at`] computes them from values). Lengths that stay the
-//! same when the plot grows (marks, caps, distances of text) are given in points or as multiples of the type size.
+//! not pixels or points, but shares of the plot from the left and from the top ([`Plot::at`] computes them from values). Lengths
+//! that stay the same when the plot grows (marks, caps, distances of text) are given in points or as multiples of the type size.
 //! The look of an item is a [`Style`](crate::look::Style), which has a class for pages and literal attributes for files.
 //!
 //! ```
@@ -34,7 +34,7 @@
 //! - [`page::picture`](crate::sheet::page::picture) draws items without axes: bars, sparklines, tracks.
 //! - [`page::axis`](crate::sheet::page::axis) draws the row of labels above bars.
 //!
-//! [`Label::fits_within`] hides a text where it would not fit; its width is measured in the embedded font.
+//! [`Label::fits_within`] hides a text if there is not enough room for it. The width of the text is measured in the embedded font.
 //! [`Scale::at_or_outside`](crate::scale::Scale::at_or_outside) places a line that may leave its plot.
 
 mod axis;

@@ -1,14 +1,14 @@
 //! Times of day along an axis.
 
-/// Distances between two marks, seconds.
+/// Possible distances between two marks, seconds.
 const STEPS: [i64; 9] = [60, 120, 300, 600, 1_800, 3_600, 7_200, 14_400, 86_400];
-/// Maximum number of steps on an axis. Only an axis longer than this number of days has more steps.
+/// Maximum number of steps on an axis. Only an axis that is longer than this number of days has more steps.
 const MAX_STEPS: i64 = 12;
 /// Minimum distance of a mark from an end, as a share of the axis. The label of a nearer mark would extend beyond the axis.
 const MIN_END_DISTANCE: f64 = 0.015;
 
-/// Returns round times of day after `from` and their positions from 0 to 1, on an axis of this length in seconds. Times are seconds of Unix
-/// time. `utc_offset` is the number of seconds by which local time is ahead of UTC.
+/// Returns round times of day, and their positions from 0 to 1, on an axis that begins at `from` and is `length` seconds long. Times are seconds
+/// of Unix time. `utc_offset` is the number of seconds by which local time is ahead of UTC.
 pub fn times_of_day(from: f64, length: f64, utc_offset: i64) -> Vec<(i64, f64)> {
     let fits = |step: &i64| length / *step as f64 <= MAX_STEPS as f64;
     let step = STEPS.into_iter().find(fits).unwrap_or(STEPS[STEPS.len() - 1]);

@@ -12,14 +12,15 @@ pub use step::round_step;
 
 use peernet_statistics::number::{fixed, significant};
 
-/// Largest magnitude of an end of a scale, and the smallest magnitude that is not taken as zero.
+/// Largest magnitude of an end of a scale.
 const MAX_MAGNITUDE: f64 = 1e150;
+/// An end of a scale with a smaller magnitude is taken as zero.
 const MIN_MAGNITUDE: f64 = 1e-150;
 /// Margin beyond the values of a scale from zero, as a share of their range.
 const MARGIN: f64 = 0.04;
 /// A scale of [decades](Scale::decades) needs a ratio of the largest to the smallest value of more than this.
 const DECADE: f64 = 10.0;
-/// Maximum distance of a value beyond an end from that end in [`Scale::at_or_outside`], as a share of the length.
+/// Maximum distance at which [`Scale::at_or_outside`] places a value beyond an end, as a share of the scale's length.
 const MAX_OUTSIDE: f64 = 0.05;
 
 /// Distribution of the values along a scale.
@@ -35,9 +36,9 @@ pub struct Scale {
     lo: f64,
     hi: f64,
     spread: Spread,
-    /// Smallest distance between two ticks.
+    /// Smallest distance between two ticks, in the unit of the values.
     min_tick_distance: f64,
-    /// Distance between two ticks of a scale that was widened to ticks.
+    /// Distance between two ticks if the scale was [widened](Self::widened); else `None`.
     step: Option<f64>,
     /// True if labels above zero have a plus sign.
     signed: bool,
@@ -62,7 +63,8 @@ impl Scale {
         Self { lo, hi, spread: Spread::Linear, min_tick_distance: 0.0, step: None, signed: false }
     }
 
-    /// Returns a linear scale from zero, or from the smallest value if that is negative, with a small margin beyond the values.
+    /// Returns a linear scale from zero to the largest value, with a small margin beyond it. If the smallest value is negative, the scale begins a
+    /// little below this value.
     pub fn from_zero(values: (f64, f64)) -> Self {
         let (lo, hi) = clamp_to_finite_range(values);
         let (lo, hi) = (lo.min(0.0), hi.max(0.0));
@@ -147,7 +149,7 @@ impl Scale {
         (self.lo..=self.hi).contains(&value)
     }
 
-    /// Returns the value at a share of the distance between two values on the drawn axis.
+    /// Returns the value between `from` and `to` that is drawn at this share of the distance from `from` to `to`.
     pub fn between(&self, from: f64, to: f64, share: f64) -> f64 {
         if self.is_logarithmic() && from > 0.0 {
             from * (to / from).powf(share)
@@ -200,13 +202,13 @@ impl Scale {
         let candidates = [ticks_at(&[1.0]), ticks_at(&[1.0, 2.0, 5.0])];
         let ticks = candidates.into_iter().find(|ticks| ticks.len() >= 3);
         let ticks = ticks.unwrap_or_else(|| self.evenly_spaced_ticks(max_ticks));
-        // With many powers of ten, only every second, third, … power has a tick.
+        // If there are many powers of ten, only every second, third, … power has a tick.
         let step = ticks.len().div_ceil(2 * max_ticks.max(1)).max(1);
         ticks.into_iter().step_by(step).collect()
     }
 }
 
-/// Returns a range of numbers whose differences and ratios are finite, so that loops along it terminate.
+/// Limits a range to numbers whose differences and ratios are finite, so that loops along the range terminate.
 fn clamp_to_finite_range((lo, hi): (f64, f64)) -> (f64, f64) {
     let clamp = |value: f64| {
         if value.abs() >= MIN_MAGNITUDE { value.clamp(-MAX_MAGNITUDE, MAX_MAGNITUDE) } else { 0.0 }

@@ -1,4 +1,4 @@
-//! The 1-2-5 rule of ticks.
+//! The 1-2-5 rule for the distance between ticks.
 
 /// Returns the smallest step of the form 1, 2 or 5 times a power of ten such that `range` contains at most `max_steps` steps. Returns 1 if
 /// `range` is not a positive finite number.
@@ -9,6 +9,6 @@ pub fn round_step(range: f64, max_steps: usize) -> f64 {
     let min_step = range / max_steps.max(1) as f64;
     let power = 10_f64.powf(min_step.log10().floor());
     let steps = [1.0, 2.0, 5.0].map(|factor| factor * power);
-    // The tolerance keeps a step that fits exactly although the division rounds.
+    // The tolerance is needed if a step fits exactly, because the division rounds.
     steps.into_iter().find(|step| *step >= min_step * (1.0 - 1e-9)).unwrap_or(10.0 * power)
 }

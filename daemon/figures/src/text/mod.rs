@@ -1,4 +1,4 @@
-//! Text: its width in the embedded Inter, and shortening it to fit.
+//! Text: its width in the embedded font Inter, and how it is shortened to fit.
 
 mod fit;
 mod font;

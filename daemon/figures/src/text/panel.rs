@@ -1,4 +1,4 @@
-//! Minimum widths of a picture for the text in it, for pictures that grow with their panel on a page.
+//! Minimum widths of pictures at which their text fits, for pictures that grow with their panel on a page.
 //!
 //! The server does not know the width of a page. Each text therefore has the class of a minimum width, and the style sheet hides the text in
 //! narrower pictures, because a clipped number would be a wrong number.
@@ -20,7 +20,7 @@ pub fn rem(words: &str) -> f64 {
     width(words, SIZE) * WEIGHT_FACTOR + SPACE
 }
 
-/// Returns the smallest of [`WIDTH_STEPS`] that is at least `width_rem`; `None` if all are smaller.
+/// Returns the smallest of [`WIDTH_STEPS`] that is at least `width_rem`; `None` if all steps are smaller.
 pub fn width_step(width_rem: f64) -> Option<u16> {
     WIDTH_STEPS.into_iter().find(|step| f64::from(*step) >= width_rem)
 }

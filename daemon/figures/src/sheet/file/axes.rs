@@ -9,13 +9,13 @@ use crate::svg::Writer;
 use crate::text::{shorten, shorten_distinctly, width};
 
 /// Length of a mark below the horizontal axis, points.
-const MARK: f64 = 1.8;
+const MARK_LENGTH: f64 = 1.8;
 /// Distance from the horizontal axis to the baseline of its labels, points.
-const LABEL: f64 = 9.5;
+const LABEL_DISTANCE: f64 = 9.5;
 /// Distance from the middle of capital letters to their baseline, as a share of the type size.
 const MIDDLE: f64 = 0.36;
 /// Distance from the plot to the baseline of the title above it, points.
-const TITLE: f64 = 5.5;
+const TITLE_DISTANCE: f64 = 5.5;
 
 /// Draws the lines that go through the plot.
 pub(super) fn draw_grid(svg: &mut Writer, plot: &Plot, area: &Area) {
@@ -34,7 +34,7 @@ pub(super) fn draw(svg: &mut Writer, plot: &Plot, area: &Area) {
     draw_y_labels(svg, plot, area);
     draw_x_axis(svg, plot, area);
     let strip_height = plot.top_strip.as_ref().map_or(0.0, |strip| area.top - area.top_strip(strip.size).top);
-    let baseline = area.top - strip_height - plot.lines_above as f64 * (SMALL + 1.5) - TITLE;
+    let baseline = area.top - strip_height - plot.lines_above as f64 * (SMALL + 1.5) - TITLE_DISTANCE;
     let remark = plot.remark.as_deref().unwrap_or_default();
     let right = area.right() + plot.right_strip.as_ref().map_or(0.0, |strip| strip.size + super::STRIP_GAP);
     if !remark.is_empty() {
@@ -45,7 +45,7 @@ pub(super) fn draw(svg: &mut Writer, plot: &Plot, area: &Area) {
     text(svg, &title, (EDGE, baseline), (TEXT, INK_2.light, Anchor::Start));
 }
 
-/// Returns the full title of the vertical axis. If that is too wide, the note on a logarithmic scale is shortened.
+/// Returns the full title of the vertical axis. If the full title is too wide, its note on a logarithmic scale is shortened.
 fn y_title(axis: &Axis, room: f64) -> String {
     let full = axis.full_title();
     if width(&full, TEXT) > room && axis.scale.is_logarithmic() {
@@ -83,7 +83,7 @@ fn draw_x_axis(svg: &mut Writer, plot: &Plot, area: &Area) {
     line(svg, [(area.left, bottom), (area.right(), bottom)], &Style::rail());
     for tick in ticks.iter().filter(|_| !has_names) {
         let x = area.left + area.width * tick.at;
-        line(svg, [(x, bottom), (x, bottom + MARK)], &Style::rail());
+        line(svg, [(x, bottom), (x, bottom + MARK_LENGTH)], &Style::rail());
     }
     let mut end_of_labels = 0.0;
     for tick in ticks.iter().filter(|tick| !tick.text.is_empty()) {
@@ -96,13 +96,13 @@ fn draw_x_axis(svg: &mut Writer, plot: &Plot, area: &Area) {
         end_of_labels = x + half_width + GAP;
         for (index, words) in tick.text.lines().enumerate() {
             let colour = if has_names { INK.light } else { INK_2.light };
-            let baseline = bottom + LABEL + LINE * index as f64;
+            let baseline = bottom + LABEL_DISTANCE + LINE * index as f64;
             text(svg, words, (x, baseline), (TEXT, colour, Anchor::Middle));
         }
     }
     if !plot.x.title.is_empty() {
         let label_lines = if ticks.is_empty() { 0 } else { x_label_lines(plot) };
-        let baseline = bottom + LABEL + LINE * label_lines as f64;
+        let baseline = bottom + LABEL_DISTANCE + LINE * label_lines as f64;
         let middle = area.left + area.width / 2.0;
         text(svg, &plot.x.full_title(), (middle, baseline), (TEXT, INK_2.light, Anchor::Middle));
     }

@@ -7,11 +7,11 @@ use crate::plot::{Anchor, At, Item, Label, Path, Step};
 use crate::svg::{Attributes, Tag, Writer, append_number};
 
 /// Width of the lines of a hatch, points.
-const HATCH: f64 = 0.45;
+const HATCH_LINE_WIDTH: f64 = 0.45;
 /// Width of the rim around text, points.
 const RIM: f64 = 1.6;
 
-/// Draws items, each over those before it.
+/// Draws items. Each item is drawn over the items before it.
 pub(super) fn items(svg: &mut Writer, items: &[Item], area: &Area) {
     for item in items {
         match item {
@@ -30,8 +30,8 @@ pub(super) fn items(svg: &mut Writer, items: &[Item], area: &Area) {
     }
 }
 
-/// Returns the left upper and the right lower corner of a rectangle. A rectangle below this minimum width and height is extended to the right
-/// and upwards.
+/// Returns the left upper and the right lower corner of a rectangle. If the rectangle is narrower or lower than the minimum, it is extended to
+/// the right or upwards.
 fn with_min_size([a, b]: [(f64, f64); 2], (min_width, min_height): (f64, f64)) -> [(f64, f64); 2] {
     let (left, right) = (a.0.min(b.0), a.0.max(b.0));
     let (top, bottom) = (a.1.min(b.1), a.1.max(b.1));
@@ -48,7 +48,7 @@ pub(super) fn rect(svg: &mut Writer, corners: [(f64, f64); 2], style: &Style) {
         if !strokes.is_empty() {
             let path_data: String = strokes.into_iter().map(|line| line_data(&line)).collect();
             let hatch_lines = svg.element(Tag::Path).set("d", path_data).set("fill", "none");
-            hatch_lines.set("stroke", colour).set("stroke-width", HATCH).leaf();
+            hatch_lines.set("stroke", colour).set("stroke-width", HATCH_LINE_WIDTH).leaf();
         }
     }
 }

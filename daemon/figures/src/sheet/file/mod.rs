@@ -27,7 +27,7 @@ pub const TEXT: f64 = 7.5;
 /// Size of all other text, points. No text is smaller.
 pub const SMALL: f64 = 7.0;
 
-/// Distance from the edge of the paper, points.
+/// Distance of texts and axes from the edge of the sheet, points.
 const EDGE: f64 = 5.0;
 /// Distance between an axis and its labels, points.
 const GAP: f64 = 2.7;
@@ -46,7 +46,7 @@ pub fn svg(figure: &Figure) -> String {
     let root = svg.element(Tag::Svg).set("xmlns", "http://www.w3.org/2000/svg");
     let root = root.set("width", inches(width)).set("height", inches(height));
     let root = root.set("viewBox", format!("0 0 {width} {height}"));
-    // A program without the font uses one of the substitutes. They are at most as wide as the font of the layout.
+    // A program that does not have the font uses one of the substitutes, whose letters are at most as wide.
     root.set("font-family", format!("{FAMILY}, Helvetica, Arial, sans-serif")).open();
     svg.element(Tag::Rect).set("width", width).set("height", height).set("fill", WHITE).leaf();
     header::draw(&mut svg, figure);

@@ -6,8 +6,8 @@ use crate::scale::Tick;
 use crate::text::width;
 
 /// Room above a plot for the title of its vertical axis, points.
-const TITLE: f64 = 13.5;
-/// Room below a plot without labels, points.
+const TITLE_HEIGHT: f64 = 13.5;
+/// Room below a plot in addition to the room for labels and title, points.
 const BELOW: f64 = 3.0;
 /// Distance between two plots, points.
 const PLOT_DISTANCE: f64 = 5.0;
@@ -15,8 +15,8 @@ const PLOT_DISTANCE: f64 = 5.0;
 const MIN_MARK_DISTANCE: f64 = 12.0;
 /// Maximum width of names at a vertical axis, points.
 pub const MAX_NAME_WIDTH: f64 = WIDTH * 0.47;
-/// Names at a vertical axis have small type if their distance is less than this, points.
-const CLOSE: f64 = 12.0;
+/// Names at a vertical axis have small type if they are closer together than this, points.
+const MIN_NAME_DISTANCE: f64 = 12.0;
 /// Minimum height of a plot, points.
 const MIN_HEIGHT: f64 = 30.0;
 
@@ -64,7 +64,7 @@ pub(super) struct Places {
     pub(super) plots: Vec<Area>,
 }
 
-/// Returns the areas of the plots of a figure. Kinds of figures that search for free places need them before they add items.
+/// Returns the areas of the plots of a figure. A kind of figure that searches for free places needs the areas before it adds items.
 pub fn areas(figure: &Figure) -> Vec<Area> {
     Places::of(figure).plots
 }
@@ -117,12 +117,12 @@ fn height_with_surroundings(plot: &Plot) -> f64 {
 
 /// Returns the height of the title, the strip and the lines of text above a plot.
 fn height_above(plot: &Plot) -> f64 {
-    let title = if plot.y.title.is_empty() && plot.remark.is_none() { 0.0 } else { TITLE };
+    let title = if plot.y.title.is_empty() && plot.remark.is_none() { 0.0 } else { TITLE_HEIGHT };
     let strip = plot.top_strip.as_ref().map_or(0.0, |strip| strip.size + STRIP_GAP);
     title + strip + plot.lines_above as f64 * (SMALL + 1.5)
 }
 
-/// Returns the height of labels and title of the horizontal axis.
+/// Returns the height of the labels and the title of the horizontal axis, below a plot.
 fn height_below(plot: &Plot) -> f64 {
     let label_height = if has_x_labels(plot) { LINE } else { 0.0 };
     let title_height = if plot.x.title.is_empty() { 0.0 } else { LINE };
@@ -153,7 +153,7 @@ pub(super) fn y_ticks(plot: &Plot, height: f64) -> Vec<Tick> {
 /// Returns the type size of the labels of the vertical axis.
 pub(super) fn y_label_size(plot: &Plot) -> f64 {
     let Marks::Names(ticks) = &plot.y.marks else { return TEXT };
-    let is_close = matches!(plot.height, Height::Points(height) if height < ticks.len() as f64 * CLOSE);
+    let is_close = matches!(plot.height, Height::Points(height) if height < ticks.len() as f64 * MIN_NAME_DISTANCE);
     let is_long = ticks.iter().any(|tick| width(&tick.text, TEXT) > MAX_NAME_WIDTH);
     if is_close || is_long { SMALL } else { TEXT }
 }

@@ -10,7 +10,7 @@ use crate::text::{shorten_distinctly, width};
 /// Distance between two lines, points.
 const LINE: f64 = 9.0;
 /// Width of the column of numbers, points.
-const NUMBER: f64 = 11.0;
+const NUMBER_WIDTH: f64 = 11.0;
 /// Distance between two columns, points.
 const GAP: f64 = 6.5;
 
@@ -36,15 +36,15 @@ pub(super) fn draw(svg: &mut Writer, table: &Table, top: f64) {
     }
     let end_of_names = ends.first().map_or(WIDTH - EDGE, |end| end - column_width(0) - GAP);
     let names: Vec<&str> = table.lines.iter().map(|(name, _)| name.as_str()).collect();
-    let names = shorten_distinctly(&names, SMALL, end_of_names - EDGE - NUMBER);
+    let names = shorten_distinctly(&names, SMALL, end_of_names - EDGE - NUMBER_WIDTH);
     let baseline = |line: usize| top + LINE * (line as f64 + 0.75);
     for (title, end) in table.titles.iter().zip(&ends) {
         text(svg, title, (*end, baseline(0)), (SMALL, INK_2.light, Anchor::End));
     }
     for (number, (name, (_, cells))) in (1..).zip(names.iter().zip(&table.lines)) {
         let baseline = baseline(number);
-        text(svg, &number.to_string(), (EDGE + NUMBER - 3.5, baseline), (SMALL, INK.light, Anchor::End));
-        text(svg, name, (EDGE + NUMBER, baseline), (SMALL, INK.light, Anchor::Start));
+        text(svg, &number.to_string(), (EDGE + NUMBER_WIDTH - 3.5, baseline), (SMALL, INK.light, Anchor::End));
+        text(svg, name, (EDGE + NUMBER_WIDTH, baseline), (SMALL, INK.light, Anchor::Start));
         for (cell, end) in cells.iter().zip(&ends) {
             text(svg, cell, (*end, baseline), (SMALL, INK.light, Anchor::End));
         }
