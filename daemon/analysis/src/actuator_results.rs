@@ -7,8 +7,9 @@ use serde::{Deserialize, Serialize};
 use crate::accuracy::Accuracy;
 use crate::rows::RowRef;
 
-/// Name of the node, and of the column, that marks a superseded answer with the value 1. The actuator did not act on this answer, because
-/// it had acted on the answer to a newer sample, or because the episode had ended. Iterations with other answers have no such node.
+/// Name of the node, and of the column, that marks a superseded answer with the value 1. The actuator did not act on
+/// this answer, because it had acted on the answer to a newer sample, or because the episode had ended. Iterations with
+/// other answers have no such node.
 pub const SUPERSEDED: &str = "superseded";
 /// Name of the node, and of the column, with the value 1 if the episode that ended with an iteration was a success, else 0.
 pub const EPISODE_SUCCESS: &str = "episode-success";
@@ -18,8 +19,8 @@ pub const EPISODE_RETURN: &str = "episode-return";
 /// answer, or is one of the first steps of its episode, which are warm-up. Episodes that begin in the warm-up at the start of the run have no
 /// such values.
 pub const EPISODE_VALUES: [&str; 2] = [EPISODE_SUCCESS, EPISODE_RETURN];
-/// Names of the reports of the actuator after each action. Their means over all actions say little; the nodes in [`EPISODE_VALUES`] have the
-/// results of whole episodes.
+/// Names of the reports of the actuator after each action. Their means over all actions say little; the nodes in
+/// [`EPISODE_VALUES`] have the results of whole episodes.
 pub const ACTION_REPORTS: [&str; 2] = ["success", "episode-ended"];
 
 /// Text that joins two numbers of episodes: "12 and 13".
@@ -83,13 +84,13 @@ impl ActuatorResults {
         Self { superseded, ..results }
     }
 
-    /// Returns the results from statistics. `statistics_of` returns count, mean and sample standard deviation of the values of the node with a
-    /// name; `None` without values. Counts and means are exact in roll-ups.
+    /// Returns the results from statistics. `statistics_of` returns count, mean and sample standard deviation of the
+    /// values of the node with a name; `None` without values. Counts and means are exact in roll-ups.
     pub fn from_statistics(statistics_of: impl Fn(&str) -> Option<(u64, f64, Option<f64>)>) -> Self {
         let superseded =
             statistics_of(SUPERSEDED).map_or(0.0, |(count, mean, _)| (mean * count as f64).round());
-        let success =
-            statistics_of(EPISODE_SUCCESS).and_then(|(count, mean, _)| Accuracy::from_mean(mean, count, count));
+        let success = statistics_of(EPISODE_SUCCESS)
+            .and_then(|(count, mean, _)| Accuracy::from_mean(mean, count, count));
         let success = success.map(|Accuracy { share, interval, count, .. }| SuccessRate {
             rate: share,
             interval,
@@ -97,15 +98,16 @@ impl ActuatorResults {
         });
         let episode_return = statistics_of(EPISODE_RETURN);
         Self {
-            // The cast saturates: a negative value or NaN becomes 0, and a value above the largest count becomes the largest count.
+            // The cast saturates: a negative value or NaN becomes 0, and a value above the largest count becomes the
+            // largest count.
             superseded: superseded as u64,
             success,
             episode_return: episode_return.map(|(episodes, mean, std)| EpisodeReturn { mean, std, episodes }),
         }
     }
 
-    /// Returns the number of episodes with a result, as text. If more episodes have a success than a return, or fewer, the text has both
-    /// numbers. `None` without episodes.
+    /// Returns the number of episodes with a result, as text. If more episodes have a success than a return, or fewer,
+    /// the text has both numbers. `None` without episodes.
     pub fn episodes(&self) -> Option<String> {
         let counts =
             [self.success.map(|found| found.episodes), self.episode_return.map(|found| found.episodes)];
@@ -133,8 +135,8 @@ impl ActuatorResults {
     }
 }
 
-/// Returns the number of decimals with which returns are written: as many as give the sample standard deviation three significant digits, or
-/// the mean if there is no deviation.
+/// Returns the number of decimals with which returns are written: as many as give the sample standard deviation three
+/// significant digits, or the mean if there is no deviation.
 pub(crate) fn return_decimals(mean: f64, std: Option<f64>) -> usize {
     decimals(std.unwrap_or(mean), 3)
 }

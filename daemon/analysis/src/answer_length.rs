@@ -16,12 +16,13 @@ pub const NO_USAGE: &str = "the server sent no `usage`; use --x output-chunks";
 const TOKENS_SUFFIX: &str = "tokens";
 /// Words in the names of quantities that count the question and not the answer.
 const QUESTION_WORDS: [&str; 2] = ["prompt", "input"];
-/// Minimum ratio of the longest to the shortest answer. Below this ratio the lengths differ too little to explain the latency.
+/// Minimum ratio of the longest to the shortest answer. Below this ratio the lengths differ too little to explain the
+/// latency.
 const MIN_LENGTH_RATIO: f64 = 1.5;
 
-/// Returns the name of the quantity that is the length of an answer. Quantities that count tokens of the answer are preferred to quantities
-/// that count tokens of the question. Among equals, the first in alphabetical order is returned. If no quantity counts tokens,
-/// `download-bytes` is returned.
+/// Returns the name of the quantity that is the length of an answer. Quantities that count tokens of the answer are
+/// preferred to quantities that count tokens of the question. Among equals, the first in alphabetical order is
+/// returned. If no quantity counts tokens, `download-bytes` is returned.
 pub fn answer_length<'a>(names: impl Iterator<Item = &'a str>) -> &'a str {
     names
         .filter(|name| is_tokens(name))
@@ -38,8 +39,8 @@ pub fn answer_tokens<'a>(names: impl Iterator<Item = &'a str>) -> Option<&'a str
     Some(answer_length(names)).filter(|name| is_tokens(name) && !counts_question(name))
 }
 
-/// Returns whether these quantities are those of a language model whose server reports no numbers of tokens: chunks of answers are counted,
-/// and tokens of answers are not. In this case, users are shown [`NO_USAGE`].
+/// Returns whether these quantities are those of a language model whose server reports no numbers of tokens: chunks of
+/// answers are counted, and tokens of answers are not. In this case, users are shown [`NO_USAGE`].
 pub fn lacks_usage<'a>(names: impl Iterator<Item = &'a str> + Clone) -> bool {
     let counts_chunks = |name: &str| name.rsplit('_').next() == Some(ANSWER_CHUNKS);
     names.clone().any(counts_chunks) && answer_tokens(names).is_none()
@@ -50,8 +51,8 @@ pub fn is_tokens(name: &str) -> bool {
     name.ends_with(TOKENS_SUFFIX)
 }
 
-/// Returns the name of a column that counts tokens, with the name of the stage removed: `output-tokens` for `inference_output-tokens`.
-/// `None` for columns that do not count tokens.
+/// Returns the name of a column that counts tokens, with the name of the stage removed: `output-tokens` for
+/// `inference_output-tokens`. `None` for columns that do not count tokens.
 pub fn tokens_of_column(column: &str) -> Option<&str> {
     is_tokens(column).then(|| column.rsplit_once('_').map_or(column, |(_, name)| name))
 }
@@ -63,7 +64,8 @@ pub fn varies(shortest: f64, longest: f64) -> bool {
 
 /// Minimum number of iterations for a line of latency over length.
 const MIN_ITERATIONS: usize = 60;
-/// Maximum number of iterations that a line is computed from. They form half a million pairs, and each pair has a slope.
+/// Maximum number of iterations that a line is computed from. They form half a million pairs, and each pair has a
+/// slope.
 const MAX_ITERATIONS: usize = 1_000;
 /// If the interval of a slope is wider than this share of the slope, the slope is not reported as one number.
 const MAX_RELATIVE_WIDTH: f64 = 0.5;
@@ -120,11 +122,12 @@ impl Growth {
         self.interval.1 - self.interval.0 > MAX_RELATIVE_WIDTH * self.fit.slope.value.abs()
     }
 
-    /// Describes the slope and its interval in a sentence. `unit` names the unit of length in the sentence, such as "kB", and `unit_length`
-    /// is the length of this unit in the unit of the measured lengths, such as 1,000 bytes.
+    /// Describes the slope and its interval in a sentence. `unit` names the unit of length in the sentence, such as
+    /// "kB", and `unit_length` is the length of this unit in the unit of the measured lengths, such as 1,000 bytes.
     pub fn describe_slope(&self, unit: &str, unit_length: f64) -> String {
         let Self { fit, interval } = self;
-        let (value, lo, hi) = (fit.slope.value * unit_length, interval.0 * unit_length, interval.1 * unit_length);
+        let (value, lo, hi) =
+            (fit.slope.value * unit_length, interval.0 * unit_length, interval.1 * unit_length);
         let (magnitude, near, far) = (value.abs(), lo.abs().min(hi.abs()), lo.abs().max(hi.abs()));
         let more = if value > 0.0 { "more" } else { "less" };
         let statement = if self.is_significant() {

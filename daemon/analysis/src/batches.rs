@@ -1,8 +1,8 @@
 //! Batches of consecutive values.
 //!
-//! Consecutive latencies are correlated: a queue empties slowly, a processor stays warm. Single values are therefore not independent, but the
-//! means of batches nearly are, if a batch lasts longer than the correlation (non-overlapping batch means, Schmeiser, *Batch size effects in
-//! the analysis of simulation output*, Operations Research 30, 1982).
+//! Consecutive latencies are correlated: a queue empties slowly, a processor stays warm. Single values are therefore
+//! not independent, but the means of batches nearly are, if a batch lasts longer than the correlation (non-overlapping
+//! batch means, Schmeiser, *Batch size effects in the analysis of simulation output*, Operations Research 30, 1982).
 
 use std::ops::Range;
 
@@ -37,7 +37,8 @@ pub(crate) trait Series {
         (count > 0).then(|| sum / count as f64)
     }
 
-    /// Splits the series into at most `parts` non-empty ranges of buckets, each with about the same number of values. Buckets are not divided.
+    /// Splits the series into at most `parts` non-empty ranges of buckets, each with about the same number of values.
+    /// Buckets are not divided.
     fn parts(&self, parts: u64) -> Vec<Range<usize>> {
         let total_count = self.total_count();
         let (mut ranges, mut start, mut count) = (Vec::new(), 0, 0);

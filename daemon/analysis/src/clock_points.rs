@@ -1,4 +1,5 @@
-//! The relation of two clocks over time: points, each of which covers a second or longer, and the merging of several points into one.
+//! The relation of two clocks over time: points, each of which covers a second or longer, and the merging of several
+//! points into one.
 
 use std::convert::Infallible;
 
@@ -15,8 +16,8 @@ pub struct ClockPoint {
     pub at: WallTime,
     /// Number of the period between two steps of a clock, in which one relation of the clocks holds.
     pub window: u64,
-    /// The cloud's clock minus the edge's clock, with bounds; `None` while unknown. For a bucket of several points, the offset with the widest
-    /// bounds.
+    /// The cloud's clock minus the edge's clock, with bounds; `None` while unknown. For a bucket of several points, the
+    /// offset with the widest bounds.
     pub offset: Option<Offset>,
     /// Counts of probes.
     pub probes: ProbeCounts,
@@ -28,11 +29,11 @@ pub struct ClockPoint {
     pub down: Option<DelaySecond>,
     /// Kind of the two related clocks: wall clocks, or free-running clocks.
     pub clocks: RelatedClocks,
-    /// Lowest and highest difference between the rates of the related clocks that the exchanges allow, parts per million; `None` while unknown.
-    /// For a bucket of several points, the newest value.
+    /// Lowest and highest difference between the rates of the related clocks that the exchanges allow, parts per
+    /// million; `None` while unknown. For a bucket of several points, the newest value.
     pub proven_skew_ppm: Option<(f64, f64)>,
-    /// Age of the oldest exchange that is used; `None` unless this age is greater than `[clock] window_s`. For a bucket of several points, the
-    /// greatest age.
+    /// Age of the oldest exchange that is used; `None` unless this age is greater than `[clock] window_s`. For a bucket
+    /// of several points, the greatest age.
     pub grown_window: Option<Span>,
 }
 
@@ -53,9 +54,9 @@ pub struct ClockBucket {
 }
 
 impl ClockBucket {
-    /// Adds a point. `point.offset` is ignored: `load_offset` returns the offset of the point instead. It is called only if the bucket needs the
-    /// offset, because building an offset from a stored row takes most of the time. `width` is the width of the offset's bounds; `None` without
-    /// an offset.
+    /// Adds a point. `point.offset` is ignored: `load_offset` returns the offset of the point instead. It is called
+    /// only if the bucket needs the offset, because building an offset from a stored row takes most of the time.
+    /// `width` is the width of the offset's bounds; `None` without an offset.
     ///
     /// # Errors
     /// The error of `load_offset`.

@@ -19,8 +19,8 @@ pub struct Misses {
 }
 
 impl Misses {
-    /// Returns the misses of a run in which `late` of the `successful` iterations took longer than the deadline. All `failed` iterations
-    /// count as misses, too.
+    /// Returns the misses of a run in which `late` of the `successful` iterations took longer than the deadline. All
+    /// `failed` iterations count as misses, too.
     pub fn new(successful: u64, late: u64, failed: u64) -> Self {
         Self { missed: late.min(successful) + failed, iterations: successful + failed }
     }

@@ -41,15 +41,17 @@ impl DelaySummary {
         self.count
     }
 
-    /// Returns the median of the medians of all seconds, each weighted by its number of delays. The lower bound of the result is the median of
-    /// the lower bounds, and likewise for the upper bound, as in [`median_bounds`]. `None` if no second has a median.
+    /// Returns the median of the medians of all seconds, each weighted by its number of delays. The lower bound of the
+    /// result is the median of the lower bounds, and likewise for the upper bound, as in [`median_bounds`]. `None` if
+    /// no second has a median.
     pub fn median(&self) -> Option<DelayPoint> {
         let lo = self.weighted_median(|point| point.bounds.lo)?.bounds.lo;
         let hi = self.weighted_median(|point| point.bounds.hi)?.bounds.hi;
         Some(DelayPoint { bounds: Interval { lo, hi }, ..self.weighted_median(|point| point.value)? })
     }
 
-    /// Returns the median of one second: of the second that stands in the middle if the seconds are sorted by `key` and weighted.
+    /// Returns the median of one second: of the second that stands in the middle if the seconds are sorted by `key` and
+    /// weighted.
     fn weighted_median(&self, key: fn(&DelayPoint) -> Span) -> Option<DelayPoint> {
         let mut medians = self.medians.clone();
         medians.sort_unstable_by_key(|(point, _)| key(point));

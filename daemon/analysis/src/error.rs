@@ -26,7 +26,8 @@ impl WriteError {
 pub fn write_file(path: &Path, content: &[u8]) -> Result<(), WriteError> {
     std::fs::write(path, content).map_err(|error| {
         let mut error = WriteError::at(path)(error);
-        // A part of a picture or table would look like a result. A pipe or a device at `path` must stay, so only regular files are removed.
+        // A part of a picture or table would look like a result. A pipe or a device at `path` must stay, so only
+        // regular files are removed.
         if path.is_file()
             && let Err(removal) = std::fs::remove_file(path)
         {

@@ -19,7 +19,8 @@ const FILE_ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
 /// Names of figures of which there is at most one.
 const SINGLE_FIGURES: [&str; 7] =
     ["cumulative", "series", "length", "stacked", "accuracy", "success", "paired"];
-/// Names of figures of which there may be several. The names from the second figure on end with a number, such as `totals-2`.
+/// Names of figures of which there may be several. The names from the second figure on end with a number, such as
+/// `totals-2`.
 const NUMBERED_FIGURES: [&str; 4] = ["payload-latency", "payload-throughput", "totals", "users"];
 /// Number of bytes of `data.csv` that are read at most to find the end of its header.
 const MAX_HEADER_BYTES: u64 = 1 << 20;

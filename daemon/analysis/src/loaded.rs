@@ -9,7 +9,8 @@ use crate::record::{Counts, RunRecord};
 use crate::rows::Rows;
 use crate::run_trust_input::early_end;
 
-/// Reason that stands in for the end of a run whose folder has rows but no record. A run writes its record after its rows.
+/// Reason that stands in for the end of a run whose folder has rows but no record. A run writes its record after its
+/// rows.
 pub const NO_RECORD: &str =
     "run.json is missing: the run is in progress or was killed, or data.csv was copied without it";
 

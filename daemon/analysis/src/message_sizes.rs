@@ -1,7 +1,7 @@
 //! Delay of messages against their size, in one direction of a link: the statistics of each size, and the line through the medians.
 //!
-//! A calibration, the payload study of recorded runs and the page that compares runs all use this module, so that they show equal numbers for
-//! equal messages.
+//! A calibration, the payload study of recorded runs and the page that compares runs all use this module, so that they
+//! show equal numbers for equal messages.
 
 use peernet_statistics::{Sketch, Summary};
 use serde::Serialize;
@@ -24,8 +24,8 @@ pub struct Message {
     pub bounds: Option<(f64, f64)>,
 }
 
-/// Statistics of a run's messages in one direction, as they are stored. Sketches do not say which delay belongs to which size, so all messages
-/// of a run count as messages of one size.
+/// Statistics of a run's messages in one direction, as they are stored. Sketches do not say which delay belongs to
+/// which size, so all messages of a run count as messages of one size.
 #[derive(Clone, Copy, Debug)]
 pub struct MessageSketches<'a> {
     /// Sizes of the payloads, bytes.
@@ -113,7 +113,8 @@ impl SizeSummary {
         let median_error = ranks_around_median(delay.count()).and_then(|[lower, upper]| {
             let at = |rank: u64| delay.quantile((rank - 1) as f64 / (delay.count() - 1) as f64);
             let sampling_error = (at(upper)? - at(lower)?) / (2.0 * Z95);
-            // The error of the sketch counts as uniformly distributed between ±e, which has the standard deviation e / √3.
+            // The error of the sketch counts as uniformly distributed between ±e, which has the standard deviation e /
+            // √3.
             Some(sampling_error.hypot(relative_error * median / 3.0_f64.sqrt()))
         });
         let clocked = ClockedSummaries {

@@ -54,11 +54,12 @@ impl OffsetTrend {
 }
 
 impl Line {
-    /// Fits a line by the Theil–Sen estimator, which a few outliers do not affect. With too few points for a slope, the line is horizontal at
-    /// the median. `None` without points.
+    /// Fits a line by the Theil–Sen estimator, which a few outliers do not affect. With too few points for a slope, the
+    /// line is horizontal at the median. `None` without points.
     fn through(estimates: &[(WallTime, f64)]) -> Option<Self> {
         let middle = estimates.get(estimates.len() / 2)?.0;
-        // Times are counted from the middle: a slope times the seconds since 1970 would be so large that few digits remain for the level.
+        // Times are counted from the middle: a slope times the seconds since 1970 would be so large that few digits
+        // remain for the level.
         let points: Vec<Point> =
             estimates.iter().map(|(at, value)| Point { x: (*at - middle).seconds(), y: *value }).collect();
         let horizontal =

@@ -1,5 +1,5 @@
-//! Order statistics: the median and other quantiles. They describe delays better than means do, because the distribution of delays has a long
-//! tail.
+//! Order statistics: the median and other quantiles. They describe delays better than means do, because the
+//! distribution of delays has a long tail.
 
 use peernet_statistics::{MIN_VALUES_FOR_P95, MIN_VALUES_FOR_P99};
 
@@ -64,24 +64,26 @@ impl SortedValues {
         self.quantile(0.99).filter(|_| self.0.len() as u64 >= MIN_VALUES_FOR_P99)
     }
 
-    /// Returns the upper end of an axis for these values: the largest finite value, but at most `factor` times the quantile at `p`. A quantile
-    /// of 0 does not limit the axis. `None` without finite values.
+    /// Returns the upper end of an axis for these values: the largest finite value, but at most `factor` times the
+    /// quantile at `p`. A quantile of 0 does not limit the axis. `None` without finite values.
     pub fn scale_end(&self, p: f64, factor: f64) -> Option<f64> {
         let finite: Self = self.0.iter().copied().filter(|value| value.is_finite()).collect();
         let (largest, limit) = (finite.0.last().copied()?, finite.quantile(p)? * factor);
         Some(if limit > 0.0 { largest.min(limit) } else { largest })
     }
 
-    /// Returns the standard error of the median, from the two values that bound the median with 95 % confidence (McKean and Schrader 1984).
-    /// The method makes no assumption about the shape of the distribution. `None` with fewer than 6 values.
+    /// Returns the standard error of the median, from the two values that bound the median with 95 % confidence (McKean
+    /// and Schrader 1984). The method makes no assumption about the shape of the distribution. `None` with fewer than 6
+    /// values.
     pub fn median_error(&self) -> Option<f64> {
         let [lower, upper] = ranks_around_median(self.0.len() as u64)?.map(|rank| self.0[rank as usize - 1]);
         Some((upper - lower) / (2.0 * Z95))
     }
 }
 
-/// Returns two ranks, counted from 1: of `n` sorted values, the values with these ranks bound the median with 95 % confidence. `None` with
-/// fewer than 6 values, because even the smallest and the largest of 5 values bound the median only with 94 % confidence.
+/// Returns two ranks, counted from 1: of `n` sorted values, the values with these ranks bound the median with 95 %
+/// confidence. `None` with fewer than 6 values, because even the smallest and the largest of 5 values bound the median
+/// only with 94 % confidence.
 pub(crate) fn ranks_around_median(n: u64) -> Option<[u64; 2]> {
     (n >= 6).then_some(())?;
     let lower = ((n as f64 + 1.0) / 2.0 - Z95 * (n as f64 / 4.0).sqrt()).round().max(1.0) as u64;

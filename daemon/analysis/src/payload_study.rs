@@ -1,7 +1,7 @@
 //! Delay and throughput against payload in recorded runs: which messages are compared, and which of them are drawn.
 //!
-//! A file of results has every message of a run; a page has only the run's sketches. Both fill [`DirectionSizes`], and the further steps are
-//! the same for both.
+//! A file of results has every message of a run; a page has only the run's sketches. Both fill [`DirectionSizes`], and
+//! the further steps are the same for both.
 
 use std::collections::BTreeMap;
 
@@ -17,7 +17,8 @@ pub const DIRECTIONS: [&str; 2] = ["upload", "download"];
 /// Maximum number of sizes. If there are more, neighbouring sizes are merged, so that each has enough messages.
 const MAX_SIZES: usize = 24;
 
-/// Link of a run. The address of the cloud is part of the link, because the cloud has a different address in each network.
+/// Link of a run. The address of the cloud is part of the link, because the cloud has a different address in each
+/// network.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Link {
     /// Names of the edge and of the cloud, each empty if it is not known.
@@ -50,9 +51,9 @@ impl Link {
     }
 }
 
-/// Groups runs by their link, in the order of the first run of each link. Each run is given as its link, its place in an experiment, if it has
-/// one, and an item that stands for the run. Runs over the same link are one study. The users of an experiment, which are edges `NAME-1`,
-/// `NAME-2`, … on one machine, are one study, too.
+/// Groups runs by their link, in the order of the first run of each link. Each run is given as its link, its place in
+/// an experiment, if it has one, and an item that stands for the run. Runs over the same link are one study. The users
+/// of an experiment, which are edges `NAME-1`, `NAME-2`, … on one machine, are one study, too.
 pub fn group_by_link<'a, T>(
     runs: impl IntoIterator<Item = (Link, Option<&'a ExperimentPlace>, T)>,
 ) -> Vec<(Link, Vec<T>)> {
@@ -139,7 +140,8 @@ impl DirectionSizes {
         Self { name, sizes: sizes.filter_map(summary).collect(), unknown_delays, runs_with_several_sizes }
     }
 
-    /// Returns whether the sizes differ enough to show the effect of size on delay: the largest is at least twice the smallest.
+    /// Returns whether the sizes differ enough to show the effect of size on delay: the largest is at least twice the
+    /// smallest.
     fn is_varied(&self) -> bool {
         let ends = self.sizes.first().zip(self.sizes.last());
         ends.is_some_and(|(smallest, largest)| largest.wire_bytes >= 2.0 * smallest.wire_bytes)
@@ -153,8 +155,8 @@ impl DirectionSizes {
         Some(format!("not drawn: {}, {sizes}: the largest must be twice the smallest", self.name))
     }
 
-    /// Returns notes on the messages that neither the latency figure nor the throughput figure shows, and on runs whose messages of several
-    /// sizes are shown as one point.
+    /// Returns notes on the messages that neither the latency figure nor the throughput figure shows, and on runs whose
+    /// messages of several sizes are shown as one point.
     fn notes(&self) -> impl Iterator<Item = String> {
         let name = self.name;
         let negative_sizes = self.sizes.iter().filter(|size| size.median <= 0.0).count();
@@ -185,7 +187,8 @@ fn merge_sizes<T>(by_payload: BTreeMap<u64, Vec<T>>, count: impl Fn(&T) -> u64) 
     let mut merged: Vec<(u64, Vec<T>)> = Vec::new();
     let (mut messages_before, mut last_part) = (0, None);
     for (payload, items) in by_payload {
-        // All messages, sorted by size, are divided into MAX_SIZES parts. A size belongs to the part of its first message.
+        // All messages, sorted by size, are divided into MAX_SIZES parts. A size belongs to the part of its first
+        // message.
         let part = messages_before * MAX_SIZES as u64 / total;
         messages_before += messages(&items);
         match merged.last_mut() {
@@ -258,8 +261,8 @@ impl PayloadStudy {
     }
 }
 
-/// Returns a note that the messages of several runs are pooled. The note names the axes of the experiment on which the runs differ.
-/// `labels_of_runs` has the labels of each run, one for each axis. `None` for a single run.
+/// Returns a note that the messages of several runs are pooled. The note names the axes of the experiment on which the
+/// runs differ. `labels_of_runs` has the labels of each run, one for each axis. `None` for a single run.
 pub fn pooled_note(axes: &[String], labels_of_runs: &[&[String]]) -> Option<String> {
     let (first, others) = labels_of_runs.split_first()?;
     (!others.is_empty()).then_some(())?;

@@ -38,8 +38,8 @@ pub struct QualityEstimate {
 }
 
 impl QualityEstimate {
-    /// Returns the confidence interval; `None` for the mean of a single value, which has no interval. A share has an interval even if there is
-    /// only a single iteration or episode.
+    /// Returns the confidence interval; `None` for the mean of a single value, which has no interval. A share has an
+    /// interval even if there is only a single iteration or episode.
     pub fn known_interval(&self) -> Option<(f64, f64)> {
         Some(self.interval).filter(|(low, high)| self.count > 1 || low < high)
     }
@@ -76,8 +76,9 @@ impl Quality {
         matches!(self, Self::Success | Self::Return)
     }
 
-    /// Returns the estimate for a configuration; `None` without values. `statistics_of` returns the statistics of the node with a name, over all
-    /// runs of the configuration. Counts, means and standard deviations are exact in roll-ups.
+    /// Returns the estimate for a configuration; `None` without values. `statistics_of` returns the statistics of the
+    /// node with a name, over all runs of the configuration. Counts, means and standard deviations are exact in
+    /// roll-ups.
     pub fn from_statistics(
         self,
         statistics_of: impl Fn(&str) -> Option<CountMeanStd>,
@@ -108,8 +109,8 @@ impl Quality {
         }
     }
 
-    /// Returns the estimate from the rows of all runs of a configuration; `None` without values. Values outside the range of the quality are
-    /// left out. `rows` is called once for each node that is needed.
+    /// Returns the estimate from the rows of all runs of a configuration; `None` without values. Values outside the
+    /// range of the quality are left out. `rows` is called once for each node that is needed.
     pub fn from_rows<'a, I: Iterator<Item = RowRef<'a>>>(
         self,
         rows: impl Fn() -> I,
@@ -128,8 +129,8 @@ impl Quality {
     }
 }
 
-/// Returns the value of a node in an iteration; `None` if it is missing or invalid. Iterations that are not counted have only the values of
-/// episodes.
+/// Returns the value of a node in an iteration; `None` if it is missing or invalid. Iterations that are not counted
+/// have only the values of episodes.
 fn value(row: RowRef<'_>, name: &str) -> Option<f64> {
     match name {
         EPISODE_SUCCESS | EPISODE_RETURN => row.value(name).filter(|value| Summary::accepts(*value)),

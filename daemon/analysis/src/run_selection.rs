@@ -1,5 +1,6 @@
-//! Choice of the runs that count, which means that comparisons and studies use them. A run can count if it was measured to its end or if a
-//! user names it. If several runs measured the same repeat of a configuration, only the newest of them counts, and those that a user names.
+//! Choice of the runs that count, which means that comparisons and studies use them. A run can count if it was measured
+//! to its end or if a user names it. If several runs measured the same repeat of a configuration, only the newest of
+//! them counts, and those that a user names.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -143,8 +144,8 @@ pub fn exclusions(runs: &[Candidate]) -> Vec<Option<Exclusion>> {
         Some(Exclusion::Unfinished(state.clone()))
     };
     let mut exclusions: Vec<Option<Exclusion>> = runs.iter().map(unfinished).collect();
-    // Copies are excluded before repeats are compared: copies of one run belong to one repeat, and if the comparison of repeats came first,
-    // the time would choose among the copies instead of the rank.
+    // Copies are excluded before repeats are compared: copies of one run belong to one repeat, and if the comparison of
+    // repeats came first, the time would choose among the copies instead of the rank.
     let originals = best_runs(runs, &exclusions, |run| run.id, |index, run| (!run.is_named, run.rank, index));
     exclude(runs, &mut exclusions, |run| Some(Exclusion::CopyOf(*originals.get(&run.id?)?)));
     let newest_runs = best_runs(
@@ -161,7 +162,8 @@ pub fn exclusions(runs: &[Candidate]) -> Vec<Option<Exclusion>> {
     exclusions
 }
 
-/// Returns for each key, such as an id or a repeat, the index of its run with the smallest `order`. Excluded runs are left out.
+/// Returns for each key, such as an id or a repeat, the index of its run with the smallest `order`. Excluded runs are
+/// left out.
 fn best_runs<'a, K: Eq + std::hash::Hash, O: Ord>(
     runs: &'a [Candidate],
     exclusions: &[Option<Exclusion>],

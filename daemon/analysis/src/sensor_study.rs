@@ -65,7 +65,8 @@ impl SensorStudy {
         periods.values().iter().for_each(|period| moments.record(*period));
         let jitter: SortedValues = periods.values().iter().map(|period| (period - median).abs()).collect();
         let gap = sample_times.windows(2).max_by(|a, b| length(a).total_cmp(&length(b)))?;
-        // Failed iterations are left out: they measured how long the sensor failed, such as a time limit, and not how long a sample took.
+        // Failed iterations are left out: they measured how long the sensor failed, such as a time limit, and not how
+        // long a sample took.
         let sensing: SortedValues = rows.counted_values("sensing").collect();
         Some(Self {
             samples: sample_times.len() as u64,

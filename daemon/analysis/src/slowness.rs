@@ -7,12 +7,14 @@ use serde::Serialize;
 
 use crate::rows::LATENESS;
 
-/// Name of the sum of upload and download. It is used for runs in which the clocks are not related, so that only the sum is known.
+/// Name of the sum of upload and download. It is used for runs in which the clocks are not related, so that only the
+/// sum is known.
 pub const BOTH_DIRECTIONS: &str = "upload + download";
 
 /// Range of the ratio of an iteration's total to the median total of its run that counts as the usual variation.
 pub const USUAL_RATIOS: Range<f64> = 0.95..1.05;
-/// Share of an iteration's excess over the median that the listed causes explain together. No further causes are listed.
+/// Share of an iteration's excess over the median that the listed causes explain together. No further causes are
+/// listed.
 const MIN_EXPLAINED_SHARE: f64 = 0.8;
 
 /// Part of an iteration that took longer than its median over the run.

@@ -17,8 +17,8 @@ pub const NEGLIGIBLE_UNEXPLAINED_S: f64 = 1e-4;
 /// Parts that add up to the mean total latency, unless the clocks show a stage as longer than it was.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StageSplit {
-    /// Mean of each part per iteration, seconds, in the order of the stages. The last part is `unattributed`, if there is time that belongs to
-    /// no stage.
+    /// Mean of each part per iteration, seconds, in the order of the stages. The last part is `unattributed`, if there
+    /// is time that belongs to no stage.
     pub parts: Vec<(Name, f64)>,
     /// Part of `unattributed` before the real start of the iteration, seconds. It is not longer than `unattributed`, even if the clocks
     /// disagree.
@@ -27,10 +27,11 @@ pub struct StageSplit {
     pub total: f64,
     /// Mean time from the intended to the real start, seconds; `None` in a closed loop.
     pub lateness: Option<f64>,
-    /// Mean wait for the restart of the model's process, seconds. This wait is a part of `unattributed`, because it is not a stage. A wait for
-    /// the restart of the process of a sensor or actuator is a part of the stage that waited.
+    /// Mean wait for the restart of the model's process, seconds. This wait is a part of `unattributed`, because it is
+    /// not a stage. A wait for the restart of the process of a sensor or actuator is a part of the stage that waited.
     pub model_restarts: f64,
-    /// Total minus all stages, seconds; negative if stages overlap. `None` unless all stages of at least one iteration are known.
+    /// Total minus all stages, seconds; negative if stages overlap. `None` unless all stages of at least one iteration
+    /// are known.
     rest: Option<f64>,
 }
 
@@ -38,9 +39,10 @@ pub struct StageSplit {
 pub type CountAndMean = (u64, f64);
 
 impl StageSplit {
-    /// Splits the mean of the total. `mean_of` returns the number and the mean of a node's values; `None` if it has none. `sent` holds the
-    /// number of iterations that sent a message to the other host, and the number of iterations that received a message from it. The delays
-    /// of some of these messages may be unknown. The result is empty without a total.
+    /// Splits the mean of the total. `mean_of` returns the number and the mean of a node's values; `None` if it has
+    /// none. `sent` holds the number of iterations that sent a message to the other host, and the number of iterations
+    /// that received a message from it. The delays of some of these messages may be unknown. The result is empty
+    /// without a total.
     ///
     /// A stage that an iteration does not have took no time. An unknown delay counts as the mean of the known ones. If neither direction is
     /// known, because the clocks are not related, the sum of upload and download replaces both. The sum needs no clock relation.
@@ -86,8 +88,8 @@ impl StageSplit {
         }
     }
 
-    /// Returns the time that neither a stage nor a late start nor the restart of a process of the model explains, seconds; negative if
-    /// stages overlap. `None` unless all stages of at least one iteration are known.
+    /// Returns the time that neither a stage nor a late start nor the restart of a process of the model explains,
+    /// seconds; negative if stages overlap. `None` unless all stages of at least one iteration are known.
     pub fn unexplained(&self) -> Option<f64> {
         Some(self.rest? - self.lateness.unwrap_or_default() - self.model_restarts)
     }
@@ -126,8 +128,9 @@ impl StageSplit {
     }
 }
 
-/// Returns the share of a node in the mean total, 0 to 1. The node is a part of the split or any other node, such as a part of a stage. `None`
-/// without a total or without values of the node. For `sent` and `mean_of`, see [`StageSplit::new`].
+/// Returns the share of a node in the mean total, 0 to 1. The node is a part of the split or any other node, such as a
+/// part of a stage. `None` without a total or without values of the node. For `sent` and `mean_of`, see
+/// [`StageSplit::new`].
 pub fn share_of_total(
     name: &str,
     sent: [u64; 2],
@@ -147,7 +150,8 @@ pub fn sent_in_part(sent: [u64; 2], iterations: u64, in_part: u64) -> [u64; 2] {
     sent.map(|count| ((count as f64 * share).round() as u64).max(count.min(1)))
 }
 
-/// Returns the index at which the time of both directions is inserted into the parts: the index that `upload` would have.
+/// Returns the index at which the time of both directions is inserted into the parts: the index that `upload` would
+/// have.
 pub fn index_of_network(parts: &[(Name, f64)]) -> usize {
     let stages_before: Vec<Name> =
         stage::ORDER.into_iter().take_while(|name| *name != stage::UPLOAD).collect();
@@ -159,9 +163,9 @@ pub fn mean_per_iteration((count, mean): CountAndMean, iterations: u64) -> f64 {
     mean * count as f64 / iterations.max(1) as f64
 }
 
-/// Returns the mean of a node per iteration over groups of iterations. A group, such as all iterations of a second, is given as its number of
-/// iterations and its mean per iteration, `None` if the group does not have the node. The iterations of such a group count as zero. `None`
-/// without iterations, or if no group has the node.
+/// Returns the mean of a node per iteration over groups of iterations. A group, such as all iterations of a second, is
+/// given as its number of iterations and its mean per iteration, `None` if the group does not have the node. The
+/// iterations of such a group count as zero. `None` without iterations, or if no group has the node.
 pub fn mean_of_groups(groups: impl IntoIterator<Item = (u64, Option<f64>)>) -> Option<f64> {
     let (mut iterations, mut sum) = (0, None);
     for (count, mean) in groups {

@@ -1,5 +1,5 @@
-//! Standstills: long times in which a run started no iteration, because the clock of its host was set or the host was suspended. The number of
-//! iterations divided by the length of such a run is not a rate.
+//! Standstills: long times in which a run started no iteration, because the clock of its host was set or the host was
+//! suspended. The number of iterations divided by the length of such a run is not a rate.
 
 use peernet_clock::WallTime;
 
@@ -22,9 +22,10 @@ pub struct RunExtent {
     pub slowest_s: f64,
 }
 
-/// Returns the length of the standstill of a run, seconds. Iterations started in the time ranges of `busy`. The standstill is the longest
-/// pause between these ranges, or between the last range and the end of the run. `None` unless this pause is longer than each of these: half
-/// of the run, ten minutes, and the slowest iteration. The time before the first range does not count, because it may be the warm-up.
+/// Returns the length of the standstill of a run, seconds. Iterations started in the time ranges of `busy`. The
+/// standstill is the longest pause between these ranges, or between the last range and the end of the run. `None`
+/// unless this pause is longer than each of these: half of the run, ten minutes, and the slowest iteration. The time
+/// before the first range does not count, because it may be the warm-up.
 pub fn standstill(run: &RunExtent, busy: impl IntoIterator<Item = (WallTime, WallTime)>) -> Option<f64> {
     if run.iterations < MIN_ITERATIONS {
         return None;

@@ -27,8 +27,9 @@ impl TotalColumn {
     /// Returns the latency that is compared, from the number of counted iterations of all runs together, the number of these iterations with
     /// a total, and the number of these iterations with a sum of stages.
     ///
-    /// The total is longer than the sum of its stages, so that a total cannot be compared with a sum. If at least one iteration has no total,
-    /// all iterations are therefore compared by the sum of their stages, unless no iteration has such a sum.
+    /// The total is longer than the sum of its stages, so that a total cannot be compared with a sum. If at least one
+    /// iteration has no total, all iterations are therefore compared by the sum of their stages, unless no iteration
+    /// has such a sum.
     pub fn from_counts(iterations: u64, totals: u64, sums: u64) -> Self {
         if totals < iterations && sums > 0 { Self::SumOfStages } else { Self::Measured }
     }

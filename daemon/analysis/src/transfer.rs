@@ -1,7 +1,8 @@
 //! Bytes sent by iterations, and the time for which they were in transit.
 //!
-//! This module alone defines *speed while sending* and *traffic*, for live windows and stored runs. The throughput of a single
-//! iteration is a node. The mean of these throughputs is not a speed, because small messages would count as much as large messages.
+//! This module alone defines *speed while sending* and *traffic*, for live windows and stored runs. The throughput of a
+//! single iteration is a node. The mean of these throughputs is not a speed, because small messages would count as much
+//! as large messages.
 
 use peernet_clock::Direction;
 use peernet_logger::{Name, stage};
@@ -33,13 +34,14 @@ impl Transfer {
         let sum = |(count, mean): (u64, f64)| count as f64 * mean;
         let bytes = sum((messages, mean)) + statistics(&metadata).map_or(0.0, sum);
         let (timed_messages, seconds) = statistics(&delay).map_or((0, 0.0), |delay| (delay.0, sum(delay)));
-        // The size of every message is known, but perhaps not its delay. The messages with a known delay are assumed to have the average size.
+        // The size of every message is known, but perhaps not its delay. The messages with a known delay are assumed to
+        // have the average size.
         let timed_share = (timed_messages as f64 / messages.max(1) as f64).min(1.0);
         Some(Self { bytes, timed_bytes: bytes * timed_share, seconds })
     }
 
-    /// Returns the speed while sending in bits per second: the size of the messages with a known delay, divided by the sum of these delays.
-    /// `None` while no delay is known.
+    /// Returns the speed while sending in bits per second: the size of the messages with a known delay, divided by the
+    /// sum of these delays. `None` while no delay is known.
     pub fn speed(&self) -> Option<f64> {
         (self.seconds > 0.0 && self.timed_bytes > 0.0).then(|| 8.0 * self.timed_bytes / self.seconds)
     }

@@ -25,8 +25,8 @@ pub struct IterationDurations<'a> {
     pub is_answered: bool,
 }
 
-/// Parts of a total that no stage accounts for, seconds: the time in the network, if its delays are not known, and the time that belongs to no
-/// stage.
+/// Parts of a total that no stage accounts for, seconds: the time in the network, if its delays are not known, and the
+/// time that belongs to no stage.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct UnaccountedTime {
     /// [`BOTH_DIRECTIONS`] or [`NETWORK_AND_REST`], with its duration. `None` if the delays of both directions are known, or if they are not and
@@ -37,7 +37,8 @@ pub struct UnaccountedTime {
 }
 
 impl UnaccountedTime {
-    /// Determines the parts. If a delay is not known, the sum of upload and download that the agent measured replaces both directions.
+    /// Determines the parts. If a delay is not known, the sum of upload and download that the agent measured replaces
+    /// both directions.
     pub fn of(durations: &IterationDurations<'_>) -> Self {
         let IterationDurations { total, stages, both_ways, unattributed, .. } = *durations;
         let sum_of_stages = |with_one_way: bool| {
@@ -63,7 +64,8 @@ impl UnaccountedTime {
     /// Returns all parts of the total in their order: the stages and the unaccounted time.
     pub fn parts_of(durations: &IterationDurations<'_>) -> Vec<(Name, f64)> {
         let Self { network, unattributed } = Self::of(durations);
-        // The sum of both directions already contains a direction whose delay is known, so that this direction is left out.
+        // The sum of both directions already contains a direction whose delay is known, so that this direction is left
+        // out.
         let is_separate = |(name, _): &&(Name, f64)| network.is_none() || !is_one_way(name);
         let mut parts: Vec<(Name, f64)> = durations.stages.iter().filter(is_separate).cloned().collect();
         if let Some((name, seconds)) = network {

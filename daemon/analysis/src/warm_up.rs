@@ -1,11 +1,13 @@
 //! Periods of warm-up and beginnings of episodes in charts of a run.
 
-/// Maximum number of beginnings of episodes that a chart shows. If there are more, none is drawn, because they would cover everything else.
+/// Maximum number of beginnings of episodes that a chart shows. If there are more, none is drawn, because they would
+/// cover everything else.
 pub const MAX_EPISODE_BORDERS: u32 = 30;
 
-/// Returns the beginning and end of each period of consecutive warm-up iterations. `iterations` has, in order, the position of each iteration,
-/// such as its start, and whether the iteration is warm-up. A period ends at the next iteration that is not warm-up, or at the last
-/// iteration. The caller may leave out iterations within a period and iterations between periods.
+/// Returns the beginning and end of each period of consecutive warm-up iterations. `iterations` has, in order, the
+/// position of each iteration, such as its start, and whether the iteration is warm-up. A period ends at the next
+/// iteration that is not warm-up, or at the last iteration. The caller may leave out iterations within a period and
+/// iterations between periods.
 pub fn warm_up_periods<T: Copy>(iterations: impl IntoIterator<Item = (T, bool)>) -> Vec<(T, T)> {
     let mut periods = Vec::new();
     let (mut start, mut last) = (None, None);

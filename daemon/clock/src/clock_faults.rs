@@ -93,8 +93,8 @@ impl ClockFaults {
 
     /// Returns the true wall-clock time at which this clock showed `shown_wall`, to the nanosecond.
     ///
-    /// A clock that was set back shows some times twice; the result is then the later of the two true times. A clock that was
-    /// set forward skips some times; the result is then the time of the step.
+    /// A clock that was set back shows some times twice; the result is then the later of the two true times. A clock
+    /// that was set forward skips some times; the result is then the time of the step.
     pub fn true_wall(&self, shown_wall: WallTime) -> WallTime {
         let steps = self.steps.iter().filter(|step| step.clock.is_wall());
         let mut starts: Vec<WallTime> = steps.map(|step| self.since + step.at).collect();
@@ -125,7 +125,8 @@ impl ClockFaults {
     fn true_wall_without_steps(&self, shown_wall: WallTime) -> WallTime {
         let without_offset = shown_wall - self.offset;
         let elapsed = (without_offset - self.since).nanos() as f64;
-        // The shown elapsed time is the true elapsed time × (1 + drift). Only the shown time is known, so it is divided.
+        // The shown elapsed time is the true elapsed time × (1 + drift). Only the shown time is known, so it is
+        // divided.
         let drift = elapsed - elapsed / (1.0 + self.drift_ppm * 1e-6);
         without_offset - Span::from_nanos(drift.round() as i64)
     }

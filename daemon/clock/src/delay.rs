@@ -1,4 +1,5 @@
-//! The one-way delay between two hosts: the raw difference of the stamps, the corrected value with an interval, and a verdict on the value.
+//! The one-way delay between two hosts: the raw difference of the stamps, the corrected value with an interval, and a
+//! verdict on the value.
 
 use std::fmt;
 
@@ -102,8 +103,8 @@ impl Verdict {
         }
     }
 
-    /// Returns one verdict on many delays, from the number of delays with each verdict: the worst verdict for which at least a
-    /// twentieth of the delays have this verdict or a worse one. `None` without delays.
+    /// Returns one verdict on many delays, from the number of delays with each verdict: the worst verdict for which at
+    /// least a twentieth of the delays have this verdict or a worse one. `None` without delays.
     // A few bad delays must not hide that all others are good, and many bad delays must not be hidden by good ones.
     pub fn prevailing(counts: impl IntoIterator<Item = (Self, u64)>) -> Option<Self> {
         let mut counts: Vec<(Self, u64)> = counts.into_iter().filter(|(_, count)| *count > 0).collect();
@@ -181,12 +182,12 @@ pub struct OneWayDelay {
 }
 
 impl OneWayDelay {
-    /// Returns half the width of the bounds in seconds: the ± of the delay. `None` if the delay has no bounds or no value. Statistics do not
-    /// include a delay without a value.
+    /// Returns half the width of the bounds in seconds: the ± of the delay. `None` if the delay has no bounds or no
+    /// value. Statistics do not include a delay without a value.
     pub fn half_width(&self) -> Option<f64> {
         self.value?;
-        // The ends are stored in seconds. The result is computed from them and not from the nanoseconds, so that statistics that are rebuilt
-        // from the store have equal numbers.
+        // The ends are stored in seconds. The result is computed from them and not from the nanoseconds, so that
+        // statistics that are rebuilt from the store have equal numbers.
         self.bounds.map(|bounds| (bounds.hi.seconds() - bounds.lo.seconds()) / 2.0)
     }
 

@@ -18,9 +18,9 @@ pub struct Exchange {
     pub replied: RawTime,
     /// Time on the edge's clock at which the answer arrived there, or later.
     pub returned: RawTime,
-    /// Upper limit of the sum of two errors: by how much the departure of a message is stamped too late, and by how much the
-    /// arrival of the same message is stamped too early. The errors come from the resolution of the clocks and of the format
-    /// in which stamps are sent.
+    /// Upper limit of the sum of two errors: by how much the departure of a message is stamped too late, and by how
+    /// much the arrival of the same message is stamped too early. The errors come from the resolution of the clocks and
+    /// of the format in which stamps are sent.
     pub uncertainty: Span,
 }
 
@@ -32,7 +32,8 @@ impl Exchange {
     }
 
     /// Returns a lower bound of the offset (cloud minus edge) at the edge's time [`returned`](Self::returned).
-    // When the edge's clock showed `returned`, the cloud's clock showed at least `replied`, because it was read earlier.
+    // When the edge's clock showed `returned`, the cloud's clock showed at least `replied`, because it was read
+    // earlier.
     pub fn lower(&self) -> Span {
         self.replied - self.returned - self.uncertainty
     }
@@ -43,7 +44,8 @@ impl Exchange {
         (self.returned - self.sent) - (self.replied - self.received)
     }
 
-    /// Returns the bounds of the offset that follow from this exchange alone, if the clocks do not drift during the exchange.
+    /// Returns the bounds of the offset that follow from this exchange alone, if the clocks do not drift during the
+    /// exchange.
     pub fn bounds(&self) -> Interval {
         Interval { lo: self.lower(), hi: self.upper() }
     }
@@ -54,11 +56,11 @@ impl Exchange {
 pub struct ExchangeObservation {
     /// The stamps.
     pub exchange: Exchange,
-    /// Time from `received` to `replied` by the cloud's monotonic clock, if these two stamps are of the cloud's wall clock
-    /// ([`RawTime`] holds times of either clock). If the difference of the stamps is not this time, the wall clock was
-    /// stepped between them. `None` unless the monotonic clock was read together with both stamps.
-    // The monotonic clock cannot be read together with a stamp of the kernel: the kernel takes its stamp first, and the program
-    // reads the other clock only after it has waited for the processor.
+    /// Time from `received` to `replied` by the cloud's monotonic clock, if these two stamps are of the cloud's wall
+    /// clock ([`RawTime`] holds times of either clock). If the difference of the stamps is not this time, the wall
+    /// clock was stepped between them. `None` unless the monotonic clock was read together with both stamps.
+    // The monotonic clock cannot be read together with a stamp of the kernel: the kernel takes its stamp first, and the
+    // program reads the other clock only after it has waited for the processor.
     pub cloud_elapsed: Option<Span>,
     /// [`Clock::epoch`](crate::Clock::epoch) of the edge, read after `returned` was stamped.
     pub edge_epoch: u32,

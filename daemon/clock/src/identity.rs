@@ -10,13 +10,13 @@ use serde::{Deserialize, Serialize};
 /// Identifies the clocks of a process.
 ///
 /// All processes of one machine since one boot read the same clocks, also in containers, unless a time namespace or a
-/// preloaded library shifts the clocks of one of them. Equal identities do not prove that two processes read the same clocks,
-/// because clones of one snapshot of a virtual machine report the same boot id.
+/// preloaded library shifts the clocks of one of them. Equal identities do not prove that two processes read the same
+/// clocks, because clones of one snapshot of a virtual machine report the same boot id.
 /// [`may_share_clock_with`](Self::may_share_clock_with) only says whether two processes can read the same clocks.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct ClockIdentity {
-    /// Boot id of the kernel, a UUID in text form. In a time namespace, `/` and the name of the namespace follow, such as
-    /// `time:[4026532280]`.
+    /// Boot id of the kernel, a UUID in text form. In a time namespace, `/` and the name of the namespace follow, such
+    /// as `time:[4026532280]`.
     pub boot: Arc<str>,
     /// Name of the clock, `system` by default. Distinguishes the clocks that a test or clock fault injection sets up on
     /// one machine.
@@ -65,7 +65,8 @@ impl ClockIdentity {
     }
 
     /// Creates an identity for a time namespace.
-    // The initial namespace is left out, so that the identity equals the identity that releases without namespaces compute.
+    // The initial namespace is left out, so that the identity equals the identity that releases without namespaces
+    // compute.
     fn in_namespace(boot: &str, namespace: &str, clock: &str) -> Self {
         if namespace == Self::INITIAL_TIME_NAMESPACE {
             Self::new(boot, clock)

@@ -11,8 +11,8 @@ const LINE_INTERVAL: Span = Span::from_seconds(60);
 // A peer that invents kinds must not use up memory.
 const MAX_KINDS: usize = 256;
 
-/// Selects which of many similar events are logged: the first event at once, then at most one event per minute, with the
-/// number of events since the last line.
+/// Selects which of many similar events are logged: the first event at once, then at most one event per minute, with
+/// the number of events since the last line.
 #[derive(Debug, Default)]
 pub struct LogThrottle {
     kinds: HashMap<(String, Option<IpAddr>), KindCount>,
@@ -25,8 +25,8 @@ struct KindCount {
 }
 
 impl LogThrottle {
-    /// Counts an event, whose kind is the pair of `reason` and `address`. If a line should be logged now, returns the number of
-    /// events of this kind since its last line. `None` if the last line was written less than a minute ago.
+    /// Counts an event, whose kind is the pair of `reason` and `address`. If a line should be logged now, returns the
+    /// number of events of this kind since its last line. `None` if the last line was written less than a minute ago.
     pub fn count_event(&mut self, reason: &str, address: Option<IpAddr>, now: MonoTime) -> Option<u64> {
         let mut key = (reason.to_owned(), address);
         if !self.kinds.contains_key(&key) && self.kinds.len() >= MAX_KINDS {

@@ -17,8 +17,8 @@ pub struct ManualClock {
 }
 
 impl ManualClock {
-    /// Time that the free-running clock shows at first. It is not zero, so that a test notices if stamps of the free-running and
-    /// the monotonic clock are confused.
+    /// Time that the free-running clock shows at first. It is not zero, so that a test notices if stamps of the
+    /// free-running and the monotonic clock are confused.
     pub const FIRST_RAW: RawTime = RawTime::from_nanos(5_000_000_000_000);
 
     /// Creates a clock whose wall clock shows `wall`, whose monotonic clock shows zero and whose free-running clock

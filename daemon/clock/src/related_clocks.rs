@@ -11,8 +11,8 @@ pub enum RelatedClocks {
     /// The free-running clocks (`CLOCK_MONOTONIC_RAW`) of both hosts: no time daemon steps or slews them.
     #[default]
     Raw,
-    /// The free-running clock of the edge and the wall clock of the cloud. Steps and slews of the wall clock move the offset.
-    /// Used with a cloud of session protocol 4, and with a STAMP reflector of another implementation.
+    /// The free-running clock of the edge and the wall clock of the cloud. Steps and slews of the wall clock move the
+    /// offset. Used with a cloud of session protocol 4, and with a STAMP reflector of another implementation.
     RawToWall,
     /// The wall clocks of both hosts. Used only for runs recorded before version 0.3.0.
     Wall,

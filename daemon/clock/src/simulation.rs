@@ -35,15 +35,16 @@ impl RandomSource {
     }
 }
 
-/// A simulated clock, described by its error against true time in consecutive pieces. Times are nanoseconds of true time since
-/// the start of the simulation.
+/// A simulated clock, described by its error against true time in consecutive pieces. Times are nanoseconds of true
+/// time since the start of the simulation.
 #[derive(Clone, Debug)]
 pub(crate) struct SimulatedClock {
     /// Pieces in the order of time.
     pieces: Vec<Piece>,
 }
 
-/// Piece of a clock's error: from `start` on, the error begins at `error`, and grows with a drift that changes steadily.
+/// Piece of a clock's error: from `start` on, the error begins at `error`, and grows with a drift that changes
+/// steadily.
 #[derive(Clone, Copy, Debug)]
 struct Piece {
     start: f64,
@@ -71,8 +72,8 @@ impl SimulatedClock {
         Self { pieces: vec![piece] }
     }
 
-    /// Creates a clock whose drift changes for `length`, as it does with temperature: the drift stays within ± `ppm`, and its
-    /// rate of change within ± `ppm_per_s`.
+    /// Creates a clock whose drift changes for `length`, as it does with temperature: the drift stays within ± `ppm`,
+    /// and its rate of change within ± `ppm_per_s`.
     pub(crate) fn warming(
         offset: Span,
         ppm: f64,
@@ -102,7 +103,8 @@ impl SimulatedClock {
         wall
     }
 
-    /// Makes the clock faster by `ppm` from a time on. Its drift is constant from then on: the piece replaces all later pieces.
+    /// Makes the clock faster by `ppm` from a time on. Its drift is constant from then on: the piece replaces all later
+    /// pieces.
     pub(crate) fn faster(mut self, at: Span, ppm: f64) -> Self {
         let start = at.nanos() as f64;
         let piece = Piece {

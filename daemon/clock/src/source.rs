@@ -15,7 +15,8 @@ pub struct Stamp {
     pub wall: WallTime,
     /// Time of the monotonic clock.
     pub mono: MonoTime,
-    /// Time of the free-running clock. This clock is read first, so that its time is not later than the other two times.
+    /// Time of the free-running clock. This clock is read first, so that its time is not later than the other two
+    /// times.
     pub raw: RawTime,
 }
 
@@ -74,13 +75,13 @@ pub trait Clock: Send + Sync + fmt::Debug {
         Readings { wall, mono, raw, boot: mono }
     }
 
-    /// Returns the number of the current epoch: the number of interruptions of the free-running clock. Sleeps of the machine and
-    /// calls of [`begin_epoch`](Self::begin_epoch) interrupt it.
+    /// Returns the number of the current epoch: the number of interruptions of the free-running clock. Sleeps of the
+    /// machine and calls of [`begin_epoch`](Self::begin_epoch) interrupt it.
     ///
-    /// Each call checks for a sleep, and the first call after a sleep counts the sleep. Stamps that were taken before a call
-    /// belong to the returned epoch or to an earlier epoch.
-    // Code that stamps a message also calls this method, so that the first message after a sleep reveals the sleep, before a periodic check
-    // does.
+    /// Each call checks for a sleep, and the first call after a sleep counts the sleep. Stamps that were taken before a
+    /// call belong to the returned epoch or to an earlier epoch.
+    // Code that stamps a message also calls this method, so that the first message after a sleep reveals the sleep,
+    // before a periodic check does.
     fn epoch(&self) -> u32 {
         0
     }
@@ -89,11 +90,11 @@ pub trait Clock: Send + Sync + fmt::Debug {
     /// different epochs cannot be compared.
     fn begin_epoch(&self) {}
 
-    /// Returns the number of the current epoch of the wall clock: the number of detected steps of the wall clock. Each call checks
-    /// for a step, as [`epoch`](Self::epoch) checks for a sleep.
+    /// Returns the number of the current epoch of the wall clock: the number of detected steps of the wall clock. Each
+    /// call checks for a step, as [`epoch`](Self::epoch) checks for a sleep.
     ///
-    /// Steps of wall clocks matter only where wall clocks are used: by peers of session protocol 4 and in the claims of time
-    /// daemons.
+    /// Steps of wall clocks matter only where wall clocks are used: by peers of session protocol 4 and in the claims of
+    /// time daemons.
     fn wall_epoch(&self) -> u32 {
         0
     }
@@ -101,7 +102,8 @@ pub trait Clock: Send + Sync + fmt::Debug {
     /// Starts a new epoch of the wall clock after a change of its rate, which counts as a step.
     fn begin_wall_epoch(&self) {}
 
-    /// Returns the size of the last step that a call of [`wall_epoch`](Self::wall_epoch) detected; `None` if there was none.
+    /// Returns the size of the last step that a call of [`wall_epoch`](Self::wall_epoch) detected; `None` if there was
+    /// none.
     fn last_step(&self) -> Option<Span> {
         None
     }
@@ -112,8 +114,8 @@ pub trait Clock: Send + Sync + fmt::Debug {
         system
     }
 
-    /// Returns whether the clocks currently show the time that a direct system call returns. They show another time if a
-    /// preloaded library changes the times that this process reads, or if faults are injected.
+    /// Returns whether the clocks currently show the time that a direct system call returns. They show another time if
+    /// a preloaded library changes the times that this process reads, or if faults are injected.
     fn shows_kernel_time(&self) -> bool {
         false
     }
@@ -190,7 +192,8 @@ impl Clock for SystemClock {
     }
 
     fn epoch(&self) -> u32 {
-        // The boot clock and the monotonic clock run at the same rate. Their difference changes only while the machine sleeps.
+        // The boot clock and the monotonic clock run at the same rate. Their difference changes only while the machine
+        // sleeps.
         lock(&self.sleeps).compare(read_with_mono(|| read(BOOT)))
     }
 

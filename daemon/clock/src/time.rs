@@ -24,9 +24,9 @@ pub struct MonoTime(i64);
 
 /// Instant of a host's free-running clock (`CLOCK_MONOTONIC_RAW`): nanoseconds since an arbitrary moment near boot.
 ///
-/// No time daemon steps or slews this clock, so it drifts steadily against the free-running clock of another host. An instant
-/// can be compared only with instants of the same host since the same boot, unless a [`Relation`](crate::Relation)
-/// translates it.
+/// No time daemon steps or slews this clock, so it drifts steadily against the free-running clock of another host. An
+/// instant can be compared only with instants of the same host since the same boot, unless a
+/// [`Relation`](crate::Relation) translates it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct RawTime(i64);

@@ -7,8 +7,8 @@ use crate::sheet::export;
 use peernet_analysis::WriteError;
 use peernet_analysis::calibration::Study;
 
-/// Draws the figures `latency` and `throughput` of a study into an existing folder, each as `.png`, `.svg`, `.pdf` and `-caption.txt`.
-/// Returns the paths of the files. A figure without data is left out.
+/// Draws the figures `latency` and `throughput` of a study into an existing folder, each as `.png`, `.svg`, `.pdf` and
+/// `-caption.txt`. Returns the paths of the files. A figure without data is left out.
 ///
 /// # Errors
 /// If a file cannot be written.

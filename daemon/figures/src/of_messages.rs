@@ -53,8 +53,8 @@ impl MessageSeries {
         self.fit.filter(|fit| fit.slope.value > 0.0)
     }
 
-    /// Returns the rate that follows from the slope of the fitted line, and the margin of the rate, bits per second. `None` if the sizes do not
-    /// determine the rate.
+    /// Returns the rate that follows from the slope of the fitted line, and the margin of the rate, bits per second.
+    /// `None` if the sizes do not determine the rate.
     fn rate(&self) -> Option<(f64, f64)> {
         self.increasing_fit().and_then(|fit| rate(fit.slope))
     }

@@ -1,9 +1,10 @@
 //! Trees as a CSV table: one row per iteration, one column per path of names.
 //!
-//! The format follows the published program. The first column is `iteration`. The column of a child of the root has the name of
-//! the node. The column of a deeper node has the names of its ancestors and its own name, joined with `_`. If a node has both a
-//! value and children, `_val` is appended. Columns are in the order in which nodes were logged. Values are seconds, bytes and
-//! bits per second as plain numbers. A cell is empty if the iteration has no such node or if its value is unknown.
+//! The format follows the published program. The first column is `iteration`. The column of a child of the root has the
+//! name of the node. The column of a deeper node has the names of its ancestors and its own name, joined with `_`. If a
+//! node has both a value and children, `_val` is appended. Columns are in the order in which nodes were logged. Values
+//! are seconds, bytes and bits per second as plain numbers. A cell is empty if the iteration has no such node or if its
+//! value is unknown.
 //!
 //! Later iterations may have nodes that earlier iterations do not have. A first pass over the trees therefore collects the columns,
 //! and a second pass writes the rows, so that memory does not grow with the number of rows.
@@ -50,8 +51,8 @@ where
 /// The columns of a table: the paths of the nodes of all trees that were added.
 #[derive(Clone, Debug, Default)]
 pub struct Columns {
-    /// Index of each path segment in `segments`, by the index of its parent, its name, and its number among the siblings of this
-    /// name, from 1.
+    /// Index of each path segment in `segments`, by the index of its parent, its name, and its number among the
+    /// siblings of this name, from 1.
     segment_indices: HashMap<(Option<usize>, Name, usize), usize>,
     segments: Vec<Segment>,
     /// Indices of all segments in the order of their columns.
@@ -141,8 +142,8 @@ impl Columns {
     }
 }
 
-/// Returns the segment of a node's parent. The inner value is `None` if the parent is the root, which has no segment. The result is `None` if
-/// the node has no parent, or if its parent has no segment and is not the root.
+/// Returns the segment of a node's parent. The inner value is `None` if the parent is the root, which has no segment.
+/// The result is `None` if the node has no parent, or if its parent has no segment and is not the root.
 fn parent_segment(tree: &Tree, id: NodeId, segments: &[Option<usize>]) -> Option<Option<usize>> {
     match tree.get(id)?.parent? {
         NodeId::ROOT => Some(None),

@@ -58,8 +58,8 @@ random_id! {
     RunId
 }
 
-/// Name of a host, a pipeline or a model for people: 1 to 64 characters of `A-Z a-z 0-9 . _ -`, of which the first is a letter
-/// or digit. Such a name needs no escaping in addresses, file names and tables.
+/// Name of a host, a pipeline or a model for people: 1 to 64 characters of `A-Z a-z 0-9 . _ -`, of which the first is a
+/// letter or digit. Such a name needs no escaping in addresses, file names and tables.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Slug(Arc<str>);

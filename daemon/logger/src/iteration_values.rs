@@ -55,10 +55,11 @@ names_of_iteration! {
 /// Role of a node in the statistics of its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NodeRole {
-    /// Node whose name, such as that of a stage, has one value in each iteration. The node is a part of this value. The variant contains the
-    /// position of the name in the list of such names.
+    /// Node whose name, such as that of a stage, has one value in each iteration. The node is a part of this value. The
+    /// variant contains the position of the name in the list of such names.
     OfIteration(u8),
-    /// Node with such a name at another place, for example a stage of a model inside another model. Statistics of the name omit this node.
+    /// Node with such a name at another place, for example a stage of a model inside another model. Statistics of the
+    /// name omit this node.
     Nested,
     /// Node with any other name. Each node is one value.
     Other,
@@ -66,9 +67,10 @@ pub enum NodeRole {
 
 /// The values of one iteration by name.
 ///
-/// The names of stages, totals, sizes, throughputs, scores and the count of skipped starts have one value in each iteration. This value is the
-/// sum of the nodes with the name that are directly below the root, or, for `capture` and `transform`, directly below `sensing`. Nodes
-/// with these names at other places do not count. Nodes with all other names are separate values.
+/// The names of stages, totals, sizes, throughputs, scores and the count of skipped starts have one value in each
+/// iteration. This value is the sum of the nodes with the name that are directly below the root, or, for `capture` and
+/// `transform`, directly below `sensing`. Nodes with these names at other places do not count. Nodes with all other
+/// names are separate values.
 #[derive(Clone, Debug, Default)]
 pub struct IterationValues {
     /// First node and sum of each name, in the order of [`NAMES`]; `None` for a name without a value.
@@ -102,15 +104,15 @@ impl IterationValues {
         NodeRole::OfIteration(position)
     }
 
-    /// Returns the iteration's one value of a name. `None` if the iteration has no such value, or if the name does not have one value in each
-    /// iteration.
+    /// Returns the iteration's one value of a name. `None` if the iteration has no such value, or if the name does not
+    /// have one value in each iteration.
     pub fn get(&self, name: &str) -> Option<f64> {
         self.sums[usize::from(position(name)?)].map(|(_, sum)| sum)
     }
 
-    /// Returns the value that statistics count for a node; all nodes must have been added. If the name has one value in each iteration, it is the
-    /// sum for the first node of the name and `None` for its other nodes. For a node with any other name, it is the node's `own` value.
-    /// `None` for nodes that do not count.
+    /// Returns the value that statistics count for a node; all nodes must have been added. If the name has one value in
+    /// each iteration, it is the sum for the first node of the name and `None` for its other nodes. For a node with any
+    /// other name, it is the node's `own` value. `None` for nodes that do not count.
     pub fn counted(&self, id: NodeId, role: NodeRole, own: Option<f64>) -> Option<f64> {
         match role {
             NodeRole::OfIteration(position) => {
@@ -153,8 +155,8 @@ impl CountedNodes<'_> {
         self.roles.get(id.index()).is_some_and(|role| *role != NodeRole::Nested)
     }
 
-    /// Returns whether the statistics of a node's name contain exactly this node's own value: the node counts, and its value is not added to
-    /// the values of other nodes.
+    /// Returns whether the statistics of a node's name contain exactly this node's own value: the node counts, and its
+    /// value is not added to the values of other nodes.
     pub fn is_counted_alone(&self, id: NodeId) -> bool {
         match self.roles.get(id.index()) {
             Some(role @ NodeRole::OfIteration(_)) => {

@@ -1,7 +1,7 @@
 //! Limits on the size of trees and of lists in messages.
 //!
-//! A recorder never exceeds these limits: it leaves out further nodes and counts them. A received tree that exceeds the limits is
-//! refused.
+//! A recorder never exceeds these limits: it leaves out further nodes and counts them. A received tree that exceeds the
+//! limits is refused.
 
 /// Maximum number of levels of a tree, including the root's.
 // The level of a node is computed from its ancestors, so that this limits the work for each node of a hostile
@@ -11,7 +11,8 @@ pub const MAX_DEPTH: usize = 32;
 /// Maximum number of nodes of a tree.
 pub const MAX_NODES: usize = 4096;
 
-/// Number of nodes that a recorder leaves free for values that are computed after the recording: sizes, throughputs, totals.
+/// Number of nodes that a recorder leaves free for values that are computed after the recording: sizes, throughputs,
+/// totals.
 pub const RESERVED_NODES: usize = 64;
 
 /// Maximum number of hosts of a tree. Each host has one anchor.

@@ -30,7 +30,8 @@ pub enum Measure {
 pub struct Rate {
     /// Estimate; `None` if the delay has no estimate.
     pub value: Option<f64>,
-    /// Lower and upper bound; `None` if the delay has no interval. The upper bound is infinite if the delay's interval includes zero.
+    /// Lower and upper bound; `None` if the delay has no interval. The upper bound is infinite if the delay's interval
+    /// includes zero.
     pub bounds: Option<(f64, f64)>,
 }
 
@@ -49,8 +50,8 @@ pub struct Transit {
     pub raw_stamps: Option<RawStamps>,
 }
 
-/// Time at which a message left one host, and time at which it arrived at another, each on the free-running clock of its host. A
-/// cloud that has no stamps of this clock sends stamps of its wall clock ([`RawTime::from_wall`]).
+/// Time at which a message left one host, and time at which it arrived at another, each on the free-running clock of
+/// its host. A cloud that has no stamps of this clock sends stamps of its wall clock ([`RawTime::from_wall`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RawStamps {
     /// Time on the sender's clock just before the message was handed to the network.
@@ -69,8 +70,8 @@ impl Measure {
         }
     }
 
-    /// Returns the number that is stored and used in statistics, in the unit [`unit`](Self::unit). `None` if there is no number, such as for a
-    /// container, an open node or an unknown delay.
+    /// Returns the number that is stored and used in statistics, in the unit [`unit`](Self::unit). `None` if there is
+    /// no number, such as for a container, an open node or an unknown delay.
     pub fn value(&self) -> Option<f64> {
         match self {
             Self::Container => None,

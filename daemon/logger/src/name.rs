@@ -13,8 +13,8 @@ use crate::limits::MAX_NAME_BYTES;
 
 /// A short text that is cloned without copying. Standard names are static texts; all other names are shared.
 ///
-/// A name has at most [`MAX_NAME_BYTES`] bytes. A longer text is truncated if the program makes a name of it, and refused if it
-/// comes from a peer.
+/// A name has at most [`MAX_NAME_BYTES`] bytes. A longer text is truncated if the program makes a name of it, and
+/// refused if it comes from a peer.
 #[derive(Clone)]
 pub struct Name(Repr);
 

@@ -92,7 +92,8 @@ impl Recorder {
             }
             _ => return Err(TreeError::NotInFlight(transit.index())),
         }
-        // The times of this host's nodes are counted from the arrival, so that they need no relation to the sender's clock.
+        // The times of this host's nodes are counted from the arrival, so that they need no relation to the sender's
+        // clock.
         tree.anchors.push(Anchor { host, wall: arrival.wall });
         let host = HostIndex((tree.anchors.len() - 1) as u8);
         let resume_state = Some(ResumeState { base, closed: (transit, arrival.wall) });
@@ -214,8 +215,8 @@ impl Recorder {
     /// Inserts a tree that was recorded elsewhere below the innermost open node, completely or not at all. Returns the
     /// position of the inserted root.
     ///
-    /// The nodes keep their hosts. If a host already belongs to this tree, the host's wall clock determines how far the inserted
-    /// nodes are from the host's anchor in this tree.
+    /// The nodes keep their hosts. If a host already belongs to this tree, the host's wall clock determines how far the
+    /// inserted nodes are from the host's anchor in this tree.
     ///
     /// # Errors
     /// If this tree would exceed its limits, or the other tree is invalid.

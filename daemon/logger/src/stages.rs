@@ -8,15 +8,15 @@ static ORDER: [Name; stage::COUNT] = stage::ORDER;
 
 /// Durations of the standard stages of a finished tree, and their sum.
 ///
-/// `upload` and `download` cross hosts, so each contains the error of the offset between the two hosts' clocks. The *sum* of the
-/// two needs no offset. With the offset θ (cloud minus edge), the raw differences are `upload + θ` and `download − θ`; in the
-/// sum θ cancels. In other words, the sum is the round trip on the edge's clock minus the time between receipt and reply on the
-/// cloud's clock, and each of these two times is a difference on one clock. The sum of all stages is therefore exact even if it
-/// is unknown how much of it belongs to each direction. The remaining error is the drift between the clocks while the sample is
-/// on the cloud (50 ppm of 100 ms are 5 µs).
+/// `upload` and `download` cross hosts, so each contains the error of the offset between the two hosts' clocks. The
+/// *sum* of the two needs no offset. With the offset θ (cloud minus edge), the raw differences are `upload + θ` and
+/// `download − θ`; in the sum θ cancels. In other words, the sum is the round trip on the edge's clock minus the time
+/// between receipt and reply on the cloud's clock, and each of these two times is a difference on one clock. The sum of
+/// all stages is therefore exact even if it is unknown how much of it belongs to each direction. The remaining error is
+/// the drift between the clocks while the sample is on the cloud (50 ppm of 100 ms are 5 µs).
 ///
-/// A step of the cloud's wall clock during this time has no effect, because the time on the cloud is measured by its monotonic
-/// clock. A step of the edge's wall clock between sending and receipt looks like a delay.
+/// A step of the cloud's wall clock during this time has no effect, because the time on the cloud is measured by its
+/// monotonic clock. A step of the edge's wall clock between sending and receipt looks like a delay.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stages {
     durations: [Option<Span>; stage::COUNT],
@@ -82,8 +82,9 @@ impl Transport {
             self.downloads += 1;
             self.last_received = transit.received;
         }
-        // The download is sent by the cloud. The cloud's anchor is the receipt of the upload on its wall clock, and the start of the
-        // download is counted from there on the monotonic clock. So a step of the wall clock in between has no effect.
+        // The download is sent by the cloud. The cloud's anchor is the receipt of the upload on its wall clock, and the
+        // start of the download is counted from there on the monotonic clock. So a step of the wall clock in between
+        // has no effect.
         let cloud_sent = tree.wall_start(node).filter(|_| node.host != HostIndex::EDGE);
         match transit.received {
             Some(received) => self.sum += received - cloud_sent.unwrap_or(transit.sent),
@@ -154,8 +155,8 @@ impl Stages {
         self.durations[index]
     }
 
-    /// Returns the sum of `upload` and `download`, which needs no offset. `None` if the answer has not arrived, or if the edge's clock was set
-    /// back while the message and the answer were in transit.
+    /// Returns the sum of `upload` and `download`, which needs no offset. `None` if the answer has not arrived, or if
+    /// the edge's clock was set back while the message and the answer were in transit.
     pub const fn transport(&self) -> Option<Span> {
         self.transport
     }
@@ -171,13 +172,14 @@ impl Stages {
         self.total
     }
 
-    /// Returns the sum of all stages that the iteration has. `None` if one of them is unfinished, or if the delay of one direction is
-    /// unknown and the iteration lacks the other direction.
+    /// Returns the sum of all stages that the iteration has. `None` if one of them is unfinished, or if the delay of
+    /// one direction is unknown and the iteration lacks the other direction.
     pub const fn stages_total(&self) -> Option<Span> {
         self.stages_total
     }
 
-    /// Returns the part of the total that no stage accounts for; negative if stages overlapped. `None` if the total or a stage is unknown.
+    /// Returns the part of the total that no stage accounts for; negative if stages overlapped. `None` if the total or
+    /// a stage is unknown.
     pub fn unattributed(&self) -> Option<Span> {
         Some(self.total? - self.stages_total?)
     }

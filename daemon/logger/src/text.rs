@@ -108,7 +108,8 @@ fn write_bounds(f: &mut fmt::Formatter<'_>, lo: f64, hi: f64) -> fmt::Result {
     write_number(f, hi)
 }
 
-/// Writes a number: whole numbers without decimals, small numbers with four significant digits, other numbers with four decimals.
+/// Writes a number: whole numbers without decimals, small numbers with four significant digits, other numbers with four
+/// decimals.
 fn write_number(f: &mut fmt::Formatter<'_>, number: f64) -> fmt::Result {
     if number == number.trunc() && number.abs() < 1e15 {
         return write!(f, "{number}");

@@ -174,7 +174,8 @@ impl Tree {
         self.push(Node { parent: Some(parent), name, host: HostIndex::EDGE, start, measure })
     }
 
-    /// Returns the measure of a node for modification; `None` if there is no such node. The edge uses it to record corrected delays.
+    /// Returns the measure of a node for modification; `None` if there is no such node. The edge uses it to record
+    /// corrected delays.
     pub fn measure_mut(&mut self, id: NodeId) -> Option<&mut Measure> {
         self.nodes.get_mut(id.index()).map(|node| &mut node.measure)
     }
@@ -185,7 +186,8 @@ impl Tree {
     /// If the delta does not fit this tree. The tree is then unchanged.
     pub fn apply_delta(&mut self, delta: TreeDelta) -> Result<(), TreeError> {
         let base = self.nodes.len();
-        // The delta refers to parents by their positions in the tree that was sent, so this tree must still have the same length.
+        // The delta refers to parents by their positions in the tree that was sent, so this tree must still have the
+        // same length.
         if delta.base as usize != base {
             return Err(TreeError::BaseMismatch { expected: delta.base as usize, actual: base });
         }
@@ -232,16 +234,16 @@ impl Tree {
         Ok(root)
     }
 
-    /// Returns the position of the anchor that the host of `anchor` has in this tree. If the host has none, `anchor` is added.
-    /// Also returns how much later `anchor` is than the anchor at that position.
+    /// Returns the position of the anchor that the host of `anchor` has in this tree. If the host has none, `anchor` is
+    /// added. Also returns how much later `anchor` is than the anchor at that position.
     fn find_or_add_anchor(&mut self, anchor: &Anchor) -> (HostIndex, Span) {
         // A host has only one anchor in a tree. The host's wall clock tells how far apart the two anchors are.
         if let Some(index) = self.anchors.iter().position(|existing| existing.host == anchor.host) {
             return (HostIndex(index as u8), anchor.wall - self.anchors[index].wall);
         }
         self.anchors.push(anchor.clone());
-        // The index fits into a `u8`, because two trees within their limits have fewer than 256 hosts. If they exceed the limit together,
-        // `check` refuses the result afterwards.
+        // The index fits into a `u8`, because two trees within their limits have fewer than 256 hosts. If they exceed
+        // the limit together, `check` refuses the result afterwards.
         (HostIndex((self.anchors.len() - 1) as u8), Span::ZERO)
     }
 

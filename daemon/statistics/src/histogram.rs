@@ -55,7 +55,8 @@ impl OrderedValues for [f64] {
     }
 }
 
-/// The values of a summary are known within 1 %. The ends of a range are the ends of bins of the sketch, so that no bin is counted in part.
+/// The values of a summary are known within 1 %. The ends of a range are the ends of bins of the sketch, so that no bin
+/// is counted in part.
 impl OrderedValues for Summary {
     fn count(&self) -> u64 {
         self.count()
@@ -121,9 +122,10 @@ pub struct Binning {
 }
 
 impl Binning {
-    /// Divides the [shown range](shown_range) of these values into bins. Their width is that of Freedman and Diaconis (1981): twice the
-    /// interquartile range, divided by the cube root of the number of values. There are between 8 and 60 bins, but at most `max_bins`. If all
-    /// values are equal, there is a single bin. `None` without values, or if the range is infinite.
+    /// Divides the [shown range](shown_range) of these values into bins. Their width is that of Freedman and Diaconis
+    /// (1981): twice the interquartile range, divided by the cube root of the number of values. There are between 8 and
+    /// 60 bins, but at most `max_bins`. If all values are equal, there is a single bin. `None` without values, or if
+    /// the range is infinite.
     pub fn of<V: OrderedValues + ?Sized>(values: &V, max_bins: usize) -> Option<Self> {
         let (lo, hi) = shown_range(values).filter(|(lo, hi)| lo.is_finite() && hi.is_finite())?;
         if lo == hi {
@@ -160,10 +162,12 @@ impl Summary {
     /// Counts the values in each bin, below the first bin and above the last bin. Each value is counted once.
     pub fn count_in(&self, binning: &Binning) -> BinCounts {
         let total = self.count();
-        // The cumulative counts are rounded, not the counts of the bins, so that the counts add up to the number of values.
+        // The cumulative counts are rounded, not the counts of the bins, so that the counts add up to the number of
+        // values.
         let below = |x: f64| (self.fraction_below(x).unwrap_or(0.0) * total as f64).round() as u64;
         let mut cumulative: Vec<u64> = binning.edges().into_iter().map(below).collect();
-        // The edges are rounded. Because of this, the smallest value could lie below the first bin, or the largest above the last bin.
+        // The edges are rounded. Because of this, the smallest value could lie below the first bin, or the largest
+        // above the last bin.
         if let Some(first) = cumulative.first_mut().filter(|_| binning.range.0 <= self.moments.min) {
             *first = 0;
         }

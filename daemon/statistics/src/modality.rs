@@ -4,17 +4,20 @@ use crate::Summary;
 
 /// Minimum number of values for the test.
 const MIN_VALUES: u64 = 100;
-/// Excess mass that chance can cause in n values, multiplied by √n. If samples of 100 to 500 values are drawn from a uniform distribution, fewer
-/// than 1 % of them have a larger excess mass. In simulations, the 99th percentile of the excess mass times √n is 1.04 for 100 values, 1.11 for
-/// 300 values and 1.19 for 1,000 values. This constant matters only up to 529 values: above, [`MIN_EXCESS`] is the higher limit.
+/// Excess mass that chance can cause in n values, multiplied by √n. If samples of 100 to 500 values are drawn from a
+/// uniform distribution, fewer than 1 % of them have a larger excess mass. In simulations, the 99th percentile of the
+/// excess mass times √n is 1.04 for 100 values, 1.11 for 300 values and 1.19 for 1,000 values. This constant matters
+/// only up to 529 values: above, [`MIN_EXCESS`] is the higher limit.
 const EXCESS_BY_CHANCE: f64 = 1.15;
 /// Minimum excess mass: a twentieth of the values would have to be moved to remove the second mode.
 const MIN_EXCESS: f64 = 0.05;
-/// Minimum ratio of the upper mode to the lower mode. If the modes are closer together, mean and standard deviation still describe the values.
+/// Minimum ratio of the upper mode to the lower mode. If the modes are closer together, mean and standard deviation
+/// still describe the values.
 const MIN_RATIO: f64 = 1.2;
 /// Maximum distance by which a bin of the sketch is extended to each side, as a difference of natural logarithms.
 const MAX_REACH: f64 = 0.1;
-/// Factor by which the bins of two neighbouring whole numbers may extend beyond the middle between the two, because the sketch rounds values.
+/// Factor by which the bins of two neighbouring whole numbers may extend beyond the middle between the two, because the
+/// sketch rounds values.
 const WHOLE_NUMBER_MARGIN: f64 = 1.1;
 /// A shorter gap between two bins is an error of rounding.
 const ROUNDING: f64 = 1e-9;
@@ -41,15 +44,18 @@ struct Bin {
 }
 
 impl Summary {
-    /// Returns the two modes of the values above zero, if the values clearly have two modes. They do if the excess mass of two modes over one
-    /// (Müller and Sawitzki, *Excess mass estimates and tests for multimodality*, Journal of the American Statistical Association 86, 1991) is
-    /// larger than chance explains (p < 0.01) and is at least a twentieth of the values.
+    /// Returns the two modes of the values above zero, if the values clearly have two modes. They do if the excess mass
+    /// of two modes over one (Müller and Sawitzki, *Excess mass estimates and tests for multimodality*, Journal of the
+    /// American Statistical Association 86, 1991) is larger than chance explains (p < 0.01) and is at least a twentieth
+    /// of the values.
     ///
-    /// The excess mass is twice the dip of Hartigan and Hartigan (The Annals of Statistics 13, 1985). As in their test, chance means samples of a
-    /// uniform distribution. Distributions with a peak, such as log-normal distributions, cause even fewer false alarms. The two groups are
-    /// divided at the threshold of Otsu (IEEE Transactions on Systems, Man, and Cybernetics 9, 1979), on a logarithmic axis.
+    /// The excess mass is twice the dip of Hartigan and Hartigan (The Annals of Statistics 13, 1985). As in their test,
+    /// chance means samples of a uniform distribution. Distributions with a peak, such as log-normal distributions,
+    /// cause even fewer false alarms. The two groups are divided at the threshold of Otsu (IEEE Transactions on
+    /// Systems, Man, and Cybernetics 9, 1979), on a logarithmic axis.
     ///
-    /// `None` with fewer than 100 values above zero, with one mode, or if the upper mode is less than 20 % above the lower mode.
+    /// `None` with fewer than 100 values above zero, with one mode, or if the upper mode is less than 20 % above the
+    /// lower mode.
     pub fn two_modes(&self) -> Option<TwoModes> {
         let positive: Vec<(f64, u64)> = self.sketch.bins().filter(|(value, _)| *value > 0.0).collect();
         let count: u64 = positive.iter().map(|(_, count)| count).sum();
@@ -93,9 +99,9 @@ fn bins(positive: &[(f64, u64)], count: u64) -> Vec<Bin> {
     bins
 }
 
-/// Returns the excess mass of two modes over one: the largest difference, over all densities, between the excess mass of the best two intervals
-/// and that of the best single interval. The excess mass of intervals at a density is the share of the values in the intervals, minus the share
-/// that a uniform distribution with this density has there.
+/// Returns the excess mass of two modes over one: the largest difference, over all densities, between the excess mass
+/// of the best two intervals and that of the best single interval. The excess mass of intervals at a density is the
+/// share of the values in the intervals, minus the share that a uniform distribution with this density has there.
 fn excess_mass(bins: &[Bin]) -> f64 {
     let densities = || bins.iter().filter(|bin| bin.mass > 0.0).map(|bin| bin.mass / bin.length);
     // The density that separates two groups best puts at least `MIN_EXCESS` on the whole axis, if their excess is that large.
@@ -111,7 +117,8 @@ fn excess_mass(bins: &[Bin]) -> f64 {
     excess.fold(0.0, f64::max)
 }
 
-/// Returns the largest sum of an interval of consecutive numbers, and the largest sum of two such intervals. An interval may be empty.
+/// Returns the largest sum of an interval of consecutive numbers, and the largest sum of two such intervals. An
+/// interval may be empty.
 fn largest_interval_sums(gains: impl Iterator<Item = f64>) -> [f64; 2] {
     // Largest sum so far in four states: within the first interval, after it, within the second interval, after it.
     let (mut first, mut after_first, mut second, mut after_second) =

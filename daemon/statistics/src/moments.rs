@@ -6,7 +6,8 @@ use crate::Merge;
 
 /// Count, mean, sum of squared deviations from the mean, and extremes.
 ///
-/// Numbers are added by Welford's method (1962), and instances are merged by the method of Chan, Golub and LeVeque (1979).
+/// Numbers are added by Welford's method (1962), and instances are merged by the method of Chan, Golub and LeVeque
+/// (1979).
 // Sums of squares would lose precision if the mean is much larger than the deviation, as is usual for durations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "UncheckedMoments")]

@@ -2,8 +2,8 @@
 
 use crate::Merge;
 
-/// Ring of one-second cells. The cell of a new second overwrites the oldest cell, and the cells of any number of the last
-/// seconds can be merged.
+/// Ring of one-second cells. The cell of a new second overwrites the oldest cell, and the cells of any number of the
+/// last seconds can be merged.
 ///
 /// The caller numbers the seconds, usually since the Unix epoch. A second that is further in the past than the ring
 /// reaches clears the ring.
@@ -68,7 +68,8 @@ impl<C: Merge + Default> RecentSeconds<C> {
     }
 
     /// Removes the cells of `second` and of all later seconds.
-    // After a clock was set back, it reaches these seconds again, and their old cells must not be mixed with new values.
+    // After a clock was set back, it reaches these seconds again, and their old cells must not be mixed with new
+    // values.
     pub fn remove_from(&mut self, second: i64) {
         for slot in &mut self.cells {
             slot.take_if(|(cell_second, _)| *cell_second >= second);
@@ -82,8 +83,8 @@ impl<C: Merge + Default> RecentSeconds<C> {
         slot.filter(|(cell_second, _)| *cell_second == second).map(|(_, cell)| cell)
     }
 
-    /// Iterates over seconds and their cells: the last `seconds` seconds up to and including `now`, oldest first. At most as
-    /// many seconds as the ring has cells are covered. Seconds without a cell are left out.
+    /// Iterates over seconds and their cells: the last `seconds` seconds up to and including `now`, oldest first. At
+    /// most as many seconds as the ring has cells are covered. Seconds without a cell are left out.
     pub fn iter(&self, now: i64, seconds: usize) -> impl Iterator<Item = (i64, &C)> {
         let length = seconds.min(self.cells.len()) as i64;
         (now.saturating_sub(length)..now)

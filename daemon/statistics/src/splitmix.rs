@@ -37,7 +37,8 @@ impl SplitMix64 {
     /// Returns a number with mean 0 and standard deviation 1 that is nearly normally distributed (Irwin–Hall, twelve
     /// terms).
     pub fn normal(&mut self) -> f64 {
-        // The variance of a uniform number is 1/12, so the sum of twelve of them has the variance 1. The mean of the sum is 6.
+        // The variance of a uniform number is 1/12, so the sum of twelve of them has the variance 1. The mean of the
+        // sum is 6.
         (0..12).map(|_| self.unit()).sum::<f64>() - 6.0
     }
 }

@@ -46,8 +46,8 @@ impl Summary {
         self.moments.count
     }
 
-    /// Returns the quantile at `q` from 0 to 1: the number below which the fraction `q` of all numbers lies. It is never outside
-    /// of the observed extremes. `None` without numbers.
+    /// Returns the quantile at `q` from 0 to 1: the number below which the fraction `q` of all numbers lies. It is
+    /// never outside of the observed extremes. `None` without numbers.
     pub fn quantile(&self, q: f64) -> Option<f64> {
         // The midpoint of the lowest or the highest bin may lie beyond the smallest or the largest number.
         self.sketch.quantile(q).map(|value| value.max(self.moments.min).min(self.moments.max))
@@ -80,8 +80,8 @@ impl Summary {
         }
     }
 
-    /// Returns the number of values between each edge and the next, for drawing, as [`Sketch::histogram`] does. Unlike in a
-    /// sketch, the number is exactly 0 between edges that lie outside of the observed extremes.
+    /// Returns the number of values between each edge and the next, for drawing, as [`Sketch::histogram`] does. Unlike
+    /// in a sketch, the number is exactly 0 between edges that lie outside of the observed extremes.
     pub fn histogram(&self, edges: &[f64]) -> Vec<f64> {
         let below = |x: f64| self.fraction_below(x).unwrap_or(0.0) * self.count() as f64;
         edges.windows(2).map(|pair| (below(pair[1]) - below(pair[0])).max(0.0)).collect()

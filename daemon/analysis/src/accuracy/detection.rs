@@ -1,8 +1,9 @@
 //! Scores of a detector: mean average precision, and the overlap of found and labelled boxes.
 //!
-//! Average precision is the area under the curve of precision over recall. The precision at each recall is first replaced with
-//! the largest precision at this or a higher recall (M. Everingham et al., *The PASCAL Visual Object Classes Challenge*, IJCV 88, 2010). The area
-//! uses all points of the curve, as the challenge does from 2010 on, and not eleven of them.
+//! Average precision is the area under the curve of precision over recall. The precision at each recall is first
+//! replaced with the largest precision at this or a higher recall (M. Everingham et al., *The PASCAL Visual Object
+//! Classes Challenge*, IJCV 88, 2010). The area uses all points of the curve, as the challenge does from 2010 on, and
+//! not eleven of them.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -13,7 +14,8 @@ use serde::Deserialize;
 /// objects.
 pub const DETECTION_SCORES: [&str; 2] = ["map-50", "mean-iou"];
 
-/// A found box is at the place of a labelled object if the intersection of both boxes divided by their union is at least this ratio.
+/// A found box is at the place of a labelled object if the intersection of both boxes divided by their union is at
+/// least this ratio.
 pub const MATCHING_IOU: f64 = 0.5;
 
 /// Box of an object, labelled or found.
@@ -51,9 +53,10 @@ struct FoundObject {
 }
 
 impl PictureObjects {
-    /// Reads the objects from a sample's label and from the answer to the sample, which is JSON with the key `detections`. Boxes are returned as
-    /// fractions of the picture, because the labelled picture may have been resized before it reached the model. The names of classes are
-    /// normalised, so that they can be compared. Returns `None` if the label does not describe objects or the answer is something else.
+    /// Reads the objects from a sample's label and from the answer to the sample, which is JSON with the key
+    /// `detections`. Boxes are returned as fractions of the picture, because the labelled picture may have been resized
+    /// before it reached the model. The names of classes are normalised, so that they can be compared. Returns `None`
+    /// if the label does not describe objects or the answer is something else.
     pub fn read(label: &str, answer: &[u8]) -> Option<Self> {
         let label = ObjectsLabel::parse(label)?;
         let answer: Answer = serde_json::from_slice(answer).ok()?;
@@ -80,7 +83,8 @@ pub struct DetectionScores {
     /// Mean of the average precisions of all classes at an overlap of [`MATCHING_IOU`], from 0 to 1. A class that is found but
     /// not labelled has an average precision of 0. The mean is 1 if nothing is labelled and nothing is found.
     pub map_50: f64,
-    /// Mean overlap of the labelled objects that were found, from [`MATCHING_IOU`] to 1; `None` if no labelled object was found.
+    /// Mean overlap of the labelled objects that were found, from [`MATCHING_IOU`] to 1; `None` if no labelled object
+    /// was found.
     pub mean_iou: Option<f64>,
     /// Number of labelled objects.
     pub labelled: u64,
@@ -109,7 +113,8 @@ impl DetectionScores {
     }
 }
 
-/// Returns the average precision of a class. Adds to `overlaps` the overlap of each labelled object of this class that was found.
+/// Returns the average precision of a class. Adds to `overlaps` the overlap of each labelled object of this class that
+/// was found.
 fn average_precision(pictures: &[PictureObjects], class: &str, overlaps: &mut Vec<f64>) -> f64 {
     let labelled = pictures.iter().flat_map(|picture| &picture.labelled);
     let labelled = labelled.filter(|object| object.class == class).count();
@@ -138,8 +143,8 @@ fn average_precision(pictures: &[PictureObjects], class: &str, overlaps: &mut Ve
     area_under_curve(&are_right, labelled)
 }
 
-/// Returns the area under the curve of precision over recall. `are_right` has an item for each found box, best score first: whether
-/// the box is at the place of a labelled object. `labelled` is the number of labelled objects.
+/// Returns the area under the curve of precision over recall. `are_right` has an item for each found box, best score
+/// first: whether the box is at the place of a labelled object. `labelled` is the number of labelled objects.
 fn area_under_curve(are_right: &[bool], labelled: usize) -> f64 {
     if labelled == 0 {
         return 0.0;
@@ -152,7 +157,8 @@ fn area_under_curve(are_right: &[bool], labelled: usize) -> f64 {
             precisions.push(right as f64 / (index + 1) as f64);
         }
     }
-    // The sum runs from the highest recall to the lowest with the largest precision so far. Each right box raises the recall by the same step.
+    // The sum runs from the highest recall to the lowest with the largest precision so far. Each right box raises the
+    // recall by the same step.
     let mut largest = 0.0_f64;
     let mut area = 0.0;
     for precision in precisions.into_iter().rev() {

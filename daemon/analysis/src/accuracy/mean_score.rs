@@ -14,9 +14,9 @@ pub struct MeanScore {
 }
 
 impl MeanScore {
-    /// Returns the mean of `count` scores, with its interval, from the mean and the sample standard deviation of the scores. All scores are
-    /// between `least` and `most`. The interval is that of Student's t for independent scores. `None` without a score, or if the mean is not
-    /// within the range.
+    /// Returns the mean of `count` scores, with its interval, from the mean and the sample standard deviation of the
+    /// scores. All scores are between `least` and `most`. The interval is that of Student's t for independent scores.
+    /// `None` without a score, or if the mean is not within the range.
     pub fn from_statistics(
         count: u64,
         mean: f64,

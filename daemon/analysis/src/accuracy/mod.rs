@@ -28,8 +28,9 @@ pub struct Accuracy {
     pub interval: (f64, f64),
     /// Number of scored iterations.
     pub count: u64,
-    /// Number of unscored iterations: they have an answer and are not warm-up, but have no score of 0 or 1. The reason is one of these: no
-    /// label is known, the label is [not a class of the model](UnknownLabels), the answer names no class, or the score is not valid.
+    /// Number of unscored iterations: they have an answer and are not warm-up, but have no score of 0 or 1. The reason
+    /// is one of these: no label is known, the label is [not a class of the model](UnknownLabels), the answer names no
+    /// class, or the score is not valid.
     pub unscored: u64,
 }
 
@@ -77,8 +78,9 @@ pub fn score(row: RowRef<'_>, column: &str) -> Option<bool> {
     }
 }
 
-/// Returns the 95 % score interval of a proportion (E. B. Wilson, *Probable inference, the law of succession, and statistical inference*, JASA
-/// 22, 1927). Unlike the usual interval (share ± margin), it stays between 0 and 1 and is valid for shares near 0 and 1.
+/// Returns the 95 % score interval of a proportion (E. B. Wilson, *Probable inference, the law of succession, and
+/// statistical inference*, JASA 22, 1927). Unlike the usual interval (share ± margin), it stays between 0 and 1 and is
+/// valid for shares near 0 and 1.
 fn wilson(share: f64, count: u64) -> (f64, f64) {
     let n = count as f64;
     let z2 = Z95 * Z95;

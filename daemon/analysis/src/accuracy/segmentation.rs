@@ -62,8 +62,9 @@ impl Default for SegmentedPixels {
 }
 
 impl SegmentedPixels {
-    /// Adds the pixels of a picture. The answer may have another resolution than the mask, with the same proportions. For each pixel of the
-    /// mask, its class is compared with the class of the answer's pixel in which the centre of the mask's pixel lies.
+    /// Adds the pixels of a picture. The answer may have another resolution than the mask, with the same proportions.
+    /// For each pixel of the mask, its class is compared with the class of the answer's pixel in which the centre of
+    /// the mask's pixel lies.
     pub fn add(&mut self, mask: ClassMap<'_>, answer: ClassMap<'_>) {
         let index = |at: usize, from: usize, to: usize| (2 * at + 1) * to / (2 * from);
         let columns: Vec<usize> = (0..mask.width).map(|x| index(x, mask.width, answer.width)).collect();
@@ -81,8 +82,8 @@ impl SegmentedPixels {
         }
     }
 
-    /// Returns the ratio of intersection to union, from 0 to 1, as the mean over the classes that occur in a mask or in an answer. `None` if no
-    /// pixel is scored.
+    /// Returns the ratio of intersection to union, from 0 to 1, as the mean over the classes that occur in a mask or in
+    /// an answer. `None` if no pixel is scored.
     pub fn mean_iou(&self) -> Option<f64> {
         let ratios: Vec<f64> = self.0.iter().filter_map(ClassPixels::iou).collect();
         (!ratios.is_empty()).then(|| ratios.iter().sum::<f64>() / ratios.len() as f64)

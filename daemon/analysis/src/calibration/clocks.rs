@@ -11,8 +11,8 @@ use super::sample::Sample;
 pub struct Clocks {
     /// Number of samples of the clock relation.
     pub seconds: u64,
-    /// Number of events after which the clocks had to be related anew: a clock was stepped, drifted faster than allowed, or was a different
-    /// clock after the peer had been away.
+    /// Number of events after which the clocks had to be related anew: a clock was stepped, drifted faster than
+    /// allowed, or was a different clock after the peer had been away.
     pub steps: u64,
     /// Kind of the two clocks that were related at the end of the study; `None` without samples.
     pub clocks: Option<RelatedClocks>,
@@ -22,7 +22,8 @@ pub struct Clocks {
     pub max_drift_change_ppm_per_s: Option<f64>,
     /// Last estimate of the rate at which the clocks drift apart, parts per million; `None` if there was no estimate.
     pub skew_ppm: Option<f64>,
-    /// Offset of the wall clocks, cloud minus edge, that corrected the last known upload delay, seconds; `None` if no upload delay is known.
+    /// Offset of the wall clocks, cloud minus edge, that corrected the last known upload delay, seconds; `None` if no
+    /// upload delay is known.
     pub offset: Option<f64>,
     /// Shortest round trip of a probe, seconds; `None` if no probe was answered.
     pub round_trip: Option<f64>,
@@ -36,8 +37,8 @@ impl Clocks {
             let up = sample.up.as_ref().filter(|up| up.delay.known_seconds().is_some())?;
             Some((up.delay.raw - up.delay.value?).seconds())
         };
-        // Each clock relation counts its own restarts, and when the peer comes back, a new relation starts at zero. So only increases are added
-        // up.
+        // Each clock relation counts its own restarts, and when the peer comes back, a new relation starts at zero. So
+        // only increases are added up.
         let restarts = seconds.iter().map(|second| u64::from(second.exchanges.restarts));
         let previous = std::iter::once(0).chain(restarts.clone());
         let reported_steps: u64 =
@@ -61,8 +62,8 @@ impl Clocks {
     }
 }
 
-/// Returns whether a new relation of the two clocks and the previous one cannot both be true. If so, a clock was set between the two samples,
-/// or the peer that came back reads a different clock.
+/// Returns whether a new relation of the two clocks and the previous one cannot both be true. If so, a clock was set
+/// between the two samples, or the peer that came back reads a different clock.
 fn is_contradicted(before: &ClockSample, after: &ClockSample) -> bool {
     let is_new = before.window != after.window
         && after.exchanges.restarts <= before.exchanges.restarts

@@ -20,7 +20,8 @@ pub struct DirectionStudy {
     pub sizes: Vec<SizeSummary>,
     /// Fits of delay against bytes; `None` with fewer than three sizes.
     pub fits: Option<Fits>,
-    /// Bounds that the clock relation gives for the smallest payload; `None` if not every delay of this payload has bounds.
+    /// Bounds that the clock relation gives for the smallest payload; `None` if not every delay of this payload has
+    /// bounds.
     pub claimed: Option<Claim>,
     /// Throughput that follows from the slope of the main fit; `None` without fits, or if delays do not grow with size.
     pub throughput: Option<Throughput>,
@@ -33,8 +34,8 @@ pub struct DirectionStudy {
 /// Fits of the delay in seconds against the bytes on the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Fits {
-    /// Fits to the medians of the sizes. The fit by least squares, which is weighted by the precision of each median, is the main fit: the
-    /// verdict depends on it.
+    /// Fits to the medians of the sizes. The fit by least squares, which is weighted by the precision of each median,
+    /// is the main fit: the verdict depends on it.
     pub medians: FitPair,
     /// Fits to every sample.
     pub samples: FitPair,
@@ -71,9 +72,10 @@ pub struct Throughput {
     pub value: f64,
     /// Reciprocals of the ends of the slope's confidence interval. The upper end is `None` if the confidence interval reaches zero.
     pub interval: Option<(f64, Option<f64>)>,
-    /// Range of the throughput if the delays can lie anywhere within their clock bounds. The range is computed from the flattest and the steepest
-    /// line between the smallest and the largest size. It is wider than necessary: it treats the clock errors of both sizes as independent, but
-    /// a constant error of the clocks does not change the slope. `None` if the bounds are not known.
+    /// Range of the throughput if the delays can lie anywhere within their clock bounds. The range is computed from the
+    /// flattest and the steepest line between the smallest and the largest size. It is wider than necessary: it treats
+    /// the clock errors of both sizes as independent, but a constant error of the clocks does not change the slope.
+    /// `None` if the bounds are not known.
     pub bounds: Option<(f64, Option<f64>)>,
 }
 
@@ -122,8 +124,8 @@ impl DirectionStudy {
     }
 }
 
-/// Returns the median delay of the counted messages with this payload, seconds, computed as in the study. `None` if none of these delays is
-/// known.
+/// Returns the median delay of the counted messages with this payload, seconds, computed as in the study. `None` if
+/// none of these delays is known.
 pub fn median_delay(direction: Direction, samples: &[Sample], payload_bytes: u64) -> Option<f64> {
     size_summary(payload_bytes, &counted_passages(direction, samples)).map(|size| size.median)
 }
@@ -185,7 +187,8 @@ impl Throughput {
         let (first, last) = (sizes.first()?, sizes.last()?);
         let bytes = last.wire_bytes - first.wire_bytes;
         let lines = first.bounds.zip(last.bounds).map(|((first_lo, first_hi), (last_lo, last_hi))| {
-            // The flattest line goes from the highest possible delay of the smallest size to the lowest possible delay of the largest size.
+            // The flattest line goes from the highest possible delay of the smallest size to the lowest possible delay
+            // of the largest size.
             ((last_lo - first_hi) / bytes, (last_hi - first_lo) / bytes)
         });
         Some(Self { bounds: lines.and_then(rate_range), ..Self::from_slope(slope)? })

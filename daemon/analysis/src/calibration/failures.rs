@@ -52,7 +52,8 @@ impl Failures {
     }
 }
 
-/// Returns the sentence about payloads without an answer; empty if every payload was answered. `sent` is the number of all payloads.
+/// Returns the sentence about payloads without an answer; empty if every payload was answered. `sent` is the number of
+/// all payloads.
 pub(super) fn sentence(failures: &[Failures], sent: u64) -> String {
     if failures.is_empty() {
         return String::new();

@@ -1,9 +1,10 @@
 //! Calibration of a link: one-way delay against size, the intercept of the linear fit, and the bounds that the clocks allow.
 //!
-//! The paper's study (IROS 2024, section on network timing) sent payloads of several sizes and fitted a line to the differences of the two
-//! hosts' stamps. The study took the intercept of the line, −2.01 ms, as the error of every delay. This module fits a line to corrected delays
-//! and compares its intercept with the bounds that the clock relation allows. If the clocks are right, the intercept is the real delay of an
-//! empty message. It is then not negative and lies within the bounds that follow from those of the smallest payload.
+//! The paper's study (IROS 2024, section on network timing) sent payloads of several sizes and fitted a line to the
+//! differences of the two hosts' stamps. The study took the intercept of the line, −2.01 ms, as the error of every
+//! delay. This module fits a line to corrected delays and compares its intercept with the bounds that the clock
+//! relation allows. If the clocks are right, the intercept is the real delay of an empty message. It is then not
+//! negative and lies within the bounds that follow from those of the smallest payload.
 
 mod clocks;
 mod direction;
@@ -92,7 +93,8 @@ pub struct Study {
 }
 
 impl Study {
-    /// Makes a study of all iterations of a payload sweep and of the samples of the clock relation during the sweep, one per second.
+    /// Makes a study of all iterations of a payload sweep and of the samples of the clock relation during the sweep,
+    /// one per second.
     pub fn new(setting: Setting, samples: Vec<Sample>, clocks: &[ClockSample]) -> Self {
         let count = |condition: &dyn Fn(&Sample) -> bool| {
             samples.iter().filter(|sample| condition(sample)).count() as u64
@@ -109,7 +111,8 @@ impl Study {
         Self { failures: Failures::by_outcome(&samples), setting, counts, clocks, up, down, verdict, samples }
     }
 
-    /// Writes `samples.csv`, `summary.csv` and `calibration.json` into an existing folder. Returns the paths of the files.
+    /// Writes `samples.csv`, `summary.csv` and `calibration.json` into an existing folder. Returns the paths of the
+    /// files.
     ///
     /// # Errors
     /// If a file cannot be written.

@@ -15,7 +15,8 @@ use crate::table::{csv, decimals_of, interval, text};
 
 /// Maximum number of decimals of a number of ms: a tenth of a microsecond.
 const MAX_MS_DECIMALS: usize = 4;
-/// Columns of one direction, as suffixes of the name of its stage: `upload-bytes`. The column of the delay has no suffix: `upload`.
+/// Columns of one direction, as suffixes of the name of its stage: `upload-bytes`. The column of the delay has no
+/// suffix: `upload`.
 const PASSAGE_COLUMNS: [&str; 8] = ["bytes", "logger-bytes", "raw", "", "lo", "hi", "source", "verdict"];
 
 /// Writes one row per iteration: seconds, bytes.

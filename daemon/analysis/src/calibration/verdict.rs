@@ -111,7 +111,8 @@ impl Verdict {
         }
     }
 
-    /// Adds to the sentence how often the peer was away, and what follows for the clocks. Nothing is added if the peer was never away.
+    /// Adds to the sentence how often the peer was away, and what follows for the clocks. Nothing is added if the peer
+    /// was never away.
     pub(super) fn with_reconnections(mut self, times: u64) -> Self {
         let times = match times {
             0 => return self,
@@ -151,7 +152,8 @@ impl Verdict {
             (true, false) => format!("the intercept of the {}", up.name),
             _ => format!("the intercept of the {}", down.name),
         };
-        // A wrong offset lengthens one direction and shortens the other by the same amount, so the two distances have different signs.
+        // A wrong offset lengthens one direction and shortens the other by the same amount, so the two distances have
+        // different signs.
         let reason = if up_distance * down_distance < 0.0 {
             let limit = clocks.max_drift_ppm.map_or_else(String::new, |ppm| format!(" than {ppm} ppm"));
             format!(

@@ -26,9 +26,9 @@ pub(super) fn rank_lines(comparison: &mut Comparison, runs: &[Loaded]) {
     }
 }
 
-/// Returns the table of the differences between the means of the other lines and the mean of the best line. A comparison of three or more lines
-/// has this table instead of [`Differences`](super::Differences). `None` with fewer than three lines, if no line is the best, or if no other
-/// line has a mean.
+/// Returns the table of the differences between the means of the other lines and the mean of the best line. A
+/// comparison of three or more lines has this table instead of [`Differences`](super::Differences). `None` with fewer
+/// than three lines, if no line is the best, or if no other line has a mean.
 pub fn differences_to_best(comparison: &Comparison) -> Option<CaptionedTable> {
     let best = comparison.best.filter(|_| comparison.lines.len() > 2)?;
     comparison.lines.iter().find(|line| line.difference_to_best.is_some())?;

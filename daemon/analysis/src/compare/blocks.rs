@@ -2,11 +2,12 @@
 
 /// Returns the mean block length of a stationary bootstrap of the mean of these values, at least 1.
 ///
-/// Consecutive latencies are correlated: a queue empties slowly, a processor stays warm. If latencies were drawn one by one, the interval
-/// would be too narrow. The returned length minimises the error of the bootstrapped variance (Politis and White, *Automatic block-length
-/// selection for the dependent bootstrap*, Econometric Reviews 23, 2004, as corrected by Patton, Politis and White, Econometric Reviews 28,
-/// 2009). With the autocovariance R, the flat-top window function λ, its width M, G = Σ λ(k/M) |k| R(k) and σ² = Σ λ(k/M) R(k), the length is
-/// (G² / σ⁴ · n)^⅓, at most 3 √n and n / 3. For independent values the length is about 1, and the bootstrap is the ordinary bootstrap.
+/// Consecutive latencies are correlated: a queue empties slowly, a processor stays warm. If latencies were drawn one by
+/// one, the interval would be too narrow. The returned length minimises the error of the bootstrapped variance (Politis
+/// and White, *Automatic block-length selection for the dependent bootstrap*, Econometric Reviews 23, 2004, as
+/// corrected by Patton, Politis and White, Econometric Reviews 28, 2009). With the autocovariance R, the flat-top
+/// window function λ, its width M, G = Σ λ(k/M) |k| R(k) and σ² = Σ λ(k/M) R(k), the length is (G² / σ⁴ · n)^⅓, at most
+/// 3 √n and n / 3. For independent values the length is about 1, and the bootstrap is the ordinary bootstrap.
 pub(super) fn length(values: &[f64]) -> f64 {
     let n = values.len() as f64;
     let longest = (3.0 * n.sqrt()).min(n / 3.0).ceil().max(1.0);
@@ -24,8 +25,8 @@ pub(super) fn length(values: &[f64]) -> f64 {
     if length.is_finite() { length.clamp(1.0, longest) } else { 1.0 }
 }
 
-/// Returns the width of the window: twice the smallest lag after which the values are not correlated, which means that the next five or more
-/// correlations lie within ±2 √(log₁₀ n / n). `None` if the values do not vary.
+/// Returns the width of the window: twice the smallest lag after which the values are not correlated, which means that
+/// the next five or more correlations lie within ±2 √(log₁₀ n / n). `None` if the values do not vary.
 fn window(centred: &[f64]) -> Option<usize> {
     let n = centred.len() as f64;
     let variance = covariance(centred, 0);

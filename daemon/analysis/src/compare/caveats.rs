@@ -12,8 +12,8 @@ use crate::loaded::Loaded;
 use crate::rows::RowRef;
 use crate::trust::{Starts, publication_caveats};
 
-/// Returns sentences about runs that cannot be published as they are, about skipped starts, replayed latencies and incomplete folders, and about
-/// numbers that are missing without a reason.
+/// Returns sentences about runs that cannot be published as they are, about skipped starts, replayed latencies and
+/// incomplete folders, and about numbers that are missing without a reason.
 pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
     let incomplete: Vec<String> = runs
         .iter()
@@ -98,8 +98,8 @@ fn describe_missing_numbers(runs: &[Loaded], line: &Line) -> Vec<String> {
     LATENCIES.into_iter().zip(&line.latencies).filter_map(describe).collect()
 }
 
-/// Returns whether the number of a column is missing without a recorded reason, or too large for the statistics. A delay is missing for a
-/// reason if its verdict says that it cannot be known.
+/// Returns whether the number of a column is missing without a recorded reason, or too large for the statistics. A
+/// delay is missing for a reason if its verdict says that it cannot be known.
 fn is_missing(row: RowRef<'_>, name: &str) -> bool {
     let [up, down] = row.verdicts();
     let explains_missing = |verdict: Option<Verdict>| {

@@ -2,7 +2,8 @@
 
 use super::labels::{EMPTY_CELL, readable_name};
 
-/// Maximum number of values that a sentence lists of a fact that has no column. Also the maximum number of configurations listed for a value.
+/// Maximum number of values that a sentence lists of a fact that has no column. Also the maximum number of
+/// configurations listed for a value.
 const MAX_LISTED: usize = 4;
 /// A word of at least this many characters, all of them hexadecimal digits, counts as a hash.
 const MIN_HASH_DIGITS: usize = 32;
@@ -27,9 +28,10 @@ pub struct ChosenColumns {
     pub rest: Vec<Column>,
 }
 
-/// Chooses a column in two cases: if it distinguishes configurations that the columns chosen before do not distinguish, or if it has a label for
-/// a configuration that has no label in the other chosen columns. Columns of hashes or paths are never chosen: if no other column distinguishes
-/// the runs, the names of their folders, which people gave, are easier to read.
+/// Chooses a column in two cases: if it distinguishes configurations that the columns chosen before do not distinguish,
+/// or if it has a label for a configuration that has no label in the other chosen columns. Columns of hashes or paths
+/// are never chosen: if no other column distinguishes the runs, the names of their folders, which people gave, are
+/// easier to read.
 pub fn choose_columns(candidates: Vec<Column>) -> ChosenColumns {
     choose_further_columns(Vec::new(), candidates)
 }
@@ -132,8 +134,8 @@ impl Column {
         is_opaque(self.labels.iter().map(String::as_str))
     }
 
-    /// Returns a text of each label, followed by the names of the configurations that have the label. `columns` gives these names. `None` if the
-    /// text would be long.
+    /// Returns a text of each label, followed by the names of the configurations that have the label. `columns` gives
+    /// these names. `None` if the text would be long.
     fn values_with_configurations(&self, columns: &[Column]) -> Option<String> {
         // Each value with the names of the configurations that have it.
         let mut values: Vec<(&str, Vec<String>)> = Vec::new();
@@ -157,8 +159,8 @@ impl Column {
         })
     }
 
-    /// Returns the name of a configuration for which the naming column has no label. If no other configuration lacks this label, the name
-    /// consists of the configuration's labels in all columns, else it is `the others`.
+    /// Returns the name of a configuration for which the naming column has no label. If no other configuration lacks
+    /// this label, the name consists of the configuration's labels in all columns, else it is `the others`.
     fn name_without_label(&self, columns: &[Self], index: usize) -> String {
         let naming_column = columns.iter().find(|column| column.determines(self));
         let is_only_unlabelled = naming_column

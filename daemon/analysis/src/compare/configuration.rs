@@ -9,11 +9,12 @@ use super::labels::{EMPTY_CELL, RunFacts, differ, distinguishing_pairs, experime
 use crate::loaded::Loaded;
 use crate::record::RunRecord;
 
-/// Maximum number of different labels that a group's joined label lists. If there are more, the joined label gives only their number.
+/// Maximum number of different labels that a group's joined label lists. If there are more, the joined label gives only
+/// their number.
 const MAX_JOINED_LABELS: usize = 3;
 
-/// Groups the runs with equal labels. A group has the indexes of its runs, and the groups are in the order of their first runs. `labels` has the
-/// labels of each run.
+/// Groups the runs with equal labels. A group has the indexes of its runs, and the groups are in the order of their
+/// first runs. `labels` has the labels of each run.
 pub fn group_by_labels(labels: &[Vec<String>]) -> Vec<Vec<usize>> {
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for (run, run_labels) in labels.iter().enumerate() {
@@ -37,9 +38,10 @@ pub struct Configurations {
 impl Configurations {
     /// Returns the configurations of runs.
     ///
-    /// Runs of one experiment are distinguished by all fields that the author of the experiment declared. Other runs are distinguished by as few
-    /// columns as necessary. If these columns do not distinguish all runs, or have no label for a run, a further column names the folders or
-    /// files of the runs. Repeats and edges of one configuration always have the same labels.
+    /// Runs of one experiment are distinguished by all fields that the author of the experiment declared. Other runs
+    /// are distinguished by as few columns as necessary. If these columns do not distinguish all runs, or have no label
+    /// for a run, a further column names the folders or files of the runs. Repeats and edges of one configuration
+    /// always have the same labels.
     pub fn from_runs(runs: &[Loaded]) -> Self {
         Self::with_other_differences(runs).0
     }
@@ -159,8 +161,9 @@ impl Configurations {
     }
 }
 
-/// Returns whether two runs measured the same configuration in the same execution of an experiment. Such runs are either different repeats, or
-/// the same repeat on different edges, which measured at the same time as users of one cloud.
+/// Returns whether two runs measured the same configuration in the same execution of an experiment. Such runs are
+/// either different repeats, or the same repeat on different edges, which measured at the same time as users of one
+/// cloud.
 fn are_repeats(a: &RunRecord, b: &RunRecord) -> bool {
     let have_different_edges = a.edge.name != b.edge.name;
     let (Some(a), Some(b)) = (&a.experiment, &b.experiment) else { return false };
@@ -183,7 +186,8 @@ fn facts_of(record: &RunRecord) -> RunFacts<'_> {
     }
 }
 
-/// Groups the runs by configuration. A group has the indexes of the runs of one configuration: all its repeats on all edges.
+/// Groups the runs by configuration. A group has the indexes of the runs of one configuration: all its repeats on all
+/// edges.
 fn groups(runs: &[Loaded]) -> Vec<Vec<usize>> {
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for (index, run) in runs.iter().enumerate() {

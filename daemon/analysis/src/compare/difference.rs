@@ -23,8 +23,9 @@ pub struct Difference {
 impl Difference {
     /// Returns the second mean minus the first.
     ///
-    /// The interval is Welch's for unequal variances (Biometrika 34, 1947). Its width is computed from the means of batches, but its middle is
-    /// the difference of the means of all values. The mean of the batch means would differ a little, because batches may differ in length.
+    /// The interval is Welch's for unequal variances (Biometrika 34, 1947). Its width is computed from the means of
+    /// batches, but its middle is the difference of the means of all values. The mean of the batch means would differ a
+    /// little, because batches may differ in length.
     pub fn between_means(first: &MeanEstimate, second: &MeanEstimate) -> Self {
         let value = second.mean - first.mean;
         let half_width = first.error().zip(second.error()).and_then(|(a, b)| half_width(&a, &b));
@@ -103,8 +104,8 @@ impl MeanEstimate {
     }
 }
 
-/// Returns the means of the batches of a run: at most 30 batches with at least ten values each. A run of fewer than 50 values is split into five
-/// batches, which are shorter than ten values.
+/// Returns the means of the batches of a run: at most 30 batches with at least ten values each. A run of fewer than 50
+/// values is split into five batches, which are shorter than ten values.
 fn batch_means<S: Series + ?Sized>(run: &S) -> Vec<f64> {
     let batches = (run.total_count() / MIN_BATCH_VALUES).clamp(MIN_BATCHES as u64, MAX_BATCHES);
     run.parts(batches).into_iter().filter_map(|range| run.mean(range)).collect()

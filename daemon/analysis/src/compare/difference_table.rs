@@ -6,7 +6,8 @@ use peernet_statistics::number::{EXACT, column_decimals, decimals, fixed, fixed_
 use super::{Difference, Differences, EMPTY_CELL, StageDifference};
 use crate::table::{CaptionedTable, Table, csv_text, interval};
 
-/// Maximum number of decimals of a number of ms, which gives a microsecond: the clock of another host is never known more precisely.
+/// Maximum number of decimals of a number of ms, which gives a microsecond: the clock of another host is never known
+/// more precisely.
 pub(super) const MAX_MS_DECIMALS: usize = 3;
 /// Explanation of the intervals of means and medians.
 const INTERVAL_MEANING: &str = "The interval says how far the difference would vary if the same minutes were measured again \

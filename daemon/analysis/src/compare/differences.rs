@@ -51,14 +51,15 @@ pub struct StageDifference {
     pub medians: (f64, f64),
     /// Median of the other line minus the median of the baseline.
     pub median: Difference,
-    /// Further error of the difference, because the clock offset is known only within bounds. The intervals of `mean` and `median` do not
-    /// include this error. It is the mean half width of the clock bounds in the baseline plus that in the other line. `None` for stages that a
-    /// single clock measured.
+    /// Further error of the difference, because the clock offset is known only within bounds. The intervals of `mean`
+    /// and `median` do not include this error. It is the mean half width of the clock bounds in the baseline plus that
+    /// in the other line. `None` for stages that a single clock measured.
     pub clocks: Option<f64>,
 }
 
 impl Differences {
-    /// Compares two lines of a comparison of `runs`. `baseline` and `other` are indexes of lines; `seed` is the seed of the bootstrap.
+    /// Compares two lines of a comparison of `runs`. `baseline` and `other` are indexes of lines; `seed` is the seed of
+    /// the bootstrap.
     pub fn between_lines(
         comparison: &Comparison,
         runs: &[Loaded],
@@ -115,7 +116,8 @@ impl StageDifference {
     }
 }
 
-/// Returns half the mean width of a delay's bounds, seconds. `None` for stages that are not delays, and if no delay has bounds.
+/// Returns half the mean width of a delay's bounds, seconds. `None` for stages that are not delays, and if no delay has
+/// bounds.
 fn half_width(runs: &[&Loaded], stage: &str) -> Option<f64> {
     ["upload", "download"].contains(&stage).then_some(())?;
     let width =

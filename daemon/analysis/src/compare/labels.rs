@@ -7,12 +7,13 @@ use crate::model_places::place_word;
 
 /// Cell of a run that does not have the fact of the column.
 pub(super) const EMPTY_CELL: &str = "—";
-/// Names of facts that get no column, because they follow from the model or the data set of a run, which have their own columns.
+/// Names of facts that get no column, because they follow from the model or the data set of a run, which have their own
+/// columns.
 const IMPLIED_FACTS: [&str; 6] = ["model", "device", "task", "input", "labels", "classes"];
 
-/// Returns the name of each configuration. The name has the labels of the columns in which the configurations differ, or all labels if there is no
-/// difference. If two configurations with different labels, such as `no` and `none`, would have the same name, their names have each label after
-/// the name of its axis.
+/// Returns the name of each configuration. The name has the labels of the columns in which the configurations differ,
+/// or all labels if there is no difference. If two configurations with different labels, such as `no` and `none`, would
+/// have the same name, their names have each label after the name of its axis.
 pub fn readable_names<'a>(
     axes: &[String],
     configurations: impl IntoIterator<Item = &'a [String]>,
@@ -46,8 +47,8 @@ fn name_with_axes(axes: &[String], labels: &[String]) -> String {
     present.map(|(axis, label)| format!("{axis} {label}")).collect::<Vec<_>>().join(", ")
 }
 
-/// Returns the name of a configuration from its labels. A label that is not clear by itself is combined with the name of its axis: `no resize`
-/// instead of `no`, `edges 4` instead of `4`. Missing labels are left out.
+/// Returns the name of a configuration from its labels. A label that is not clear by itself is combined with the name
+/// of its axis: `no resize` instead of `no`, `edges 4` instead of `4`. Missing labels are left out.
 pub(super) fn readable_name(axes: &[String], labels: &[String]) -> String {
     let present = axes.iter().zip(labels).filter(|(_, label)| *label != EMPTY_CELL);
     let words = present.map(|(axis, label)| match label.as_str() {
@@ -80,8 +81,9 @@ pub struct RunFacts<'a> {
     pub pipeline: Option<&'a str>,
 }
 
-/// Returns everything that may distinguish runs: for each run, pairs of name and label. They are the fields that the run's experiment declares,
-/// the execution of the experiment, and the facts. The columns are chosen from these pairs ([`tabulate`],
+/// Returns everything that may distinguish runs: for each run, pairs of name and label. They are the fields that the
+/// run's experiment declares, the execution of the experiment, and the facts. The columns are chosen from these pairs
+/// ([`tabulate`],
 /// [`choose_columns`](super::choose_columns)).
 pub fn distinguishing_pairs(runs: &[(Option<&ExperimentPlace>, RunFacts<'_>)]) -> Vec<Vec<(String, String)>> {
     let places: Vec<Option<&ExperimentPlace>> = runs.iter().map(|(place, _)| *place).collect();
@@ -92,8 +94,9 @@ pub fn distinguishing_pairs(runs: &[(Option<&ExperimentPlace>, RunFacts<'_>)]) -
     pairs.collect()
 }
 
-/// Returns the columns of runs of experiments: the fields that the experiments declare, and the execution of the experiment if the runs belong to
-/// several executions. `None` unless every run belongs to an experiment and all experiments declare the same fields.
+/// Returns the columns of runs of experiments: the fields that the experiments declare, and the execution of the
+/// experiment if the runs belong to several executions. `None` unless every run belongs to an experiment and all
+/// experiments declare the same fields.
 pub fn experiment_columns(places: &[Option<&ExperimentPlace>]) -> Option<Vec<Column>> {
     let declared: Vec<Vec<(String, String)>> = places.iter().map(|place| declared_labels(*place)).collect();
     let names = |labels: &[(String, String)]| labels.iter().map(|(axis, _)| axis.clone()).collect::<Vec<_>>();
@@ -113,8 +116,8 @@ pub(super) fn differ(labels: &[String]) -> bool {
     labels.windows(2).any(|pair| pair[0] != pair[1])
 }
 
-/// Returns a label for the experiment of each run: the name of the experiment. If all names are the same, the label is the short id of the
-/// execution of the experiment instead.
+/// Returns a label for the experiment of each run: the name of the experiment. If all names are the same, the label is
+/// the short id of the execution of the experiment instead.
 pub(super) fn executions(places: &[Option<&ExperimentPlace>]) -> Vec<String> {
     let names: Vec<String> =
         places.iter().map(|place| place.map_or(EMPTY_CELL, |place| &place.name).to_owned()).collect();

@@ -11,18 +11,21 @@ use crate::total_column::TotalColumn;
 /// Mean latency of a configuration and its parts, seconds.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LatencyBar {
-    /// Mean of each part per iteration, in the [order of all parts](part_order). The parts add up to the total, unless the clocks show a stage as
-    /// longer than it was. Unlike in [`StageSplit`], the late start is a separate part, not a part of the unattributed time.
+    /// Mean of each part per iteration, in the [order of all parts](part_order). The parts add up to the total, unless
+    /// the clocks show a stage as longer than it was. Unlike in [`StageSplit`], the late start is a separate part, not
+    /// a part of the unattributed time.
     pub parts: Vec<(Name, f64)>,
-    /// Mean of the column by which configurations are compared. If the configuration has no values of this column, the sum of the parts.
+    /// Mean of the column by which configurations are compared. If the configuration has no values of this column, the
+    /// sum of the parts.
     pub total: f64,
     /// Sample standard deviation of the total; `None` below two values.
     pub std: Option<f64>,
 }
 
 impl LatencyBar {
-    /// Returns the bar of a configuration with this number of counted iterations. `latency_of` returns the latency of a node; `None` if the
-    /// node has no values. For `sent`, see [`StageSplit::new`]. Returns `None` without an iteration.
+    /// Returns the bar of a configuration with this number of counted iterations. `latency_of` returns the latency of a
+    /// node; `None` if the node has no values. For `sent`, see [`StageSplit::new`]. Returns `None` without an
+    /// iteration.
     pub fn new(
         column: TotalColumn,
         iterations: u64,

@@ -7,11 +7,13 @@ use super::blocks;
 use super::difference::{Difference, MIN_VALUES};
 use crate::order::SortedValues;
 
-/// Number of resamples. With 2000 resamples, the ends of a 95 % interval are the 50th smallest and the 50th largest value.
+/// Number of resamples. With 2000 resamples, the ends of a 95 % interval are the 50th smallest and the 50th largest
+/// value.
 const RESAMPLES: usize = 2000;
-/// Maximum number of pieces of a run. If a run has more values, neighbouring values are joined to pieces before the bootstrap, so that a resample
-/// takes the same time for a run of any length. With 2000 pieces the error of an interval's width is about 2 %. More pieces would not help,
-/// because the finite number of [`RESAMPLES`] causes an error of the same size.
+/// Maximum number of pieces of a run. If a run has more values, neighbouring values are joined to pieces before the
+/// bootstrap, so that a resample takes the same time for a run of any length. With 2000 pieces the error of an
+/// interval's width is about 2 %. More pieces would not help, because the finite number of [`RESAMPLES`] causes an
+/// error of the same size.
 const MAX_PIECES: usize = 2000;
 
 /// Values of pooled runs.
@@ -42,14 +44,14 @@ impl<'a> Sample<'a> {
 
 /// Returns the median of `b` minus the median of `a`; `None` if `a` or `b` has no values.
 ///
-/// The ends of the interval are percentiles of the stationary bootstrap (Politis and Romano, JASA 89, 1994). Every run is resampled from its own
-/// blocks. The blocks have random lengths, whose mean [`blocks::length`] returns.
+/// The ends of the interval are percentiles of the stationary bootstrap (Politis and Romano, JASA 89, 1994). Every run
+/// is resampled from its own blocks. The blocks have random lengths, whose mean [`blocks::length`] returns.
 ///
-/// To first order, the median of a resample depends only on the number of its values above the median of all values (Bahadur, *A note on
-/// quantiles in large samples*, Annals of Mathematical Statistics 37, 1966). If the resample has `excess` more such values than expected, its
-/// median is the quantile of all values at 0.5 + `excess` / n instead of at 0.5. The excess of a resample is the sum of the excesses of its
-/// blocks. The prefix sums of a run give the excess of a block without reading the block's values. The block length, too, is computed from the
-/// series of excesses.
+/// To first order, the median of a resample depends only on the number of its values above the median of all values
+/// (Bahadur, *A note on quantiles in large samples*, Annals of Mathematical Statistics 37, 1966). If the resample has
+/// `excess` more such values than expected, its median is the quantile of all values at 0.5 + `excess` / n instead of
+/// at 0.5. The excess of a resample is the sum of the excesses of its blocks. The prefix sums of a run give the excess
+/// of a block without reading the block's values. The block length, too, is computed from the series of excesses.
 pub(super) fn median_difference(a: &Sample<'_>, b: &Sample<'_>, seed: u64) -> Option<Difference> {
     difference_from_resamples(a, b, seed, RESAMPLES)
 }
@@ -78,8 +80,8 @@ struct BootstrapSample<'a> {
     runs: Vec<Run>,
 }
 
-/// A run, stored as prefix sums of the excesses of its pieces. The excess of a piece is the number of its values above the median of all values,
-/// minus the expected number of such values.
+/// A run, stored as prefix sums of the excesses of its pieces. The excess of a piece is the number of its values above
+/// the median of all values, minus the expected number of such values.
 struct Run {
     /// Sums of the excesses of the first 0, 1, 2, … pieces.
     sums: Vec<f64>,
@@ -119,8 +121,9 @@ impl<'a> BootstrapSample<'a> {
 }
 
 impl Run {
-    /// Draws blocks at random positions until the blocks together have as many pieces as the run. Calls `take` with the beginning and the end of
-    /// each block. The run is circular: a block that reaches beyond the end of the run continues at the run's beginning, as a second range.
+    /// Draws blocks at random positions until the blocks together have as many pieces as the run. Calls `take` with the
+    /// beginning and the end of each block. The run is circular: a block that reaches beyond the end of the run
+    /// continues at the run's beginning, as a second range.
     fn draw_blocks(&self, random: &mut StdRng, mut take: impl FnMut(usize, usize)) {
         let count = self.sums.len() - 1;
         let minus_end_probability = -1.0 / self.mean_block_length;

@@ -76,8 +76,8 @@ pub enum Repeats<'a> {
     Pooled,
     /// Each repeat is a line.
     Separate,
-    /// Repeats are pooled, except for the runs with these indices. Each of these runs has a separate line, next to the line of the other
-    /// repeats of the same configuration.
+    /// Repeats are pooled, except for the runs with these indices. Each of these runs has a separate line, next to the
+    /// line of the other repeats of the same configuration.
     PooledExcept(&'a [usize]),
 }
 
@@ -119,13 +119,15 @@ pub struct Line {
     pub edges: usize,
     /// Number of counted iterations: neither warm-up nor failed.
     pub count: u64,
-    /// Number of failed iterations, without the warm-up: iterations that have no answer, or an answer that the actuator failed to act on.
+    /// Number of failed iterations, without the warm-up: iterations that have no answer, or an answer that the actuator
+    /// failed to act on.
     pub failed: u64,
     /// Number of counted and failed iterations that missed their deadline; `None` without a deadline.
     pub misses: Option<Misses>,
     /// Superseded answers, and success and return of the episodes.
     pub actuator: ActuatorResults,
-    /// Numbers of actual and of skipped starts of an open loop. The rates in this value are `None`, because each run has its own rate.
+    /// Numbers of actual and of skipped starts of an open loop. The rates in this value are `None`, because each run
+    /// has its own rate.
     pub starts: Starts,
     /// Distribution that the latencies of the model are drawn from; `None` if all of them are measured.
     pub replayed: Option<String>,

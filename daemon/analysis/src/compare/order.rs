@@ -1,4 +1,5 @@
-//! Order of the configurations of an experiment. Runs are executed in random order, but readers expect the order of the experiment's file.
+//! Order of the configurations of an experiment. Runs are executed in random order, but readers expect the order of the
+//! experiment's file.
 
 use std::cmp::Ordering;
 
@@ -22,8 +23,9 @@ const UNITS: [(&str, f64); 14] = [
     ("mhz", 1e6),
 ];
 
-/// Compares the places of two runs in an experiment: by the position of the configuration in the experiment's file, then by its labels, then by
-/// the repeat. A configuration whose position is not known, because an earlier version ran it, follows the configurations with a position.
+/// Compares the places of two runs in an experiment: by the position of the configuration in the experiment's file,
+/// then by its labels, then by the repeat. A configuration whose position is not known, because an earlier version ran
+/// it, follows the configurations with a position.
 pub fn compare_places(a: &ExperimentPlace, b: &ExperimentPlace) -> Ordering {
     let position = |place: &ExperimentPlace| (place.position.is_none(), place.position);
     let labels = || compare_labels(&a.configuration, &b.configuration);
@@ -37,8 +39,9 @@ fn compare_labels(a: &[(String, String)], b: &[(String, String)]) -> Ordering {
     first_difference.unwrap_or_else(|| a.len().cmp(&b.len()))
 }
 
-/// Compares two labels in their natural order. Labels that begin with a number come first, ordered by value and unit. Other labels follow in
-/// alphabetical order, except that numbers within them are ordered by value: `run 9` before `run 10`.
+/// Compares two labels in their natural order. Labels that begin with a number come first, ordered by value and unit.
+/// Other labels follow in alphabetical order, except that numbers within them are ordered by value: `run 9` before `run
+/// 10`.
 pub fn compare_label(a: &str, b: &str) -> Ordering {
     match (quantity(a), quantity(b)) {
         (Some(x), Some(y)) => x.total_cmp(&y).then_with(|| a.cmp(b)),
@@ -48,8 +51,8 @@ pub fn compare_label(a: &str, b: &str) -> Ordering {
     }
 }
 
-/// Returns the numeric value of a label such as `30`, `-1.5`, `1,000`, `1e6`, `30 kB` or `50 Hz`. For `224x224` it is the first number. `None`
-/// if the label does not begin with a number.
+/// Returns the numeric value of a label such as `30`, `-1.5`, `1,000`, `1e6`, `30 kB` or `50 Hz`. For `224x224` it is
+/// the first number. `None` if the label does not begin with a number.
 fn quantity(label: &str) -> Option<f64> {
     let text = label.trim().replace(',', "");
     let finite_number = |text: &str| text.parse::<f64>().ok().filter(|value| value.is_finite());

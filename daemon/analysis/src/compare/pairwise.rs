@@ -5,11 +5,12 @@ use peernet_statistics::Summary;
 /// Number of quantiles that approximate the distribution of a configuration.
 const QUANTILES: u32 = 100;
 
-/// Distribution of the difference between an iteration of one configuration and an iteration of another. Both iterations are taken at random,
-/// because no iteration of one run belongs to a certain iteration of another run.
+/// Distribution of the difference between an iteration of one configuration and an iteration of another. Both
+/// iterations are taken at random, because no iteration of one run belongs to a certain iteration of another run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PairwiseDifference {
-    /// Second duration minus first duration, for all pairs of a quantile of one distribution and a quantile of the other.
+    /// Second duration minus first duration, for all pairs of a quantile of one distribution and a quantile of the
+    /// other.
     pub differences: Summary,
     /// Share of the pairs in which the second duration is smaller, from 0 to 1. This is the statistic of Mann and Whitney (*On a test of whether
     /// one of two random variables is stochastically larger than the other*, Annals of Mathematical Statistics 18, 1947), divided by the
@@ -18,7 +19,8 @@ pub struct PairwiseDifference {
 }
 
 impl PairwiseDifference {
-    /// Returns the distribution of the difference from the distributions of both configurations; `None` if one of them has no values.
+    /// Returns the distribution of the difference from the distributions of both configurations; `None` if one of them
+    /// has no values.
     pub fn between(first: &Summary, second: &Summary) -> Option<Self> {
         let quantiles = |values: &Summary| -> Option<Vec<f64>> {
             let quantile = |index| values.quantile((f64::from(index) + 0.5) / f64::from(QUANTILES));

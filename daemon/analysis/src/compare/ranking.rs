@@ -7,8 +7,8 @@ use super::difference::{Difference, MeanEstimate};
 pub struct Ranking {
     /// Index of the configuration with the smallest mean.
     pub best: usize,
-    /// Index of each other ranked configuration, and its mean minus the smallest mean. The difference is `None` if the configuration has no
-    /// mean.
+    /// Index of each other ranked configuration, and its mean minus the smallest mean. The difference is `None` if the
+    /// configuration has no mean.
     pub differences: Vec<(usize, Option<Difference>)>,
     /// Indexes of the configurations that are not ranked, because their model computes nothing.
     pub unranked: Vec<usize>,
@@ -24,8 +24,9 @@ pub struct ConfigurationTotal {
 }
 
 impl Ranking {
-    /// Ranks configurations by their means. Configurations whose model computes nothing are ranked only if no configuration has a model that
-    /// computes something. Returns `None` with fewer than two ranked configurations, or if none of them has a mean.
+    /// Ranks configurations by their means. Configurations whose model computes nothing are ranked only if no
+    /// configuration has a model that computes something. Returns `None` with fewer than two ranked configurations, or
+    /// if none of them has a mean.
     pub fn new(configurations: &[ConfigurationTotal]) -> Option<Self> {
         let any_model_computes = configurations.iter().any(|configuration| configuration.model_computes);
         let (ranked, unranked): (Vec<usize>, Vec<usize>) = (0..configurations.len())

@@ -90,14 +90,15 @@ impl Comparison {
         Table { header, labels: self.axes.len(), rows, marked: best_cell }
     }
 
-    /// Returns the number of decimals of a column of latencies. It is the same for all rows, so that the numbers are easy to compare.
+    /// Returns the number of decimals of a column of latencies. It is the same for all rows, so that the numbers are
+    /// easy to compare.
     fn decimals(&self, latency: impl Fn(&Line) -> Option<Latency>) -> usize {
         let latencies = self.lines.iter().filter_map(latency);
         latencies.map(|latency| column_decimals(latency.std)).max().unwrap_or_default()
     }
 
-    /// Returns the notes below the table: the meaning of its numbers, and what the table does not show. `mark` says how the table marks the
-    /// smallest mean total: `*` or `Bold`.
+    /// Returns the notes below the table: the meaning of its numbers, and what the table does not show. `mark` says how
+    /// the table marks the smallest mean total: `*` or `Bold`.
     fn notes(&self, mark: &str) -> Vec<String> {
         let mut notes: Vec<String> =
             self.best.map(|_| format!("{mark}: smallest mean total.")).into_iter().collect();
@@ -259,7 +260,8 @@ impl Line {
         with_name(&self.name, text)
     }
 
-    /// Returns the text with the stages that have no column; `None` if no such stage takes a notable part of the sum of all stages.
+    /// Returns the text with the stages that have no column; `None` if no such stage takes a notable part of the sum of
+    /// all stages.
     fn hidden_stages_text(&self) -> Option<String> {
         let stage = |(name, seconds): &(&str, f64)| {
             let ms = seconds * 1e3;
@@ -279,8 +281,8 @@ impl Line {
         Some(self.with_name(&range_ms(ends)))
     }
 
-    /// Returns the texts on iterations without a score, one for each accuracy. Iterations whose label is not a class of the model are not
-    /// included: [`Comparison::unknown_labels`] returns the note on them.
+    /// Returns the texts on iterations without a score, one for each accuracy. Iterations whose label is not a class of
+    /// the model are not included: [`Comparison::unknown_labels`] returns the note on them.
     fn unscored(&self) -> Vec<String> {
         let with_unknown_label = self.unknown_labels.as_ref().map_or(0, |unknown| unknown.count);
         let unscored_text = |(name, accuracy): (&str, &Option<Accuracy>)| {
@@ -301,7 +303,8 @@ impl Line {
     }
 }
 
-/// Puts a name before a text: `name: text`. If the name is empty, because there is only one line, returns the text alone.
+/// Puts a name before a text: `name: text`. If the name is empty, because there is only one line, returns the text
+/// alone.
 pub(super) fn with_name(name: &str, text: &str) -> String {
     if name.is_empty() { text.to_owned() } else { format!("{name}: {text}") }
 }

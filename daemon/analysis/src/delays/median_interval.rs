@@ -1,4 +1,5 @@
-//! Interval that the clock bounds give for the median of delays or throughputs, from single values or from stored statistics.
+//! Interval that the clock bounds give for the median of delays or throughputs, from single values or from stored
+//! statistics.
 
 use peernet_statistics::Summary;
 
@@ -34,8 +35,9 @@ impl CountedAverage {
 pub enum IntervalMethod {
     /// From the lower and the upper ends of all intervals. [`median_bounds`] does the same with single values.
     Ends,
-    /// From half the widths of all intervals, because an earlier version recorded no ends. The result differs from [`median_bounds`] if the
-    /// values do not lie in the middle of their intervals, or if the intervals are not equally wide.
+    /// From half the widths of all intervals, because an earlier version recorded no ends. The result differs from
+    /// [`median_bounds`] if the values do not lie in the middle of their intervals, or if the intervals are not equally
+    /// wide.
     HalfWidths,
 }
 
@@ -71,8 +73,8 @@ impl ClockInterval {
         (self.lo, self.hi)
     }
 
-    /// Converts the interval of a delay into the interval of a speed. The amount of data that `speed` transfers in `delay` seconds is divided by
-    /// the ends of the delay's interval.
+    /// Converts the interval of a delay into the interval of a speed. The amount of data that `speed` transfers in
+    /// `delay` seconds is divided by the ends of the delay's interval.
     #[must_use]
     pub fn of_speed(&self, speed: f64, delay: f64) -> Self {
         let amount = speed * delay;
@@ -80,8 +82,9 @@ impl ClockInterval {
         Self { lo: speed_for(self.hi), hi: speed_for(self.lo), method: self.method }
     }
 
-    /// Returns the interval from an average and half the width. If the average is not negative, the lower end is at least 0, because messages
-    /// never arrive before they were sent. Only an observed system can have a negative average.
+    /// Returns the interval from an average and half the width. If the average is not negative, the lower end is at
+    /// least 0, because messages never arrive before they were sent. Only an observed system can have a negative
+    /// average.
     fn from_half_width(average: f64, half_width: f64) -> Self {
         let lo = average - half_width;
         let lo = if average < 0.0 { lo } else { lo.max(0.0) };
@@ -94,7 +97,8 @@ impl ClockInterval {
 pub struct DelayAverages {
     /// Median or mean of the delays.
     pub delay: CountedAverage,
-    /// Medians or means of the lower ends and of the upper ends of the delays' intervals; `None` if the ends are not stored.
+    /// Medians or means of the lower ends and of the upper ends of the delays' intervals; `None` if the ends are not
+    /// stored.
     pub ends: Option<[CountedAverage; 2]>,
     /// Median or mean of half the widths of the delays' intervals; `None` if no delay has an interval.
     pub half_width: Option<CountedAverage>,
@@ -142,11 +146,13 @@ impl ClockedSummaries<'_> {
 
     /// Returns the interval of the median throughput. `None` unless every delay has an interval.
     ///
-    /// If the ends are not stored, they are computed from the interval of the median delay ([`ClockInterval::of_speed`]). They then equal the
-    /// ends of [`median_bounds`] only if all messages have about the same size and the conditions of [`IntervalMethod::HalfWidths`] hold.
+    /// If the ends are not stored, they are computed from the interval of the median delay
+    /// ([`ClockInterval::of_speed`]). They then equal the ends of [`median_bounds`] only if all messages have about the
+    /// same size and the conditions of [`IntervalMethod::HalfWidths`] hold.
     pub fn interval_of_median_throughput(&self) -> Option<ClockInterval> {
         self.interval_from_throughput_ends().or_else(|| {
-            // `self.ends` are the ends of throughputs here, not of delays, so only the half widths of the delays can be used.
+            // `self.ends` are the ends of throughputs here, not of delays, so only the half widths of the delays can be
+            // used.
             let medians = DelayAverages { ends: None, ..self.delay_medians()? };
             let interval = medians.interval()?;
             Some(interval.of_speed(self.values.quantile(0.5)?, medians.delay.value))

@@ -19,9 +19,10 @@ impl From<Point> for Weighted {
     }
 }
 
-/// Returns the line with the smallest weighted sum of squared deviations. Intervals follow Student's distribution with n − 2 degrees of
-/// freedom; the scale of the errors is estimated from the residuals (Draper and Smith, Applied Regression Analysis, chapters 1 and 9).
-/// `None` if there are fewer than three points, if all points have the same x, or if a coordinate or a weight is not valid.
+/// Returns the line with the smallest weighted sum of squared deviations. Intervals follow Student's distribution with
+/// n − 2 degrees of freedom; the scale of the errors is estimated from the residuals (Draper and Smith, Applied
+/// Regression Analysis, chapters 1 and 9). `None` if there are fewer than three points, if all points have the same x,
+/// or if a coordinate or a weight is not valid.
 pub fn least_squares(points: &[Weighted]) -> Option<Fit> {
     let are_weights_valid = points.iter().all(|point| point.weight.is_finite() && point.weight > 0.0);
     if !are_weights_valid || !can_be_fitted(points.iter().map(|point| point.point)) {

@@ -42,8 +42,8 @@ pub struct Estimate {
 }
 
 impl Estimate {
-    /// Returns the distance from the value to the farther end of the interval, which is half the width if the value is in the middle. `None`
-    /// without an interval.
+    /// Returns the distance from the value to the farther end of the interval, which is half the width if the value is
+    /// in the middle. `None` without an interval.
     pub fn margin(&self) -> Option<f64> {
         self.interval.map(|(lo, hi)| (hi - self.value).max(self.value - lo))
     }
@@ -99,7 +99,8 @@ impl SlopeRate {
     }
 }
 
-/// Returns the rate of a slope and the rate's margin; `None` unless the slope is above 0 and [`SlopeRate::with_margin`] returns a rate.
+/// Returns the rate of a slope and the rate's margin; `None` unless the slope is above 0 and [`SlopeRate::with_margin`]
+/// returns a rate.
 pub fn rate(slope: Estimate) -> Option<(f64, f64)> {
     SlopeRate::new(slope)?.with_margin()
 }

@@ -5,16 +5,18 @@ use statrs::distribution::{Binomial, ContinuousCDF, DiscreteCDF, Normal};
 use super::{CONFIDENCE, Estimate, Fit, Point, can_be_fitted};
 use crate::order::SortedValues;
 
-/// Maximum number of steps of the bisection. It is only a safeguard: an `f64` has 64 bits, so the bisection ends after fewer steps.
+/// Maximum number of steps of the bisection. It is only a safeguard: an `f64` has 64 bits, so the bisection ends after
+/// fewer steps.
 const MAX_BISECTIONS: usize = 80;
 
-/// Returns the line whose slope is the median of the slopes of all pairs of points with different x (Theil 1950), and whose intercept is
-/// the median of the residuals `y − slope · x`. `None` if there are fewer than three points, or if all points have the same x.
+/// Returns the line whose slope is the median of the slopes of all pairs of points with different x (Theil 1950), and
+/// whose intercept is the median of the residuals `y − slope · x`. `None` if there are fewer than three points, or if
+/// all points have the same x.
 ///
-/// The interval of the slope is Sen's (1968), with his correction for equal x. Its ends are the slopes of two pairs. The ranks of these slopes
-/// follow from Kendall's statistic. The interval of the intercept combines two uncertainties, that of the slope and that of the median (sign
-/// test). Each gets half the risk (Bonferroni). The intervals are valid for any distribution of the deviations from the line, if the
-/// distribution is the same for all points.
+/// The interval of the slope is Sen's (1968), with his correction for equal x. Its ends are the slopes of two pairs.
+/// The ranks of these slopes follow from Kendall's statistic. The interval of the intercept combines two uncertainties,
+/// that of the slope and that of the median (sign test). Each gets half the risk (Bonferroni). The intervals are valid
+/// for any distribution of the deviations from the line, if the distribution is the same for all points.
 ///
 /// Counting the pairs takes O(n log n) time, and the pairs are not stored, so that 100,000 samples are possible.
 pub fn theil_sen(points: &[Point]) -> Option<Fit> {
@@ -101,8 +103,8 @@ impl Pairs {
     fn count_not_above(&self, slope: f64) -> u64 {
         let residuals =
             |(x, group): &(f64, Vec<f64>)| group.iter().map(|y| y - slope * x).collect::<Vec<_>>();
-        // A run is a sorted list of the merge sort. All points of a group begin in the same run, so that pairs of equal x, which have no slope,
-        // are not counted.
+        // A run is a sorted list of the merge sort. All points of a group begin in the same run, so that pairs of equal
+        // x, which have no slope, are not counted.
         let mut runs: Vec<Vec<f64>> = self.groups.iter().map(residuals).collect();
         let mut count = 0;
         while runs.len() > 1 {
@@ -115,8 +117,8 @@ impl Pairs {
         count
     }
 
-    /// Returns the interval of the median slope. Its ends are the slopes with two ranks, whose distance from the middle rank follows from
-    /// Kendall's statistic. `None` if there are so few pairs that no pair has such a rank.
+    /// Returns the interval of the median slope. Its ends are the slopes with two ranks, whose distance from the middle
+    /// rank follows from Kendall's statistic. `None` if there are so few pairs that no pair has such a rank.
     fn interval(&self, confidence: f64) -> Option<(f64, f64)> {
         // Term of the variance of Kendall's statistic for n points. Groups of equal x reduce the variance.
         let variance_term = |n: f64| n * (n - 1.0) * (2.0 * n + 5.0);
@@ -133,7 +135,8 @@ impl Pairs {
     }
 }
 
-/// Merges two sorted runs. Adds to `count` the number of pairs of an element of `left` and an element of `right` that is not larger.
+/// Merges two sorted runs. Adds to `count` the number of pairs of an element of `left` and an element of `right` that
+/// is not larger.
 fn merge(left: &[f64], right: &[f64], count: &mut u64) -> Vec<f64> {
     let mut merged = Vec::with_capacity(left.len() + right.len());
     // Number of elements of `left` that are merged.
@@ -149,13 +152,14 @@ fn merge(left: &[f64], right: &[f64], count: &mut u64) -> Vec<f64> {
     merged
 }
 
-/// Returns two ranks, counted from 0: the median lies with this confidence between those of `n` sorted values that have these ranks (sign
-/// test). `None` if `n` is so small that the confidence is less even for the smallest and the largest value.
+/// Returns two ranks, counted from 0: the median lies with this confidence between those of `n` sorted values that have
+/// these ranks (sign test). `None` if `n` is so small that the confidence is less even for the smallest and the largest
+/// value.
 fn median_ranks(n: usize, confidence: f64) -> Option<(usize, usize)> {
     let values_below_median = Binomial::new(0.5, n as u64).ok()?;
     let risk = (1.0 - confidence) / 2.0;
-    // Number of values up to and including the lower of the two values. With more than a thousand values, the normal approximation of the
-    // binomial distribution is accurate and much faster.
+    // Number of values up to and including the lower of the two values. With more than a thousand values, the normal
+    // approximation of the binomial distribution is accurate and much faster.
     let lower_count = if n > 1000 {
         let half_width = Normal::standard().inverse_cdf(1.0 - risk) * (n as f64).sqrt() / 2.0;
         (n as f64 / 2.0 - half_width).floor() as usize

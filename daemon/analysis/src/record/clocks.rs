@@ -88,8 +88,8 @@ impl ClockCounts {
     }
 }
 
-/// Returns the clock offset that was subtracted from the difference of the stamps to give the delay, in seconds. The longer the delay, the
-/// smaller the offset, so the upper bound of the delay gives the lower bound of the offset.
+/// Returns the clock offset that was subtracted from the difference of the stamps to give the delay, in seconds. The
+/// longer the delay, the smaller the offset, so the upper bound of the delay gives the lower bound of the offset.
 fn offset(delay: &OneWayDelay) -> Option<Bounded> {
     delay.known_seconds()?;
     let offset_for = |true_delay| (delay.raw - true_delay).seconds();

@@ -45,7 +45,8 @@ pub struct RunRecord {
     pub version: String,
     /// Command line that started the run.
     pub command: String,
-    /// Working directory of the command. Relative paths in the command and in the configuration start in this directory.
+    /// Working directory of the command. Relative paths in the command and in the configuration start in this
+    /// directory.
     pub folder: String,
     /// Environment variables that influence file lookup and speed, if they were set.
     pub environment: BTreeMap<String, String>,
@@ -134,7 +135,8 @@ pub struct HostRecord {
     pub version: String,
     /// Hardware of the host.
     pub hardware: Option<Hardware>,
-    /// Program that disciplines the clock, in words, such as `chrony, stratum 2, to 10.0.0.1`; empty if it was not inspected.
+    /// Program that disciplines the clock, in words, such as `chrony, stratum 2, to 10.0.0.1`; empty if it was not
+    /// inspected.
     pub clock: String,
     /// Conditions of the host, found before the run, that affect measurements.
     pub conditions: Vec<Condition>,
@@ -211,7 +213,8 @@ impl Counts {
         counts
     }
 
-    /// Returns the number of iterations with any outcome, without the warm-up and without [`unseen`](Self::unseen) iterations.
+    /// Returns the number of iterations with any outcome, without the warm-up and without [`unseen`](Self::unseen)
+    /// iterations.
     pub const fn measured(&self) -> u64 {
         self.ok + self.all_failed()
     }

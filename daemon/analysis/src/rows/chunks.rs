@@ -5,8 +5,9 @@ use std::ops::Index;
 /// Number of elements in one chunk.
 const CHUNK_LEN: usize = 4096;
 
-/// List that only grows. It needs little more memory than its elements, and it leaves no freed blocks behind. A vector needs up to three times
-/// the memory of its elements while it moves them to a larger block, and a run has dozens of columns that grow at the same time.
+/// List that only grows. It needs little more memory than its elements, and it leaves no freed blocks behind. A vector
+/// needs up to three times the memory of its elements while it moves them to a larger block, and a run has dozens of
+/// columns that grow at the same time.
 #[derive(Clone, Debug)]
 pub(super) struct Chunks<T>(Vec<Vec<T>>);
 

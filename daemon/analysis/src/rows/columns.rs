@@ -6,7 +6,8 @@ use peernet_logger::{IterationValues, Measure, Node, NodeId, NodeRole, Tree, Uni
 
 use super::Column;
 
-/// Column with the number of scheduled starts that an open loop skipped before this iteration, because the pipeline was too far behind.
+/// Column with the number of scheduled starts that an open loop skipped before this iteration, because the pipeline was
+/// too far behind.
 pub const SKIPPED_STARTS: &str = "skipped-starts";
 /// Column of the time from the scheduled to the actual start, in an open loop: a part of `unattributed`.
 pub const LATENESS: &str = "lateness";
@@ -93,12 +94,13 @@ pub fn column(name: &str) -> Column {
         .map_or_else(|| Column::Owned(name.to_owned()), |index| Column::Borrowed(FIXED_COLUMNS[index].0))
 }
 
-/// Returns every number of a tree with the name of its column. First come the columns that every file has, in their order, then the other
-/// columns, in the order in which they were logged.
+/// Returns every number of a tree with the name of its column. First come the columns that every file has, in their
+/// order, then the other columns, in the order in which they were logged.
 ///
-/// The rules for names are those of the paper's original program: the names of nested nodes are joined with `_`, and `_val` is appended for a
-/// node that has both a value and children. The columns that every file has are exceptions, because their names never change: the column is
-/// `sensing` and not `sensing_val`, although the node has children, and these are `capture` and `transform` and not `sensing_capture`.
+/// The rules for names are those of the paper's original program: the names of nested nodes are joined with `_`, and
+/// `_val` is appended for a node that has both a value and children. The columns that every file has are exceptions,
+/// because their names never change: the column is `sensing` and not `sensing_val`, although the node has children, and
+/// these are `capture` and `transform` and not `sensing_capture`.
 pub(super) fn values(tree: &Tree) -> Vec<(Column, f64)> {
     TreeValues::from_tree(tree).values()
 }
@@ -141,8 +143,8 @@ impl<'a> TreeValues<'a> {
         self.further.iter().map(|(name, _, unit)| (name.as_ref(), unit))
     }
 
-    /// Adds the value of a node. Returns the text with which the column names of the node's children begin. `labels` has these texts for the
-    /// nodes that were added before.
+    /// Adds the value of a node. Returns the text with which the column names of the node's children begin. `labels`
+    /// has these texts for the nodes that were added before.
     fn add_node(&mut self, tree: &Tree, id: NodeId, node: &'a Node, labels: &[Column]) -> Column {
         let parent = node.parent.unwrap_or(NodeId::ROOT);
         let value = node.measure.value().filter(|value| !value.is_nan());

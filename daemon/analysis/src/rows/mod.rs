@@ -30,7 +30,8 @@ use peernet_clock::{DelaySource, Verdict};
 use chunks::Chunks;
 use numbers::Numbers;
 
-/// Iterations of a run, in order. Each iteration takes about 150 bytes of memory, whereas a [`Row`] takes more than a thousand.
+/// Iterations of a run, in order. Each iteration takes about 150 bytes of memory, whereas a [`Row`] takes more than a
+/// thousand.
 ///
 /// No number is rounded: every row comes out exactly as it was appended.
 #[derive(Clone)]

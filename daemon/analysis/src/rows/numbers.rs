@@ -4,14 +4,16 @@ use super::chunks::Chunks;
 
 /// Element of [`Numbers::Multiples`] that stands for a missing number.
 const MISSING: i32 = i32::MIN;
-/// Units of multiples that are tried, given as their number per 1: first whole numbers, then nanoseconds, for durations in seconds.
+/// Units of multiples that are tried, given as their number per 1: first whole numbers, then nanoseconds, for durations
+/// in seconds.
 const UNITS_PER_WHOLE: [f64; 2] = [1.0, 1e9];
 
 /// Numbers, one for each row. Any of them may be missing.
 ///
-/// Most columns of a run do not need eight bytes for a number: sizes and flags stay the same, iteration numbers count upwards, and durations
-/// of up to two seconds are whole nanoseconds, which fit into 32 bits. The numbers determine the form. Each number is read back when it is
-/// appended. If the current form cannot represent the number exactly, all numbers are converted to a wider form.
+/// Most columns of a run do not need eight bytes for a number: sizes and flags stay the same, iteration numbers count
+/// upwards, and durations of up to two seconds are whole nanoseconds, which fit into 32 bits. The numbers determine the
+/// form. Each number is read back when it is appended. If the current form cannot represent the number exactly, all
+/// numbers are converted to a wider form.
 #[derive(Clone, Debug)]
 pub(super) enum Numbers {
     /// Numbers with a constant difference, or only missing numbers.
@@ -55,7 +57,8 @@ impl Numbers {
         }
     }
 
-    /// Appends a number if the current form represents it exactly; otherwise changes nothing. Returns whether the number was appended.
+    /// Appends a number if the current form represents it exactly; otherwise changes nothing. Returns whether the
+    /// number was appended.
     fn try_push(&mut self, number: Option<f64>) -> bool {
         match self {
             Self::Linear { first, step, count } => {
@@ -98,10 +101,12 @@ impl Numbers {
     }
 }
 
-/// Returns n for a number that is n / `per`, and [`MISSING`] for a missing number. `None` if n is not a whole number or is too large.
+/// Returns n for a number that is n / `per`, and [`MISSING`] for a missing number. `None` if n is not a whole number or
+/// is too large.
 fn multiple_of(number: Option<f64>, per: f64) -> Option<i32> {
     let Some(number) = number else { return Some(MISSING) };
-    // The cast of a number that is too large saturates. The result then differs from the original, so that it is rejected.
+    // The cast of a number that is too large saturates. The result then differs from the original, so that it is
+    // rejected.
     let count = (number * per).round() as i32;
     (count != MISSING && is_same(Some(f64::from(count) / per), Some(number))).then_some(count)
 }

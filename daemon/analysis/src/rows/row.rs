@@ -29,8 +29,8 @@ pub struct Row {
     pub outcome: Outcome,
     /// Reason for a missing answer, if one was reported.
     pub reason: Option<String>,
-    /// Columns and values of the measurements. First come the columns that every file has. No value is NaN; a bound of a throughput may be
-    /// infinite.
+    /// Columns and values of the measurements. First come the columns that every file has. No value is NaN; a bound of
+    /// a throughput may be infinite.
     pub values: Vec<(Column, f64)>,
     /// Delay from edge to cloud; `None` if no message was sent, or its delay was never judged.
     pub upload: Option<OneWayDelay>,
@@ -134,7 +134,8 @@ impl Row {
 }
 
 /// Returns the delay of the stage `upload` or `download`; `None` if no message was sent, or its delay was never judged.
-// The delay does not depend on a known size: the messages of an observed ROS system have delays, but their sizes on the network are not known.
+// The delay does not depend on a known size: the messages of an observed ROS system have delays, but their sizes on the
+// network are not known.
 pub(crate) fn judged_delay(tree: &Tree, transit: &str) -> Option<OneWayDelay> {
     match &tree.find(&[transit])?.1.measure {
         Measure::Transit(transit) => transit.delay,

@@ -107,7 +107,8 @@ impl<'a> RowRef<'a> {
     /// Returns whether a message was sent to the other host, and whether one was sent back.
     pub fn has_messages(&self) -> [bool; 2] {
         let has_delay = |column: &str| self.value(column).is_some();
-        // A message has a verdict even if its delay is unknown. But results of other programs have delays without verdicts.
+        // A message has a verdict even if its delay is unknown. But results of other programs have delays without
+        // verdicts.
         let [up, down] = self.verdicts().map(|verdict| verdict.is_some());
         [up || has_delay(UPLOAD[0]), down || has_delay(DOWNLOAD[0])]
     }

@@ -46,8 +46,8 @@ fn load(record: &RunRecord) -> Load {
     record.pipeline.get("load").and_then(|load| Load::deserialize(load).ok()).unwrap_or_default()
 }
 
-/// Returns how far the run was when it ended, if it ended before its limits; else `None`. The iterations of the run are its rows and the
-/// iterations without a row, whose number is in the record.
+/// Returns how far the run was when it ended, if it ended before its limits; else `None`. The iterations of the run are
+/// its rows and the iterations without a row, whose number is in the record.
 fn ended_early(record: &RunRecord, rows: &Rows, times: &StartTimes) -> Option<EndedEarly> {
     let counts = Counts::from_rows(rows, record.counts.unseen);
     let progress = Progress {
@@ -58,8 +58,8 @@ fn ended_early(record: &RunRecord, rows: &Rows, times: &StartTimes) -> Option<En
     EndedEarly::from_progress(&limits(record), &progress, &record.reason)
 }
 
-/// Describes the end of a run that was interrupted or broke off: `was interrupted after 57 of 120 iterations`. `None` if the run
-/// was complete, if it ended by itself before its limit, or if its end is not known.
+/// Describes the end of a run that was interrupted or broke off: `was interrupted after 57 of 120 iterations`. `None`
+/// if the run was complete, if it ended by itself before its limit, or if its end is not known.
 pub(crate) fn early_end(record: &RunRecord, rows: &Rows) -> Option<String> {
     let times = StartTimes::from_run(record, rows);
     match (record.reason.failure(), ended_early(record, rows, &times)) {

@@ -32,7 +32,8 @@ pub struct Summary {
     pub actuator: ActuatorResults,
     /// Numbers of actual and of skipped starts of an open loop.
     pub starts: Starts,
-    /// Description of the distribution that the latencies of the model are drawn from; `None` if the latencies are measured.
+    /// Description of the distribution that the latencies of the model are drawn from; `None` if the latencies are
+    /// measured.
     pub replayed: Option<String>,
     /// Quality of the delays.
     pub clocks: Clocks,
@@ -73,7 +74,8 @@ impl Summary {
             FIXED_COLUMNS.get(*index).is_none_or(|(_, kind)| *kind == ColumnKind::Node) && !is_bound(name)
         });
         let quantity = |(_, name): (usize, &Column)| {
-            // Failed iterations missed their deadline, too. They are included, so that the mean of the column is the miss rate.
+            // Failed iterations missed their deadline, too. They are included, so that the mean of the column is the
+            // miss rate.
             if *name == DEADLINE_MISSED {
                 let without_warm_up = rows.iter().filter(|row| !row.warm_up());
                 return Quantity::from_values(
@@ -81,7 +83,8 @@ impl Summary {
                     without_warm_up.filter_map(|row| row.value(name)),
                 );
             }
-            // The value of an episode is stored with its last iteration and counts even if this iteration is not counted.
+            // The value of an episode is stored with its last iteration and counts even if this iteration is not
+            // counted.
             if EPISODE_VALUES.contains(&name.as_ref()) {
                 return Quantity::from_values(name.clone(), rows.iter().filter_map(|row| row.value(name)));
             }

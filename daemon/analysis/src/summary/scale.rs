@@ -3,7 +3,8 @@
 use peernet_logger::Unit;
 use peernet_statistics::number::{decimals, fixed, milliseconds, significant, throughput};
 
-/// Names of nodes whose values are times, wherever the nodes are in the tree. Columns with these names are times in files of any program.
+/// Names of nodes whose values are times, wherever the nodes are in the tree. Columns with these names are times in
+/// files of any program.
 const DURATION_COLUMNS: [&str; 19] = [
     "sensing",
     "upload",
@@ -68,7 +69,8 @@ impl Scale {
         }
     }
 
-    /// Returns the symbol of the unit in which numbers are shown. Numbers that are shown as measured have the unit in which they were logged.
+    /// Returns the symbol of the unit in which numbers are shown. Numbers that are shown as measured have the unit in
+    /// which they were logged.
     pub const fn symbol(self, logged_unit: &str) -> &str {
         match self {
             Self::Milliseconds => "ms",
@@ -87,8 +89,8 @@ impl Scale {
         }
     }
 
-    /// Returns the number of decimals of all numbers in a table's row, from the median in this row: the median has three significant digits.
-    /// Numbers of bytes have no decimals.
+    /// Returns the number of decimals of all numbers in a table's row, from the median in this row: the median has
+    /// three significant digits. Numbers of bytes have no decimals.
     pub fn decimals(self, median: f64) -> usize {
         if self == Self::Bytes { 0 } else { decimals(median * self.factor(), 3) }
     }

@@ -81,15 +81,16 @@ fn fonts(chars: impl Iterator<Item = char>) -> String {
     format!("% needs LuaLaTeX or XeLaTeX, and a font that has {other_letters}\n")
 }
 
-/// Returns whether pdfLaTeX can print the letter with fonts in the encoding T1. It can print Latin-1 and Latin Extended-A with few exceptions,
-/// and some punctuation.
+/// Returns whether pdfLaTeX can print the letter with fonts in the encoding T1. It can print Latin-1 and Latin
+/// Extended-A with few exceptions, and some punctuation.
 const fn is_latin(char: char) -> bool {
     !matches!(char, 'Ħ' | 'ħ' | 'ĸ' | 'Ŀ' | 'ŀ' | 'ŉ' | 'Ŧ' | 'ŧ') && char <= 'ž'
         || matches!(char, '‘' | '’' | '‚' | '“' | '”' | '„' | '†' | '‡' | '•' | '…' | '‰' | '€' | '™')
 }
 
-/// Escapes any text, so that LaTeX prints exactly this text. No part of the result can act as a command, as an argument of the command before
-/// it, or as a ligature. Invisible characters, such as control characters, become a blank or are removed.
+/// Escapes any text, so that LaTeX prints exactly this text. No part of the result can act as a command, as an argument
+/// of the command before it, or as a ligature. Invisible characters, such as control characters, become a blank or are
+/// removed.
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     let mut previous = ' ';

@@ -22,8 +22,9 @@ pub fn interval([lo, hi]: [String; 2]) -> String {
     }
 }
 
-/// Returns the number of decimals of a column. The number that is closest to zero, but not zero, has three significant digits. This would take
-/// very many decimals if the numbers differ much, so there are at most two decimals more than the largest number needs for three digits.
+/// Returns the number of decimals of a column. The number that is closest to zero, but not zero, has three significant
+/// digits. This would take very many decimals if the numbers differ much, so there are at most two decimals more than
+/// the largest number needs for three digits.
 pub fn decimals_of(values: impl Iterator<Item = f64>) -> usize {
     let (mut needed, mut largest) = (0, 0.0_f64);
     for value in values.filter(|value| value.is_finite() && *value != 0.0) {

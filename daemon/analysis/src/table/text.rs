@@ -4,7 +4,8 @@ use peernet_sample::printable_line;
 
 use super::Table;
 
-/// Returns a table as text: rows of cells under a header. The first column is text; the other columns are numbers and aligned right.
+/// Returns a table as text: rows of cells under a header. The first column is text; the other columns are numbers and
+/// aligned right.
 pub fn text(header: &[&str], rows: &[Vec<String>]) -> String {
     lines(&header.iter().map(|&cell| cell.to_owned()).collect::<Vec<_>>(), rows, 1)
 }

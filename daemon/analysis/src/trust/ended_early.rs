@@ -12,8 +12,8 @@ pub struct Limits {
     pub iterations: Option<f64>,
     /// Number of iterations including the warm-up.
     pub total: Option<f64>,
-    /// Number of episodes including the warm-up. The actuator may end an episode before its last step, so that the number of iterations is not
-    /// known beforehand.
+    /// Number of episodes including the warm-up. The actuator may end an episode before its last step, so that the
+    /// number of iterations is not known beforehand.
     pub episodes: Option<f64>,
     /// Seconds from the first iteration that is not warm-up.
     pub duration_s: Option<f64>,
@@ -22,8 +22,8 @@ pub struct Limits {
 /// Part of a run that was measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
-    /// Number of iterations without the warm-up, successful or failed. Iterations that were measured but whose events were not received are
-    /// included.
+    /// Number of iterations without the warm-up, successful or failed. Iterations that were measured but whose events
+    /// were not received are included.
     pub measured: u64,
     /// Number of iterations of the warm-up.
     pub warm_up: u64,
@@ -54,7 +54,8 @@ pub enum Unit {
 }
 
 impl EndedEarly {
-    /// Compares the progress of a run that ended for `reason` with its limits. `None` if the run is complete, or if it had no limits.
+    /// Compares the progress of a run that ended for `reason` with its limits. `None` if the run is complete, or if it
+    /// had no limits.
     pub fn from_progress(limits: &Limits, progress: &Progress, reason: &EndReason) -> Option<Self> {
         let interrupted = *reason == EndReason::Stopped;
         let limits_and_reached = [
@@ -66,7 +67,8 @@ impl EndedEarly {
             let limit = limit.filter(|limit| *limit > 0.0)?;
             Some(Self { reached: reached?, limit, unit, interrupted })
         });
-        // A run ends as soon as it reaches one of its limits, so the relevant limit is the one that the run came closest to.
+        // A run ends as soon as it reaches one of its limits, so the relevant limit is the one that the run came
+        // closest to.
         let nearest = amounts.max_by(|a, b| a.share().total_cmp(&b.share()))?;
         // The last iteration ends shortly before a limit of time, and episodes may end early, so the reason for the end decides whether
         // such a run is complete.

@@ -21,7 +21,8 @@ pub struct Starts {
     pub hz: Option<f64>,
     /// Number of iterations that started and whose measurements are not missing.
     pub started: u64,
-    /// Number of further iterations that started, but whose measurements are missing; `None` if this number is not known.
+    /// Number of further iterations that started, but whose measurements are missing; `None` if this number is not
+    /// known.
     pub missing: Option<u64>,
     /// Number of starts that were skipped because the pipeline was too far behind.
     pub skipped: u64,
@@ -55,8 +56,8 @@ impl Starts {
         }
     }
 
-    /// Returns the actual starts per second of all iterations, including those in `missing`. `None` with fewer than two starts, or if the number
-    /// or the times of the starts are not known.
+    /// Returns the actual starts per second of all iterations, including those in `missing`. `None` with fewer than two
+    /// starts, or if the number or the times of the starts are not known.
     pub fn actual_hz(&self) -> Option<f64> {
         let started = self.started.saturating_add(self.missing?);
         let seconds = self.times.seconds().filter(|seconds| *seconds > 0.0)?;
@@ -83,8 +84,8 @@ impl Starts {
 }
 
 impl StartTimes {
-    /// Returns the time from the first to the last start, seconds. `None` if the first or the last start is not known, if there was a standstill,
-    /// or if the wall clock was set back, so that the last start lies before the first.
+    /// Returns the time from the first to the last start, seconds. `None` if the first or the last start is not known,
+    /// if there was a standstill, or if the wall clock was set back, so that the last start lies before the first.
     pub fn seconds(&self) -> Option<f64> {
         let seconds = (self.last? - self.first?).seconds();
         (self.standstill_s.is_none() && seconds >= 0.0).then_some(seconds)

@@ -116,8 +116,8 @@ impl Report {
         }
     }
 
-    /// Returns the text for a terminal: the answer, then a line for each finding. The line begins with a sign for the grade, and the advice is on
-    /// the next line.
+    /// Returns the text for a terminal: the answer, then a line for each finding. The line begins with a sign for the
+    /// grade, and the advice is on the next line.
     pub fn text(&self) -> String {
         let mut lines = vec![format!("Can this run be published? {}", self.answer()), String::new()];
         for finding in &self.findings {

@@ -38,8 +38,8 @@ impl ReplayedLatencies {
         Some(Self { distribution: text.clone(), drawn: None, overrun: None })
     }
 
-    /// Returns the replayed latencies, with the distribution from the facts of a run and the means from its rows. `None` if the latencies are
-    /// measured.
+    /// Returns the replayed latencies, with the distribution from the facts of a run and the means from its rows.
+    /// `None` if the latencies are measured.
     pub fn from_run(facts: &[(String, String)], rows: &Rows) -> Option<Self> {
         let mean = |column: &str| mean(rows.counted_values(column));
         let replayed = Self::from_facts(facts)?;
@@ -48,8 +48,10 @@ impl ReplayedLatencies {
 
     /// Describes the distribution, and the mean overrun if it is large.
     pub fn describe(&self) -> String {
-        let overrun =
-            self.drawn.zip(self.overrun).filter(|(drawn, overrun)| *overrun > drawn * MIN_REPORTED_OVERRUN_SHARE);
+        let overrun = self
+            .drawn
+            .zip(self.overrun)
+            .filter(|(drawn, overrun)| *overrun > drawn * MIN_REPORTED_OVERRUN_SHARE);
         match overrun {
             None => self.distribution.clone(),
             Some((drawn, overrun)) => format!(

@@ -18,7 +18,8 @@ pub struct Restarts {
 }
 
 impl Restarts {
-    /// For each owner of a process: its name, the node with the time of a restart, and the column of this node in `data.csv`.
+    /// For each owner of a process: its name, the node with the time of a restart, and the column of this node in
+    /// `data.csv`.
     pub const NODES: [(&'static str, Name, &'static str); 3] = [
         ("sensor", stage::CAPTURE_RESTART, "capture_capture-restart"),
         ("model", stage::RESTART, "restart"),

@@ -11,12 +11,13 @@ use crate::order::SortedValues;
 const MIN_BEGINNING_VALUES: u64 = 20;
 /// Maximum number of blocks of a run. The first block is its beginning.
 const MAX_BLOCKS: u64 = 200;
-/// Minimum change of the median from the first to the second half of a run that is reported, as a share of the first half's median.
+/// Minimum change of the median from the first to the second half of a run that is reported, as a share of the first
+/// half's median.
 pub(super) const MIN_NOTABLE_CHANGE: f64 = 0.05;
 /// Standard deviation of a normal distribution divided by its median absolute deviation (MAD).
 const MAD_TO_STD: f64 = 1.4826;
-/// A value is an outlier if it exceeds the median by more than this number of standard deviations, where the standard deviation is computed
-/// from the MAD (Iglewicz and Hoaglin 1993).
+/// A value is an outlier if it exceeds the median by more than this number of standard deviations, where the standard
+/// deviation is computed from the MAD (Iglewicz and Hoaglin 1993).
 const OUTLIER_DEVIATIONS: f64 = 3.5;
 /// Minimum of this standard deviation, as a share of the median: the resolution of the stored quantiles.
 const MIN_RELATIVE_DEVIATION: f64 = 0.01;
@@ -49,8 +50,8 @@ pub struct Beginning {
     pub median: f64,
     /// Median of the rest, seconds.
     pub rest: f64,
-    /// Share of the later blocks whose median is at least as high as that of the beginning, 0 to 1. A block has about as many values as the
-    /// beginning.
+    /// Share of the later blocks whose median is at least as high as that of the beginning, 0 to 1. A block has about
+    /// as many values as the beginning.
     pub share_as_high: f64,
     /// Number of later blocks.
     pub blocks: usize,
@@ -135,8 +136,8 @@ impl TimeSeries {
         Some(Self { count, median, mean, outliers, ..Self::over_time(buckets) })
     }
 
-    /// Returns the change of the median from the first half of the run to the second, as a share of the first half's median. `None` without
-    /// halves.
+    /// Returns the change of the median from the first half of the run to the second, as a share of the first half's
+    /// median. `None` without halves.
     pub fn change(&self) -> Option<f64> {
         let (first, second) = self.halves?;
         Some(if first > 0.0 { second / first - 1.0 } else { 0.0 })

@@ -5,7 +5,8 @@ use statrs::distribution::{ContinuousCDF, Normal};
 use crate::fit::{Point, theil_sen};
 use crate::order::SortedValues;
 
-/// Maximum autocorrelation that is used. Above it, the number of equivalent independent values is so small that it means nothing.
+/// Maximum autocorrelation that is used. Above it, the number of equivalent independent values is so small that it
+/// means nothing.
 const MAX_AUTOCORRELATION: f64 = 0.95;
 
 /// Returns the two-sided probability that a series without a trend rises or falls as clearly as this series. This is the test of Mann (1945)
@@ -34,12 +35,14 @@ pub(super) fn chance_of_trend(series: &[f64]) -> Option<f64> {
 /// Returns the factor by which autocorrelation of the first order increases the variance of the score, at least 1. It is the number of values
 /// divided by the number of equivalent independent values (Matalas and Langbein 1962).
 ///
-/// A change of the series' level looks like autocorrelation, so the change is removed first. Four forms of the change are tried: a line, and a
-/// step after a quarter, after a half or after three quarters of the series. The form that leaves the smallest autocorrelation is used.
+/// A change of the series' level looks like autocorrelation, so the change is removed first. Four forms of the change
+/// are tried: a line, and a step after a quarter, after a half or after three quarters of the series. The form that
+/// leaves the smallest autocorrelation is used.
 ///
-/// In simulations of series without a trend, the test reports a trend in 4 % of all cases if the values are independent, and in 9 % at an
-/// autocorrelation of 0.5. At an autocorrelation of 0.5, the test without any correction reports a trend in 23 % of all cases, and the test with
-/// a correction over all lags (Hamed and Rao 1998) in 18 %, because the latter underestimates the correlation of few values.
+/// In simulations of series without a trend, the test reports a trend in 4 % of all cases if the values are
+/// independent, and in 9 % at an autocorrelation of 0.5. At an autocorrelation of 0.5, the test without any correction
+/// reports a trend in 23 % of all cases, and the test with a correction over all lags (Hamed and Rao 1998) in 18 %,
+/// because the latter underestimates the correlation of few values.
 fn variance_inflation(series: &[f64]) -> f64 {
     let n = series.len();
     let count = n as f64;
@@ -61,9 +64,9 @@ fn deviations_from_median(part: &[f64]) -> Vec<f64> {
     part.iter().map(|value| value - median).collect()
 }
 
-/// Returns the autocorrelation r of the ranks of the residuals at the first lag, 0 to 0.95. The removal of a change biases r by about
-/// −(2 + `bias` · r) / n, for which the result is corrected. `bias` is 4 for a line (van Giersbergen 2005, Economics Letters 89) and 6 for two
-/// levels.
+/// Returns the autocorrelation r of the ranks of the residuals at the first lag, 0 to 0.95. The removal of a change
+/// biases r by about −(2 + `bias` · r) / n, for which the result is corrected. `bias` is 4 for a line (van Giersbergen
+/// 2005, Economics Letters 89) and 6 for two levels.
 fn correlation(residuals: &[f64], bias: f64) -> f64 {
     let count = residuals.len() as f64;
     let ranks: Vec<f64> = ranks(residuals).into_iter().map(|rank| rank - (count + 1.0) / 2.0).collect();

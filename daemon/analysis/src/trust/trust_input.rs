@@ -186,7 +186,8 @@ fn two_modes(rows: &Rows) -> Vec<(String, TwoModes)> {
     let modes_of = |name: &str| {
         let mut summary = Summary::default();
         rows.counted_values(name).for_each(|value| summary.record(value));
-        // The store names nodes without the names of their parents. The same name is used here, so that both sources give equal reports.
+        // The store names nodes without the names of their parents. The same name is used here, so that both sources
+        // give equal reports.
         let node = tokens_of_column(name).unwrap_or(name);
         Some((node.to_owned(), summary.two_modes()?))
     };
@@ -211,7 +212,8 @@ impl Clocks {
         let (mut known_delays, mut bounds) = (Vec::new(), Vec::new());
         for delay in delays {
             let verdict = delay.verdict;
-            // Verdicts are listed in the order in which the store numbers them, so that input from rows and from the store is the same.
+            // Verdicts are listed in the order in which the store numbers them, so that input from rows and from the
+            // store is the same.
             let order = Verdict::ALL.iter().position(|other| *other == verdict).unwrap_or(usize::MAX);
             verdicts.entry(order).or_insert((verdict, 0)).1 += 1;
             if let Some(seconds) = delay.known_seconds() {

@@ -6,8 +6,8 @@ use crate::order::SortedValues;
 use crate::rows::RowRef;
 use crate::total_column::TotalColumn;
 
-/// Groups the results of edges that measured at the same time, which are the edges that measured the same repeat of the same configuration of an
-/// experiment. Groups and edges keep the order of the input.
+/// Groups the results of edges that measured at the same time, which are the edges that measured the same repeat of the
+/// same configuration of an experiment. Groups and edges keep the order of the input.
 pub(super) fn concurrent_groups(edges: &[Loaded]) -> Vec<Vec<&Loaded>> {
     let mut groups: Vec<Vec<&Loaded>> = Vec::new();
     for edge in edges {

@@ -18,9 +18,9 @@ use crate::loaded::Loaded;
 use crate::order::SortedValues;
 use crate::trust::ReplayedLatencies;
 
-/// Returns Jain's index of fairness, (Σx)² / (n Σx²) (Jain, Chiu and Hawe 1984, *A Quantitative Measure of Fairness and Discrimination for
-/// Resource Allocation in Shared Computer Systems*, DEC-TR-301). The index is 1/n if one of n users gets everything, and 1 if all users get
-/// the same. `None` if all shares are 0.
+/// Returns Jain's index of fairness, (Σx)² / (n Σx²) (Jain, Chiu and Hawe 1984, *A Quantitative Measure of Fairness and
+/// Discrimination for Resource Allocation in Shared Computer Systems*, DEC-TR-301). The index is 1/n if one of n users
+/// gets everything, and 1 if all users get the same. `None` if all shares are 0.
 pub fn jain_index(shares: &[f64]) -> Option<f64> {
     let (sum, squares) = shares.iter().fold((0.0, 0.0), |(sum, squares), x| (sum + x, squares + x * x));
     // Because of rounding, the index of equal shares can be a little more than 1.
@@ -55,7 +55,8 @@ pub struct UsersLine {
     pub replayed: Option<String>,
 }
 
-/// One repeat of a configuration: what its edges measured while all of them were measuring. `T` holds the totals of an edge.
+/// One repeat of a configuration: what its edges measured while all of them were measuring. `T` holds the totals of an
+/// edge.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Repeat<T> {
     /// Length of the [common time](common_time); `None` if the edges never measured at the same time.
@@ -91,11 +92,12 @@ impl WithMedian for Summary {
     }
 }
 
-/// Returns the beginning and the end of the time in which all edges were measuring. An edge is given by the first and the last start of its
-/// answered iterations after the warm-up. The common time lasts from the latest of the first starts to the earliest of the last starts. `None`
-/// if there is no such time.
+/// Returns the beginning and the end of the time in which all edges were measuring. An edge is given by the first and
+/// the last start of its answered iterations after the warm-up. The common time lasts from the latest of the first
+/// starts to the earliest of the last starts. `None` if there is no such time.
 ///
-/// For a rate, the number of starts must equal the number of periods within the time. A start at the end of the time is therefore not counted.
+/// For a rate, the number of starts must equal the number of periods within the time. A start at the end of the time is
+/// therefore not counted.
 pub fn common_time<T: PartialOrd + Copy>(edges: impl IntoIterator<Item = Option<(T, T)>>) -> Option<(T, T)> {
     let edges: Vec<(T, T)> = edges.into_iter().collect::<Option<_>>()?;
     // `T` may be a floating-point number, which has no `Ord::max`.
@@ -130,8 +132,8 @@ pub struct Totals {
 }
 
 impl Users {
-    /// Returns the statistics of runs, one run for each edge. The records of the runs tell which edges measured at the same time. `None` if no
-    /// two edges did.
+    /// Returns the statistics of runs, one run for each edge. The records of the runs tell which edges measured at the
+    /// same time. `None` if no two edges did.
     pub fn from_runs(runs: &[Loaded]) -> Option<Self> {
         let concurrent_groups = concurrent_edges::complete_groups(concurrent_edges::concurrent_groups(runs));
         concurrent_groups.iter().any(|edges| edges.len() > 1).then_some(())?;
@@ -149,8 +151,8 @@ impl Users {
             let axis_and_label = configuration(edges).into_iter().find(|(name, _)| name == axis);
             axis_and_label.map_or_else(|| tables::EMPTY_CELL.to_owned(), |(_, label)| label)
         };
-        // Labels and repeats of each configuration. A repeat is a group of concurrent edges. Groups with the same labels and the same number of
-        // edges are repeats of one configuration.
+        // Labels and repeats of each configuration. A repeat is a group of concurrent edges. Groups with the same
+        // labels and the same number of edges are repeats of one configuration.
         let mut configurations: Vec<(Vec<String>, Vec<&[&Loaded]>)> = Vec::new();
         for edges in &concurrent_groups {
             let labels: Vec<String> = axes.iter().map(|axis| label(edges, axis)).collect();
@@ -166,7 +168,8 @@ impl Users {
             let repeats: Vec<Repeat<SortedValues>> =
                 groups.iter().map(|edges| concurrent_edges::repeat(edges)).collect();
             let totals: SortedValues = match groups.as_slice() {
-                // If each repeat has a single edge, all its totals are used, so that the table of all configurations shows the same numbers.
+                // If each repeat has a single edge, all its totals are used, so that the table of all configurations
+                // shows the same numbers.
                 groups if groups[0].len() == 1 => {
                     groups.iter().flat_map(|edges| edges[0].rows.counted_values("total")).collect()
                 }

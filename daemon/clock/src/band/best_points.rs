@@ -30,8 +30,8 @@ impl BestPoints {
         Self { interval, max_points, points: VecDeque::new() }
     }
 
-    /// Inserts a point if it is the lowest point of its interval after the skew is removed. `slope` is the skew in seconds per
-    /// second.
+    /// Inserts a point if it is the lowest point of its interval after the skew is removed. `slope` is the skew in
+    /// seconds per second.
     pub(super) fn insert(&mut self, point: Point, slope: f64) -> InsertResult {
         let interval_number = point.x.div_euclid(self.interval);
         let interval_of = |point: &Point| point.x.div_euclid(self.interval);
@@ -72,8 +72,8 @@ impl BestPoints {
         self.points.iter().copied()
     }
 
-    /// Returns `count` points around `x`: half of them before `x` and half after `x`. If there are too few points on one side, more
-    /// points of the other side are returned instead.
+    /// Returns `count` points around `x`: half of them before `x` and half after `x`. If there are too few points on
+    /// one side, more points of the other side are returned instead.
     pub(super) fn around(&self, x: i64, count: usize) -> impl Iterator<Item = Point> + '_ {
         let first_at_or_after = self.points.partition_point(|point| point.x < x);
         let end = first_at_or_after.saturating_add(count / 2).max(count).min(self.points.len());
@@ -83,8 +83,8 @@ impl BestPoints {
     /// Returns whether the points [`around`](Self::around) `x` are the newest points and all lie within `reach` of it.
     pub(super) fn newest_points_are_around(&self, x: i64, count: usize, reach: u64) -> bool {
         let len = self.points.len();
-        // `around` returns the newest `count` points if at most `count / 2` of all points are at or after `x`. This is the case if
-        // the point just before the newest `count / 2` points is before `x`.
+        // `around` returns the newest `count` points if at most `count / 2` of all points are at or after `x`. This is
+        // the case if the point just before the newest `count / 2` points is before `x`.
         let (oldest, middle) = (len.saturating_sub(count), len.saturating_sub(count / 2 + 1));
         let is_near = |index: usize| self.points.get(index).is_some_and(|point| point.x.abs_diff(x) <= reach);
         let x_is_after_middle = len <= count || self.points.get(middle).is_some_and(|point| point.x < x);

@@ -1,12 +1,13 @@
-//! The assumptions about the drift between two clocks. They are stored as integers, which are rounded so that bounds stay valid.
+//! The assumptions about the drift between two clocks. They are stored as integers, which are rounded so that bounds
+//! stay valid.
 
 /// The two assumptions about the rate at which two clocks drift apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct DriftModel {
     /// Largest rate.
     pub(crate) limit: DriftLimit,
-    /// Limit of the speed at which the rate changes; `None` if one of the clocks may be slewed, because a slew changes the rate at
-    /// once.
+    /// Limit of the speed at which the rate changes; `None` if one of the clocks may be slewed, because a slew changes
+    /// the rate at once.
     pub(crate) change: Option<DriftChangeLimit>,
 }
 
@@ -24,8 +25,8 @@ impl DriftLimit {
 
     /// Converts a limit in parts per million. The result is valid whichever of the two clocks the limit is relative to.
     ///
-    /// If the edge's clock is the slower clock, a difference of ρ per second of the cloud's clock is a difference of ρ / (1 − ρ)
-    /// per second of the edge's clock. NaN is converted to the largest limit.
+    /// If the edge's clock is the slower clock, a difference of ρ per second of the cloud's clock is a difference of ρ
+    /// / (1 − ρ) per second of the edge's clock. NaN is converted to the largest limit.
     pub(crate) fn new(ppm: f64) -> Self {
         let ppm = if ppm.is_nan() { Self::MAX_PPM } else { ppm.clamp(0.0, Self::MAX_PPM) };
         let rate = ppm / (1e6 - ppm);
@@ -68,10 +69,11 @@ impl DriftChangeLimit {
     /// Largest limit that can be set: a thousandth per second. The rate of no oscillator changes faster.
     const MAX_PPM_PER_S: f64 = 1_000.0;
 
-    /// Converts a limit in parts per million per second. The result is valid whichever of the two clocks the limit is relative to.
+    /// Converts a limit in parts per million per second. The result is valid whichever of the two clocks the limit is
+    /// relative to.
     ///
-    /// If two clocks drift apart by ρ, the second derivative of the offset by one clock is at most (1 − ρ)⁻³ times that by the
-    /// other clock. NaN is converted to the largest limit.
+    /// If two clocks drift apart by ρ, the second derivative of the offset by one clock is at most (1 − ρ)⁻³ times that
+    /// by the other clock. NaN is converted to the largest limit.
     pub(crate) fn new(ppm_per_s: f64, rate: DriftLimit) -> Self {
         let max = Self::MAX_PPM_PER_S;
         let ppm_per_s = if ppm_per_s.is_nan() { max } else { ppm_per_s.clamp(0.0, max) };

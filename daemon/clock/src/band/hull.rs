@@ -1,11 +1,11 @@
-//! Convex hulls of the points of one side of the band. A hull contains the points that give the best bounds, and one of its edges
-//! gives the skew that fits best.
+//! Convex hulls of the points of one side of the band. A hull contains the points that give the best bounds, and one of
+//! its edges gives the skew that fits best.
 
 use super::slots::Point;
 
-/// Appends a point to the lower convex hull of points to which `half_limit` × x² was added. The point must not be earlier
-/// than the last one. The origin of x is arbitrary: another origin only adds a straight line to all points, which does not change
-/// which points are on the hull.
+/// Appends a point to the lower convex hull of points to which `half_limit` × x² was added. The point must not be
+/// earlier than the last one. The origin of x is arbitrary: another origin only adds a straight line to all points,
+/// which does not change which points are on the hull.
 #[inline]
 pub(super) fn push(hull: &mut Vec<Point>, next: Point, half_limit: f64) {
     // Height of a later point above an earlier one, with the earlier one as the origin of x.

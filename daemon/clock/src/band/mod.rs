@@ -1,8 +1,8 @@
 //! The interval that contains the offset of two clocks, at each time, as the exchanges prove it.
 //!
-//! The offset θ(x) is the cloud's clock minus the edge's clock when the edge's clock shows x. Each exchange bounds the offset
-//! from above at the time at which the message was sent, and from below at the time at which the answer returned. The limit of
-//! drift extends both bounds to other times.
+//! The offset θ(x) is the cloud's clock minus the edge's clock when the edge's clock shows x. Each exchange bounds the
+//! offset from above at the time at which the message was sent, and from below at the time at which the answer
+//! returned. The limit of drift extends both bounds to other times.
 
 mod best_points;
 mod drift;
@@ -24,8 +24,8 @@ use trend::Trend;
 
 use crate::{Exchange, Interval, RawTime, Span};
 
-/// The newest exchanges of this number bound the offset at any age. If the window contains fewer exchanges, it is extended back to
-/// the oldest of them.
+/// The newest exchanges of this number bound the offset at any age. If the window contains fewer exchanges, it is
+/// extended back to the oldest of them.
 const MIN_EXCHANGES: usize = 8;
 
 /// The hulls are built in advance for queries up to this time after the newest exchange, nanoseconds.
@@ -77,8 +77,8 @@ pub(crate) enum Contradiction {
 /// Interval that contains the offset at one time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct OffsetInterval {
-    /// The interval that follows from the limit of drift and the limit of the drift's change. If no offset satisfies both limits,
-    /// the interval that follows from the limit of drift alone.
+    /// The interval that follows from the limit of drift and the limit of the drift's change. If no offset satisfies
+    /// both limits, the interval that follows from the limit of drift alone.
     pub(crate) interval: Interval,
     /// `true` if an offset exists that satisfies both limits and all exchanges.
     pub(crate) is_consistent: bool,
@@ -87,8 +87,8 @@ pub(crate) struct OffsetInterval {
 /// The interval of the offset over time that the exchanges of a window prove.
 ///
 /// An exchange bounds the offset only at times that are at most one window away from it. The newest eight exchanges are
-/// exceptions: they count at any age. If a clock violates the limit of drift or jumps unnoticed, intervals are therefore wrong
-/// only as long as the window, or these eight exchanges, reach back to the violation.
+/// exceptions: they count at any age. If a clock violates the limit of drift or jumps unnoticed, intervals are
+/// therefore wrong only as long as the window, or these eight exchanges, reach back to the violation.
 #[derive(Clone, Debug)]
 pub(crate) struct Band {
     drift: DriftModel,
@@ -189,7 +189,8 @@ impl Band {
         }
     }
 
-    /// Removes the bounds of exchanges after `end`. The estimate keeps its points of these exchanges, because it is not a bound.
+    /// Removes the bounds of exchanges after `end`. The estimate keeps its points of these exchanges, because it is not
+    /// a bound.
     pub(crate) fn truncate(&mut self, end: RawTime) {
         let end = end.nanos();
         self.upper.truncate(end);
@@ -239,8 +240,8 @@ impl Band {
         query(&hulls)
     }
 
-    /// Builds the hulls of the points around `q`. The two [`Insertion`]s say how the upper and the lower points changed since the
-    /// last call.
+    /// Builds the hulls of the points around `q`. The two [`Insertion`]s say how the upper and the lower points changed
+    /// since the last call.
     fn fill_hulls(
         &self,
         hulls: &mut Hulls,
@@ -249,8 +250,8 @@ impl Band {
         change: DriftChangeLimit,
     ) {
         if self.is_sparse(q) {
-            // The latest exchanges are in the order in which they returned. The upper points may be in another order: that in which
-            // the exchanges were sent.
+            // The latest exchanges are in the order in which they returned. The upper points may be in another order:
+            // that in which the exchanges were sent.
             let mut upper: Vec<Point> = self.latest.iter().map(|bounds| bounds.upper).collect();
             upper.sort_unstable_by_key(|point| point.x);
             hulls.set_upper(upper.iter().copied(), change);

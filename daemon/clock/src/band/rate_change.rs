@@ -1,5 +1,5 @@
-//! Bounds that follow from the limit of the drift's change. Two exchanges prove a rate at one time. Because the rate changes
-//! slowly, it holds approximately at other times.
+//! Bounds that follow from the limit of the drift's change. Two exchanges prove a rate at one time. Because the rate
+//! changes slowly, it holds approximately at other times.
 //!
 //! With |θ''| ≤ κ, ψ(x) = θ(x) + κx²/2 is convex and φ(x) = θ(x) − κx²/2 is concave. Hence, for points (a, U_a) from
 //! above and (a, L_a) from below and a time q:
@@ -18,8 +18,8 @@ use super::drift::DriftChangeLimit;
 use super::hull;
 use super::slots::Point;
 
-/// Maximum number of points of one side that are used before the time of a bound, and again after that time. This is 12 s of slots
-/// before and 12 s after.
+/// Maximum number of points of one side that are used before the time of a bound, and again after that time. This is 12
+/// s of slots before and 12 s after.
 // At the usual κ, points that are farther away give no better bound.
 pub(super) const MAX_POINTS_PER_SIDE: usize = 24;
 /// Longest distance in time over which a rate extends bounds: 13 days.
@@ -55,8 +55,8 @@ struct Hull {
 enum BoundPair {
     /// Two points of one side, one before the time and one after it.
     Interpolated(Point, Point),
-    /// Two points on the same side in time: the nearer point, which belongs to the side that is bounded, and the farther point, which
-    /// belongs to the other side.
+    /// Two points on the same side in time: the nearer point, which belongs to the side that is bounded, and the
+    /// farther point, which belongs to the other side.
     Extrapolated(Point, Point),
 }
 
@@ -142,7 +142,8 @@ impl Side {
 fn best_bound(side: &Side, opposite: &Side, q: i64, change: DriftChangeLimit) -> Option<i64> {
     let (raised, lowered, opposite_points) =
         (&side.raised.points, &side.lowered.points, &opposite.raised.points);
-    // Values are relative to the first bound, because a large offset loses nanoseconds when it becomes a floating-point number.
+    // Values are relative to the first bound, because a large offset loses nanoseconds when it becomes a floating-point
+    // number.
     let origin = raised.first()?.bound;
     let half_limit = change.half_limit_per_nano();
     let mut best: Option<(f64, BoundPair)> = None;
@@ -197,8 +198,8 @@ fn interpolate(a: Point, b: Point, q: i64, change: DriftChangeLimit) -> Option<i
     Some(a.bound.saturating_add(change_from_a).saturating_add(change.max_deviation(from_a, to_b)))
 }
 
-/// Returns the bound at `q` that follows from the point `b` of one side and a rate, rounded up. The rate is the one that `b` and
-/// the point `a` of the other side prove.
+/// Returns the bound at `q` that follows from the point `b` of one side and a rate, rounded up. The rate is the one
+/// that `b` and the point `a` of the other side prove.
 fn extrapolate(b: Point, a: Point, q: i64, change: DriftChangeLimit) -> Option<i64> {
     let (near, far) = (q.abs_diff(b.x), q.abs_diff(a.x));
     let change_from_b = multiply_divide(near, i128::from(b.bound) + i128::from(a.bound), a.x.abs_diff(b.x))?;

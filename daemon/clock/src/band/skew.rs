@@ -20,7 +20,8 @@ const MAX_INTERVALS: usize = 128;
 pub struct ProvenSkew {
     /// At some time the skew was at least this, parts per million.
     pub min_ppm: f64,
-    /// At some time the skew was at most this, parts per million. The value is below `min_ppm` only if the skew changed.
+    /// At some time the skew was at most this, parts per million. The value is below `min_ppm` only if the skew
+    /// changed.
     pub max_ppm: f64,
 }
 

@@ -4,11 +4,11 @@
 //! it is at most U + w(|q − x|) at any time q, where w(d) is ρ·d rounded up: a cone that opens upwards. The bound at q
 //! is the lowest of all cones. Bounds from below are the same with the opposite sign.
 //!
-//! A slot keeps only one of its points. Of two points, it keeps the one whose cone is lower at the time of the later point.
-//! Because w(a + b) ≥ w(a) + w(b) − 1, this cone is, to a nanosecond, also the lower one at every time after the slot. A query
-//! about the present therefore gets the bound that all exchanges together give. The removal of the other points has two costs:
-//! the oldest slot of the window expires as a whole, and the bound at a time within a slot may be wider by ρ × twice the
-//! slot's length. It never makes an interval wrong, because any subset of valid bounds is valid.
+//! A slot keeps only one of its points. Of two points, it keeps the one whose cone is lower at the time of the later
+//! point. Because w(a + b) ≥ w(a) + w(b) − 1, this cone is, to a nanosecond, also the lower one at every time after the
+//! slot. A query about the present therefore gets the bound that all exchanges together give. The removal of the other
+//! points has two costs: the oldest slot of the window expires as a whole, and the bound at a time within a slot may be
+//! wider by ρ × twice the slot's length. It never makes an interval wrong, because any subset of valid bounds is valid.
 
 use std::collections::VecDeque;
 
@@ -93,8 +93,8 @@ impl Slots {
         self.points.back().copied()
     }
 
-    /// Returns the points within `reach` of `q` in the order of time: at most `max_per_side` points up to `q`, and at most
-    /// `max_per_side` points after `q`.
+    /// Returns the points within `reach` of `q` in the order of time: at most `max_per_side` points up to `q`, and at
+    /// most `max_per_side` points after `q`.
     pub(super) fn around(
         &self,
         q: i64,

@@ -1,10 +1,11 @@
 //! The point estimate of the offset within the band, and its rate.
 //!
-//! The estimate keeps the best upper and the best lower point of each second. It uses the points of about twenty seconds around
-//! the time of the query. The skew is the mean slope of two lines, one below all upper points and the other above all lower
-//! points. After the skew is removed, the remaining drift is a wander that is much slower than the limit of drift, so that the
-//! band of these points is much narrower. The estimate is the middle of this narrow band. The estimate is right only if the
-//! shortest delays of both directions are equal. This cannot be verified, and the bounds do not rely on it.
+//! The estimate keeps the best upper and the best lower point of each second. It uses the points of about twenty
+//! seconds around the time of the query. The skew is the mean slope of two lines, one below all upper points and the
+//! other above all lower points. After the skew is removed, the remaining drift is a wander that is much slower than
+//! the limit of drift, so that the band of these points is much narrower. The estimate is the middle of this narrow
+//! band. The estimate is right only if the shortest delays of both directions are equal. This cannot be verified, and
+//! the bounds do not rely on it.
 //!
 //! The slots of the band are unsuitable for the estimate. The best point of a slot is the point that bounds later times
 //! best. For two clocks that drift apart at the limit, that is always the earliest or the latest point.
@@ -68,7 +69,8 @@ impl Default for Trend {
 }
 
 impl Trend {
-    /// Inserts the two points of an exchange. `limit` is the largest slope that the offset can have, seconds per second.
+    /// Inserts the two points of an exchange. `limit` is the largest slope that the offset can have, seconds per
+    /// second.
     pub(super) fn insert(&mut self, upper: Point, lower: Point, limit: f64) {
         let (first, last) = self.time_range.unwrap_or((upper.x, lower.x));
         self.time_range = Some((first.min(upper.x), last.max(lower.x)));
@@ -118,8 +120,8 @@ impl Trend {
         self.upper.memory_bytes() + self.lower.memory_bytes() + self.proof.memory_bytes()
     }
 
-    /// Returns the rate of the offset in seconds per second, from the points of the `seconds` seconds nearest to `x`. `None` without
-    /// enough exchanges.
+    /// Returns the rate of the offset in seconds per second, from the points of the `seconds` seconds nearest to `x`.
+    /// `None` without enough exchanges.
     fn slope(&self, x: i64, seconds: usize, limit: f64) -> Option<f64> {
         let (first, last) = self.time_range?;
         if self.exchanges < MIN_EXCHANGES || last.saturating_sub(first) < MIN_EXCHANGE_RANGE_NANOS {
@@ -142,7 +144,8 @@ impl Trend {
     }
 }
 
-/// Returns the lowest bound at `x` that the points around `x` give, if the skew is `slope` and clocks wander around it by at most
+/// Returns the lowest bound at `x` that the points around `x` give, if the skew is `slope` and clocks wander around it
+/// by at most
 /// [`MAX_WANDER`].
 fn lowest_bound(points: &BestPoints, x: i64, seconds: usize, slope: f64) -> Option<i64> {
     let bound_at = |point: Point| {

@@ -9,8 +9,8 @@ use crate::{RawTime, Span};
 // A single wrong stamp must not discard the window.
 const MIN_SUSPECTS_FOR_STEP: u64 = 4;
 
-/// Two unreported steps within this time show that a limit is violated. The limit then counts as violated for as long after the
-/// second step.
+/// Two unreported steps within this time show that a limit is violated. The limit then counts as violated for as long
+/// after the second step.
 // Clocks are rarely set twice a minute. A clock that drifts faster than the limit, or a peer that sends wrong stamps,
 // contradicts the band again and again.
 const VIOLATION_DURATION: Span = Span::from_seconds(60);
@@ -86,10 +86,10 @@ impl SuspectExchanges {
     /// - the exchange contradicts them,
     /// - they contradict no exchange that still bounds the offset, or
     /// - they are too old to bound the offset themselves.
-    // The suspects stay if the exchange has such wide bounds that it fits both the band and the suspects. If they were removed,
-    // no step could be recognised under load. The suspicion still ends: if the clocks changed, the exchanges from before the
-    // change leave the window at some time.
-    // The method is `cold`, because suspects are rare, but `learn` is called for every message.
+    // The suspects stay if the exchange has such wide bounds that it fits both the band and the suspects. If they were
+    // removed, no step could be recognised under load. The suspicion still ends: if the clocks changed, the exchanges
+    // from before the change leave the window at some time. The method is `cold`, because suspects are rare, but
+    // `learn` is called for every message.
     #[cold]
     pub(super) fn reconsider(&mut self, exchange: &Bounds, current: &Band) {
         let start = current.window_start(exchange.sent());

@@ -18,7 +18,8 @@ pub(super) struct ExchangeTimes {
 
 impl ExchangeTimes {
     pub(super) fn new(max_fresh_age: Span, window: Span) -> Self {
-        // The gap is a fraction of `max_fresh_age`, so that the removal of times hardly changes whether an exchange counts as recent.
+        // The gap is a fraction of `max_fresh_age`, so that the removal of times hardly changes whether an exchange
+        // counts as recent.
         let min_gap = (max_fresh_age.nanos() / 8).max(window.nanos() / MAX_TIMES).max(1);
         Self { times: VecDeque::new(), newest: None, min_gap: Span::from_nanos(min_gap), window }
     }

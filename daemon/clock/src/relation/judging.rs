@@ -17,8 +17,8 @@ impl Relation {
             exchange.returned,
             self.settings.max_fresh_age,
         );
-        // `is_fresh` is computed before the exchange is learned: the exchange must not count as a recent exchange for its own
-        // delays. But it is learned before its delays are computed, so that it narrows their intervals.
+        // `is_fresh` is computed before the exchange is learned: the exchange must not count as a recent exchange for
+        // its own delays. But it is learned before its delays are computed, so that it narrows their intervals.
         let learned = self.learn(observation);
         let Exchange { sent, received, replied, returned, .. } = *exchange;
         if let LearnResult::Refused(refusal) = learned {
@@ -44,12 +44,14 @@ impl Relation {
         self.corrected_delay(direction, sent, received, self.combined_offset(at), is_fresh)
     }
 
-    /// Returns the reception difference of two messages, one in each direction. Each message was received on both hosts. Its
-    /// reception difference is the time at which the receiver on the other host got it, minus the time at which the receiver
-    /// on the sender's host got it. `up` and `down` contain the stamps of the two receivers, first that on the sender's host.
+    /// Returns the reception difference of two messages, one in each direction. Each message was received on both
+    /// hosts. Its reception difference is the time at which the receiver on the other host got it, minus the time at
+    /// which the receiver on the sender's host got it. `up` and `down` contain the stamps of the two receivers, first
+    /// that on the sender's host.
     ///
     /// A difference and its interval may be negative, because each receiver has its own delay.
-    // The relation learns nothing from these stamps: none of them is the stamp of a departure, so that they do not bound the offset.
+    // The relation learns nothing from these stamps: none of them is the stamp of a departure, so that they do not
+    // bound the offset.
     pub fn reception_differences(
         &self,
         up: (RawTime, RawTime),
@@ -131,7 +133,8 @@ impl Relation {
         }
     }
 
-    /// Returns the verdict on an offset: `ok`, `stale` or `inconsistent`. `is_fresh` says whether there are recent exchanges.
+    /// Returns the verdict on an offset: `ok`, `stale` or `inconsistent`. `is_fresh` says whether there are recent
+    /// exchanges.
     // The age of exchanges and violated limits matter only if exchanges narrow the interval of the offset.
     pub(super) fn verdict_of(&self, offset: &CombinedOffset, is_fresh: bool) -> Verdict {
         let uses_exchanges = matches!(offset.source, DelaySource::InBand | DelaySource::Intersection);
@@ -171,8 +174,8 @@ impl Relation {
 
     /// Computes a delay from the offset at the time of the edge's stamp.
     ///
-    /// A delay has a slightly different length by each of the two clocks: the lengths differ by up to ρ × delay, where ρ is the
-    /// limit of drift. The interval contains both.
+    /// A delay has a slightly different length by each of the two clocks: the lengths differ by up to ρ × delay, where
+    /// ρ is the limit of drift. The interval contains both.
     fn corrected_delay(
         &self,
         direction: Direction,
@@ -215,7 +218,8 @@ impl Relation {
             Verdict::Ok if is_wide || self.windows.is_near_suspected_jump(at) => Verdict::Limited,
             verdict => verdict,
         };
-        // If the verdict is `inconsistent`, one of the sources is wrong. It is not known which, so there is no valid interval.
+        // If the verdict is `inconsistent`, one of the sources is wrong. It is not known which, so there is no valid
+        // interval.
         let is_valid = verdict != Verdict::Inconsistent;
         OneWayDelay {
             raw,

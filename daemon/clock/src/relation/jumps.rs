@@ -1,13 +1,14 @@
 //! Detection of jumps of a clock that no other clock of its host shows, as when a virtual machine is paused or migrated.
 //!
-//! If a message of an exchange waits on the network, the middle of the exchange's bounds moves by half of the waiting time, and
-//! the round trip grows by all of the waiting time. So if a middle moves further than half of the round trip's growth, it was
-//! not moved by waiting: either the path changed, or a clock jumped. Exchanges cannot tell these two cases apart.
+//! If a message of an exchange waits on the network, the middle of the exchange's bounds moves by half of the waiting
+//! time, and the round trip grows by all of the waiting time. So if a middle moves further than half of the round
+//! trip's growth, it was not moved by waiting: either the path changed, or a clock jumped. Exchanges cannot tell these
+//! two cases apart.
 //!
-//! When the edge's clock is set back, the exchanges in flight have one bound from before the jump and the other from after it,
-//! so that they seem shorter than the path. Later exchanges would be compared with these short round trips, and their jump
-//! would look like waiting. An exchange that seems shorter than the path therefore counts only if an exchange that was sent
-//! later is as short, which shows that the path itself became shorter.
+//! When the edge's clock is set back, the exchanges in flight have one bound from before the jump and the other from
+//! after it, so that they seem shorter than the path. Later exchanges would be compared with these short round trips,
+//! and their jump would look like waiting. An exchange that seems shorter than the path therefore counts only if an
+//! exchange that was sent later is as short, which shows that the path itself became shorter.
 
 use std::collections::VecDeque;
 
@@ -57,8 +58,8 @@ struct RoundTripPoint {
 pub(super) struct SuspectedJump {
     /// Movement of the middle of the bounds: the size of the jump.
     pub(super) movement: Span,
-    /// Times at which the last exchange before the jump was sent and returned. It is the last exchange whose round trip was short
-    /// enough to show the jump.
+    /// Times at which the last exchange before the jump was sent and returned. It is the last exchange whose round trip
+    /// was short enough to show the jump.
     pub(super) last_before: (RawTime, RawTime),
 }
 
@@ -127,8 +128,8 @@ impl ShortestRoundTrips {
             }
             Some(_) => is_short,
             None => {
-                // If the exchange spans a jump, it was sent before the jump and seems shorter than it was. By the clock before the
-                // jump, it returned later by the missing time.
+                // If the exchange spans a jump, it was sent before the jump and seems shorter than it was. By the clock
+                // before the jump, it returned later by the missing time.
                 let delay = Span::from_nanos(deficit.saturating_add(max_explained));
                 self.ignore_short_until = is_short.then(|| point.returned + delay);
                 is_short

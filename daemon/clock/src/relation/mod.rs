@@ -35,8 +35,8 @@ const MAX_READING_DIFFERENCE: Span = Span::from_micros(50);
 // A clock with injected faults drifts against the monotonic clock, which is not a step.
 const MAX_RATE_DIFFERENCE_PPM: i64 = 500;
 
-/// The relation between a clock of an edge and a clock of a cloud. There is one relation for a pair of hosts, and all links
-/// between the two hosts contribute exchanges.
+/// The relation between a clock of an edge and a clock of a cloud. There is one relation for a pair of hosts, and all
+/// links between the two hosts contribute exchanges.
 ///
 /// `docs/clocks.md` explains the method.
 #[derive(Debug)]
@@ -47,8 +47,8 @@ pub struct Relation {
     exchange_times: ExchangeTimes,
     contradictions: Contradictions,
     steps: StepTracker,
-    /// `Some` from a step until the first exchange after it. The inner value is the last estimate before the step; `None` if there
-    /// was no estimate.
+    /// `Some` from a step until the first exchange after it. The inner value is the last estimate before the step;
+    /// `None` if there was no estimate.
     estimate_before_restart: Option<Option<Span>>,
     claims: Claims,
     counts: ExchangeCounts,
@@ -78,8 +78,8 @@ impl Relation {
         self.same_clock
     }
 
-    /// Sets whether it is proven that both processes read one clock. Exchanges are learnt in either case: they check the proof, and
-    /// they bound the offset when the proof no longer holds.
+    /// Sets whether it is proven that both processes read one clock. Exchanges are learnt in either case: they check
+    /// the proof, and they bound the offset when the proof no longer holds.
     pub fn set_same_clock(&mut self, is_proven: bool) {
         // A host's wall clock and its free-running clock are different clocks.
         self.same_clock = is_proven && self.settings.clocks != RelatedClocks::RawToWall;
@@ -90,8 +90,8 @@ impl Relation {
         &self.settings
     }
 
-    /// Sets the current claims of the two hosts' time daemons; `None` for a host without a claim. A claim is used only if the
-    /// settings trust time daemons. It counts until the next call or until its clock is stepped.
+    /// Sets the current claims of the two hosts' time daemons; `None` for a host without a claim. A claim is used only
+    /// if the settings trust time daemons. It counts until the next call or until its clock is stepped.
     pub fn set_claims(&mut self, edge: Option<Discipline>, cloud: Option<Discipline>) {
         self.claims = Claims { edge, cloud };
     }
@@ -121,14 +121,14 @@ impl Relation {
         self.counts
     }
 
-    /// Returns the number of the current window. A new window starts after a step, which invalidates all earlier exchanges, and
-    /// after a suspected jump.
+    /// Returns the number of the current window. A new window starts after a step, which invalidates all earlier
+    /// exchanges, and after a suspected jump.
     pub const fn window_number(&self) -> u32 {
         self.counts.restarts
     }
 
-    /// Returns the skew that the exchanges of the current window prove. The proof holds whatever the delays of the exchanges were.
-    /// `None` without enough exchanges.
+    /// Returns the skew that the exchanges of the current window prove. The proof holds whatever the delays of the
+    /// exchanges were. `None` without enough exchanges.
     pub fn proven_skew(&self) -> Option<ProvenSkew> {
         self.windows.current().proven_skew()
     }
@@ -139,11 +139,11 @@ impl Relation {
         self.windows.current().window_span(at)
     }
 
-    /// Returns the limit that the clocks seem to violate; `None` if they seem to violate none. If a limit is violated, delays are
-    /// `inconsistent`.
+    /// Returns the limit that the clocks seem to violate; `None` if they seem to violate none. If a limit is violated,
+    /// delays are `inconsistent`.
     ///
-    /// A limit is violated if exchanges prove a skew beyond the limit, or if exchanges contradict each other repeatedly. A peer that
-    /// sends wrong stamps has the same effect.
+    /// A limit is violated if exchanges prove a skew beyond the limit, or if exchanges contradict each other
+    /// repeatedly. A peer that sends wrong stamps has the same effect.
     pub fn violated_limit(&self) -> Option<ViolatedLimit> {
         if self.excess_skew().is_some() {
             return Some(ViolatedLimit::Drift);
@@ -293,7 +293,8 @@ impl Relation {
     /// Starts a new window after a step of a clock.
     fn restart(&mut self) {
         self.contradictions.suspects.clear();
-        // A step can be reported twice. The second report finds an empty window, and must not replace the estimate from before the step.
+        // A step can be reported twice. The second report finds an empty window, and must not replace the estimate from
+        // before the step.
         let Some(newest) = self.windows.current().newest() else { return };
         self.estimate_before_restart = Some(self.estimate_at(newest));
         self.windows.restart(self.windows.new_band());

@@ -1,7 +1,7 @@
 //! Combination of several sources by intersection (RFC 5905, section 11.2.1, after Marzullo 1984).
 //!
-//! If two sources are right, the offset lies in the overlap of their intervals. If the intervals do not overlap, at least one
-//! source is wrong. The result then says so instead of averaging the sources.
+//! If two sources are right, the offset lies in the overlap of their intervals. If the intervals do not overlap, at
+//! least one source is wrong. The result then says so instead of averaging the sources.
 
 use crate::{DelaySource, Discipline, Interval, Span};
 
@@ -37,8 +37,8 @@ pub(super) struct CombinedOffset {
     /// Estimate within the bounds.
     pub(super) estimate: Span,
     pub(super) source: DelaySource,
-    /// `true` if the sources overlap and the exchanges agree. If the sources do not overlap, `bounds` contains the intervals of all
-    /// sources, and `estimate` is the estimate of the band.
+    /// `true` if the sources overlap and the exchanges agree. If the sources do not overlap, `bounds` contains the
+    /// intervals of all sources, and `estimate` is the estimate of the band.
     pub(super) is_consistent: bool,
 }
 
@@ -86,8 +86,8 @@ impl OffsetSources {
                 is_consistent: false,
             });
         };
-        // If the band is as narrow as the proof that both hosts read one clock, the proof is the source: a delay is then the exact
-        // difference of the stamps.
+        // If the band is as narrow as the proof that both hosts read one clock, the proof is the source: a delay is
+        // then the exact difference of the stamps.
         let source = if source != DelaySource::SameClock && bounds == band {
             DelaySource::InBand
         } else if bounds == other {

@@ -2,7 +2,8 @@
 
 use crate::{Exchange, ExchangeObservation, RawTime, Span};
 
-/// If this many answers in a row have the same epoch, and it is lower than the current epoch, the peer counts as restarted.
+/// If this many answers in a row have the same epoch, and it is lower than the current epoch, the peer counts as
+/// restarted.
 // If there are fewer such answers, they are late answers, which a later answer overtook.
 const LOWER_EPOCHS_FOR_RESTART: u32 = 8;
 /// An exchange is excluded only if it was sent at most this long before the return of the exchange that reported a step of
@@ -10,8 +11,8 @@ const LOWER_EPOCHS_FOR_RESTART: u32 = 8;
 // The time is short, because the stamps themselves may have been set back. An exchange that took longer needs no
 // exclusion: in its stamps the step is visible as a difference between the wall clock and the monotonic clock.
 const MAX_EDGE_REACH: Span = Span::from_seconds(2);
-/// An exchange is excluded only if it was sent at most this long before the return of the exchange that reported a step of the
-/// cloud.
+/// An exchange is excluded only if it was sent at most this long before the return of the exchange that reported a step
+/// of the cloud.
 // The time is long, because a step of the cloud does not change the edge's stamps, by which the reach is measured.
 const MAX_CLOUD_REACH: Span = Span::from_seconds(60);
 
@@ -26,8 +27,8 @@ pub(super) struct StepTracker {
 }
 
 /// Rule that excludes exchanges which were in flight during a step.
-// The edge compares its epoch before and after an exchange. The cloud's epoch is read after the cloud's stamps, so a stamp may
-// belong to an earlier epoch, but never to a later epoch.
+// The edge compares its epoch before and after an exchange. The cloud's epoch is read after the cloud's stamps, so a
+// stamp may belong to an earlier epoch, but never to a later epoch.
 #[derive(Clone, Copy, Debug, Default)]
 enum Barrier {
     /// Excludes nothing.
@@ -112,8 +113,8 @@ impl StepTracker {
         match self.barrier {
             Barrier::Open => false,
             Barrier::Next(reach) => {
-                // The step happened before this exchange returned. Exchanges that were sent before this return may have been sent
-                // before the step.
+                // The step happened before this exchange returned. Exchanges that were sent before this return may have
+                // been sent before the step.
                 self.barrier = Barrier::Before(exchange.returned, reach);
                 true
             }

@@ -21,11 +21,11 @@ pub struct RelationSettings {
     pub clocks: RelatedClocks,
     /// Largest drift between the two clocks, parts per million. All bounds hold as long as the clocks keep this limit.
     pub max_drift_ppm: f64,
-    /// Largest speed at which the drift changes, parts per million per second. Used only if both clocks run freely: all bounds
-    /// then hold as long as the clocks keep this limit, too.
+    /// Largest speed at which the drift changes, parts per million per second. Used only if both clocks run freely: all
+    /// bounds then hold as long as the clocks keep this limit, too.
     pub max_drift_change_ppm_per_s: f64,
-    /// Largest time between an exchange and a query at which the exchange still bounds the offset. The newest eight exchanges
-    /// bound the offset at any distance.
+    /// Largest time between an exchange and a query at which the exchange still bounds the offset. The newest eight
+    /// exchanges bound the offset at any distance.
     pub window: Span,
     /// Time for which exchanges are kept to answer queries about the past. A value below `window` counts as `window`.
     pub retention: Span,
@@ -70,9 +70,9 @@ pub enum LearnResult {
     /// The exchange was accepted as the first of a new window, because a clock was stepped before it. The value is the estimate
     /// after the step minus the estimate before it, if both exist.
     Restarted(Option<Span>),
-    /// The exchange was accepted as the first of a new window, because a jump is suspected: the offset moved by more than queueing
-    /// on the network explains. The value is this movement. Either the path between the hosts changed, or a clock jumped
-    /// without notice. Delays are `limited` until the window is full again.
+    /// The exchange was accepted as the first of a new window, because a jump is suspected: the offset moved by more
+    /// than queueing on the network explains. The value is this movement. Either the path between the hosts changed, or
+    /// a clock jumped without notice. Delays are `limited` until the window is full again.
     Jumped(Span),
     /// The exchange was refused.
     Refused(Refusal),
@@ -94,8 +94,8 @@ pub struct Offset {
     pub at: WallTime,
     /// Estimate within `bounds`; if the verdict is `inconsistent`, the estimate of `source` alone.
     pub estimate: Span,
-    /// Interval that contains the true offset as long as the clocks keep the limits of drift. If the verdict is `inconsistent`,
-    /// the interval contains the intervals of all sources, of which at least one is wrong.
+    /// Interval that contains the true offset as long as the clocks keep the limits of drift. If the verdict is
+    /// `inconsistent`, the interval contains the intervals of all sources, of which at least one is wrong.
     pub bounds: Interval,
     /// Source of the bounds; if the verdict is `inconsistent`, source of the estimate.
     pub source: DelaySource,
@@ -103,7 +103,8 @@ pub struct Offset {
     pub sources: Vec<(DelaySource, Interval)>,
     /// `ok`, `stale` or `inconsistent`. Other verdicts apply to delays only.
     pub verdict: Verdict,
-    /// Rate at which the offset changes, from the exchanges of the window, parts per million; `None` without enough exchanges.
+    /// Rate at which the offset changes, from the exchanges of the window, parts per million; `None` without enough
+    /// exchanges.
     pub skew_ppm: Option<f64>,
     /// Number of exchanges in the window.
     pub exchanges: u64,

@@ -42,7 +42,8 @@ struct PastWindow {
 impl Windows {
     pub(super) fn new(settings: &RelationSettings) -> Self {
         let limit = DriftLimit::new(settings.max_drift_ppm);
-        // A time daemon may change the rate of a wall clock at once, so that no limit holds for the change of its drift.
+        // A time daemon may change the rate of a wall clock at once, so that no limit holds for the change of its
+        // drift.
         let are_free_running = settings.clocks.are_free_running();
         let change =
             are_free_running.then(|| DriftChangeLimit::new(settings.max_drift_change_ppm_per_s, limit));
@@ -78,8 +79,8 @@ impl Windows {
         self.current.contradiction(bounds)
     }
 
-    /// Inserts an exchange that contradicts nothing. If a jump is suspected before the exchange, the exchange is the first of a new
-    /// window, and the movement of the offset is returned.
+    /// Inserts an exchange that contradicts nothing. If a jump is suspected before the exchange, the exchange is the
+    /// first of a new window, and the movement of the offset is returned.
     pub(super) fn insert(&mut self, exchange: &Exchange, bounds: &Bounds) -> Option<Span> {
         if self.past.back().is_some_and(|past| exchange.sent < past.next_sent) {
             // The exchange that showed the jump overtook this one, which may be from before the jump.
@@ -91,7 +92,8 @@ impl Windows {
             let mut band = std::mem::replace(&mut self.current, new_band);
             // Exchanges that returned later may be from after the jump: their bounds can be too wide to show it.
             band.truncate(returned);
-            // If the edge's own clock jumped back, the second exchange has the earlier stamps. Hence minimum and maximum.
+            // If the edge's own clock jumped back, the second exchange has the earlier stamps. Hence minimum and
+            // maximum.
             let (holds_until, next_holds_from) = (sent.min(exchange.sent), returned.max(exchange.returned));
             self.past.push_back(PastWindow { band, holds_until, next_holds_from, next_sent: exchange.sent });
             // Windows that are older than this are not needed for any query.
@@ -111,7 +113,8 @@ impl Windows {
     /// Replaces all windows by `window`, after a step of a clock.
     pub(super) fn restart(&mut self, window: Band) {
         self.current = window;
-        // A step makes all earlier bounds invalid. After a suspected jump, past windows stay valid, because the time of the jump is known.
+        // A step makes all earlier bounds invalid. After a suspected jump, past windows stay valid, because the time of
+        // the jump is known.
         self.past.clear();
         self.shortest_round_trips.clear();
     }
@@ -144,7 +147,8 @@ impl Windows {
     /// Returns the number of exchanges of the current window, and of the window before it if a suspected jump separates
     /// them.
     pub(super) fn exchange_count(&self) -> u64 {
-        // If only the current window counted, delays would be `stale` after a suspected jump, although both windows bound them.
+        // If only the current window counted, delays would be `stale` after a suspected jump, although both windows
+        // bound them.
         self.current.exchange_count() + self.past.back().map_or(0, |past| past.band.exchange_count())
     }
 

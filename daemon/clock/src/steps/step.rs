@@ -5,8 +5,8 @@ use std::ops::Sub;
 use super::{MIN_STEP, parts_per_million};
 use crate::{MonoTime, Span};
 
-/// A value that was read between two reads of a clock. The value is another clock's time in nanoseconds, or the times of several
-/// clocks.
+/// A value that was read between two reads of a clock. The value is another clock's time in nanoseconds, or the times
+/// of several clocks.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PairedReading<T = i64, C = MonoTime> {
     pub(crate) before: C,
@@ -77,8 +77,8 @@ impl StepWatch {
             self.epoch += 1;
             self.last_step = Some(change);
         } else if now.gap() > MAX_UNINTERRUPTED_GAP && last.gap() < now.gap() {
-            // An interrupted reading is uncertain. As a reference it could hide a step from all later readings, so the better
-            // one of the two readings is kept as the reference.
+            // An interrupted reading is uncertain. As a reference it could hide a step from all later readings, so the
+            // better one of the two readings is kept as the reference.
             self.last = Some(last);
         }
         self.epoch

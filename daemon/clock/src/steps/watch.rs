@@ -17,12 +17,13 @@ pub enum Disturbance {
 
 /// Detector of disturbances, which compares all clocks of a host with each other.
 ///
-/// A slew is a change of the wall clock's rate against `CLOCK_MONOTONIC_RAW`. A constant rate is not a slew: on a machine whose
-/// crystal is off by 60 ppm and whose time daemon compensates for this, the rate is a constant 60 ppm and the wall clock is
-/// excellent. There is one exception: if the rate exceeds the rate error of any crystal (100 ppm) by more than the limit, it
-/// counts as a slew even if it never changed.
-// The limit applies to the clocks of two hosts together. A host does not know how much of it the other host uses, so this check
-// allows each host the whole limit. Exchanges between the two hosts detect the violations that this check misses.
+/// A slew is a change of the wall clock's rate against `CLOCK_MONOTONIC_RAW`. A constant rate is not a slew: on a
+/// machine whose crystal is off by 60 ppm and whose time daemon compensates for this, the rate is a constant 60 ppm and
+/// the wall clock is excellent. There is one exception: if the rate exceeds the rate error of any crystal (100 ppm) by
+/// more than the limit, it counts as a slew even if it never changed.
+// The limit applies to the clocks of two hosts together. A host does not know how much of it the other host uses, so
+// this check allows each host the whole limit. Exchanges between the two hosts detect the violations that this check
+// misses.
 #[derive(Debug)]
 pub struct ClockWatch {
     max_drift_ppm: f64,

@@ -13,8 +13,8 @@ const BINS: u32 = 48;
 const SIDE_MARGIN: f64 = 0.05;
 /// Share by which a value may lie beyond the end of the axis, because it was rounded, and still count as on the axis.
 const ROUNDING: f64 = 1e-9;
-/// If the smallest value is less than this share of the largest value, the smallest value is taken as zero. Otherwise it would make the axis
-/// logarithmic.
+/// If the smallest value is less than this share of the largest value, the smallest value is taken as zero. Otherwise
+/// it would make the axis logarithmic.
 const ZERO_SHARE: f64 = 1e-12;
 /// Approximate number of marks on the axis.
 const MARKS: usize = 5;
@@ -33,9 +33,9 @@ pub struct BinnedAxis {
 }
 
 impl BinnedAxis {
-    /// Returns an axis of the values that a histogram shows: tails that would compress the rest lie beyond the ends of the axis. A single
-    /// distribution has the bins of its [histogram](Binning). An axis that several distributions share is logarithmic if it spans more than a
-    /// decade. `None` without values.
+    /// Returns an axis of the values that a histogram shows: tails that would compress the rest lie beyond the ends of
+    /// the axis. A single distribution has the bins of its [histogram](Binning). An axis that several distributions
+    /// share is logarithmic if it spans more than a decade. `None` without values.
     pub fn around<'a>(all: impl Iterator<Item = &'a Summary>, unit: Unit) -> Option<Self> {
         let all: Vec<&Summary> = all.filter(|summary| summary.count() > 0).collect();
         if let [one] = all.as_slice() {
@@ -49,10 +49,11 @@ impl BinnedAxis {
         Some(Self::new(unit, scale, ends))
     }
 
-    /// Returns a linear axis that begins at zero and ends a little above the largest value that is shown in a histogram. The axis begins near
-    /// the smallest value instead if zero would squeeze all values into a corner, or if the smallest value is negative. `None` without values.
-    // The axis is linear for any range: latency grows in a straight line with the length of answers, and the line would be a curve on a
-    // logarithmic axis.
+    /// Returns a linear axis that begins at zero and ends a little above the largest value that is shown in a
+    /// histogram. The axis begins near the smallest value instead if zero would squeeze all values into a corner, or if
+    /// the smallest value is negative. `None` without values.
+    // The axis is linear for any range: latency grows in a straight line with the length of answers, and the line would
+    // be a curve on a logarithmic axis.
     pub fn from_zero<'a>(all: impl Iterator<Item = &'a Summary>, unit: Unit) -> Option<Self> {
         let all: Vec<&Summary> = all.filter(|summary| summary.count() > 0).collect();
         let (lo, hi) = Self::ends(&all, &unit)?;
@@ -68,7 +69,8 @@ impl BinnedAxis {
                 Some(Self::new(unit, scale, (lo, hi)))
             }
             _ => {
-                // An axis from zero has a position for each small value, so the bins begin at the smallest of all values, including tails.
+                // An axis from zero has a position for each small value, so the bins begin at the smallest of all
+                // values, including tails.
                 let min = all.iter().map(|summary| summary.moments.min * unit.per_si).fold(lo, f64::min);
                 Some(Self::new(unit, Scale::up_to(hi + room / 2.0, MARKS + 1), (min.max(0.0), hi)))
             }
@@ -80,8 +82,8 @@ impl BinnedAxis {
         Self { unit, scale, edges: (0..=BINS).map(edge).collect() }
     }
 
-    /// Returns the smallest and the largest value that is shown, in the unit that is shown. The [shown range](shown_range) of each distribution
-    /// lies between them. `None` without values.
+    /// Returns the smallest and the largest value that is shown, in the unit that is shown. The [shown
+    /// range](shown_range) of each distribution lies between them. `None` without values.
     fn ends(all: &[&Summary], unit: &Unit) -> Option<(f64, f64)> {
         let ends = |summary: &&Summary| {
             let (lo, hi) = shown_range(*summary)?;
@@ -118,10 +120,12 @@ impl BinnedAxis {
         (count_below(lo), values.count() - count_below(hi))
     }
 
-    /// Returns beginning, end and height of each bar of a distribution, as shares of the plot. The bar of the fullest bin has the full height.
+    /// Returns beginning, end and height of each bar of a distribution, as shares of the plot. The bar of the fullest
+    /// bin has the full height.
     pub fn bars(&self, values: &Summary) -> Vec<[f64; 3]> {
         let mut edges: Vec<f64> = self.edges.iter().map(|edge| edge / self.unit.per_si).collect();
-        // If no value lies beyond an end of the axis, the bin at this end is open, so that it does not lose values to rounding.
+        // If no value lies beyond an end of the axis, the bin at this end is open, so that it does not lose values to
+        // rounding.
         let (lo, hi) = self.range();
         if let Some(first) = edges.first_mut().filter(|_| lo <= values.moments.min) {
             *first = f64::NEG_INFINITY;

@@ -12,8 +12,8 @@ use peernet_analysis::order::SortedValues;
 const CURVE_POINTS: usize = 240;
 /// The axis is logarithmic if the ratio of the largest to the smallest median is at least this.
 const LOGARITHMIC_RATIO: f64 = 12.0;
-/// Exponent that gives the room beyond the values at each end of a logarithmic axis: the factor is the ratio of the largest to the smallest
-/// value to this power.
+/// Exponent that gives the room beyond the values at each end of a logarithmic axis: the factor is the ratio of the
+/// largest to the smallest value to this power.
 const AXIS_MARGIN: f64 = 0.02;
 /// An axis begins at zero unless the smallest value is more than this share of the largest value.
 const ZERO_THRESHOLD: f64 = 0.5;
@@ -51,7 +51,8 @@ pub struct CumulativeCurve {
 }
 
 impl CumulativeCurve {
-    /// Returns the name of the curve and the number of its values above `max`, as text; `None` if no value is above `max`.
+    /// Returns the name of the curve and the number of its values above `max`, as text; `None` if no value is above
+    /// `max`.
     fn count_beyond(&self, max: f64) -> Option<(&str, String)> {
         let count = self.values.values().iter().filter(|value| **value > max).count();
         (count > 0).then(|| (self.name.as_str(), fixed(count as f64, 0)))

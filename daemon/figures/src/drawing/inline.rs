@@ -18,8 +18,8 @@ pub fn share_bar(name: &str, share: f64) -> Vec<Item> {
     vec![Item::rect(At::new(0.0, 0.19), At::new(end, 0.81), stage(name).plain()), Item::Text(number)]
 }
 
-/// Returns a meter of how much of a limit is used: a bar on a track that ends at the limit, and whether the meter is nearly full. `share` is the
-/// used share of the limit, 0 to 1.
+/// Returns a meter of how much of a limit is used: a bar on a track that ends at the limit, and whether the meter is
+/// nearly full. `share` is the used share of the limit, 0 to 1.
 pub fn meter(share: f64) -> (Vec<Item>, bool) {
     let share = if share.is_finite() { share.clamp(0.0, 1.0) } else { 0.0 };
     let end = if share > 0.0 { share.max(MIN_LENGTH) } else { 0.0 };
@@ -27,7 +27,8 @@ pub fn meter(share: f64) -> (Vec<Item>, bool) {
     (vec![bar(1.0, "track"), bar(end, "fill")], share >= NEARLY_FULL)
 }
 
-/// Returns values from 0 to 1 at evenly spaced times as a line with the area below it. A missing value leaves a gap in the line and the area.
+/// Returns values from 0 to 1 at evenly spaced times as a line with the area below it. A missing value leaves a gap in
+/// the line and the area.
 pub fn sparkline(values: &[Option<f64>]) -> Vec<Item> {
     let step = 1.0 / values.len().saturating_sub(1).max(1) as f64;
     let point = |(index, value): (usize, &Option<f64>)| {

@@ -89,8 +89,9 @@ impl Joint<'_> {
     }
 }
 
-/// Divides the plot into `columns` × `rows` cells and counts the points in each cell. Returns a path of the cells with each shade, the lightest
-/// shade first. A shade is an opacity from 0 to 1. It grows with the logarithm of the count, so that a single point is visible.
+/// Divides the plot into `columns` × `rows` cells and counts the points in each cell. Returns a path of the cells with
+/// each shade, the lightest shade first. A shade is an opacity from 0 to 1. It grows with the logarithm of the count,
+/// so that a single point is visible.
 fn cells(points: impl Iterator<Item = (f64, f64)>, (columns, rows): (f64, f64)) -> Vec<(f64, Path)> {
     let mut counts: BTreeMap<(u32, u32), u32> = BTreeMap::new();
     for (x, y) in points {

@@ -1,4 +1,5 @@
-//! Figure of a quantity against size, on logarithmic axes. Each size has a point with its spread, and each series has a fitted line.
+//! Figure of a quantity against size, on logarithmic axes. Each size has a point with its spread, and each series has a
+//! fitted line.
 
 use peernet_statistics::number::bytes;
 
@@ -18,8 +19,8 @@ const PLOT_WIDTH: f64 = 220.0;
 const RADIUS: f64 = 1.9;
 const LINE_WIDTH: f64 = 0.75;
 const WHISKER_WIDTH: f64 = 0.45;
-/// Room beyond the values at each end of the vertical axis. The first number is an exponent: the room is a factor, the ratio of the highest to the
-/// lowest value to this power. The second number is the minimum of this factor.
+/// Room beyond the values at each end of the vertical axis. The first number is an exponent: the room is a factor, the
+/// ratio of the highest to the lowest value to this power. The second number is the minimum of this factor.
 const AXIS_MARGIN: (f64, f64) = (0.06, 1.15);
 /// Space on both sides of the sizes, as a factor.
 const SIDE_FACTOR: f64 = 1.4;
@@ -55,7 +56,8 @@ pub struct Series {
 }
 
 impl Value {
-    /// Returns the bounds of the whisker; `None` if there are no bounds, or if they are equal, because one clock measured both ends.
+    /// Returns the bounds of the whisker; `None` if there are no bounds, or if they are equal, because one clock
+    /// measured both ends.
     fn whisker(&self) -> Option<(f64, Option<f64>)> {
         self.bounds.filter(|(lo, hi)| hi.is_none_or(|hi| hi > *lo))
     }
@@ -92,8 +94,8 @@ impl Scaling {
         self.series.iter().flat_map(|series| &series.values).filter(|value| value.value > 0.0)
     }
 
-    /// Returns the lowest and the highest of all values, bars and bounds, SI units. A bound that is far from its value counts only up to a
-    /// certain distance.
+    /// Returns the lowest and the highest of all values, bars and bounds, SI units. A bound that is far from its value
+    /// counts only up to a certain distance.
     fn heights(&self) -> Option<(f64, f64)> {
         let extent = |value: &Value| {
             let (lo, hi) = value.spread.unwrap_or((value.value, value.value));
@@ -106,8 +108,8 @@ impl Scaling {
         self.values().map(extent).reduce(|(lo, hi), (a, b)| (lo.min(a), hi.max(b)))
     }
 
-    /// Returns the height of a series' level line, and whether the line is near enough to the values to be drawn. `None` if the series has no
-    /// line, or if its line is not level.
+    /// Returns the height of a series' level line, and whether the line is near enough to the values to be drawn.
+    /// `None` if the series has no line, or if its line is not level.
     fn level(&self, series: &Series) -> Option<(f64, bool)> {
         let (height, _) = series.line.filter(|(height, slope)| *slope == 0.0 && *height > 0.0)?;
         let (low, high) = self.heights()?;
@@ -119,8 +121,8 @@ impl Scaling {
         self.level(series).is_some_and(|(_, is_near)| !is_near)
     }
 
-    /// Returns notes on how to read the figure: the explanations of the parts that are drawn, the lines that are not drawn, and the further
-    /// notes.
+    /// Returns notes on how to read the figure: the explanations of the parts that are drawn, the lines that are not
+    /// drawn, and the further notes.
     fn reading_notes(&self) -> Vec<String> {
         let mut parts = vec![format!("point: {}", self.parts.point)];
         if self.values().any(|value| value.spread.is_some()) {

@@ -25,8 +25,8 @@ const FAIRNESS_HEIGHT: f64 = 28.5;
 const LOGARITHMIC_EDGES_RATIO: f64 = 8.0;
 /// The axis of latencies is logarithmic if the ratio of the highest to the lowest latency is more than this.
 const LOGARITHMIC_RATIO: f64 = 12.0;
-/// Room beyond the values at each end of a linear axis, as a share of their range. On a logarithmic axis, the room is a factor: the ratio of the
-/// largest to the smallest value to this power.
+/// Room beyond the values at each end of a linear axis, as a share of their range. On a logarithmic axis, the room is a
+/// factor: the ratio of the largest to the smallest value to this power.
 const AXIS_MARGIN: f64 = 0.06;
 
 /// Latency and fairness against the number of edges.

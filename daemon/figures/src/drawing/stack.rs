@@ -51,8 +51,8 @@ impl Orientation {
 /// Parts of one bar.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stack<'a> {
-    /// Stage and value of each part, in the order of time. Values are in the unit of the scale. A value may be negative if clocks were not
-    /// corrected. Negative parts lie on the other side of zero.
+    /// Stage and value of each part, in the order of time. Values are in the unit of the scale. A value may be negative
+    /// if clocks were not corrected. Negative parts lie on the other side of zero.
     pub parts: Vec<(&'a str, f64)>,
     /// Scale of the values.
     pub scale: Scale,

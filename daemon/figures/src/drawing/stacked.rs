@@ -14,7 +14,8 @@ use crate::text::width;
 
 /// Height of a horizontal bar with the space around it, points.
 const ROW_HEIGHT: f64 = 14.4;
-/// Height of a horizontal bar with the space around it if there are many bars, points. With this height, sixty bars fill a page.
+/// Height of a horizontal bar with the space around it if there are many bars, points. With this height, sixty bars
+/// fill a page.
 const CLOSE_ROW_HEIGHT: f64 = 10.0;
 /// Maximum number of bars with [`ROW_HEIGHT`]. If there are more bars, all of them have [`CLOSE_ROW_HEIGHT`].
 const MAX_WIDE_ROWS: usize = 16;
@@ -41,7 +42,8 @@ pub struct Stacked {
     pub title: String,
     /// Unit of the axis of values: ms.
     pub unit: Unit,
-    /// Stages in the order of time. Every bar has a value for each stage, which is 0 for a stage that the bar does not have.
+    /// Stages in the order of time. Every bar has a value for each stage, which is 0 for a stage that the bar does not
+    /// have.
     pub stages: Vec<String>,
     /// One bar for each configuration.
     pub bars: Vec<Bar>,
@@ -88,7 +90,8 @@ impl Bar {
 }
 
 impl Stacked {
-    /// Returns the figure of these bars, each given with its label, in ms. The stages of the figure are the parts that at least one bar has.
+    /// Returns the figure of these bars, each given with its label, in ms. The stages of the figure are the parts that
+    /// at least one bar has.
     pub fn new(title: &str, bars: &[(String, LatencyBar)], notes: Vec<String>) -> Self {
         let has_part = |name: &Name| bars.iter().any(|(_, bar)| bar.part(name).is_some());
         let stages: Vec<Name> = part_order().filter(has_part).collect();
@@ -107,7 +110,8 @@ impl Stacked {
         }
     }
 
-    /// Lays each bar out as a picture of its own, with the values of its parts, for pages. Returns the bars and their common scale, in ms.
+    /// Lays each bar out as a picture of its own, with the values of its parts, for pages. Returns the bars and their
+    /// common scale, in ms.
     pub fn rows(&self) -> (Vec<Vec<Item>>, Scale) {
         let (low, high) = self.range();
         let scale = if low < 0.0 { Scale::from_zero((low, high)) } else { Scale::up_to(high, 6) };
@@ -207,8 +211,8 @@ impl Stacked {
         plot
     }
 
-    /// Returns the width that must stay free at the right of the plot for the sums that follow horizontal bars, points. The sum of a short bar
-    /// needs less of it, because it begins at the end of its bar.
+    /// Returns the width that must stay free at the right of the plot for the sums that follow horizontal bars, points.
+    /// The sum of a short bar needs less of it, because it begins at the end of its bar.
     fn free_space(&self, values: Scale) -> f64 {
         let names_width = self.bars.iter().map(|bar| width(&bar.label, TEXT)).fold(0.0, f64::max);
         let available_width = WIDTH - NAME_DISTANCE - names_width.min(MAX_NAME_WIDTH);
@@ -220,8 +224,8 @@ impl Stacked {
         available_width - self.bars.iter().map(max_plot_width).fold(available_width, f64::min)
     }
 
-    /// Returns a bar with its error bar, and the farther end of the two, in the unit that is shown. `middle` is the centre of the bar and `half` is
-    /// half its width, both as shares of the plot across the bars.
+    /// Returns a bar with its error bar, and the farther end of the two, in the unit that is shown. `middle` is the
+    /// centre of the bar and `half` is half its width, both as shares of the plot across the bars.
     fn bar(
         &self,
         bar: &Bar,

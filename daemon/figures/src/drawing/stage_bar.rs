@@ -41,7 +41,8 @@ pub struct StagePart {
     pub name: String,
     /// Length, seconds.
     pub seconds: f64,
-    /// Half the width of the interval that the clock bounds give for the length, seconds; `None` for stages that are not one-way delays.
+    /// Half the width of the interval that the clock bounds give for the length, seconds; `None` for stages that are
+    /// not one-way delays.
     pub bound: Option<f64>,
 }
 
@@ -56,8 +57,8 @@ pub struct StageBar<'a> {
     pub has_grid: bool,
     /// True if values and clock bounds are shown. A low bar has no room for them.
     pub has_values: bool,
-    /// Mean and standard deviation of the total, seconds; `None` if they are not shown. A whisker shows the standard deviation on both sides of
-    /// the mean.
+    /// Mean and standard deviation of the total, seconds; `None` if they are not shown. A whisker shows the standard
+    /// deviation on both sides of the mean.
     pub spread: Option<(f64, f64)>,
     /// 95th and 99th percentile of the total, seconds.
     pub quantiles: [Option<f64>; 2],
@@ -116,8 +117,8 @@ impl<'a> StageBar<'a> {
         Some([mean - std, mean + std].map(|seconds| self.scale.at(seconds * 1e3)))
     }
 
-    /// Returns the label of a stage: its value, and before it the name of the stage if there is room. The label is hidden if the whisker of the
-    /// total would cross it.
+    /// Returns the label of a stage: its value, and before it the name of the stage if there is room. The label is
+    /// hidden if the whisker of the total would cross it.
     fn value_label(&self, (name, from, to): (&str, f64, f64)) -> Label {
         let (begin, end) = (self.scale.at(from), self.scale.at(to));
         let (middle, value) = (f64::midpoint(begin, end), to - from);

@@ -1,5 +1,5 @@
-//! Plot of the stages of one run over time, stacked, with the quantiles of the total. The plots of several runs have the same axes. They are
-//! drawn only on web pages, not in files.
+//! Plot of the stages of one run over time, stacked, with the quantiles of the total. The plots of several runs have
+//! the same axes. They are drawn only on web pages, not in files.
 
 use peernet_analysis::slowness::BOTH_DIRECTIONS;
 
@@ -10,7 +10,8 @@ use crate::scale::Scale;
 
 /// The vertical axis extends beyond the largest quantile by this share of the quantile.
 const MARGIN: f64 = 0.05;
-/// Units of the horizontal axis. Each has the length of the longest axis for which it is used, seconds; its own length, seconds; and its name.
+/// Units of the horizontal axis. Each has the length of the longest axis for which it is used, seconds; its own length,
+/// seconds; and its name.
 const UNITS: [(f64, f64, &str); 4] = [
     (180.0, 1.0, "seconds"),
     (10_800.0, 60.0, "minutes"),
@@ -85,12 +86,12 @@ impl StagesOverTime {
         self.buckets.iter().any(|bucket| bucket.p95.is_some())
     }
 
-    /// Returns the line through the values of all buckets, as points of time and value. `None` interrupts the line where buckets or values are
-    /// missing. The line has a point in the middle of each bucket. Each piece between interruptions is extended to the beginning of its first
-    /// bucket and to the end of its last bucket.
+    /// Returns the line through the values of all buckets, as points of time and value. `None` interrupts the line
+    /// where buckets or values are missing. The line has a point in the middle of each bucket. Each piece between
+    /// interruptions is extended to the beginning of its first bucket and to the end of its last bucket.
     fn outline(&self, value: impl Fn(&StageBucket) -> Option<f64>) -> Vec<Option<(f64, f64)>> {
-        // The bucket in which the warm-up ends has only iterations after the warm-up, so the line begins at the end of the warm-up and not at
-        // the beginning of the bucket.
+        // The bucket in which the warm-up ends has only iterations after the warm-up, so the line begins at the end of
+        // the warm-up and not at the beginning of the bucket.
         let at_start = self.warm_up.first().filter(|(from, _)| *from <= 0.0);
         let start = at_start.map_or(0.0, |(_, until)| until.clamp(0.0, self.length));
         let within_run = |time: f64| time.clamp(start, self.length);
@@ -122,8 +123,8 @@ impl StagesOverTime {
         names
     }
 
-    /// Lays the run out on shared axes: areas of the stages, and lines over the areas. The area of each stage reaches down to the axis, and the
-    /// areas of the stages below it are drawn over its lower part.
+    /// Lays the run out on shared axes: areas of the stages, and lines over the areas. The area of each stage reaches
+    /// down to the axis, and the areas of the stages below it are drawn over its lower part.
     pub fn plot(&self, axes: &OverTimeAxes) -> Plot {
         let x = Axis::new(axes.x(), "", "").marked(Marks::Round(4));
         let y = Axis::new(axes.y(), "", "").marked(Marks::Round(5)).with_grid();
@@ -182,8 +183,8 @@ pub struct OverTimeAxes {
 }
 
 impl OverTimeAxes {
-    /// Returns axes for these runs. Both axes begin at zero. The time axis ends at the end of the longest run. The axis of latencies ends a
-    /// little above the largest latency that must be shown. `None` if no run has a bucket.
+    /// Returns axes for these runs. Both axes begin at zero. The time axis ends at the end of the longest run. The axis
+    /// of latencies ends a little above the largest latency that must be shown. `None` if no run has a bucket.
     pub fn of(runs: &[StagesOverTime]) -> Option<Self> {
         let max = |value: fn(&StagesOverTime) -> f64| runs.iter().map(value).fold(0.0, f64::max);
         let top = max(StagesOverTime::largest_latency) * (1.0 + MARGIN);
@@ -191,7 +192,8 @@ impl OverTimeAxes {
         has_bucket.then(|| Self { length: max(|run| run.length), top: if top > 0.0 { top } else { 1e-3 } })
     }
 
-    /// Returns the entries of the legend for the lines, marks and shades that these runs have, without the entries for stages.
+    /// Returns the entries of the legend for the lines, marks and shades that these runs have, without the entries for
+    /// stages.
     pub fn legend(runs: &[StagesOverTime]) -> Vec<Key> {
         let any = |condition: fn(&StagesOverTime) -> bool| runs.iter().any(condition);
         let line = |class| Swatch::Line(Style::of_page(class));

@@ -19,7 +19,8 @@ impl Rgb {
         Self(mix(self.0), mix(self.1), mix(self.2))
     }
 
-    /// Returns the contrast with another colour, from 1 to 21 (WCAG 2.1, relative luminance). Only tests of the tables of colours use it.
+    /// Returns the contrast with another colour, from 1 to 21 (WCAG 2.1, relative luminance). Only tests of the tables
+    /// of colours use it.
     #[cfg(test)]
     pub(crate) fn contrast(self, other: Self) -> f64 {
         let linear = |part: u8| {

@@ -28,7 +28,8 @@ type Line = [(f64, f64); 2];
 /// Returns the lines of a hatch over a rectangle, which is given by its left upper and its right lower corner. The lines of all rectangles
 /// of a figure are on one grid.
 pub(crate) fn lines([(left, top), (right, bottom)]: Line, hatch: Hatch) -> Vec<Line> {
-    // Multiples of `step` between two edges. All areas use the same multiples, so that the lines of neighbouring areas meet at their border.
+    // Multiples of `step` between two edges. All areas use the same multiples, so that the lines of neighbouring areas
+    // meet at their border.
     let multiples = |lo: f64, hi: f64, step: f64| {
         let first = ((lo + EDGE) / step).ceil() as i64;
         (first..).map(move |number| number as f64 * step).take_while(move |position| *position < hi - EDGE)

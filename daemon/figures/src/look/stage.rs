@@ -24,7 +24,8 @@ pub struct Stage {
     pub colour: Token,
     /// Darker edge of a fill that is pale on paper, so that every boundary has a contrast of at least 3.
     pub edge: Option<Token>,
-    /// Hatch in a file, so that stages also differ without colour. On pages, only stages of waiting and the unattributed time have a hatch.
+    /// Hatch in a file, so that stages also differ without colour. On pages, only stages of waiting and the
+    /// unattributed time have a hatch.
     pub hatch: Hatch,
     /// Colour of a line in a file, if neither the fill colour nor the edge colour is suitable for a line.
     line: Option<Rgb>,
@@ -81,8 +82,8 @@ pub const STAGES: [Stage; 14] = [
     pale(UNATTRIBUTED, UNATTRIBUTED, UNKNOWN, UNKNOWN_EDGE, Hatch::Falling),
 ];
 
-/// Looks of quantities that are not stages: parts of stages, both directions together, totals. Each has the name that events use for the
-/// quantity.
+/// Looks of quantities that are not stages: parts of stages, both directions together, totals. Each has the name that
+/// events use for the quantity.
 const PARTS: [Stage; 6] = [
     Stage { name: "capture", class: "capture", ..STAGES[0] },
     Stage { name: "transform", class: "transform", ..STAGES[0] },
@@ -107,8 +108,8 @@ pub fn label(name: &str) -> &str {
     if name == LATENESS { "late start" } else { name }
 }
 
-/// Returns the look of the stage, part of a stage or total with this name. Any other name is that of a stage that a user's program defines;
-/// such a stage has the colour of quiet text.
+/// Returns the look of the stage, part of a stage or total with this name. Any other name is that of a stage that a
+/// user's program defines; such a stage has the colour of quiet text.
 pub fn stage(name: &str) -> Stage {
     STAGES.iter().chain(&PARTS).copied().find(|stage| stage.name == name).unwrap_or(OTHER)
 }
@@ -159,8 +160,8 @@ impl Stage {
         Style::area(class("f-", self.class), Fill::of(self.colour.light))
     }
 
-    /// Returns the colour of the stage's line or marks in a file. It can differ from the colour of the fill, because a pale colour would not
-    /// have enough contrast to white paper.
+    /// Returns the colour of the stage's line or marks in a file. It can differ from the colour of the fill, because a
+    /// pale colour would not have enough contrast to white paper.
     pub fn line_colour(&self) -> Rgb {
         self.line.unwrap_or_else(|| self.edge.unwrap_or(self.colour).light)
     }

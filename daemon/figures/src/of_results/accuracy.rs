@@ -1,5 +1,5 @@
-//! Figures that show each configuration's quality against its latency. There is a figure for each quality, such as the accuracy of answers or
-//! the success of episodes.
+//! Figures that show each configuration's quality against its latency. There is a figure for each quality, such as the
+//! accuracy of answers or the success of episodes.
 
 use peernet_statistics::number::{self, fixed};
 
@@ -14,8 +14,8 @@ use peernet_analysis::quality::Quality;
 use peernet_analysis::rows::RowRef;
 use peernet_analysis::total_column::TotalColumn;
 
-/// Returns the figures for which the runs have data: `accuracy`, `map-50` and `mean-iou` if the right answers are known, and `success`
-/// and `return` if an actuator reports the success or the rewards of episodes.
+/// Returns the figures for which the runs have data: `accuracy`, `map-50` and `mean-iou` if the right answers are
+/// known, and `success` and `return` if an actuator reports the success or the rewards of episodes.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let drawings: Vec<Drawing> =
         Quality::ALL.into_iter().filter_map(|quality| drawing(runs, quality)).collect();
@@ -35,7 +35,8 @@ const fn stem(quality: Quality) -> &'static str {
     }
 }
 
-/// Returns the figure with one point for each configuration that has the quality; `None` if no configuration has it. Repeats are pooled.
+/// Returns the figure with one point for each configuration that has the quality; `None` if no configuration has it.
+/// Repeats are pooled.
 fn drawing(runs: &[Loaded], quality: Quality) -> Option<Drawing> {
     let ConfigurationGroups { axes, groups } = ConfigurationGroups::from_runs(runs);
     let total = TotalColumn::from_rows(runs.iter().flat_map(|run| &run.rows));

@@ -49,7 +49,8 @@ pub(super) fn heading(column: &str) -> String {
     chars.next().map_or_else(String::new, |first| first.to_uppercase().chain(chars).collect())
 }
 
-/// Returns the note that says how many values are shown and how many rows are left out: `n = 10,000 · left out: 5 warm-up, 3 failed`.
+/// Returns the note that says how many values are shown and how many rows are left out: `n = 10,000 · left out: 5
+/// warm-up, 3 failed`.
 pub(super) fn count_note<'a>(
     rows: &(impl Iterator<Item = RowRef<'a>> + Clone),
     shown_count: usize,

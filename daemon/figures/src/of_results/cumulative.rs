@@ -17,8 +17,8 @@ const LINE_WIDTH: f64 = 0.9;
 /// Width of the line of the total, points.
 const TOTAL_LINE_WIDTH: f64 = 1.2;
 
-/// Returns the figure with a curve for the total and a curve for each of the longest stages. If a column is given, returns the figure with the
-/// curve of the column.
+/// Returns the figure with a curve for the total and a curve for each of the longest stages. If a column is given,
+/// returns the figure with the curve of the column.
 pub(super) fn drawings(
     record: &RunRecord,
     rows: &Rows,

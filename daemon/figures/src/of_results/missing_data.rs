@@ -39,7 +39,8 @@ pub enum MissingData {
         /// The columns with this name.
         columns: Vec<String>,
     },
-    /// A language model's server reported no numbers of tokens, and the column that is used as length instead shows no differences.
+    /// A language model's server reported no numbers of tokens, and the column that is used as length instead shows no
+    /// differences.
     #[error("the lengths of the answers are not known{}: {NO_USAGE}", .x.as_ref().map_or_else(String::new, |x| format!(" ({x} does not show how they differ)")))]
     Usage {
         /// The column that is used as length instead; `None` if nothing was measured in this column.

@@ -96,14 +96,14 @@ impl Kind {
         matches!(self, Self::Histograms | Self::Cumulative | Self::Series | Self::Length)
     }
 
-    /// Returns whether all results should have the data for the figure. If a user requests all figures, a missing figure is reported only if
-    /// this is true.
+    /// Returns whether all results should have the data for the figure. If a user requests all figures, a missing
+    /// figure is reported only if this is true.
     pub const fn is_expected(self) -> bool {
         matches!(self, Self::Series | Self::Stacked)
     }
 
-    /// Returns whether a figure of these runs is drawn if the user does not ask for it. A figure that compares configurations needs at least two
-    /// configurations.
+    /// Returns whether a figure of these runs is drawn if the user does not ask for it. A figure that compares
+    /// configurations needs at least two configurations.
     pub fn is_worth_drawing(self, runs: &[Loaded]) -> bool {
         match self {
             Self::Stacked | Self::Totals | Self::Accuracy => {
@@ -118,8 +118,8 @@ impl Kind {
     }
 }
 
-/// Columns that the user chose. Each is given by the name of the column or of its node ([`Rows::columns_named`]). If a column is `None`, the
-/// figure uses its default column.
+/// Columns that the user chose. Each is given by the name of the column or of its node ([`Rows::columns_named`]). If a
+/// column is `None`, the figure uses its default column.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Columns {
     /// Column of the horizontal axis: the column of a histogram or of a cumulative distribution, or the length of a response.
@@ -129,8 +129,8 @@ pub struct Columns {
 }
 
 impl Columns {
-    /// Replaces the names of nodes by the names of their columns in `data.csv`. A name that no run has stays as it is; the figure then reports
-    /// that the column has no numbers.
+    /// Replaces the names of nodes by the names of their columns in `data.csv`. A name that no run has stays as it is;
+    /// the figure then reports that the column has no numbers.
     fn resolve(&self, runs: &[Loaded]) -> Result<Self, MissingData> {
         let resolve = |name: &Option<String>| {
             let Some(name) = name else { return Ok(None) };
@@ -139,7 +139,8 @@ impl Columns {
             if columns.len() > 1 && !columns.contains(name) {
                 return Err(MissingData::AmbiguousColumn { name: name.clone(), columns });
             }
-            // If a run has a column with exactly this name, the name is not ambiguous, even if the column of another run has a longer name.
+            // If a run has a column with exactly this name, the name is not ambiguous, even if the column of another
+            // run has a longer name.
             Ok(Some(if columns.len() == 1 { columns.swap_remove(0) } else { name.clone() }))
         };
         Ok(Self { x: resolve(&self.x)?, y: resolve(&self.y)? })
@@ -157,9 +158,9 @@ pub enum PlotError {
     Write(#[from] WriteError),
 }
 
-/// Draws the figures of a run into a folder: the six histograms of the paper's original program (`sensing-time` to `download-throughput`),
-/// the `cumulative` distributions, the `series`, and for a language model the `length`. Each figure is written as `.png`, `.svg` and `.pdf`, and
-/// its notes as `-caption.txt`. Returns the paths of the files.
+/// Draws the figures of a run into a folder: the six histograms of the paper's original program (`sensing-time` to
+/// `download-throughput`), the `cumulative` distributions, the `series`, and for a language model the `length`. Each
+/// figure is written as `.png`, `.svg` and `.pdf`, and its notes as `-caption.txt`. Returns the paths of the files.
 ///
 /// A run that sent nothing over a network has only the histograms of sensing and inference. A histogram without values says so. A run
 /// without any total has neither `cumulative` nor `series`.
@@ -177,8 +178,9 @@ pub fn of_run(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Vec<Path
     Ok(written_figures::write(&drawings, replayed::note_of_run(record, rows).as_deref(), folder)?.files)
 }
 
-/// Draws the figures of several runs together: `stacked`, `totals` and `accuracy` of several configurations, `paired`, `payload-latency` and
-/// `payload-throughput`, `users`. Figures for which the runs lack the data are left out. Returns the paths of the files.
+/// Draws the figures of several runs together: `stacked`, `totals` and `accuracy` of several configurations, `paired`,
+/// `payload-latency` and `payload-throughput`, `users`. Figures for which the runs lack the data are left out. Returns
+/// the paths of the files.
 ///
 /// # Errors
 /// If a file cannot be written.
@@ -195,9 +197,9 @@ pub fn of_experiment(runs: &[Loaded], folder: &Path) -> Result<Vec<PathBuf>, Wri
     Ok(files)
 }
 
-/// Draws the figures of one kind into a folder. A kind that [is of one run](Kind::is_of_one_run) shows the first run; other kinds show all
-/// runs together. The folder is created if there is something to draw. Returns the paths of the files, and notes on data that the figures do
-/// not show.
+/// Draws the figures of one kind into a folder. A kind that [is of one run](Kind::is_of_one_run) shows the first run;
+/// other kinds show all runs together. The folder is created if there is something to draw. Returns the paths of the
+/// files, and notes on data that the figures do not show.
 ///
 /// # Errors
 /// If the runs lack the data that the kind shows, or a file cannot be written.

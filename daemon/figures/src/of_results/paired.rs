@@ -33,7 +33,8 @@ pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Draw
     };
     let is_replayed = |run: &usize| is_replayed(&runs_with_values[*run].record);
     let runs_of_side = |side: usize| models.iter().flat_map(move |(_, places)| &places[side]);
-    // If all latencies of a side are replayed, the name of the side is marked. Otherwise the names of its models with replayed latencies are.
+    // If all latencies of a side are replayed, the name of the side is marked. Otherwise the names of its models with
+    // replayed latencies are.
     let replayed_sides: Vec<bool> = (0..sides.len())
         .map(|side| runs_of_side(side).next().is_some() && runs_of_side(side).all(is_replayed))
         .collect();

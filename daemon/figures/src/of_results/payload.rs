@@ -43,7 +43,8 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
         let [latency, throughput] = payload_figures(&study);
         let drawing =
             |name: &str, figure| Drawing::new(format!("payload-{name}{suffix}"), AnyFigure::Scaling(figure));
-        // Both figures show the notes on what is missing. Only the first passes them on to the terminal, so that each note is printed once.
+        // Both figures show the notes on what is missing. Only the first passes them on to the terminal, so that each
+        // note is printed once.
         [drawing("latency", latency).with_left_out(study.missing), drawing("throughput", throughput)]
     });
     Ok(drawings.collect())

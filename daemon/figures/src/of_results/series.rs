@@ -52,8 +52,8 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     Ok(vec![Drawing::new("series", AnyFigure::TimeSeries(time_series))])
 }
 
-/// Returns the note that says how many counted iterations and, because this figure also shows them, how many iterations of the warm-up are
-/// shown: `n = 54 and 5 warm-up · lines: medians`.
+/// Returns the note that says how many counted iterations and, because this figure also shows them, how many iterations
+/// of the warm-up are shown: `n = 54 and 5 warm-up · lines: medians`.
 fn count_and_warm_up_note(rows: &Rows, shown_count: usize) -> String {
     let counted_rows = rows.iter().filter(|row| row.is_counted()).count();
     let note = count_note(&rows.iter(), counted_rows);

@@ -56,7 +56,8 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
             notes: std::iter::once(format!("n = {each} each")).chain(notes.iter().cloned()).collect(),
         };
         let drawing = Drawing::new(format!("totals{suffix}"), AnyFigure::Cumulative(figure));
-        // All figures show the notes on what is missing. Only the first passes them on to the terminal, so that each note is printed once.
+        // All figures show the notes on what is missing. Only the first passes them on to the terminal, so that each
+        // note is printed once.
         if number == 0 { drawing.with_left_out(missing.clone()) } else { drawing }
     });
     Ok(drawings.collect())

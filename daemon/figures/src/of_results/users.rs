@@ -50,7 +50,8 @@ fn curve(curve: &Curve<'_>) -> SharingCurve {
     SharingCurve { name: marked(&curve.name, is_replayed && is_named), ..SharingCurve::new(curve) }
 }
 
-/// Returns a note on the points that these curves lack; `None` if no point is missing. If there are few such points, the note names them.
+/// Returns a note on the points that these curves lack; `None` if no point is missing. If there are few such points,
+/// the note names them.
 fn missing_points_note(curves: &[Curve<'_>]) -> Option<String> {
     let missing_points = |curve: &Curve<'_>| -> Vec<String> {
         let lines = curve.points.iter().filter(|line| !has_total(line));

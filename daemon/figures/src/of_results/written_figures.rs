@@ -84,8 +84,8 @@ impl Drawing {
     }
 }
 
-/// Writes figures into a folder. `replayed` is the note on latencies that were not measured. It is added to each figure that shows such
-/// latencies.
+/// Writes figures into a folder. `replayed` is the note on latencies that were not measured. It is added to each figure
+/// that shows such latencies.
 pub(super) fn write(
     drawings: &[Drawing],
     replayed: Option<&str>,

@@ -36,8 +36,9 @@ impl Unit {
         Self { title: symbol.to_owned(), symbol: symbol.to_owned().into(), per_si }
     }
 
-    /// Returns a value in SI units as text: `5.66 ms`. The number has three significant digits. It has more decimals if they are needed to show a
-    /// difference of `spread` with two digits; a `spread` of 0 needs none. Numbers of bytes have no decimals.
+    /// Returns a value in SI units as text: `5.66 ms`. The number has three significant digits. It has more decimals if
+    /// they are needed to show a difference of `spread` with two digits; a `spread` of 0 needs none. Numbers of bytes
+    /// have no decimals.
     pub fn words(&self, value: f64, spread: f64) -> String {
         let spread_decimals = if spread > 0.0 { decimals(spread * self.per_si, 2) } else { 0 };
         let decimals = decimals(value * self.per_si, 3).max(spread_decimals);
@@ -112,7 +113,8 @@ impl Axis {
         }
     }
 
-    /// Returns the title on a page: the unit, followed by `logarithmic` for a logarithmic axis. It is empty for a linear axis without a unit.
+    /// Returns the title on a page: the unit, followed by `logarithmic` for a logarithmic axis. It is empty for a
+    /// linear axis without a unit.
     pub fn page_title(&self) -> String {
         let scale = if self.scale.is_logarithmic() { "logarithmic" } else { "" };
         [&*self.unit, scale].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(", ")

@@ -52,8 +52,8 @@ pub struct Plot {
 }
 
 impl Plot {
-    /// Returns the graph of a function as a path. The function maps values of the horizontal axis, between `from` and `to`, to values of the
-    /// vertical axis. The path is interrupted where it leaves the plot.
+    /// Returns the graph of a function as a path. The function maps values of the horizontal axis, between `from` and
+    /// `to`, to values of the vertical axis. The path is interrupted where it leaves the plot.
     pub fn curve(&self, (from, to): (f64, f64), function: impl Fn(f64) -> f64) -> Path {
         let is_inside = |x: f64| self.y.scale.has(function(x));
         // Returns the value between `inside` and `outside` at which the function leaves the plot.

@@ -25,7 +25,8 @@ impl At {
         Self { x, y, dx: 0.0, dy: 0.0 }
     }
 
-    /// Returns the place that is `dx` points to the right of this place and `dy` points below it, whatever the size of the plot.
+    /// Returns the place that is `dx` points to the right of this place and `dy` points below it, whatever the size of
+    /// the plot.
     #[must_use]
     pub fn offset_by(self, dx: f64, dy: f64) -> Self {
         Self { dx: self.dx + dx, dy: self.dy + dy, ..self }
@@ -67,9 +68,11 @@ pub struct Label {
     pub words: String,
     /// Look.
     pub style: TextStyle,
-    /// Minimum width of a picture in which a page shows the text, rem. If it is 0, the text is always shown; if it is `None`, never.
+    /// Minimum width of a picture in which a page shows the text, rem. If it is 0, the text is always shown; if it is
+    /// `None`, never.
     pub min_width: Option<u16>,
-    /// Words before the text, and the minimum width of a picture in which a page shows the words and the text. Files do not show the words.
+    /// Words before the text, and the minimum width of a picture in which a page shows the words and the text. Files do
+    /// not show the words.
     pub lead: Option<(String, Option<u16>)>,
 }
 
@@ -101,8 +104,8 @@ impl Label {
         Self { lead: Some((words, Some(0))), ..self }
     }
 
-    /// Returns the same text with a limit of its width: pages show the text only if it takes at most the share `share` of the picture's width.
-    /// If the method is called several times, the smallest share applies.
+    /// Returns the same text with a limit of its width: pages show the text only if it takes at most the share `share`
+    /// of the picture's width. If the method is called several times, the smallest share applies.
     #[must_use]
     pub fn fits_within(self, share: f64) -> Self {
         let raise = |min_width: Option<u16>, words: &str| {
@@ -115,7 +118,8 @@ impl Label {
         Self { min_width: raise(self.min_width, &self.words), lead, ..self }
     }
 
-    /// Returns the left end, top, right end and bottom of the text, as distances from its place in points. `size` is the type size in points.
+    /// Returns the left end, top, right end and bottom of the text, as distances from its place in points. `size` is
+    /// the type size in points.
     pub fn extent(&self, size: f64) -> [f64; 4] {
         let wide = text::width(&self.words, size);
         let left = match self.anchor {
@@ -200,8 +204,8 @@ impl Item {
         scale.ticks(MARKS).into_iter().map(|tick| line(tick.at)).collect()
     }
 
-    /// Returns an upright whisker between two places. `has_cap` says which of the two ends have a cap. A cap extends `cap` points to each side.
-    /// An end at which the whisker leaves the plot should have no cap.
+    /// Returns an upright whisker between two places. `has_cap` says which of the two ends have a cap. A cap extends
+    /// `cap` points to each side. An end at which the whisker leaves the plot should have no cap.
     pub fn whisker([from, to]: [At; 2], has_cap: [bool; 2], cap: f64, style: &Style) -> Vec<Self> {
         let mut items = vec![Self::line(from, to, style.clone())];
         for (end, _) in [from, to].into_iter().zip(has_cap).filter(|(_, has_cap)| *has_cap) {

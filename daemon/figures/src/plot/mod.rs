@@ -5,10 +5,11 @@
 //!                                                                              └─ sheet::file ── SVG, PNG, PDF, text
 //! ```
 //!
-//! A kind of figure is one function that makes [`Plot`]s. It chooses the scales and uses them to place [`Item`]s. Positions are
-//! not pixels or points, but shares of the plot from the left and from the top ([`Plot::at`] computes them from values). Lengths
-//! that stay the same when the plot grows (marks, caps, distances of text) are given in points or as multiples of the type size.
-//! The look of an item is a [`Style`](crate::look::Style), which has a class for pages and literal attributes for files.
+//! A kind of figure is one function that makes [`Plot`]s. It chooses the scales and uses them to place [`Item`]s.
+//! Positions are not pixels or points, but shares of the plot from the left and from the top ([`Plot::at`] computes
+//! them from values). Lengths that stay the same when the plot grows (marks, caps, distances of text) are given in
+//! points or as multiples of the type size. The look of an item is a [`Style`](crate::look::Style), which has a class
+//! for pages and literal attributes for files.
 //!
 //! ```
 //! use peernet_figures::look::Style;

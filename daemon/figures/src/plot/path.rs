@@ -62,7 +62,8 @@ impl Path {
         Self { steps, dx: 0.0 }
     }
 
-    /// Returns a line through these points. A missing point interrupts the line. A point between two missing points becomes a dot.
+    /// Returns a line through these points. A missing point interrupts the line. A point between two missing points
+    /// becomes a dot.
     pub fn line(points: impl IntoIterator<Item = Option<Point>>) -> Self {
         let (mut steps, mut in_piece, mut lone_point) = (Vec::new(), false, None);
         for point in points.into_iter().chain([None]) {
@@ -82,8 +83,8 @@ impl Path {
         Self::from_steps(steps)
     }
 
-    /// Returns the area between two lines. A missing point interrupts the area. A point has three shares of the plot: its position from the left,
-    /// and the positions of the upper and of the lower line from the top.
+    /// Returns the area between two lines. A missing point interrupts the area. A point has three shares of the plot:
+    /// its position from the left, and the positions of the upper and of the lower line from the top.
     pub fn band(points: impl IntoIterator<Item = Option<(f64, f64, f64)>>) -> Self {
         let mut steps = Vec::new();
         let mut piece: Vec<(f64, f64, f64)> = Vec::new();
@@ -127,14 +128,16 @@ impl Path {
         Self::from_steps(points.into_iter().flat_map(|(x, y)| [Step::Move(x, y), Step::Line(x, y)]).collect())
     }
 
-    /// Returns upright strokes. Each stroke is given by its position from the left, its upper end and its lower end, as shares of the plot.
+    /// Returns upright strokes. Each stroke is given by its position from the left, its upper end and its lower end, as
+    /// shares of the plot.
     pub fn ticks(ticks: impl IntoIterator<Item = (f64, f64, f64)>) -> Self {
         let steps =
             ticks.into_iter().flat_map(|(x, upper, lower)| [Step::Move(x, upper), Step::Line(x, lower)]);
         Self::from_steps(steps.collect())
     }
 
-    /// Returns upright error bars, each given as in [`Self::ticks`]. The caps extend to each side by the share `cap` of the plot's width.
+    /// Returns upright error bars, each given as in [`Self::ticks`]. The caps extend to each side by the share `cap` of
+    /// the plot's width.
     pub fn whiskers(points: impl IntoIterator<Item = (f64, f64, f64)>, cap: f64) -> Self {
         let steps = points.into_iter().flat_map(|(x, upper, lower)| {
             let stroke = |from: Point, to: Point| [Step::Move(from.0, from.1), Step::Line(to.0, to.1)];

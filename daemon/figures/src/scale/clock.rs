@@ -7,8 +7,9 @@ const MAX_STEPS: i64 = 12;
 /// Minimum distance of a mark from an end, as a share of the axis. The label of a nearer mark would extend beyond the axis.
 const MIN_END_DISTANCE: f64 = 0.015;
 
-/// Returns round times of day, and their positions from 0 to 1, on an axis that begins at `from` and is `length` seconds long. Times are seconds
-/// of Unix time. `utc_offset` is the number of seconds by which local time is ahead of UTC.
+/// Returns round times of day, and their positions from 0 to 1, on an axis that begins at `from` and is `length`
+/// seconds long. Times are seconds of Unix time. `utc_offset` is the number of seconds by which local time is ahead of
+/// UTC.
 pub fn times_of_day(from: f64, length: f64, utc_offset: i64) -> Vec<(i64, f64)> {
     let fits = |step: &i64| length / *step as f64 <= MAX_STEPS as f64;
     let step = STEPS.into_iter().find(fits).unwrap_or(STEPS[STEPS.len() - 1]);

@@ -63,8 +63,8 @@ impl Scale {
         Self { lo, hi, spread: Spread::Linear, min_tick_distance: 0.0, step: None, signed: false }
     }
 
-    /// Returns a linear scale from zero to the largest value, with a small margin beyond it. If the smallest value is negative, the scale begins a
-    /// little below this value.
+    /// Returns a linear scale from zero to the largest value, with a small margin beyond it. If the smallest value is
+    /// negative, the scale begins a little below this value.
     pub fn from_zero(values: (f64, f64)) -> Self {
         let (lo, hi) = clamp_to_finite_range(values);
         let (lo, hi) = (lo.min(0.0), hi.max(0.0));

@@ -18,14 +18,14 @@ use crate::text::{FAMILY, FONT};
 pub const PIXELS_PER_INCH: f64 = 480.0;
 /// Units of an SVG per inch (CSS, *Values and Units*, 6.2).
 const UNITS_PER_INCH: f32 = 96.0;
-/// Number of bytes of a PNG's signature and header (W3C, *Portable Network Graphics*, 5.2 and 11.2.1). The chunk [`DENSITY_CHUNK`] is inserted
-/// after the header.
+/// Number of bytes of a PNG's signature and header (W3C, *Portable Network Graphics*, 5.2 and 11.2.1). The chunk
+/// [`DENSITY_CHUNK`] is inserted after the header.
 const HEADER_BYTES: usize = 8 + 25;
 /// Chunk `pHYs` (ibid., 11.3.4.3): [`PIXELS_PER_INCH`] as 18,898 pixels per metre, and the checksum. Without this chunk, programs that
 /// typeset papers place a picture at the resolution of a screen.
 const DENSITY_CHUNK: [u8; 21] = *b"\0\0\0\x09pHYs\0\0\x49\xd2\0\0\x49\xd2\x01\xa8\x45\x8a\xf8";
-/// Endings of the names of a figure's files. The name of the caption's file has more than `.txt` after the stem, because a table with the same
-/// stem has the name `STEM.txt`.
+/// Endings of the names of a figure's files. The name of the caption's file has more than `.txt` after the stem,
+/// because a table with the same stem has the name `STEM.txt`.
 pub const ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
 
 /// Error of turning a figure into another format.
@@ -129,7 +129,8 @@ impl ParsedFigure {
     }
 }
 
-/// Writes a figure into a folder as `STEM.png`, `STEM.svg` and `STEM.pdf`, and its notes as `STEM-caption.txt`. Returns the paths of the files.
+/// Writes a figure into a folder as `STEM.png`, `STEM.svg` and `STEM.pdf`, and its notes as `STEM-caption.txt`. Returns
+/// the paths of the files.
 ///
 /// # Errors
 /// If the figure cannot be drawn or a file cannot be written.

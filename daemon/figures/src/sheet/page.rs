@@ -1,8 +1,9 @@
 //! SVG for web pages. The SVG grows with its panel, and classes of the style sheet give its colours.
 //!
-//! Plots are laid out in a grid of the style sheet (`.histogram`, `.joint`, …) with the classes `above`, `over`, `yaxis`, `plot`,
-//! `beside`, `xaxis` and `below`. The server does not know the width of a page, so text that might not fit has a class for the minimum width of
-//! its picture (`.fits.w8`, …). The style sheet hides the text in narrower pictures, because a clipped number would be a wrong number.
+//! Plots are laid out in a grid of the style sheet (`.histogram`, `.joint`, …) with the classes `above`, `over`,
+//! `yaxis`, `plot`, `beside`, `xaxis` and `below`. The server does not know the width of a page, so text that might not
+//! fit has a class for the minimum width of its picture (`.fits.w8`, …). The style sheet hides the text in narrower
+//! pictures, because a clipped number would be a wrong number.
 
 mod draw;
 
@@ -13,11 +14,12 @@ use crate::scale::Tick;
 use crate::svg::{Em, Share, Tag, Writer};
 use crate::text::{rem, width_step};
 
-/// Distances from the top of a plot down to the baseline of its remark, as multiples of the type size. The first is used if the remark is above
-/// the plot. The second is used if labels are above the plot, so that the remark is inside the plot.
+/// Distances from the top of a plot down to the baseline of its remark, as multiples of the type size. The first is
+/// used if the remark is above the plot. The second is used if labels are above the plot, so that the remark is inside
+/// the plot.
 const REMARK_BASELINES: [f64; 2] = [-0.4, 0.9];
-/// If a label is nearer to an end of the axis than this share of the axis, it begins or ends at its tick, so that it does not extend beyond the
-/// axis.
+/// If a label is nearer to an end of the axis than this share of the axis, it begins or ends at its tick, so that it
+/// does not extend beyond the axis.
 const NEAR_END: f64 = 0.04;
 
 /// Draws a plot with its axes. `class` is the plot's grid in the style sheet; `words` describe the plot for screen readers.
@@ -78,8 +80,8 @@ pub fn y_labels(class: &str, ticks: &[Tick]) -> String {
     svg.finish()
 }
 
-/// Draws labels in a row above bars or below a plot. If neighbours would touch, only every second label is shown, or only every fourth, and so
-/// on.
+/// Draws labels in a row above bars or below a plot. If neighbours would touch, only every second label is shown, or
+/// only every fourth, and so on.
 pub fn axis(class: &str, ticks: &[Tick]) -> String {
     let mut svg = Writer::default();
     write_x_labels(&mut svg, class, &ticks.iter().map(|tick| (Anchor::Middle, tick)).collect::<Vec<_>>());
@@ -166,7 +168,8 @@ fn write_x_labels(svg: &mut Writer, class: &str, labels: &[(Anchor, &Tick)]) {
         let stride = if index == 0 { labels.len() } else { 1 << index.trailing_zeros() };
         let previous = index.checked_sub(stride).and_then(|other| labels.get(other));
         let next = labels.get(index + stride);
-        // For each neighbour: its distance as a share of the picture, and the width that the two labels need between their ticks.
+        // For each neighbour: its distance as a share of the picture, and the width that the two labels need between
+        // their ticks.
         let distances = [
             previous.map(|other| (label.1.at - other.1.at, side_widths(label)[0] + side_widths(other)[1])),
             next.map(|other| (other.1.at - label.1.at, side_widths(label)[1] + side_widths(other)[0])),

@@ -2,7 +2,8 @@
 
 use super::width;
 
-/// Returns the text. If the text is wider than `room`, its middle is replaced by `…`. Its end is kept, because names often differ at the end.
+/// Returns the text. If the text is wider than `room`, its middle is replaced by `…`. Its end is kept, because names
+/// often differ at the end.
 pub fn shorten(text: &str, size: f64, room: f64) -> String {
     if width(text, size) <= room {
         return text.to_owned();
@@ -18,8 +19,8 @@ pub fn shorten(text: &str, size: f64, room: f64) -> String {
     longest_fitting.unwrap_or_else(|| "…".to_owned())
 }
 
-/// Shortens names that are shown together, so that different names remain different. If two names would look alike without their middle, the
-/// beginning and the end that they share are replaced instead: `…_s_…` and `…_m_…`.
+/// Shortens names that are shown together, so that different names remain different. If two names would look alike
+/// without their middle, the beginning and the end that they share are replaced instead: `…_s_…` and `…_m_…`.
 pub fn shorten_distinctly(names: &[&str], size: f64, room: f64) -> Vec<String> {
     let short: Vec<String> = names.iter().map(|name| shorten(name, size, room)).collect();
     let look_alikes = |index: usize| -> Vec<&str> {

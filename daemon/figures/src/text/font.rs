@@ -10,7 +10,8 @@ pub const FAMILY: &str = "Inter";
 /// Font of the dashboard in one weight, with the glyphs that figures use. `assets/instance.py` makes it.
 pub const FONT: &[u8] = include_bytes!("../../assets/inter.ttf");
 
-/// Assumed advance (width) of a character that the font lacks, as a share of the type size. It is about that of a wide letter.
+/// Assumed advance (width) of a character that the font lacks, as a share of the type size. It is about that of a wide
+/// letter.
 const UNKNOWN_ADVANCE: f64 = 0.7;
 
 /// Advances of the characters of Latin-1, as shares of the type size. Other characters are looked up in the font each time.
@@ -52,7 +53,7 @@ mod tests {
         assert!((width("HH", 10.0) - 2.0 * width("H", 10.0)).abs() < 1e-9);
         // Inter's H is 0.744 of the type size wide.
         assert!((0.70..0.78).contains(&width("H", 1.0)), "{}", width("H", 1.0));
-        assert!(width("→", 1.0) > 0.5 && width("\u{1F600}", 1.0) == UNKNOWN);
+        assert!(width("→", 1.0) > 0.5 && width("\u{1F600}", 1.0) == UNKNOWN_ADVANCE);
     }
 
     #[test]

@@ -56,10 +56,11 @@ standard_names! {
         TRANSFORM = "transform";
         /// Edge: conversion of the sample to wire frames.
         ENCODE = "encode";
-        /// Edge: from when the sample is ready to send until it is handed to the network, including the wait while too many iterations are in
-        /// flight.
+        /// Edge: from when the sample is ready to send until it is handed to the network, including the wait while too
+        /// many iterations are in flight.
         SEND_QUEUE = "send-queue";
-        /// Edge to cloud: from when the message is handed to the network until all of it is received. A transit, with bounds.
+        /// Edge to cloud: from when the message is handed to the network until all of it is received. A transit, with
+        /// bounds.
         UPLOAD = "upload";
         /// Cloud or edge: from when the sample is received until a worker starts.
         QUEUE = "queue";
@@ -73,8 +74,8 @@ standard_names! {
         DOWNLOAD = "download";
         /// Edge: from the answer until the actuator is done.
         ACTUATION = "actuation";
-        /// Edge: from the intended start to the end of the iteration. The edge's monotonic clock measures both, so that there is no clock error
-        /// between hosts.
+        /// Edge: from the intended start to the end of the iteration. The edge's monotonic clock measures both, so that
+        /// there is no clock error between hosts.
         TOTAL = "total";
         /// Sum of the stages, called Total in the paper.
         STAGES_TOTAL = "stages-total";
@@ -115,7 +116,8 @@ pub const CAPTURE_IPC: Name = Name::from_static("capture-ipc");
 pub const ACTUATION_IPC: Name = Name::from_static("actuation-ipc");
 
 /// Cloud or edge: wait of a sample for the restart of a model's worker whose process died. It is part of `unattributed`.
-// The wait is not a stage, because the death of the process causes it and not the pipeline. The wire form contains the name as text.
+// The wait is not a stage, because the death of the process causes it and not the pipeline. The wire form contains the
+// name as text.
 pub const RESTART: Name = Name::from_static("restart");
 /// Wait for a sensor's restarted worker, below `capture` and part of it.
 pub const CAPTURE_RESTART: Name = Name::from_static("capture-restart");

@@ -6,8 +6,8 @@ use peernet_clock::{MonoTime, Span};
 
 use crate::{Measure, Meter, NodeId, Recorder, Unit, stage};
 
-/// Guard of an open node. Nodes that are recorded through the guard become children of the node. The node closes when the guard is
-/// dropped.
+/// Guard of an open node. Nodes that are recorded through the guard become children of the node. The node closes when
+/// the guard is dropped.
 #[derive(Debug)]
 pub struct TimerGuard<'a> {
     pub(crate) recorder: &'a mut Recorder,
@@ -102,8 +102,8 @@ impl<M: Meter> Drop for MeterGuard<'_, M> {
 /// Guard of an open token rate, created by [`Recorder::tokens`]. When it is dropped it adds `tokens` and
 /// `time-to-first-token` as children.
 ///
-/// The rate is the number of tokens divided by the time from the opening of the node to the last token. This time includes the
-/// wait for the first token.
+/// The rate is the number of tokens divided by the time from the opening of the node to the last token. This time
+/// includes the wait for the first token.
 #[derive(Debug)]
 pub struct TokenGuard<'a> {
     guard: TimerGuard<'a>,

@@ -1,5 +1,5 @@
-//! The wire form of trees and tree deltas. It is MessagePack: fields are identified by their positions in arrays, and standard names are small
-//! numbers.
+//! The wire form of trees and tree deltas. It is MessagePack: fields are identified by their positions in arrays, and
+//! standard names are small numbers.
 //!
 //! | | |
 //! | --- | --- |
@@ -17,8 +17,8 @@
 //! | delay | `[raw, value or nil, lower and upper bound or nil and nil, source, verdict]` |
 //!
 //! Times are integers in nanoseconds. A name is its position among the standard names, or a string. Numbers without a
-//! fraction may be written as integers. A tree of 12 nodes takes about 280 bytes. The form is so short because it is written with
-//! `rmp` directly and not through serde.
+//! fraction may be written as integers. A tree of 12 nodes takes about 280 bytes. The form is so short because it is
+//! written with `rmp` directly and not through serde.
 //!
 //! The reader accepts input from untrusted peers: it allocates at most a small multiple of the input's length, enforces
 //! [`crate::limits`], and refuses everything else with the reason.

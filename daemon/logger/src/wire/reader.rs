@@ -7,11 +7,14 @@ use super::{VERSION, WireError};
 use crate::limits::{MAX_ANCHORS, MAX_NAME_BYTES, MAX_NODES, MAX_TREE_BYTES};
 use crate::{Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Rate, RawStamps, Transit, Unit, stage};
 
-/// Length of the shortest node, bytes. The length of the remaining input divided by this limits the capacity that is reserved for nodes.
+/// Length of the shortest node, bytes. The length of the remaining input divided by this limits the capacity that is
+/// reserved for nodes.
 // One byte each for the array and the node's parent, name, host, start and kind.
 const MIN_NODE_BYTES: usize = 6;
-/// Length of the shortest anchor, bytes. The length of the remaining input divided by this limits the capacity that is reserved for anchors.
-// One byte for the array, two for the head of the host's identifier and 16 for the identifier itself, one for the time: 1 + 2 + 16 + 1.
+/// Length of the shortest anchor, bytes. The length of the remaining input divided by this limits the capacity that is
+/// reserved for anchors.
+// One byte for the array, two for the head of the host's identifier and 16 for the identifier itself, one for the time:
+// 1 + 2 + 16 + 1.
 const MIN_ANCHOR_BYTES: usize = 20;
 
 /// Position in the wire form of a tree or a tree delta.
@@ -32,7 +35,8 @@ impl<'a> Reader<'a> {
         let mut reader = Self { rest: bytes, length: bytes.len() };
         let field_count = reader.array(item)?;
         match reader.uint("a version")? {
-            // The version is checked before the number of fields, because another version may have another number of fields.
+            // The version is checked before the number of fields, because another version may have another number of
+            // fields.
             VERSION if field_count == fields => Ok(reader),
             VERSION => Err(WireError::Malformed { at: 0, expected: item }),
             other => Err(WireError::Version(other)),
@@ -228,7 +232,8 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// Returns both bounds if both exist, or `Some(None)` if neither exists. The result is `None`, which is an error, if only one of them exists.
+/// Returns both bounds if both exist, or `Some(None)` if neither exists. The result is `None`, which is an error, if
+/// only one of them exists.
 fn paired_bounds<T>(lo: Option<T>, hi: Option<T>) -> Option<Option<(T, T)>> {
     match (lo, hi) {
         (Some(lo), Some(hi)) => Some(Some((lo, hi))),

@@ -7,8 +7,8 @@ use super::{EXACT, SPACE, decimals, fixed, fixed_or_less_than, join_ends, millis
 /// Number of decimals for a resolution of a microsecond.
 const MAX_DECIMALS: usize = 3;
 
-/// Returns the number of decimals of a value in ms whose error is known: down to the second significant digit of the error. If
-/// the error is zero, the number of decimals follows from the size of the value.
+/// Returns the number of decimals of a value in ms whose error is known: down to the second significant digit of the
+/// error. If the error is zero, the number of decimals follows from the size of the value.
 fn decimals_within(seconds: f64, half_width: f64) -> usize {
     if half_width > 0.0 {
         decimals(half_width * 1e3, 2).min(MAX_DECIMALS)

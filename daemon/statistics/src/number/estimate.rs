@@ -6,8 +6,8 @@ use super::{decimals, fixed, has_nonzero_digit, join_ends, with_plus_sign};
 /// Largest number of decimals of an estimate in ms, which gives a picosecond.
 const MAX_DECIMALS: usize = 9;
 
-/// Estimate with its interval, in ms. Both are shown down to the second significant digit of half the interval's width. Unlike
-/// bounds from clocks, the interval may be arbitrarily narrow.
+/// Estimate with its interval, in ms. Both are shown down to the second significant digit of half the interval's width.
+/// Unlike bounds from clocks, the interval may be arbitrarily narrow.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimate {
     /// Estimated value, ms.
@@ -19,8 +19,8 @@ pub struct Estimate {
 }
 
 impl Estimate {
-    /// Creates an estimate from seconds. If both ends of the interval are equal, the number of decimals follows from the size of
-    /// the value.
+    /// Creates an estimate from seconds. If both ends of the interval are equal, the number of decimals follows from
+    /// the size of the value.
     pub fn new(seconds: f64, (lo, hi): (f64, f64)) -> Self {
         let [value, lo, hi] = [seconds, lo, hi].map(|seconds| seconds * 1e3);
         let half_width = (hi - lo) / 2.0;

@@ -39,9 +39,9 @@ pub fn short_duration(seconds: f64) -> Quantity {
     Quantity::new(milliseconds(seconds), "ms")
 }
 
-/// Format of all durations of one table, in ms. Their number of decimals follows from the total of the table. If the total is below 0.1 ms, the
-/// total has three significant digits. Otherwise there are two decimals, or three if the second significant digit of the total's deviation is
-/// the third decimal.
+/// Format of all durations of one table, in ms. Their number of decimals follows from the total of the table. If the
+/// total is below 0.1 ms, the total has three significant digits. Otherwise there are two decimals, or three if the
+/// second significant digit of the total's deviation is the third decimal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DurationFormat {
     decimals: usize,
@@ -87,9 +87,9 @@ pub fn total_ms(seconds: f64) -> String {
 
 /// Formats mean and deviation, or value and margin, in ms: `16.2` and `1.1`.
 ///
-/// Both numbers have the same decimals: down to the second significant digit of the deviation, but at most as many as give a
-/// tenth of a microsecond or, if these are more, three significant digits of the mean. Without a deviation, the mean has three
-/// significant digits.
+/// Both numbers have the same decimals: down to the second significant digit of the deviation, but at most as many as
+/// give a tenth of a microsecond or, if these are more, three significant digits of the mean. Without a deviation, the
+/// mean has three significant digits.
 pub fn mean_std_ms(mean: f64, std: Option<f64>) -> (String, Option<String>) {
     let std = std.filter(|std| std.is_finite());
     let decimals = match std {
@@ -109,8 +109,8 @@ pub fn mean_std(mean: f64, std: Option<f64>) -> String {
     }
 }
 
-/// Formats an interval of measured values in ms: `0.0418 – 0.0561`, `−1.54 to −1.35`. Both ends have as many decimals as half
-/// the interval's width needs for two significant digits. If the ends are equal, one number is returned.
+/// Formats an interval of measured values in ms: `0.0418 – 0.0561`, `−1.54 to −1.35`. Both ends have as many decimals
+/// as half the interval's width needs for two significant digits. If the ends are equal, one number is returned.
 pub fn range_ms((lo, hi): (f64, f64)) -> String {
     if lo == hi {
         return milliseconds(lo);
@@ -119,9 +119,9 @@ pub fn range_ms((lo, hi): (f64, f64)) -> String {
     join_ends([lo, hi].map(|end| fixed(end * 1e3, decimals)))
 }
 
-/// Returns the number of decimals of a column in ms whose values have a known error: three if the error, `half_width`, needs so
-/// many for two significant digits, otherwise two. All values of a column have the same number of decimals, so that they can be
-/// compared.
+/// Returns the number of decimals of a column in ms whose values have a known error: three if the error, `half_width`,
+/// needs so many for two significant digits, otherwise two. All values of a column have the same number of decimals, so
+/// that they can be compared.
 pub fn column_decimals(half_width: Option<f64>) -> usize {
     match half_width {
         None => MIN_COLUMN_DECIMALS,
@@ -131,8 +131,8 @@ pub fn column_decimals(half_width: Option<f64>) -> usize {
     }
 }
 
-/// Formats a round trip in ms with three significant digits, but at most two decimals: `1.30`. A round trip below 0.095 ms has
-/// three decimals: `0.018`.
+/// Formats a round trip in ms with three significant digits, but at most two decimals: `1.30`. A round trip below 0.095
+/// ms has three decimals: `0.018`.
 pub fn trip_ms(seconds: f64) -> String {
     let ms = seconds * 1e3;
     fixed_or_less_than(ms, if ms.abs() < 0.095 { 3 } else { decimals(ms, 3).min(2) })

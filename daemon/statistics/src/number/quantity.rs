@@ -72,15 +72,16 @@ pub fn throughput(bits_per_second: f64) -> String {
     if value == 0.0 { "0".to_owned() } else { fixed(value, decimals(value, 3).min(MAX_DECIMALS)) }
 }
 
-/// Formats bits per second and their margin in MB/s, both down to the second significant digit of the margin: `943 ± 14`.
+/// Formats bits per second and their margin in MB/s, both down to the second significant digit of the margin: `943 ±
+/// 14`.
 pub fn throughput_with(bits_per_second: f64, margin: f64) -> String {
     let [rate, margin] = [bits_per_second, margin].map(|bits| bits / 8e6);
     let decimals = if margin > 0.0 { decimals(margin, 2) } else { decimals(rate, 3) }.min(MAX_DECIMALS);
     format!("{} ± {}", fixed(rate, decimals), fixed(margin, decimals))
 }
 
-/// Formats an interval of bits per second in MB/s, down to the second significant digit of half its width: `930 – 957`. If the
-/// upper end is missing or infinite, only the lower end is shown: `≥ 1.00`.
+/// Formats an interval of bits per second in MB/s, down to the second significant digit of half its width: `930 – 957`.
+/// If the upper end is missing or infinite, only the lower end is shown: `≥ 1.00`.
 pub fn throughput_between((lo, hi): (f64, Option<f64>)) -> String {
     let Some(hi) = hi.filter(|hi| hi.is_finite()) else { return format!("≥ {}", throughput(lo)) };
     if lo == hi {
@@ -90,8 +91,8 @@ pub fn throughput_between((lo, hi): (f64, Option<f64>)) -> String {
     super::join_ends([lo, hi].map(|end| fixed(end / 8e6, decimals)))
 }
 
-/// Formats a size in the largest decimal unit in which the number is at least 1: `412 B`, `151 kB`, `1.2 MB`. Zeros at the end
-/// of the decimals are left out: bytes are counted exactly, so zeros would not show a precision.
+/// Formats a size in the largest decimal unit in which the number is at least 1: `412 B`, `151 kB`, `1.2 MB`. Zeros at
+/// the end of the decimals are left out: bytes are counted exactly, so zeros would not show a precision.
 pub fn bytes(value: f64) -> Quantity {
     const UNITS: [&str; 5] = ["B", "kB", "MB", "GB", "TB"];
     if value < 999.5 {

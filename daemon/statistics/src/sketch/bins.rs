@@ -1,4 +1,5 @@
-//! Numbers of values in logarithmic bins. All bins between the lowest and the highest bin in use are stored, also empty ones.
+//! Numbers of values in logarithmic bins. All bins between the lowest and the highest bin in use are stored, also empty
+//! ones.
 
 use super::Sketch;
 
@@ -11,7 +12,8 @@ const GAMMA: f64 = (1.0 + Sketch::RELATIVE_ERROR) / (1.0 - Sketch::RELATIVE_ERRO
 const LN_GAMMA: f64 = 0.020_000_666_706_669_524;
 const PER_LN_GAMMA: f64 = 1.0 / LN_GAMMA;
 
-/// Range that contains the keys of all numbers from [`Sketch::MIN_MAGNITUDE`] to the largest finite number, with a margin for rounding.
+/// Range that contains the keys of all numbers from [`Sketch::MIN_MAGNITUDE`] to the largest finite number, with a
+/// margin for rounding.
 pub(super) const VALID_KEYS: std::ops::RangeInclusive<i32> = -1_200..=35_600;
 
 /// Returns the key of the bin of a finite magnitude.
@@ -89,8 +91,8 @@ impl Bins {
         Some(self.first + i32::try_from(self.counts.len()).ok()? - 1).filter(|_| !self.counts.is_empty())
     }
 
-    /// Extends the stored range to the keys `low..=high`. If the range would have more than [`MAX_BINS_PER_SIGN`] bins, its lowest bins are merged
-    /// into one.
+    /// Extends the stored range to the keys `low..=high`. If the range would have more than [`MAX_BINS_PER_SIGN`] bins,
+    /// its lowest bins are merged into one.
     fn extend_range(&mut self, low: i32, high: i32) {
         let (lowest, highest) = match self.highest_key() {
             None => (low, high),

@@ -70,8 +70,8 @@ impl Sketch {
         self.positive.count() + self.negative.count() + self.zero
     }
 
-    /// Returns the quantile at `q` from 0 to 1: the number below which the fraction `q` of all numbers lies. `None` if no number
-    /// was recorded.
+    /// Returns the quantile at `q` from 0 to 1: the number below which the fraction `q` of all numbers lies. `None` if
+    /// no number was recorded.
     ///
     /// Interpolates linearly between neighbours, like numpy by default (definition 7 of Hyndman and Fan 1996). Both
     /// neighbours are known within 1 %. If they have the same sign, every value between them is also known within 1 %.
@@ -112,8 +112,8 @@ impl Sketch {
         negative.chain(zero).chain(positive)
     }
 
-    /// Returns the number of values below `x`, for drawing. The values of a bin are assumed to be evenly distributed within the
-    /// bin, so the result may have a fractional part.
+    /// Returns the number of values below `x`, for drawing. The values of a bin are assumed to be evenly distributed
+    /// within the bin, so the result may have a fractional part.
     pub fn count_below(&self, x: f64) -> f64 {
         let share_below = |lower: f64, upper: f64| ((x - lower) / (upper - lower)).clamp(0.0, 1.0);
         let negative = self.negative.iter().map(|(key, count)| {
@@ -135,7 +135,8 @@ impl Sketch {
     }
 
     /// Returns the number of values between each edge and the next (lower edge included, upper edge excluded), for
-    /// drawing. `edges` must be ascending. The result has one element fewer than `edges`. Elements may have a fractional part.
+    /// drawing. `edges` must be ascending. The result has one element fewer than `edges`. Elements may have a
+    /// fractional part.
     pub fn histogram(&self, edges: &[f64]) -> Vec<f64> {
         edges
             .windows(2)

@@ -15,8 +15,8 @@ pub enum PackedError {
     /// The sketch has more bins than permitted.
     #[error("the sketch has {0} bins, the limit is {max}", max = MAX_BINS_PER_SIGN)]
     TooManyBins(u64),
-    /// A bin is outside of the range of finite numbers, occurs twice, is empty, or is so far above the first bin that the sketch would have too many
-    /// bins.
+    /// A bin is outside of the range of finite numbers, occurs twice, is empty, or is so far above the first bin that
+    /// the sketch would have too many bins.
     #[error("the sketch has an invalid bin")]
     InvalidBin,
     /// The counts add up to more than 2⁵³. Sums of such counts could overflow.

@@ -35,8 +35,9 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     judge_unknown_labels(input).into_iter().chain(partial.into_iter().map(partial_finding)).collect()
 }
 
-/// Returns the finding about iterations that cannot be scored because of their label. If no iteration at all was scored, there is no accuracy to
-/// publish and the other results are not affected, so that the grade is `Unknown` and not `Doubtful`.
+/// Returns the finding about iterations that cannot be scored because of their label. If no iteration at all was
+/// scored, there is no accuracy to publish and the other results are not affected, so that the grade is `Unknown` and
+/// not `Doubtful`.
 fn judge_unknown_labels(input: &TrustInput) -> Option<Finding> {
     let unknown = input.unknown_labels.as_ref()?;
     let grade = if input.accuracy.is_empty() { Grade::Unknown } else { Grade::Doubtful };

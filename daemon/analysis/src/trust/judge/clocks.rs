@@ -1,4 +1,5 @@
-//! Judgement of the one-way delays. The total latency does not depend on these delays, because it is measured on the edge alone.
+//! Judgement of the one-way delays. The total latency does not depend on these delays, because it is measured on the
+//! edge alone.
 
 use peernet_clock::Verdict;
 use peernet_statistics::number::{ends_ms, milliseconds, within_ms};

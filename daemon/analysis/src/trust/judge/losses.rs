@@ -7,10 +7,11 @@ use peernet_stream::Grade;
 use super::{END, finding, iterations, percent, with_advice};
 use crate::trust::{Counts, EndedEarly, Finding, MissingCount, MissingEvents, Starts, TrustInput};
 
-/// A finding about failed iterations, skipped starts or superseded answers is doubtful if their share is above this value.
+/// A finding about failed iterations, skipped starts or superseded answers is doubtful if their share is above this
+/// value.
 pub const NOTABLE_SHARE: f64 = 0.001;
-/// If the share of failed iterations, skipped starts or superseded answers is above this value, the finding is bad, because the latency of the
-/// successful iterations is misleading.
+/// If the share of failed iterations, skipped starts or superseded answers is above this value, the finding is bad,
+/// because the latency of the successful iterations is misleading.
 const MISLEADING_SHARE: f64 = 0.1;
 /// If at least this share of the events is missing, the received events do not represent the whole run.
 const MAX_MISSING_SHARE: f64 = 0.05;

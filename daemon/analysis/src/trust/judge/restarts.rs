@@ -6,8 +6,8 @@ use peernet_stream::Grade;
 use super::{finding, iterations, ms, percent, with_advice};
 use crate::trust::{Finding, Restarts, TrustInput};
 
-/// Restarts are doubtful if they took at least this share of the time of all iterations. The limit for the contribution of outliers to the mean is
-/// the same.
+/// Restarts are doubtful if they took at least this share of the time of all iterations. The limit for the contribution
+/// of outliers to the mean is the same.
 const MAX_INFLUENCE: f64 = 0.05;
 /// Maximum number of iterations that a finding lists.
 const MAX_NAMED: usize = 5;

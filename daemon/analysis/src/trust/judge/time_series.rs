@@ -9,12 +9,13 @@ use crate::trust::time_series::MIN_NOTABLE_CHANGE;
 use crate::trust::trend::chance_of_trend;
 use crate::trust::{Finding, TimeSeries, TrustInput};
 
-/// If the median changes by at least this share from the first half to the second, the finding is bad, because one number for the whole run is
-/// meaningless.
+/// If the median changes by at least this share from the first half to the second, the finding is bad, because one
+/// number for the whole run is meaningless.
 const STRONG_DRIFT: f64 = 0.2;
 /// If the relative change of the median is below this, the medians of both halves are printed as one number.
 const MIN_VISIBLE_CHANGE: f64 = 0.000_5;
-/// Significance level: if chance alone causes such a trend with at least this probability, the trend is attributed to chance.
+/// Significance level: if chance alone causes such a trend with at least this probability, the trend is attributed to
+/// chance.
 const MAX_CHANCE: f64 = 0.05;
 /// Share by which the first iterations may take longer than the rest without a doubt about the warm-up.
 const MAX_COLD_EXCESS: f64 = 0.1;
@@ -34,8 +35,8 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     findings
 }
 
-/// Returns the sentence that says why it cannot be told whether something is the case. `whether` is the clause after "whether": `the run
-/// drifted`.
+/// Returns the sentence that says why it cannot be told whether something is the case. `whether` is the clause after
+/// "whether": `the run drifted`.
 ///
 /// A run with enough iterations can have too few time buckets. The dashboard's buckets last a second or longer. After the clock was set
 /// forward, a single bucket can contain the whole jump.
@@ -111,8 +112,8 @@ fn judge_warm_up(total: &TimeSeries) -> Finding {
         ms(beginning.median),
         ms(beginning.rest)
     );
-    // If nothing distinguishes the first block, it has every place in the order of all blocks with the same probability. `share_as_high` is
-    // then the probability that it is so high by chance.
+    // If nothing distinguishes the first block, it has every place in the order of all blocks with the same
+    // probability. `share_as_high` is then the probability that it is so high by chance.
     if excess > MAX_COLD_EXCESS && beginning.share_as_high < MAX_CHANCE {
         let text = format!(
             "{comparison}: {} more. Nearly all later groups of {} took less.",
@@ -166,8 +167,9 @@ fn judge_outliers(total: &TimeSeries) -> Finding {
     with_advice(finding(about, Grade::Doubtful, text), advice)
 }
 
-/// Returns the finding about the time outside of all stages. Lateness and the wait for the restart of the model's process are subtracted from
-/// this time: they are not stages, but they are measured and have separate findings. `None` if the stages are not known.
+/// Returns the finding about the time outside of all stages. Lateness and the wait for the restart of the model's
+/// process are subtracted from this time: they are not stages, but they are measured and have separate findings. `None`
+/// if the stages are not known.
 fn judge_unattributed(split: &StageSplit) -> Option<Finding> {
     let about = "unattributed";
     let seconds = split.unexplained()?;
@@ -198,8 +200,8 @@ fn judge_unattributed(split: &StageSplit) -> Option<Finding> {
     Some(with_advice(finding(about, grade, text), advice))
 }
 
-/// Returns the finding about lateness, the time for which iterations waited for earlier iterations. Lateness is a part of the total, not a
-/// defect.
+/// Returns the finding about lateness, the time for which iterations waited for earlier iterations. Lateness is a part
+/// of the total, not a defect.
 fn judge_lateness(seconds: f64, split: &StageSplit) -> Finding {
     let text = format!(
         "Iterations began {} after their scheduled start on average: this late start is {} of the total.",

@@ -21,7 +21,8 @@ const LOGARITHMIC_RATIO: f64 = 12.0;
 pub const MAX_SCORES: usize = 24;
 /// Room that the axis of a quality has beyond the intervals, if the quality is a share; percentage points.
 const AXIS_MARGIN: f64 = 2.0;
-/// The horizontal whiskers of two points can overlap if the qualities of the points differ by less than this share of the axis.
+/// The horizontal whiskers of two points can overlap if the qualities of the points differ by less than this share of
+/// the axis.
 const OVERLAP_DISTANCE: f64 = 0.03;
 
 /// Quality and latency of one configuration.
@@ -131,7 +132,8 @@ impl Accuracy {
         Shown::of(self.quality).method
     }
 
-    /// Returns the scores that are drawn, each with its quality as it is shown: lower end of the interval, estimate, upper end.
+    /// Returns the scores that are drawn, each with its quality as it is shown: lower end of the interval, estimate,
+    /// upper end.
     fn shown_scores(&self) -> impl Iterator<Item = (&Score, [f64; 3])> {
         let factor = Shown::of(self.quality).factor;
         let finite = self.scores.iter().filter(|score| score.median.is_finite() && score.median > 0.0);
@@ -189,8 +191,8 @@ impl Accuracy {
             .map(|(score, _)| (score.median * self.unit.per_si, right_end(score) * self.unit.per_si))
             .reduce(union)?;
         let shown = Shown::of(self.quality);
-        // If shares are near 0 or 100, the axis ends a little beyond, so that points at 0 or 100 are not cut off. It ends before the next
-        // mark, which would be an impossible share.
+        // If shares are near 0 or 100, the axis ends a little beyond, so that points at 0 or 100 are not cut off. It
+        // ends before the next mark, which would be an impossible share.
         let rest = (high - low).max(1.0) * 0.04;
         let margin = self.margin((low, high));
         let ends = ((low - margin).max(shown.range.0 - rest), (high + margin).min(shown.range.1 + rest));

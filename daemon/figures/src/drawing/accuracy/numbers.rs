@@ -1,5 +1,5 @@
-//! Placement of the numbers of the points. Numbers do not overlap as long as there is room. If a number is not next to its point, a thin line
-//! connects the two.
+//! Placement of the numbers of the points. Numbers do not overlap as long as there is room. If a number is not next to
+//! its point, a thin line connects the two.
 
 use super::{CAP_HALF_WIDTH, RADIUS, Spot};
 use crate::look::{INK_2, Style, TextStyle};
@@ -11,12 +11,13 @@ use crate::text::width;
 const HALF_HEIGHT: f64 = 3.6;
 /// Distance from a point to its number, points.
 const GAP: f64 = RADIUS + 0.9;
-/// Minimum distance between two numbers side by side, so that they are not read as one number; points. The distance is generous, because on the
-/// narrowest page numbers are almost twice as wide in relation to the plot.
+/// Minimum distance between two numbers side by side, so that they are not read as one number; points. The distance is
+/// generous, because on the narrowest page numbers are almost twice as wide in relation to the plot.
 const MIN_DISTANCE: f64 = 4.5;
 /// Minimum distance between a number and another above it, points.
 const MIN_DISTANCE_ABOVE: f64 = 2.0;
-/// Two points of the figure that are closer together than this are neighbours: their numbers are on the sides away from each other. Unit: points.
+/// Two points of the figure that are closer together than this are neighbours: their numbers are on the sides away from
+/// each other. Unit: points.
 const NEIGHBOUR_DISTANCE: f64 = 13.5;
 /// Height of the space above the plot that numbers may use, beside the title of the axis, points.
 const HEIGHT_ABOVE_PLOT: f64 = 11.0;
@@ -93,8 +94,8 @@ impl FileSpot {
         ]
     }
 
-    /// Returns whether a place for this point's number is at least as near to another point as to this point. The number would then be read as
-    /// the number of the other point.
+    /// Returns whether a place for this point's number is at least as near to another point as to this point. The
+    /// number would then be read as the number of the other point.
     fn is_nearer_to_other(&self, place: &Rect, spots: &[Self]) -> bool {
         let distance_to =
             |spot: &Self| spot.boxes().iter().map(|area| distance(place, area)).fold(f64::INFINITY, f64::min);
@@ -117,8 +118,9 @@ impl FileSpot {
         if right_excess > 0.0 { -1.0 } else { 1.0 }
     }
 
-    /// Returns the possible places of a point's number, the best first. `width` is the width of the number; `side` is 1 for the right, −1 for the
-    /// left. The places are in rings around the point, nearer rings first. Within a ring, places on the given side come first.
+    /// Returns the possible places of a point's number, the best first. `width` is the width of the number; `side` is 1
+    /// for the right, −1 for the left. The places are in rings around the point, nearer rings first. Within a ring,
+    /// places on the given side come first.
     fn places(&self, width: f64, side: f64) -> impl Iterator<Item = Rect> {
         let ((x, y), half_width) = (self.at, width / 2.0);
         let around = [(0, -1), (1, -1), (-1, -1), (1, 0), (-1, 0), (1, 1), (-1, 1), (0, 1)];
@@ -140,8 +142,9 @@ fn distance(a: &Rect, b: &Rect) -> f64 {
     gap(0).max(gap(1))
 }
 
-/// Returns the place within the limits that overlaps the occupied rectangles least. If several places overlap equally, an unambiguous place is
-/// better than an ambiguous one, and among these the earliest place is best. `None` if no place is within the limits.
+/// Returns the place within the limits that overlaps the occupied rectangles least. If several places overlap equally,
+/// an unambiguous place is better than an ambiguous one, and among these the earliest place is best. `None` if no place
+/// is within the limits.
 fn best_place(
     places: impl Iterator<Item = Rect>,
     (limits, occupied): (Rect, &[Rect]),

@@ -78,7 +78,8 @@ impl Distribution {
         (end(self.edges.first()), end(self.edges.last()))
     }
 
-    /// Returns the axis of values. If there is a single bin, it is in the middle of the axis and does not fill the plot.
+    /// Returns the axis of values. If there is a single bin, it is in the middle of the axis and does not fill the
+    /// plot.
     fn value_axis(&self) -> Axis {
         let ((from, to), per_si) = (self.value_range(), self.unit.per_si);
         let middle = f64::midpoint(from, to) * per_si;

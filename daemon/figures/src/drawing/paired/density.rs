@@ -8,15 +8,17 @@ const POINTS_PER_WIDTH: f64 = 4.0;
 const MIN_POINTS: usize = 24;
 /// Maximum number of evaluation points.
 const MAX_POINTS: usize = 768;
-/// Number of cells into which the values are counted before the densities are computed. The time for the density at a point then depends on the
-/// number of cells and not on the number of values.
+/// Number of cells into which the values are counted before the densities are computed. The time for the density at a
+/// point then depends on the number of cells and not on the number of values.
 const CELLS: usize = MAX_POINTS;
 
-/// Returns evaluation points between `lo` and `hi`, each with the density at this point as a share of the highest density.
+/// Returns evaluation points between `lo` and `hi`, each with the density at this point as a share of the highest
+/// density.
 ///
-/// The kernel is Gaussian with Silverman's width, 0.9 · min(s, IQR / 1.34) · n^−1/5 (*Density Estimation*, 1986, equation 3.31). Here s is the
-/// standard deviation and IQR the interquartile range of all values, and n is the number of finite values in the range. The result is empty if
-/// the range is empty, if there are fewer than two values, if all values are equal, or if one of them is infinite.
+/// The kernel is Gaussian with Silverman's width, 0.9 · min(s, IQR / 1.34) · n^−1/5 (*Density Estimation*, 1986,
+/// equation 3.31). Here s is the standard deviation and IQR the interquartile range of all values, and n is the number
+/// of finite values in the range. The result is empty if the range is empty, if there are fewer than two values, if all
+/// values are equal, or if one of them is infinite.
 pub(super) fn density(values: &SortedValues, (lo, hi): (f64, f64)) -> Vec<(f64, f64)> {
     let finite = || values.values().iter().filter(|value| value.is_finite() && (lo..=hi).contains(value));
     let n = finite().count() as f64;

@@ -29,7 +29,8 @@ const MARGIN_ABOVE: f64 = 0.12;
 const COUNT_DISTANCE: f64 = 9.5;
 /// Maximum number of values that are drawn as points. More values are drawn as a shape.
 const MAX_POINTS: usize = 60;
-/// Points beyond the shown range are drawn, too, up to this multiple of the end of the range: there is room for them below the text at the top.
+/// Points beyond the shown range are drawn, too, up to this multiple of the end of the range: there is room for them
+/// below the text at the top.
 const ROOM_FOR_POINTS: f64 = 1.05;
 /// The axis is logarithmic if the ratio of the largest to the smallest median is at least this.
 const LOGARITHMIC_RATIO: f64 = 30.0;
@@ -115,8 +116,8 @@ impl Paired {
         distributions.all(|values| width(&count_text(values), SMALL) <= max_width)
     }
 
-    /// Returns the range of values that the axis must show: every distribution, without tails that would leave little space for the rest. `None`
-    /// without finite values.
+    /// Returns the range of values that the axis must show: every distribution, without tails that would leave little
+    /// space for the rest. `None` without finite values.
     fn shown_range(&self) -> Option<(f64, f64)> {
         let ends = |values: &SortedValues| {
             let (lo, hi) = range(values)?;
@@ -137,8 +138,8 @@ impl Paired {
             && ends.is_some_and(|(lo, hi)| *hi >= LOGARITHMIC_RATIO * lo)
     }
 
-    /// Returns the largest of these values that is drawn. If they are drawn as points, it is the largest value that fits on the axis. If they are
-    /// drawn as a shape, it is the largest value that is not in the tail.
+    /// Returns the largest of these values that is drawn. If they are drawn as points, it is the largest value that
+    /// fits on the axis. If they are drawn as a shape, it is the largest value that is not in the tail.
     fn highest_shown(&self, values: &SortedValues) -> Option<f64> {
         let (_, hi) = range(values)?;
         if values.len() > MAX_POINTS {
@@ -161,7 +162,8 @@ impl Paired {
         lowest.map_or(0, count)
     }
 
-    /// Returns the outline of a distribution: values, each with its density from 0 to 1. Empty if the values have no spread.
+    /// Returns the outline of a distribution: values, each with its density from 0 to 1. Empty if the values have no
+    /// spread.
     fn shape(&self, values: &SortedValues) -> Vec<(f64, f64)> {
         let Some(ends) = range(values) else { return Vec::new() };
         if self.is_logarithmic() { log_density(values, ends) } else { density(values, ends) }
@@ -172,8 +174,8 @@ impl Paired {
         values.len() <= MAX_POINTS || self.shape(values).len() <= 1
     }
 
-    /// Returns the items of one distribution. `side` is the index of its placement, `middle` is its position, and `half` is half of its maximum
-    /// width. Position and width are shares of the plot's width.
+    /// Returns the items of one distribution. `side` is the index of its placement, `middle` is its position, and
+    /// `half` is half of its maximum width. Position and width are shares of the plot's width.
     fn distribution_items(
         &self,
         plot: &Plot,

@@ -12,8 +12,9 @@ pub(super) struct Column {
     pub(super) max: f64,
 }
 
-/// Divides the time between `from` and `to` evenly into `count` columns, and returns the columns that have values, from left to right. `values` has
-/// a time and a value in each item. Values that are not finite, and values whose time is not in this range, are left out.
+/// Divides the time between `from` and `to` evenly into `count` columns, and returns the columns that have values, from
+/// left to right. `values` has a time and a value in each item. Values that are not finite, and values whose time is
+/// not in this range, are left out.
 pub(super) fn columns(values: &[(f64, f64)], (from, to): (f64, f64), count: usize) -> Vec<Column> {
     let inside = |(at, value): &&(f64, f64)| value.is_finite() && (from..=to).contains(at);
     let column_index =

@@ -22,8 +22,8 @@ const CROSS_HALF_WIDTH: f64 = 1.7;
 const RADIUS: f64 = 1.7;
 /// Maximum number of marks on a line.
 const MAX_MARKS: usize = 7;
-/// Number of different positions that the marks of a line can have. Each line has its own position, so that the marks of different lines do not
-/// overlap.
+/// Number of different positions that the marks of a line can have. Each line has its own position, so that the marks
+/// of different lines do not overlap.
 const MARK_POSITIONS: usize = 4;
 /// A line is interrupted between two values only if they are more than this number of columns apart.
 const MIN_GAP_COLUMNS: f64 = 12.0;
@@ -162,15 +162,16 @@ impl TimeSeries {
         warm_up.chain(borders).collect()
     }
 
-    /// Returns the medians of a stage as a line with marks; `number` is the index of the stage. For the total, `number` is `None`, and the line has
-    /// no marks, but a band that shows the range of the values.
+    /// Returns the medians of a stage as a line with marks; `number` is the index of the stage. For the total, `number`
+    /// is `None`, and the line has no marks, but a band that shows the range of the values.
     fn line_items(&self, plot: &Plot, line: &Line, number: Option<usize>) -> Vec<Item> {
         let columns = columns(&line.values, plot.x.scale.ends(), MAX_COLUMNS);
         let x = |column: &Column| (column.number as f64 + 0.5) / MAX_COLUMNS as f64;
         let y = |value: f64| plot.y_share(value * self.unit.per_si);
         let steps: SortedValues =
             columns.windows(2).map(|pair| (pair[1].number - pair[0].number) as f64).collect();
-        // If there are few values, their columns are far apart even without a gap in time. The limit therefore grows with the median distance.
+        // If there are few values, their columns are far apart even without a gap in time. The limit therefore grows
+        // with the median distance.
         let max_step = (4.0 * steps.median().unwrap_or_default()).max(MIN_GAP_COLUMNS);
         let pieces = || columns.chunk_by(|a, b| (b.number - a.number) as f64 <= max_step);
         let medians = pieces()

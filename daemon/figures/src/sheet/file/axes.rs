@@ -45,7 +45,8 @@ pub(super) fn draw(svg: &mut Writer, plot: &Plot, area: &Area) {
     text(svg, &title, (EDGE, baseline), (TEXT, INK_2.light, Anchor::Start));
 }
 
-/// Returns the full title of the vertical axis. If the full title is too wide, its note on a logarithmic scale is shortened.
+/// Returns the full title of the vertical axis. If the full title is too wide, its note on a logarithmic scale is
+/// shortened.
 fn y_title(axis: &Axis, room: f64) -> String {
     let full = axis.full_title();
     if width(&full, TEXT) > room && axis.scale.is_logarithmic() {

@@ -30,8 +30,8 @@ pub(super) fn items(svg: &mut Writer, items: &[Item], area: &Area) {
     }
 }
 
-/// Returns the left upper and the right lower corner of a rectangle. If the rectangle is narrower or lower than the minimum, it is extended to
-/// the right or upwards.
+/// Returns the left upper and the right lower corner of a rectangle. If the rectangle is narrower or lower than the
+/// minimum, it is extended to the right or upwards.
 fn with_min_size([a, b]: [(f64, f64); 2], (min_width, min_height): (f64, f64)) -> [(f64, f64); 2] {
     let (left, right) = (a.0.min(b.0), a.0.max(b.0));
     let (top, bottom) = (a.1.min(b.1), a.1.max(b.1));

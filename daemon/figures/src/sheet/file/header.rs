@@ -15,7 +15,8 @@ const BASELINE: f64 = 7.5;
 const SAMPLE: f64 = 13.5;
 /// Width of the sample of a line with long dashes, points. It is wider, so that a gap is visible on each side of the mark.
 const LONG_SAMPLE: f64 = 22.0;
-/// Distance from a sample of the legend to its words, points. The distance from the words to the next sample is twice as long.
+/// Distance from a sample of the legend to its words, points. The distance from the words to the next sample is twice
+/// as long.
 const GAP: f64 = 3.0;
 /// Half the height of the sample of an area, points.
 const HALF_HEIGHT: f64 = 3.0;
@@ -52,7 +53,8 @@ pub(super) fn height(figure: &Figure) -> f64 {
     ABOVE + LINE * (caption_lines + line_count(&figure.legend)) as f64 + 1.5
 }
 
-/// Returns the caption: the title and the number of values. If they do not fit into a line, returns the title alone, shortened.
+/// Returns the caption: the title and the number of values. If they do not fit into a line, returns the title alone,
+/// shortened.
 fn caption(figure: &Figure) -> String {
     let (room, caption) = (WIDTH - 2.0 * EDGE, figure.caption());
     if width(&caption, TEXT) <= room { caption } else { shorten(&figure.title, TEXT, room) }

@@ -64,7 +64,8 @@ pub(super) struct Places {
     pub(super) plots: Vec<Area>,
 }
 
-/// Returns the areas of the plots of a figure. A kind of figure that searches for free places needs the areas before it adds items.
+/// Returns the areas of the plots of a figure. A kind of figure that searches for free places needs the areas before it
+/// adds items.
 pub fn areas(figure: &Figure) -> Vec<Area> {
     Places::of(figure).plots
 }
@@ -153,7 +154,8 @@ pub(super) fn y_ticks(plot: &Plot, height: f64) -> Vec<Tick> {
 /// Returns the type size of the labels of the vertical axis.
 pub(super) fn y_label_size(plot: &Plot) -> f64 {
     let Marks::Names(ticks) = &plot.y.marks else { return TEXT };
-    let is_close = matches!(plot.height, Height::Points(height) if height < ticks.len() as f64 * MIN_NAME_DISTANCE);
+    let is_close =
+        matches!(plot.height, Height::Points(height) if height < ticks.len() as f64 * MIN_NAME_DISTANCE);
     let is_long = ticks.iter().any(|tick| width(&tick.text, TEXT) > MAX_NAME_WIDTH);
     if is_close || is_long { SMALL } else { TEXT }
 }

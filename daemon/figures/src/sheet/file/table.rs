@@ -43,7 +43,12 @@ pub(super) fn draw(svg: &mut Writer, table: &Table, top: f64) {
     }
     for (number, (name, (_, cells))) in (1..).zip(names.iter().zip(&table.lines)) {
         let baseline = baseline(number);
-        text(svg, &number.to_string(), (EDGE + NUMBER_WIDTH - 3.5, baseline), (SMALL, INK.light, Anchor::End));
+        text(
+            svg,
+            &number.to_string(),
+            (EDGE + NUMBER_WIDTH - 3.5, baseline),
+            (SMALL, INK.light, Anchor::End),
+        );
         text(svg, name, (EDGE + NUMBER_WIDTH, baseline), (SMALL, INK.light, Anchor::Start));
         for (cell, end) in cells.iter().zip(&ends) {
             text(svg, cell, (*end, baseline), (SMALL, INK.light, Anchor::End));

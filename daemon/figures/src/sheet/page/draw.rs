@@ -74,14 +74,15 @@ fn draw_item(svg: &mut Writer, item: &Item) {
     }
 }
 
-/// Opens a nested `<svg>` whose origin is at a place, which is given as shares of the plot. Lengths in the nested `<svg>` are pixels, and items
-/// beyond its ends are visible.
+/// Opens a nested `<svg>` whose origin is at a place, which is given as shares of the plot. Lengths in the nested
+/// `<svg>` are pixels, and items beyond its ends are visible.
 fn open_at(svg: &mut Writer, x: f64, y: f64) {
     svg.element(Tag::Svg).set("class", "at").set("x", Share(x)).set("y", Share(y)).open();
 }
 
-/// Draws a line. If an end has an offset in points (`dx`, `dy`), the line is drawn in a nested `<svg>`, because one attribute cannot add a share
-/// and an offset. Offsets along an upright or a horizontal line, and all offsets of a slanted line, are ignored.
+/// Draws a line. If an end has an offset in points (`dx`, `dy`), the line is drawn in a nested `<svg>`, because one
+/// attribute cannot add a share and an offset. Offsets along an upright or a horizontal line, and all offsets of a
+/// slanted line, are ignored.
 fn draw_line(svg: &mut Writer, [from, to]: [At; 2], style: &Style) {
     let has_offset = [from, to].iter().any(|at| at.dx != 0.0 || at.dy != 0.0);
     if !has_offset {
@@ -152,8 +153,8 @@ pub(super) fn draw_label(svg: &mut Writer, label: &Label) {
     }
 }
 
-/// Adds the class of a style and, if it is below 1, the opacity of the style's fill. The opacity represents a number, so that no class can set
-/// it.
+/// Adds the class of a style and, if it is below 1, the opacity of the style's fill. The opacity represents a number,
+/// so that no class can set it.
 fn styled<'a>(element: Attributes<'a>, style: &Style) -> Attributes<'a> {
     let opacity = style.fill.map(|fill| fill.opacity).filter(|opacity| *opacity < 1.0);
     element.set("class", &*style.class).set_optional("fill-opacity", opacity)
