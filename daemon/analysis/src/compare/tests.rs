@@ -12,8 +12,8 @@ mod defects;
 mod names;
 mod qualities;
 
-/// Returns a run in which every stage takes the given time within a microsecond, and the total 1 ms more; `None` for a stage that did not
-/// take place. Milliseconds.
+/// Returns a run in which every stage takes the given time, in milliseconds, to within a microsecond, and the total
+/// takes 1 ms more than the stages together. A stage of which the time is `None` did not take place.
 fn run(folder: &str, [sensing, upload, inference, download]: [Option<f64>; 4]) -> Loaded {
     let row = |number: u64| {
         let about = |millis: f64| millis / 1e3 + if number.is_multiple_of(2) { 1e-6 } else { -1e-6 };
@@ -338,7 +338,7 @@ fn edges_of_one_run_are_not_repeats() {
     assert!(text.contains("edges") && !text.contains("Repeats are"), "{text}");
     assert!(text.contains("2 edges."), "{text}");
 
-    // They are not split either if other runs are compared with them.
+    // The edges share one line, too, if other runs are compared with them.
     runs.extend([edge("user-1", 1, "e/runs/2/user-1"), edge("user-2", 1, "e/runs/2/user-2")]);
     runs.push(with_model("s", "cpu", None, run("alone", [Some(1.0), None, Some(2.0), None])));
     let mixed = Comparison::new(&runs);

@@ -58,7 +58,7 @@ fn scores_of_detections_are_shown_beside_latency() {
 fn success_and_return_are_shown_beside_latency() {
     let mut runs = paper();
     runs[1].rows.change(|row| {
-        // An episode of five iterations, of which each second one succeeds; the last iteration of one was lost.
+        // Episodes of five iterations. Every second episode succeeds, and the last iteration of one episode is lost.
         if row.iteration % 5 == 0 {
             row.values.push(("episode-success".into(), f64::from(u8::from(row.iteration % 10 == 0))));
             row.values.push(("episode-return".into(), 2.5));

@@ -48,8 +48,8 @@ fn reported_step_starts_new_window_at_once() {
                 ExchangeObservation { edge_epoch, cloud_epoch: Some(cloud_epoch), ..trip.observation() }
             });
             assert_eq!(relation.window_number(), 1);
-            // After a clock was set back by some seconds, it takes as many to know which exchanges began after the
-            // step.
+            // After a clock was set back by some seconds, it takes as many seconds to know which exchanges began after
+            // the step.
             let limit =
                 if by.abs() < Span::from_seconds(10) { by.abs().seconds().min(2.0) + 0.3 } else { 0.3 };
             assert!(recovery_time.is_some_and(|after| after < limit), "{by} {recovery_time:?}");
