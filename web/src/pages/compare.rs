@@ -7,7 +7,7 @@ use axum::http::HeaderMap;
 use axum::http::header::HOST;
 use axum::routing::get;
 use peernet_analysis::compare::{MIN_BATCHES, MIN_VALUES};
-use peernet_statistics::number::NONE;
+use peernet_statistics::number::{NONE, count};
 use peernet_store::ExperimentSummary;
 
 use super::kind::{NavigationEntry, PageKind};
@@ -162,14 +162,18 @@ fn assemble(
     let (stacks, axes) = stacks(comparison, best);
     let (boxes, boxes_axes) = boxes(comparison);
     let (pairs, pairs_axes) = pairs(comparison);
-    let runs = comparison.runs().count();
+    let (runs, stored_runs) = (comparison.run_count(), comparison.runs().count());
     let crumb = match &comparison.experiment {
         Some((name, _)) => format!("experiment {name}"),
         None => counted(runs, "run", "runs"),
     };
     let mut facts = common_pipeline(comparison);
     facts.push(counted(comparison.configurations.len(), "configuration", "configurations"));
-    facts.push(counted(runs, "run", "runs"));
+    let run_count = counted(runs, "run", "runs");
+    facts.push(match stored_runs == runs {
+        true => run_count,
+        false => format!("{run_count}, stored as {}: one for each edge", count(stored_runs as u64)),
+    });
     facts.push("successful iterations, warm-up left out".to_owned());
     Compare {
         shell: Shell { title: format!("Compare {crumb}"), ..shell },

@@ -70,12 +70,8 @@ pub(crate) fn caveats(comparison: &Comparison) -> Vec<(Chip, String)> {
 /// run each, but the tables of `peernet compare` show them as one run. Its name contains all their numbers: `#11 +
 /// #12`.
 fn name_with_other_edges(comparison: &Comparison, configuration: &Configuration, run: &RunSummary) -> String {
-    let is_same = |other: &&RunSummary| {
-        let is_other_edge = comparison.experiment.is_some() && other.experiment == run.experiment;
-        other.number == run.number || is_other_edge
-    };
     let numbers: Vec<String> =
-        configuration.runs.iter().filter(is_same).map(|other| format!("#{}", other.number)).collect();
+        comparison.edges_of_run(configuration, run).map(|edge| format!("#{}", edge.number)).collect();
     numbers.join(" + ")
 }
 
@@ -171,8 +167,10 @@ mod tests {
         two.experiment = Some(("users".to_owned(), "x".to_owned()));
         let text = |two: &Comparison| caveats(two)[0].1.clone();
         assert!(text(&two).starts_with("2 of 2 runs cannot be published: #11 + #12 ("), "{}", text(&two));
+        assert_eq!((two.run_count(), two.runs().count()), (2, 4));
         two.experiment = None;
         assert!(text(&two).starts_with("4 of 4 runs cannot be published: #11 ("), "{}", text(&two));
+        assert_eq!(two.run_count(), 4);
     }
 
     #[test]

@@ -198,7 +198,31 @@ impl Comparison {
         self.statistics_by_run.get(&run)?.summary(name)
     }
 
-    /// Returns all runs, configuration by configuration.
+    /// Returns the number of compared runs. Stored runs of edges that measured at the same time in an experiment are one run, as in the tables of
+    /// files.
+    pub(crate) fn run_count(&self) -> usize {
+        let firsts = |one: &Configuration| {
+            let is_first = |run: &&RunSummary| {
+                self.edges_of_run(one, run).next().is_some_and(|edge| edge.number == run.number)
+            };
+            one.runs.iter().filter(is_first).count()
+        };
+        self.configurations.iter().map(firsts).sum()
+    }
+
+    /// Returns the stored runs of all edges that measured at the same time as the edge of `run`: only `run` if it is not of an experiment.
+    pub(crate) fn edges_of_run<'a>(
+        &self,
+        configuration: &'a Configuration,
+        run: &RunSummary,
+    ) -> impl Iterator<Item = &'a RunSummary> {
+        let place = run.experiment.as_ref().filter(|_| self.experiment.is_some());
+        configuration.runs.iter().filter(move |other| {
+            other.number == run.number || (place.is_some() && other.experiment.as_ref() == place)
+        })
+    }
+
+    /// Returns all stored runs, configuration by configuration.
     pub(crate) fn runs(&self) -> impl Iterator<Item = &RunSummary> {
         self.configurations.iter().flat_map(|one| &one.runs)
     }
