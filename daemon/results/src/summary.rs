@@ -6,12 +6,13 @@ use peernet_analysis::accuracy::{ACCURACIES, UNKNOWN_LABEL};
 use peernet_analysis::actuator_results::{ACTION_REPORTS, EPISODE_SUCCESS, SUPERSEDED};
 use peernet_analysis::compare::replayed_configurations;
 use peernet_analysis::deadline::DEADLINE_MISSED;
+use peernet_analysis::outcomes::failed_texts;
 use peernet_analysis::record::{ClockCounts, Counts};
 use peernet_analysis::rows::{SKIPPED_STARTS, Units};
 use peernet_analysis::summary::{Quantity, Scale, Summary};
 use peernet_analysis::table::{Table, csv_text, decimals_of, interval};
 use peernet_analysis::trust::Starts;
-use peernet_statistics::number::{bound_ms, column_decimals, duration, fixed, percent};
+use peernet_statistics::number::{bound_ms, column_decimals, count, duration, fixed, percent};
 
 /// Text for an unknown value.
 const UNKNOWN: &str = "—";
@@ -187,17 +188,12 @@ fn number_format(scale: Scale, quantity: &Quantity, digits: Digits) -> impl Fn(f
 
 /// Returns the sentence about the outcomes of the iterations.
 fn outcomes(counts: &Counts) -> String {
-    let other_outcomes = [
-        (counts.failed, "failed"),
-        (counts.lost, "lost"),
-        (counts.timeout, "without an answer in time"),
-        (counts.warm_up, "warm-up, left out"),
-        (counts.unseen, "measured but not recorded"),
-    ];
-    let succeeded = std::iter::once((counts.ok, "succeeded"));
-    let outcomes = succeeded.chain(other_outcomes.into_iter().filter(|(count, _)| *count > 0));
-    let texts: Vec<String> =
-        outcomes.map(|(count, outcome)| format!("{} {outcome}", fixed(count as f64, 0))).collect();
+    let others = [(counts.warm_up, "warm-up, left out"), (counts.unseen, "measured but not recorded")];
+    let others = others.into_iter().filter(|(number, _)| *number > 0);
+    let texts: Vec<String> = std::iter::once(format!("{} succeeded", count(counts.ok)))
+        .chain(failed_texts(&counts.outcomes()))
+        .chain(others.map(|(number, text)| format!("{} {text}", count(number))))
+        .collect();
     format!("Iterations: {}.", texts.join("; "))
 }
 

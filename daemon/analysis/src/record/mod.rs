@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use chrono::{DateTime, Utc};
 use peernet_clock::WallTime;
 use peernet_logger::{HostId, RunId};
-use peernet_stream::{Condition, EndReason, ExperimentPlace, Hardware, PlacementKind};
+use peernet_stream::{Condition, EndReason, ExperimentPlace, Hardware, OutcomeCounts, PlacementKind};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -222,6 +222,11 @@ impl Counts {
     /// Returns the number of failed iterations, of any outcome but `ok`, without the warm-up.
     pub const fn all_failed(&self) -> u64 {
         self.failed + self.lost + self.timeout
+    }
+
+    /// Returns the numbers of iterations by outcome, without the warm-up.
+    pub const fn outcomes(&self) -> OutcomeCounts {
+        OutcomeCounts { ok: self.ok, failed: self.failed, lost: self.lost, timeout: self.timeout }
     }
 }
 

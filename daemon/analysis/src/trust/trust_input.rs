@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use peernet_clock::{OneWayDelay, Verdict};
 use peernet_logger::{Name, stage};
 use peernet_statistics::{Summary, TwoModes};
-use peernet_stream::{Condition, EndReason, FaultyHost};
+use peernet_stream::{Condition, EndReason, FaultyHost, OutcomeCounts};
 
 use super::{
     DRAWN_LATENCY_COLUMN, EndedEarly, OVERRUN_COLUMN, ReplayedLatencies, Restarts, Starts, TimeSeries,
@@ -203,6 +203,11 @@ impl Counts {
     /// Returns the number of failed iterations, of any outcome but `ok`, without the warm-up.
     pub const fn all_failed(&self) -> u64 {
         self.failed + self.lost + self.timeout
+    }
+
+    /// Returns the numbers of iterations by outcome, without the warm-up.
+    pub const fn outcomes(&self) -> OutcomeCounts {
+        OutcomeCounts { ok: self.ok, failed: self.failed, lost: self.lost, timeout: self.timeout }
     }
 }
 

@@ -62,6 +62,16 @@ fn missed_deadlines_are_share_of_all_iterations() {
 }
 
 #[test]
+fn failed_iterations_have_words_of_finding_on_losses() {
+    let mut rows = rows(10);
+    (rows[8].outcome, rows[9].outcome) = (Outcome::Failed, Outcome::Timeout);
+    let text = text(&Summary::from_rows(&kept(&rows)));
+    let sentence = "Iterations: 5 succeeded; 1 with an error of sensor, model or actuator; 1 lost; 1 timed out; \
+                    2 warm-up, left out.";
+    assert!(text.contains(sentence), "{text}");
+}
+
+#[test]
 fn episodes_are_reported_below_table() {
     let mut rows = rows(20);
     for row in &mut rows {

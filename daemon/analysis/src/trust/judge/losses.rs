@@ -5,6 +5,7 @@ use peernet_statistics::number::{counted, fixed, rate};
 use peernet_stream::Grade;
 
 use super::{END, finding, iterations, percent, with_advice};
+use crate::outcomes::failed_texts;
 use crate::trust::{Counts, EndedEarly, Finding, MissingCount, MissingEvents, Starts, TrustInput};
 
 /// A finding about failed iterations, skipped starts or superseded answers is doubtful if their share is above this
@@ -96,14 +97,7 @@ fn judge_amount(counts: &Counts) -> Finding {
 
 fn judge_failed(counts: &Counts) -> Finding {
     let about = "losses";
-    let outcomes = [
-        (counts.failed, "with an error of sensor, model or actuator"),
-        (counts.lost, "lost"),
-        (counts.timeout, "timed out"),
-    ];
-    let occurred = outcomes.iter().filter(|(count, _)| *count > 0);
-    let outcome_texts: Vec<String> =
-        occurred.map(|(count, outcome)| format!("{} {outcome}", fixed(*count as f64, 0))).collect();
+    let outcome_texts = failed_texts(&counts.outcomes());
     let share = counts.all_failed() as f64 / counts.measured() as f64;
     if outcome_texts.is_empty() {
         return finding(about, Grade::Good, "No iteration failed.");
