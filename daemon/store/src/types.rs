@@ -136,6 +136,8 @@ pub struct GapRow {
     pub count: u64,
     /// Reason for the loss.
     pub reason: String,
+    /// Number of gaps that are combined in this row: 1, or more after the first 1,000 gaps of a run.
+    pub gaps: u64,
 }
 
 /// Distribution of one node name over a run, in bins of equal width.
@@ -167,7 +169,7 @@ pub struct Series {
     pub bucket_s: u32,
     /// One entry per name that has samples, in the requested order.
     pub stages: Vec<StageSeries>,
-    /// Missing events, oldest first.
+    /// Missing events, oldest first, without combined gaps: events between them were recorded.
     pub gaps: Vec<GapRow>,
 }
 

@@ -4,13 +4,13 @@ use peernet_aggregator::LiveState;
 use peernet_analysis::outcomes::failed_share;
 use peernet_analysis::trust::MissingCount;
 use peernet_clock::WallTime;
-use peernet_statistics::number::{NONE, count, length, milliseconds, percent};
+use peernet_statistics::number::{NONE, count, counted, length, milliseconds, percent};
 use peernet_store::{GapRow, RetentionConfig, RunSummary};
 use peernet_stream::ExperimentPlace;
 
 use super::chip::{Chip, Tone};
 use super::notes::Note;
-use super::{clock_fault, counted, place};
+use super::{clock_fault, place};
 use crate::error::WebError;
 use crate::zone::{Zone, ZonedTime};
 
@@ -139,7 +139,8 @@ pub(crate) fn gap_notes(gaps: &[GapRow], zone: Zone) -> Vec<Note> {
         let was = if missing.known == 1 && !missing.is_incomplete { "was" } else { "were" };
         let subject = format!("{} of this run", missing.sentence_start());
         let [from, to] = [from, to].map(|at| zone.moment(at).clock());
-        let gaps = counted(gaps_of_reason().count(), "gap", "gaps");
+        let gaps: u64 = gaps_of_reason().map(|gap| gap.gaps).sum();
+        let gaps = counted(gaps, "gap");
         Some(Note {
             chip: Chip::new(Tone::Warn, "gap", "gap"),
             subject,
@@ -201,6 +202,7 @@ mod tests {
             to: samples::NOW + Span::from_seconds(after + 5),
             count,
             reason: reason.to_owned(),
+            gaps: 1,
         };
         let gaps =
             [gap(60, 849, "no room"), gap(0, 40_000, "no room"), gap(30, 0, "batches 3 to 9 are missing")];
@@ -224,6 +226,9 @@ mod tests {
             ]
         );
         assert!(gap_notes(&[], Zone::Utc).is_empty());
+        let combined = GapRow { gaps: 500, ..gap(60, 5_000, "no room") };
+        let notes = gap_notes(&[gap(0, 10, "no room"), combined], Zone::Utc);
+        assert!(notes[0].text.ends_with("in 501 gaps)."), "{}", notes[0].text);
     }
 
     #[test]

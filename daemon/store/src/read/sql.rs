@@ -90,9 +90,9 @@ statements! {
                    FROM run WHERE run.experiment IS NOT NULL GROUP BY run.experiment ->> 'id' \
                    ORDER BY newest DESC LIMIT ?1";
     /// ?1 run.
-    GAPS = "SELECT from_ns, to_ns, count, reason FROM gap WHERE run = ?1 ORDER BY from_ns LIMIT 1000";
+    GAPS = "SELECT from_ns, to_ns, count, reason, 1 FROM gap WHERE run = ?1 ORDER BY from_ns LIMIT 1000";
     // Gaps of unknown size, whose count is 0, stay apart from the others.
-    FURTHER_GAPS = "SELECT min(from_ns), max(to_ns), sum(count), reason FROM \
+    FURTHER_GAPS = "SELECT min(from_ns), max(to_ns), sum(count), reason, count(*) FROM \
         (SELECT from_ns, to_ns, count, reason FROM gap WHERE run = ?1 ORDER BY from_ns LIMIT -1 OFFSET 1000) \
         GROUP BY reason, count = 0 ORDER BY min(from_ns)";
     /// Summaries of one name over whole runs: ?1 the runs, a JSON array, ?2 name.

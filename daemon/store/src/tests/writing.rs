@@ -321,6 +321,9 @@ async fn missing_events_of_all_gaps_are_counted() {
     );
     let (stored, _) = committed.hosts[&test_store.edge];
     assert_eq!((stored.gaps, stored.missing), (1_500, missing), "as in the list of hosts");
+    assert_eq!(gaps.iter().map(|gap| gap.gaps).sum::<u64>(), 1_500);
+    let series = test_store.store.series(1, &[], 240).await.expect("answers");
+    assert_eq!(series.gaps.len(), 1_000, "the time of combined gaps is not one gap");
 }
 
 #[tokio::test]

@@ -146,11 +146,19 @@ pub(crate) struct Gap {
     /// Number of missing events; 0 if unknown.
     pub count: u64,
     pub reason: String,
+    /// Number of gaps that are combined in this entry: 1, or more after the first 1,000 gaps of a run.
+    pub gaps: u64,
 }
 
 impl From<&store::GapRow> for Gap {
     fn from(gap: &store::GapRow) -> Self {
-        Self { from: time(gap.from), to: time(gap.to), count: gap.count, reason: gap.reason.clone() }
+        Self {
+            from: time(gap.from),
+            to: time(gap.to),
+            count: gap.count,
+            reason: gap.reason.clone(),
+            gaps: gap.gaps,
+        }
     }
 }
 

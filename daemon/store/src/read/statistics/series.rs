@@ -28,7 +28,10 @@ pub(crate) async fn series(
     let (width_s, stored_width_s) = stored.choose(max_points);
     let bucket_s = u32::try_from(width_s).unwrap_or(u32::MAX);
     let stages = points(readers, run, stages, (width_s, stored_width_s)).await?;
-    Ok(Series { bucket_s, stages, gaps: runs::gaps(readers, run).await? })
+    let mut gaps = runs::gaps(readers, run).await?;
+    // A chart marks the time of each gap. Between combined gaps, events were recorded.
+    gaps.retain(|gap| gap.gaps == 1);
+    Ok(Series { bucket_s, stages, gaps })
 }
 
 /// State of one stored width.

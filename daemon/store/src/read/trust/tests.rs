@@ -172,7 +172,13 @@ fn missing_events_count_in_rate_as_in_results() {
         let (first, last) = (NOW, NOW + Span::from_seconds(299));
         run.summary.last_iteration = Some(last);
         if missing > 0 {
-            run.gaps.push(GapRow { from: first, to: last, count: missing, reason: "full".to_owned() });
+            run.gaps.push(GapRow {
+                from: first,
+                to: last,
+                count: missing,
+                reason: "full".to_owned(),
+                gaps: 1,
+            });
         }
         let stored = collect(&run, times(&run), &RunStatistics::default(), &[]).starts;
         let of_files = TrustInput::from_run(&record(missing), &rows).starts;
@@ -184,7 +190,13 @@ fn missing_events_count_in_rate_as_in_results() {
 #[test]
 fn unknown_number_of_missing_events_is_not_reported() {
     let mut run = detail("[limit]\niterations = 400\n", "stopped");
-    let gap = |count| GapRow { from: NOW, to: NOW + Span::from_seconds(1), count, reason: "full".to_owned() };
+    let gap = |count| GapRow {
+        from: NOW,
+        to: NOW + Span::from_seconds(1),
+        count,
+        reason: "full".to_owned(),
+        gaps: 1,
+    };
     run.gaps = vec![gap(100)];
     assert_eq!(end_finding(&run), None, "measured, though not stored");
     run.gaps = vec![gap(0)];
