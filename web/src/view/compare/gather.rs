@@ -1,7 +1,7 @@
 //! Loading of the runs of a comparison, and of the settings in which they differ.
 
 use std::cmp::Ordering;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use futures::{StreamExt, TryStreamExt};
@@ -9,7 +9,7 @@ use peernet_analysis::compare::{Column, compare_places, group_by_labels, model_c
 use peernet_analysis::run_selection::{Candidate, Exclusion, exclusions};
 use peernet_analysis::trust::{ReplayedLatencies, Report};
 use peernet_store::{MergeableStatistics, RunDetail, RunStatistics, RunSummary, Store};
-use peernet_stream::{ExperimentPlace, Placement};
+use peernet_stream::ExperimentPlace;
 
 use super::differences::CONCURRENT_READS;
 use super::differing::DifferingSettings;
@@ -101,15 +101,14 @@ pub(crate) async fn load_comparison(
                 )));
             };
             let (runs, left_out) = select_runs(runs);
-            // The summary of an experiment's run has all details but the facts of the model, which are queried below.
+            // The facts of these runs are loaded below, when each run is judged.
             let details = runs.into_iter().map(RunDetail::from).collect();
             (Some((experiment.name, experiment.id)), details, left_out, is_truncated)
         }
     };
     let numbers: Vec<i64> = details.iter().map(|detail| detail.summary.number).collect();
     let statistics = store.statistics(&numbers).await?;
-    let (trust_by_run, replayed_by_run) = trust_reports(store, &numbers).await?;
-    let computing_placements = ComputingPlacements::load(store, &details).await?;
+    let JudgedRuns { trust_by_run, replayed_by_run, echo_runs } = JudgedRuns::load(store, &numbers).await?;
     let DifferingSettings { axes, axis_values, other_settings, names_of_long_settings } =
         if experiment.is_some() {
             DifferingSettings::of_experiment(&details)
@@ -150,7 +149,7 @@ pub(crate) async fn load_comparison(
     );
     let configurations = groups.into_iter().zip(names).map(|(group, name)| {
         let RunStatistics { stages, bounds, mergeable } = RunStatistics::merged(&group.statistics);
-        let model_computes = group.runs.iter().all(|run| computing_placements.model_computes(run));
+        let model_computes = group.runs.iter().all(|run| !echo_runs.contains(&run.number));
         Configuration {
             name,
             values: group.values,
@@ -177,21 +176,35 @@ pub(crate) async fn load_comparison(
     })
 }
 
-/// Judges whether each run can be published. A run that was deleted in the meantime has no report. Also returns the replayed latencies
-/// of the runs that have them.
-async fn trust_reports(
-    store: &Store,
-    runs: &[i64],
-) -> Result<(HashMap<i64, Report>, HashMap<i64, ReplayedLatencies>), WebError> {
-    let judge = |run: i64| async move {
-        let Some(detail) = store.run(run).await? else { return Ok::<_, WebError>(None) };
-        let input = store.trust_input(&detail).await?;
-        Ok(Some((run, Report::new(&input), input.replayed_latencies())))
-    };
-    let judged = futures::stream::iter(runs.iter().copied()).map(judge).buffered(CONCURRENT_READS);
-    let judged: Vec<_> = judged.try_filter_map(|run| async move { Ok(run) }).try_collect().await?;
-    let replayed = judged.iter().filter_map(|(run, _, replayed)| Some((*run, replayed.clone()?))).collect();
-    Ok((judged.into_iter().map(|(run, report, _)| (run, report)).collect(), replayed))
+/// What the details of each run say, by its number. A run that was deleted in the meantime is absent.
+struct JudgedRuns {
+    /// Report on whether the run can be published.
+    trust_by_run: HashMap<i64, Report>,
+    /// Replayed latencies of the runs that have them.
+    replayed_by_run: HashMap<i64, ReplayedLatencies>,
+    /// Runs whose model only returns its input.
+    echo_runs: HashSet<i64>,
+}
+
+impl JudgedRuns {
+    async fn load(store: &Store, runs: &[i64]) -> Result<Self, WebError> {
+        let judge = |run: i64| async move {
+            let Some(detail) = store.run(run).await? else { return Ok::<_, WebError>(None) };
+            let input = store.trust_input(&detail).await?;
+            let report = Report::new(&input);
+            Ok(Some((run, report, input.replayed_latencies(), model_computes(&detail.facts))))
+        };
+        let judged = futures::stream::iter(runs.iter().copied()).map(judge).buffered(CONCURRENT_READS);
+        let judged: Vec<_> = judged.try_filter_map(|run| async move { Ok(run) }).try_collect().await?;
+        Ok(Self {
+            replayed_by_run: judged
+                .iter()
+                .filter_map(|(run, _, replayed, _)| Some((*run, replayed.clone()?)))
+                .collect(),
+            echo_runs: judged.iter().filter(|(.., computes)| !computes).map(|(run, ..)| *run).collect(),
+            trust_by_run: judged.into_iter().map(|(run, report, ..)| (run, report)).collect(),
+        })
+    }
 }
 
 /// Splits the runs of an experiment into compared runs, in their order, and excluded runs.
@@ -206,33 +219,6 @@ fn select_runs(runs: Vec<RunSummary>) -> (Vec<RunSummary>, Vec<ExcludedRun>) {
     let selected =
         runs.into_iter().zip(exclusion_by_run).filter(|(_, why)| why.is_none()).map(|(run, _)| run);
     (selected.collect(), left_out)
-}
-
-/// Placements of models, each with `true` if the model computes. An echo model does not compute.
-struct ComputingPlacements(Vec<(Placement, bool)>);
-
-impl ComputingPlacements {
-    /// Queries one run of each placement, because summaries of runs do not contain the facts of the model.
-    async fn load(store: &Store, runs: &[RunDetail]) -> Result<Self, WebError> {
-        let mut placements: Vec<(Placement, bool)> = Vec::new();
-        for run in runs {
-            if placements.iter().any(|(placement, _)| *placement == run.summary.placement) {
-                continue;
-            }
-            let facts = match run.facts.is_empty() {
-                true => store.run(run.summary.number).await?.map(|detail| detail.facts).unwrap_or_default(),
-                false => run.facts.clone(),
-            };
-            placements.push((run.summary.placement.clone(), model_computes(&facts)));
-        }
-        Ok(Self(placements))
-    }
-
-    /// Returns whether the model of a run computes. An unknown placement counts as computing.
-    fn model_computes(&self, run: &RunSummary) -> bool {
-        let entry = self.0.iter().find(|(placement, _)| *placement == run.placement);
-        entry.is_none_or(|(_, model_computes)| *model_computes)
-    }
 }
 
 /// Runs of one configuration.
