@@ -33,7 +33,7 @@ async fn every_page_is_complete_without_script() {
         ("/links/cam-3~rack-a?range=1h&offset=measured", "clock offset of rack-a, ms"),
         ("/links/cam-3~rack-a?range=24h", "in-band, 6,120 exchanges"),
         ("/hosts", "4 hosts, all connected"),
-        ("/hosts", "produced = acknowledged + waiting + lost"),
+        ("/hosts", "produced = acknowledged + waiting + dropped"),
         ("/hosts/cam-1", "In the database"),
         ("/hosts/cam-2", "within ±2.1\u{202f}ms of true time"),
         ("/hosts/cam-2", "1 model loaded, 96"),

@@ -113,7 +113,7 @@ async fn agent_and_aggregator_counts_agree_when_idle() {
     }
     assert_eq!(all, live_state.totals.stored.events);
     let page = dashboard.get("/hosts/cam-2").await;
-    assert!(page.text().contains("produced = acknowledged + waiting + lost"), "{}", page.text());
+    assert!(page.text().contains("produced = acknowledged + waiting + dropped"), "{}", page.text());
 }
 
 /// Sends a request to pin (PUT) or unpin (DELETE) a run. `site` is the header `Sec-Fetch-Site` of a browser.
