@@ -19,11 +19,11 @@ const DURATION_COLUMNS: [&str; 19] = [
     "queue",
     "batch-wait",
     "ipc",
-    "capture-ipc",
+    "capture_capture-ipc",
     "restart",
-    "capture-restart",
-    "actuation-ipc",
-    "actuation-restart",
+    "capture_capture-restart",
+    "actuation_actuation-ipc",
+    "actuation_actuation-restart",
     "actuation",
 ];
 
@@ -45,16 +45,21 @@ pub enum Scale {
 
 impl Scale {
     /// Returns the scale of a column. The scale of a standard column follows from its name, the scale of another column from the unit that
-    /// was logged with its values.
+    /// was logged with its values. A second node with the name of a standard column, such as `upload_2`, has the scale of that column if no
+    /// unit was logged.
     pub fn for_column(column: &str, unit: Option<&str>) -> Self {
         let is_total = ["lateness", "total", "stages-total", "unattributed"].contains(&column);
         match column {
-            _ if is_total || DURATION_COLUMNS.contains(&node_name(column)) => Self::Milliseconds,
+            _ if is_total || DURATION_COLUMNS.contains(&column) => Self::Milliseconds,
             "upload-throughput" | "download-throughput" => Self::MegabytesPerSecond,
             "upload-bytes" | "download-bytes" | "upload-logger-bytes" | "download-logger-bytes" => {
                 Self::Bytes
             }
-            _ => unit.map_or(Self::AsMeasured, Self::for_unit),
+            _ => match unit {
+                Some(unit) => Self::for_unit(unit),
+                None if DURATION_COLUMNS.contains(&without_number(column)) => Self::Milliseconds,
+                None => Self::AsMeasured,
+            },
         }
     }
 
@@ -106,13 +111,11 @@ impl Scale {
     }
 }
 
-/// Returns the name of the node that a column belongs to, without the names of its parents and without an appended number.
-fn node_name(column: &str) -> &str {
+/// Returns the name of a column without an appended number.
+fn without_number(column: &str) -> &str {
     let column = column.strip_suffix(VALUE_SUFFIX).unwrap_or(column);
     let is_number = |last: &str| last.bytes().all(|byte| byte.is_ascii_digit());
-    let column =
-        column.rsplit_once('_').filter(|(_, last)| is_number(last)).map_or(column, |(front, _)| front);
-    column.rsplit_once('_').map_or(column, |(_, last)| last)
+    column.rsplit_once('_').filter(|(_, last)| is_number(last)).map_or(column, |(front, _)| front)
 }
 
 #[cfg(test)]
@@ -124,5 +127,15 @@ mod tests {
         assert_eq!(Scale::for_column("upload-bytes", None), Scale::Bytes);
         assert_eq!(Scale::for_column("crop-bytes", None), Scale::AsMeasured, "a plain number, as on pages");
         assert_eq!(Scale::for_column("crop-bytes", Some("B")), Scale::Bytes);
+    }
+
+    #[test]
+    fn nested_node_with_name_of_stage_has_logged_unit() {
+        assert_eq!(Scale::for_column("inference_queue", None), Scale::AsMeasured, "a length, for example");
+        assert_eq!(Scale::for_column("inference_queue", Some("s")), Scale::Milliseconds);
+        assert_eq!(Scale::for_column("upload_2", Some("B")), Scale::Bytes);
+        for column in ["queue", "upload_2", "capture_capture-ipc"] {
+            assert_eq!(Scale::for_column(column, None), Scale::Milliseconds, "{column}");
+        }
     }
 }
