@@ -110,6 +110,10 @@ async fn accuracy_is_drawn_against_the_median_of_the_total() {
     assert!(panel.contains(row), "{panel}");
     let html = page_of(vec![with(0, 0.7), configuration(1, Local, 2.0, 1e3)], false).await;
     assert!(!html.contains("Accuracy against latency"), "one point is no plot");
+    let mut without_total = with(1, 0.84);
+    without_total.stages.retain(|stage| !["total", "stages-total"].contains(&stage.stage.as_str()));
+    let html = page_of(vec![with(0, 0.7), without_total], false).await;
+    assert!(!html.contains("Accuracy against latency"), "the time of another stage is no total");
 }
 
 #[tokio::test]

@@ -53,7 +53,8 @@ pub(crate) fn qualities(comparison: &Comparison) -> Vec<QualityPlot> {
 
 fn plot(comparison: &Comparison, quality: Quality) -> Option<QualityPlot> {
     let score = |configuration: &Configuration| {
-        let (estimate, total) = (estimate(configuration, quality)?, comparison.total(configuration)?);
+        let estimate = estimate(configuration, quality)?;
+        let total = configuration.statistics(comparison.total_column.name())?;
         Some(Score { label: configuration.name.clone(), estimate, median: total.p50, p95: total.p95 })
     };
     let mut scores: Vec<Score> = comparison.configurations.iter().filter_map(score).collect();
