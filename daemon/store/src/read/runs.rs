@@ -129,14 +129,12 @@ async fn summaries(readers: &Readers, rows: &[RunRow]) -> Result<Vec<RunSummary>
     summaries.collect()
 }
 
-/// Returns the results of the actuators, for the runs that have one.
+/// Returns the results of the actuators. Runs without such results have the default. They count whoever logged them, as the columns of files do.
 async fn actuator_results(
     readers: &Readers,
     rows: &[RunRow],
 ) -> Result<HashMap<i64, ActuatorResults>, StoreError> {
-    // Only an actuator has the fact of this name. Searched in the text, because a list of runs has many facts.
-    let with_actuator = rows.iter().filter(|row| row.facts.contains("\"Actuator\""));
-    let numbers: Vec<i64> = with_actuator.map(|row| row.number).collect();
+    let numbers: Vec<i64> = rows.iter().map(|row| row.number).collect();
     if numbers.is_empty() {
         return Ok(HashMap::new());
     }

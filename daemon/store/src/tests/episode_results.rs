@@ -50,7 +50,7 @@ async fn episodes_count_whatever_their_last_iteration_was() {
         (found.success.expect("is reported"), found.episode_return.expect("is reported"));
     assert_eq!((success.episodes, (success.rate * 3.0).round(), returns.mean), (3, 2.0, 3.0));
     assert_eq!(found.superseded, 1, "that of the answered iteration");
-    assert_eq!(results(&test_store, 2).await, ActuatorResults::default(), "it has no actuator");
+    assert_eq!(results(&test_store, 2).await, found, "without an actuator, as the columns of files");
     let listed = test_store.store.runs(&crate::types::RunFilter::default()).await.expect("answers");
     assert_eq!(listed[1].actuator, found, "as in the list");
 
