@@ -6,6 +6,7 @@ use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use axum::routing::get;
 use peernet_analysis::actuator_results::ActuatorResults;
+use peernet_analysis::outcomes::failed_share;
 use peernet_analysis::trust::{DRAWN_LATENCY, MissingCount, OVERRUN, ReplayedLatencies, Report, Starts};
 use peernet_figures::drawing::View;
 use peernet_logger::stage;
@@ -339,7 +340,7 @@ fn assemble(
                 count(summary.counts.timeout),
                 count(summary.counts.failed)
             ),
-            runs::lost_share(summary)
+            failed_share(&summary.counts)
                 .map_or_else(|| NONE.to_owned(), |share| format!("{}{SPACE}%", percent(share))),
         ),
         missed: miss_rate_texts(summary),

@@ -152,11 +152,6 @@ pub(crate) fn gap_notes(gaps: &[GapRow], zone: Zone) -> Vec<Note> {
     notes.collect()
 }
 
-/// Returns the share of the iterations that failed, were lost or timed out, 0 to 1; `None` without iterations.
-pub(crate) fn lost_share(run: &RunSummary) -> Option<f64> {
-    failed_share(&run.counts)
-}
-
 /// Returns the end of the run, or the start of its last stored iteration if no end was reported.
 pub(crate) fn end_time(run: &RunSummary) -> Option<WallTime> {
     run.ended.or(run.last_iteration)
@@ -176,7 +171,7 @@ impl RunLine {
                 .map_or_else(|| NONE.to_owned(), |end| length((end - run.started).seconds())),
             end: End::of(run, snapshot, zone),
             iterations: count(run.counts.total()),
-            lost: lost_share(run).map_or_else(|| NONE.to_owned(), percent),
+            lost: failed_share(&run.counts).map_or_else(|| NONE.to_owned(), percent),
             p50: quantile(total.map(|total| total.p50)),
             p95: quantile(total.and_then(|total| total.p95)),
             p99: quantile(total.and_then(|total| total.p99)),

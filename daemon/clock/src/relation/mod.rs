@@ -121,14 +121,8 @@ impl Relation {
         self.counts
     }
 
-    /// Returns the number of the current window. A new window starts after a step, which invalidates all earlier
-    /// exchanges, and after a suspected jump.
-    pub const fn window_number(&self) -> u32 {
-        self.counts.restarts
-    }
-
-    /// Returns the skew that the exchanges of the current window prove. The proof holds whatever the delays of the
-    /// exchanges were. `None` without enough exchanges.
+    /// Returns the skew that the exchanges of the current window prove, whatever their delays were. `None` without
+    /// enough exchanges.
     pub fn proven_skew(&self) -> Option<ProvenSkew> {
         self.windows.current().proven_skew()
     }

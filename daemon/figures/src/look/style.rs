@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use super::colour::{BAD, GRID, INK, INK_2, INK_3, LINE_STRONG, ON_PALE, Rgb, SHADE, WHITE};
+use super::colour::{BAD, GRID, INK, INK_2, LINE_STRONG, ON_PALE, Rgb, SHADE, WHITE};
 use super::hatch::Hatch;
 use super::mark::Mark;
 
@@ -193,8 +193,6 @@ impl TextStyle {
     pub const BEYOND: Self = Self { class: "beyond", colour: INK_2.light, halo: true };
     /// Text on a pale fill.
     pub const ON_PALE: Self = Self { class: "", colour: ON_PALE, halo: false };
-    /// Quiet text.
-    pub const QUIET: Self = Self { class: "", colour: INK_3.light, halo: false };
 }
 
 /// Look of one of several series: runs, placements, configurations.

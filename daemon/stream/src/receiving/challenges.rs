@@ -81,14 +81,8 @@ impl<C: Eq + Hash> Challenges<C> {
         ToAgent::Challenge { aggregator, stream, nonce, enrol, version }
     }
 
-    /// Returns the hello whose proof a connection has to send.
-    pub fn pending_hello(&self, connection: &C) -> Option<&Hello> {
-        self.pending.get(connection).map(|pending| &*pending.hello)
-    }
-
-    /// Checks the proof that came on a connection. `known_secret` is the secret of the host in the
-    /// [`pending_hello`](Self::pending_hello), if the aggregator has one. An answer removes its challenge, whether the
-    /// answer is valid or not.
+    /// Checks the proof that came on a connection. `known_secret` is the secret of the host in the hello that the proof
+    /// confirms, if the aggregator has one. An answer removes its challenge, whether the answer is valid or not.
     pub fn check_proof(
         &mut self,
         connection: &C,

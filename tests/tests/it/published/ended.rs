@@ -34,7 +34,7 @@ fn ctrl_c_ends_client_with_all_results() {
     let lab = Lab::on_one_machine();
     let server = start_server(&lab, 1_000_000);
     let client = start_endless_client(&lab, "--result-loc results");
-    client.wait_for("of 1000000");
+    client.wait_for("of 1,000,000");
     client.signal(Signal::INT);
     let end = client.wait_for_end();
     assert_eq!(end.code(), 130, "{}", end.log);
@@ -58,7 +58,7 @@ fn ended_session_ends_client_with_all_results() {
     let lab = Lab::on_one_machine();
     let _server = start_server(&lab, 1_000_000);
     let client = start_endless_client(&lab, "--result-loc results");
-    client.wait_for("of 1000000");
+    client.wait_for("of 1,000,000");
     // The shell and the system both send it.
     client.signal(Signal::HUP);
     client.wait_for("Ctrl-C again");
@@ -92,7 +92,7 @@ fn folder_in_use_is_left_unchanged() {
     let lab = Lab::on_one_machine();
     let _server = start_server(&lab, 1_000_000);
     let first = start_endless_client(&lab, "--result-loc results --overwrite");
-    first.wait_for("of 1000000");
+    first.wait_for("of 1,000,000");
     let second = start_endless_client(&lab, "--result-loc results --overwrite").wait_for_end();
     assert_eq!(second.code(), 69, "{}", second.log);
     assert!(second.log.contains("another peernet is writing"), "{}", second.log);
@@ -118,7 +118,7 @@ fn results_replaced_by_killed_run_are_restored() {
     let first = start_short_client().wait_for_end();
     assert_eq!(first.code(), 0, "{}", first.log);
     let killed = start_endless_client(&lab, "--result-loc results --overwrite");
-    killed.wait_for("of 1000000");
+    killed.wait_for("of 1,000,000");
     let _ = killed.kill();
     assert!(!lab.folder().join("results/run.json").exists(), "they are aside");
     assert!(
@@ -148,7 +148,7 @@ fn results_of_killed_run_are_reported() {
     let lab = Lab::on_one_machine();
     let _server = start_server(&lab, 1_000_000);
     let killed = start_endless_client(&lab, "--result-loc results");
-    killed.wait_for("of 1000000");
+    killed.wait_for("of 1,000,000");
     let _ = killed.kill();
     let comparison = compare_output(&lab, "results");
     assert!(
@@ -186,7 +186,7 @@ fn killed_run_leaves_no_files_after_later_runs() {
     };
     assert_eq!(client(6).wait_for_end().code(), 0);
     let killed = client(1_000_000);
-    killed.wait_for("of 1000000");
+    killed.wait_for("of 1,000,000");
     let _ = killed.kill();
     assert_eq!(names(&temporary).len(), 1, "nobody was there to remove it");
     let comparison = start("compare").wait_for_end();
@@ -228,7 +228,7 @@ fn lost_server_leaves_rows_and_exit_code() {
     let lab = Lab::on_one_machine();
     let server = start_server(&lab, 1_000_000);
     let client = start_endless_client(&lab, "--result-loc results --patience 2");
-    client.wait_for("of 1000000");
+    client.wait_for("of 1,000,000");
     let _ = server.kill();
     client.wait_for("cluster is away");
     let end = client.wait_for_end();

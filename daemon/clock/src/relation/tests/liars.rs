@@ -19,7 +19,7 @@ proptest! {
             prop_assert_eq!((judged.up.value, judged.down.value), (None, None));
         }
         prop_assert_eq!(all_intervals(&relation), before);
-        prop_assert_eq!(relation.window_number(), 0);
+        prop_assert_eq!(relation.counts().restarts, 0);
     }
 
     #[test]
@@ -73,7 +73,7 @@ proptest! {
         }
         prop_assert_eq!(all_intervals(&honest_relation), all_intervals(&deceived_relation));
         prop_assert_eq!(deceived_relation.counts().outliers, lies);
-        prop_assert_eq!(deceived_relation.window_number(), 0);
+        prop_assert_eq!(deceived_relation.counts().restarts, 0);
     }
 }
 
@@ -137,7 +137,7 @@ fn consistently_wrong_stamps_contradict_time_daemons_only() {
         relation.learn(&trip.observation());
     }
     let offset = relation.offset(at(20), WallTime::default()).expect("the clocks are related");
-    assert_eq!((offset.verdict, relation.window_number()), (Verdict::Ok, 1));
+    assert_eq!((offset.verdict, relation.counts().restarts), (Verdict::Ok, 1));
     assert!((offset.estimate - Span::from_millis(40)).abs() < Span::from_millis(1));
 
     let within = Interval { lo: Span::from_millis(-2), hi: Span::from_millis(2) };
@@ -183,7 +183,7 @@ fn rare_unannounced_steps_violate_no_limit() {
         relation.judge(&trip.observation());
         assert!(!relation.violates_limit());
     }
-    assert_eq!(relation.window_number(), 2);
+    assert_eq!(relation.counts().restarts, 2);
 }
 
 #[test]

@@ -289,7 +289,7 @@ fn suspected_jump_is_a_boundary_for_earlier_delays() {
     let mut relation = Relation::new(settings);
     let trips = path(20.0, 20.0, 1.0).trips(&host_clocks, (0.0, 60.0), 10.0, &mut RandomSource::new(5));
     trips.iter().for_each(|trip| _ = relation.learn(&trip.observation()));
-    assert_eq!(relation.window_number(), 1);
+    assert_eq!(relation.counts().restarts, 1);
     let mut hulls = 0;
     for trip in trips.iter().filter(|trip| (5e9..55e9).contains(&trip.end)) {
         let exchange = &trip.exchange;
