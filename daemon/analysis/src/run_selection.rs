@@ -5,6 +5,7 @@
 use std::collections::HashMap;
 use std::fmt;
 
+use peernet_clock::WallTime;
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{EndReason, ExperimentPlace};
 
@@ -68,6 +69,8 @@ impl fmt::Display for RunState {
 pub enum Exclusion {
     /// The run was not measured to its end.
     Unfinished(RunState),
+    /// The run with this index was not measured to its end, and is that of another edge that measured the same repeat at the same time.
+    OtherEdgeUnfinished(usize),
     /// The run with this index measured the same repeat later.
     MeasuredAgain(usize),
     /// The results are a copy of the results with this index. Both are results of the same run.
@@ -79,6 +82,9 @@ impl Exclusion {
     pub fn describe(&self, run_name: impl Fn(usize) -> String) -> String {
         match self {
             Self::Unfinished(state) => state.to_string(),
+            Self::OtherEdgeUnfinished(other) => {
+                format!("measured together with {}, which was not measured to its end", run_name(*other))
+            }
             Self::MeasuredAgain(later) => format!("measured again as {}", run_name(*later)),
             Self::CopyOf(original) => format!("a copy of {}", run_name(*original)),
         }
@@ -94,6 +100,8 @@ pub struct Candidate {
     pub state: Option<RunState>,
     /// Repeat that the run measured; `None` outside of experiments.
     pub repeat: Option<Repeat>,
+    /// Start and end on the edge's wall clock, or the last known time before the end; `None` if they are not recorded.
+    pub times: Option<(WallTime, WallTime)>,
     /// Position in time: a later run has a larger number, such as the start in nanoseconds since the Unix epoch.
     pub sequence: i64,
     /// True if a user names the run, so its progress does not matter.
@@ -118,6 +126,11 @@ impl Repeat {
         let ExperimentPlace { id, configuration, repeat, .. } = place.clone();
         Self { experiment: id, configuration, number: repeat, edge, pipeline: pipeline.to_owned() }
     }
+
+    /// Returns what is the same for all edges that measure the repeat.
+    fn place(&self) -> (&str, &[(String, String)], u32) {
+        (&self.experiment, &self.configuration, self.number)
+    }
 }
 
 impl Candidate {
@@ -126,14 +139,28 @@ impl Candidate {
     pub fn from_results(run: &Loaded) -> Self {
         let record = &run.record;
         let place = record.experiment.as_ref();
+        let started = record.started.and_then(|at| at.timestamp_nanos_opt());
+        let ended = record.ended.and_then(|at| at.timestamp_nanos_opt());
+        let times = started.map(|started| (started, ended.unwrap_or(started)));
         Self {
             id: record.run,
             state: place.map(|_| RunState::from_end_reason(Some(&record.reason))),
             repeat: place.zip(record.edge.id).map(|(place, edge)| Repeat::new(place, edge, &record.name)),
-            sequence: record.started.and_then(|at| at.timestamp_nanos_opt()).unwrap_or_default(),
+            times: times
+                .map(|(start, end)| (WallTime::from_unix_nanos(start), WallTime::from_unix_nanos(end))),
+            sequence: started.unwrap_or_default(),
             is_named: false,
             rank: 0,
         }
+    }
+
+    /// Returns whether two runs are those of two edges that measured the same repeat at the same time.
+    fn is_together_with(&self, other: &Self) -> bool {
+        let repeats = self.repeat.as_ref().zip(other.repeat.as_ref());
+        let is_same_repeat =
+            repeats.is_some_and(|(repeat, other)| repeat != other && repeat.place() == other.place());
+        let times = self.times.zip(other.times);
+        is_same_repeat && times.is_some_and(|(times, other)| times.0 <= other.1 && other.0 <= times.1)
     }
 }
 
@@ -144,6 +171,13 @@ pub fn exclusions(runs: &[Candidate]) -> Vec<Option<Exclusion>> {
         Some(Exclusion::Unfinished(state.clone()))
     };
     let mut exclusions: Vec<Option<Exclusion>> = runs.iter().map(unfinished).collect();
+    // Edges at the same time are one run. The others had less competition than configured after one of them ended early.
+    let unfinished_runs: Vec<usize> = (0..runs.len()).filter(|index| exclusions[*index].is_some()).collect();
+    exclude(runs, &mut exclusions, |run| {
+        (!run.is_named).then_some(())?;
+        let other = unfinished_runs.iter().find(|other| run.is_together_with(&runs[**other]))?;
+        Some(Exclusion::OtherEdgeUnfinished(*other))
+    });
     // Copies are excluded before repeats are compared: copies of one run belong to one repeat, and if the comparison of
     // repeats came first, the time would choose among the copies instead of the rank.
     let originals = best_runs(runs, &exclusions, |run| run.id, |index, run| (!run.is_named, run.rank, index));
@@ -211,6 +245,7 @@ mod tests {
             id: Some(RunId::random()),
             state: Some(state),
             repeat: Some(Repeat::new(&place, edge, "line")),
+            times: Some([sequence, sequence + 1].map(WallTime::from_unix_nanos).into()),
             sequence,
             is_named: false,
             rank: 0,
@@ -238,6 +273,25 @@ mod tests {
             unfinished(RunState::Open),
         ];
         assert_eq!(exclusions(&runs), expected);
+    }
+
+    #[test]
+    fn edge_beside_failed_edge_does_not_count() {
+        let (edge, other) = (HostId::random(), HostId::random());
+        let failed = RunState::Failed(None);
+        let mut runs = [
+            run(0, edge, RunState::Finished, 10),
+            run(0, other, failed.clone(), 11),
+            // The same command measures the repeat again.
+            run(0, edge, RunState::Finished, 20),
+            run(0, other, RunState::Finished, 21),
+            run(1, edge, RunState::Finished, 11),
+        ];
+        let unfinished = Some(Exclusion::Unfinished(failed));
+        let together = Some(Exclusion::OtherEdgeUnfinished(1));
+        assert_eq!(exclusions(&runs), [together, unfinished.clone(), None, None, None]);
+        runs[0].is_named = true;
+        assert_eq!(exclusions(&runs), [None, unfinished, None, None, None]);
     }
 
     #[test]

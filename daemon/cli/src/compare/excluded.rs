@@ -58,7 +58,7 @@ impl ExclusionReasons {
             (!all.is_empty()).then(|| format!("excluded, {kind}: {first_names}{more}"))
         };
         let unfinished = note("unfinished runs", &|exclusion| match exclusion {
-            Exclusion::Unfinished(_) => Some(exclusion.describe(folder)),
+            Exclusion::Unfinished(_) | Exclusion::OtherEdgeUnfinished(_) => Some(exclusion.describe(folder)),
             _ => None,
         });
         let copied_results =

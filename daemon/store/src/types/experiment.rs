@@ -34,6 +34,7 @@ impl From<&RunSummary> for Candidate {
             id: Some(run.id),
             state: Some(RunState::from_end_reason(run.reason.as_ref())),
             repeat: place.map(|place| Repeat::new(place, run.host, run.pipeline.as_str())),
+            times: Some((run.started, run.ended.or(run.last_iteration).unwrap_or(run.started))),
             sequence: run.number,
             is_named: false,
             rank: 0,
