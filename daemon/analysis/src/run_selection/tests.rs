@@ -1,0 +1,88 @@
+//! Which runs of repeats, edges and copies count.
+
+use super::*;
+
+fn run(repeat: u32, edge: HostId, state: RunState, sequence: i64) -> Candidate {
+    let place = ExperimentPlace {
+        name: "x".to_owned(),
+        id: "x1".to_owned(),
+        configuration: Vec::new(),
+        repeat,
+        ..ExperimentPlace::default()
+    };
+    Candidate {
+        id: Some(RunId::random()),
+        state: Some(state),
+        repeat: Some(Repeat::new(&place, edge, "line")),
+        times: Some([sequence, sequence + 1].map(WallTime::from_unix_nanos).into()),
+        sequence,
+        is_named: false,
+        rank: 0,
+    }
+}
+
+#[test]
+fn finished_repeat_counts_once_per_edge() {
+    let (edge, other) = (HostId::random(), HostId::random());
+    let runs = [
+        run(0, edge, RunState::Finished, 1),
+        run(1, edge, RunState::Interrupted, 2),
+        run(1, edge, RunState::Finished, 3),
+        run(0, other, RunState::Finished, 4),
+        run(0, edge, RunState::Finished, 5),
+        run(2, edge, RunState::Open, 6),
+    ];
+    let unfinished = |state| Some(Exclusion::Unfinished(state));
+    let expected = [
+        Some(Exclusion::MeasuredAgain(4)),
+        unfinished(RunState::Interrupted),
+        None,
+        None,
+        None,
+        unfinished(RunState::Open),
+    ];
+    assert_eq!(exclusions(&runs), expected);
+}
+
+#[test]
+fn edge_beside_failed_edge_does_not_count() {
+    let (edge, other) = (HostId::random(), HostId::random());
+    let failed = RunState::Failed(None);
+    let mut runs = [
+        run(0, edge, RunState::Finished, 10),
+        run(0, other, failed.clone(), 11),
+        // The same command measures the repeat again.
+        run(0, edge, RunState::Finished, 20),
+        run(0, other, RunState::Finished, 21),
+        run(1, edge, RunState::Finished, 11),
+    ];
+    let unfinished = Some(Exclusion::Unfinished(failed));
+    let together = Some(Exclusion::OtherEdgeUnfinished(1));
+    assert_eq!(exclusions(&runs), [together, unfinished.clone(), None, None, None]);
+    runs[0].is_named = true;
+    assert_eq!(exclusions(&runs), [None, unfinished, None, None, None]);
+}
+
+#[test]
+fn named_run_counts_in_any_state() {
+    let edge = HostId::random();
+    let mut runs = [
+        run(0, edge, RunState::Failed(None), 1),
+        run(1, edge, RunState::Finished, 2),
+        run(1, edge, RunState::Finished, 3),
+    ];
+    runs.iter_mut().take(2).for_each(|run| run.is_named = true);
+    assert_eq!(exclusions(&runs), [None, None, None]);
+}
+
+#[test]
+fn one_of_several_copies_counts() {
+    let first = run(0, HostId::random(), RunState::Finished, 1);
+    let runs = [Candidate { rank: 1, ..first.clone() }, first.clone(), first.clone()];
+    let copy = Some(Exclusion::CopyOf(1));
+    assert_eq!(exclusions(&runs), [copy.clone(), None, copy]);
+    let named = [first.clone(), Candidate { is_named: true, rank: 1, ..first.clone() }];
+    assert_eq!(exclusions(&named), [Some(Exclusion::CopyOf(1)), None]);
+    let unknown = Candidate { id: None, repeat: None, state: None, ..first };
+    assert_eq!(exclusions(&[unknown.clone(), unknown]), [None, None], "nothing is known of either");
+}
