@@ -4,12 +4,12 @@ use peernet_aggregator::{LinkSnapshot, LiveState};
 use peernet_clock::Verdict;
 use peernet_statistics::number::{bound_ms, offset_ms, percent, trip_ms};
 use peernet_store::LinkRow;
-use peernet_stream::ProbeCounts;
 
 use super::super::chip::Chip;
 use super::super::clock_fault::{self, FaultyClocks};
 use super::super::now::Cell;
 use super::stats::ppm;
+use super::time_series::live_probes;
 use super::{CONTRADICTION, Subject, estimate_and_max_error, is_live, is_young, panels};
 use crate::zone::{Zone, ZonedTime};
 
@@ -63,8 +63,7 @@ impl LinkLine {
         let verdict = subject.verdict();
         let offset = subject.offset();
         let is_same_clock = subject.same_clock();
-        let probes: ProbeCounts = link.history.iter().map(|point| point.probes).sum();
-        let newest_trip = link.history.iter().rev().find_map(|point| point.round_trip);
+        let (probes, newest_trip) = live_probes(&link.history, subject.end);
         let has_clock_fault = faulty_clocks.concerns(&[&subject.edge, &subject.cloud]);
         let why = missing_offset_reason(&subject);
         let clock_cell = |value: Option<String>| {

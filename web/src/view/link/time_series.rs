@@ -6,7 +6,12 @@ use peernet_analysis::clock_points::{ClockBucket, bucket_number};
 use peernet_analysis::delays::merged_round_trip;
 use peernet_clock::{RelatedClocks, Span, WallTime};
 use peernet_store::{ClockPoint, ClockSeries};
-use peernet_stream::ProbeCounts;
+use peernet_stream::{ProbeCounts, RoundTrip};
+
+/// Length of the time series of a live link, seconds.
+const LIVE_RANGE_S: i64 = 600;
+/// Seconds of each point of a live link.
+const LIVE_BUCKET_S: u32 = 2;
 
 /// Time series of a link between two times of the edge's wall clock.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,11 +28,10 @@ impl LinkTimeSeries {
     /// Returns the last `seconds` seconds of a live link, with one point for every two seconds. The time series ends at a multiple of two
     /// seconds, so a chart of it changes only when a point is complete.
     pub(crate) fn live(history: &[Arc<ClockPoint>], end: WallTime, seconds: i64) -> Self {
-        let to = WallTime::from_unix_nanos(end.unix_nanos().div_euclid(2_000_000_000) * 2_000_000_000);
-        let from = to - Span::from_seconds(seconds);
+        let (from, to) = live_range(end, seconds);
         let recent =
             history.iter().filter(|point| point.at > from && point.at <= to).map(|point| (**point).clone());
-        Self { from, to, bucket: 1, points: recent.collect() }.merged(2)
+        Self { from, to, bucket: 1, points: recent.collect() }.merged(i64::from(LIVE_BUCKET_S))
     }
 
     /// Converts stored samples of a link. The range begins at `from`, or at the first point if the first point is
@@ -87,6 +91,25 @@ impl LinkTimeSeries {
         let trip = merged_round_trip(self.points.iter().filter_map(|point| point.round_trip))?;
         Some((trip.min.seconds(), trip.median.seconds()))
     }
+}
+
+/// Returns the time range of a live link that ends at `end`.
+fn live_range(end: WallTime, seconds: i64) -> (WallTime, WallTime) {
+    let bucket_ns = i64::from(LIVE_BUCKET_S) * 1_000_000_000;
+    let to = WallTime::from_unix_nanos(end.unix_nanos().div_euclid(bucket_ns) * bucket_ns);
+    (to - Span::from_seconds(seconds), to)
+}
+
+/// Returns the counts of probes, and the newest round trip, of the points that [`LinkTimeSeries::live`] returns for ten minutes. A list of
+/// links does not need the points.
+pub(crate) fn live_probes(history: &[Arc<ClockPoint>], end: WallTime) -> (ProbeCounts, Option<RoundTrip>) {
+    let (from, to) = live_range(end, LIVE_RANGE_S);
+    let recent = || history.iter().filter(move |point| point.at > from && point.at <= to);
+    let bucket = |point: &ClockPoint| bucket_number(point.at, LIVE_BUCKET_S);
+    let newest = recent().rev().find(|point| point.round_trip.is_some()).map(|point| bucket(point));
+    let in_newest = recent().filter(|point| Some(bucket(point)) == newest);
+    let trip = merged_round_trip(in_newest.filter_map(|point| point.round_trip));
+    (recent().map(|point| point.probes).sum(), trip)
 }
 
 /// Merges several points into one, as the store merges seconds.

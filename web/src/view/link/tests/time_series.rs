@@ -1,8 +1,9 @@
 //! The points of a chart: merging, and the steady drift.
 
 use peernet_analysis::offset_trend::OffsetTrend;
+use peernet_stream::RoundTrip;
 
-use super::super::time_series::LinkTimeSeries;
+use super::super::time_series::{LinkTimeSeries, live_probes};
 use super::super::*;
 use crate::tests::samples::{NOW, clock_point};
 
@@ -39,6 +40,25 @@ fn merged_points_keep_widest_bounds_and_all_probes() {
     assert_eq!(first.probes.sent, 30);
     assert_eq!(first.up.expect("data").count, 90);
     assert_eq!(whole.gaps(), [(at(12), at(20)), (at(21), at(30))]);
+}
+
+#[test]
+fn list_of_links_has_probes_of_page() {
+    let at = |second: i64| WallTime::from_unix_nanos(second * 1_000_000_000);
+    let history: Vec<Arc<ClockPoint>> = (1..=701)
+        .map(|second| {
+            let mut point = clock_point(at(second), 1, Some(0.0005));
+            point.round_trip = (second < 690)
+                .then(|| RoundTrip { min: Span::from_millis(second), median: Span::from_millis(2 * second) });
+            Arc::new(point)
+        })
+        .collect();
+    for end in [600, 700, 701] {
+        let live = LinkTimeSeries::live(&history, at(end), 600);
+        let newest = live.points.iter().rev().find_map(|point| point.round_trip);
+        assert!(newest.is_some());
+        assert_eq!(live_probes(&history, at(end)), (live.probes(), newest), "{end}");
+    }
 }
 
 #[test]
