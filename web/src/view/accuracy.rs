@@ -4,14 +4,9 @@ use peernet_analysis::accuracy::Accuracy;
 use peernet_statistics::number::{SPACE, share};
 use peernet_store::QuantityStatistics;
 
-/// Returns the accuracy from the statistics of scores that are 0 or 1; `None` without scores.
-pub(crate) fn from_scores(scores: &QuantityStatistics) -> Option<Accuracy> {
-    Accuracy::from_mean(scores.mean, scores.count, scores.count)
-}
-
-/// Returns the 95 % interval of the accuracy in percent, such as `79.1 – 88.2`; `None` without scores.
+/// Returns the 95 % interval of the accuracy, from the statistics of scores that are 0 or 1, in percent: `79.1 – 88.2`.
 pub(crate) fn interval(scores: &QuantityStatistics) -> Option<String> {
-    let (lo, hi) = from_scores(scores)?.interval;
+    let (lo, hi) = Accuracy::from_mean(scores.mean, scores.count, scores.count)?.interval;
     Some(format!("{}{SPACE}–{SPACE}{}", share(lo), share(hi)))
 }
 
