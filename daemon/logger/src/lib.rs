@@ -28,7 +28,7 @@ pub use iteration_values::{CountedNodes, IterationValues, NodeRole};
 pub use measure::{Measure, Rate, RawStamps, Transit};
 pub use meter::Meter;
 pub use name::{Name, Unit, stage};
-pub use recorder::{MeterGuard, Recorder, TimerGuard};
+pub use recorder::{MeterGuard, Recorder, TimerGuard, TokenGuard};
 pub use stages::Stages;
 pub use text::Text;
 pub use tree::{Anchor, HostIndex, Node, NodeId, Tree, TreeDelta};

@@ -166,6 +166,8 @@ impl Unit {
     pub const TOKENS_PER_SECOND: Self = Self(Name::from_static("token/s"));
     /// Watts.
     pub const WATTS: Self = Self(Name::from_static("W"));
+    /// Degrees Celsius.
+    pub const CELSIUS: Self = Self(Name::from_static("°C"));
     /// Joules.
     pub const JOULES: Self = Self(Name::from_static("J"));
     /// Tokens of a language model.

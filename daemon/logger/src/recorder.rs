@@ -2,7 +2,7 @@
 
 mod guard;
 
-pub use self::guard::{MeterGuard, TimerGuard};
+pub use self::guard::{MeterGuard, TimerGuard, TokenGuard};
 
 use peernet_clock::{MonoTime, SharedClock, Span, Stamp, WallTime};
 
@@ -185,6 +185,12 @@ impl Recorder {
         let started_at = self.clock.mono();
         let measure = Measure::Custom(meter.kind(), meter.unit(), None);
         MeterGuard::new(self.enter(name, started_at, measure), meter)
+    }
+
+    /// Counts the tokens of a language model until the guard is dropped.
+    pub fn tokens(&mut self, name: Name) -> TokenGuard<'_> {
+        let started_at = self.clock.mono();
+        TokenGuard::new(self.enter(name, started_at, Measure::TokenRate(None)), started_at)
     }
 
     /// Records a number. NaN is recorded as a failed reading.

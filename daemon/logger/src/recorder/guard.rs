@@ -1,10 +1,10 @@
-//! Guards of open nodes: timers and meters.
+//! Guards of open nodes: timers, meters, token counters.
 
 use std::ops::{Deref, DerefMut};
 
-use peernet_clock::MonoTime;
+use peernet_clock::{MonoTime, Span};
 
-use crate::{Measure, Meter, NodeId, Recorder};
+use crate::{Measure, Meter, NodeId, Recorder, Unit, stage};
 
 /// Guard of an open node. Nodes that are recorded through the guard become children of the node. The node closes when
 /// the guard is dropped.
@@ -95,6 +95,68 @@ impl<M: Meter> Drop for MeterGuard<'_, M> {
         let node = self.guard.node;
         if let Some(Measure::Custom(_, _, value)) = self.guard.recorder.tree.measure_mut(node) {
             *value = Some(reading).filter(|reading| !reading.is_nan());
+        }
+    }
+}
+
+/// Guard of an open token rate, created by [`Recorder::tokens`]. When it is dropped it adds `tokens` and
+/// `time-to-first-token` as children.
+///
+/// The rate is the number of tokens divided by the time from the opening of the node to the last token. This time
+/// includes the wait for the first token.
+#[derive(Debug)]
+pub struct TokenGuard<'a> {
+    guard: TimerGuard<'a>,
+    started_at: MonoTime,
+    count: u64,
+    first_token: Option<MonoTime>,
+    last_token: MonoTime,
+}
+
+impl<'a> TokenGuard<'a> {
+    pub(crate) const fn new(guard: TimerGuard<'a>, started_at: MonoTime) -> Self {
+        Self { guard, started_at, count: 0, first_token: None, last_token: started_at }
+    }
+
+    /// Returns the open node.
+    pub const fn id(&self) -> NodeId {
+        self.guard.node
+    }
+
+    /// Counts tokens that arrived now, all at the same time.
+    pub fn add_tokens(&mut self, tokens: u64) {
+        if tokens > 0 {
+            self.last_token = self.guard.clock().mono();
+            self.first_token.get_or_insert(self.last_token);
+            self.count += tokens;
+        }
+    }
+}
+
+impl Deref for TokenGuard<'_> {
+    type Target = Recorder;
+    fn deref(&self) -> &Recorder {
+        self.guard.recorder
+    }
+}
+
+impl DerefMut for TokenGuard<'_> {
+    fn deref_mut(&mut self) -> &mut Recorder {
+        self.guard.recorder
+    }
+}
+
+impl Drop for TokenGuard<'_> {
+    fn drop(&mut self) {
+        let elapsed = self.last_token - self.started_at;
+        let node = self.guard.node;
+        if let Some(Measure::TokenRate(rate)) = self.guard.recorder.tree.measure_mut(node) {
+            *rate = (elapsed > Span::ZERO).then(|| self.count as f64 / elapsed.seconds());
+        }
+        // The inner guard is dropped after this, so that these nodes become children of its node.
+        self.guard.recorder.record_value(stage::TOKENS, self.count as f64, Unit::TOKENS);
+        if let Some(first_token) = self.first_token {
+            self.guard.recorder.record_timer(stage::TIME_TO_FIRST_TOKEN, self.started_at, first_token);
         }
     }
 }

@@ -51,6 +51,27 @@ fn guards_close_their_nodes() {
 }
 
 #[test]
+fn token_count_and_time_to_first_token_are_recorded() {
+    let (clock, mut log) = recorder();
+    {
+        let mut tokens = log.tokens("answer".into());
+        clock.advance(Span::from_millis(400));
+        tokens.add_tokens(1);
+        clock.advance(Span::from_millis(100));
+        tokens.add_tokens(4);
+        clock.advance(Span::from_seconds(9));
+    }
+    drop(log.tokens("silence".into()));
+    let tree = log.finish();
+    let value = |path: &[&str]| tree.find(path).and_then(|(_, node)| node.measure.value());
+    assert_eq!(value(&["answer"]), Some(10.0));
+    assert_eq!(value(&["answer", "tokens"]), Some(5.0));
+    assert_eq!(value(&["answer", "time-to-first-token"]), Some(0.4));
+    assert_eq!((value(&["silence"]), value(&["silence", "tokens"])), (None, Some(0.0)));
+    assert_eq!(tree.find(&["silence", "time-to-first-token"]), None);
+}
+
+#[test]
 fn failed_reading_is_recorded_without_value() {
     struct Broken;
     impl Meter for Broken {

@@ -196,19 +196,25 @@ pub(crate) async fn run(readers: &Readers, number: i64) -> Result<Option<RunDeta
 /// Returns the gaps of a run, oldest first. Further gaps after the first 1,000 are combined, so that the number of
 /// missing events is that of all gaps.
 pub(crate) async fn gaps(readers: &Readers, run: i64) -> Result<Vec<GapRow>, StoreError> {
-    let mut rows: Vec<(i64, i64, i64, String, i64)> = Vec::new();
-    for query in [sql::GAPS, sql::FURTHER_GAPS] {
-        let found = sqlx::query_as(query).bind(run).fetch_all(&readers.pool()).await;
-        rows.extend(found.map_err(readers.failed("gaps"))?);
-    }
-    let row = |(from, to, missing, reason, gaps)| GapRow {
+    type Row = (i64, i64, i64, String, i64);
+    let first: Vec<Row> = sqlx::query_as(sql::GAPS)
+        .bind(run)
+        .fetch_all(&readers.pool())
+        .await
+        .map_err(readers.failed("gaps"))?;
+    let further: Vec<Row> = sqlx::query_as(sql::FURTHER_GAPS)
+        .bind(run)
+        .fetch_all(&readers.pool())
+        .await
+        .map_err(readers.failed("gaps"))?;
+    let row = |(from, to, missing, reason, gaps): Row| GapRow {
         from: wall(from),
         to: wall(to),
         count: count(missing),
         reason,
         gaps: count(gaps),
     };
-    Ok(rows.into_iter().map(row).collect())
+    Ok(first.into_iter().chain(further).map(row).collect())
 }
 
 fn facts(row: &RunRow) -> Result<Vec<(String, String)>, StoreError> {
