@@ -74,7 +74,7 @@ fn plot_names_runs_without_answers() {
 fn plot_errors_are_named() {
     let deployment = deployment();
     let cases: [(&[&str], i32, &str); 5] = [
-        (&["all", "--kind", "payload"], 65, "it needs messages over one network"),
+        (&["all", "--kind", "payload"], 65, "it needs messages of different sizes over one network"),
         (&["all", "--kind", "paired"], 65, "two placements"),
         (&["all/small", "--kind", "histograms", "--x", "nonsense"], 65, "the column nonsense"),
         (&["nowhere"], 66, "no results in nowhere"),

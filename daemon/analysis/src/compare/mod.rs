@@ -47,7 +47,7 @@ use crate::loaded::{Loaded, unknown_labels};
 use crate::quality::{Quality, QualityEstimate};
 use crate::rows::{Rows, SKIPPED_STARTS};
 use crate::total_column::TotalColumn;
-use crate::trust::{ReplayedLatencies, Starts};
+use crate::trust::{DRAWN_LATENCY_COLUMN, OVERRUN_COLUMN, ReplayedLatencies, Starts};
 use labels::EMPTY_CELL;
 
 /// Latency columns of the paper's table; the last two are the sum of all stages, which the paper calls Total, and the measured total.
@@ -296,6 +296,7 @@ pub fn is_compared(column: &str) -> bool {
     let bounds = ["upload-lo", "upload-hi", "download-lo", "download-hi"];
     let columns = differences::STAGES.iter().chain(&LATENCIES).chain(&ACCURACIES).chain(&bounds);
     let columns = columns.chain(&[UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED, SUPERSEDED, FIRST_TOKEN]);
+    let columns = columns.chain(&[DRAWN_LATENCY_COLUMN, OVERRUN_COLUMN]);
     columns.chain(&EPISODE_VALUES).chain(&SCORES.map(Quality::name)).any(|name| *name == column)
 }
 
