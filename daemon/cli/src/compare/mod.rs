@@ -221,7 +221,7 @@ mod tests {
         };
         assert_eq!(describe(&[1]), ("Baseline: repeat 2: one run.".to_owned(), None));
         let (sentence, reason) = describe(&[0, 2]);
-        assert_eq!((sentence.as_str(), reason), ("Baseline: a, 2 repeats: 2 runs, pooled.", None));
+        assert_eq!((sentence.as_str(), reason), ("Baseline: 2 repeats: 2 runs, pooled.", None));
         let (sentence, reason) = describe(&[0, 1, 2]);
         assert_eq!(sentence, "Baseline: a: 3 runs, pooled.");
         assert!(reason.expect("nothing is left").contains("all runs belong to it"));
