@@ -71,7 +71,7 @@ describe("events on their way to the database", () => {
   test("event counts are updated and add up", async () => {
     const { page, errors, close } = await open(browser, base, pages.host);
     await waitForUpdate(page, "#part-accounting");
-    assert.match(await page.locator("#part-accounting").innerText(), /Produced[\s\S]*Spooled[\s\S]*Sent[\s\S]*Acknowledged[\s\S]*Waiting[\s\S]*Lost[\s\S]*Spool[\s\S]*Storing behind/);
+    assert.match(await page.locator("#part-accounting").innerText(), /Produced[\s\S]*Spooled[\s\S]*Sent[\s\S]*Acknowledged[\s\S]*Waiting[\s\S]*Dropped[\s\S]*Spool[\s\S]*Storing behind/);
     const { now } = await (await fetch(`${base}/api/v1${pages.host}`)).json();
     assert.equal(now.events.produced, now.events.acknowledged + now.events.waiting + now.events.dropped);
     assert.deepEqual(errors, []);
