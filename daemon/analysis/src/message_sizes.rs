@@ -60,7 +60,7 @@ pub struct SizeSummary {
     pub tails: Option<(f64, f64)>,
     /// Median of the lower clock bounds and median of the upper clock bounds; `None` unless every delay has bounds.
     pub bounds: Option<(f64, f64)>,
-    /// How `bounds` were computed.
+    /// Method by which `bounds` were computed.
     #[serde(skip)]
     pub bounds_method: IntervalMethod,
     /// Size divided by the median delay; `None` if the median delay is not above zero.

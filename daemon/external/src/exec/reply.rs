@@ -55,7 +55,7 @@ pub struct ReplyNotes {
     pub episode_ended: bool,
 }
 
-/// What the caller of a [`ReplyAssembler`] has to do next.
+/// Next step of the caller of a [`ReplyAssembler`].
 #[derive(Clone, Debug, PartialEq)]
 pub enum AssemblyStep {
     /// Read a line, up to `\n`.

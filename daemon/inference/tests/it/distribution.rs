@@ -55,7 +55,7 @@ fn equal_seeds_draw_equal_latencies() {
 }
 
 #[test]
-fn each_load_without_seed_draws_a_new_one_that_repeats_it() {
+fn load_without_seed_draws_repeatable_seed() {
     let without = LOG_NORMAL.replace("\nseed = 3", "");
     let load = |table: &str| {
         let pool = loaded(&bank(&[table]), "gpu");

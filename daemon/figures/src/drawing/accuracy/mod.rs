@@ -44,7 +44,7 @@ impl Score {
     }
 }
 
-/// How the figure shows a quality: texts, range and unit.
+/// Presentation of a quality in the figure: texts, range and unit.
 struct Shown {
     title: &'static str,
     /// Title of the axis.

@@ -27,7 +27,7 @@ pub enum View {
     Cumulative,
 }
 
-/// What the values of a distribution are counted as.
+/// Noun for the number of values of a distribution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Counted {
     /// Each iteration has one value at most.
@@ -43,7 +43,7 @@ pub struct Distribution {
     pub edges: Vec<f64>,
     /// Samples in each bin.
     pub counts: Vec<u64>,
-    /// What the samples are counted as.
+    /// Noun for the number of samples.
     pub counted: Counted,
     /// Number of samples below the first bin, and number of samples above the last bin.
     pub beyond: (u64, u64),
