@@ -91,8 +91,9 @@ async fn each_network_of_pair_has_all_probe_results() {
             sent += sample.probes.sent;
             ended += sample.probes.answered + sample.probes.lost;
         }
-        // A hundred probes are in flight at the end. A few were sent in the second before one of the sessions began.
-        assert!(sent > 100 && sent.abs_diff(ended) < 10, "{network}: {sent} sent, {ended} answered or lost");
+        // About a hundred probes are in flight at the end (2 s at 50 Hz). A few were sent in the second before one of the
+        // sessions began.
+        assert!(sent > 50 && sent.abs_diff(ended) < 10, "{network}: {sent} sent, {ended} answered or lost");
     }
     cloud.stop().await.expect("stops well");
 }
