@@ -30,5 +30,5 @@ pub use edge::{Session, StatisticsReader};
 pub use incoming::{Failure, Incoming, IncomingRequest, OpenRequest, Responder};
 pub use open::OpenError;
 pub use part_sender::{PartError, PartSender};
-pub use parts::{FIRST_PART, FIRST_PART_DOWNLOAD, PARTS, PartHandler};
+pub use parts::{FIRST_PART, FIRST_PART_DOWNLOAD, PARTS, PARTS_SENT, PartHandler};
 pub use request_control::RequestCancelled;

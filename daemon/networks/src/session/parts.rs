@@ -14,8 +14,11 @@ use crate::message::{Departure, MAX_UNREAD_PARTS};
 pub const FIRST_PART: Name = Name::from_static("first-part");
 /// Name of the node for the way of the first part of an answer from the cloud to the edge; like `download`.
 pub const FIRST_PART_DOWNLOAD: Name = Name::from_static("first-part-download");
-/// Name of the value that is the number of parts of an answer that arrived.
+/// Name of the value that is the number of parts of an answer that arrived before the whole answer.
 pub const PARTS: Name = Name::from_static("parts");
+/// Name of the cloud's value that is the number of parts of an answer that it sent. It is larger than [`PARTS`] by the
+/// parts that were lost on the way or arrived after the whole answer.
+pub const PARTS_SENT: Name = Name::from_static("parts-sent");
 
 /// Number of parts after which the edge acknowledges them. It is a quarter of the window, so that an acknowledgement
 /// usually reaches the cloud before the window is full.

@@ -1,5 +1,6 @@
 //! State of a request on the cloud, shared by its model, its session and its connection.
 
+use std::num::NonZeroU32;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -75,9 +76,9 @@ impl RequestControl {
         self.changed.notify_all();
     }
 
-    /// Returns whether parts of the answer were sent.
-    pub(crate) fn has_sent_parts(&self) -> bool {
-        self.state().sent > 0
+    /// Returns the number of parts of the answer that were sent; `None` if none was.
+    pub(crate) fn sent_parts(&self) -> Option<NonZeroU32> {
+        NonZeroU32::new(self.state().sent)
     }
 
     /// Returns the number of the next part. Waits while [`MAX_UNREAD_PARTS`] parts are unread.

@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use peernet_logger::{Measure, Tree};
 use peernet_networks::{
-    FIRST_PART, FIRST_PART_DOWNLOAD, IncomingRequest, PARTS, PartError, PartHandler, RequestCancelled,
-    RequestError, SessionSettings,
+    FIRST_PART, FIRST_PART_DOWNLOAD, IncomingRequest, PARTS, PARTS_SENT, PartError, PartHandler,
+    RequestCancelled, RequestError, SessionSettings,
 };
 use peernet_stream::{Release, VersionRange};
 
@@ -71,6 +71,7 @@ async fn answer_arrives_in_parts_beyond_the_window(network: TestNetwork) {
     assert_eq!(texts, (0..PART_COUNT).map(|number| format!("{number:03}")).collect::<Vec<_>>());
     let tree = completed.recorder.tree();
     assert_eq!(seconds(tree, PARTS.as_str()), Some(PART_COUNT as f64));
+    assert_eq!(seconds(tree, PARTS_SENT.as_str()), Some(PART_COUNT as f64));
     let first = seconds(tree, FIRST_PART.as_str()).expect("is recorded");
     assert!(first > 0.0 && first < TIME_LIMIT.as_secs_f64(), "{first}");
     let (download, node) = tree.find(&[FIRST_PART_DOWNLOAD.as_str()]).expect("is recorded");

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use peernet_clock::Span;
-use peernet_networks::{CloseReason, Incoming, RequestError, Session, SessionSettings};
+use peernet_networks::{CloseReason, Incoming, PARTS, PARTS_SENT, RequestError, Session, SessionSettings};
 use peernet_sample::{Description, Sample};
 use peernet_stream::DirectionStatistics;
 use tokio::net::UdpSocket;
@@ -136,6 +136,31 @@ async fn datagrams_of_both_directions_are_counted() {
     assert!(trip.min <= Some(trip.smoothed) && trip.smoothed < Span::from_seconds(1), "{trip:?}");
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn lost_part_of_answer_is_counted_by_the_cloud_only() {
+    let mut cloud = Cloud::on_network(TestNetwork::ZmqUdp).await;
+    let relay = UdpRelay::start(&cloud.address(), PathImpairment::default(), 1).await;
+    let opening = tokio::spawn({
+        let address = relay.address.clone();
+        async move { open(&address, hello(), settings()).await.expect("accepted") }
+    });
+    cloud.next_open().await.accept(accepted(cloud.host));
+    let session = within(opening).await.expect("no panic");
+    let pending = request(&session, "count", TIME_LIMIT);
+    let incoming = cloud.next_request().await;
+    relay.cut();
+    // A part of this size is not sent again.
+    assert_eq!(incoming.parts.send(&sample_of(payload(200_000, 2))), Ok(()));
+    // More than the heartbeats of that time.
+    within(relay.wait_for_drops(10)).await;
+    relay.restore();
+    incoming.reply.send(incoming.recorder, Ok(incoming.sample));
+    let completed = within(pending).await.expect("no panic");
+    let count = |name: &str| completed.recorder.tree().find(&[name])?.1.measure.value();
+    assert!(completed.result.is_ok(), "{:?}", completed.result);
+    assert_eq!((count(PARTS.as_str()), count(PARTS_SENT.as_str())), (None, Some(1.0)));
+}
+
 #[tokio::test]
 async fn interrupted_path_ends_session_and_next_one_works() {
     let mut cloud = Cloud::on_network(TestNetwork::ZmqUdp).await;
@@ -193,7 +218,7 @@ async fn next_request_notices_restarted_cloud() {
     relay.cut();
     let address = cloud.address();
     drop(cloud);
-    within(relay.wait_for_drop()).await;
+    within(relay.wait_for_drops(1)).await;
     while std::net::UdpSocket::bind(address.authority()).is_err() {
         tokio::task::yield_now().await;
     }

@@ -65,9 +65,9 @@ impl UdpRelay {
         self.loss.store(100, Ordering::Relaxed);
     }
 
-    /// Waits until a datagram was dropped.
-    pub(crate) async fn wait_for_drop(&self) {
-        while self.dropped.load(Ordering::Relaxed) == 0 {
+    /// Waits until `count` datagrams were dropped.
+    pub(crate) async fn wait_for_drops(&self, count: u64) {
+        while self.dropped.load(Ordering::Relaxed) < count {
             tokio::task::yield_now().await;
         }
     }

@@ -4,7 +4,7 @@ use super::{FramingError, REWARD_FORM, SUCCESS_FORM};
 
 /// Names of nodes that PEERNet itself records, which programs must not use.
 // Statistics group nodes by name: the figures of a program would be mixed with PEERNet's own.
-const RESERVED_NAMES: [&str; 50] = [
+const RESERVED_NAMES: [&str; 51] = [
     "iteration",
     "sensing",
     "capture",
@@ -39,6 +39,7 @@ const RESERVED_NAMES: [&str; 50] = [
     "capture-delay",
     "dropped-answers",
     "parts",
+    "parts-sent",
     "first-part",
     "first-part-download",
     "batch-size",

@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use peernet_clock::{LogThrottle, MonoTime, SharedClock};
-use peernet_logger::{HostId, Recorder};
+use peernet_logger::{HostId, Recorder, Unit};
 use peernet_sample::Sample;
 
 use super::answers::{AnswerContent, AnswersBeingSent, encode_answer, encode_part};
@@ -13,6 +13,7 @@ use crate::message::{Header, PeerClock, SessionAccepted, SessionId, StatisticsRe
 use crate::session::budget::RequestBudget;
 use crate::session::incoming::{Failure, RequestKey};
 use crate::session::part_sender::FULL_QUEUE_RETRY;
+use crate::session::parts::PARTS_SENT;
 use crate::session::request_control::RequestControl;
 use crate::session::server::{FinishedRequest, Route, Server};
 use crate::transport::{CloudSender, ConnectionId, Peer, SendFailure};
@@ -97,16 +98,19 @@ impl ListenerState {
     pub(crate) fn answer(
         &self,
         key: RequestKey,
-        recorder: Option<Recorder>,
+        mut recorder: Option<Recorder>,
         result: Result<Sample, Failure>,
     ) {
         // The answer is counted before its request stops being in flight, so that `wait_until_idle` always sees the
         // answer or the request. Otherwise the listener could close in between and send the goodbye before the answer.
         self.answers.count_while(|| {
             let Some((mut route, mut control)) = self.finish_request(key) else { return };
+            if let (Some(recorder), Some(sent)) = (&mut recorder, control.sent_parts()) {
+                recorder.record_value(PARTS_SENT, f64::from(sent.get()), Unit::NONE);
+            }
             let mut content = AnswerContent::new(&route, recorder, result);
             loop {
-                let retry = control.has_sent_parts().then(|| content.clone());
+                let retry = control.sent_parts().map(|_| content.clone());
                 match (self.send_answer(&route, key, content), retry) {
                     (Ok(()), _) => return,
                     (Err(SendFailure::Full), Some(retry)) => content = retry,

@@ -92,8 +92,13 @@ pub(in crate::model::onnx) enum CardError {
     #[error("preprocessing makes {} × {} pixels, input.shape requires {} × {}", .made.0, .made.1, .wanted.0, .wanted.1)]
     Size { made: (u32, u32), wanted: (usize, usize) },
     /// There is no class to answer with.
-    #[error("output needs at least one label and a top_k of at least 1")]
+    #[error("output.labels is empty; write one label for each class of the model")]
     NoLabels,
+    /// An answer would have no class.
+    #[error(
+        "output.top_k is 0; write the number of classes that an answer lists, or leave the key out: it is then 5"
+    )]
+    NoListedClass,
     /// Two classes could not be distinguished in an answer.
     #[error("output.labels has {0:?} twice; each class needs a label of its own, such as \"{0} 2\"")]
     DuplicateLabel(String),

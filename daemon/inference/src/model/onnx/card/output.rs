@@ -83,11 +83,9 @@ impl Classification {
     }
 
     pub(super) fn check(&self) -> Result<(), CardError> {
-        if self.top_k == Some(0) {
-            return Err(CardError::NoLabels);
-        }
         check_labels(&self.labels)?;
         match self.top_k {
+            Some(0) => Err(CardError::NoListedClass),
             Some(top_k) if top_k > self.labels.len() => {
                 Err(CardError::TopK { top_k, classes: self.labels.len() })
             }
