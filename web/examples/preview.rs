@@ -106,7 +106,7 @@ async fn produce(
     site.report(clock.wall() - Span::from_seconds(590), clock.wall()).await;
     site.store_incidents().await;
     site.store_clocks(if many { 120 } else { 3_600 }).await;
-    site.store_runs(if many { 200 } else { 6_000 }, true).await;
+    site.store_run_of_each_pipeline(if many { 200 } else { 6_000 }, true).await;
     if backlog {
         site.store_gaps(2, 42).await;
     }
@@ -120,7 +120,7 @@ async fn produce(
         site.store_attempts(200, &["stopped", "finished"]).await;
         site.store_users(200, &[1, 2, 3]).await;
     }
-    site.store_runs(300, false).await;
+    site.store_run_of_each_pipeline(300, false).await;
     site.backlog = backlog.then(|| clock.wall());
     let mut ticks = tokio::time::interval(Duration::from_millis(250));
     loop {

@@ -155,7 +155,7 @@ pub struct HostSnapshot {
 
 impl HostSnapshot {
     /// Returns the number of the host's events that are missing in the database for ever. Events that another database
-    /// stored before this one knew the host are not counted.
+    /// stored before the host connected to this one are not counted.
     pub fn missing_events(&self) -> u64 {
         // Both numbers count the gaps that the agent reported. The aggregator also counts batches that it found
         // missing, and the agent also counts events whose gap it has not sent yet.

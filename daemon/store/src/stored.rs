@@ -3,14 +3,15 @@
 pub use peernet_analysis::clock_points::ClockPoint;
 use serde::Serialize;
 
-/// Beginning of the reason of a gap of events that another database stored before this one knew their host.
+/// Beginning of the reason of a gap of events that another database stored before their host connected to this one.
 macro_rules! before_database {
     () => {
         "from before this database: "
     };
 }
 
-/// SQL expression: number of the events of a row of `host` that another database stored before this one knew the host.
+/// SQL expression: number of a host's events that another database stored before the host connected to this
+/// one, for a row of `host`.
 macro_rules! missing_before {
     () => {
         concat!(
@@ -34,7 +35,7 @@ pub struct StoredCounts {
     pub gaps: u64,
     /// Number of events in these gaps; events that could not be counted are not included.
     pub missing: u64,
-    /// Number of the missing events that were stored in another database before this database knew the host.
+    /// Number of the missing events that were stored in another database before the host connected to this one.
     pub missing_before: u64,
     /// Batches that arrived more than once and were stored once, since the aggregator started.
     pub duplicates: u64,

@@ -67,7 +67,7 @@ impl Hello {
     }
 }
 
-/// Named values at the end of a hello. A reader ignores unknown names.
+/// Map at the end of a hello. A reader ignores unknown keys.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(default)]
 pub struct HelloExtension {

@@ -363,7 +363,7 @@ mod tests {
         assert_eq!(Events::of(&host).lost, Some(LOST));
         host.accounting.dropped = 0;
         assert_eq!((most_severe_remark(&host), EventLine::new(&host).lost), (None, None));
-        // Another database stored these events before this database knew the host.
+        // Another database stored these events before the host connected to this one.
         (host.stored.missing, host.stored.missing_before) = (849, 849);
         assert_eq!(most_severe_remark(&host), None);
         host.stored.missing = 2 * 849;

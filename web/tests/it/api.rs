@@ -223,7 +223,7 @@ async fn pipeline_query_selects_window_and_stages() {
 async fn lists_are_paged_without_loss_or_repetition() {
     let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
     for _ in 0..4 {
-        site.store_runs(5, true).await;
+        site.store_run_of_each_pipeline(5, true).await;
     }
     let mut seen = Vec::new();
     let mut next = String::new();

@@ -152,7 +152,7 @@ async fn metric_lines_are_valid_and_counters_grow() {
         "a delay that is not known is no figure"
     );
 
-    site.store_runs(50, true).await;
+    site.store_run_of_each_pipeline(50, true).await;
     let now = dashboard.clock.wall();
     site.report(now, now + Span::from_seconds(1)).await;
     let stored = value(&first, "peernet_aggregator_stored_nodes_total");

@@ -130,7 +130,7 @@ async fn unrecorded_events_are_shown_with_reason() {
 #[tokio::test]
 async fn run_is_running_while_its_host_reports_it() {
     let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
-    site.store_runs(30, false).await;
+    site.store_run_of_each_pipeline(30, false).await;
     for current in [Some(2), None] {
         if current.is_none() {
             site.pipelines[0].run = None;

@@ -75,7 +75,7 @@ impl TestDashboard {
         let dashboard = Self::empty().await;
         let expected = pipelines.len();
         let mut site = TestSite::new(&dashboard.listening, dashboard.clock.clone(), pipelines).await;
-        site.store_runs(ITERATIONS, true).await;
+        site.store_run_of_each_pipeline(ITERATIONS, true).await;
         site.store_incidents().await;
         site.store_clocks(120).await;
         let now = dashboard.clock.wall();

@@ -157,14 +157,14 @@ mod tests {
             assert_eq!(names(&found), ["001-a", "002-a", "003-b"]);
             found.notes.concat()
         };
-        let cut = &whole[..whole.len() / 2];
+        let truncated = &whole[..whole.len() / 2];
         let extra_state = whole
             .replace(r#"{"attempts":0,"stage":"pending"}"#, r#"{"stage":"pending"},{"stage":"pending"}"#);
         let unknown_stage = whole.replace("pending", "eaten");
         let later = whole.replace(r#""format":1"#, r#""format":2"#);
         for (text, why) in [
             ("", "EOF"),
-            (cut, "EOF"),
+            (truncated, "EOF"),
             ("\0", "expected value"),
             ("{}", "missing field `format`"),
             (&extra_state, "it has 4 runs, but 5 states"),

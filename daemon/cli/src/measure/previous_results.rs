@@ -339,7 +339,10 @@ mod tests {
         std::fs::write(&mine, "mine").expect("writable");
         let mut guard = PreviousResultsGuard::move_away(results_dir.path()).expect("moved");
         std::fs::write(results_dir.path().join(DATA), "later").expect("writable");
-        assert!(previous_results_folder(results_dir.path()).is_some(), "the earlier ones are hidden");
+        assert!(
+            previous_results_folder(results_dir.path()).is_some(),
+            "the earlier results are still in the folder to which they were moved"
+        );
         std::fs::write(results_dir.path().join(RECORD), "later").expect("writable");
         guard.remove();
         assert_eq!(

@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn device_without_number_is_first() {
+    fn device_without_number_means_number_0() {
         assert_eq!(
             ["cpu", "cuda", "cuda:6", "tensorrt"].map(bank_device),
             ["cpu", "cuda:0", "cuda:6", "tensorrt:0"]

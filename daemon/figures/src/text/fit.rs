@@ -89,8 +89,11 @@ mod tests {
     #[test]
     fn long_text_is_shortened_or_wrapped() {
         assert_eq!(shorten("short", 50.0, 1000.0), "short");
-        let cut = shorten(&"a long label ".repeat(20), 50.0, 300.0);
-        assert!(cut.starts_with("a lo") && cut.contains('…') && width(&cut, 50.0) <= 300.0, "{cut}");
+        let shortened = shorten(&"a long label ".repeat(20), 50.0, 300.0);
+        assert!(
+            shortened.starts_with("a lo") && shortened.contains('…') && width(&shortened, 50.0) <= 300.0,
+            "{shortened}"
+        );
         assert!(shorten("a model with a long name, small", 50.0, 450.0).ends_with("small"));
         let lines = wrap("so many words that they need several lines", 50.0, 300.0);
         assert!(lines.len() > 2 && lines.iter().all(|line| width(line, 50.0) <= 300.0), "{lines:?}");

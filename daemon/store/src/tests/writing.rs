@@ -285,7 +285,7 @@ async fn events_before_first_contact_are_counted_apart() {
                      '40 events missing: from before this database: batches 1 to 9 of stream %'";
     assert_eq!(test_store.count(incidents).await, 1);
 
-    // The database knows the host now.
+    // The host connected to this database before, so these events are a loss.
     test_store.writer = open(&test_store.path).await;
     let committed = test_store.commit(&[missing(11, 12, 5)]).await;
     let (stored, _) = committed.hosts[&host];
@@ -317,7 +317,7 @@ async fn missing_events_of_all_gaps_are_counted() {
     assert_eq!(
         (missing, gaps.len()),
         (14_980, 1_002),
-        "1,000 gaps, the others of known size, and those of unknown size"
+        "1,000 single gaps, one entry for the others of known size, one for those of unknown size"
     );
     let (stored, _) = committed.hosts[&test_store.edge];
     assert_eq!((stored.gaps, stored.missing), (1_500, missing), "as in the list of hosts");

@@ -99,8 +99,8 @@ pub(super) async fn insert_missing_batches(
     insert_unattributed_gap(connection, host, &reason, *events, now).await
 }
 
-/// Returns the reason of a gap of batches that were stored before this database knew their host. `missing_before!`
-/// finds it by its beginning.
+/// Returns the reason of a gap of batches that another database stored before their host connected to this one.
+/// `missing_before!` finds it by its beginning.
 pub(super) fn describe_batches_before_database(stream: &StreamId, from: u64, through: u64) -> String {
     format!(
         "{}batches {from} to {through} of stream {stream} were stored in another database, and their agent has deleted them from its spool",

@@ -175,9 +175,9 @@ fn compressed_message_is_read_within_size_limit() {
 fn head_of_damaged_batch_is_readable() {
     for compress in [false, true] {
         let (frame, head, _) = frame_of(2, compress);
-        for cut in [frame.slice(..frame.len() - 1), Bytes::from([&frame[..], &[0]].concat())] {
-            assert_eq!(decode_batch_head(&cut), Some(head));
-            assert_eq!(decode_batch_body(cut), Err(CodecError::Damaged(5)));
+        for damaged in [frame.slice(..frame.len() - 1), Bytes::from([&frame[..], &[0]].concat())] {
+            assert_eq!(decode_batch_head(&damaged), Some(head));
+            assert_eq!(decode_batch_body(damaged), Err(CodecError::Damaged(5)));
         }
         assert_eq!(decode_batch_head(&frame[..BATCH_HEAD_BYTES - 1]), None);
     }

@@ -43,11 +43,10 @@ fn later_agent_is_served_in_newest_common_version() {
 }
 
 #[test]
-fn unknown_names_in_hello_are_ignored() {
+fn unknown_keys_of_hello_extension_are_ignored() {
     let later = hello_of(STREAM_VERSIONS.oldest(), extension(9));
     let mut frame = encode(&ToAggregator::Hello(later.clone()));
-    // The extension is a map with two names, and the last value in the frame, so another name is appended at the
-    // end.
+    // The extension is a map with two keys and the last value in the frame. So another key can be appended at the end.
     let mut extension = Vec::new();
     codec::encode_into(&mut extension, &later.extension);
     let map = frame.len() - extension.len();

@@ -193,7 +193,7 @@ pub(crate) struct Stored {
     pub gaps: u64,
     /// Events missing in the gaps, as far as they could be counted.
     pub missing: u64,
-    /// Those of them that were stored in another database before this database knew the host.
+    /// Those of them that were stored in another database before the host connected to this one.
     pub missing_before: u64,
     /// Batches that were received again and not stored again, since the aggregator started.
     pub duplicates: u64,

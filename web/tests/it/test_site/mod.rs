@@ -80,8 +80,9 @@ impl TestSite {
         self.agents.last().expect("there is a rack").id()
     }
 
-    /// Stores a run of each pipeline with `iterations` iterations, the last of which ends now.
-    pub(crate) async fn store_runs(&mut self, iterations: u64, ended: bool) -> Vec<RunId> {
+    /// Stores a run of each pipeline with `iterations` iterations, the last of which ends now. The runs have ended if
+    /// `ended` is true.
+    pub(crate) async fn store_run_of_each_pipeline(&mut self, iterations: u64, ended: bool) -> Vec<RunId> {
         let mut runs = Vec::new();
         for index in 0..self.pipelines.len() {
             let run = RunId::random();

@@ -362,8 +362,8 @@ fn counts_of_host_and_database_are_shown() {
     assert_eq!(snapshot.hosts[0].behind, Some(Span::from_seconds(18)));
     assert_eq!(snapshot.hosts[0].newest_stored, Some(wall(12.0)));
     assert_eq!(snapshot.hosts[0].stored, StoredCounts { duplicates: 1, ..stored });
-    let cut = Some("é".repeat(256));
-    assert_eq!(snapshot.hosts[0].accounting, Accounting { trouble: cut, ..accounting });
+    let truncated = Some("é".repeat(256));
+    assert_eq!(snapshot.hosts[0].accounting, Accounting { trouble: truncated, ..accounting });
     let idle = Accounting { waiting: 0, ..accounting };
     testbed.live.apply(with_accounting(update(testbed.host, wall(30.5), vec![]), idle), now(30.5));
     assert_eq!(testbed.snapshot(30.5).hosts[0].behind, None, "nothing waits");

@@ -201,9 +201,9 @@ fn violated_assumption_spoils_intervals_for_one_window() {
     let mut longest: f64 = 0.0;
     for seed in 0..300 {
         let mut random = RandomSource::new(seed);
-        let mut log = |from: f64, to: f64| random.between(from.ln(), to.ln()).exp();
-        let path = path(log(0.03, 300.0), log(0.03, 300.0), log(0.01, 20.0));
-        let (jump, ppm) = (log(1e4, 3e8) as i64, log(5.0, 180.0));
+        let mut log_uniform = |from: f64, to: f64| random.between(from.ln(), to.ln()).exp();
+        let path = path(log_uniform(0.03, 300.0), log_uniform(0.03, 300.0), log_uniform(0.01, 20.0));
+        let (jump, ppm) = (log_uniform(1e4, 3e8) as i64, log_uniform(5.0, 180.0));
         let at = Span::from_seconds(30);
         let host_clocks = drifting(10.0);
         let change = |clock: SimulatedClock| match seed % 4 {

@@ -49,7 +49,7 @@ fn a_line_stops_where_nothing_was_measured() {
         .filter(|(class, _)| class.starts_with("f-"))
         .map(|(class, path)| (class, pieces(path)))
         .collect();
-    assert_eq!(stages, [("f-inference", 2), ("f-sensing", 2)], "what covers the other comes first");
+    assert_eq!(stages, [("f-inference", 2), ("f-sensing", 2)], "the lower stage is drawn over the upper one");
     assert_eq!(path(&gap.items, "p95"), None, "no bucket has enough samples");
 }
 

@@ -220,7 +220,7 @@ fn character_cut_between_chunks_is_complete() {
 }
 
 #[test]
-fn several_events_in_one_chunk_are_counted() {
+fn events_of_one_http_chunk_are_counted_separately() {
     let one = |text: &str| format!("data: {{\"choices\":[{{\"delta\":{{\"content\":\"{text}\"}}}}]}}\n\n");
     let stream = [one("a"), one("b"), one("c")].concat();
     let finished = ask(vec![head(), http_chunk(stream.as_bytes()), finish("stop"), usage(1, 3), done()], "");

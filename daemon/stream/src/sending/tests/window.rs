@@ -60,12 +60,12 @@ fn requested_batch_is_sent_again() {
     assert_eq!(
         (agent.hellos.len(), agent.hellos[hellos].oldest),
         (hellos + 1, 3),
-        "the hello reports the missing batches"
+        "a new hello says that batch 3 is the oldest one left"
     );
 }
 
 #[test]
-fn unanswered_hello_is_repeated() {
+fn hello_after_unacknowledged_batches_is_repeated() {
     let mut agent = Agent::new_welcomed(config());
     agent.offer_batches(2);
     assert_eq!(agent.take_sent_numbers(), [1, 2]);
@@ -73,7 +73,7 @@ fn unanswered_hello_is_repeated() {
     assert_eq!(agent.hellos.len(), 1);
     assert_eq!(agent.sending.deadline(), Some(at(10_000).mono));
     agent.advance_ms(1_000);
-    assert_eq!(agent.hellos.len(), 2, "the timeout ended");
+    assert_eq!(agent.hellos.len(), 2, "no acknowledgement came within 10 s");
     agent.advance_ms(250);
     agent.advance_ms(499);
     assert_eq!(agent.hellos.len(), 3);
