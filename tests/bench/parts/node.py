@@ -31,12 +31,12 @@ def measure(quick: bool) -> Section:
     if not {READS, NODE} <= nanos.keys():
         raise Failure(f"{' '.join(BENCH)} printed no figure for {READS!r} or {NODE!r}:\n{printed}")
 
-    section.say("The logger's own benchmark, medians over interleaved repeats; below it a timer of the published kind.")
+    section.say("The logger's own benchmark, medians over interleaved repeats; below it a timer like that of the published program.")
     table = Table("what", "cost", "")
     for name, number, rest in lines:
         table.row(name, number, rest)
     table.row("Python: one timed node", f"{python:.1f}", "ns")
-    table.row("Python: one timed node", f"{python / nanos[NODE]:.2f}", f"x {NODE} (aim: {PYTHON_AIM:g} or more)")
+    table.row(f"PEERNet to Python: {NODE}", f"{python / nanos[NODE]:.2f}", f"x faster (aim: {PYTHON_AIM:g} or more)")
     section.table(table)
 
     cost, gain = nanos[NODE] / nanos[READS], python / nanos[NODE]

@@ -203,7 +203,7 @@ fn odd_usage_leaves_columns_empty() {
 }
 
 #[test]
-fn character_cut_between_chunks_is_complete() {
+fn character_split_over_http_chunks_is_complete() {
     let stream =
         "data: {\"choices\":[{\"delta\":{\"content\":\"grün 漢\"},\"finish_reason\":\"stop\"}]}\r\n\r\n";
     let mut script = vec![head()];
