@@ -1,4 +1,4 @@
-"""The closed loop over two hosts by three programs: PEERNet, the published program's work, and bare TCP."""
+"""The closed loop over two hosts by three programs: PEERNet, the paper's program's work, and bare TCP."""
 
 from __future__ import annotations
 

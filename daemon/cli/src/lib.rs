@@ -40,7 +40,7 @@ use clap::{Parser, Subcommand};
 /// Version of the program with the commit that it was built from.
 pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("PEERNET_COMMIT"), ")");
 
-/// Names of the command line: our own and those of the published program.
+/// Names of the command line: our own and those of the paper's program.
 pub const NAMES: [&str; 3] = ["peernet", "PEERNet", "peernet_cli"];
 
 /// PEERNet's command line: the experiments of the paper, measured links, a running aggregator's answers.

@@ -1,6 +1,6 @@
 //! Trees as a CSV table: one row per iteration, one column per path of names.
 //!
-//! The format follows the published program. The first column is `iteration`. The column of a child of the root has the
+//! The format follows the paper's program. The first column is `iteration`. The column of a child of the root has the
 //! name of the node. The column of a deeper node has the names of its ancestors and its own name, joined with `_`. If a
 //! node has both a value and children, `_val` is appended. Columns are in the order in which nodes were logged. Values
 //! are seconds, bytes and bits per second as plain numbers. A cell is empty if the iteration has no such node or if its

@@ -1,6 +1,6 @@
 //! Text form of a tree for people.
 //!
-//! It follows the published program, with four spaces per level and `name --> Time: 0.1234`, and adds units, bounds and
+//! It follows the paper's program, with four spaces per level and `name --> Time: 0.1234`, and adds units, bounds and
 //! hosts.
 
 use std::fmt;

@@ -1,4 +1,4 @@
-"""The closed loop: an echo model over two network namespaces, compared with the published program's work and bare TCP."""
+"""The closed loop: an echo model over two network namespaces, compared with the paper's program's work and bare TCP."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def _rates(section: Section, results: dict[Shape, Results]) -> None:
         rates = (rate(median(one)) for one in (ours, result.alone, published, tcp))
         table.row(_name(shape), *rates, times(gain), times(ratio(tcp, published)))
         if shape in ECHO:
-            promise = f"iterations per second at {size(shape.up)} ≥ {RATE_AIM:g} × the published program's"
+            promise = f"iterations per second at {size(shape.up)} ≥ {RATE_AIM:g} × the paper's program's"
             section.aim(promise, times(gain), gain >= RATE_AIM)
     section.table(table)
 

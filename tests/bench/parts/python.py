@@ -66,7 +66,7 @@ def measure(quick: bool) -> Section:
     for count in SIZES:
         gain = ratio(ours[count], theirs[count])
         table.row(size(count), rate(median(ours[count])), rate(median(theirs[count])), times(gain))
-        promise = f"iterations/s with Python objects at {size(count)} ≥ {RATE_AIM:g} × the published program's"
+        promise = f"iterations/s with Python objects at {size(count)} ≥ {RATE_AIM:g} × the paper's program's"
         section.aim(promise, times(gain), gain >= RATE_AIM)
     section.table(table)
     table = Table("p50, µs", *(size(count) for count in SIZES))

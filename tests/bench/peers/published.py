@@ -1,4 +1,4 @@
-"""One end of a Python program that does the published program's work, for the comparison in `loop.py`.
+"""One end of a Python program that does the paper's program's work, for the comparison in `loop.py`.
 
 Two pyzmq PAIR sockets, one per direction; the sender binds start_port + the receiver's number. A message is the pickle
 of (data, logger), and the logger's six nodes travel with it. `upload` is opened by the client before it pickles and
@@ -139,7 +139,7 @@ def main() -> None:
     parser.add_argument("--results", type=Path, default=Path(os.devnull))
     arguments = parser.parse_args()
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-    # The published program imports pandas, whose large blocks teach malloc to keep what is freed instead of handing it
+    # The paper's program imports pandas, whose large blocks teach malloc to keep what is freed instead of handing it
     # back with every message. This does the same: without it 150 kB go at half the speed.
     del bytearray(LARGE_BLOCK)[:]
     link = Link(arguments.role, arguments.own, arguments.peer)

@@ -1,4 +1,4 @@
-"""A logger that does the work of the published program's: a tree of small objects that is pickled with every message.
+"""A logger that does the work of the logger of the paper's program: a tree of small objects that is pickled with every message.
 
 Nodes start when they are made, read the wall clock, and are found by walking the tree. Nothing more than the
 comparison needs.

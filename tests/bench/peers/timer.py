@@ -1,4 +1,4 @@
-"""What one timed node of the published program's kind of logger costs: prints seconds per node, one per repeat.
+"""What one timed node of the paper's program's kind of logger costs: prints seconds per node, one per repeat.
 
 Usage: timer.py NODES REPEATS
 """

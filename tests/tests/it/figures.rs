@@ -1,4 +1,4 @@
-//! Tests of `peernet plot`: figures of results, including those of the published program.
+//! Tests of `peernet plot`: figures of results, including those of the paper's program.
 
 use std::path::Path;
 

@@ -7,7 +7,7 @@ use peernet_analysis::rows::{Outcome, Row, Rows};
 use peernet_results::{Overwrite, ResultFolder};
 use peernet_tests::{LoopbackDeployment, Process, ProcessEnd, SmallDisk, program};
 
-/// Returns a deployment with results of the published program: `all/small`, and `all/large`, which takes longer.
+/// Returns a deployment with results of the paper's program: `all/small`, and `all/large`, which takes longer.
 /// `upload` is the duration of an iteration's upload, seconds.
 pub(crate) fn write_published_results(upload: impl Fn(u32) -> f64) -> LoopbackDeployment {
     let header = "iteration,sensing,upload,inference,download,download-bytes,download-logger-bytes,upload-bytes,\

@@ -44,7 +44,7 @@ struct Query {
 }
 
 /// All iterations of a run as a table, one row each, in the format of the `data.csv` of a result folder (docs/results.md).
-/// Columns of the published program come first. Values are in seconds, bytes and bits per second. `peernet compare` and `peernet plot`
+/// Columns of the paper's program come first. Values are in seconds, bytes and bits per second. `peernet compare` and `peernet plot`
 /// read the table. For a run that has not ended, it holds the iterations that were stored at the time of the request.
 #[utoipa::path(get, path = "/api/v1/runs/{run}/export", operation_id = "exportRun", tag = "runs", params(("run" = i64, Path), Query), responses(
     (status = 200, body = String, content_type = "text/csv"),

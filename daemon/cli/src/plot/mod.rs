@@ -46,7 +46,7 @@ pub(crate) struct Arguments {
 enum Kind {
     /// All for which there is data.
     All,
-    /// For each run: the six histograms of the published program, sensing-time to download-throughput.
+    /// For each run: the six histograms of the paper's program, sensing-time to download-throughput.
     Histograms,
     /// For each run: the share of iterations up to each latency, of the total and its longest stages.
     Cumulative,

@@ -55,7 +55,7 @@ pub(crate) struct Arguments {
     /// the sender. Both ends need this option.
     #[arg(long)]
     pub(super) pickle: bool,
-    /// Encoding of sent pictures: `pixels`, as in the published program; `file`, the unchanged file; `jpeg:QUALITY`, to
+    /// Encoding of sent pictures: `pixels`, as in the paper's program; `file`, the unchanged file; `jpeg:QUALITY`, to
     /// compress them again.
     #[arg(long, default_value = "pixels", value_name = "HOW", value_parser = Encoding::read)]
     pub(super) encoding: Encoding,

@@ -5,7 +5,7 @@ use peernet_sensors::TransformConfig;
 /// Encoding in which pictures are sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Encoding {
-    /// Decoded pixels, as in the published program, which pickles the picture that its sensor opened.
+    /// Decoded pixels, as in the paper's program, which pickles the picture that its sensor opened.
     Pixels,
     /// The file as it is.
     File,

@@ -175,7 +175,7 @@ fn partial_results_are_marked() {
         "it never had a record"
     );
     std::fs::write(folder.path().join("data.csv"), "iteration,inference\n1,0.1\n").expect("writable");
-    assert_eq!(current_incompleteness(), None, "nor has a file of the published program");
+    assert_eq!(current_incompleteness(), None, "nor has a file of the paper's program");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Tests with files of the published program.
+//! Tests with files of the paper's program.
 
 use super::*;
 

@@ -15,7 +15,7 @@ use crate::{Sensor, SensorError};
 /// sample.
 const MAX_LENGTH: usize = 64 << 20;
 
-/// Configuration of the sensor: `{ kind = "text", … }`. Each sample is another text; the published program calls this
+/// Configuration of the sensor: `{ kind = "text", … }`. Each sample is another text; the paper's program calls this
 /// "random string".
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

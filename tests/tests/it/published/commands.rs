@@ -8,7 +8,7 @@ use crate::models::exported_models;
 
 const FILES: [&str; 5] = ["data.csv", "run.json", "summary.md", "summary.csv", "summary.tex"];
 
-/// Figures that the published program draws.
+/// Figures that the paper's program draws.
 const FIGURES: [&str; 6] = [
     "sensing-time.png",
     "upload-time.png",

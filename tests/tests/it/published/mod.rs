@@ -16,7 +16,7 @@ use peernet_tests::{Network, Process, free_port, onnxruntime, program, root};
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// Columns that the published program writes for a model with all three steps, in its order.
+/// Columns that the paper's program writes for a model with all three steps, in its order.
 const PUBLISHED_COLUMNS: [&str; 13] = [
     "iteration",
     "sensing",

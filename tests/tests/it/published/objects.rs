@@ -1,10 +1,10 @@
-//! Tests of users' objects that were written for the published program.
+//! Tests of users' objects that were written for the paper's program.
 
 use peernet_tests::ProcessEnd;
 
 use super::{Lab, PUBLISHED_COLUMNS};
 
-/// Sensor in the form of the published program: any object with `sample()`.
+/// Sensor in the form of the paper's program: any object with `sample()`.
 const SENSOR: &str = r#"
 import numpy as np
 
@@ -17,7 +17,7 @@ class Camera:
         return np.full((48, 64, 3), self.taken % 256, dtype=np.uint8)
 "#;
 
-/// Model in the form of the published program: `infer(x)`, and the two optional steps.
+/// Model in the form of the paper's program: `infer(x)`, and the two optional steps.
 const MODEL: &str = r#"
 import numpy as np
 

@@ -1,5 +1,5 @@
 //! Distributions of single runs. All runs of a quantity have the same axis. The quantities are the total and the six that the
-//! published program draws.
+//! paper's program draws.
 
 use peernet_analysis::figure_files::HISTOGRAMS;
 use peernet_figures::drawing::BinnedAxis;
