@@ -1,4 +1,4 @@
-//! The Python interpreter for tests of users' objects.
+//! The Python interpreter for tests of custom objects.
 
 use std::path::PathBuf;
 use std::process::Command;

@@ -1,4 +1,4 @@
-"""Users' Python objects: what the border of their processes costs, and the published commands with them."""
+"""Custom Python objects: what the border of their processes costs, and the published commands with them."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def _border(section: Section, rounds: int) -> None:
     command = ["env", PYTHON, *BORDER, "--", "--json", rounds]
     rows = json.loads(output(command, folder=ROOT, timeout_s=600))
     section.say(
-        "What a call costs beyond the user's code: a round trip to an object that returns what it got, "
+        "What a call costs beyond the custom code: a round trip to an object that returns what it got, "
         f"{rounds} rounds, against the same bytes through `cat`."
     )
     table = Table("µs", "cat p50", "p99", "bytes p50", "p99", "array p50", "p99")

@@ -1,4 +1,4 @@
-//! Tests of users' Python objects and programs in real processes.
+//! Tests of custom Python objects and programs in real processes.
 
 mod examples;
 mod processes;

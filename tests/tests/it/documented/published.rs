@@ -34,7 +34,7 @@ fn published_commands_run_objects_programs_and_results() {
     machines.write("local.yaml", &DEVICES.replace("CLUSTER", "127.0.0.1"));
     run_readme_commands(&machines);
     run_agent_with_programs(&machines);
-    run_users_objects(&machines);
+    run_custom_objects(&machines);
     use_results(&machines);
     machines.finish();
 }
@@ -74,7 +74,7 @@ fn run_agent_with_programs(machines: &DocumentedCommands) {
 }
 
 /// Runs Python objects at both ends on one machine, and programs at both ends on two.
-fn run_users_objects(machines: &DocumentedCommands) {
+fn run_custom_objects(machines: &DocumentedCommands) {
     machines.write("sweep.py", &Document::read("configs/python/sweep.py").text);
     machines.write("talker.py", TALKER);
     let server = |model: &str, devices: &str| {

@@ -1,4 +1,4 @@
-//! Tests of experiments with users' sensors, models and actuators in Python on one machine.
+//! Tests of experiments with custom sensors, models and actuators in Python on one machine.
 
 use std::collections::BTreeSet;
 use std::fs;

@@ -1,4 +1,4 @@
-//! Test of the output of users' code during an experiment.
+//! Test of the output of custom code during an experiment.
 
 use peernet_tests::{LoopbackDeployment, Process, program};
 

@@ -1,4 +1,4 @@
-//! Tests of users' objects that were written for the paper's program.
+//! Tests of custom objects that were written for the paper's program.
 
 use peernet_tests::ProcessEnd;
 
@@ -114,7 +114,7 @@ fn python_sensor_and_model_run_on_their_hosts() {
     assert_eq!(data.header[..PUBLISHED_COLUMNS.len()], PUBLISHED_COLUMNS);
     assert_eq!((data.count_outcome("ok"), data.rows.len()), (20, 20));
     assert!(data.numbers("upload-bytes").iter().all(|bytes| *bytes >= f64::from(48 * 64 * 3)));
-    // The time between the processes is separate from that of the user's code.
+    // The time between the processes is separate from that of the custom code.
     assert!(data.numbers("ipc").iter().all(|seconds| *seconds > 0.0));
 }
 

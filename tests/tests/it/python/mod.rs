@@ -1,4 +1,4 @@
-//! Tests of users' Python objects in real agents: a sensor on the edge, a model on the cloud.
+//! Tests of custom Python objects in real agents: a sensor on the edge, a model on the cloud.
 
 mod two_agents;
 mod worker;

@@ -16,7 +16,7 @@ fn python_objects_exchange_arrays_with_one_stage_each() {
     let api = &testbed.api;
     let run = api.wait_for_finished_run();
 
-    // Every tenth sample failed with the user's own message; the others succeeded.
+    // Every tenth sample failed with the message of the custom code; the others succeeded.
     let detail = api.json(&format!("/api/v1/runs/{run}"));
     assert_eq!(detail["counts"]["failed"], 3, "{detail}");
     assert_eq!(detail["counts"]["ok"], 27, "{detail}");

@@ -140,7 +140,7 @@ fn variables_and_seed(plan: &Plan, run: &Run, user: u32) -> (Vec<Vec<String>>, u
         pipeline.actuator.env_mut(),
         agent.models[1].env_mut(),
     ]
-    .map(|env| env.expect("runs users' code").clone());
+    .map(|env| env.expect("runs custom code").clone());
     let variables = |env: &BTreeMap<String, String>| {
         ["PEERNET_SEED", "PEERNET_REPEAT", "PEERNET_USER"].map(|name| env[name].clone()).to_vec()
     };
@@ -149,7 +149,7 @@ fn variables_and_seed(plan: &Plan, run: &Run, user: u32) -> (Vec<Vec<String>>, u
 }
 
 #[test]
-fn users_code_and_draws_depend_on_seed_repeat_and_user_only() {
+fn custom_code_seeds_depend_on_repeat_and_user_only() {
     let plan = plan(PROGRAMS, None);
     let find = |configuration, repeat| {
         let found = plan.runs.iter().find(|run| (run.configuration, run.repeat) == (configuration, repeat));

@@ -13,7 +13,7 @@ fn files(facts: &[(String, String)], folder: &Path) -> Vec<String> {
         let (path, hash) = file_fact.split_once(" SHA-256 ").expect("has one");
         let bytes = fs::read(path).expect("is there");
         assert_eq!(hash, peernet_external::sha256(bytes.as_slice()).expect("is read"));
-        Path::new(path).strip_prefix(&folder).expect("is the user's own").display().to_string()
+        Path::new(path).strip_prefix(&folder).expect("is a file of custom code").display().to_string()
     };
     files_fact.split(", ").map(file).collect()
 }

@@ -1,4 +1,4 @@
-//! Errors of users' code, after which the next call still succeeds.
+//! Errors of custom code, after which the next call still succeeds.
 
 use std::num::NonZeroU64;
 

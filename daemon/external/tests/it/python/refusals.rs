@@ -1,4 +1,4 @@
-//! Which objects are accepted and which are refused: at the start, and by a check that does not run users' code.
+//! Which objects are accepted and which are refused: at the start, and by a check that does not run custom code.
 
 use std::fs;
 use std::path::PathBuf;
@@ -71,7 +71,7 @@ fn failed_import_reports_reason() {
 }
 
 #[test]
-fn check_runs_no_user_code() {
+fn check_runs_no_custom_code() {
     let mut module = Module::new("raise SystemExit(9)", "own::Model");
     let check =
         |module: &Module| PythonObject::check(&module.config, &clock()).map_err(|error| error.to_string());
