@@ -2,13 +2,13 @@
 
 use peernet_aggregator::{PipelineSnapshot, Window};
 use peernet_analysis::actuator_results::{EPISODE_SUCCESS, SUPERSEDED};
-use peernet_analysis::transfer::Transfer;
 use peernet_logger::stage;
 use peernet_store::QuantityStatistics;
 use peernet_stream::PipelineState;
 
 use super::scrape::Scrape;
 use super::table::{Sample, Sink};
+use crate::view::speed::{self, NetworkDirection};
 
 /// Lengths of the windows in seconds, with the values of their label.
 const WINDOWS: [(u32, &str); 2] = [(10, "10s"), (60, "60s")];
@@ -116,25 +116,29 @@ pub(super) fn write_stages(scrape: &Scrape, sink: &mut Sink<'_>) {
 
 /// Writes the speeds while sending.
 pub(super) fn write_speed(scrape: &Scrape, sink: &mut Sink<'_>) {
-    write_directions(scrape, sink, |_, transfer| transfer.speed());
+    write_directions(scrape, sink, |window, direction| {
+        speed::determined(&window.transfers, &window.bounds, direction)
+    });
 }
 
 /// Writes the traffic over wall time.
 pub(super) fn write_traffic(scrape: &Scrape, sink: &mut Sink<'_>) {
-    write_directions(scrape, sink, |window, transfer| transfer.traffic(window.covered_s));
+    write_directions(scrape, sink, |window, direction| {
+        direction.transfer(&window.transfers)?.traffic(window.covered_s)
+    });
 }
 
 fn write_directions(
     scrape: &Scrape,
     sink: &mut Sink<'_>,
-    value_of: impl Fn(&Window, Transfer) -> Option<f64>,
+    value_of: impl Fn(&Window, NetworkDirection) -> Option<f64>,
 ) {
     for pipeline in &scrape.pipelines {
         let [host, name] = label_values(pipeline);
         let Some(window) = pipeline.window(60) else { continue };
-        for (direction, transfer) in [("upload", window.transfers.up), ("download", window.transfers.down)] {
-            if let Some(value) = transfer.and_then(|transfer| value_of(window, transfer)) {
-                sink(&[host, name, direction], Sample::Value(value));
+        for direction in [NetworkDirection::Up, NetworkDirection::Down] {
+            if let Some(value) = value_of(window, direction) {
+                sink(&[host, name, direction.delay_name()], Sample::Value(value));
             }
         }
     }

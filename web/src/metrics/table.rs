@@ -121,7 +121,7 @@ pub(super) const METRICS: &[Metric] = &[
     metric((Gauge, "pipeline_superseded", "answers"), WINDOW, "Answers within the window that were not acted on, because the answer to a newer sample had been acted on or the episode had ended; absent if there are none.", pipelines::write_superseded),
     metric((Gauge, "pipeline_episode_success", "ratio"), WINDOW, "Share of the episodes that ended within the window that were a success, 0 to 1; absent if none ended or no success is reported.", pipelines::write_episode_success),
     metric((Gauge, "pipeline_stage", "seconds"), STAGE, "Quantiles of the standard stages, total and unattributed over 60 s; successful iterations only.", pipelines::write_stages),
-    metric((Gauge, "pipeline_throughput", "bits_per_second"), DIRECTION, "Speed while sending (upload, download) over 60 s: bits divided by their transfer time; absent while no delay is known.", pipelines::write_speed),
+    metric((Gauge, "pipeline_throughput", "bits_per_second"), DIRECTION, "Speed while sending (upload, download) over 60 s: bits divided by their transfer time; absent where no delay is known or the clocks do not determine the delays.", pipelines::write_speed),
     metric((Gauge, "pipeline_traffic", "bits_per_second"), DIRECTION, "Traffic (upload, download) of successful iterations: bits per second of wall time over 60 s.", pipelines::write_traffic),
 
     metric((Gauge, "link_connected", "bool"), LINK, "1 while the edge reports the link, else 0.", |s, sink| links::write_each(s, sink, |link| Some(Sample::from_bool(link.connected)))),

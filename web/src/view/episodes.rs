@@ -17,19 +17,24 @@ pub(crate) fn episode_count_text(episodes: &Episodes) -> Option<String> {
     Some(if too_many { format!("{text}, too many to mark") } else { text })
 }
 
-/// Returns `3 failed`, or `995 failed, 300 marked` if not all have a mark. `None` if no iteration failed.
+/// Returns `3 failed`, `3 failed, 2 in the warm-up failed`, or `995 failed, 300 marked` if not all have a mark. `None` if
+/// no iteration failed.
 pub(crate) fn failed_count_text(episodes: &Episodes, run: &RunSummary) -> Option<String> {
-    let marked = episodes.failed_starts.len() as u64;
-    let counts = &run.counts;
-    // The counts of a run do not include the warm-up, and the stored rows lack the iterations that retention deleted.
-    let all = (counts.failed + counts.lost + counts.timeout).max(episodes.failed_count);
-    let number = if episodes.failed_count > Episodes::MAX_COUNTED {
-        format!("more than {}", count(Episodes::MAX_COUNTED))
-    } else {
-        count(all)
+    // The counts of a run do not include the warm-up; the stored rows include it, and lack the iterations that
+    // retention deleted. Rows are counted up to a limit.
+    let failed = run.counts.total() - run.counts.ok;
+    let in_warm_up = match episodes.failed_count {
+        stored if stored > Episodes::MAX_COUNTED => 0,
+        stored => stored.saturating_sub(failed),
     };
-    let rest = if all > marked { format!(", {} marked", count(marked)) } else { String::new() };
-    (all > 0).then(|| format!("{number} failed{rest}"))
+    let marked = episodes.failed_starts.len() as u64;
+    let texts = [
+        (failed > 0).then(|| format!("{} failed", count(failed))),
+        (in_warm_up > 0).then(|| format!("{} in the warm-up failed", count(in_warm_up))),
+        (failed + in_warm_up > marked).then(|| format!("{} marked", count(marked))),
+    ];
+    let texts: Vec<String> = texts.into_iter().flatten().collect();
+    (!texts.is_empty()).then(|| texts.join(", "))
 }
 
 #[cfg(test)]
@@ -60,10 +65,10 @@ mod tests {
         };
         assert_eq!(text_of(0, 0, 0), None);
         assert_eq!(text_of(3, 3, 3).as_deref(), Some("3 failed"));
-        assert_eq!(text_of(2, 2, 0).as_deref(), Some("2 failed"), "in the warm-up");
-        assert_eq!(text_of(300, 995, 889).as_deref(), Some("995 failed, 300 marked"), "in the warm-up too");
+        assert_eq!(text_of(2, 2, 0).as_deref(), Some("2 in the warm-up failed"));
+        let both = "889 failed, 106 in the warm-up failed, 300 marked";
+        assert_eq!(text_of(300, 995, 889).as_deref(), Some(both));
         assert_eq!(text_of(290, 290, 5_000).as_deref(), Some("5,000 failed, 290 marked"), "deleted");
-        let many = "more than 10,000 failed, 300 marked";
-        assert_eq!(text_of(300, 10_001, 9_000).as_deref(), Some(many));
+        assert_eq!(text_of(300, 10_001, 12_345).as_deref(), Some("12,345 failed, 300 marked"));
     }
 }

@@ -42,6 +42,19 @@ impl NetworkDirection {
     }
 }
 
+/// Returns the speed while sending in a direction, bits per second. `None` where no delay is known, or the clocks do not
+/// determine the delays: their prevailing verdict is neither `ok` nor `limited`.
+pub(crate) fn determined(
+    transfers: &Transfers,
+    bounds: &[DelayAccuracy],
+    direction: NetworkDirection,
+) -> Option<f64> {
+    let bound = bounds.iter().find(|bound| bound.stage == *direction.delay_name());
+    let is_determined =
+        matches!(bound.and_then(clocks::verdict), None | Some(Verdict::Ok | Verdict::Limited));
+    direction.transfer(transfers)?.speed().filter(|_| is_determined)
+}
+
 /// Returns the reason why the speed of a direction cannot be given as a single number; `None` if it can.
 pub(crate) fn obstacle(window: &Window, direction: NetworkDirection) -> Option<&'static str> {
     let bound = window.bounds.iter().find(|bound| bound.stage == *direction.delay_name());

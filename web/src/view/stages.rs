@@ -20,6 +20,9 @@ pub(crate) struct StageRow {
     pub look: &'static str,
     /// 1 for a part of the stage in the row above, else 0.
     pub depth: u8,
+    /// Number of iterations that have the stage, as `50 of 100`, where not every iteration has it. The statistics in the
+    /// row are over these iterations.
+    pub occurrence: Option<String>,
     pub mean: String,
     pub std: Option<String>,
     pub p50: String,
@@ -59,6 +62,7 @@ impl StageRow {
         Self {
             look: look::class(name),
             depth: u8::from(matches!(name, "capture" | "transform" | look::LATENESS)),
+            occurrence: None,
             mean: text(|statistics| Some(statistics.mean)),
             std: statistics.and_then(|statistics| statistics.std).map(|std| column.number(std)),
             p50: text(|statistics| Some(statistics.p50)),
@@ -78,6 +82,17 @@ impl StageRow {
     /// Returns whether the stage has values, and therefore a distribution that the row can link to.
     pub(crate) fn is_measured(&self) -> bool {
         self.p50 != NONE
+    }
+
+    /// Adds the number of iterations to the rows of stages that not every iteration has. `count_of` returns the number of
+    /// values of a stage.
+    fn with_occurrences(mut rows: Vec<Self>, count_of: impl Fn(&str) -> Option<u64>) -> Vec<Self> {
+        let all = count_of("total").unwrap_or(0);
+        for row in &mut rows {
+            let some = count_of(&row.name).filter(|some| *some < all);
+            row.occurrence = some.map(|some| format!("{} of {}", number::count(some), number::count(all)));
+        }
+        rows
     }
 
     /// Returns the row of the sum of both directions.
@@ -135,7 +150,9 @@ impl StageRow {
                 },
             ),
         );
-        rows
+        Self::with_occurrences(rows, |name| {
+            stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.statistics.count)
+        })
     }
 
     /// Returns the rows of a live window.
@@ -158,7 +175,7 @@ impl StageRow {
                 rows.push(Self::network(column, network, share(look::NETWORK)));
             }
         }
-        rows
+        Self::with_occurrences(rows, |name| window.value(name).map(|statistics| statistics.count))
     }
 }
 

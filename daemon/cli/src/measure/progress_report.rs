@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use peernet_statistics::number;
+use peernet_statistics::{Summary, number};
 use peernet_stream::Condition;
 use serde::{Deserialize, Serialize};
 
@@ -15,8 +15,11 @@ pub(crate) struct ProgressReport {
     pub(crate) phase: Phase,
     /// Number of finished iterations.
     pub(crate) done: u64,
-    /// Number of finished iterations without an answer, or with one that the actuator failed to act on.
+    /// Number of finished iterations after the warm-up without an answer, or with one that the actuator failed to act
+    /// on.
     pub(crate) failed: u64,
+    /// Number of such iterations in the warm-up.
+    pub(crate) failed_in_warm_up: u64,
     /// Description of the first failed iteration with its reason, as a clause: `iteration 3 failed: …`.
     pub(crate) first_failure: Option<String>,
     /// Total number of iterations; `None` if a time limits the run.
@@ -24,10 +27,8 @@ pub(crate) struct ProgressReport {
     pub(crate) iterations: Option<u64>,
     /// Iterations per second since the first iteration.
     pub(crate) rate: f64,
-    /// Median of the total so far, seconds.
-    pub(crate) p50: Option<f64>,
-    /// 99th percentile of the total, once there are enough values.
-    pub(crate) p99: Option<f64>,
+    /// Totals of the successful iterations after the warm-up, seconds.
+    pub(crate) totals: Summary,
     /// Estimated remaining time, seconds; `None` while unknown.
     pub(crate) left_s: Option<f64>,
     /// Description of an unexpected wait.
@@ -47,10 +48,13 @@ impl fmt::Display for ProgressReport {
         if self.failed > 0 {
             write!(f, ", {} failed", number::count(self.failed))?;
         }
+        if self.failed_in_warm_up > 0 {
+            write!(f, ", {} in the warm-up failed", number::count(self.failed_in_warm_up))?;
+        }
         write!(f, ", {} /s", number::fixed(self.rate, 1))?;
         // There is no median during the warm-up.
-        if let Some(p50) = self.p50 {
-            write!(f, ", total {}", describe_quantiles(p50, self.p99))?;
+        if let Some(p50) = self.totals.quantile(0.5) {
+            write!(f, ", total {}", describe_quantiles(p50, self.totals.p99()))?;
         }
         self.left_s.map_or(Ok(()), |left| write!(f, ", {} left", duration(left)))
     }
@@ -91,22 +95,25 @@ mod tests {
 
     #[test]
     fn progress_is_shown_in_one_line() {
+        let mut totals = Summary::default();
+        totals.record(0.1012);
         let report = ProgressReport {
             phase: Phase::Measuring,
             done: 120,
             failed: 0,
+            failed_in_warm_up: 0,
             first_failure: None,
             iterations: Some(10_005),
             rate: 9.81,
-            p50: Some(0.1012),
-            p99: None,
+            totals,
             left_s: Some(1007.6),
             trouble: None,
         };
         assert_eq!(report.to_string(), "120 of 10,005, 9.8 /s, total p50 101 ms, 17 min left");
-        let failing = ProgressReport { failed: 120, p50: None, ..report.clone() };
+        let failing = ProgressReport { failed: 120, totals: Summary::default(), ..report.clone() };
         assert_eq!(failing.to_string(), "120 of 10,005, 120 failed, 9.8 /s, 17 min left");
-        let warming_up = ProgressReport { done: 3, p50: None, ..report };
-        assert_eq!(warming_up.to_string(), "3 of 10,005, 9.8 /s, 17 min left");
+        let warming_up =
+            ProgressReport { done: 3, failed_in_warm_up: 2, totals: Summary::default(), ..report };
+        assert_eq!(warming_up.to_string(), "3 of 10,005, 2 in the warm-up failed, 9.8 /s, 17 min left");
     }
 }

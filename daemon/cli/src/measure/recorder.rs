@@ -40,8 +40,10 @@ struct RunProgress {
     started_at: Option<MonoTime>,
     /// Number of finished iterations.
     done: u64,
-    /// Number of finished iterations that have no answer, or one that the actuator failed to act on.
+    /// Number of finished iterations after the warm-up that have no answer, or one that the actuator failed to act on.
     failed: u64,
+    /// Number of such iterations in the warm-up.
+    failed_in_warm_up: u64,
     /// Description of the first failed iteration.
     first_failure: Option<String>,
     /// Totals of the iterations after the warm-up, seconds.
@@ -56,6 +58,7 @@ impl RunProgress {
             started_at: None,
             done: 0,
             failed: 0,
+            failed_in_warm_up: 0,
             first_failure: None,
             totals: Summary::default(),
         }
@@ -64,7 +67,7 @@ impl RunProgress {
     fn add(&mut self, row: &Row) {
         self.done += 1;
         if row.outcome != Outcome::Ok {
-            self.failed += 1;
+            *if row.warm_up { &mut self.failed_in_warm_up } else { &mut self.failed } += 1;
             self.first_failure
                 .get_or_insert_with(|| describe_failure(row.iteration, row.outcome, row.reason.as_deref()));
         }
@@ -98,11 +101,11 @@ impl RunProgress {
             phase,
             done,
             failed: self.failed,
+            failed_in_warm_up: self.failed_in_warm_up,
             first_failure: self.first_failure.clone(),
             iterations,
             rate,
-            p50: self.totals.quantile(0.5),
-            p99: self.totals.p99(),
+            totals: self.totals.clone(),
             left_s: by_count.into_iter().chain(by_time).reduce(f64::min),
             trouble,
         }
@@ -203,7 +206,7 @@ impl<'a> RunRecorder<'a> {
         let phase = match (&trouble, self.progress.started_at, self.recorded.rows.last()) {
             (_, None, _) => Phase::Starting,
             (Some(_), ..) => Phase::Waiting,
-            (None, _, last) if last.is_none_or(|row| row.warm_up()) => Phase::WarmUp,
+            (None, _, last) if last.is_none_or(|row| row.warm_up) => Phase::WarmUp,
             _ => Phase::Measuring,
         };
         self.progress.report(phase, trouble, self.clock.mono())

@@ -1,12 +1,12 @@
 //! Execution of the runs, one after the other.
 
 use crate::exit::{Exit, Failure};
-use peernet_analysis::order::SortedValues;
 use peernet_analysis::record::User;
 use peernet_clock::SharedClock;
 use peernet_results::Overwrite;
+use peernet_statistics::Summary;
 
-use super::children::{self, ChildEvent, ProcessResult, ProcessResults};
+use super::children::{self, ChildEvent, ProcessResults};
 use super::estimate::Estimates;
 use super::external_files::ExternalFiles;
 use super::finished_runs::load_results;
@@ -154,18 +154,14 @@ pub(super) fn run_result(
     let Some((user, exit)) = first_failure else {
         return RunResult { status: RunStatus::Finished, exit: Some(0), reason: None, seconds };
     };
-    // All iterations may have been tried although some failed, and all measurements may be written although a figure
-    // is not.
-    let tried_all = |exit: &ProcessResult| {
-        let codes = [Exit::Ok, Exit::Incomplete, Exit::Unwritten].map(|exit| Some(i32::from(exit as u8)));
-        codes.contains(&exit.code)
-    };
-    let is_complete =
-        || process_results.exits.iter().all(tried_all) && load_results(folder, record, run).is_ok();
-    let status = match process_results.interrupted {
-        true => RunStatus::Interrupted,
-        false if is_complete() => RunStatus::Finished,
-        false => RunStatus::Failed,
+    // The results decide, as they do for the aggregator: all iterations may have been tried although some failed, and
+    // all measurements may be written although a process was stopped before it had drawn all figures.
+    let status = if load_results(folder, record, run).is_ok() {
+        RunStatus::Finished
+    } else if process_results.interrupted {
+        RunStatus::Interrupted
+    } else {
+        RunStatus::Failed
     };
     let user_prefix =
         if process_results.exits.len() > 1 { format!("user {}: ", user + 1) } else { String::new() };
@@ -173,27 +169,27 @@ pub(super) fn run_result(
     RunResult { status, exit: exit.code, reason, seconds }
 }
 
-/// Combines the progress of several users: the sums of their counts, the median of the medians, and the highest 99th
-/// percentile.
+/// Combines the progress of several users: the sums of their counts, and their totals together.
 fn combine(reports: &[Option<ProgressReport>]) -> Option<ProgressReport> {
     let all: Vec<&ProgressReport> = reports.iter().flatten().collect();
     let (first, rest) = all.split_first()?;
     if rest.is_empty() {
         return Some((*first).clone());
     }
-    let medians: SortedValues = all.iter().filter_map(|report| report.p50).collect();
+    let mut totals = Summary::default();
+    all.iter().for_each(|report| totals.merge(&report.totals));
     Some(ProgressReport {
         phase: first.phase,
         done: all.iter().map(|report| report.done).sum(),
         failed: all.iter().map(|report| report.failed).sum(),
+        failed_in_warm_up: all.iter().map(|report| report.failed_in_warm_up).sum(),
         first_failure: reports.iter().enumerate().find_map(|(user, report)| {
             let failure = report.as_ref()?.first_failure.as_ref()?;
             Some(format!("user {}: {failure}", user + 1))
         }),
         iterations: all.iter().map(|report| report.iterations).sum(),
         rate: all.iter().map(|report| report.rate).sum(),
-        p50: medians.median(),
-        p99: all.iter().filter_map(|report| report.p99).reduce(f64::max),
+        totals,
         left_s: all.iter().filter_map(|report| report.left_s).reduce(f64::max),
         trouble: all.iter().find_map(|report| report.trouble.clone()),
     })

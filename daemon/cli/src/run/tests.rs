@@ -373,18 +373,38 @@ fn run_without_figures_is_finished() {
     let status = || run_result(&folder, &record, run, &process_results, 1.0).status;
     assert_eq!(status(), RunStatus::Failed, "there are no results");
     let [path] = folder.results(&record.plan, run).try_into().expect("one user");
-    std::fs::create_dir_all(&path).expect("writable");
-    let record_json = json!({
-        "format": 1, "reason": "finished", "counts": { "ok": 2 }, "experiment": record.plan.experiment_place(run, &record.id),
-    });
-    std::fs::write(path.join("run.json"), record_json.to_string()).expect("writable");
+    let write = || write_results(&path, record.plan.experiment_place(run, &record.id));
+    write();
     std::fs::write(path.join("data.csv"), "iteration,sensing,outcome\n1,0.5,ok\n").expect("writable");
     assert_eq!(status(), RunStatus::Failed, "rows are missing");
-    std::fs::write(path.join("data.csv"), "iteration,sensing,outcome\n1,0.5,ok\n2,0.5,ok\n")
-        .expect("writable");
+    write();
     let result = run_result(&folder, &record, run, &process_results, 1.0);
     assert_eq!((result.status, result.exit), (RunStatus::Finished, Some(73)));
     assert!(result.reason.expect("it is told").contains("not all figures are drawn"));
+}
+
+#[test]
+fn run_stopped_after_its_results_is_finished() {
+    let temporary = tempfile::tempdir().expect("a folder");
+    let folder = Folder::open(&temporary.path().join("results")).expect("is new");
+    let record = record(temporary.path());
+    let run = &record.plan.runs[0];
+    let killed = ProcessResult { code: None, reason: None };
+    let process_results = ProcessResults { exits: vec![killed], interrupted: true };
+    let status = || run_result(&folder, &record, run, &process_results, 1.0).status;
+    assert_eq!(status(), RunStatus::Interrupted, "there are no results");
+    write_results(&folder.results(&record.plan, run)[0], record.plan.experiment_place(run, &record.id));
+    assert_eq!(status(), RunStatus::Finished);
+}
+
+/// Writes the results of a finished run of two iterations.
+fn write_results(path: &Path, experiment: ExperimentPlace) {
+    std::fs::create_dir_all(path).expect("writable");
+    let record_json =
+        json!({ "format": 1, "reason": "finished", "counts": { "ok": 2 }, "experiment": experiment });
+    std::fs::write(path.join("run.json"), record_json.to_string()).expect("writable");
+    std::fs::write(path.join("data.csv"), "iteration,sensing,outcome\n1,0.5,ok\n2,0.5,ok\n")
+        .expect("writable");
 }
 
 #[test]

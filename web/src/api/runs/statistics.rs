@@ -3,9 +3,8 @@
 use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
-use peernet_analysis::transfer;
 use peernet_logger::stage;
-use peernet_store::{self as store, QuantityStatistics};
+use peernet_store::{self as store, QuantityStatistics, RunStatistics};
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 use utoipa_axum::router::OpenApiRouter;
@@ -16,6 +15,7 @@ use crate::api::schema::{Bound, time};
 use crate::error::{ProblemDetails, WebError};
 use crate::parameters::{Parameters, parse_bounded, parse_names, path};
 use crate::state::{App, AppState};
+use crate::view::speed::{self, NetworkDirection};
 
 /// Returns the operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
@@ -37,7 +37,7 @@ async fn stages(
     Ok(Json(StageList {
         stages: statistics.stages.iter().map(Stage::from).collect(),
         bounds: statistics.bounds.iter().map(Bound::from).collect(),
-        speed_while_sending: SpeedWhileSending::from(&statistics.transfers()),
+        speed_while_sending: SpeedWhileSending::new(&statistics),
     }))
 }
 
@@ -122,16 +122,21 @@ pub(crate) struct StageList {
 /// iterations.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct SpeedWhileSending {
-    /// Throughput from the edge to the cloud; null when nothing was sent or no delay is known.
+    /// Throughput from the edge to the cloud; null when nothing was sent, no delay is known, or the clocks do not determine the delays
+    /// (prevailing verdict neither `ok` nor `limited`).
     pub upload_bits_per_second: Option<f64>,
-    /// Throughput from the cloud to the edge; null when nothing was sent or no delay is known.
+    /// Throughput from the cloud to the edge; null in the same cases.
     pub download_bits_per_second: Option<f64>,
 }
 
-impl From<&transfer::Transfers> for SpeedWhileSending {
-    fn from(transfers: &transfer::Transfers) -> Self {
-        let speed = |transfer: Option<transfer::Transfer>| transfer.and_then(|transfer| transfer.speed());
-        Self { upload_bits_per_second: speed(transfers.up), download_bits_per_second: speed(transfers.down) }
+impl SpeedWhileSending {
+    fn new(statistics: &RunStatistics) -> Self {
+        let transfers = statistics.transfers();
+        let speed = |direction| speed::determined(&transfers, &statistics.bounds, direction);
+        Self {
+            upload_bits_per_second: speed(NetworkDirection::Up),
+            download_bits_per_second: speed(NetworkDirection::Down),
+        }
     }
 }
 

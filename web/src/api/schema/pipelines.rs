@@ -8,6 +8,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::{Bound, Counts, NodeFigures, Placement, time};
+use crate::view::speed::{self, NetworkDirection};
 
 /// All pipelines that reported.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -109,19 +110,23 @@ pub(crate) struct TransferRates {
 /// Rates of one direction, of successful iterations.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct TransferRate {
-    /// Speed while sending: sum of bits divided by sum of transfer times; null while no delay is known.
+    /// Speed while sending: sum of bits divided by sum of transfer times; null where no delay is known, or the clocks do not determine
+    /// the delays (prevailing verdict neither `ok` nor `limited`).
     pub speed_bits_per_second: Option<f64>,
     /// Traffic: sum of bits divided by wall time.
     pub traffic_bits_per_second: Option<f64>,
 }
 
 impl TransferRates {
-    fn new(transfers: &transfer::Transfers, wall_s: f64) -> Self {
-        let rate = |transfer: transfer::Transfer| TransferRate {
-            speed_bits_per_second: transfer.speed(),
-            traffic_bits_per_second: transfer.traffic(wall_s),
+    fn new(window: &peernet_aggregator::Window) -> Self {
+        let rate = |direction: NetworkDirection| {
+            let transfer = direction.transfer(&window.transfers)?;
+            Some(TransferRate {
+                speed_bits_per_second: speed::determined(&window.transfers, &window.bounds, direction),
+                traffic_bits_per_second: transfer.traffic(window.covered_s),
+            })
         };
-        Self { upload: transfers.up.map(rate), download: transfers.down.map(rate) }
+        Self { upload: rate(NetworkDirection::Up), download: rate(NetworkDirection::Down) }
     }
 }
 
@@ -196,7 +201,7 @@ impl Pipeline {
             lost_fraction: window.lost_fraction,
             miss_rate: window.miss_rate,
             values: NodeFigures::from_values(&window.values),
-            transfers: TransferRates::new(&window.transfers, window.covered_s),
+            transfers: TransferRates::new(window),
             bounds: window.bounds.iter().map(Bound::from).collect(),
         });
         let skip = snapshot.series.len().saturating_sub(seconds);

@@ -104,7 +104,7 @@ fn meaning(delays: &Delays, is_young_link: bool) -> Meaning {
             if half > 0.0 {
                 let ratio = point.value.seconds() / half;
                 format!(
-                    "{takes}, {} times its clock bound. The true value lies between {}{SPACE}ms.",
+                    "{takes}, {} times half the width of its interval. The true value lies between {}{SPACE}ms.",
                     format_ratio(ratio),
                     ends_ms(lo, hi).join(" and ")
                 )
@@ -115,10 +115,9 @@ fn meaning(delays: &Delays, is_young_link: bool) -> Meaning {
         (Some(Verdict::Limited), Some(point)) => {
             let (lo, hi) = bounds(point);
             format!(
-                "takes about {}{SPACE}ms, too little for a bound of {}. Read it as {}{SPACE}ms: the true value can be \
-                 anywhere in it.",
+                "takes about {}{SPACE}ms, too little for the width of its interval. Read it as {}{SPACE}ms: the true value \
+                 can be anywhere in it.",
                 format_delay(point),
-                bound((hi - lo) / 2.0),
                 interval_ms(lo, hi)
             )
         }

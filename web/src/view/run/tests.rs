@@ -104,6 +104,30 @@ fn page_and_summary_show_equal_numbers() {
     }
 }
 
+fn stage_statistics(stage: Name, mean: f64, count: u64) -> StageStatistics {
+    StageStatistics {
+        stage,
+        unit: "s".to_owned(),
+        is_stage: false,
+        statistics: crate::tests::samples::figures(mean, count),
+        bound: None,
+        share: None,
+    }
+}
+
+#[test]
+fn stage_of_some_iterations_has_their_number() {
+    let stages = [
+        stage_statistics(stage::SENSING, 0.001, 1_895),
+        stage_statistics(stage::ACTUATION, 0.002, 50),
+        stage_statistics(stage::TOTAL, 0.01, 1_895),
+    ];
+    let rows = crate::view::stages::StageRow::of_run(&stages, &[]);
+    let occurrences = rows.iter().map(|row| (row.name.as_str(), row.occurrence.as_deref()));
+    let expected = [("sensing", None), ("actuation", Some("50 of 1,895")), ("total", None)];
+    assert_eq!(occurrences.collect::<Vec<_>>(), expected);
+}
+
 #[test]
 fn tables_of_short_run_have_digits_of_its_total() {
     let (mut run, mut series) = run_of_an_hour();
@@ -125,15 +149,8 @@ fn tables_of_short_run_have_digits_of_its_total() {
     let zone = Zone::default();
     assert_eq!(header, "0.0183");
     assert_eq!((&stored.buckets(zone)[0].p50, &stored.slow_rows(zone)[0].total), (&header, &header));
-    let stage = |mean| StageStatistics {
-        stage: stage::TOTAL,
-        unit: "s".to_owned(),
-        is_stage: false,
-        statistics: crate::tests::samples::figures(mean, 895),
-        bound: None,
-        share: None,
-    };
-    assert_eq!(crate::view::stages::StageRow::of_run(&[stage(total)], &[])[0].mean, header);
+    let total_stage = stage_statistics(stage::TOTAL, total, 895);
+    assert_eq!(crate::view::stages::StageRow::of_run(&[total_stage], &[])[0].mean, header);
     let tooltip = serde_json::to_string(&RoundedNumber(Some(total * 1e3))).expect("serialises");
     assert_eq!(tooltip, "0.01831");
 }

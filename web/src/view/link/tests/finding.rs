@@ -54,7 +54,7 @@ fn verdicts_are_explained_with_numbers_of_the_link() {
     let explanations = meanings(&Subject::live(&link));
     assert_eq!(
         explanations[0].text,
-        "takes 6.30\u{202f}ms, 9.7 times its clock bound. The true value lies between 5.65 and 6.95\u{202f}ms."
+        "takes 6.30\u{202f}ms, 9.7 times half the width of its interval. The true value lies between 5.65 and 6.95\u{202f}ms."
     );
     assert!(explanations[1].text.contains("Read it as 0.00 – 1.25\u{202f}ms"), "{}", explanations[1].text);
 }
