@@ -30,7 +30,7 @@ pub const EPISODES_SEPARATOR: &str = " and ";
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct ActuatorResults {
-    /// Number of counted iterations whose answer was not acted on, because it was superseded.
+    /// Number of iterations in the statistics whose answer was not acted on, because it was superseded.
     pub superseded: u64,
     /// Success rate of the episodes; `None` if no success is reported.
     pub success: Option<SuccessRate>,
@@ -66,7 +66,7 @@ impl ActuatorResults {
     pub fn from_rows<'a>(rows: impl IntoIterator<Item = RowRef<'a>>) -> Self {
         let (mut superseded, mut success, mut returns) = (0, Moments::default(), Moments::default());
         for row in rows {
-            superseded += u64::from(row.is_counted() && row.value(SUPERSEDED) == Some(1.0));
+            superseded += u64::from(row.is_in_statistics() && row.value(SUPERSEDED) == Some(1.0));
             for (name, moments) in [(EPISODE_SUCCESS, &mut success), (EPISODE_RETURN, &mut returns)] {
                 if let Some(value) = row.value(name).filter(|value| Summary::accepts(*value)) {
                     moments.record(value);
@@ -117,7 +117,7 @@ impl ActuatorResults {
         (!texts.is_empty()).then(|| texts.join(EPISODES_SEPARATOR))
     }
 
-    /// Returns sentences about the results; `answered` is the number of counted iterations.
+    /// Returns sentences about the results; `answered` is the number of iterations in the statistics.
     pub fn sentences(&self, answered: u64) -> Vec<String> {
         let superseded = (self.superseded > 0).then(|| {
             let [superseded, answered] = [self.superseded, answered].map(count);

@@ -38,7 +38,7 @@ impl Misses {
         for row in rows.into_iter().filter(|row| !row.warm_up()) {
             let missed = row.value(DEADLINE_MISSED);
             has_deadline |= missed.is_some();
-            if row.is_counted() {
+            if row.is_in_statistics() {
                 successful += 1;
                 late += u64::from(missed == Some(1.0));
             } else {

@@ -95,7 +95,7 @@ pub struct DirectionSizes {
 }
 
 impl DirectionSizes {
-    /// Returns the messages of counted rows.
+    /// Returns the messages of rows in the statistics.
     pub fn from_rows(name: &'static str, rows: &[RowRef<'_>]) -> Self {
         let [payload, metadata, lower, upper] =
             ["bytes", "logger-bytes", "lo", "hi"].map(|suffix| format!("{name}-{suffix}"));

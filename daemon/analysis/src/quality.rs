@@ -129,12 +129,12 @@ impl Quality {
     }
 }
 
-/// Returns the value of a node in an iteration; `None` if it is missing or invalid. Iterations that are not counted
-/// have only the values of episodes.
+/// Returns the value of a node in an iteration; `None` if it is missing or invalid. Iterations that are not in the
+/// statistics have only the values of episodes.
 fn value(row: RowRef<'_>, name: &str) -> Option<f64> {
     match name {
         EPISODE_SUCCESS | EPISODE_RETURN => row.value(name).filter(|value| Summary::accepts(*value)),
-        _ if !row.is_counted() => None,
+        _ if !row.is_in_statistics() => None,
         _ if ACCURACIES.contains(&name) => score(row, name).map(|is_right| f64::from(u8::from(is_right))),
         _ => row.value(name).filter(|score| (0.0..=1.0).contains(score)),
     }

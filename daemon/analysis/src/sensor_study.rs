@@ -67,7 +67,7 @@ impl SensorStudy {
         let gap = sample_times.windows(2).max_by(|a, b| length(a).total_cmp(&length(b)))?;
         // Failed iterations are left out: they measured how long the sensor failed, such as a time limit, and not how
         // long a sample took.
-        let sensing: SortedValues = rows.counted_values("sensing").collect();
+        let sensing: SortedValues = rows.values_in_statistics("sensing").collect();
         Some(Self {
             samples: sample_times.len() as u64,
             failed: measured().filter(|row| row.outcome() != Outcome::Ok).count() as u64,

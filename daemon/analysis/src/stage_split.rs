@@ -104,17 +104,17 @@ impl StageSplit {
         unexplained.abs() >= NEGLIGIBLE_UNEXPLAINED_S && self.share(unexplained.abs()) >= notable_share
     }
 
-    /// Returns the split of the counted rows of a run.
+    /// Returns the split of the rows of a run that are in the statistics.
     pub fn from_rows(rows: &Rows) -> Self {
         let mut sent = [0; 2];
-        for row in rows.iter().filter(|row| row.is_counted()) {
+        for row in rows.iter().filter(|row| row.is_in_statistics()) {
             sent.iter_mut()
                 .zip(row.has_messages())
                 .for_each(|(sent, has_message)| *sent += u64::from(has_message));
         }
         let mean_of = |name: &str| {
             let mut moments = Moments::default();
-            let values = rows.counted_values(name).filter(|value| Summary::accepts(*value));
+            let values = rows.values_in_statistics(name).filter(|value| Summary::accepts(*value));
             values.for_each(|value| moments.record(value));
             (moments.count > 0).then_some((moments.count, moments.mean))
         };

@@ -13,10 +13,11 @@ pub enum TotalColumn {
 }
 
 impl TotalColumn {
-    /// Returns the latency that is compared, from rows. Only counted rows matter. The rule is that of [`Self::from_counts`].
+    /// Returns the latency that is compared, from rows. Only rows in the statistics matter. The rule is that of
+    /// [`Self::from_counts`].
     pub fn from_rows<'a>(rows: impl IntoIterator<Item = RowRef<'a>>) -> Self {
         let [mut iterations, mut totals, mut sums] = [0; 3];
-        for row in rows.into_iter().filter(RowRef::is_counted) {
+        for row in rows.into_iter().filter(RowRef::is_in_statistics) {
             iterations += 1;
             totals += u64::from(row.value(Self::Measured.name()).is_some());
             sums += u64::from(row.value(Self::SumOfStages.name()).is_some());
@@ -24,8 +25,8 @@ impl TotalColumn {
         Self::from_counts(iterations, totals, sums)
     }
 
-    /// Returns the latency that is compared, from the number of counted iterations of all runs together, the number of these iterations with
-    /// a total, and the number of these iterations with a sum of stages.
+    /// Returns the latency that is compared, from three numbers of all runs together: of iterations in the statistics, of
+    /// those with a total, and of those with a sum of stages.
     ///
     /// The total is longer than the sum of its stages, so that a total cannot be compared with a sum. If at least one
     /// iteration has no total, all iterations are therefore compared by the sum of their stages, unless no iteration
@@ -77,7 +78,11 @@ mod tests {
         let column = |rows: &Rows| TotalColumn::from_rows(rows);
         assert_eq!(column(&rows(&[Some(2.0), Some(2.0)], Outcome::Ok)), TotalColumn::Measured);
         assert_eq!(column(&rows(&[Some(2.0), None], Outcome::Ok)), TotalColumn::SumOfStages);
-        assert_eq!(column(&rows(&[None], Outcome::Lost)), TotalColumn::Measured, "it is not counted");
+        assert_eq!(
+            column(&rows(&[None], Outcome::Lost)),
+            TotalColumn::Measured,
+            "it is not in the statistics"
+        );
         assert_eq!(TotalColumn::from_counts(100, 99, 0), TotalColumn::Measured, "there is no sum");
     }
 }

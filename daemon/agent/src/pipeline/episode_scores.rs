@@ -21,7 +21,7 @@ pub(super) struct EpisodeScores {
 struct OpenEpisode {
     number: u32,
     /// `false` for an episode of the warm-up at the start of the run.
-    is_counted: bool,
+    is_after_warm_up: bool,
     /// Latest report of success.
     success: Option<bool>,
     /// Sum of the rewards.
@@ -40,9 +40,9 @@ pub(super) struct EpisodeResult {
 }
 
 impl EpisodeScores {
-    /// Begins an episode; `is_counted` is `false` for an episode of the warm-up.
-    pub(super) fn begin(&mut self, number: u32, is_counted: bool) {
-        self.open.push(OpenEpisode { number, is_counted, success: None, total_reward: 0.0 });
+    /// Begins an episode; `is_after_warm_up` is `false` for an episode of the warm-up.
+    pub(super) fn begin(&mut self, number: u32, is_after_warm_up: bool) {
+        self.open.push(OpenEpisode { number, is_after_warm_up, success: None, total_reward: 0.0 });
     }
 
     /// Adds the feedback on one action of an episode.
@@ -59,10 +59,10 @@ impl EpisodeScores {
     /// because the actuator reports none.
     pub(super) fn close(&mut self, number: u32) -> Option<EpisodeResult> {
         let index = self.open.iter().position(|episode| episode.number == number)?;
-        let OpenEpisode { is_counted, success, total_reward, .. } = self.open.remove(index);
+        let OpenEpisode { is_after_warm_up, success, total_reward, .. } = self.open.remove(index);
         let success = self.reports_success.then(|| success.unwrap_or(false));
         let total_reward = self.reports_reward.then_some(total_reward);
-        (is_counted && (success.is_some() || total_reward.is_some()))
+        (is_after_warm_up && (success.is_some() || total_reward.is_some()))
             .then_some(EpisodeResult { success, total_reward })
     }
 }

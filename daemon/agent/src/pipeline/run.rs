@@ -95,10 +95,10 @@ impl Run {
 
     /// Assigns number, episode and step to the next iteration.
     pub(super) fn assign_position(&mut self, intended: MonoTime) -> Position {
-        let is_counted = !self.progress.is_next_run_warm_up();
+        let is_after_warm_up = !self.progress.is_next_run_warm_up();
         let position = self.progress.assign_position(intended);
         if position.step == 0 {
-            self.scores.begin(position.episode, is_counted);
+            self.scores.begin(position.episode, is_after_warm_up);
         }
         position
     }

@@ -35,10 +35,11 @@ pub struct Accuracy {
 }
 
 impl Accuracy {
-    /// Returns the accuracy from a column of [`ACCURACIES`] over the counted rows; `None` if no counted row has a score.
+    /// Returns the accuracy from a column of [`ACCURACIES`] over the rows in the statistics; `None` if none
+    /// of them has a score.
     pub fn from_rows<'a>(rows: impl IntoIterator<Item = RowRef<'a>>, column: &str) -> Option<Self> {
         let (mut right, mut count, mut unscored) = (0, 0, 0);
-        for row in rows.into_iter().filter(|row| row.is_counted()) {
+        for row in rows.into_iter().filter(|row| row.is_in_statistics()) {
             match score(row, column) {
                 Some(is_right) => (right, count) = (right + u64::from(is_right), count + 1),
                 None => unscored += 1,

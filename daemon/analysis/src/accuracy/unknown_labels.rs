@@ -37,7 +37,7 @@ impl UnknownLabels {
 
     /// Returns the unknown labels in these rows, without warm-up and failed iterations. `None` if there are none.
     pub fn from_rows(rows: &Rows, facts: &[(String, String)]) -> Option<Self> {
-        let count = rows.counted_values(UNKNOWN_LABEL).filter(|value| *value == 1.0).count() as u64;
+        let count = rows.values_in_statistics(UNKNOWN_LABEL).filter(|value| *value == 1.0).count() as u64;
         Self::new(count, facts)
     }
 
@@ -47,7 +47,8 @@ impl UnknownLabels {
         Self { count: self.count + other.count, ..self }
     }
 
-    /// Returns a sentence on the iterations that were not scored; `total` is the number of all counted iterations.
+    /// Returns a sentence on the iterations that were not scored; `total` is the number of iterations in
+    /// the statistics.
     pub fn sentence(&self, total: u64) -> String {
         let iterations = format!("{} of {}", fixed(self.count as f64, 0), counted(total, "iteration"));
         format!("Not scored: {iterations}, {}.", self.reason())

@@ -80,9 +80,9 @@ pub struct Throughput {
 }
 
 impl DirectionStudy {
-    /// Returns the statistics of one direction from the counted samples.
+    /// Returns the statistics of one direction from the samples in the statistics.
     pub(super) fn new(direction: Direction, samples: &[Sample]) -> Self {
-        let passages = counted_passages(direction, samples);
+        let passages = passages_in_statistics(direction, samples);
         let mut verdicts = BTreeMap::new();
         for (_, passage) in &passages {
             *verdicts.entry(passage.delay.verdict.name()).or_default() += 1;
@@ -124,16 +124,17 @@ impl DirectionStudy {
     }
 }
 
-/// Returns the median delay of the counted messages with this payload, seconds, computed as in the study. `None` if
-/// none of these delays is known.
+/// Returns the median delay of the messages with this payload in the statistics, seconds, computed as in the study.
+/// `None` if none of these delays is known.
 pub fn median_delay(direction: Direction, samples: &[Sample], payload_bytes: u64) -> Option<f64> {
-    size_summary(payload_bytes, &counted_passages(direction, samples)).map(|size| size.median)
+    size_summary(payload_bytes, &passages_in_statistics(direction, samples)).map(|size| size.median)
 }
 
-/// Returns the payload in bytes and the message of each counted sample that has a message in this direction.
-fn counted_passages(direction: Direction, samples: &[Sample]) -> Vec<(u64, &Passage)> {
-    let counted = samples.iter().filter(|sample| sample.is_counted());
-    counted.filter_map(|sample| Some((sample.payload_bytes, sample.passage(direction)?))).collect()
+/// Returns the payload in bytes and the message of each sample in the statistics that has a message in this
+/// direction.
+fn passages_in_statistics(direction: Direction, samples: &[Sample]) -> Vec<(u64, &Passage)> {
+    let in_statistics = samples.iter().filter(|sample| sample.is_in_statistics());
+    in_statistics.filter_map(|sample| Some((sample.payload_bytes, sample.passage(direction)?))).collect()
 }
 
 /// Returns the summary of all messages with this payload; `None` if none of these delays is known.

@@ -22,7 +22,7 @@ impl Failures {
     /// Returns one item for each outcome of the unanswered samples, the most frequent outcome first.
     pub(super) fn by_outcome(samples: &[Sample]) -> Vec<Self> {
         let mut reasons: BTreeMap<&'static str, BTreeMap<Option<&str>, u64>> = BTreeMap::new();
-        for sample in samples.iter().filter(|sample| !sample.warm_up && !sample.is_counted()) {
+        for sample in samples.iter().filter(|sample| !sample.warm_up && !sample.is_in_statistics()) {
             *reasons.entry(sample.outcome).or_default().entry(sample.reason.as_deref()).or_default() += 1;
         }
         let mut failures: Vec<Self> = reasons

@@ -100,9 +100,9 @@ impl Study {
             samples.iter().filter(|sample| condition(sample)).count() as u64
         };
         let counts = Counts {
-            measured: count(&Sample::is_counted),
+            measured: count(&Sample::is_in_statistics),
             warm_up: count(&|sample| sample.warm_up),
-            failed: count(&|sample| !sample.warm_up && !sample.is_counted()),
+            failed: count(&|sample| !sample.warm_up && !sample.is_in_statistics()),
         };
         let up = DirectionStudy::new(Direction::Up, &samples);
         let down = DirectionStudy::new(Direction::Down, &samples);

@@ -47,8 +47,8 @@ impl Sample {
         }
     }
 
-    /// Returns whether the study uses the sample: it was answered and is not warm-up.
-    pub fn is_counted(&self) -> bool {
+    /// Returns whether statistics include the sample: it was answered and is not warm-up.
+    pub fn is_in_statistics(&self) -> bool {
         !self.warm_up && self.outcome == Outcome::Ok.name()
     }
 

@@ -98,7 +98,8 @@ fn progress_and_study_have_equal_medians() {
     for sample in samples.iter_mut().filter(|sample| sample.warm_up) {
         sample.up = Some(slow);
     }
-    let late = samples.iter().find(|sample| sample.is_counted()).cloned().expect("counted");
+    let late =
+        samples.iter().find(|sample| sample.is_in_statistics()).cloned().expect("a sample in the statistics");
     samples.extend((0..200).map(|_| Sample { outcome: "timeout", up: Some(slow), ..late.clone() }));
     let study = study(samples.clone());
     let [up, _] = study.directions();
@@ -182,7 +183,7 @@ fn lost_answers_are_counted_and_written() {
 fn reasons_for_unanswered_payloads_are_counted() {
     let mut samples = sweep(GOOD);
     let fail = |samples: &mut [Sample], count: usize, outcome: &'static str, reason: Option<&str>| {
-        let answered = samples.iter_mut().filter(|sample| sample.is_counted());
+        let answered = samples.iter_mut().filter(|sample| sample.is_in_statistics());
         for sample in answered.take(count) {
             (sample.outcome, sample.up, sample.down) = (outcome, None, None);
             sample.reason = reason.map(str::to_owned);

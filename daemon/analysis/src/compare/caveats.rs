@@ -86,7 +86,7 @@ pub fn replayed_configurations<'a>(
 
 /// Returns a description of the missing numbers of each latency of a line.
 fn describe_missing_numbers(runs: &[Loaded], line: &Line) -> Vec<String> {
-    let rows = || line.runs.iter().flat_map(|run| &runs[*run].rows).filter(|row| row.is_counted());
+    let rows = || line.runs.iter().flat_map(|run| &runs[*run].rows).filter(|row| row.is_in_statistics());
     let describe = |(name, latency): (&str, &Option<super::Latency>)| {
         let known_share = (*latency)?.count as f64 / line.count as f64;
         // If many delays are unknown, the note that MIN_KNOWN_SHARE describes reports them.

@@ -122,7 +122,7 @@ fn half_width(runs: &[&Loaded], stage: &str) -> Option<f64> {
     ["upload", "download"].contains(&stage).then_some(())?;
     let width =
         |row: RowRef<'_>| Some(row.value(&format!("{stage}-hi"))? - row.value(&format!("{stage}-lo"))?);
-    let rows = runs.iter().flat_map(|run| &run.rows).filter(|row| row.is_counted());
+    let rows = runs.iter().flat_map(|run| &run.rows).filter(|row| row.is_in_statistics());
     let (sum, count) = rows.filter_map(width).fold((0.0, 0_u64), |(sum, n), width| (sum + width, n + 1));
     (count > 0).then(|| sum / count as f64 / 2.0)
 }

@@ -117,12 +117,13 @@ pub struct Line {
     pub repeats: usize,
     /// Maximum number of edges that were measured at the same time.
     pub edges: usize,
-    /// Number of counted iterations: neither warm-up nor failed.
+    /// Number of iterations in the statistics: neither warm-up nor failed.
     pub count: u64,
     /// Number of failed iterations, without the warm-up: iterations that have no answer, or an answer that the actuator
     /// failed to act on.
     pub failed: u64,
-    /// Number of counted and failed iterations that missed their deadline; `None` without a deadline.
+    /// Number of iterations after the warm-up that missed their deadline, including failed ones; `None` without a
+    /// deadline.
     pub misses: Option<Misses>,
     /// Superseded answers, and success and return of the episodes.
     pub actuator: ActuatorResults,
@@ -131,10 +132,10 @@ pub struct Line {
     pub starts: Starts,
     /// Distribution that the latencies of the model are drawn from; `None` if all of them are measured.
     pub replayed: Option<String>,
-    /// Latencies in the order of [`LATENCIES`]; `None` if no counted iteration has the latency.
+    /// Latencies in the order of [`LATENCIES`]; `None` if no iteration in the statistics has the latency.
     pub latencies: [Option<Latency>; LATENCIES.len()],
-    /// Stages without a latency in [`LATENCIES`] that take a notable part of the sum of all stages: name, and mean over all counted
-    /// iterations in seconds. An iteration without the stage counts as 0.
+    /// Stages without a latency in [`LATENCIES`] that take a notable part of the sum of all stages: name, and mean in
+    /// seconds over all iterations in the statistics. An iteration without the stage counts as 0.
     pub hidden_stages: Vec<(&'static str, f64)>,
     /// Time from the request to a language model until its first token; `None` for other models.
     pub first_token: Option<Latency>,
@@ -230,8 +231,8 @@ impl Line {
         // Number of each repeat in the experiment, and how many edges measured it. Each edge has its own results.
         let mut repeats: Vec<(Option<u32>, usize)> = Vec::new();
         for Loaded { record, rows, .. } in self.runs.iter().map(|run| &runs[*run]) {
-            self.count += rows.iter().filter(|row| row.is_counted()).count() as u64;
-            self.failed += rows.iter().filter(|row| !row.warm_up() && !row.is_counted()).count() as u64;
+            self.count += rows.iter().filter(|row| row.is_in_statistics()).count() as u64;
+            self.failed += rows.iter().filter(|row| !row.warm_up() && !row.is_in_statistics()).count() as u64;
             let starts = Starts::from_rows(rows);
             self.starts.started += starts.started;
             self.starts.skipped += starts.skipped;
@@ -259,7 +260,7 @@ impl Line {
         self.unknown_labels = unknown_labels(runs_of_line());
         let latency = |name: &str| {
             let mut moments = Moments::default();
-            let numbers = runs_of_line().flat_map(|run| run.rows.counted_values(name));
+            let numbers = runs_of_line().flat_map(|run| run.rows.values_in_statistics(name));
             numbers.filter(|number| Summary::accepts(*number)).for_each(|number| moments.record(number));
             let Moments { mean, count, .. } = moments;
             (count > 0).then(|| Latency { mean, std: moments.std(), count })
@@ -286,9 +287,9 @@ impl Line {
     }
 }
 
-/// Returns the numbers of a column that statistics accept, from the counted rows, in order.
+/// Returns the numbers of a column that statistics accept, from the rows in the statistics, in order.
 fn values(rows: &Rows, column: &str) -> Vec<f64> {
-    rows.counted_values(column).filter(|value| Summary::accepts(*value)).collect()
+    rows.values_in_statistics(column).filter(|value| Summary::accepts(*value)).collect()
 }
 
 /// Returns whether a comparison needs a column. `peernet_results::ResultFolder::open_columns` reads only such columns.

@@ -103,8 +103,8 @@ impl Comparison {
         let mut notes: Vec<String> =
             self.best.map(|_| format!("{mark}: smallest mean total.")).into_iter().collect();
         notes.push(
-            "Latencies: mean ± standard deviation in ms over all counted iterations. Total (stages) is the sum of all \
-             stages, including stages without a column; the paper calls it Total."
+            "Latencies: mean ± standard deviation in ms over all successful iterations after the warm-up. Total (stages) \
+             is the sum of all stages, including stages without a column; the paper calls it Total."
                 .to_owned(),
         );
         let hidden: Vec<String> = self.lines.iter().filter_map(Line::hidden_stages_text).collect();

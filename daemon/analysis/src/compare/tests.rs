@@ -98,7 +98,7 @@ cuda:0  lan        100       1  0.760 ± 0.001  17.530 ± 0.001   3.730 ± 0.001
 cuda:0  can        100       1  0.810 ± 0.001  98.280 ± 0.001   3.730 ± 0.001  1.730 ± 0.001  104.550 ± 0.004   105.550 ± 0.004
 
 *: smallest mean total.
-Latencies: mean ± standard deviation in ms over all counted iterations. Total (stages) is the sum of all stages, including stages without a column; the paper calls it Total.
+Latencies: mean ± standard deviation in ms over all successful iterations after the warm-up. Total (stages) is the sum of all stages, including stages without a column; the paper calls it Total.
 Failed: iterations after the warm-up without an answer, or with one that the actuator failed to act on.
 Smallest mean total (measured): orin; every other line differs from it with 95 % confidence.
 They also differ in where: local (orin), cloud (cuda:0)."

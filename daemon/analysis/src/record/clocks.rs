@@ -51,10 +51,14 @@ pub struct Bounded {
 impl Clocks {
     /// Returns the quality of the delays in these rows.
     pub fn from_rows(rows: &Rows) -> Self {
-        let counted = || rows.iter().filter(|row| row.is_counted());
+        let in_statistics = || rows.iter().filter(|row| row.is_in_statistics());
         Self {
-            upload: ClockCounts::from_delays(counted().filter_map(|row| Some((row.at(), row.upload()?)))),
-            download: ClockCounts::from_delays(counted().filter_map(|row| Some((row.at(), row.download()?)))),
+            upload: ClockCounts::from_delays(
+                in_statistics().filter_map(|row| Some((row.at(), row.upload()?))),
+            ),
+            download: ClockCounts::from_delays(
+                in_statistics().filter_map(|row| Some((row.at(), row.download()?))),
+            ),
         }
     }
 }

@@ -19,7 +19,7 @@ fn offset_and_skew_are_recovered_from_stamps() {
     for row in &mut rows {
         row.at = 1000.0 + row.iteration as f64;
     }
-    // Warm-up is not counted, nor is a message between contradicting sources.
+    // The counts include neither warm-up nor messages between contradicting sources.
     let upload = |row: &mut Row, of: fn(&mut OneWayDelay)| row.upload.as_mut().map(of);
     upload(&mut rows[0], |delay| delay.raw = Span::from_seconds(9)).expect("was sent");
     upload(&mut rows[2], |delay| delay.verdict = Verdict::Inconsistent).expect("was sent");

@@ -194,14 +194,14 @@ impl Rows {
         self.iter().next_back()
     }
 
-    /// Returns the numbers of a column in the counted rows, in order: the input of statistics.
-    pub fn counted_values(&self, column: &str) -> impl Iterator<Item = f64> + Clone {
+    /// Returns the numbers of a column in the rows in the statistics, in order.
+    pub fn values_in_statistics(&self, column: &str) -> impl Iterator<Item = f64> + Clone {
         let index = self.column_indexes.get(column);
         let numbers = index.map(|index| &self.numbers[*index]);
-        let counted = self.iter().filter(|row| row.is_counted());
+        let in_statistics = self.iter().filter(|row| row.is_in_statistics());
         numbers
             .into_iter()
-            .flat_map(move |numbers| counted.clone().filter_map(|row| numbers.get(row.index())))
+            .flat_map(move |numbers| in_statistics.clone().filter_map(|row| numbers.get(row.index())))
     }
 }
 

@@ -128,7 +128,7 @@ impl Row {
     }
 
     /// Returns whether statistics include the iteration: it succeeded and is not warm-up.
-    pub fn is_counted(&self) -> bool {
+    pub fn is_in_statistics(&self) -> bool {
         self.outcome == Outcome::Ok && !self.warm_up
     }
 }

@@ -20,7 +20,7 @@ impl StartTimes {
         let wall = |time: Option<DateTime<Utc>>| {
             time.and_then(|time| time.timestamp_nanos_opt()).map(WallTime::from_unix_nanos)
         };
-        let slowest_s = rows.counted_values(&stage::TOTAL).fold(0.0, f64::max);
+        let slowest_s = rows.values_in_statistics(&stage::TOTAL).fold(0.0, f64::max);
         let extent = wall(record.started).or(first).zip(wall(record.ended).or(last));
         let extent = extent.map(|(started_at, end)| RunExtent {
             started: started_at,

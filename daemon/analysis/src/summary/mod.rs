@@ -20,7 +20,7 @@ use crate::trust::{DRAWN_LATENCY_COLUMN, OVERRUN_COLUMN, ReplayedLatencies, Star
 pub struct Summary {
     /// Title for people.
     pub title: String,
-    /// Summaries of the columns that have a number in a counted row, in the order of the file.
+    /// Summaries of the columns that have a number in a row in the statistics, in the order of the file.
     pub quantities: Vec<Quantity>,
     /// Number of iterations by outcome.
     pub counts: Counts,
@@ -83,12 +83,12 @@ impl Summary {
                     without_warm_up.filter_map(|row| row.value(name)),
                 );
             }
-            // The value of an episode is stored with its last iteration and counts even if this iteration is not
-            // counted.
+            // The value of an episode is stored with its last iteration and counts even if this iteration is not in
+            // the statistics.
             if EPISODE_VALUES.contains(&name.as_ref()) {
                 return Quantity::from_values(name.clone(), rows.iter().filter_map(|row| row.value(name)));
             }
-            let quantity = Quantity::from_values(name.clone(), rows.counted_values(name))?;
+            let quantity = Quantity::from_values(name.clone(), rows.values_in_statistics(name))?;
             Some(Quantity { bounds: median_bounds_of(rows, name), ..quantity })
         };
         Self {
@@ -123,7 +123,8 @@ impl Summary {
         self
     }
 
-    /// Returns the summary of one column; `None` if no counted row has a number in the column.
+    /// Returns the summary of one column; `None` if no row in the statistics has a number in the
+    /// column.
     pub fn quantity(&self, column: &str) -> Option<&Quantity> {
         self.quantities.iter().find(|quantity| quantity.column == column)
     }
@@ -134,13 +135,14 @@ fn is_bound(column: &str) -> bool {
     column.ends_with("-throughput-lo") || column.ends_with("-throughput-hi")
 }
 
-/// Returns the [bounds of the median](median_bounds) of a column; `None` unless every counted value has bounds.
+/// Returns the [bounds of the median](median_bounds) of a column; `None` unless every value in the statistics
+/// has bounds.
 pub fn median_bounds_of(rows: &Rows, column: &str) -> Option<(f64, f64)> {
     let columns_with_bounds = ["upload", "download", "upload-throughput", "download-throughput"];
     columns_with_bounds.contains(&column).then_some(())?;
     let [lower, upper] = ["lo", "hi"].map(|suffix| format!("{column}-{suffix}"));
-    let counted = rows.iter().filter(|row| row.is_counted() && row.value(column).is_some());
-    median_bounds(counted.map(|row| row.value(&lower).zip(row.value(&upper))))
+    let with_values = rows.iter().filter(|row| row.is_in_statistics() && row.value(column).is_some());
+    median_bounds(with_values.map(|row| row.value(&lower).zip(row.value(&upper))))
 }
 
 impl Quantity {

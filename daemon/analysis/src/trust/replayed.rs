@@ -41,7 +41,7 @@ impl ReplayedLatencies {
     /// Returns the replayed latencies, with the distribution from the facts of a run and the means from its rows.
     /// `None` if the latencies are measured.
     pub fn from_run(facts: &[(String, String)], rows: &Rows) -> Option<Self> {
-        let mean = |column: &str| mean(rows.counted_values(column));
+        let mean = |column: &str| mean(rows.values_in_statistics(column));
         let replayed = Self::from_facts(facts)?;
         Some(Self { drawn: mean(DRAWN_LATENCY_COLUMN), overrun: mean(OVERRUN_COLUMN), ..replayed })
     }

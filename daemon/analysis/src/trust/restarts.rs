@@ -28,9 +28,10 @@ impl Restarts {
 
     pub(super) fn from_rows(rows: &Rows) -> Vec<Self> {
         let restarts_of = |(owner, _, column): (_, Name, &str)| {
-            let affected_rows = rows.iter().filter(|row| row.is_counted() && row.value(column).is_some());
+            let affected_rows =
+                rows.iter().filter(|row| row.is_in_statistics() && row.value(column).is_some());
             let iterations: Vec<u64> = affected_rows.map(|row| row.iteration()).collect();
-            let (count, seconds) = (iterations.len() as u64, rows.counted_values(column).sum());
+            let (count, seconds) = (iterations.len() as u64, rows.values_in_statistics(column).sum());
             (count > 0).then_some(Self { owner, count, seconds, iterations })
         };
         Self::NODES.into_iter().filter_map(restarts_of).collect()

@@ -46,7 +46,7 @@ pub struct TrustInput {
     pub stages: Vec<(String, TimeSeries)>,
     /// Split of the mean total into its stages.
     pub split: StageSplit,
-    /// Number of counted iterations whose answer was not acted on, because it was superseded.
+    /// Number of iterations in the statistics whose answer was not acted on, because it was superseded.
     pub superseded: u64,
     /// Distributions with two modes, by name: the total, and the length of answers in tokens.
     pub two_modes: Vec<(String, TwoModes)>,
@@ -106,12 +106,12 @@ pub struct Clocks {
 impl TrustInput {
     /// Returns the input from the rows of a run and from the conditions of the hosts that were found before the run.
     pub fn from_rows(rows: &Rows, conditions: &[Condition]) -> Self {
-        let counted = || rows.iter().filter(|row| row.is_counted());
+        let in_statistics = || rows.iter().filter(|row| row.is_in_statistics());
         let time_series =
-            |column: &str| TimeSeries::from_values(&rows.counted_values(column).collect::<Vec<f64>>());
+            |column: &str| TimeSeries::from_values(&rows.values_in_statistics(column).collect::<Vec<f64>>());
         let mean = |column: &str| {
-            let count = rows.counted_values(column).count();
-            (count > 0).then(|| rows.counted_values(column).sum::<f64>() / count as f64)
+            let count = rows.values_in_statistics(column).count();
+            (count > 0).then(|| rows.values_in_statistics(column).sum::<f64>() / count as f64)
         };
         let stages =
             stage::ORDER.into_iter().filter_map(|name| Some((name.to_string(), time_series(&name)?)));
@@ -123,7 +123,7 @@ impl TrustInput {
         Self {
             conditions: conditions.to_vec(),
             counts: Counts {
-                ok: counted().count() as u64,
+                ok: in_statistics().count() as u64,
                 failed: count(Outcome::Failed),
                 lost: count(Outcome::Lost),
                 timeout: count(Outcome::Timeout),
@@ -141,7 +141,7 @@ impl TrustInput {
             clocks: directions
                 .into_iter()
                 .filter_map(|(name, delay)| {
-                    Clocks::from_delays(name.as_str(), counted().filter_map(|row| delay(&row)))
+                    Clocks::from_delays(name.as_str(), in_statistics().filter_map(|row| delay(&row)))
                 })
                 .collect(),
             accuracy: Accuracy::by_column(rows),
@@ -182,10 +182,10 @@ pub fn names_of_distributions<'a>(names: impl Iterator<Item = &'a str> + Clone) 
 
 fn two_modes(rows: &Rows) -> Vec<(String, TwoModes)> {
     let with_values = rows.names().iter().map(AsRef::as_ref);
-    let with_values = with_values.filter(|name| rows.counted_values(name).next().is_some());
+    let with_values = with_values.filter(|name| rows.values_in_statistics(name).next().is_some());
     let modes_of = |name: &str| {
         let mut summary = Summary::default();
-        rows.counted_values(name).for_each(|value| summary.record(value));
+        rows.values_in_statistics(name).for_each(|value| summary.record(value));
         // The store names nodes without the names of their parents. The same name is used here, so that both sources
         // give equal reports.
         let node = tokens_of_column(name).unwrap_or(name);

@@ -44,7 +44,7 @@ pub(super) fn complete_groups(groups: Vec<Vec<&Loaded>>) -> Vec<Vec<&Loaded>> {
 /// Returns what the edges of a repeat measured while all of them were measuring.
 pub(super) fn repeat(edges: &[&Loaded]) -> Repeat<SortedValues> {
     let rows: Vec<Vec<RowRef<'_>>> =
-        edges.iter().map(|edge| edge.rows.iter().filter(RowRef::is_counted).collect()).collect();
+        edges.iter().map(|edge| edge.rows.iter().filter(RowRef::is_in_statistics).collect()).collect();
     let measured_time = |rows: &Vec<RowRef<'_>>| {
         let starts = || rows.iter().map(RowRef::at);
         Some((starts().reduce(f64::min)?, starts().reduce(f64::max)?))

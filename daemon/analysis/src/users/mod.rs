@@ -171,7 +171,7 @@ impl Users {
                 // If each repeat has a single edge, all its totals are used, so that the table of all configurations
                 // shows the same numbers.
                 groups if groups[0].len() == 1 => {
-                    groups.iter().flat_map(|edges| edges[0].rows.counted_values("total")).collect()
+                    groups.iter().flat_map(|edges| edges[0].rows.values_in_statistics("total")).collect()
                 }
                 _ => {
                     let edges = repeats.iter().flat_map(|repeat| &repeat.edges);

@@ -118,7 +118,7 @@ impl RunObserver for SweepObserver<'_> {
             }
             Event::Iteration(iteration) => {
                 let sample = Sample::new(&iteration, self.plan.payload(iteration.number));
-                if sample.is_counted() || sample.warm_up {
+                if sample.is_in_statistics() || sample.warm_up {
                     self.peer_wait.record_answer(self.clock.mono());
                 }
                 let (payload, is_first) =

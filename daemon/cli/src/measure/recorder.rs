@@ -72,7 +72,7 @@ impl RunProgress {
                 .get_or_insert_with(|| describe_failure(row.iteration, row.outcome, row.reason.as_deref()));
         }
         // A pipeline that only senses has no total.
-        if let Some(total) = row.value("total").or(row.value("sensing")).filter(|_| row.is_counted()) {
+        if let Some(total) = row.value("total").or(row.value("sensing")).filter(|_| row.is_in_statistics()) {
             self.totals.record(total);
         }
     }

@@ -4,7 +4,7 @@
 use peernet_statistics::number::{self, fixed};
 
 use super::columns::{excluded_note, is_drawable, too_large_note};
-use super::configuration_groups::{ConfigurationGroups, counted_rows};
+use super::configuration_groups::{ConfigurationGroups, rows_in_statistics};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Accuracy, MAX_SCORES, Score, Unit};
@@ -42,7 +42,7 @@ fn drawing(runs: &[Loaded], quality: Quality) -> Option<Drawing> {
     let total = TotalColumn::from_rows(runs.iter().flat_map(|run| &run.rows));
     let score = |(label, runs): &(String, Vec<&Loaded>)| {
         let estimate = quality.from_rows(|| runs.iter().flat_map(|run| &run.rows))?;
-        let times = counted_rows(runs).filter_map(|row| row.value(total.name()));
+        let times = rows_in_statistics(runs).filter_map(|row| row.value(total.name()));
         let times: SortedValues = times.filter(|time| is_drawable(*time)).collect();
         Some(Score { label: label.clone(), estimate, median: times.median()?, p95: times.p95() })
     };
@@ -80,9 +80,9 @@ fn unscored_notes(runs: &[Loaded], groups: &[(String, Vec<&Loaded>)], quality: Q
     let is_scored = |row: &RowRef<'_>| quality.is_scored(*row);
     // Iterations whose label the model does not know are not counted here, because they have their own note.
     let unscored_iterations = |(_, runs): &(String, Vec<&Loaded>)| {
-        let scored_count = counted_rows(runs).filter(is_scored).count();
+        let scored_count = rows_in_statistics(runs).filter(is_scored).count();
         let with_unknown_label = unknown_labels(runs.iter().copied()).map_or(0, |unknown| unknown.count);
-        let without_score = (counted_rows(runs).count() - scored_count) as u64;
+        let without_score = (rows_in_statistics(runs).count() - scored_count) as u64;
         if scored_count > 0 { without_score.saturating_sub(with_unknown_label) } else { 0 }
     };
     let unscored: u64 = groups.iter().map(unscored_iterations).sum();

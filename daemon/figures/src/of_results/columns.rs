@@ -10,17 +10,18 @@ use peernet_analysis::summary::Scale;
 
 /// Returns a note on how many numbers in these columns are too large to be drawn; `None` if none is too large.
 pub(super) fn too_large_note<'a>(rows: impl Iterator<Item = RowRef<'a>>, columns: &[&str]) -> Option<String> {
-    let counted_rows = rows.filter(|row| row.is_counted());
-    let numbers = counted_rows.flat_map(|row| columns.iter().filter_map(move |column| row.value(column)));
+    let rows_in_statistics = rows.filter(|row| row.is_in_statistics());
+    let numbers =
+        rows_in_statistics.flat_map(|row| columns.iter().filter_map(move |column| row.value(column)));
     let count = numbers.filter(|value| value.is_finite() && !is_drawable(*value)).count();
     (count > 0).then(|| {
         format!("not drawn, beyond ±10¹⁸: {}", peernet_statistics::number::counted(count as u64, "number"))
     })
 }
 
-/// Returns the numbers of a column that can be drawn, from the counted rows: neither warm-up nor failed.
+/// Returns the numbers of a column that can be drawn, from the rows in the statistics: neither warm-up nor failed.
 pub(super) fn values(rows: &Rows, column: &str) -> SortedValues {
-    rows.counted_values(column).filter(|value| is_drawable(*value)).collect()
+    rows.values_in_statistics(column).filter(|value| is_drawable(*value)).collect()
 }
 
 /// Returns the unit in which the numbers of a column are shown, such as ms for a time. A quantity that a run logged itself has the unit that
@@ -64,8 +65,8 @@ pub(super) fn excluded_and_undrawn_note<'a>(
     rows: &(impl Iterator<Item = RowRef<'a>> + Clone),
     shown_count: usize,
 ) -> Option<String> {
-    let counted_rows = rows.clone().filter(|row| row.is_counted()).count();
-    let undrawn = (counted_rows.saturating_sub(shown_count), "without a value to draw");
+    let rows_in_statistics = rows.clone().filter(|row| row.is_in_statistics()).count();
+    let undrawn = (rows_in_statistics.saturating_sub(shown_count), "without a value to draw");
     join_counts(excluded_rows(rows).into_iter().chain([undrawn]))
 }
 
@@ -74,10 +75,13 @@ pub(super) fn excluded_note<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone
     join_counts(excluded_rows(rows))
 }
 
-/// Returns the numbers of rows that are not counted, each with the reason.
+/// Returns the numbers of rows that are not in the statistics, each with the reason.
 fn excluded_rows<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone)) -> [(usize, &'static str); 2] {
     let count = |matches: &dyn Fn(&RowRef<'_>) -> bool| rows.clone().filter(|row| matches(row)).count();
-    [(count(&|row| row.warm_up()), "warm-up"), (count(&|row| !row.warm_up() && !row.is_counted()), "failed")]
+    [
+        (count(&|row| row.warm_up()), "warm-up"),
+        (count(&|row| !row.warm_up() && !row.is_in_statistics()), "failed"),
+    ]
 }
 
 /// Returns the note on these numbers of rows that are left out, each with its reason. `None` if all numbers are 0.

@@ -28,7 +28,7 @@ impl<'a> ConfigurationGroups<'a> {
     }
 }
 
-/// Returns the counted rows of these runs: neither warm-up nor failed.
-pub(super) fn counted_rows<'a>(runs: &[&'a Loaded]) -> impl Iterator<Item = RowRef<'a>> {
-    runs.iter().flat_map(|run| &run.rows).filter(|row| row.is_counted())
+/// Returns the rows of these runs in the statistics: neither warm-up nor failed.
+pub(super) fn rows_in_statistics<'a>(runs: &[&'a Loaded]) -> impl Iterator<Item = RowRef<'a>> {
+    runs.iter().flat_map(|run| &run.rows).filter(|row| row.is_in_statistics())
 }

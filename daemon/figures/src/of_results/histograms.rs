@@ -70,8 +70,8 @@ fn negative_delays_note(column: &str, values: &SortedValues) -> Option<String> {
 }
 
 /// Returns a note on the bounds of the true median. The true median lies between the median of the lower clock bounds
-/// and the median of the upper clock bounds. `None` if some counted value of the column has no bounds, or if the two
-/// medians are equal because one clock measured both ends of all delays.
+/// and the median of the upper clock bounds. `None` if a value of the column in the statistics has no bounds, or if the
+/// two medians are equal because one clock measured both ends of all delays.
 fn clock_bounds_note(rows: &Rows, column: &str) -> Option<String> {
     let (lo, hi) = median_bounds_of(rows, column)?;
     let interval = match Scale::for_column(column, None) {

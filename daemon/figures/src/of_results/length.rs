@@ -19,7 +19,7 @@ const BYTES_SUFFIX: &str = "bytes";
 
 /// Returns whether the answers of a run are counted in tokens, as those of a language model are.
 pub(super) fn has_tokens(rows: &Rows) -> bool {
-    rows.names().iter().any(|name| is_tokens(name) && rows.counted_values(name).next().is_some())
+    rows.names().iter().any(|name| is_tokens(name) && rows.values_in_statistics(name).next().is_some())
 }
 
 /// Returns the figure with a point for each answer: its length and its latency.
@@ -32,21 +32,21 @@ pub(super) fn drawings(
         .names()
         .iter()
         .map(|name| &**name)
-        .filter(|name| rows.counted_values(name).next().is_some())
+        .filter(|name| rows.values_in_statistics(name).next().is_some())
         .collect::<Vec<&str>>();
     let x =
         columns.x.clone().unwrap_or_else(|| answer_length(columns_with_values.iter().copied()).to_owned());
     // If the user named a column of lengths, it does not matter that the server reports no numbers of tokens.
     let lacks_usage = columns.x.is_none() && lacks_usage(columns_with_values.iter().copied());
     // If the model runs on the robot, no answer is sent over a network, so that the number of bytes is not a length.
-    let is_measured = rows.counted_values(&x).any(|value| value > 0.0);
+    let is_measured = rows.values_in_statistics(&x).any(|value| value > 0.0);
     let usage_x = is_measured.then(|| x.clone());
     let missing = |missing| if lacks_usage { MissingData::Usage { x: usage_x.clone() } } else { missing };
     let y = columns.y.clone().unwrap_or_else(|| LATENCY.to_owned());
-    let counted_rows = rows.iter().filter(|row| row.is_counted());
+    let rows_in_statistics = rows.iter().filter(|row| row.is_in_statistics());
     let point = |row: RowRef<'_>| Some((row.value(&x)?, row.value(&y)?));
     let points: Vec<(f64, f64)> =
-        counted_rows.filter_map(point).filter(|(x, y)| is_drawable(*x) && is_drawable(*y)).collect();
+        rows_in_statistics.filter_map(point).filter(|(x, y)| is_drawable(*x) && is_drawable(*y)).collect();
     if points.is_empty() {
         return Err(missing(MissingData::Columns { x: x.clone(), y }));
     }

@@ -15,7 +15,7 @@ pub(super) struct LongestStages {
 }
 
 impl LongestStages {
-    /// Compares the stages by their sums over the counted rows. Stages that took no time are left out.
+    /// Compares the stages by their sums over the rows in the statistics. Stages that took no time are left out.
     pub(super) fn new(rows: &Rows) -> Self {
         let sums = stage::ORDER.into_iter().map(|name| {
             let sum: f64 = values(rows, &name).values().iter().sum();

@@ -14,17 +14,19 @@ pub enum MissingData {
     /// There are no runs.
     #[error("there is no run")]
     Runs,
-    /// No iteration is counted: each is warm-up or failed.
-    #[error("no iteration counts: all are warm-up or failed")]
+    /// No iteration is in the statistics: each is warm-up or failed.
+    #[error("no iteration after the warm-up succeeded")]
     Iterations,
     /// No successful iteration has a total that can be drawn.
     #[error("no successful iteration has a total that can be drawn")]
     Total,
     /// The column has no number that can be drawn.
-    #[error("no counted iteration has a number that can be drawn in the column {0}")]
+    #[error("no successful iteration after the warm-up has a number that can be drawn in the column {0}")]
     Column(String),
     /// No iteration has a number that can be drawn in both columns.
-    #[error("no counted iteration has a number that can be drawn in both columns, {x} and {y}")]
+    #[error(
+        "no successful iteration after the warm-up has a number that can be drawn in both columns, {x} and {y}"
+    )]
     Columns {
         /// The column of the horizontal axis.
         x: String,
@@ -88,7 +90,7 @@ pub enum MissingData {
     )]
     MessageSizes,
     /// No answer was scored as right or wrong.
-    #[error("it needs answers to labelled samples, and no counted iteration has a {}, {} or {}{}", Quality::Top1.name(), Quality::Map50.name(), Quality::MeanIou.name(), Unscored(.unknown))]
+    #[error("it needs answers to labelled samples, and no successful iteration after the warm-up has a {}, {} or {}{}", Quality::Top1.name(), Quality::Map50.name(), Quality::MeanIou.name(), Unscored(.unknown))]
     Labels {
         /// Iterations with a label that the model does not know.
         unknown: Option<UnknownLabels>,

@@ -30,8 +30,8 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
             excluded_note(&rows),
             too_large_note(rows.clone(), &PAYLOAD_COLUMNS),
         ];
-        let counted: Vec<RowRef<'_>> = rows.filter(RowRef::is_counted).collect();
-        let directions = DIRECTIONS.map(|name| DirectionSizes::from_rows(name, &counted));
+        let in_statistics: Vec<RowRef<'_>> = rows.filter(RowRef::is_in_statistics).collect();
+        let directions = DIRECTIONS.map(|name| DirectionSizes::from_rows(name, &in_statistics));
         PayloadStudy::new(&link, directions, notes.into_iter().flatten())
     });
     let studies = PayloadStudy::select_drawable(studies);

@@ -52,13 +52,13 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     Ok(vec![Drawing::new("series", AnyFigure::TimeSeries(time_series))])
 }
 
-/// Returns the note that says how many counted iterations and, because this figure also shows them, how many iterations
-/// of the warm-up are shown: `n = 54 and 5 warm-up · lines: medians`.
+/// Returns the note on the number of iterations in the statistics and, because this figure also shows them, on the
+/// number of iterations of the warm-up: `n = 54 and 5 warm-up · lines: medians`.
 fn count_and_warm_up_note(rows: &Rows, shown_count: usize) -> String {
-    let counted_rows = rows.iter().filter(|row| row.is_counted()).count();
-    let note = count_note(&rows.iter(), counted_rows);
+    let rows_in_statistics = rows.iter().filter(|row| row.is_in_statistics()).count();
+    let note = count_note(&rows.iter(), rows_in_statistics);
     let n = note.split(" · ").next().unwrap_or_default();
-    let warm_up_count = shown_count.saturating_sub(counted_rows);
+    let warm_up_count = shown_count.saturating_sub(rows_in_statistics);
     let warm_up = if warm_up_count > 0 { format!(" and {warm_up_count} warm-up") } else { String::new() };
     format!("{n}{warm_up} · lines: medians")
 }

@@ -9,7 +9,7 @@ use peernet_statistics::Moments;
 use peernet_statistics::number::{self, fixed};
 
 use super::columns::{count_note, is_drawable, too_large_note};
-use super::configuration_groups::{ConfigurationGroups, counted_rows};
+use super::configuration_groups::{ConfigurationGroups, rows_in_statistics};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::Stacked;
@@ -22,7 +22,7 @@ const MAX_BARS: usize = 100;
 /// Returns the figure with one bar for each configuration; repeats are pooled.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let ConfigurationGroups { axes, groups } = ConfigurationGroups::from_runs(runs);
-    let all_rows = || groups.iter().flat_map(|(_, runs)| counted_rows(runs));
+    let all_rows = || groups.iter().flat_map(|(_, runs)| rows_in_statistics(runs));
     if all_rows().next().is_none() {
         return Err(MissingData::Iterations);
     }
@@ -38,7 +38,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     )];
     let mut missing = Vec::new();
     let rows = runs.iter().flat_map(|run| &run.rows);
-    let counts = groups.iter().map(|(_, runs)| counted_rows(runs).count()).filter(|count| *count > 0);
+    let counts = groups.iter().map(|(_, runs)| rows_in_statistics(runs).count()).filter(|count| *count > 0);
     notes.push(with_count_per_bar(&count_note(&rows, all_rows().count()), &counts.collect::<Vec<_>>()));
     let names: Vec<Name> = part_order().collect();
     let columns: Vec<&str> = names.iter().map(Name::as_str).chain([total.name()]).collect();
@@ -50,7 +50,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     }
     if omitted_groups > 0 {
         let configurations = number::counted(omitted_groups as u64, "configuration");
-        missing.push(format!("left out: {configurations} without a counted iteration"));
+        missing.push(format!("left out: {configurations} without a successful iteration after the warm-up"));
     }
     notes.extend(unknown_delays_note(all_rows));
     if bar_count > MAX_BARS {
@@ -89,12 +89,12 @@ fn unknown_delays_note<'a, I: Iterator<Item = RowRef<'a>>>(all_rows: impl Fn() -
     (!counts.is_empty()).then(|| format!("left out of the means: unknown delays, {}", counts.join(", ")))
 }
 
-/// Returns the bar of a configuration; `None` without a counted iteration.
+/// Returns the bar of a configuration; `None` without an iteration in the statistics.
 fn bar(runs: &[&Loaded], column: TotalColumn) -> Option<LatencyBar> {
     let names: Vec<Name> = part_order().chain([Name::from_static(column.name())]).collect();
     let mut moments = vec![Moments::default(); names.len()];
     let (mut sent, mut iterations) = ([0; 2], 0);
-    for row in counted_rows(runs) {
+    for row in rows_in_statistics(runs) {
         iterations += 1;
         for (moments, name) in moments.iter_mut().zip(&names) {
             row.value(name)

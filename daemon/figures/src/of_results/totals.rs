@@ -3,7 +3,7 @@
 use peernet_statistics::number::{self, fixed};
 
 use super::columns::{excluded_note, is_drawable, too_large_note};
-use super::configuration_groups::{ConfigurationGroups, counted_rows};
+use super::configuration_groups::{ConfigurationGroups, rows_in_statistics};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Cumulative, CumulativeCurve, MAX_CURVES, Unit};
@@ -19,10 +19,10 @@ const LINE_WIDTH: f64 = 1.0;
 /// Returns the figures with one curve for each configuration, at most four curves in a figure; repeats are pooled.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let ConfigurationGroups { axes, groups } = ConfigurationGroups::from_runs(runs);
-    let all_rows = || groups.iter().flat_map(|(_, runs)| counted_rows(runs));
+    let all_rows = || groups.iter().flat_map(|(_, runs)| rows_in_statistics(runs));
     let total = TotalColumn::from_rows(all_rows());
     let values = |runs: &[&Loaded]| -> SortedValues {
-        let totals = counted_rows(runs).filter_map(|row: RowRef<'_>| row.value(total.name()));
+        let totals = rows_in_statistics(runs).filter_map(|row: RowRef<'_>| row.value(total.name()));
         totals.filter(|value| is_drawable(*value)).collect()
     };
     let groups_with_total: Vec<(&String, SortedValues)> = groups

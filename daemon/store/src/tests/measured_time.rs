@@ -10,8 +10,8 @@ use super::{TestStore, generate};
 use crate::retention::Retention;
 use crate::types::{IterationFilter, IterationRow, MeasuredTime, RunFilter};
 
-/// Returns the counted iterations of run 1.
-async fn counted_iterations(test_store: &TestStore) -> Vec<IterationRow> {
+/// Returns the iterations of run 1 that are in the statistics.
+async fn iterations_in_statistics(test_store: &TestStore) -> Vec<IterationRow> {
     let filter = IterationFilter { limit: 1_000, ..IterationFilter::default() };
     let mut rows = test_store.store.iterations(1, &filter).await.expect("answers");
     rows.retain(|row| !row.warm_up && row.outcome == "ok");
@@ -48,7 +48,7 @@ async fn run_of_two_minutes() -> TestStore {
 #[tokio::test]
 async fn iterations_within_time_are_counted_exactly() {
     let test_store = run_of_two_minutes().await;
-    let rows = counted_iterations(&test_store).await;
+    let rows = iterations_in_statistics(&test_store).await;
     let time = measured_time(&test_store, 1).await.expect("measured");
     let (first, last) = (rows[0].started, rows[rows.len() - 1].started);
     assert_eq!((time.first, time.last, time.resolution_s), (first, last, 0));

@@ -44,7 +44,7 @@ fn assert_equal_to_columns(statistics: &[StageStatistics], rows: &Rows) {
         |stage: &&StageStatistics| IterationValues::has_one_value(&stage.stage) && stage.statistics.count > 0;
     let found: Vec<&StageStatistics> = statistics.iter().filter(with_one_value).collect();
     for stage in &found {
-        let column: Vec<f64> = rows.counted_values(&stage.stage).collect();
+        let column: Vec<f64> = rows.values_in_statistics(&stage.stage).collect();
         assert_eq!(stage.statistics.count, column.len() as u64, "{}", stage.stage);
         let mean = column.iter().sum::<f64>() / column.len() as f64;
         assert!(
@@ -59,7 +59,7 @@ fn assert_equal_to_columns(statistics: &[StageStatistics], rows: &Rows) {
     }
     for name in ["preprocessing", "restart"] {
         let is_stored = statistics.iter().any(|stored| stored.stage == *name);
-        assert_eq!(is_stored, rows.counted_values(name).next().is_some(), "{name}");
+        assert_eq!(is_stored, rows.values_in_statistics(name).next().is_some(), "{name}");
     }
 }
 

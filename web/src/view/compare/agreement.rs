@@ -37,21 +37,21 @@ fn loaded(folder: &str, values: impl Fn(u64) -> Vec<(&'static str, f64)>) -> Loa
     Loaded { folder: folder.into(), record, rows: (1..=ROWS).map(row).collect() }
 }
 
-fn counted(run: &Loaded) -> Vec<RowRef<'_>> {
-    run.rows.iter().filter(RowRef::is_counted).collect()
+fn in_statistics(run: &Loaded) -> Vec<RowRef<'_>> {
+    run.rows.iter().filter(RowRef::is_in_statistics).collect()
 }
 
 /// Returns a configuration that has only this run, with its statistics as the store returns them.
 fn stored((index, run): (usize, &Loaded)) -> Configuration {
     let mut mergeable = MergeableStatistics::default();
-    for (column, value) in counted(run).iter().flat_map(RowRef::values) {
+    for (column, value) in in_statistics(run).iter().flat_map(RowRef::values) {
         let mut summary = Summary::default();
         summary.record(value);
         mergeable.add(Name::from(&**column), "s", &summary);
     }
     let RunStatistics { stages, bounds, mergeable } = RunStatistics::from(mergeable);
     let mut summary = tests::run(index as i64 + 1, PlacementKind::Local);
-    summary.counts = OutcomeCounts { ok: counted(run).len() as u64, ..OutcomeCounts::default() };
+    summary.counts = OutcomeCounts { ok: in_statistics(run).len() as u64, ..OutcomeCounts::default() };
     let name = char::from(b'A' + index as u8).to_string();
     let values = vec![name.clone(), String::new()];
     Configuration { name, values, runs: vec![summary], stages, bounds, mergeable, model_computes: true }
@@ -66,7 +66,7 @@ fn page(runs: &[Loaded]) -> (Comparison, RunMeans) {
         (count > 0).then(|| MeanBucket { at, count, mean: sum / count as f64 })
     };
     let means = |run: &Loaded| {
-        let rows = counted(run);
+        let rows = in_statistics(run);
         let stage = |name: Name| StageMeans {
             buckets: rows
                 .chunks(BUCKET_ROWS)
@@ -160,7 +160,7 @@ fn page_and_figure_have_equal_qualities() {
 
 /// Returns the studies of the files of these runs, all over the same link.
 fn studies_of_files(runs: &[Loaded]) -> Vec<PayloadStudy> {
-    let rows: Vec<RowRef<'_>> = runs.iter().flat_map(counted).collect();
+    let rows: Vec<RowRef<'_>> = runs.iter().flat_map(in_statistics).collect();
     let directions = DIRECTIONS.map(|name| DirectionSizes::from_rows(name, &rows));
     PayloadStudy::select_drawable([PayloadStudy::new(&Link::from(&runs[0].record), directions, None)])
 }

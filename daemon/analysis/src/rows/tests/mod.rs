@@ -14,7 +14,10 @@ fn rows_are_read_back_unchanged() {
     assert_eq!(kept.len(), 40);
     for (kept, row) in kept.iter().zip(&rows) {
         assert_eq!(kept.to_row(), *row);
-        assert_eq!((kept.is_counted(), kept.value("upload-lo")), (row.is_counted(), row.value("upload-lo")));
+        assert_eq!(
+            (kept.is_in_statistics(), kept.value("upload-lo")),
+            (row.is_in_statistics(), row.value("upload-lo"))
+        );
         assert_eq!(kept.verdicts()[1], row.download.map(|delay| delay.verdict));
     }
     assert_eq!(kept.get(5).and_then(|row| row.reason()), Some("the connection broke, \"reset\""));
@@ -22,14 +25,14 @@ fn rows_are_read_back_unchanged() {
 }
 
 #[test]
-fn statistics_use_only_counted_rows() {
+fn statistics_exclude_warm_up_and_failed_rows() {
     let rows: Rows = made(9).into_iter().collect();
     assert_eq!(
-        rows.counted_values("upload").collect::<Vec<_>>(),
+        rows.values_in_statistics("upload").collect::<Vec<_>>(),
         [3, 4, 5, 7, 8, 9].map(|n| f64::from(17_000 + n) / 1e6)
     );
     assert_eq!(
-        (rows.counted_values("inference_pre").count(), rows.counted_values("nothing").count()),
+        (rows.values_in_statistics("inference_pre").count(), rows.values_in_statistics("nothing").count()),
         (6, 0)
     );
 }

@@ -32,7 +32,7 @@ pub struct Score {
     pub label: String,
     /// The quality.
     pub estimate: QualityEstimate,
-    /// Median latency of all counted iterations, seconds.
+    /// Median latency of all iterations in the statistics, seconds.
     pub median: f64,
     /// 95th percentile, seconds; `None` for few values.
     pub p95: Option<f64>,

@@ -46,11 +46,14 @@ fn unknown_delays_do_not_shorten_bars() {
     let shown: Vec<f64> = figure.bars[0].means.iter().map(|mean| (mean * 1e6).round()).collect();
     assert_eq!((figure.bars.len(), shown), (1, vec![1_000.0, 10_000.0]));
     assert!((figure.bars[0].total - 11e-3).abs() < 1e-9, "{figure:?}");
-    assert_eq!(drawings[0].missing, ["left out: 1 configuration without a counted iteration"]);
+    assert_eq!(
+        drawings[0].missing,
+        ["left out: 1 configuration without a successful iteration after the warm-up"]
+    );
     let expected_notes = [
         "n = 99 · left out: 10 warm-up, 16 failed",
         "left out of the means: unknown delays, 50 of upload",
-        "left out: 1 configuration without a counted iteration",
+        "left out: 1 configuration without a successful iteration after the warm-up",
     ];
     assert_eq!(figure.notes[1..], expected_notes);
 }

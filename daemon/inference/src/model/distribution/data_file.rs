@@ -55,9 +55,9 @@ pub(super) fn read_latencies(file: &Path, columns: &Columns) -> Result<RecordedL
     let mut latencies = Vec::new();
     while let Some((line, record)) = rows.next_row().map_err(wrong)? {
         let cell = |at: Option<usize>| at.and_then(|at| record.get(at));
-        let is_counted = cell(outcome_at).is_none_or(|outcome| outcome == "ok")
+        let is_in_statistics = cell(outcome_at).is_none_or(|outcome| outcome == "ok")
             && cell(warm_up_at).is_none_or(|warm_up| warm_up == "0");
-        if !is_counted {
+        if !is_in_statistics {
             continue;
         }
         let sum = sum_of_cells(&record, &value_positions)

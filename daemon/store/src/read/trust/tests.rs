@@ -266,8 +266,8 @@ fn rows_and_roll_ups_give_same_findings() {
         Some(StageStatistics { statistics, ..node(name, 0, 0.0) })
     };
     let names = ["sensing", "upload", "inference", "download", "total", "unattributed", LATENESS, "restart"];
-    let stages = names.into_iter().filter_map(|name| of_values(name, &mut rows.counted_values(name)));
-    let overrun = of_values(OVERRUN, &mut rows.counted_values("inference_overrun"));
+    let stages = names.into_iter().filter_map(|name| of_values(name, &mut rows.values_in_statistics(name)));
+    let overrun = of_values(OVERRUN, &mut rows.values_in_statistics("inference_overrun"));
     type ReadDelay = fn(&RowRef<'_>) -> Option<OneWayDelay>;
     let directions: [(Name, ReadDelay); 2] =
         [(stage::UPLOAD, |row| row.upload()), (stage::DOWNLOAD, |row| row.download())];
