@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 
 use peernet_statistics::number::{bytes, counted, fixed};
-use peernet_stream::ExperimentPlace;
+use peernet_stream::ExperimentPosition;
 
 use crate::message_sizes::{Message, MessageSketches, SizeSummary};
 use crate::record::RunRecord;
@@ -51,19 +51,19 @@ impl Link {
     }
 }
 
-/// Groups runs by their link, in the order of the first run of each link. Each run is given as its link, its place in
-/// an experiment, if it has one, and an item that stands for the run. Runs over the same link are one study. The users
-/// of an experiment, which are edges `NAME-1`, `NAME-2`, … on one machine, are one study, too.
+/// Groups runs by their link, in the order of the first run of each link. Each run is given as its link, its position
+/// in an experiment, if it has one, and an item that stands for the run. Runs over the same link are one study. The
+/// runs of the concurrent edges of an experiment (its *users*: `NAME-1`, `NAME-2`, … on one machine) are one study, too.
 pub fn group_by_link<'a, T>(
-    runs: impl IntoIterator<Item = (Link, Option<&'a ExperimentPlace>, T)>,
+    runs: impl IntoIterator<Item = (Link, Option<&'a ExperimentPosition>, T)>,
 ) -> Vec<(Link, Vec<T>)> {
     let runs: Vec<_> = runs.into_iter().collect();
-    let places: Vec<Option<&ExperimentPlace>> = runs.iter().map(|(_, place, _)| *place).collect();
+    let positions: Vec<Option<&ExperimentPosition>> = runs.iter().map(|(_, position, _)| *position).collect();
     let mut links: Vec<(Link, Vec<T>)> = Vec::new();
-    for (mut link, place, run) in runs {
-        // Two runs at one place of an experiment ran at the same time: they are its users.
+    for (mut link, position, run) in runs {
+        // Runs at the same position ran at the same time: each is the run of one user.
         let has_several_users =
-            place.is_some() && places.iter().filter(|other| **other == place).take(2).count() > 1;
+            position.is_some() && positions.iter().filter(|other| **other == position).take(2).count() > 1;
         if has_several_users && let Some(name) = name_without_number(&link.hosts[0]) {
             link.hosts[0] = name;
         }
@@ -307,16 +307,16 @@ mod tests {
             [("a → cloud (x:1)", vec![0, 2]), ("b → cloud (x:1)", vec![1]), ("a → cloud (y:1)", vec![3])];
         assert_eq!(names, expected.map(|(name, runs)| (name.to_owned(), runs)));
         // One user alone, then two at the same time.
-        let place = |users: &str| ExperimentPlace {
+        let position = |users: &str| ExperimentPosition {
             name: "line".to_owned(),
             id: "1".to_owned(),
             configuration: vec![("Users".to_owned(), users.to_owned())],
             repeat: 0,
-            position: None,
+            configuration_index: None,
         };
-        let (alone, together) = (place("1"), place("2"));
+        let (alone, together) = (position("1"), position("2"));
         let users = [("a-7", &alone), ("a-7-1", &together), ("a-7-2", &together)];
-        let users = users.map(|(edge, place)| (link(edge, "tcp://x:1"), Some(place), ()));
+        let users = users.map(|(edge, position)| (link(edge, "tcp://x:1"), Some(position), ()));
         let links = group_by_link(users);
         assert_eq!(links.len(), 1, "{links:?}");
         assert_eq!(links[0].0.name(), "a-7 → cloud (x:1)");

@@ -7,7 +7,7 @@ use std::fmt;
 
 use peernet_clock::WallTime;
 use peernet_logger::{HostId, RunId};
-use peernet_stream::{EndReason, ExperimentPlace};
+use peernet_stream::{EndReason, ExperimentPosition};
 
 use crate::loaded::Loaded;
 
@@ -122,13 +122,13 @@ pub struct Repeat {
 
 impl Repeat {
     /// Returns the repeat that a pipeline of an edge measured.
-    pub fn new(place: &ExperimentPlace, edge: HostId, pipeline: &str) -> Self {
-        let ExperimentPlace { id, configuration, repeat, .. } = place.clone();
+    pub fn new(position: &ExperimentPosition, edge: HostId, pipeline: &str) -> Self {
+        let ExperimentPosition { id, configuration, repeat, .. } = position.clone();
         Self { experiment: id, configuration, number: repeat, edge, pipeline: pipeline.to_owned() }
     }
 
     /// Returns what is the same for all edges that measure the repeat.
-    fn place(&self) -> (&str, &[(String, String)], u32) {
+    fn position(&self) -> (&str, &[(String, String)], u32) {
         (&self.experiment, &self.configuration, self.number)
     }
 }
@@ -138,14 +138,16 @@ impl Candidate {
     /// after a failure.
     pub fn from_results(run: &Loaded) -> Self {
         let record = &run.record;
-        let place = record.experiment.as_ref();
+        let position = record.experiment.as_ref();
         let started = record.started.and_then(|at| at.timestamp_nanos_opt());
         let ended = record.ended.and_then(|at| at.timestamp_nanos_opt());
         let times = started.map(|started| (started, ended.unwrap_or(started)));
         Self {
             id: record.run,
-            state: place.map(|_| RunState::from_end_reason(Some(&record.reason))),
-            repeat: place.zip(record.edge.id).map(|(place, edge)| Repeat::new(place, edge, &record.name)),
+            state: position.map(|_| RunState::from_end_reason(Some(&record.reason))),
+            repeat: position
+                .zip(record.edge.id)
+                .map(|(position, edge)| Repeat::new(position, edge, &record.name)),
             times: times
                 .map(|(start, end)| (WallTime::from_unix_nanos(start), WallTime::from_unix_nanos(end))),
             sequence: started.unwrap_or_default(),
@@ -158,7 +160,7 @@ impl Candidate {
     fn is_together_with(&self, other: &Self) -> bool {
         let repeats = self.repeat.as_ref().zip(other.repeat.as_ref());
         let is_same_repeat =
-            repeats.is_some_and(|(repeat, other)| repeat != other && repeat.place() == other.place());
+            repeats.is_some_and(|(repeat, other)| repeat != other && repeat.position() == other.position());
         let times = self.times.zip(other.times);
         is_same_repeat && times.is_some_and(|(times, other)| times.0 <= other.1 && other.0 <= times.1)
     }

@@ -12,7 +12,7 @@ use utoipa::ToSchema;
 // The REST API sends this type as it is: these comments are its documentation. There an absent number is null.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
 #[expect(missing_docs, reason = "the names of the other fields say what they are")]
-// The schema's name in the REST API stays.
+// The REST API keeps the former name of this type.
 #[schema(as = Figures)]
 pub struct QuantityStatistics {
     /// Samples.

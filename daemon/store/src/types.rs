@@ -21,7 +21,7 @@ use peernet_analysis::slowness::{Cause, Medians};
 use peernet_clock::{DelaySource, RelatedClocks, Verdict, WallTime};
 use peernet_logger::{HostId, Name, RunId, Slug, Tree};
 use peernet_stream::{
-    ClockSample, Condition, EndReason, ExperimentPlace, HostDescription, NetworkName, OutcomeCounts,
+    ClockSample, Condition, EndReason, ExperimentPosition, HostDescription, NetworkName, OutcomeCounts,
     Placement,
 };
 use serde::Serialize;
@@ -92,7 +92,7 @@ pub struct RunSummary {
     /// Number of the last iteration that was deleted because of its age or the size limit; 0 if none was deleted.
     pub nodes_from: u64,
     /// Position of the run in an experiment, if it belongs to one.
-    pub experiment: Option<ExperimentPlace>,
+    pub experiment: Option<ExperimentPosition>,
 }
 
 /// A run with all values that the store has of it, except for statistics and iterations.

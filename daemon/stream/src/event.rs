@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::clock::ClockSample;
 use super::end_reason::EndReason;
-use super::experiment::{Condition, ExperimentPlace};
+use super::experiment::{Condition, ExperimentPosition};
 use super::live::Placement;
 use peernet_logger::{HostId, RunId, Slug, Tree};
 
@@ -76,7 +76,7 @@ pub struct RunDescription {
     /// Version of the agent.
     pub version: String,
     /// Place of the run in an experiment, if it belongs to one.
-    pub experiment: Option<Box<ExperimentPlace>>,
+    pub experiment: Option<Box<ExperimentPosition>>,
     /// Conditions of the hosts that were found before the run.
     pub conditions: Vec<Condition>,
 }

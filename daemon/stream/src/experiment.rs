@@ -1,11 +1,11 @@
-//! Place of a run in an experiment, and conditions of the hosts before a run.
+//! Position of a run in an experiment, and conditions of the hosts before a run.
 
 use serde::{Deserialize, Serialize};
 
-/// Place of a run in an experiment.
+/// Position of a run in an experiment: the configuration and the repeat that it measures.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct ExperimentPlace {
+pub struct ExperimentPosition {
     /// Name of the experiment in its file.
     pub name: String,
     /// Random id of the execution of the experiment, which all its runs share.
@@ -15,9 +15,9 @@ pub struct ExperimentPlace {
     pub configuration: Vec<(String, String)>,
     /// Repetition of the configuration, from 0.
     pub repeat: u32,
-    /// Position of the configuration in the experiment's file, from 0; `None` if an earlier version ran the experiment.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub position: Option<u32>,
+    /// Index of the configuration in the experiment's file, from 0; `None` if an earlier version ran the experiment.
+    #[serde(default, rename = "position", skip_serializing_if = "Option::is_none")]
+    pub configuration_index: Option<u32>,
 }
 
 /// A finding about a host that affects how far a measurement on it can be trusted.

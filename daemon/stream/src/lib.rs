@@ -76,7 +76,7 @@ pub use counts::{
 pub use end_reason::EndReason;
 pub use estimate_basis::EstimateBasis;
 pub use event::{Claim, Event, Gap, Incident, IncidentKind, Iteration, Outcome, RunDescription, RunEnded};
-pub use experiment::{Condition, ExperimentPlace, Grade};
+pub use experiment::{Condition, ExperimentPosition, Grade};
 pub use hello::{AGENT_STREAM_VERSIONS, Hello, HelloExtension, STREAM_VERSIONS, StreamId};
 pub use host::{Hardware, HostDescription, HostMetrics, ModelMetrics};
 pub use live::{

@@ -6,8 +6,8 @@ use bytes::Bytes;
 use peernet_clock::{SharedClock, Span};
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{
-    BatchHead, Chain, EndReason, Event, ExperimentPlace, Hello, HostSecret, Incident, IncidentKind, Outcome,
-    Proof, RunEnded, STREAM_VERSIONS, StreamId, ToAgent, ToAggregator, codec,
+    BatchHead, Chain, EndReason, Event, ExperimentPosition, Hello, HostSecret, Incident, IncidentKind,
+    Outcome, Proof, RunEnded, STREAM_VERSIONS, StreamId, ToAgent, ToAggregator, codec,
 };
 use tokio_util::sync::CancellationToken;
 use zeromq::{Message, Options, Socket, SocketType};
@@ -34,14 +34,14 @@ pub(crate) async fn fill(database: &Path, nodes: u64, clock: &SharedClock) {
     let address = running.handle.live().borrow().listening.clone();
     let mut agent = Agent::connect(&address).await;
     for number in 0..RUNS {
-        let place = ExperimentPlace {
+        let position = ExperimentPosition {
             name: "grid".to_owned(),
             id: "1".to_owned(),
             configuration: vec![("size".to_owned(), format!("{} kB", number % CONFIGURATIONS))],
             repeat: number / CONFIGURATIONS,
-            ..ExperimentPlace::default()
+            ..ExperimentPosition::default()
         };
-        agent.run(ITERATIONS * NODES, Some(place)).await;
+        agent.run(ITERATIONS * NODES, Some(position)).await;
     }
     agent.run(nodes, None).await;
     agent.wait_until_stored().await;
@@ -117,12 +117,12 @@ impl Agent {
 
     /// Sends a run of about `nodes` nodes at `HZ` iterations per second of the edge's clock, with a clock sample each
     /// second.
-    async fn run(&mut self, nodes: u64, place: Option<ExperimentPlace>) {
+    async fn run(&mut self, nodes: u64, position: Option<ExperimentPosition>) {
         let run = RunId::random();
         let start_s = self.second;
         let mut events = vec![generate::run_started(run, "line", generate::at(start_s as f64))];
         if let Some(Event::RunStarted(description)) = events.first_mut() {
-            description.experiment = place.map(Box::new);
+            description.experiment = position.map(Box::new);
         }
         for number in 1..=nodes.div_ceil(NODES) {
             let at = generate::at(start_s as f64) + Span::from_seconds_f64(number as f64 / HZ as f64);

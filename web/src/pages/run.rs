@@ -15,7 +15,7 @@ use peernet_statistics::number::{
     NONE, SPACE, count, counted, duration, mean_std_ms, milliseconds, percent, rate, share,
 };
 use peernet_store::{IterationFilter, RunDetail, RunStatistics, RunSummary, StageStatistics};
-use peernet_stream::ExperimentPlace;
+use peernet_stream::ExperimentPosition;
 use serde::Deserialize;
 
 use super::kind::PageKind;
@@ -130,7 +130,7 @@ struct Run {
     slowest: Vec<SlowIteration>,
     failed: Vec<FailedRow>,
     trust: Trust,
-    experiment: Option<ExperimentPlace>,
+    experiment: Option<ExperimentPosition>,
     /// Label of each accuracy, its value in percent, and the interval of the value.
     accuracies: Vec<(&'static str, String, Option<String>)>,
     actuator: ActuatorNumbers,

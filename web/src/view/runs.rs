@@ -6,7 +6,7 @@ use peernet_analysis::trust::MissingCount;
 use peernet_clock::WallTime;
 use peernet_statistics::number::{NONE, count, counted, length, milliseconds, percent};
 use peernet_store::{GapRow, RetentionConfig, RunSummary};
-use peernet_stream::ExperimentPlace;
+use peernet_stream::ExperimentPosition;
 
 use super::chip::{Chip, Tone};
 use super::notes::Note;
@@ -54,10 +54,10 @@ pub(crate) struct Labels {
 }
 
 impl Labels {
-    fn of(place: &ExperimentPlace) -> Self {
-        let labels = place.configuration.iter().map(|(axis, value)| format!("{axis} = {value}"));
-        let labels: Vec<String> = labels.chain([format!("repeat {}", place.repeat + 1)]).collect();
-        Self { name: place.name.clone(), id: place.id.clone(), text: labels.join(", ") }
+    fn of(position: &ExperimentPosition) -> Self {
+        let labels = position.configuration.iter().map(|(axis, value)| format!("{axis} = {value}"));
+        let labels: Vec<String> = labels.chain([format!("repeat {}", position.repeat + 1)]).collect();
+        Self { name: position.name.clone(), id: position.id.clone(), text: labels.join(", ") }
     }
 }
 
@@ -228,16 +228,16 @@ mod tests {
 
     #[test]
     fn run_of_experiment_shows_its_labels() {
-        let place = |configuration: &[(&str, &str)], repeat| ExperimentPlace {
+        let position = |configuration: &[(&str, &str)], repeat| ExperimentPosition {
             name: "resize".to_owned(),
             id: "a".to_owned(),
             configuration: configuration.iter().map(|(a, b)| ((*a).to_owned(), (*b).to_owned())).collect(),
             repeat,
-            ..ExperimentPlace::default()
+            ..ExperimentPosition::default()
         };
-        let labels = Labels::of(&place(&[("Where", "cloud"), ("Resize", "yes")], 1));
+        let labels = Labels::of(&position(&[("Where", "cloud"), ("Resize", "yes")], 1));
         assert_eq!(labels.text, "Where = cloud, Resize = yes, repeat 2");
-        assert_eq!(Labels::of(&place(&[], 0)).text, "repeat 1");
+        assert_eq!(Labels::of(&position(&[], 0)).text, "repeat 1");
     }
 
     #[test]

@@ -6,7 +6,7 @@ use peernet_analysis::trust::{Report, TrustInput};
 use peernet_analysis::users::Users;
 use peernet_results::ResultFolder;
 use peernet_statistics::number::{fixed_or_less_than, mean_std_ms, rate};
-use peernet_stream::ExperimentPlace;
+use peernet_stream::ExperimentPosition;
 
 use crate::test_dashboard::TestDashboard;
 use crate::test_site::TestPipeline;
@@ -256,12 +256,12 @@ async fn rates_of_users_are_equal_on_page_and_in_files() {
             let mut loaded = ResultFolder::open(&file).expect("a file of results");
             let users = one["values"][0].as_str().expect("a number of users").to_owned();
             let configuration = vec![("Users".to_owned(), users)];
-            loaded.record.experiment = Some(ExperimentPlace {
+            loaded.record.experiment = Some(ExperimentPosition {
                 name: "users".to_owned(),
                 id: id.to_owned(),
                 configuration,
                 repeat: 0,
-                ..ExperimentPlace::default()
+                ..ExperimentPosition::default()
             });
             loaded.record.edge.name = run.to_string();
             runs.push(loaded);

@@ -7,7 +7,7 @@ use peernet_actuators::{ActuatorConfig, ActuatorKind};
 use peernet_logger::Slug;
 use peernet_networks::{Address, NetworkKind, SessionSettings};
 use peernet_sensors::{SensorConfig, SensorKind, TransformConfig};
-use peernet_stream::ExperimentPlace;
+use peernet_stream::ExperimentPosition;
 use serde::{Deserialize, Serialize};
 
 use super::ObserveConfig;
@@ -62,7 +62,7 @@ pub struct PipelineConfig {
     pub start: StartMode,
     /// Place of the pipeline in an experiment; set by `peernet run`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub experiment: Option<ExperimentPlace>,
+    pub experiment: Option<ExperimentPosition>,
 }
 
 impl PipelineConfig {

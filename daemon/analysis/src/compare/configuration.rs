@@ -48,8 +48,8 @@ impl Configurations {
 
     /// Returns the configurations, and sentences about the other differences between the runs.
     pub(super) fn with_other_differences(runs: &[Loaded]) -> (Self, Vec<String>) {
-        let places: Vec<_> = runs.iter().map(|run| run.record.experiment.as_ref()).collect();
-        match experiment_columns(&places) {
+        let positions: Vec<_> = runs.iter().map(|run| run.record.experiment.as_ref()).collect();
+        match experiment_columns(&positions) {
             Some(columns) => (Self::from_experiment_columns(runs, columns), Vec::new()),
             None => Self::from_records(runs),
         }
@@ -121,7 +121,7 @@ impl Configurations {
     pub(super) fn add_repeats(&mut self, runs: &[Loaded]) {
         let repeat = |run: &Loaded| match &run.record.experiment {
             // Repeats are shown from 1.
-            Some(place) => (place.repeat + 1).to_string(),
+            Some(position) => (position.repeat + 1).to_string(),
             None => EMPTY_CELL.to_owned(),
         };
         let repeats: Vec<String> = runs.iter().map(repeat).collect();
@@ -133,7 +133,7 @@ impl Configurations {
     /// Gives each of the chosen runs a separate line, next to the other repeats of its configuration. Edges that were measured at the same
     /// time stay together.
     pub(super) fn separate_runs(&mut self, runs: &[Loaded], chosen: &[usize]) {
-        let repeat = |run: usize| runs[run].record.experiment.as_ref().map(|place| place.repeat);
+        let repeat = |run: usize| runs[run].record.experiment.as_ref().map(|position| position.repeat);
         let label = |run: usize| {
             let siblings = chosen.iter().filter(|other| self.labels[**other] == self.labels[run]);
             let mut repeats: Vec<Option<u32>> = siblings.map(|other| repeat(*other)).collect();

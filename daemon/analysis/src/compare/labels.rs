@@ -1,6 +1,6 @@
 //! Labels of runs: facts that distinguish them, as columns and as names.
 
-use peernet_stream::ExperimentPlace;
+use peernet_stream::ExperimentPosition;
 
 use super::columns::Column;
 use crate::model_places::place_word;
@@ -85,11 +85,13 @@ pub struct RunFacts<'a> {
 /// run's experiment declares, the execution of the experiment, and the facts. The columns are chosen from these pairs
 /// ([`tabulate`],
 /// [`choose_columns`](super::choose_columns)).
-pub fn distinguishing_pairs(runs: &[(Option<&ExperimentPlace>, RunFacts<'_>)]) -> Vec<Vec<(String, String)>> {
-    let places: Vec<Option<&ExperimentPlace>> = runs.iter().map(|(place, _)| *place).collect();
-    let pairs = runs.iter().zip(executions(&places)).map(|((place, facts), execution)| {
+pub fn distinguishing_pairs(
+    runs: &[(Option<&ExperimentPosition>, RunFacts<'_>)],
+) -> Vec<Vec<(String, String)>> {
+    let positions: Vec<Option<&ExperimentPosition>> = runs.iter().map(|(position, _)| *position).collect();
+    let pairs = runs.iter().zip(executions(&positions)).map(|((position, facts), execution)| {
         let execution = vec![("execution".to_owned(), execution)];
-        [declared_labels(*place), execution, facts.pairs()].concat()
+        [declared_labels(*position), execution, facts.pairs()].concat()
     });
     pairs.collect()
 }
@@ -97,19 +99,20 @@ pub fn distinguishing_pairs(runs: &[(Option<&ExperimentPlace>, RunFacts<'_>)]) -
 /// Returns the columns of runs of experiments: the fields that the experiments declare, and the execution of the
 /// experiment if the runs belong to several executions. `None` unless every run belongs to an experiment and all
 /// experiments declare the same fields.
-pub fn experiment_columns(places: &[Option<&ExperimentPlace>]) -> Option<Vec<Column>> {
-    let declared: Vec<Vec<(String, String)>> = places.iter().map(|place| declared_labels(*place)).collect();
+pub fn experiment_columns(positions: &[Option<&ExperimentPosition>]) -> Option<Vec<Column>> {
+    let declared: Vec<Vec<(String, String)>> =
+        positions.iter().map(|position| declared_labels(*position)).collect();
     let names = |labels: &[(String, String)]| labels.iter().map(|(axis, _)| axis.clone()).collect::<Vec<_>>();
     let have_same_fields = declared.windows(2).all(|pair| names(&pair[0]) == names(&pair[1]));
-    (have_same_fields && places.iter().all(Option::is_some)).then(|| {
-        let execution = Column { axis: "execution".to_owned(), labels: executions(places) };
+    (have_same_fields && positions.iter().all(Option::is_some)).then(|| {
+        let execution = Column { axis: "execution".to_owned(), labels: executions(positions) };
         tabulate(&declared).into_iter().chain(Some(execution).filter(Column::differs)).collect()
     })
 }
 
 /// Returns the fields that an experiment declares, as pairs of name and label; empty outside of experiments.
-fn declared_labels(place: Option<&ExperimentPlace>) -> Vec<(String, String)> {
-    place.map(|place| place.configuration.clone()).unwrap_or_default()
+fn declared_labels(position: Option<&ExperimentPosition>) -> Vec<(String, String)> {
+    position.map(|position| position.configuration.clone()).unwrap_or_default()
 }
 
 pub(super) fn differ(labels: &[String]) -> bool {
@@ -118,14 +121,16 @@ pub(super) fn differ(labels: &[String]) -> bool {
 
 /// Returns a label for the experiment of each run: the name of the experiment. If all names are the same, the label is
 /// the short id of the execution of the experiment instead.
-pub(super) fn executions(places: &[Option<&ExperimentPlace>]) -> Vec<String> {
-    let names: Vec<String> =
-        places.iter().map(|place| place.map_or(EMPTY_CELL, |place| &place.name).to_owned()).collect();
+pub(super) fn executions(positions: &[Option<&ExperimentPosition>]) -> Vec<String> {
+    let names: Vec<String> = positions
+        .iter()
+        .map(|position| position.map_or(EMPTY_CELL, |position| &position.name).to_owned())
+        .collect();
     if differ(&names) {
         return names;
     }
-    let short_id = |place: &ExperimentPlace| place.id.chars().take(8).collect::<String>();
-    places.iter().map(|place| place.map_or_else(|| EMPTY_CELL.to_owned(), short_id)).collect()
+    let short_id = |position: &ExperimentPosition| position.id.chars().take(8).collect::<String>();
+    positions.iter().map(|position| position.map_or_else(|| EMPTY_CELL.to_owned(), short_id)).collect()
 }
 
 impl RunFacts<'_> {

@@ -34,7 +34,7 @@ pub use difference::{Difference, MIN_BATCHES, MIN_VALUES, MeanEstimate};
 pub use differences::{Differences, StageDifference};
 pub use labels::{RunFacts, distinguishing_pairs, experiment_columns, readable_names, tabulate};
 pub use latency_bar::{LatencyBar, part_order};
-pub use order::{compare_label, compare_places};
+pub use order::{compare_label, compare_positions};
 pub use pairwise::PairwiseDifference;
 pub use ranking::{ConfigurationTotal, Ranking, model_computes};
 
@@ -236,7 +236,7 @@ impl Line {
             let starts = Starts::from_rows(rows);
             self.starts.started += starts.started;
             self.starts.skipped += starts.skipped;
-            let repeat = record.experiment.as_ref().map(|place| place.repeat);
+            let repeat = record.experiment.as_ref().map(|position| position.repeat);
             let existing = repeats.iter().position(|(other, _)| *other == repeat);
             let index = existing.unwrap_or_else(|| {
                 repeats.push((repeat, 0));

@@ -3,7 +3,7 @@
 
 use std::cmp::Ordering;
 
-use peernet_stream::ExperimentPlace;
+use peernet_stream::ExperimentPosition;
 
 /// Units of labels, each with its size in the base unit of its kind: bytes, seconds or hertz.
 const UNITS: [(&str, f64); 14] = [
@@ -23,13 +23,15 @@ const UNITS: [(&str, f64); 14] = [
     ("mhz", 1e6),
 ];
 
-/// Compares the places of two runs in an experiment: by the position of the configuration in the experiment's file,
-/// then by its labels, then by the repeat. A configuration whose position is not known, because an earlier version ran
-/// it, follows the configurations with a position.
-pub fn compare_places(a: &ExperimentPlace, b: &ExperimentPlace) -> Ordering {
-    let position = |place: &ExperimentPlace| (place.position.is_none(), place.position);
+/// Compares the positions of two runs in an experiment: by the index of the configuration in the experiment's file,
+/// then by its labels, then by the repeat. A configuration whose index is not known, because an earlier version ran
+/// it, follows the configurations with an index.
+pub fn compare_positions(a: &ExperimentPosition, b: &ExperimentPosition) -> Ordering {
+    let index = |position: &ExperimentPosition| {
+        (position.configuration_index.is_none(), position.configuration_index)
+    };
     let labels = || compare_labels(&a.configuration, &b.configuration);
-    position(a).cmp(&position(b)).then_with(labels).then(a.repeat.cmp(&b.repeat))
+    index(a).cmp(&index(b)).then_with(labels).then(a.repeat.cmp(&b.repeat))
 }
 
 /// Compares the labels of two configurations axis by axis, each in its natural order: the first axis in which they differ decides.
@@ -91,29 +93,30 @@ mod tests {
     use super::*;
 
     fn sorted(rows: &[&[&str]]) -> Vec<Vec<String>> {
-        let mut places: Vec<ExperimentPlace> = rows.iter().map(|row| place(None, row, 0)).collect();
-        places.sort_by(compare_places);
-        let labels =
-            |place: ExperimentPlace| place.configuration.into_iter().map(|(_, label)| label).collect();
-        places.into_iter().map(labels).collect()
+        let mut positions: Vec<ExperimentPosition> = rows.iter().map(|row| position(None, row, 0)).collect();
+        positions.sort_by(compare_positions);
+        let labels = |position: ExperimentPosition| {
+            position.configuration.into_iter().map(|(_, label)| label).collect()
+        };
+        positions.into_iter().map(labels).collect()
     }
 
-    fn place(position: Option<u32>, labels: &[&str], repeat: u32) -> ExperimentPlace {
+    fn position(configuration_index: Option<u32>, labels: &[&str], repeat: u32) -> ExperimentPosition {
         let configuration = labels.iter().map(|label| ("axis".to_owned(), (*label).to_owned())).collect();
-        ExperimentPlace { configuration, position, repeat, ..ExperimentPlace::default() }
+        ExperimentPosition { configuration, configuration_index, repeat, ..ExperimentPosition::default() }
     }
 
     #[test]
-    fn position_in_file_counts_before_labels() {
-        let mut places = [
-            place(None, &["a"], 0),
-            place(Some(1), &["m"], 1),
-            place(Some(0), &["s"], 0),
-            place(Some(2), &["l"], 0),
-            place(Some(1), &["m"], 0),
+    fn index_in_file_counts_before_labels() {
+        let mut positions = [
+            position(None, &["a"], 0),
+            position(Some(1), &["m"], 1),
+            position(Some(0), &["s"], 0),
+            position(Some(2), &["l"], 0),
+            position(Some(1), &["m"], 0),
         ];
-        places.sort_by(compare_places);
-        let sorted = places.map(|place| (place.configuration[0].1.clone(), place.repeat));
+        positions.sort_by(compare_positions);
+        let sorted = positions.map(|position| (position.configuration[0].1.clone(), position.repeat));
         assert_eq!(
             sorted,
             [("s", 0), ("m", 0), ("m", 1), ("l", 0), ("a", 0)].map(|(a, b)| (a.to_owned(), b))

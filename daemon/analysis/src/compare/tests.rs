@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use peernet_stream::ExperimentPlace;
+use peernet_stream::ExperimentPosition;
 
 use super::*;
 use crate::record::{HostRecord, ModelRecord, Placement, RunRecord};
@@ -57,14 +57,14 @@ fn with_model(model: &str, device: &str, network: Option<&str>, run: Loaded) -> 
 
 fn placed(pairs: &[(&str, &str)], repeat: u32, run: Loaded) -> Loaded {
     let configuration = pairs.iter().map(|(axis, label)| ((*axis).to_owned(), (*label).to_owned())).collect();
-    let place = ExperimentPlace {
+    let position = ExperimentPosition {
         name: "teleoperation".to_owned(),
         id: "a1".to_owned(),
         configuration,
         repeat,
-        ..ExperimentPlace::default()
+        ..ExperimentPosition::default()
     };
-    Loaded { record: RunRecord { experiment: Some(place), ..run.record }, ..run }
+    Loaded { record: RunRecord { experiment: Some(position), ..run.record }, ..run }
 }
 
 /// Returns the first lines of the paper's table.

@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use chrono::{DateTime, Utc};
 use peernet_clock::WallTime;
 use peernet_logger::{HostId, RunId};
-use peernet_stream::{Condition, EndReason, ExperimentPlace, Hardware, OutcomeCounts, PlacementKind};
+use peernet_stream::{Condition, EndReason, ExperimentPosition, Hardware, OutcomeCounts, PlacementKind};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -67,7 +67,7 @@ pub struct RunRecord {
     /// The agent's other tables.
     pub agent: Value,
     /// Position of the run in an experiment; `None` if the run does not belong to an experiment.
-    pub experiment: Option<ExperimentPlace>,
+    pub experiment: Option<ExperimentPosition>,
     /// Number of this edge among the edges that used the cloud at the same time; `None` if this was the only edge.
     pub user: Option<User>,
     /// Longest wait for a missing peer, before the run and during it; seconds.

@@ -3,17 +3,17 @@
 use super::*;
 
 fn run(repeat: u32, edge: HostId, state: RunState, sequence: i64) -> Candidate {
-    let place = ExperimentPlace {
+    let position = ExperimentPosition {
         name: "x".to_owned(),
         id: "x1".to_owned(),
         configuration: Vec::new(),
         repeat,
-        ..ExperimentPlace::default()
+        ..ExperimentPosition::default()
     };
     Candidate {
         id: Some(RunId::random()),
         state: Some(state),
-        repeat: Some(Repeat::new(&place, edge, "line")),
+        repeat: Some(Repeat::new(&position, edge, "line")),
         times: Some([sequence, sequence + 1].map(WallTime::from_unix_nanos).into()),
         sequence,
         is_named: false,

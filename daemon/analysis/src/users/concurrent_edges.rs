@@ -27,16 +27,16 @@ pub(super) fn concurrent_groups(edges: &[Loaded]) -> Vec<Vec<&Loaded>> {
 
 /// Returns the complete groups: those with as many edges as the largest group of the same configuration.
 pub(super) fn complete_groups(groups: Vec<Vec<&Loaded>>) -> Vec<Vec<&Loaded>> {
-    let place = |group: &[&Loaded]| {
-        let place = group[0].record.experiment.as_ref()?;
-        Some((place.id.clone(), place.configuration.clone()))
+    let configuration_of = |group: &[&Loaded]| {
+        let position = group[0].record.experiment.as_ref()?;
+        Some((position.id.clone(), position.configuration.clone()))
     };
-    let places_and_edges: Vec<_> = groups.iter().map(|group| (place(group), group.len())).collect();
+    let configurations_and_edges: Vec<_> =
+        groups.iter().map(|group| (configuration_of(group), group.len())).collect();
     let is_complete = |group: &Vec<&Loaded>| {
-        let own_place = place(group);
-        let same_place =
-            places_and_edges.iter().filter(|(other, _)| own_place.is_some() && *other == own_place);
-        same_place.map(|(_, edges)| *edges).max().is_none_or(|most| group.len() == most)
+        let own = configuration_of(group);
+        let same = configurations_and_edges.iter().filter(|(other, _)| own.is_some() && *other == own);
+        same.map(|(_, edges)| *edges).max().is_none_or(|most| group.len() == most)
     };
     groups.into_iter().filter(is_complete).collect()
 }

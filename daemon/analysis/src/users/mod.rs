@@ -139,7 +139,7 @@ impl Users {
         concurrent_groups.iter().any(|edges| edges.len() > 1).then_some(())?;
         let configuration = |edges: &[&Loaded]| -> Vec<(String, String)> {
             let experiment = edges.first().and_then(|edge| edge.record.experiment.as_ref());
-            experiment.map(|place| place.configuration.clone()).unwrap_or_default()
+            experiment.map(|position| position.configuration.clone()).unwrap_or_default()
         };
         let mut axes: Vec<String> = Vec::new();
         for (axis, _) in concurrent_groups.iter().flat_map(|edges| configuration(edges)) {

@@ -1,6 +1,6 @@
 //! Tests of edges that were measured at the same time.
 
-use peernet_stream::ExperimentPlace;
+use peernet_stream::ExperimentPosition;
 
 use super::*;
 use crate::record::{HostRecord, RunRecord};
@@ -30,15 +30,15 @@ fn edge(labels: &[(&str, &str)], (name, from): (&str, f64), each: f64, count: u3
         download: None,
     };
     let configuration = labels.iter().map(|(axis, label)| ((*axis).to_owned(), (*label).to_owned()));
-    let place = ExperimentPlace {
+    let position = ExperimentPosition {
         name: "e".to_owned(),
         id: "1".to_owned(),
         configuration: configuration.collect(),
         repeat: 0,
-        ..ExperimentPlace::default()
+        ..ExperimentPosition::default()
     };
     let host = HostRecord { name: name.to_owned(), ..HostRecord::default() };
-    let record = RunRecord { experiment: Some(place), edge: host, ..RunRecord::default() };
+    let record = RunRecord { experiment: Some(position), edge: host, ..RunRecord::default() };
     Loaded { folder: "x".into(), record, rows: (0..count).map(row).collect() }
 }
 

@@ -193,7 +193,7 @@ pub(crate) fn join_texts(first: String, others: impl Iterator<Item = String>) ->
 mod tests {
     use peernet_analysis::record::RunRecord;
     use peernet_analysis::rows::Rows;
-    use peernet_stream::ExperimentPlace;
+    use peernet_stream::ExperimentPosition;
 
     use super::*;
 
@@ -202,12 +202,12 @@ mod tests {
         let run = |repeat: u32| Loaded {
             folder: PathBuf::from(format!("r{repeat}")),
             record: RunRecord {
-                experiment: Some(ExperimentPlace {
+                experiment: Some(ExperimentPosition {
                     name: "x".to_owned(),
                     id: "x1".to_owned(),
                     configuration: vec![("load".to_owned(), "a".to_owned())],
                     repeat,
-                    ..ExperimentPlace::default()
+                    ..ExperimentPosition::default()
                 }),
                 ..RunRecord::default()
             },

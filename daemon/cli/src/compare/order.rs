@@ -2,43 +2,44 @@
 
 use std::collections::HashMap;
 
-use peernet_analysis::compare::compare_places;
+use peernet_analysis::compare::compare_positions;
 use peernet_analysis::loaded::Loaded;
-use peernet_stream::ExperimentPlace;
+use peernet_stream::ExperimentPosition;
 
 use super::experiment::Experiments;
 
 /// Returns the indexes of the runs in the order of display. Runs of an experiment are in the [order of its
-/// file](compare_places), as on the dashboard. Runs of an earlier version do not have the position of their
+/// file](compare_positions), as on the dashboard. Runs of an earlier version do not have the index of their
 /// configuration; it is taken from the record of the experiment, if that can be read.
 ///
 /// The runs of one experiment exchange positions among each other. All other results keep their positions.
 pub(super) fn declared_order(runs: &[Loaded], experiments: &Experiments) -> Vec<usize> {
     let mut order: Vec<usize> = (0..runs.len()).collect();
-    let mut places_by_experiment: HashMap<&str, Vec<(usize, ExperimentPlace)>> = HashMap::new();
+    let mut positions_by_experiment: HashMap<&str, Vec<(usize, ExperimentPosition)>> = HashMap::new();
     for (index, run) in runs.iter().enumerate() {
-        if let Some(place) = &run.record.experiment {
-            let position = place.position.or_else(|| recorded_position(run, place, experiments));
-            places_by_experiment
-                .entry(&place.id)
+        if let Some(position) = &run.record.experiment {
+            let configuration_index =
+                position.configuration_index.or_else(|| recorded_index(run, position, experiments));
+            positions_by_experiment
+                .entry(&position.id)
                 .or_default()
-                .push((index, ExperimentPlace { position, ..place.clone() }));
+                .push((index, ExperimentPosition { configuration_index, ..position.clone() }));
         }
     }
-    for places in places_by_experiment.into_values() {
-        let mut sorted = places.clone();
+    for positions in positions_by_experiment.into_values() {
+        let mut sorted = positions.clone();
         // The sort is stable: the users of one run keep their order.
-        sorted.sort_by(|(_, a), (_, b)| compare_places(a, b));
-        places.into_iter().zip(sorted).for_each(|((position, _), (run, _))| order[position] = run);
+        sorted.sort_by(|(_, a), (_, b)| compare_positions(a, b));
+        positions.into_iter().zip(sorted).for_each(|((index, _), (run, _))| order[index] = run);
     }
     order
 }
 
-/// Returns the position of a run's configuration in the record of its experiment.
-fn recorded_position(run: &Loaded, place: &ExperimentPlace, experiments: &Experiments) -> Option<u32> {
-    let configurations = &experiments.experiment_with_id(&run.folder, &place.id)?.plan.configurations;
+/// Returns the index of a run's configuration in the record of its experiment.
+fn recorded_index(run: &Loaded, position: &ExperimentPosition, experiments: &Experiments) -> Option<u32> {
+    let configurations = &experiments.experiment_with_id(&run.folder, &position.id)?.plan.configurations;
     u32::try_from(
-        configurations.iter().position(|configuration| configuration.labels == place.configuration)?,
+        configurations.iter().position(|configuration| configuration.labels == position.configuration)?,
     )
     .ok()
 }
@@ -61,15 +62,15 @@ mod tests {
         let experiment = tempfile::tempdir().expect("a folder");
         let folder = experiment.path().join("runs").join("1");
         std::fs::create_dir_all(&folder).expect("made");
-        let run = |place: Option<(&str, u32)>, position: Option<u32>| {
-            let place = place.map(|(label, repeat)| ExperimentPlace {
+        let run = |position: Option<(&str, u32)>, configuration_index: Option<u32>| {
+            let position = position.map(|(label, repeat)| ExperimentPosition {
                 name: "x".to_owned(),
                 id: "x1".to_owned(),
                 configuration: vec![("load".to_owned(), label.to_owned())],
                 repeat,
-                position,
+                configuration_index,
             });
-            let record = RunRecord { experiment: place, ..RunRecord::default() };
+            let record = RunRecord { experiment: position, ..RunRecord::default() };
             Loaded { folder: folder.clone(), record, rows: Rows::default() }
         };
         let runs = |a: Option<u32>, b: Option<u32>| {

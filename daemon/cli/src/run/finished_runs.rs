@@ -8,7 +8,7 @@ use peernet_analysis::loaded::RowsDamage;
 use peernet_analysis::record::{Counts, RunRecord};
 use peernet_results::{FolderError, ResultFolder};
 use peernet_sample::printable_line;
-use peernet_stream::{EndReason, ExperimentPlace};
+use peernet_stream::{EndReason, ExperimentPosition};
 
 use super::ExternalFiles;
 use super::folder::Folder;
@@ -103,9 +103,10 @@ fn mismatch(run_record: &RunRecord, record: &Record, run: &Run) -> Option<Mismat
     if run_record.counts == Counts::default() {
         return Some(Mismatch::NoIterations);
     }
-    let planned = record.plan.experiment_place(run, &record.id);
-    // An earlier version recorded no position, and the labels identify the configuration.
-    let position = planned.position;
-    let recorded = run_record.experiment.clone().map(|place| ExperimentPlace { position, ..place });
+    let planned = record.plan.experiment_position(run, &record.id);
+    // An earlier version recorded no index, and the labels identify the configuration.
+    let configuration_index = planned.configuration_index;
+    let recorded = run_record.experiment.clone();
+    let recorded = recorded.map(|position| ExperimentPosition { configuration_index, ..position });
     (recorded != Some(planned)).then_some(Mismatch::OtherRun)
 }

@@ -11,7 +11,7 @@ use peernet_external::{REPEAT_VARIABLE, SEED_VARIABLE, USER_VARIABLE};
 use peernet_logger::Slug;
 use peernet_sensors::SensorKind;
 use peernet_statistics::SplitMix64;
-use peernet_stream::ExperimentPlace;
+use peernet_stream::ExperimentPosition;
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
@@ -99,7 +99,7 @@ impl Plan {
         let mut agent = self.seeded_agent(self.configuration(run), run.repeat, user);
         agent.agent.name = self.agent_name(run, user);
         for pipeline in &mut agent.pipelines {
-            pipeline.experiment = Some(self.experiment_place(run, id));
+            pipeline.experiment = Some(self.experiment_position(run, id));
         }
         agent
     }
@@ -141,14 +141,14 @@ impl Plan {
         agent
     }
 
-    /// Returns the configuration and repeat that the run measures in an execution of the experiment.
-    pub(super) fn experiment_place(&self, run: &Run, id: &str) -> ExperimentPlace {
-        ExperimentPlace {
+    /// Returns the position of a run in an execution of the experiment.
+    pub(super) fn experiment_position(&self, run: &Run, id: &str) -> ExperimentPosition {
+        ExperimentPosition {
             name: self.name.to_string(),
             id: id.to_owned(),
             configuration: self.configuration(run).labels.clone(),
             repeat: run.repeat,
-            position: u32::try_from(run.configuration).ok(),
+            configuration_index: u32::try_from(run.configuration).ok(),
         }
     }
 

@@ -95,7 +95,7 @@ fn incomplete_results_are_measured_again() {
     std::fs::create_dir_all(&path).expect("writable");
     let data = |text: &str| std::fs::write(path.join("data.csv"), text).expect("writable");
     let whole = json!({
-        "format": 1, "reason": "finished", "counts": { "ok": 2 }, "experiment": record.plan.experiment_place(run, &record.id),
+        "format": 1, "reason": "finished", "counts": { "ok": 2 }, "experiment": record.plan.experiment_position(run, &record.id),
     });
     let write_record = |text: &Value| {
         std::fs::write(path.join("run.json"), text.to_string()).expect("writable");
@@ -105,12 +105,12 @@ fn incomplete_results_are_measured_again() {
     data("iteration,sensing,outcome\n1,0.5,ok\n2,0.5,ok\n");
     assert_eq!(message(), None);
     let mut earlier = whole.clone();
-    earlier["experiment"].as_object_mut().expect("a place").remove("position").expect("it is recorded");
+    earlier["experiment"].as_object_mut().expect("a position").remove("position").expect("it is recorded");
     write_record(&earlier);
-    assert_eq!(message(), None, "an earlier version recorded no position");
+    assert_eq!(message(), None, "an earlier version recorded no index");
     write_record(&json!({ "format": 1 }));
     assert!(message().is_some_and(|why| why.ends_with("does not say that the run was finished")));
-    let another = record.plan.experiment_place(&record.plan.runs[1], &record.id);
+    let another = record.plan.experiment_position(&record.plan.runs[1], &record.id);
     for (key, value, why) in [
         ("reason", json!("the peer went away"), "does not say that the run was finished"),
         ("counts", json!({}), "has no iteration counts"),
@@ -373,7 +373,7 @@ fn run_without_figures_is_finished() {
     let status = || run_result(&folder, &record, run, &process_results, 1.0).status;
     assert_eq!(status(), RunStatus::Failed, "there are no results");
     let [path] = folder.results(&record.plan, run).try_into().expect("one user");
-    let write = || write_results(&path, record.plan.experiment_place(run, &record.id));
+    let write = || write_results(&path, record.plan.experiment_position(run, &record.id));
     write();
     std::fs::write(path.join("data.csv"), "iteration,sensing,outcome\n1,0.5,ok\n").expect("writable");
     assert_eq!(status(), RunStatus::Failed, "rows are missing");
@@ -393,12 +393,12 @@ fn run_stopped_after_its_results_is_finished() {
     let process_results = ProcessResults { exits: vec![killed], interrupted: true };
     let status = || run_result(&folder, &record, run, &process_results, 1.0).status;
     assert_eq!(status(), RunStatus::Interrupted, "there are no results");
-    write_results(&folder.results(&record.plan, run)[0], record.plan.experiment_place(run, &record.id));
+    write_results(&folder.results(&record.plan, run)[0], record.plan.experiment_position(run, &record.id));
     assert_eq!(status(), RunStatus::Finished);
 }
 
 /// Writes the results of a finished run of two iterations.
-fn write_results(path: &Path, experiment: ExperimentPlace) {
+fn write_results(path: &Path, experiment: ExperimentPosition) {
     std::fs::create_dir_all(path).expect("writable");
     let record_json =
         json!({ "format": 1, "reason": "finished", "counts": { "ok": 2 }, "experiment": experiment });

@@ -4,7 +4,7 @@ use peernet_analysis::loaded::Loaded;
 use peernet_analysis::record::{HostRecord, ModelRecord, Placement, RunRecord};
 use peernet_analysis::rows::{Column, Outcome, Row, Rows};
 use peernet_statistics::SplitMix64;
-use peernet_stream::ExperimentPlace;
+use peernet_stream::ExperimentPosition;
 
 /// Random numbers with a fixed seed, so that every run of the benchmark has the same numbers.
 pub(crate) struct TestRng(SplitMix64);
@@ -144,8 +144,13 @@ pub(crate) fn experiment() -> Vec<Loaded> {
             let configuration =
                 vec![("model".to_owned(), model.to_owned()), ("where".to_owned(), kind.to_owned())];
             let (name, id) = ("efficientnet".to_owned(), "1".to_owned());
-            run.record.experiment =
-                Some(ExperimentPlace { name, id, configuration, repeat: 0, ..ExperimentPlace::default() });
+            run.record.experiment = Some(ExperimentPosition {
+                name,
+                id,
+                configuration,
+                repeat: 0,
+                ..ExperimentPosition::default()
+            });
             runs.push(run);
         }
     }
@@ -178,7 +183,7 @@ pub(crate) fn teleoperation() -> Vec<Loaded> {
         let configuration = vec![pair("resize", resize), pair("GPU", gpu), pair("network", network)];
         let (name, id) = ("teleoperation".to_owned(), "1".to_owned());
         run.record.experiment =
-            Some(ExperimentPlace { name, id, configuration, repeat: 0, ..ExperimentPlace::default() });
+            Some(ExperimentPosition { name, id, configuration, repeat: 0, ..ExperimentPosition::default() });
         run
     };
     lines.into_iter().map(run).collect()
@@ -230,12 +235,12 @@ pub(crate) fn users() -> Vec<Loaded> {
                 let pair = |axis: &str, label: String| (axis.to_owned(), label);
                 let configuration = vec![pair("model", model.to_owned()), pair("edges", edges.to_string())];
                 let (name, id) = ("users".to_owned(), "1".to_owned());
-                run.record.experiment = Some(ExperimentPlace {
+                run.record.experiment = Some(ExperimentPosition {
                     name,
                     id,
                     configuration,
                     repeat: 0,
-                    ..ExperimentPlace::default()
+                    ..ExperimentPosition::default()
                 });
                 runs.push(run);
             }

@@ -18,9 +18,9 @@ const PAYLOAD_COLUMNS: [&str; 6] =
 /// Returns two figures for each link: latency and throughput.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let configurations = Configurations::from_runs(runs);
-    let place = |index: usize| runs[index].record.experiment.as_ref();
+    let position = |index: usize| runs[index].record.experiment.as_ref();
     let links =
-        group_by_link((0..runs.len()).map(|index| (Link::from(&runs[index].record), place(index), index)));
+        group_by_link((0..runs.len()).map(|index| (Link::from(&runs[index].record), position(index), index)));
     let studies = links.into_iter().map(|(link, indexes): (Link, Vec<usize>)| {
         let rows = indexes.iter().flat_map(|index| &runs[*index].rows);
         let labels: Vec<&[String]> =

@@ -8,7 +8,7 @@ mod missing;
 mod replayed;
 mod scores;
 
-use peernet_stream::ExperimentPlace;
+use peernet_stream::ExperimentPosition;
 
 use super::*;
 use crate::look::UNATTRIBUTED;
@@ -69,14 +69,14 @@ fn placed(model: &str, kind: &str, inference: f64) -> Loaded {
     run.record.model = Some(ModelRecord { name: model.to_owned(), device: None, sha256: None });
     run.record.placement = Placement { kind: kind.to_owned(), network: None, address: None };
     let configuration = vec![("model".to_owned(), model.to_owned()), ("where".to_owned(), kind.to_owned())];
-    let place = ExperimentPlace {
+    let position = ExperimentPosition {
         name: "e".to_owned(),
         id: "1".to_owned(),
         configuration,
         repeat: 0,
-        ..ExperimentPlace::default()
+        ..ExperimentPosition::default()
     };
-    run.record.experiment = Some(place);
+    run.record.experiment = Some(position);
     run
 }
 
@@ -344,14 +344,14 @@ fn shared(model: &str, edges: usize, edge: usize, total: f64) -> Loaded {
     let mut run = run_with_total(total);
     run.record.edge.name = format!("robot-{edge}");
     let configuration = vec![("model".to_owned(), model.to_owned()), ("edges".to_owned(), edges.to_string())];
-    let place = ExperimentPlace {
+    let position = ExperimentPosition {
         name: "e".to_owned(),
         id: "1".to_owned(),
         configuration,
         repeat: 0,
-        ..ExperimentPlace::default()
+        ..ExperimentPosition::default()
     };
-    run.record.experiment = Some(place);
+    run.record.experiment = Some(position);
     run
 }
 

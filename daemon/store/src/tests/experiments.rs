@@ -7,18 +7,18 @@ use peernet_analysis::run_selection::{Candidate, exclusions};
 use peernet_clock::Span;
 use peernet_logger::stage;
 use peernet_logger::{Name, RunId};
-use peernet_stream::{Condition, Event, ExperimentPlace, Grade, RunDescription, RunEnded};
+use peernet_stream::{Condition, Event, ExperimentPosition, Grade, RunDescription, RunEnded};
 
 use super::{TestStore, generate};
 use crate::types::{MeanBucket, RunFilter, RunSummary};
 
-fn experiment_place(id: &str, size: &str, repeat: u32) -> ExperimentPlace {
-    ExperimentPlace {
+fn experiment_position(id: &str, size: &str, repeat: u32) -> ExperimentPosition {
+    ExperimentPosition {
         name: "sizes".to_owned(),
         id: id.to_owned(),
         configuration: vec![("size".to_owned(), size.to_owned()), ("where".to_owned(), "cloud".to_owned())],
         repeat,
-        position: Some(3),
+        configuration_index: Some(3),
     }
 }
 
@@ -32,7 +32,7 @@ fn conditions() -> Vec<Condition> {
     }]
 }
 
-fn run_started(experiment: Option<ExperimentPlace>, conditions: Vec<Condition>) -> Event {
+fn run_started(experiment: Option<ExperimentPosition>, conditions: Vec<Condition>) -> Event {
     let Event::RunStarted(run) = generate::run_started(RunId::random(), "line", generate::at(0.0)) else {
         panic!("a run begins")
     };
@@ -43,14 +43,14 @@ fn run_started(experiment: Option<ExperimentPlace>, conditions: Vec<Condition>) 
 async fn run_is_stored_with_experiment_and_host_conditions() {
     let mut test_store = TestStore::new().await;
     let work = test_store.batch(vec![
-        run_started(Some(experiment_place("a", "1 kB", 2)), conditions()),
+        run_started(Some(experiment_position("a", "1 kB", 2)), conditions()),
         run_started(None, Vec::new()),
     ]);
     test_store.commit(&[work]).await;
     let detail = test_store.store.run(1).await.expect("answers").expect("exists");
     assert_eq!(
         (detail.summary.experiment, detail.conditions),
-        (Some(experiment_place("a", "1 kB", 2)), conditions())
+        (Some(experiment_position("a", "1 kB", 2)), conditions())
     );
     let detail_without_experiment = test_store.store.run(2).await.expect("answers").expect("exists");
     assert_eq!(
@@ -66,10 +66,10 @@ async fn experiments_are_listed_with_their_runs() {
     let mut test_store = TestStore::new().await;
     assert!(test_store.store.experiments(10).await.expect("answers").is_empty());
     let events = vec![
-        run_started(Some(experiment_place("a", "1 kB", 0)), Vec::new()),
-        run_started(Some(experiment_place("b", "1 kB", 0)), Vec::new()),
+        run_started(Some(experiment_position("a", "1 kB", 0)), Vec::new()),
+        run_started(Some(experiment_position("b", "1 kB", 0)), Vec::new()),
         run_started(None, Vec::new()),
-        run_started(Some(experiment_place("a", "2 kB", 0)), Vec::new()),
+        run_started(Some(experiment_position("a", "2 kB", 0)), Vec::new()),
     ];
     let work = test_store.batch(events);
     test_store.commit(&[work]).await;
@@ -100,7 +100,7 @@ async fn same_runs_are_excluded_in_store_and_in_files() {
         ("4 kB", None),
     ];
     for (index, (size, reason)) in plan.iter().enumerate() {
-        let run_started = run_started(Some(experiment_place("a", size, 0)), Vec::new());
+        let run_started = run_started(Some(experiment_position("a", size, 0)), Vec::new());
         let Event::RunStarted(RunDescription { run, .. }) = &run_started else { panic!("a run begins") };
         let ended = generate::at(index as f64 + 1.0);
         let end = reason.map(|reason| Event::RunEnded(RunEnded { run: *run, ended, reason: reason.into() }));

@@ -29,11 +29,11 @@ pub struct ExperimentSummary {
 
 impl From<&RunSummary> for Candidate {
     fn from(run: &RunSummary) -> Self {
-        let place = run.experiment.as_ref();
+        let position = run.experiment.as_ref();
         Self {
             id: Some(run.id),
             state: Some(RunState::from_end_reason(run.reason.as_ref())),
-            repeat: place.map(|place| Repeat::new(place, run.host, run.pipeline.as_str())),
+            repeat: position.map(|position| Repeat::new(position, run.host, run.pipeline.as_str())),
             times: Some((run.started, run.ended.or(run.last_iteration).unwrap_or(run.started))),
             sequence: run.number,
             is_named: false,

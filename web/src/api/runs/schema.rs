@@ -63,12 +63,14 @@ pub(crate) struct Run {
     /// iterations remain.
     pub deleted_through: u64,
     /// Position in an experiment; null if the run belongs to none.
-    pub experiment: Option<ExperimentPlace>,
+    pub experiment: Option<ExperimentPosition>,
 }
 
 /// The position of a run in an experiment.
+// The REST API keeps the former name of this type.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
-pub(crate) struct ExperimentPlace {
+#[schema(as = ExperimentPlace)]
+pub(crate) struct ExperimentPosition {
     pub name: String,
     /// Id of the experiment; equal for all runs of one execution.
     pub id: String,
@@ -78,9 +80,10 @@ pub(crate) struct ExperimentPlace {
     pub repeat: u32,
 }
 
-impl From<&stream::ExperimentPlace> for ExperimentPlace {
-    fn from(place: &stream::ExperimentPlace) -> Self {
-        let stream::ExperimentPlace { name, id, configuration, repeat, position: _ } = place.clone();
+impl From<&stream::ExperimentPosition> for ExperimentPosition {
+    fn from(position: &stream::ExperimentPosition) -> Self {
+        let stream::ExperimentPosition { name, id, configuration, repeat, configuration_index: _ } =
+            position.clone();
         let fact = |(name, value)| Fact { name, value };
         Self { name, id, configuration: configuration.into_iter().map(fact).collect(), repeat }
     }
@@ -110,7 +113,7 @@ impl From<&store::RunSummary> for Run {
             has_clock_fault: run.has_clock_fault,
             pinned: run.pinned,
             deleted_through: run.nodes_from,
-            experiment: run.experiment.as_ref().map(ExperimentPlace::from),
+            experiment: run.experiment.as_ref().map(ExperimentPosition::from),
         }
     }
 }

@@ -8,7 +8,7 @@ use peernet_clock::Verdict;
 use peernet_logger::stage;
 use peernet_statistics::Summary;
 use peernet_store::{MergeableStatistics, RunSummary};
-use peernet_stream::ExperimentPlace;
+use peernet_stream::ExperimentPosition;
 use peernet_stream::PlacementKind::{Local, Remote};
 
 use super::super::compare::render_comparison;
@@ -125,14 +125,14 @@ async fn latency_is_drawn_against_number_of_users() {
         // There are two repeats, and the first user is missing in the second one.
         for (repeat, user) in (0..users).map(|user| (0, user)).chain((1..users).map(|user| (1, user))) {
             let host_name = samples::slug(&format!("user-{}", user + 1));
-            let place = ExperimentPlace {
+            let position = ExperimentPosition {
                 name: "n".to_owned(),
                 id: "a".to_owned(),
                 configuration: Vec::new(),
                 repeat,
-                ..ExperimentPlace::default()
+                ..ExperimentPosition::default()
             };
-            one.runs.push(RunSummary { host_name, experiment: Some(place), ..usual.clone() });
+            one.runs.push(RunSummary { host_name, experiment: Some(position), ..usual.clone() });
         }
         one
     };

@@ -106,7 +106,7 @@ pub(crate) fn commands(comparison: &Comparison, host: &str) -> Option<String> {
 mod tests {
     use peernet_analysis::trust::{Report, TrustInput};
     use peernet_logger::Name;
-    use peernet_stream::ExperimentPlace;
+    use peernet_stream::ExperimentPosition;
     use peernet_stream::PlacementKind::Local;
 
     use super::super::tests::{comparison, configuration};
@@ -159,7 +159,7 @@ mod tests {
         let mut two = comparison((0..2).map(|at| configuration(at, Local, 1.0, 1e3)).collect());
         for (one, number) in two.configurations.iter_mut().zip([11, 13]) {
             let run =
-                RunSummary { number, experiment: Some(ExperimentPlace::default()), ..one.runs[0].clone() };
+                RunSummary { number, experiment: Some(ExperimentPosition::default()), ..one.runs[0].clone() };
             one.runs = vec![run.clone(), RunSummary { number: number + 1, ..run }];
         }
         let input = TrustInput { failure: Some("the cloud is gone".to_owned()), ..TrustInput::default() };

@@ -6,7 +6,7 @@ use peernet_analysis::compare::{
 };
 use peernet_logger::Slug;
 use peernet_store::RunDetail;
-use peernet_stream::{ExperimentPlace, PlacementKind};
+use peernet_stream::{ExperimentPosition, PlacementKind};
 
 /// Settings that distinguish runs.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -24,7 +24,7 @@ pub(super) struct DifferingSettings {
 impl DifferingSettings {
     /// Returns the axes of the experiment's file.
     pub(super) fn of_experiment(runs: &[RunDetail]) -> Self {
-        let all = experiment_columns(&places(runs)).unwrap_or_default();
+        let all = experiment_columns(&positions(runs)).unwrap_or_default();
         // If no axis differs, there is a single configuration. All axes are shown then, because its declared values
         // identify it.
         let has_several = all.iter().any(Column::differs);
@@ -39,7 +39,7 @@ impl DifferingSettings {
         let facts = runs.iter().map(|run| (run.summary.experiment.as_ref(), run_facts(run)));
         let all = tabulate(&distinguishing_pairs(&facts.collect::<Vec<_>>()));
         let differing = all.into_iter().filter(Column::differs).collect::<Vec<_>>();
-        let chosen = match experiment_columns(&places(runs)) {
+        let chosen = match experiment_columns(&positions(runs)) {
             Some(columns) => {
                 let fields = columns.into_iter().filter(Column::differs).collect::<Vec<_>>();
                 let others = differing.into_iter().filter(|column| !fields.contains(column)).collect();
@@ -63,8 +63,8 @@ impl DifferingSettings {
     }
 }
 
-/// Returns the place of each run in its experiment; `None` for a run without an experiment.
-fn places(runs: &[RunDetail]) -> Vec<Option<&ExperimentPlace>> {
+/// Returns the position of each run in its experiment; `None` for a run without an experiment.
+fn positions(runs: &[RunDetail]) -> Vec<Option<&ExperimentPosition>> {
     runs.iter().map(|run| run.summary.experiment.as_ref()).collect()
 }
 
@@ -149,12 +149,12 @@ mod tests {
         assert_eq!(of_pipelines, [expected.clone(), expected]);
 
         let of_executions = of_page_and_table(|at, run| {
-            run.summary.experiment = Some(ExperimentPlace {
+            run.summary.experiment = Some(ExperimentPosition {
                 name: "sizes".to_owned(),
                 id: ["0123456789", "9876543210"][at].to_owned(),
                 configuration: Vec::new(),
                 repeat: 0,
-                position: None,
+                configuration_index: None,
             });
         });
         let expected = (vec!["execution".to_owned()], labels(["01234567", "98765432"]));
@@ -163,7 +163,7 @@ mod tests {
 
     /// Returns the names of runs of one experiment with the fields `where`, `resize` and `edges`, on the page and of `peernet compare`.
     fn names_of_page_and_table(labels: &[[&str; 3]]) -> [Vec<String>; 2] {
-        let place = |labels: &[&str; 3]| ExperimentPlace {
+        let position = |labels: &[&str; 3]| ExperimentPosition {
             name: "sizes".to_owned(),
             id: "0123456789".to_owned(),
             configuration: ["where", "resize", "edges"]
@@ -172,11 +172,11 @@ mod tests {
                 .map(|(axis, label)| (axis.to_owned(), (*label).to_owned()))
                 .collect(),
             repeat: 0,
-            position: None,
+            configuration_index: None,
         };
         let mut details: Vec<RunDetail> = (0..labels.len()).map(|at| detail(at as i64, &[])).collect();
         for (detail, labels) in details.iter_mut().zip(labels) {
-            detail.summary.experiment = Some(place(labels));
+            detail.summary.experiment = Some(position(labels));
         }
         let settings = DifferingSettings::of_runs(&details);
         let summaries: Vec<RunSummary> = details.iter().map(|detail| detail.summary.clone()).collect();
@@ -187,7 +187,7 @@ mod tests {
             .iter()
             .map(|labels| Loaded {
                 folder: labels.join("-").into(),
-                record: RunRecord { format: 1, experiment: Some(place(labels)), ..RunRecord::default() },
+                record: RunRecord { format: 1, experiment: Some(position(labels)), ..RunRecord::default() },
                 rows: Rows::default(),
             })
             .collect();

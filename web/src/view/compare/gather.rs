@@ -5,11 +5,11 @@ use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use futures::{StreamExt, TryStreamExt};
-use peernet_analysis::compare::{Column, compare_places, group_by_labels, model_computes};
+use peernet_analysis::compare::{Column, compare_positions, group_by_labels, model_computes};
 use peernet_analysis::run_selection::{Candidate, Exclusion, exclusions};
 use peernet_analysis::trust::{ReplayedLatencies, Report};
 use peernet_store::{MergeableStatistics, RunDetail, RunStatistics, RunSummary, Store};
-use peernet_stream::ExperimentPlace;
+use peernet_stream::ExperimentPosition;
 
 use super::differences::CONCURRENT_READS;
 use super::differing::DifferingSettings;
@@ -135,7 +135,7 @@ pub(crate) async fn load_comparison(
     };
     let mut groups: Vec<Group> = run_groups.into_iter().map(group).collect();
     if experiment.is_some() {
-        let order = |a: &Group, b: &Group| Some(compare_places(a.place()?, b.place()?));
+        let order = |a: &Group, b: &Group| Some(compare_positions(a.position()?, b.position()?));
         groups.sort_by(|a, b| order(a, b).unwrap_or(Ordering::Equal));
     }
     let setting = |(index, column): (usize, &Column)| Setting {
@@ -232,8 +232,8 @@ struct Group {
 }
 
 impl Group {
-    /// Returns the place of the first run in its experiment.
-    fn place(&self) -> Option<&ExperimentPlace> {
+    /// Returns the position of the first run in its experiment.
+    fn position(&self) -> Option<&ExperimentPosition> {
         self.runs.first()?.experiment.as_ref()
     }
 }

@@ -216,9 +216,9 @@ impl Comparison {
         configuration: &'a Configuration,
         run: &RunSummary,
     ) -> impl Iterator<Item = &'a RunSummary> {
-        let place = run.experiment.as_ref().filter(|_| self.experiment.is_some());
+        let position = run.experiment.as_ref().filter(|_| self.experiment.is_some());
         configuration.runs.iter().filter(move |other| {
-            other.number == run.number || (place.is_some() && other.experiment.as_ref() == place)
+            other.number == run.number || (position.is_some() && other.experiment.as_ref() == position)
         })
     }
 

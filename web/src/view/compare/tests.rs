@@ -172,7 +172,7 @@ pub(crate) fn measured_users(comparison: &Comparison) -> users::MeasuredUsers {
         let edges = configuration
             .runs
             .iter()
-            .filter(|run| run.experiment.as_ref().is_none_or(|place| place.repeat == 0));
+            .filter(|run| run.experiment.as_ref().is_none_or(|position| position.repeat == 0));
         vec![Repeat { seconds: Some(59.0), edges: edges.map(|_| edge(configuration)).collect() }]
     };
     let repeats = comparison.configurations.iter().map(repeats).collect();

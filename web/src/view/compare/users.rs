@@ -77,7 +77,7 @@ pub(crate) async fn measured_users(
 
 /// Returns the runs of each repeat of a configuration. Repeats that lack a user are left out.
 fn complete_repeats(configuration: &Configuration) -> Vec<Vec<&RunSummary>> {
-    let repeat_of = |run: &RunSummary| run.experiment.as_ref().map_or(0, |place| place.repeat);
+    let repeat_of = |run: &RunSummary| run.experiment.as_ref().map_or(0, |position| position.repeat);
     let mut repeats: Vec<Vec<&RunSummary>> = Vec::new();
     for run in &configuration.runs {
         match repeats.iter_mut().find(|repeat| repeat_of(repeat[0]) == repeat_of(run)) {

@@ -1,7 +1,7 @@
 //! Runs with episodes.
 
 use peernet_logger::RunId;
-use peernet_stream::{Event, ExperimentPlace, Outcome};
+use peernet_stream::{Event, ExperimentPosition, Outcome};
 
 use super::TestSite;
 
@@ -12,14 +12,14 @@ impl TestSite {
         let id = RunId::random().to_string();
         for index in 0..self.pipelines.len() {
             let configuration = vec![("picture".to_owned(), self.pipelines[index].name.to_owned())];
-            let place = ExperimentPlace {
+            let position = ExperimentPosition {
                 name: "tasks".to_owned(),
                 id: id.clone(),
                 configuration,
                 repeat: 0,
-                ..ExperimentPlace::default()
+                ..ExperimentPosition::default()
             };
-            let mut events = self.run(index, RunId::random(), iterations, true, Some(place));
+            let mut events = self.run(index, RunId::random(), iterations, true, Some(position));
             for event in &mut events {
                 if let Event::Iteration(iteration) = event {
                     let before = iteration.number - 1;

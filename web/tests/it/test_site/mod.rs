@@ -16,7 +16,7 @@ use peernet_clock::{ClockIdentity, SharedClock, Span, WallTime};
 use peernet_logger::{HostId, Name, RunId, stage};
 use peernet_statistics::SplitMix64;
 use peernet_stream::{
-    Condition, EndReason, Event, ExperimentPlace, Gap, Grade, Hardware, HostDescription, HostMetrics,
+    Condition, EndReason, Event, ExperimentPosition, Gap, Grade, Hardware, HostDescription, HostMetrics,
     Incident, IncidentKind, Iteration, LiveUpdate, ModelMetrics, Outcome, PipelineLive, PipelineState,
     RunDescription, RunEnded,
 };
@@ -106,23 +106,23 @@ impl TestSite {
                     ("picture".to_owned(), pipeline.name.to_owned()),
                     ("where".to_owned(), place.to_owned()),
                 ];
-                let place = ExperimentPlace {
+                let position = ExperimentPosition {
                     name: "pictures".to_owned(),
                     id: id.clone(),
                     configuration,
                     repeat,
-                    ..ExperimentPlace::default()
+                    ..ExperimentPosition::default()
                 };
-                self.store_placed(index, iterations, place).await;
+                self.store_at_position(index, iterations, position).await;
             }
         }
     }
 
-    /// Stores an experiment with a run of one pipeline for each sample size and its position in the experiment's file. The upload time is
-    /// proportional to the size.
+    /// Stores an experiment with a run of one pipeline for each sample size and the index of its configuration in the
+    /// experiment's file. The upload time is proportional to the size.
     pub(crate) async fn store_sizes(&mut self, index: usize, iterations: u64, sizes: &[(f64, Option<u32>)]) {
         let (id, usual) = (RunId::random().to_string(), self.pipelines[index].clone());
-        for (bytes, position) in sizes {
+        for (bytes, configuration_index) in sizes {
             let pipeline = &mut self.pipelines[index];
             for (name, mean, _) in &mut pipeline.stages {
                 if *name == stage::UPLOAD {
@@ -131,14 +131,14 @@ impl TestSite {
             }
             pipeline.bytes = *bytes;
             let configuration = vec![("size".to_owned(), format!("{} kB", bytes / 1e3))];
-            let place = ExperimentPlace {
+            let position = ExperimentPosition {
                 name: "sizes".to_owned(),
                 id: id.clone(),
                 configuration,
                 repeat: 0,
-                position: *position,
+                configuration_index: *configuration_index,
             };
-            self.store_placed(index, iterations, place).await;
+            self.store_at_position(index, iterations, position).await;
         }
         self.pipelines[index] = usual;
     }
@@ -162,14 +162,14 @@ impl TestSite {
                     ..pipeline
                 };
                 let configuration = vec![("Users".to_owned(), users.to_string())];
-                let place = ExperimentPlace {
+                let position = ExperimentPosition {
                     name: "users".to_owned(),
                     id: id.clone(),
                     configuration,
                     repeat: 0,
-                    ..ExperimentPlace::default()
+                    ..ExperimentPosition::default()
                 };
-                self.store_placed(index, iterations, place).await;
+                self.store_at_position(index, iterations, position).await;
             }
         }
         self.pipelines = usual;
@@ -188,14 +188,14 @@ impl TestSite {
                 ("Network".to_owned(), ["zmq-tcp", "zmq-udp", "quic"][at / 3 % 3].to_owned()),
             ];
             let name = "every-model-at-every-size-over-every-network".to_owned();
-            let place = ExperimentPlace {
+            let position = ExperimentPosition {
                 name,
                 id: id.clone(),
                 configuration,
                 repeat: 0,
-                ..ExperimentPlace::default()
+                ..ExperimentPosition::default()
             };
-            self.store_placed(at % self.pipelines.len(), iterations, place).await;
+            self.store_at_position(at % self.pipelines.len(), iterations, position).await;
         }
     }
 
@@ -204,14 +204,14 @@ impl TestSite {
         let id = RunId::random().to_string();
         for reason in reasons {
             let configuration = vec![("rate".to_owned(), "20 Hz".to_owned())];
-            let place = ExperimentPlace {
+            let position = ExperimentPosition {
                 name: "rates".to_owned(),
                 id: id.clone(),
                 configuration,
                 repeat: 0,
-                ..ExperimentPlace::default()
+                ..ExperimentPosition::default()
             };
-            let mut events = self.run(0, RunId::random(), iterations, true, Some(place));
+            let mut events = self.run(0, RunId::random(), iterations, true, Some(position));
             for event in &mut events {
                 if let Event::RunEnded(ended) = event {
                     ended.reason = (*reason).into();
@@ -222,9 +222,9 @@ impl TestSite {
         }
     }
 
-    /// Stores a run of a pipeline at a place in an experiment.
-    async fn store_placed(&mut self, index: usize, iterations: u64, place: ExperimentPlace) {
-        let events = self.run(index, RunId::random(), iterations, true, Some(place));
+    /// Stores a run of a pipeline at a position in an experiment.
+    async fn store_at_position(&mut self, index: usize, iterations: u64, position: ExperimentPosition) {
+        let events = self.run(index, RunId::random(), iterations, true, Some(position));
         self.agents[index].offer(events);
         self.agents[index].wait_until_stored().await;
     }
@@ -236,7 +236,7 @@ impl TestSite {
         run: RunId,
         iterations: u64,
         ended: bool,
-        experiment: Option<ExperimentPlace>,
+        experiment: Option<ExperimentPosition>,
     ) -> Vec<Event> {
         let (edge, rack) = (self.agents[index].id(), self.rack_id());
         let pipeline = &self.pipelines[index];
