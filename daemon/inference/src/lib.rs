@@ -28,7 +28,7 @@ pub use job::{FinishedJob, Job, RefusedJob, Reply};
 pub use loaded_models::LoadedModels;
 pub use locked_temp_dir::LockedTempDir;
 pub use model::onnx::{CardSummary, MODEL_HASH, OnnxRuntimeConfig, check_library, is_library_in_use};
-pub use model::{ModelConfig, SharedKeys};
+pub use model::{CommonSettings, ModelConfig};
 pub use pool::Pool;
 pub use process_memory::ProcessMemory;
 pub use requester::{Cancelled, PartError, Requester, UncancelledRequester};

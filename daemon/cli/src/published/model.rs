@@ -7,7 +7,7 @@ use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
 use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_inference::bank::ModelFolders;
-use peernet_inference::{Bank, LoadError, ModelConfig, OnnxRuntimeConfig, SharedKeys};
+use peernet_inference::{Bank, CommonSettings, LoadError, ModelConfig, OnnxRuntimeConfig};
 use peernet_logger::Slug;
 
 use super::Arguments;
@@ -41,19 +41,15 @@ fn configuration(arguments: &Arguments) -> Result<ModelConfig, Failure> {
         return Ok(ModelConfig::echo(slug(model_name)));
     }
     let device = bank_device(device_option.unwrap_or(DEFAULT_DEVICE));
-    let shared_keys = |name| {
-        let shared_keys = SharedKeys::new(slug(name));
-        if device_option.is_some() {
-            SharedKeys { device: device.to_owned(), ..shared_keys }
-        } else {
-            shared_keys
-        }
+    let common_settings = |name| {
+        let common = CommonSettings::new(slug(name));
+        if device_option.is_some() { CommonSettings { device: device.to_owned(), ..common } } else { common }
     };
     let timeout_ms = arguments.timeout_ms().and_then(NonZeroU64::new);
     Ok(match super::program(model_name)? {
-        Some(command) => ModelConfig::program(shared_keys(program_of(command)), command, timeout_ms),
+        Some(command) => ModelConfig::program(common_settings(program_of(command)), command, timeout_ms),
         None if model_name.contains("::") => {
-            ModelConfig::python_object(shared_keys(model_name), model_name, arguments.pickle, timeout_ms)
+            ModelConfig::python_object(common_settings(model_name), model_name, arguments.pickle, timeout_ms)
         }
         None => {
             let model = ModelFolders::search(&arguments.models_dir).find(model_name);

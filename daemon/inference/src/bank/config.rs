@@ -7,7 +7,7 @@ use peernet_logger::Slug;
 use serde::{Deserialize, Serialize};
 
 use super::DEFAULT_MODEL_FOLDER;
-use crate::{ModelConfig, SharedKeys};
+use crate::{CommonSettings, ModelConfig};
 
 /// The table `[bank]`: folders of models that are offered in addition to the `[[model]]` tables. A model has the name
 /// of its folder and is loaded when it is requested.
@@ -55,7 +55,7 @@ impl BankConfig {
     /// Returns the configuration of a model in the folders, as a `[[model]]` table would have it.
     pub fn model(&self, name: &Slug, folder: &Path, device: &str) -> ModelConfig {
         let (workers, queue) = (self.workers, self.queue);
-        let shared = SharedKeys { name: name.clone(), device: device.to_owned(), workers, queue };
-        ModelConfig::onnx(shared, folder.to_owned(), [self.intra_threads, self.inter_threads])
+        let common = CommonSettings { name: name.clone(), device: device.to_owned(), workers, queue };
+        ModelConfig::onnx(common, folder.to_owned(), [self.intra_threads, self.inter_threads])
     }
 }

@@ -7,7 +7,7 @@ use peernet_logger::{Recorder, Slug, stage};
 use peernet_sample::{Description, Sample};
 use serde::{Deserialize, Serialize};
 
-use super::{LoadContext, ModelConfig, ModelKind, ModelTable, SharedKeys};
+use super::{CommonSettings, LoadContext, ModelConfig, ModelKind, ModelTable};
 use crate::{InferenceError, LoadError, Model, Requester, Worker};
 
 /// Largest fixed answer, bytes (1 GiB).
@@ -23,7 +23,7 @@ pub struct EchoConfig {
 }
 
 impl ModelKind for EchoConfig {
-    fn shared_keys() -> &'static [&'static str] {
+    fn common_keys() -> &'static [&'static str] {
         &["name"]
     }
 
@@ -31,7 +31,11 @@ impl ModelKind for EchoConfig {
         vec![("answer_bytes", self.answer_bytes.unwrap_or(0), MAX_ANSWER_BYTES)]
     }
 
-    fn load(&self, _shared: &SharedKeys, _context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
+    fn load(
+        &self,
+        _common: &CommonSettings,
+        _context: &LoadContext<'_>,
+    ) -> Result<Arc<dyn Model>, LoadError> {
         Ok(Arc::new(Echo::new(self.clone())))
     }
 }
@@ -39,7 +43,7 @@ impl ModelKind for EchoConfig {
 impl ModelConfig {
     /// Returns the configuration of a model that answers with its input.
     pub fn echo(name: Slug) -> Self {
-        ModelTable { shared: SharedKeys::new(name), kind_keys: EchoConfig::default() }.into()
+        ModelTable { common: CommonSettings::new(name), kind_settings: EchoConfig::default() }.into()
     }
 }
 

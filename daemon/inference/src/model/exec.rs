@@ -12,7 +12,7 @@ use peernet_external::exec::{
 use peernet_logger::{Name, Recorder, Unit};
 use peernet_sample::Sample;
 
-use super::{Keys, LoadContext, ModelConfig, ModelKind, ModelTable, SharedKeys};
+use super::{CommonSettings, Keys, LoadContext, ModelConfig, ModelKind, ModelTable};
 use crate::{Cancelled, InferenceError, LoadError, Model, PartError, Requester, Worker};
 
 /// Environment variable that contains the device.
@@ -20,15 +20,15 @@ const DEVICE: &str = "PEERNET_DEVICE";
 
 impl ModelConfig {
     /// Returns the configuration of a program, given as a line for the shell.
-    pub fn program(shared: SharedKeys, command: &str, timeout_ms: Option<NonZeroU64>) -> Self {
-        let kind_keys = ExecConfig::new(CommandLine::Shell(command.to_owned()));
-        let timeout_ms = timeout_ms.unwrap_or(kind_keys.timeout_ms);
-        ModelTable { shared, kind_keys: ExecConfig { timeout_ms, ..kind_keys } }.into()
+    pub fn program(common: CommonSettings, command: &str, timeout_ms: Option<NonZeroU64>) -> Self {
+        let kind_settings = ExecConfig::new(CommandLine::Shell(command.to_owned()));
+        let timeout_ms = timeout_ms.unwrap_or(kind_settings.timeout_ms);
+        ModelTable { common, kind_settings: ExecConfig { timeout_ms, ..kind_settings } }.into()
     }
 }
 
 impl ModelKind for ExecConfig {
-    fn unpublished_keys(&self) -> &'static [&'static str] {
+    fn keys_omitted_from_runs(&self) -> &'static [&'static str] {
         &["command", "folder"]
     }
 
@@ -50,34 +50,34 @@ impl ModelKind for ExecConfig {
         }
     }
 
-    fn check(&self, shared: &SharedKeys, _context: &LoadContext<'_>) -> Result<(), LoadError> {
+    fn check(&self, common: &CommonSettings, _context: &LoadContext<'_>) -> Result<(), LoadError> {
         // This check does not run the program.
-        on_device(self, shared)
+        on_device(self, common)
             .check_for(Role::Model)
-            .map_err(|reason| failed(self, shared, ProgramCallError::Command(reason)))
+            .map_err(|reason| failed(self, common, ProgramCallError::Command(reason)))
     }
 
     /// Starts one process.
-    fn load(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
-        let config = on_device(self, shared);
-        let (shared, clock) = (shared.clone(), SharedClock::clone(context.clock));
+    fn load(&self, common: &CommonSettings, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
+        let config = on_device(self, common);
+        let (common, clock) = (common.clone(), SharedClock::clone(context.clock));
         let facts = config.facts_for(Role::Model);
-        let first = Mutex::new(Some(start(&config, &shared, &clock)?));
-        Ok(Arc::new(Exec { config, shared, clock, facts, first }))
+        let first = Mutex::new(Some(start(&config, &common, &clock)?));
+        Ok(Arc::new(Exec { config, common, clock, facts, first }))
     }
 }
 
 /// Returns the configuration with the device in the program's environment.
-fn on_device(config: &ExecConfig, shared: &SharedKeys) -> ExecConfig {
+fn on_device(config: &ExecConfig, common: &CommonSettings) -> ExecConfig {
     let mut config = config.clone();
-    config.env.insert(DEVICE.to_owned(), shared.device.clone());
+    config.env.insert(DEVICE.to_owned(), common.device.clone());
     config
 }
 
 /// Program that runs once for each worker.
 struct Exec {
     config: ExecConfig,
-    shared: SharedKeys,
+    common: CommonSettings,
     clock: SharedClock,
     facts: Vec<(String, String)>,
     /// Process that was started while the model was loaded, to check that the program can be started; the first
@@ -88,12 +88,12 @@ struct Exec {
 impl Model for Exec {
     fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError> {
         let first = self.first.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let program = first.map_or_else(|| start(&self.config, &self.shared, &self.clock), Ok)?;
-        Ok(Box::new(ExecWorker { model: self.shared.name.to_string(), program }))
+        let program = first.map_or_else(|| start(&self.config, &self.common, &self.clock), Ok)?;
+        Ok(Box::new(ExecWorker { model: self.common.name.to_string(), program }))
     }
 
     fn device(&self) -> String {
-        self.shared.device.clone()
+        self.common.device.clone()
     }
 
     fn facts(&self) -> Vec<(String, String)> {
@@ -101,13 +101,13 @@ impl Model for Exec {
     }
 }
 
-fn start(config: &ExecConfig, shared: &SharedKeys, clock: &SharedClock) -> Result<Program, LoadError> {
-    Program::start(config, Role::Model, &format!("model {}", shared.name), clock)
-        .map_err(|error| failed(config, shared, error))
+fn start(config: &ExecConfig, common: &CommonSettings, clock: &SharedClock) -> Result<Program, LoadError> {
+    Program::start(config, Role::Model, &format!("model {}", common.name), clock)
+        .map_err(|error| failed(config, common, error))
 }
 
-fn failed(config: &ExecConfig, shared: &SharedKeys, error: ProgramCallError) -> LoadError {
-    LoadError::Program { model: shared.name.to_string(), command: config.command.to_string(), error }
+fn failed(config: &ExecConfig, common: &CommonSettings, error: ProgramCallError) -> LoadError {
+    LoadError::Program { model: common.name.to_string(), command: config.command.to_string(), error }
 }
 
 struct ExecWorker {

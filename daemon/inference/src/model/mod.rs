@@ -10,7 +10,7 @@ mod settings;
 pub mod sleep;
 mod table;
 
-pub use table::{Keys, ModelTable, SharedKeys};
+pub use table::{CommonSettings, Keys, ModelTable};
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -32,18 +32,18 @@ const MAX_WORKERS: usize = 256;
 /// Maximum number of samples that wait for one model.
 const MAX_QUEUE: usize = 65_536;
 
-/// Kind of model. The type that holds the keys of this kind alone implements it; keys that several kinds share are in
-/// [`SharedKeys`].
+/// Kind of model. The type with the settings of only this kind implements it; settings that several kinds have are in
+/// [`CommonSettings`].
 pub trait ModelKind {
-    /// Returns the shared keys that a model of this kind has; `name` is one of them. Default: all.
+    /// Returns the keys of the common settings that a model of this kind has; `name` is one of them. Default: all.
     ///
     /// A kind whose [`Model::blocks`] returns `false` has neither `workers` nor `queue`, because it runs on the
     /// thread of its caller.
-    fn shared_keys() -> &'static [&'static str]
+    fn common_keys() -> &'static [&'static str]
     where
         Self: Sized,
     {
-        SharedKeys::names()
+        CommonSettings::names()
     }
 
     /// Returns the device of a model whose table does not name one.
@@ -51,12 +51,12 @@ pub trait ModelKind {
     where
         Self: Sized,
     {
-        SharedKeys::DEFAULT_DEVICE
+        CommonSettings::DEFAULT_DEVICE
     }
 
-    /// Returns the keys whose values a run's description leaves out: they are recorded elsewhere in it, or reveal
-    /// where files are on this host.
-    fn unpublished_keys(&self) -> &'static [&'static str] {
+    /// Returns the keys that the description of a run omits: their values are recorded elsewhere in it, or show where
+    /// files are on this host.
+    fn keys_omitted_from_runs(&self) -> &'static [&'static str] {
         &[]
     }
 
@@ -96,7 +96,7 @@ pub trait ModelKind {
     ///
     /// # Errors
     /// If the configuration contradicts itself, or if something that it names does not exist.
-    fn check(&self, _shared: &SharedKeys, _context: &LoadContext<'_>) -> Result<(), LoadError> {
+    fn check(&self, _common: &CommonSettings, _context: &LoadContext<'_>) -> Result<(), LoadError> {
         Ok(())
     }
 
@@ -104,7 +104,7 @@ pub trait ModelKind {
     ///
     /// # Errors
     /// If the model cannot be loaded.
-    fn load(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError>;
+    fn load(&self, common: &CommonSettings, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError>;
 }
 
 /// Objects of the bank that loading a model may need.
@@ -146,61 +146,61 @@ pub enum ModelConfig {
 /// Access to a model's table, independent of its kind.
 #[enum_dispatch]
 pub(crate) trait Table {
-    fn shared(&self) -> &SharedKeys;
-    fn kind_keys(&self) -> &dyn ModelKind;
-    fn kind_keys_mut(&mut self) -> &mut dyn ModelKind;
+    fn common(&self) -> &CommonSettings;
+    fn kind_settings(&self) -> &dyn ModelKind;
+    fn kind_settings_mut(&mut self) -> &mut dyn ModelKind;
 }
 
 impl<K: ModelKind + 'static> Table for ModelTable<K> {
-    fn shared(&self) -> &SharedKeys {
-        &self.shared
+    fn common(&self) -> &CommonSettings {
+        &self.common
     }
 
-    fn kind_keys(&self) -> &dyn ModelKind {
-        &self.kind_keys
+    fn kind_settings(&self) -> &dyn ModelKind {
+        &self.kind_settings
     }
 
-    fn kind_keys_mut(&mut self) -> &mut dyn ModelKind {
-        &mut self.kind_keys
+    fn kind_settings_mut(&mut self) -> &mut dyn ModelKind {
+        &mut self.kind_settings
     }
 }
 
 impl ModelConfig {
     /// Returns the name under which peers request the model.
     pub fn name(&self) -> &Slug {
-        &self.shared().name
+        &self.common().name
     }
 
     /// Returns the configured device.
     pub fn device(&self) -> &str {
-        &self.shared().device
+        &self.common().device
     }
 
     /// Returns the number of threads that compute; `echo` runs on the thread of its caller and counts as one.
     pub fn workers(&self) -> usize {
-        self.shared().workers.get()
+        self.common().workers.get()
     }
 
     /// Returns the largest number of samples that wait for a free worker.
     pub fn queue(&self) -> usize {
-        self.shared().queue.get()
+        self.common().queue.get()
     }
 
     /// Returns whether the model runs a program of the user, whose arguments are published as a fingerprint only.
     pub fn is_program(&self) -> bool {
-        self.kind_keys().is_program()
+        self.kind_settings().is_program()
     }
 
     /// Returns the environment variables that the configuration sets for the processes of users' code; `None` if the
     /// kind has none.
     pub fn env_mut(&mut self) -> Option<&mut BTreeMap<String, String>> {
-        self.kind_keys_mut().env_mut()
+        self.kind_settings_mut().env_mut()
     }
 
     /// Returns the seed of the model's random numbers, which the configuration may leave out; `None` if the kind uses
     /// no random numbers.
     pub fn seed_mut(&mut self) -> Option<&mut Option<u64>> {
-        self.kind_keys_mut().seed_mut()
+        self.kind_settings_mut().seed_mut()
     }
 
     /// Removes what must not be published: the values of `env`.
@@ -213,8 +213,11 @@ impl ModelConfig {
     /// # Errors
     /// [`LoadError::AboveLimit`] for the first number above its limit.
     pub fn check_limits(&self) -> Result<(), LoadError> {
-        let shared_limits = [("workers", self.workers(), MAX_WORKERS), ("queue", self.queue(), MAX_QUEUE)];
-        match shared_limits.into_iter().chain(self.kind_keys().limits()).find(|(_, value, most)| value > most)
+        let common_limits = [("workers", self.workers(), MAX_WORKERS), ("queue", self.queue(), MAX_QUEUE)];
+        match common_limits
+            .into_iter()
+            .chain(self.kind_settings().limits())
+            .find(|(_, value, most)| value > most)
         {
             Some((key, value, most)) => {
                 Err(LoadError::AboveLimit { key, value: value as u64, most: most as u64 })
@@ -225,12 +228,12 @@ impl ModelConfig {
 
     /// Checks the configuration without loading the model or running users' code.
     pub(crate) fn check(&self, context: &LoadContext<'_>) -> Result<(), LoadError> {
-        self.kind_keys().check(self.shared(), context)
+        self.kind_settings().check(self.common(), context)
     }
 
     /// Loads the part of the model that all workers share. Blocks.
     pub(crate) fn load(&self, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
-        self.kind_keys().load(self.shared(), context)
+        self.kind_settings().load(self.common(), context)
     }
 }
 

@@ -10,25 +10,25 @@ use peernet_external::python::{PythonError, PythonObject, Role, Step};
 use peernet_logger::{Recorder, stage};
 use peernet_sample::Sample;
 
-use super::{Keys, LoadContext, ModelConfig, ModelKind, ModelTable, SharedKeys};
+use super::{CommonSettings, Keys, LoadContext, ModelConfig, ModelKind, ModelTable};
 use crate::{InferenceError, LoadError, Model, Requester, Worker};
 
 impl ModelConfig {
     /// Returns the configuration of a Python object; `pickle` as in [`PythonConfig`].
     pub fn python_object(
-        shared: SharedKeys,
+        common: CommonSettings,
         object: &str,
         pickle: bool,
         timeout_ms: Option<NonZeroU64>,
     ) -> Self {
-        let kind_keys = PythonConfig::new(object);
-        let timeout_ms = timeout_ms.unwrap_or(kind_keys.timeout_ms);
-        ModelTable { shared, kind_keys: PythonConfig { pickle, timeout_ms, ..kind_keys } }.into()
+        let kind_settings = PythonConfig::new(object);
+        let timeout_ms = timeout_ms.unwrap_or(kind_settings.timeout_ms);
+        ModelTable { common, kind_settings: PythonConfig { pickle, timeout_ms, ..kind_settings } }.into()
     }
 }
 
 impl ModelKind for PythonConfig {
-    fn unpublished_keys(&self) -> &'static [&'static str] {
+    fn keys_omitted_from_runs(&self) -> &'static [&'static str] {
         &["object", "folder", "python"]
     }
 
@@ -46,23 +46,23 @@ impl ModelKind for PythonConfig {
         }
     }
 
-    fn check(&self, _shared: &SharedKeys, context: &LoadContext<'_>) -> Result<(), LoadError> {
+    fn check(&self, _common: &CommonSettings, context: &LoadContext<'_>) -> Result<(), LoadError> {
         Ok(PythonObject::check(self, context.clock)?)
     }
 
     /// Starts one process.
-    fn load(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
-        let (config, shared, clock) = (self.clone(), shared.clone(), SharedClock::clone(context.clock));
-        let object = start(&config, &shared, &clock)?;
+    fn load(&self, common: &CommonSettings, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
+        let (config, common, clock) = (self.clone(), common.clone(), SharedClock::clone(context.clock));
+        let object = start(&config, &common, &clock)?;
         let facts = object.description().facts("Model");
-        Ok(Arc::new(Python { config, shared, clock, facts, first: Mutex::new(Some(object)) }))
+        Ok(Arc::new(Python { config, common, clock, facts, first: Mutex::new(Some(object)) }))
     }
 }
 
 /// Python object that is created once for each worker.
 struct Python {
     config: PythonConfig,
-    shared: SharedKeys,
+    common: CommonSettings,
     clock: SharedClock,
     facts: Vec<(String, String)>,
     /// Object that was created while the model was loaded, to check that it can be created; the first worker takes
@@ -73,12 +73,12 @@ struct Python {
 impl Model for Python {
     fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError> {
         let first = self.first.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let object = first.map_or_else(|| start(&self.config, &self.shared, &self.clock), Ok)?;
-        Ok(Box::new(PythonWorker { model: self.shared.name.to_string(), object }))
+        let object = first.map_or_else(|| start(&self.config, &self.common, &self.clock), Ok)?;
+        Ok(Box::new(PythonWorker { model: self.common.name.to_string(), object }))
     }
 
     fn device(&self) -> String {
-        self.shared.device.clone()
+        self.common.device.clone()
     }
 
     fn facts(&self) -> Vec<(String, String)> {
@@ -88,11 +88,11 @@ impl Model for Python {
 
 fn start(
     config: &PythonConfig,
-    shared: &SharedKeys,
+    common: &CommonSettings,
     clock: &SharedClock,
 ) -> Result<PythonObject, PythonError> {
-    let name = format!("model {}", shared.name);
-    PythonObject::start(config, Role::Model, &name, Some(&shared.device), clock)
+    let name = format!("model {}", common.name);
+    PythonObject::start(config, Role::Model, &name, Some(&common.device), clock)
 }
 
 struct PythonWorker {

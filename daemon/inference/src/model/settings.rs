@@ -15,18 +15,18 @@ impl ModelConfig {
     /// Returns the settings of the model and the environment that it runs in, as pairs.
     pub(crate) fn facts(&self, key: Option<&FingerprintKey>) -> Vec<(String, String)> {
         let mut facts = vec![("Model settings".to_owned(), self.settings())];
-        facts.extend(key.and_then(|key| self.kind_keys().arguments_fact(key)));
+        facts.extend(key.and_then(|key| self.kind_settings().arguments_fact(key)));
         facts.extend(environment().into_iter().map(|(name, value)| (format!("Model {name}"), value)));
         facts
     }
 
-    /// Returns the published keys of its table with their values, defaults included: `kind = onnx, workers = 2, …`.
+    /// Returns the keys and values of its table that a run records, defaults included: `kind = onnx, workers = 2, …`.
     fn settings(&self) -> String {
         let table = serde_json::to_value(self).unwrap_or_default();
-        let unpublished = [&RECORDED_ELSEWHERE, self.kind_keys().unpublished_keys()].concat();
+        let omitted = [&RECORDED_ELSEWHERE, self.kind_settings().keys_omitted_from_runs()].concat();
         let keys = table.as_object().into_iter().flatten();
         let entry = |(key, value): (&String, &Value)| match value {
-            _ if unpublished.contains(&key.as_str()) => None,
+            _ if omitted.contains(&key.as_str()) => None,
             // Values of environment variables may be secret, so only the names are recorded.
             Value::Object(variables) if key == ENVIRONMENT => {
                 let names: Vec<&str> = variables.keys().map(String::as_str).collect();

@@ -8,7 +8,7 @@ use peernet_logger::{Recorder, Slug, stage};
 use peernet_sample::{Description, Sample};
 use serde::{Deserialize, Serialize};
 
-use super::{LoadContext, ModelConfig, ModelKind, ModelTable, SharedKeys};
+use super::{CommonSettings, LoadContext, ModelConfig, ModelKind, ModelTable};
 use crate::{InferenceError, LoadError, Model, Requester, Worker};
 
 /// Longest stage, milliseconds: one day.
@@ -39,7 +39,7 @@ const fn eighty_ms() -> u32 {
 }
 
 impl ModelKind for SleepConfig {
-    fn shared_keys() -> &'static [&'static str] {
+    fn common_keys() -> &'static [&'static str] {
         &["name", "workers", "queue"]
     }
 
@@ -51,20 +51,20 @@ impl ModelKind for SleepConfig {
         ]
     }
 
-    fn load(&self, shared: &SharedKeys, _context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
-        Ok(Arc::new(Sleep { name: shared.name.clone(), config: self.clone() }))
+    fn load(&self, common: &CommonSettings, _context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
+        Ok(Arc::new(Sleep { name: common.name.clone(), config: self.clone() }))
     }
 }
 
 impl ModelConfig {
     /// Returns the configuration of a model that takes 100 ms.
     pub fn sleep(name: Slug) -> Self {
-        let kind_keys = SleepConfig {
+        let kind_settings = SleepConfig {
             preprocessing_ms: ten_ms(),
             inference_ms: eighty_ms(),
             postprocessing_ms: ten_ms(),
         };
-        ModelTable { shared: SharedKeys::new(name), kind_keys }.into()
+        ModelTable { common: CommonSettings::new(name), kind_settings }.into()
     }
 }
 

@@ -1,4 +1,4 @@
-//! The table of one model: keys that several kinds of model share, and the keys of its kind.
+//! The table of one model: settings that several kinds of model have, and the settings of its kind.
 
 use std::num::NonZeroUsize;
 
@@ -13,10 +13,10 @@ use super::ModelKind;
 /// Entries of a table: keys with their values.
 pub type Keys = Map<String, Value>;
 
-/// Keys that several kinds of model share. A kind lists the keys that it has ([`ModelKind::shared_keys`]); the other
-/// keys have their defaults.
+/// Settings that several kinds of model have. A kind lists the keys that it has ([`ModelKind::common_keys`]); the other
+/// settings have their defaults.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct SharedKeys {
+pub struct CommonSettings {
     /// Name under which peers request the model.
     pub name: Slug,
     /// Device on which the model runs. For kind `onnx`: `cpu`, `cuda:0`, `tensorrt:0` or `openvino:CPU`; the whole
@@ -34,7 +34,7 @@ pub struct SharedKeys {
 }
 
 fn default_device() -> String {
-    SharedKeys::DEFAULT_DEVICE.to_owned()
+    CommonSettings::DEFAULT_DEVICE.to_owned()
 }
 
 const fn default_workers() -> NonZeroUsize {
@@ -45,16 +45,16 @@ const fn default_queue() -> NonZeroUsize {
     NonZeroUsize::MIN.saturating_add(15)
 }
 
-impl SharedKeys {
+impl CommonSettings {
     /// Device of kinds that compute on this host.
     pub(super) const DEFAULT_DEVICE: &str = "cpu";
 
-    /// Returns the keys of a model with this name and otherwise the defaults.
+    /// Returns the settings of a model with this name and otherwise the defaults.
     pub fn new(name: Slug) -> Self {
         Self { name, device: default_device(), workers: default_workers(), queue: default_queue() }
     }
 
-    /// Returns the names of all shared keys.
+    /// Returns the keys of all common settings.
     pub(super) fn names() -> &'static [&'static str] {
         field_names::<Self>()
     }
@@ -66,16 +66,16 @@ impl SharedKeys {
 /// key with the list of known keys. Therefore the table is split here before each group is read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ModelTable<K> {
-    /// Keys that the kind shares with others.
-    pub shared: SharedKeys,
-    /// Keys of the kind.
-    pub kind_keys: K,
+    /// Settings that other kinds have, too.
+    pub common: CommonSettings,
+    /// Settings that only this kind has.
+    pub kind_settings: K,
 }
 
 impl<'de, K: ModelKind + DeserializeOwned> Deserialize<'de> for ModelTable<K> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let mut entries = Keys::deserialize(deserializer)?;
-        let known_keys = [K::shared_keys(), field_names::<K>()].concat();
+        let known_keys = [K::common_keys(), field_names::<K>()].concat();
         if let Some(key) = entries.keys().find(|key| !known_keys.contains(&key.as_str())) {
             return Err(de::Error::custom(format!(
                 "unknown field `{key}`, expected {}",
@@ -86,15 +86,16 @@ impl<'de, K: ModelKind + DeserializeOwned> Deserialize<'de> for ModelTable<K> {
         if let Some((key, _)) = entries.iter().find(|(_, value)| value.is_null()) {
             return Err(de::Error::custom(format!("`{key}` is nan or inf; write a finite number")));
         }
-        let mut shared: Keys = K::shared_keys().iter().filter_map(|key| entries.remove_entry(*key)).collect();
-        shared.entry("device").or_insert_with(|| K::default_device().into());
-        let shared = serde_json::from_value(shared.into()).map_err(de::Error::custom)?;
+        let mut common: Keys = K::common_keys().iter().filter_map(|key| entries.remove_entry(*key)).collect();
+        common.entry("device").or_insert_with(|| K::default_device().into());
+        let common = serde_json::from_value(common.into()).map_err(de::Error::custom)?;
         // What is left are the keys of the kind. For a kind without keys, serde reads `struct Name {}` from a map and
         // `struct Name;` from null.
         let is_keyless = entries.is_empty() && field_names::<K>().is_empty();
         let read = serde_json::from_value(entries.into());
-        let kind_keys = if is_keyless { read.or_else(|_| serde_json::from_value(Value::Null)) } else { read };
-        Ok(Self { shared, kind_keys: kind_keys.map_err(de::Error::custom)? })
+        let kind_settings =
+            if is_keyless { read.or_else(|_| serde_json::from_value(Value::Null)) } else { read };
+        Ok(Self { common, kind_settings: kind_settings.map_err(de::Error::custom)? })
     }
 }
 
@@ -105,13 +106,13 @@ impl<K: ModelKind + Serialize + DeserializeOwned> Serialize for ModelTable<K> {
             Value::Null => Ok(Keys::new()),
             _ => Err(ser::Error::custom("the keys of a model are not a table")),
         };
-        let mut kind_keys = keys(serde_json::to_value(&self.kind_keys))?;
-        self.kind_keys.remove_defaults(&mut kind_keys);
-        let mut table = keys(serde_json::to_value(&self.shared))?;
-        table.extend(kind_keys);
+        let mut kind_settings = keys(serde_json::to_value(&self.kind_settings))?;
+        self.kind_settings.remove_defaults(&mut kind_settings);
+        let mut table = keys(serde_json::to_value(&self.common))?;
+        table.extend(kind_settings);
         // The keys are written in the order of their declaration, not in alphabetical order.
         let mut map = serializer.serialize_map(None)?;
-        for name in K::shared_keys().iter().chain(field_names::<K>()) {
+        for name in K::common_keys().iter().chain(field_names::<K>()) {
             if let Some(value) = table.remove(*name) {
                 map.serialize_entry(name, &value)?;
             }

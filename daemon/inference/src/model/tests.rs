@@ -13,7 +13,7 @@ fn short_forms_have_sensible_defaults() {
     let ModelConfig::Sleep(sleep) = read("name = \"s\"\nkind = \"sleep\"").expect("reads") else {
         panic!("kind = sleep is a sleep");
     };
-    let sleep = sleep.kind_keys;
+    let sleep = sleep.kind_settings;
     assert_eq!((sleep.preprocessing_ms, sleep.inference_ms, sleep.postprocessing_ms), (10, 80, 10));
 }
 
@@ -151,7 +151,7 @@ struct EmptyConfig {}
 macro_rules! keyless {
     ($($kind:ty),*) => { $(
         impl ModelKind for $kind {
-            fn load(&self, _: &SharedKeys, _: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
+            fn load(&self, _: &CommonSettings, _: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
                 Err(LoadError::AboveLimit { key: "name", value: 1, most: 0 })
             }
         }

@@ -20,7 +20,7 @@ use peernet_sample::{Description, Sample};
 use peernet_statistics::SplitMix64;
 use serde::{Deserialize, Serialize};
 
-use super::{LoadContext, ModelConfig, ModelKind, SharedKeys};
+use super::{CommonSettings, LoadContext, ModelConfig, ModelKind};
 use crate::{InferenceError, LoadError, Model, Requester, Worker};
 use data_file::read_latencies;
 use latency::{LatencyDistribution, check_ms, describe_stages};
@@ -75,7 +75,7 @@ impl ModelKind for DistributionConfig {
         "replayed"
     }
 
-    fn unpublished_keys(&self) -> &'static [&'static str] {
+    fn keys_omitted_from_runs(&self) -> &'static [&'static str] {
         &["data"]
     }
 
@@ -90,24 +90,24 @@ impl ModelKind for DistributionConfig {
         Some(&mut self.seed)
     }
 
-    fn check(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<(), LoadError> {
-        self.distribution(shared)?;
-        self.inner_model(shared, context).map(|_| ())
+    fn check(&self, common: &CommonSettings, context: &LoadContext<'_>) -> Result<(), LoadError> {
+        self.distribution(common)?;
+        self.inner_model(common, context).map(|_| ())
     }
 
-    fn load(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
-        let distribution = self.distribution(shared)?;
+    fn load(&self, common: &CommonSettings, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
+        let distribution = self.distribution(common)?;
         if let LatencyDistribution::Empirical { recorded, columns } = &distribution
             && !recorded.omitted_stages.is_empty()
         {
             let omitted = describe_stages(&recorded.omitted_stages);
             tracing::warn!(
-                model = %shared.name, %columns,
+                model = %common.name, %columns,
                 "the drawn latencies are without {omitted}, which the file has as well; to replay them, name their columns in \
                  column of [[model]], too"
             );
         }
-        let inner = self.inner_model(shared, context)?.map(|inner| inner.load(context)).transpose()?;
+        let inner = self.inner_model(common, context)?.map(|inner| inner.load(context)).transpose()?;
         let hash = self.data.as_deref().map(|data| {
             let file = data_file(data)?;
             let hash = open(&file).and_then(peernet_external::sha256);
@@ -117,17 +117,17 @@ impl ModelKind for DistributionConfig {
             // 53 bits: every JSON and TOML program keeps them, so that the seed can be written into a configuration.
             let seed = rand::random::<u64>() >> 11;
             tracing::info!(
-                model = %shared.name,
+                model = %common.name,
                 "the latencies are drawn with the new seed {seed}; to draw the same ones again, set seed = {seed} in this [[model]]"
             );
             seed
         });
         let source = LatencySource { distribution, random: Mutex::new(SplitMix64::new(seed)) };
         Ok(Arc::new(Distribution {
-            name: shared.name.to_string(),
+            name: common.name.to_string(),
             source: Arc::new(source),
             inner,
-            device: shared.device.clone(),
+            device: common.device.clone(),
             seed,
             data_hash: hash.transpose()?,
         }))
@@ -136,8 +136,8 @@ impl ModelKind for DistributionConfig {
 
 impl DistributionConfig {
     /// Returns the configured distribution; reads the file.
-    fn distribution(&self, shared: &SharedKeys) -> Result<LatencyDistribution, LoadError> {
-        let wrong = |key, reason| LoadError::InvalidKey { model: shared.name.to_string(), key, reason };
+    fn distribution(&self, common: &CommonSettings) -> Result<LatencyDistribution, LoadError> {
+        let wrong = |key, reason| LoadError::InvalidKey { model: common.name.to_string(), key, reason };
         match (&self.data, &self.histogram, self.mean_ms) {
             (Some(data), None, None) => {
                 let recorded = read_latencies(&data_file(data)?, &self.column)?;
@@ -168,11 +168,11 @@ impl DistributionConfig {
     /// Returns the configuration of the inner model, if one is configured.
     fn inner_model<'a>(
         &self,
-        shared: &SharedKeys,
+        common: &CommonSettings,
         context: &LoadContext<'a>,
     ) -> Result<Option<&'a ModelConfig>, LoadError> {
         let Some(inner) = &self.inner else { return Ok(None) };
-        let wrong = |reason| LoadError::InvalidKey { model: shared.name.to_string(), key: "inner", reason };
+        let wrong = |reason| LoadError::InvalidKey { model: common.name.to_string(), key: "inner", reason };
         match context.models.iter().find(|model| model.name() == inner) {
             None => Err(wrong(format!("no [[model]] of this file is named {inner}"))),
             // Two models of this kind could name each other.

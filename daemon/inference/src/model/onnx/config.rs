@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Onnx;
 use super::library::Runtime;
-use crate::model::{LoadContext, ModelConfig, ModelKind, ModelTable, SharedKeys};
+use crate::model::{CommonSettings, LoadContext, ModelConfig, ModelKind, ModelTable};
 use crate::{Batching, LibraryError, LoadError, Model};
 
 /// Maximum number of threads within or across the operators of a model.
@@ -58,13 +58,13 @@ impl OnnxConfig {
         })
     }
 
-    fn check_batch(&self, shared: &SharedKeys) -> Result<(), LoadError> {
+    fn check_batch(&self, common: &CommonSettings) -> Result<(), LoadError> {
         let wait_ms = self.batch.map_or(0.0, |batch| batch.max_wait_ms);
         if (0.0..=MAX_BATCH_WAIT_MS).contains(&wait_ms) {
             return Ok(());
         }
         Err(LoadError::InvalidKey {
-            model: shared.name.to_string(),
+            model: common.name.to_string(),
             key: "batch.max_wait_ms",
             reason: format!("{wait_ms} is not a time; write milliseconds, from 0 to {MAX_BATCH_WAIT_MS}"),
         })
@@ -76,7 +76,7 @@ const fn one_thread() -> NonZeroUsize {
 }
 
 impl ModelKind for OnnxConfig {
-    fn unpublished_keys(&self) -> &'static [&'static str] {
+    fn keys_omitted_from_runs(&self) -> &'static [&'static str] {
         &["path"]
     }
 
@@ -89,23 +89,23 @@ impl ModelKind for OnnxConfig {
         ]
     }
 
-    fn check(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<(), LoadError> {
-        self.check_batch(shared)?;
-        Onnx::check(self, shared, context)
+    fn check(&self, common: &CommonSettings, context: &LoadContext<'_>) -> Result<(), LoadError> {
+        self.check_batch(common)?;
+        Onnx::check(self, common, context)
     }
 
-    fn load(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
-        self.check_batch(shared)?;
-        Ok(Arc::new(Onnx::load(self, shared, context)?))
+    fn load(&self, common: &CommonSettings, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
+        self.check_batch(common)?;
+        Ok(Arc::new(Onnx::load(self, common, context)?))
     }
 }
 
 impl ModelConfig {
     /// Returns the configuration of the ONNX model in a folder, with the numbers of threads within an operator and
     /// across operators.
-    pub(crate) fn onnx(shared: SharedKeys, path: PathBuf, threads: [NonZeroUsize; 2]) -> Self {
+    pub(crate) fn onnx(common: CommonSettings, path: PathBuf, threads: [NonZeroUsize; 2]) -> Self {
         let [intra_threads, inter_threads] = threads;
-        ModelTable { shared, kind_keys: OnnxConfig { path, intra_threads, inter_threads, batch: None } }
+        ModelTable { common, kind_settings: OnnxConfig { path, intra_threads, inter_threads, batch: None } }
             .into()
     }
 }

@@ -46,7 +46,7 @@ use peernet_logger::Slug;
 use peernet_sample::{MaskLabel, ObjectsLabel, list_examples, normalized_label};
 use tokio_util::sync::CancellationToken;
 
-use super::{LoadContext, SharedKeys};
+use super::{CommonSettings, LoadContext};
 use crate::{Batching, LoadError, Model, Worker};
 use card::Card;
 use device::Device;
@@ -107,13 +107,21 @@ struct Plan {
 
 impl Onnx {
     /// Checks everything that can be checked without loading the model: the device, the files, the card, the library.
-    fn check(config: &OnnxConfig, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<(), LoadError> {
-        Self::plan(config, shared, context).map(drop)
+    fn check(
+        config: &OnnxConfig,
+        common: &CommonSettings,
+        context: &LoadContext<'_>,
+    ) -> Result<(), LoadError> {
+        Self::plan(config, common, context).map(drop)
     }
 
     /// Loads the part of the model that all workers share.
-    fn load(config: &OnnxConfig, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Self, LoadError> {
-        let (plan, runtime) = Self::plan(config, shared, context)?;
+    fn load(
+        config: &OnnxConfig,
+        common: &CommonSettings,
+        context: &LoadContext<'_>,
+    ) -> Result<Self, LoadError> {
+        let (plan, runtime) = Self::plan(config, common, context)?;
         let _library_use = LibraryUse::begin();
         let (hash, card_hash) = (hash_model(&config.path)?, hash_card(&config.path)?);
         let shared = SharedModel::prepare(&plan, &runtime, context.temp_dirs)?;
@@ -123,17 +131,17 @@ impl Onnx {
 
     fn plan(
         config: &OnnxConfig,
-        shared: &SharedKeys,
+        common: &CommonSettings,
         context: &LoadContext<'_>,
     ) -> Result<(Plan, Arc<Runtime>), LoadError> {
-        let device: Device = shared.device.parse()?;
+        let device: Device = common.device.parse()?;
         let card = Card::read(&config.path.join(CARD))?;
         model_files(&config.path)?;
         let file = config.path.join(MODEL);
         let runtime = Runtime::get(context.runtime, context.clock)?;
-        device.check(&shared.name, runtime.library())?;
+        device.check(&common.name, runtime.library())?;
         let plan = Plan {
-            name: shared.name.clone(),
+            name: common.name.clone(),
             file,
             classes: card
                 .task
@@ -141,7 +149,7 @@ impl Onnx {
                 .map(|labels| labels.iter().map(|label| normalized_label(label)).collect()),
             card,
             device,
-            workers: shared.workers.get(),
+            workers: common.workers.get(),
             intra_threads: config.intra_threads.get(),
             inter_threads: config.inter_threads.get(),
             batching: config.batching(),

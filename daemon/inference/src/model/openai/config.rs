@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::Openai;
 use super::server::{ApiKey, Server};
 use super::time_limits::TimeLimits;
-use crate::model::{Keys, LoadContext, ModelKind, SharedKeys};
+use crate::model::{CommonSettings, Keys, LoadContext, ModelKind};
 use crate::{LoadError, Model};
 
 /// Longest time limit, milliseconds: one day.
@@ -81,17 +81,17 @@ impl ModelKind for OpenaiConfig {
         ]
     }
 
-    fn check(&self, shared: &SharedKeys, _context: &LoadContext<'_>) -> Result<(), LoadError> {
-        self.server(shared).map(|_| ())
+    fn check(&self, common: &CommonSettings, _context: &LoadContext<'_>) -> Result<(), LoadError> {
+        self.server(common).map(|_| ())
     }
 
     /// Asks the server for the list of its models, to see whether it can be reached.
-    fn load(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
+    fn load(&self, common: &CommonSettings, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
         let model = Openai {
-            name: shared.name.to_string(),
-            device: shared.device.clone(),
+            name: common.name.to_string(),
+            device: common.device.clone(),
             config: self.clone(),
-            server: self.server(shared)?,
+            server: self.server(common)?,
             clock: SharedClock::clone(context.clock),
             usage_warning: Once::new(),
         };
@@ -112,8 +112,8 @@ impl OpenaiConfig {
     }
 
     /// Returns the server, with the key from the environment.
-    fn server(&self, shared: &SharedKeys) -> Result<Server, LoadError> {
-        let wrong = |key, reason| LoadError::InvalidKey { model: shared.name.to_string(), key, reason };
+    fn server(&self, common: &CommonSettings) -> Result<Server, LoadError> {
+        let wrong = |key, reason| LoadError::InvalidKey { model: common.name.to_string(), key, reason };
         if let Some(reserved) = RESERVED_PARAMETERS.iter().find(|name| self.parameters.contains_key(**name)) {
             return Err(wrong("parameters", format!("{reserved} is set by this program; remove it")));
         }
