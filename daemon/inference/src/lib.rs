@@ -8,7 +8,7 @@
 
 pub mod bank;
 mod batching;
-mod blocked_workers;
+mod blockage_detector;
 mod error;
 mod job;
 mod loaded_models;

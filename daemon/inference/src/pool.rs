@@ -7,7 +7,7 @@ use std::thread::{self, JoinHandle};
 use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_logger::Slug;
 
-use crate::blocked_workers::{BlockedWorkers, CurrentComputation};
+use crate::blockage_detector::{BlockageDetector, CurrentComputation};
 use crate::loaded_models::{CountedModel, LoadedModelCounter};
 use crate::queue::{Queue, Rejection};
 use crate::thread::{WorkerSlot, deliver};
@@ -35,7 +35,7 @@ pub struct Pool {
 /// Way in which jobs are run.
 enum Execution {
     /// On threads of the pool, which take jobs from a queue.
-    Threads { queue: Arc<Queue<Job>>, handles: Mutex<Vec<JoinHandle<()>>>, blocked: BlockedWorkers },
+    Threads { queue: Arc<Queue<Job>>, handles: Mutex<Vec<JoinHandle<()>>>, blockage: BlockageDetector },
     /// On the thread of the caller: for models that neither block nor compute for long.
     Inline(Mutex<WorkerSlot>),
 }
@@ -62,8 +62,8 @@ impl Pool {
             last => {
                 slots.extend(last);
                 let computations = slots.iter().map(|slot| Arc::clone(&slot.current)).collect();
-                let blocked = BlockedWorkers::new(computations, Arc::clone(clock));
-                Execution::threads(&name, slots, sizes.queue, blocked)?
+                let blockage = BlockageDetector::new(computations, Arc::clone(clock));
+                Execution::threads(&name, slots, sizes.queue, blockage)?
             }
         };
         let loaded_at = clock.mono();
@@ -112,8 +112,8 @@ impl Pool {
                 }
                 Ok(())
             }
-            Execution::Threads { queue, blocked, .. } => {
-                blocked.check(&self.name);
+            Execution::Threads { queue, blockage, .. } => {
+                blockage.check(&self.name);
                 if queue.is_full() {
                     self.drop_cancelled(queue);
                 }
@@ -202,7 +202,7 @@ impl Pool {
     /// all others wait. `None` if a worker is free or computes an awaited request.
     pub fn blocked_for(&self) -> Option<Span> {
         match &self.execution {
-            Execution::Threads { blocked, .. } => blocked.duration(),
+            Execution::Threads { blockage, .. } => blockage.duration(),
             Execution::Inline(_) => None,
         }
     }
@@ -243,7 +243,7 @@ impl Execution {
         name: &Slug,
         slots: Vec<WorkerSlot>,
         capacity: usize,
-        blocked: BlockedWorkers,
+        blockage: BlockageDetector,
     ) -> Result<Self, LoadError> {
         let queue = Arc::new(Queue::new(capacity));
         let mut handles = Vec::with_capacity(slots.len());
@@ -260,7 +260,7 @@ impl Execution {
                 }
             }
         }
-        Ok(Self::Threads { queue, handles: Mutex::new(handles), blocked })
+        Ok(Self::Threads { queue, handles: Mutex::new(handles), blockage })
     }
 }
 

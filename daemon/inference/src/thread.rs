@@ -8,7 +8,7 @@ use peernet_clock::{MonoTime, SharedClock};
 use peernet_logger::{Slug, stage};
 use peernet_sample::Sample;
 
-use crate::blocked_workers::CurrentComputation;
+use crate::blockage_detector::CurrentComputation;
 use crate::job::Reply;
 use crate::queue::Queue;
 use crate::{FinishedJob, InferenceError, Job, Model, Request, Worker};

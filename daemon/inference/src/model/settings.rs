@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::{ModelConfig, Table};
 
-/// Shared keys that are recorded elsewhere in a run's description.
+/// Keys of common settings that are recorded elsewhere in a run's description.
 const RECORDED_ELSEWHERE: [&str; 2] = ["name", "device"];
 /// Key of the environment variables of users' code.
 const ENVIRONMENT: &str = "env";

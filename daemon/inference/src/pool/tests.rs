@@ -161,10 +161,10 @@ fn worker_that_ignores_cancellation_is_reported_once() {
     tokens[1].cancel();
     clock.advance(Span::from_millis(600));
     assert_eq!(pool.blocked_for(), Some(Span::from_millis(600)));
-    let Execution::Threads { blocked, .. } = &pool.execution else { panic!("it blocks") };
+    let Execution::Threads { blockage, .. } = &pool.execution else { panic!("it blocks") };
     let mut logged = Vec::new();
     for _ in 0..4 {
-        logged.push(blocked.check(pool.name()));
+        logged.push(blockage.check(pool.name()));
         clock.advance(Span::from_millis(600));
     }
     assert_eq!(logged, [false, false, true, false]);

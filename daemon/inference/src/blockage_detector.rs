@@ -1,4 +1,4 @@
-//! Detection of workers that still compute requests that were cancelled, while other requests wait.
+//! Detection of blockages: all workers of a model still compute cancelled requests, while other requests wait.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -8,7 +8,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::Job;
 
-/// Time that workers have to notice the cancellation of their requests before it is logged that they do not.
+/// Time in which workers should notice that their requests are cancelled; a longer blockage is logged.
 const GRACE: Span = Span::from_millis(1000);
 
 /// The computation of one worker, shared with the pool.
@@ -45,16 +45,16 @@ impl CurrentComputation {
     }
 }
 
-/// The computations of all workers of a pool.
+/// Watches all workers of a pool, and detects when each of them computes only cancelled requests.
 #[derive(Debug)]
-pub(crate) struct BlockedWorkers {
+pub(crate) struct BlockageDetector {
     computations: Vec<Arc<CurrentComputation>>,
     clock: SharedClock,
     /// The current or the last blockage.
     last: Mutex<Option<Blockage>>,
 }
 
-/// A time in which all workers compute cancelled requests.
+/// A time in which all workers compute only cancelled requests.
 #[derive(Debug)]
 struct Blockage {
     /// Start of the oldest of the computations.
@@ -63,7 +63,7 @@ struct Blockage {
     is_logged: bool,
 }
 
-impl BlockedWorkers {
+impl BlockageDetector {
     pub(crate) const fn new(computations: Vec<Arc<CurrentComputation>>, clock: SharedClock) -> Self {
         Self { computations, clock, last: Mutex::new(None) }
     }
@@ -78,8 +78,8 @@ impl BlockedWorkers {
         starts?.into_iter().min()
     }
 
-    /// Logs that all workers compute cancelled requests, if this was already so [`GRACE`] ago; logs it once for each
-    /// such time. Called for each request. Returns whether it logged.
+    /// Logs a blockage that was noticed at least [`GRACE`] ago; each blockage is logged once. Called for each request.
+    /// Returns whether it logged.
     pub(crate) fn check(&self, model: &Slug) -> bool {
         let Some(started_at) = self.started_at() else { return false };
         let now = self.clock.mono();
