@@ -3,8 +3,8 @@
 use std::fmt;
 
 use peernet_figures::plot::{Item, Key, Plot};
+use peernet_figures::render::page;
 use peernet_figures::scale::{Scale, Tick};
-use peernet_figures::sheet::page;
 use peernet_statistics::number::SPACE;
 
 /// HTML of a picture, in which all text is escaped.

@@ -15,8 +15,8 @@ mod of_calibration;
 mod of_messages;
 mod of_results;
 pub mod plot;
+pub mod render;
 pub mod scale;
-pub mod sheet;
 pub mod svg;
 pub mod text;
 

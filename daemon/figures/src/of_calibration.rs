@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::of_messages::{MessageFigures, MessageSeries};
-use crate::sheet::export;
+use crate::render::export;
 use peernet_analysis::WriteError;
 use peernet_analysis::calibration::Study;
 

@@ -8,8 +8,8 @@ use super::stack::Orientation;
 use super::stage_bar::{BarPlace, StageBar, StagePart};
 use crate::look::{TextStyle, label, stage};
 use crate::plot::{Anchor, Axis, Figure, Height, Item, Key, Label, Marks, Plot, Swatch, Unit};
+use crate::render::file::{MAX_NAME_WIDTH, SMALL, TEXT, WIDTH};
 use crate::scale::{Scale, Tick};
-use crate::sheet::file::{MAX_NAME_WIDTH, SMALL, TEXT, WIDTH};
 use crate::text::width;
 
 /// Height of a horizontal bar with the space around it, points.

@@ -12,7 +12,7 @@ use peernet_stream::ExperimentPosition;
 
 use super::*;
 use crate::look::UNATTRIBUTED;
-use crate::sheet::file;
+use crate::render::file;
 use peernet_analysis::quality::{Quality, QualityEstimate};
 use peernet_analysis::record::{ModelRecord, Placement};
 use peernet_analysis::rows::{Outcome, Row};

@@ -7,7 +7,7 @@ use crate::drawing::{
     Accuracy, Cumulative, Histogram, Lengths, Paired, Scaling, Sharing, Stacked, TimeSeries,
 };
 use crate::plot::Figure;
-use crate::sheet::export;
+use crate::render::export;
 use peernet_analysis::WriteError;
 
 /// Figure with the common beginning of the names of its files.

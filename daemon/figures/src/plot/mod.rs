@@ -1,11 +1,13 @@
-//! Plots: a layout in shares of a plot's width and height that every sheet can draw.
+//! Plots: a layout in shares of a plot's width and height, which both renderers (`render::page`, `render::file`) can
+//! draw.
 //!
 //! ```text
-//! analysis value ── a kind (crate::drawing) ── Figure { legend, plots, notes } ─┬─ sheet::page ── SVG in HTML
-//!                                                                              └─ sheet::file ── SVG, PNG, PDF, text
+//! analysis value ── a kind (crate::drawing) ── Figure { legend, plots, notes } ─┬─ render::page ── SVG in HTML
+//!                                                                              └─ render::file ── SVG, PNG, PDF, text
 //! ```
 //!
-//! A kind of figure is one function that makes [`Plot`]s. It chooses the scales and uses them to place [`Item`]s.
+//! A kind of figure is a function, or a type with a method, that makes [`Plot`]s. It chooses the scales and uses them to
+//! place [`Item`]s.
 //! Positions are not pixels or points, but shares of the plot from the left and from the top ([`Plot::at`] computes
 //! them from values). Lengths that stay the same when the plot grows (marks, caps, distances of text) are given in
 //! points or as multiples of the type size. The look of an item is a [`Style`](crate::look::Style), which has a class
@@ -15,7 +17,7 @@
 //! use peernet_figures::look::Style;
 //! use peernet_figures::plot::{Axis, Item, Plot};
 //! use peernet_figures::scale::Scale;
-//! use peernet_figures::sheet::page;
+//! use peernet_figures::render::page;
 //!
 //! let x = Axis::new(Scale::from_zero((0.0, 9.0)), "Upload", "ms");
 //! let y = Axis::new(Scale::from_zero((0.0, 40.0)).whole(), "Iterations", "").with_grid();
@@ -28,12 +30,13 @@
 //!
 //! # A figure of a page
 //!
-//! A kind of figure that several pages or files show is a value in `crate::drawing`. A figure that depends on the types of one page, such as
-//! the waterfall of an iteration, is a function in the view of that page and returns [`Item`]s.
+//! A kind of figure that several pages or files show is a type in `crate::drawing`; one of its methods makes the plots. A
+//! figure that depends on the types of one page, such as the waterfall of an iteration, is a function in the view of that
+//! page and returns [`Item`]s.
 //!
-//! - [`page::plot`](crate::sheet::page::plot) draws a plot with both axes.
-//! - [`page::picture`](crate::sheet::page::picture) draws items without axes: bars, sparklines, tracks.
-//! - [`page::axis`](crate::sheet::page::axis) draws the row of labels above bars.
+//! - [`page::plot`](crate::render::page::plot) draws a plot with both axes.
+//! - [`page::picture`](crate::render::page::picture) draws items without axes: bars, sparklines, tracks.
+//! - [`page::axis`](crate::render::page::axis) draws the row of labels above bars.
 //!
 //! [`Label::fits_within`] hides a text if there is not enough room for it. The width of the text is measured in the embedded font.
 //! [`Scale::at_or_outside`](crate::scale::Scale::at_or_outside) places a line that may leave its plot.

@@ -6,8 +6,8 @@ use peernet_statistics::number::significant;
 
 use crate::look::{Fill, INK, Mark, Style, WHITE};
 use crate::plot::{At, Axis, Figure, Item, Plot, Table, Unit};
+use crate::render::file;
 use crate::scale::Scale;
-use crate::sheet::file;
 use peernet_analysis::quality::{Quality, QualityEstimate};
 
 /// Half the width of a whisker's cap, points.

@@ -4,7 +4,7 @@
 use super::{CAP_HALF_WIDTH, RADIUS, Spot};
 use crate::look::{INK_2, Style, TextStyle};
 use crate::plot::{Anchor, At, Item, Label};
-use crate::sheet::file::{Area, SMALL, TEXT, WIDTH};
+use crate::render::file::{Area, SMALL, TEXT, WIDTH};
 use crate::text::width;
 
 /// Half the height of a number, points.

@@ -16,7 +16,7 @@ use std::collections::HashMap;
 use super::*;
 use crate::look::stage;
 use crate::plot::Figure;
-use crate::sheet::{export, file};
+use crate::render::{export, file};
 use crate::text::{self, missing_glyph};
 use peernet_analysis::order::SortedValues;
 

@@ -1,10 +1,10 @@
-//! Kinds that pages have too, on the sheet of a page.
+//! Kinds of figures that pages have, too, drawn by the renderer of pages.
 
 use super::*;
 use crate::look::{Mark, Style};
 use crate::plot::{Anchor, At, Item, Label};
+use crate::render::page;
 use crate::scale::Scale;
-use crate::sheet::page;
 
 fn assert_valid_for_page(html: &str) {
     for never in [" style=", "fill=\"", "stroke=\"", "#", "NaN", "\"inf"] {

@@ -6,8 +6,8 @@ use peernet_statistics::histogram::{Binning, MAX_BINS};
 use super::super::{BinnedAxis, Counted, Distribution, Joint, Quartiles, View};
 use crate::look::stage;
 use crate::plot::{Anchor, Item, Plot, Unit};
+use crate::render::page;
 use crate::scale::Scale;
-use crate::sheet::page;
 
 fn summary(values: impl IntoIterator<Item = f64>) -> Summary {
     let mut summary = Summary::default();

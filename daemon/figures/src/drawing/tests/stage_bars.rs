@@ -2,8 +2,8 @@
 
 use super::super::{StageBar, StagePart, meter, share_bar, sparkline};
 use crate::plot::{Item, Path};
+use crate::render::page;
 use crate::scale::Scale;
-use crate::sheet::page;
 
 fn part(name: &str, milliseconds: f64) -> StagePart {
     StagePart { name: name.to_owned(), seconds: milliseconds / 1e3, bound: None }

@@ -81,7 +81,7 @@ fn axis_ends_above_largest_quantile_and_counts_rest() {
     let plot = drawn(&stages);
     let area = path(&plot.items, "f-inference").expect("an area");
     let leaves = area.steps.iter().any(|step| matches!(step, Step::Line(_, y) if *y < 0.0));
-    assert!(leaves, "cut off by the sheet: {area:?}");
+    assert!(leaves, "cut off by the renderer: {area:?}");
     // Without a quantile of any bucket, that of the run.
     stages.buckets.iter_mut().for_each(|bucket| bucket.p95 = None);
     stages.p95 = Some(0.03);

@@ -27,7 +27,7 @@ pub const TEXT: f64 = 7.5;
 /// Size of all other text, points. No text is smaller.
 pub const SMALL: f64 = 7.0;
 
-/// Distance of texts and axes from the edge of the sheet, points.
+/// Distance of texts and axes from the edge of the picture, points.
 const EDGE: f64 = 5.0;
 /// Distance between an axis and its labels, points.
 const GAP: f64 = 2.7;

@@ -1,4 +1,4 @@
-//! Areas of the plots of a figure on its sheet.
+//! Areas of the plots of a figure in its picture.
 
 use super::{EDGE, GAP, HEIGHT, LINE, SMALL, STRIP_GAP, TEXT, WIDTH, header, table};
 use crate::plot::{At, Figure, Height, Marks, Plot};
@@ -20,7 +20,7 @@ const MIN_NAME_DISTANCE: f64 = 12.0;
 /// Minimum height of a plot, points.
 const MIN_HEIGHT: f64 = 30.0;
 
-/// Area of a plot, points from the left and from the top of the sheet.
+/// Area of a plot, points from the left and from the top of the picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Area {
     /// Left end.
@@ -58,7 +58,7 @@ impl Area {
     }
 }
 
-/// Areas of all plots, and the height of the sheet.
+/// Areas of all plots, and the height of the picture.
 pub(super) struct Places {
     pub(super) height: f64,
     pub(super) plots: Vec<Area>,

@@ -1,4 +1,4 @@
-//! Sheets: the two ways to draw a layout, on a page and in a file.
+//! Renderers: they draw a layout on a page and in a file.
 //!
 //! [`page`] writes SVG for the dashboard: lengths in percent, text in the page's own size, classes instead of colours. It writes no `style`
 //! attributes, because the content security policy forbids them. [`file`] writes an SVG file as wide as a column of a paper, with lengths

@@ -60,7 +60,7 @@ fn text_has_at_least_seven_points() {
 }
 
 #[test]
-fn plots_are_below_each_other_on_the_sheet() {
+fn plots_are_below_each_other_in_the_picture() {
     let mut figure = figure();
     let mut lower = figure.plots[0].clone();
     (lower.height, lower.top_strip) = (Height::Points(30.0), None);
@@ -74,7 +74,7 @@ fn plots_are_below_each_other_on_the_sheet() {
 }
 
 #[test]
-fn height_of_plot_adds_to_height_of_sheet() {
+fn height_of_plot_adds_to_height_of_picture() {
     let names = |count: usize| {
         let tick = |row: usize| Tick {
             value: 0.0,
