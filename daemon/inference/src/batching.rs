@@ -32,7 +32,7 @@ pub struct Request<'a> {
     pub sample: &'a Sample,
     /// Recorder of the stages.
     pub recorder: &'a mut Recorder,
-    /// Receiver of parts of the answer.
+    /// Receiver of partial answers.
     pub requester: &'a dyn Requester,
 }
 

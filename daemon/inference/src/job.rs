@@ -17,14 +17,14 @@ pub struct Job {
     pub recorder: Recorder,
     /// Time at which this host received the sample: the beginning of the stage `queue`.
     pub received: MonoTime,
-    /// Receiver of parts of the answer, which may cancel the request.
+    /// Receiver of partial answers, which may cancel the request.
     pub requester: Arc<dyn Requester>,
     /// Callback for the result. It is called once, on the thread that computed the result, and must not block.
     pub reply: Reply,
 }
 
 impl Job {
-    /// Returns a job whose requester takes no parts of the answer and never cancels.
+    /// Returns a job whose requester takes no partial answers and never cancels.
     pub fn for_whole_answer(sample: Sample, recorder: Recorder, received: MonoTime, reply: Reply) -> Self {
         Self { sample, recorder, received, requester: Arc::new(UncancelledRequester), reply }
     }

@@ -31,7 +31,7 @@ pub use model::onnx::{CardSummary, MODEL_HASH, OnnxRuntimeConfig, check_library,
 pub use model::{CommonSettings, ModelConfig};
 pub use pool::Pool;
 pub use process_memory::ProcessMemory;
-pub use requester::{Cancelled, PartError, Requester, UncancelledRequester};
+pub use requester::{Cancelled, PartialAnswerError, Requester, UncancelledRequester};
 
 use peernet_logger::Recorder;
 use peernet_sample::Sample;

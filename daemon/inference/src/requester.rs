@@ -14,7 +14,7 @@ pub trait Requester: Send + Sync {
     ///
     /// # Errors
     /// If the request was cancelled, or the partial answer cannot be sent. The model stops computing then.
-    fn send_part(&self, part: Sample) -> Result<(), PartError>;
+    fn send_partial_answer(&self, partial_answer: Sample) -> Result<(), PartialAnswerError>;
 
     /// Returns the token that is cancelled when the time limit of the request passes or the other end is gone.
     fn cancellation(&self) -> CancellationToken;
@@ -33,7 +33,7 @@ pub struct Cancelled;
 
 /// Reason why a partial answer was not sent.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum PartError {
+pub enum PartialAnswerError {
     /// The request was cancelled.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
@@ -42,7 +42,7 @@ pub enum PartError {
     Refused(String),
 }
 
-impl PartError {
+impl PartialAnswerError {
     /// Returns the failure of the request to `model`.
     pub(crate) fn into_inference_error(self, model: &str) -> InferenceError {
         let model = model.to_owned();
@@ -58,7 +58,7 @@ impl PartError {
 pub struct UncancelledRequester;
 
 impl Requester for UncancelledRequester {
-    fn send_part(&self, _part: Sample) -> Result<(), PartError> {
+    fn send_partial_answer(&self, _partial_answer: Sample) -> Result<(), PartialAnswerError> {
         Ok(())
     }
 

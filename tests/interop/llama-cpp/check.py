@@ -73,7 +73,7 @@ def check_rows(file, is_remote):
         assert number("inter-token-latency") <= number("inter-token-latency-max"), row
         assert (row["upload"] != "") == is_remote, row
         if is_remote:
-            # Each chunk crossed the network as a part of the answer.
+            # Each chunk crossed the network as a partial answer.
             assert float(row["parts"]) == number("output-chunks"), row
             assert first < float(row["first-part"]) < float(row["total"]), row
             assert float(row["first-part-download"]) >= 0, row

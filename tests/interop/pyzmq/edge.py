@@ -74,7 +74,7 @@ class Session:
         return number
 
     def answer(self):
-        """Returns the number of the next answered request, the parts of the answer and the cloud's nodes."""
+        """Returns the number of the next answered request, the partial answers and the cloud's nodes."""
         (kind, content), frames = self.receive()
         assert kind == "reply", (kind, content)
         session, number, _departure, _epoch, outcome = content

@@ -117,31 +117,34 @@ impl CloudLink {
             self.judge(network, completed.observation.as_ref(), message_delays, arrived);
         correct(tree, up, Direction::Up, up_delay);
         correct(tree, down, Direction::Down, down_delay);
-        if let Some(first_part) = completed.first_part {
-            self.correct_first_part(tree, [up, first_part], completed.observation.as_ref());
+        if let Some(first_partial_answer) = completed.first_partial_answer {
+            self.correct_first_partial_answer(
+                tree,
+                [up, first_partial_answer],
+                completed.observation.as_ref(),
+            );
         }
         self.report(changes);
         transport
     }
 
-    /// Judges the delay of the first part of an answer and sets it in the tree. `up` is the node of the request's
-    /// upload.
-    fn correct_first_part(
+    /// Judges the delay of the first partial answer and sets it in the tree. `up` is the node of the request's upload.
+    fn correct_first_partial_answer(
         &self,
         tree: &mut Tree,
-        [up, first_part]: [NodeId; 2],
+        [up, first_partial_answer]: [NodeId; 2],
         observation: Option<&ExchangeObservation>,
     ) {
         let epochs = observation.map(|observation| (Some(observation.edge_epoch), observation.cloud_epoch));
         let (edge, cloud) = epochs.unwrap_or_default();
         let crossings = Crossing::in_tree(tree, up, (edge, cloud)).zip(Crossing::in_tree(
             tree,
-            first_part,
+            first_partial_answer,
             (cloud, edge),
         ));
         let Some((up, down)) = crossings else { return };
         let [_, delay] = self.judge_stamps(&up, Some(&down));
-        if let Some(Measure::Transit(transit)) = tree.measure_mut(first_part) {
+        if let Some(Measure::Transit(transit)) = tree.measure_mut(first_partial_answer) {
             transit.delay = delay;
         }
     }

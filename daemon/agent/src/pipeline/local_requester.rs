@@ -3,11 +3,11 @@
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
-use peernet_inference::{Cancelled, PartError, Requester};
+use peernet_inference::{Cancelled, PartialAnswerError, Requester};
 use peernet_sample::Sample;
 use tokio_util::sync::CancellationToken;
 
-/// Requester on this host. It ignores the parts of an incomplete answer, because actuators act on complete answers.
+/// Requester on this host. It ignores partial answers, because actuators act on complete answers.
 #[derive(Debug, Default)]
 pub(super) struct LocalRequester {
     is_cancelled: Mutex<bool>,
@@ -29,7 +29,7 @@ impl Drop for CancelOnDrop {
 }
 
 impl Requester for LocalRequester {
-    fn send_part(&self, _part: Sample) -> Result<(), PartError> {
+    fn send_partial_answer(&self, _partial_answer: Sample) -> Result<(), PartialAnswerError> {
         if self.cancellation.is_cancelled() { Err(Cancelled.into()) } else { Ok(()) }
     }
 

@@ -3,10 +3,10 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use peernet_inference::{Bank, Cancelled, FinishedJob, Job, LoadError, PartError, Pool, Requester};
+use peernet_inference::{Bank, Cancelled, FinishedJob, Job, LoadError, PartialAnswerError, Pool, Requester};
 use peernet_logger::Slug;
 use peernet_networks::{
-    self as networks, Failure, IncomingRequest, PartSender, RequestCancelled, SessionHello,
+    self as networks, Failure, IncomingRequest, PartialAnswerSender, RequestCancelled, SessionHello,
 };
 use peernet_sample::Sample;
 use tokio_util::sync::CancellationToken;
@@ -83,7 +83,7 @@ impl Service {
         request: IncomingRequest,
         on_result: impl FnOnce(&FinishedJob) + Send + 'static,
     ) {
-        let IncomingRequest { sample, recorder, received, parts, reply, .. } = request;
+        let IncomingRequest { sample, recorder, received, partial_answers, reply, .. } = request;
         match self {
             Self::Model(pool) => {
                 let reply = Box::new(move |done: FinishedJob| {
@@ -91,7 +91,7 @@ impl Service {
                     let FinishedJob { recorder, result } = done;
                     reply.send(recorder, result.map_err(|error| failure_from_error(&error)));
                 });
-                let requester = Arc::new(PeerRequester(parts));
+                let requester = Arc::new(PeerRequester(partial_answers));
                 let job = Job { sample, recorder, received: received.mono, requester, reply };
                 // A refusal is answered as well, so that the edge does not wait for its timeout.
                 if let Err(refused) = pool.submit(job) {
@@ -110,13 +110,13 @@ impl Service {
 }
 
 /// A peer that requested an answer of a model.
-struct PeerRequester(PartSender);
+struct PeerRequester(PartialAnswerSender);
 
 impl Requester for PeerRequester {
-    fn send_part(&self, part: Sample) -> Result<(), PartError> {
-        self.0.send(&part).map_err(|error| match error {
-            networks::PartError::Cancelled(RequestCancelled) => Cancelled.into(),
-            error => PartError::Refused(error.to_string()),
+    fn send_partial_answer(&self, partial_answer: Sample) -> Result<(), PartialAnswerError> {
+        self.0.send(&partial_answer).map_err(|error| match error {
+            networks::PartialAnswerError::Cancelled(RequestCancelled) => Cancelled.into(),
+            error => PartialAnswerError::Refused(error.to_string()),
         })
     }
 

@@ -4,8 +4,8 @@ use peernet_stream::{Iteration, Outcome};
 
 use crate::harness::{Aggregator, TestAgent, value};
 
-/// Models that yield many more parts than may be unread. Parts of `Fitting` fill the send queue, parts of `Oversized`
-/// are larger than a message. `Stalling` takes longer than the time limit after three parts.
+/// Models that yield many more partial answers than may be unread. Those of `Fitting` fill the send queue, those of
+/// `Oversized` are larger than a message. `Stalling` takes longer than the time limit after three partial answers.
 const MODELS: &str = "
 class Fitting:
     def infer(self, x):

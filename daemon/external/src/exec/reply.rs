@@ -24,7 +24,7 @@ pub struct Reply {
 /// Result of a request.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ReplyOutcome {
-    /// A sample or an answer.
+    /// A sample of a sensor or an answer of a model.
     Parts(Vec<Part>),
     /// The actuator has acted, or the program was reset.
     Done,
@@ -170,6 +170,7 @@ impl ReplyAssembler {
             }
             ("episode-ended", Role::Actuator) => notes.episode_ended = true,
             ("done", Role::Actuator) => return Ok(self.finish(ReplyOutcome::Done)),
+            // A sensor sends its sample with the word `answer`, too.
             ("answer" | "part", Role::Sensor | Role::Model) | ("partial", Role::Model) => {
                 let position = match word {
                     "answer" => Position::Last,

@@ -45,9 +45,9 @@ pub(super) enum Request<'a> {
     Call { parts: Vec<PartHead> },
     /// Calls `reset()` of the object.
     Reset {},
-    /// Continues the call after a part of its answer.
+    /// Continues the call after a partial answer.
     Proceed {},
-    /// Ends the call after a part of its answer, because the request was cancelled.
+    /// Ends the call after a partial answer, because the request was cancelled.
     Cancel {},
     /// Calls `advance(seconds)` of the object.
     Advance { seconds: f64 },
@@ -65,8 +65,9 @@ pub(super) enum Reply {
         #[serde(rename = "stages")]
         steps: Vec<(Step, i64, i64)>,
     },
-    /// A part of the answer of a model. The process waits for [`Request::Proceed`] or [`Request::Cancel`].
-    Part { parts: Vec<PartHead> },
+    /// A partial answer of a model. The process waits for [`Request::Proceed`] or [`Request::Cancel`].
+    #[serde(rename = "part")]
+    PartialAnswer { parts: Vec<PartHead> },
     /// The sensor has no more samples.
     #[serde(rename = "over")]
     EndOfSamples {

@@ -192,7 +192,7 @@ impl PythonObject {
             Reply::EndOfSamples { steps } => make_result(Ok(None), &steps),
             Reply::Raised { text, steps } => make_result(Err(PythonError::Raised(text)), &steps),
             Reply::UnsupportedValue { text, steps } => make_result(Err(PythonError::Value(text)), &steps),
-            Reply::Ready(_) | Reply::Part { .. } => {
+            Reply::Ready(_) | Reply::PartialAnswer { .. } => {
                 self.worker = None;
                 make_result(Err(self.invalid_message(FrameError::UnexpectedReply)), &[])
             }

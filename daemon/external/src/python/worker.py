@@ -120,27 +120,27 @@ class Yielded:
         return self.values, True
 
 
-def send_yielded_parts(generator, send_part):
-    """Sends what infer() yields as parts of the answer. Returns the whole answer: what it returns, or else all that it yielded,
+def send_partial_answers(generator, send_partial_answer):
+    """Sends what infer() yields as partial answers. Returns the whole answer: what it returns, or else all that it yielded,
     and whether it is a list of what it yielded."""
     yielded = Yielded()
     while True:
         try:
-            part = next(generator)
+            partial_answer = next(generator)
         except StopIteration as end:
             return (end.value, False) if end.value is not None else yielded.whole_answer()
-        size = send_part(part)
+        size = send_partial_answer(partial_answer)
         if size is None:
             generator.close()
             raise Cancelled("nobody waits for the answer any more")
-        yielded.add(part, size)
+        yielded.add(partial_answer, size)
 
 
 class Sensor:
     def __init__(self, user_object):
         self.user_object = user_object
 
-    def call(self, _, stages, send_part):
+    def call(self, _, stages, send_partial_answer):
         started_at = now()
         try:
             value = self.user_object.sample()
@@ -157,7 +157,7 @@ class Actuator:
     def __init__(self, user_object):
         self.user_object = user_object
 
-    def call(self, value, stages, send_part):
+    def call(self, value, stages, send_partial_answer):
         started_at = now()
         try:
             returned = self.user_object.act(value)
@@ -213,13 +213,13 @@ class Model:
         # The list of what infer() yielded last, if that is the whole answer.
         self.yielded = None
 
-    def call(self, value, stages, send_part):
+    def call(self, value, stages, send_partial_answer):
         for stage, step in self.steps:
             started_at = now()
             try:
                 value = step(value)
                 if stage == "infer" and inspect.isgenerator(value):
-                    value, is_list = send_yielded_parts(value, send_part)
+                    value, is_list = send_partial_answers(value, send_partial_answer)
                     self.yielded = value if is_list else None
                 wait_for_gpu()
             finally:
@@ -282,8 +282,8 @@ def start(request):
 def answer(channel, request, role, encoder, decoder):
     stages, value = [], None
 
-    def send_part(value):
-        """Sends a part of the answer. Returns its size as Yielded.add() takes it; None if nobody waits for the answer."""
+    def send_partial_answer(value):
+        """Sends a partial answer. Returns its size as Yielded.add() takes it; None if nobody waits for the answer."""
         wait_for_gpu()
         parts = encoder.parts(value)
         size = sum(memoryview(data).nbytes for _, data in parts), encoder.leaf_count(parts)
@@ -299,7 +299,7 @@ def answer(channel, request, role, encoder, decoder):
         elif "advance" in request:
             value = advance(role.user_object, request["advance"]["seconds"])
         else:
-            value = role.call(decoder.read(channel, request["call"]["parts"]), stages, send_part)
+            value = role.call(decoder.read(channel, request["call"]["parts"]), stages, send_partial_answer)
         frame = channel.frame("value", {"stages": stages, "parts": []}, encoder.parts(value))
     except (PipeClosed, *EXITS):
         raise

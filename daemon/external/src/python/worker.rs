@@ -87,7 +87,7 @@ impl Worker {
         self.process.write(&chunks, deadline())?;
         loop {
             let (reply, bytes) = self.receive_reply(deadline())?;
-            let Reply::Part { parts } = reply else {
+            let Reply::PartialAnswer { parts } = reply else {
                 self.shared_memory.release_excess();
                 return Ok((reply, bytes));
             };
@@ -131,7 +131,7 @@ impl Worker {
         let length = frame::header_length(&prefix)?;
         let header = self.process.read_exact(length, deadline)?;
         let reply: Reply = serde_json::from_slice(&header).map_err(FrameError::from)?;
-        let (Reply::Value { parts, .. } | Reply::Part { parts }) = &reply else {
+        let (Reply::Value { parts, .. } | Reply::PartialAnswer { parts }) = &reply else {
             return Ok((reply, Vec::new()));
         };
         let total = parts.iter().try_fold(0_u64, |sum, part| sum.checked_add(part.length));

@@ -13,7 +13,7 @@ use peernet_logger::{Name, Recorder, Unit};
 use peernet_sample::Sample;
 
 use super::{CommonSettings, Keys, LoadContext, ModelConfig, ModelKind, ModelTable};
-use crate::{Cancelled, InferenceError, LoadError, Model, PartError, Requester, Worker};
+use crate::{Cancelled, InferenceError, LoadError, Model, PartialAnswerError, Requester, Worker};
 
 /// Environment variable that contains the device.
 const DEVICE: &str = "PEERNET_DEVICE";
@@ -125,14 +125,14 @@ impl Worker for ExecWorker {
         let failed = |reason| InferenceError::Failed { model: self.model.clone(), reason };
         let mut send_error = None;
         let called = self.program.call_with_partial_answers(Request::Sample(sample), &mut |part| {
-            let part = Sample { parts: vec![part], source: String::new(), label: None };
-            send_error = requester.send_part(part).err();
+            let partial_answer = Sample { parts: vec![part], source: String::new(), label: None };
+            send_error = requester.send_partial_answer(partial_answer).err();
             send_error.is_none()
         });
         let program_call = called.map_err(|error| match error {
-            ProgramCallError::Cancelled => {
-                send_error.unwrap_or(PartError::Cancelled(Cancelled)).into_inference_error(&self.model)
-            }
+            ProgramCallError::Cancelled => send_error
+                .unwrap_or(PartialAnswerError::Cancelled(Cancelled))
+                .into_inference_error(&self.model),
             error => failed(error.to_string()),
         })?;
         for stage in program_call.stages().map_err(|error| failed(error.to_string()))? {

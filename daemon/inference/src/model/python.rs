@@ -109,8 +109,8 @@ impl Worker for PythonWorker {
     ) -> Result<Sample, InferenceError> {
         let mut send_error = None;
         let called = self.object.call_with_partial_answers(&sample.parts, &mut |parts| {
-            let part = Sample { parts, source: String::new(), label: None };
-            send_error = requester.send_part(part).err();
+            let partial_answer = Sample { parts, source: String::new(), label: None };
+            send_error = requester.send_partial_answer(partial_answer).err();
             send_error.is_none()
         });
         let started_at = called.times.started_at;

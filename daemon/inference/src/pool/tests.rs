@@ -10,7 +10,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::*;
 use crate::model::echo::{Echo, EchoConfig};
-use crate::{Cancelled, PartError, Requester, Worker};
+use crate::{Cancelled, PartialAnswerError, Requester, Worker};
 
 type Compute = dyn Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync;
 
@@ -132,7 +132,7 @@ fn full_queue_returns_the_job() {
 struct CancelledRequester(CancellationToken);
 
 impl Requester for CancelledRequester {
-    fn send_part(&self, _part: Sample) -> Result<(), PartError> {
+    fn send_partial_answer(&self, _partial_answer: Sample) -> Result<(), PartialAnswerError> {
         Ok(())
     }
 

@@ -5,7 +5,8 @@ use std::sync::mpsc::{RecvTimeoutError, sync_channel};
 use std::time::Duration;
 
 use peernet_inference::{
-    Bank, Cancelled, FinishedJob, InferenceError, Job, LoadError, PartError, Requester, UncancelledRequester,
+    Bank, Cancelled, FinishedJob, InferenceError, Job, LoadError, PartialAnswerError, Requester,
+    UncancelledRequester,
 };
 use peernet_logger::{HostId, Recorder, Tree};
 use peernet_sample::{ElementType, Part, Sample};
@@ -19,7 +20,7 @@ use super::{bank, clock, loaded, slug};
 struct CancelledRequester;
 
 impl Requester for CancelledRequester {
-    fn send_part(&self, _part: Sample) -> Result<(), PartError> {
+    fn send_partial_answer(&self, _partial_answer: Sample) -> Result<(), PartialAnswerError> {
         Err(Cancelled.into())
     }
 

@@ -4,7 +4,7 @@ use std::sync::mpsc::sync_channel;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use peernet_inference::{Cancelled, FinishedJob, InferenceError, Job, PartError, Pool, Requester};
+use peernet_inference::{Cancelled, FinishedJob, InferenceError, Job, PartialAnswerError, Pool, Requester};
 use peernet_logger::{HostId, Recorder};
 use peernet_sample::Sample;
 use tokio_util::sync::CancellationToken;
@@ -23,12 +23,12 @@ struct RecordingRequester {
 }
 
 impl Requester for RecordingRequester {
-    fn send_part(&self, part: Sample) -> Result<(), PartError> {
-        if part.parts[0].bytes.starts_with(REFUSED.as_bytes()) {
-            return Err(PartError::Refused("it is too large".to_owned()));
+    fn send_partial_answer(&self, partial_answer: Sample) -> Result<(), PartialAnswerError> {
+        if partial_answer.parts[0].bytes.starts_with(REFUSED.as_bytes()) {
+            return Err(PartialAnswerError::Refused("it is too large".to_owned()));
         }
         let mut partial_answers = self.partial_answers.lock().expect("is not poisoned");
-        partial_answers.push(part);
+        partial_answers.push(partial_answer);
         if partial_answers.len() < self.limit { Ok(()) } else { Err(Cancelled.into()) }
     }
 

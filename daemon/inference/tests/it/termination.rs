@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
 use std::time::Duration;
 
-use peernet_inference::{Cancelled, FinishedJob, InferenceError, Job, PartError, Pool, Requester};
+use peernet_inference::{Cancelled, FinishedJob, InferenceError, Job, PartialAnswerError, Pool, Requester};
 use peernet_logger::{HostId, Recorder};
 use peernet_sample::{ElementType, Sample};
 use tokio_util::sync::CancellationToken;
@@ -22,7 +22,7 @@ const LONG: Duration = Duration::from_secs(60);
 pub(super) struct CancellableRequester(pub(super) CancellationToken);
 
 impl Requester for CancellableRequester {
-    fn send_part(&self, _part: Sample) -> Result<(), PartError> {
+    fn send_partial_answer(&self, _partial_answer: Sample) -> Result<(), PartialAnswerError> {
         Ok(())
     }
 

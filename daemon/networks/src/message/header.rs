@@ -22,7 +22,7 @@ pub(crate) const MAX_PARTS: usize = 64;
 /// Maximum number of frames of a message: header, tree and payload parts.
 pub(crate) const MAX_FRAMES: usize = 2 + MAX_PARTS;
 
-/// Maximum number of parts of one answer that are sent before the edge acknowledges them.
+/// Maximum number of partial answers to one request that are sent before the edge acknowledges them.
 pub(crate) const MAX_UNREAD_PARTS: u32 = 64;
 
 /// Largest nesting depth of a header.
@@ -63,7 +63,7 @@ pub(crate) enum Header {
     Request(Request),
     /// The cloud answers a request. The tree delta and the payload follow.
     Reply(Reply),
-    /// The cloud sends a part of an answer before the answer is complete. The payload follows.
+    /// The cloud sends a partial answer, before the answer is complete. The payload follows.
     PartialReply(PartialReply),
     /// The edge has read partial replies of a request, so the cloud may send more.
     PartsRead(PartsRead),
@@ -169,7 +169,7 @@ pub(crate) struct Reply {
     pub(crate) arrived_raw: Option<RawTime>,
 }
 
-/// A part of an answer. Exists since [`PARTIAL_REPLIES_SINCE`](super::PARTIAL_REPLIES_SINCE).
+/// Message with a partial answer. Exists since [`PARTIAL_REPLIES_SINCE`](super::PARTIAL_REPLIES_SINCE).
 ///
 /// The reply repeats the whole answer. An edge can therefore ignore partial replies, and the content of a lost partial
 /// reply still arrives with the reply.
@@ -177,20 +177,21 @@ pub(crate) struct Reply {
 pub(crate) struct PartialReply {
     pub(crate) session: SessionId,
     pub(crate) request: u64,
-    /// Number of the part within the answer, from 0.
+    /// Number of the partial answer, from 0.
     pub(crate) part: u32,
-    /// Departure of the part. As in a reply, its `sent_since_anchor` is the time since the arrival of the request.
+    /// Departure of the partial answer. As in a reply, its `sent_since_anchor` is the time since the arrival of the
+    /// request.
     pub(crate) departure: Departure,
     pub(crate) sample: SampleHeader,
 }
 
-/// Acknowledgement of partial replies. A cloud sends at most [`MAX_UNREAD_PARTS`] parts of an answer that are not
-/// acknowledged.
+/// Acknowledgement of partial replies. A cloud sends at most [`MAX_UNREAD_PARTS`] partial answers to a request that are
+/// not acknowledged.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct PartsRead {
     pub(crate) session: SessionId,
     pub(crate) request: u64,
-    /// Number of parts that count as read: the number of the newest part that was read, plus one. The parts before it
+    /// Number of partial answers that count as read: the number of the newest one that was read, plus one. Earlier ones
     /// that were lost count as read, too.
     #[serde(rename = "through")]
     pub(crate) read_count: u32,

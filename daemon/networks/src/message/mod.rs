@@ -6,8 +6,8 @@
 //! | accepted, refused | cloud | session id and acceptance, or the reason | | |
 //! | request | edge | session, number, departure, description of the sample | tree | payload parts, unchanged |
 //! | reply | cloud | session, number, departure, outcome | tree delta | payload parts, unchanged |
-//! | partial-reply | cloud | session, number, number of the part, departure, description of the part | empty | payload parts, unchanged |
-//! | parts-read | edge | session, number, number of parts read | | |
+//! | partial-reply | cloud | session, number, number of the partial answer, departure, description of the partial answer | empty | payload parts, unchanged |
+//! | parts-read | edge | session, number, number of partial answers read | | |
 //! | cancel | edge | session, number | | |
 //! | clock | cloud | session, state of the cloud's clocks | | |
 //! | statistics | cloud | session, statistics of the cloud's end of the connection | | |

@@ -82,12 +82,12 @@ pub(crate) struct ClientSession<W> {
 pub(crate) enum CloudMessage<W> {
     /// The answer for this waiter.
     Answer(W, Reply),
-    /// A part of the answer to a request in flight.
-    Part(PartialReply),
+    /// A partial answer to a request in flight.
+    PartialAnswer(PartialReply),
     /// An answer to a request that was cancelled or has ended already.
     LateAnswer,
-    /// A part of an answer to a request that was cancelled or has ended already.
-    LatePart,
+    /// A partial answer to a request that was cancelled or has ended.
+    LatePartialAnswer,
     /// New state of the cloud's clocks.
     Clock(PeerClock),
     /// Statistics of the cloud's end of the connection.
@@ -142,16 +142,16 @@ impl<W> ClientSession<W> {
                 // An answer may arrive after its request timed out; it must not be mistaken for an invalid answer.
                 None => CloudMessage::LateAnswer,
             },
-            Header::PartialReply(part) if part.session != self.session => {
-                CloudMessage::Malformed("a part of an answer of another session")
+            Header::PartialReply(partial_answer) if partial_answer.session != self.session => {
+                CloudMessage::Malformed("a partial answer of another session")
             }
-            Header::PartialReply(part) if part.request >= self.next_request => {
-                CloudMessage::Malformed("a part of an answer to a request that was never sent")
+            Header::PartialReply(partial_answer) if partial_answer.request >= self.next_request => {
+                CloudMessage::Malformed("a partial answer to a request that was never sent")
             }
-            Header::PartialReply(part) if self.waiters.contains_key(&part.request) => {
-                CloudMessage::Part(part)
+            Header::PartialReply(partial_answer) if self.waiters.contains_key(&partial_answer.request) => {
+                CloudMessage::PartialAnswer(partial_answer)
             }
-            Header::PartialReply(_) => CloudMessage::LatePart,
+            Header::PartialReply(_) => CloudMessage::LatePartialAnswer,
             Header::Clock(update) if update.session == self.session => CloudMessage::Clock(update.clock),
             Header::Clock(_) => CloudMessage::Malformed("the clock of another session"),
             Header::Statistics(report) if report.session == self.session => {
@@ -301,8 +301,8 @@ mod tests {
                                 prop_assert!(ended.insert(waiter));
                             }
                         }
-                        CloudMessage::Part(part) => prop_assert!(!ended.contains(&part.request)),
-                        CloudMessage::LatePart
+                        CloudMessage::PartialAnswer(partial_answer) => prop_assert!(!ended.contains(&partial_answer.request)),
+                        CloudMessage::LatePartialAnswer
                         | CloudMessage::Clock(_)
                         | CloudMessage::Statistics(_)
                         | CloudMessage::LateAnswer

@@ -144,8 +144,8 @@ impl Listener {
                 ListenerEvent::Lost(connection, loss) => {
                     tracing::debug!(?connection, %loss, "an answer was lost on the way");
                     if loss.tag.is_none() {
-                        // Parts of answers have no tag.
-                        self.shared.lock_server().note_lost_part(connection);
+                        // Partial answers have no tag.
+                        self.shared.lock_server().note_lost_partial_answer(connection);
                     }
                     self.shared.output.counters.count_lost(1);
                     if let Some(counters) = self.shared.lock_server().connection_counters(connection) {

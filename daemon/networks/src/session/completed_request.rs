@@ -10,7 +10,7 @@ use peernet_logger::{
 };
 use peernet_sample::Sample;
 
-use super::parts::ArrivedParts;
+use super::partial_answers::ArrivedPartialAnswers;
 use crate::message::{Departure, Outcome, Reply, TreeFrameError, decode_tree_delta};
 use crate::transport::Frames;
 
@@ -28,7 +28,7 @@ pub struct CompletedRequest {
     /// The `download` node; `None` if no model answered.
     pub download: Option<NodeId>,
     /// The [`FIRST_PART_DOWNLOAD`](crate::FIRST_PART_DOWNLOAD) node; `None` if the answer came in one piece.
-    pub first_part: Option<NodeId>,
+    pub first_partial_answer: Option<NodeId>,
     /// The four stamps of `upload` and `download`, from which the clock relation of the two hosts is estimated.
     ///
     /// The edge's stamps are of its free-running clock. The cloud's stamps are of its free-running clock since version
@@ -48,8 +48,8 @@ const UNCERTAINTY: Span = Span::from_nanos(2 * 53);
 pub(crate) struct ArrivedReply {
     pub(crate) reply: Reply,
     pub(crate) frames: Frames,
-    /// Parts of the answer that arrived before.
-    pub(crate) parts: ArrivedParts,
+    /// Partial answers that arrived before.
+    pub(crate) partial_answers: ArrivedPartialAnswers,
     pub(crate) stamp: Stamp,
     /// Edge's epoch, read right after the arrival was stamped.
     pub(crate) epoch: u32,
@@ -72,7 +72,7 @@ pub enum AwaitedEvent {
     Slot,
     /// The cloud's answer.
     Answer,
-    /// The rest of the cloud's answer, after this number of its parts.
+    /// The rest of the cloud's answer, after this number of partial answers.
     RestOfAnswer(NonZeroU32),
 }
 
@@ -81,8 +81,8 @@ impl fmt::Display for AwaitedEvent {
         match self {
             Self::Slot => f.write_str("a slot among the requests in flight"),
             Self::Answer => f.write_str("the cloud's answer"),
-            Self::RestOfAnswer(parts) => {
-                write!(f, "the rest of the cloud's answer after partial answer {parts}")
+            Self::RestOfAnswer(partial_answers) => {
+                write!(f, "the rest of the cloud's answer after partial answer {partial_answers}")
             }
         }
     }
@@ -160,15 +160,15 @@ pub(crate) enum TreeDeltaError {
 pub(crate) struct AbsorbedReply {
     /// The `download` node.
     pub(crate) download: NodeId,
-    /// The node of the first part's download, if the answer came in parts.
-    pub(crate) first_part: Option<NodeId>,
+    /// The node of the first partial answer's download, if any partial answer arrived.
+    pub(crate) first_partial_answer: Option<NodeId>,
     /// The stamps of the exchange; `None` if a clock was interrupted.
     pub(crate) observation: Option<ExchangeObservation>,
 }
 
-/// Adds the cloud's nodes to the tree: closes `upload`, appends the nodes of the delta, the download of the first part,
-/// and `download`. Returns `None` if no model answered. `has_raw_stamps` is `true` if the session's version has stamps
-/// of the cloud's free-running clock.
+/// Adds the cloud's nodes to the tree: closes `upload`, appends the nodes of the delta, the download of the first
+/// partial answer, and `download`. Returns `None` if no model answered. `has_raw_stamps` is `true` if the session's
+/// version has stamps of the cloud's free-running clock.
 ///
 /// A tree delta may only add nodes of the host that made it.
 ///
@@ -208,9 +208,9 @@ pub(crate) fn absorb(
     let raw_stamps = Some(RawStamps { sent: replied, received: arrived.stamp.raw });
     let transit =
         Transit { sent: departure.sent, received: Some(arrived.stamp.wall), delay: None, raw_stamps };
-    let first_part = arrived.parts.first_part_download(host);
-    let has_parts = first_part.is_some();
-    delta.nodes.extend(first_part);
+    let first_partial_answer = arrived.partial_answers.first_partial_answer_download(host);
+    let has_partial_answers = first_partial_answer.is_some();
+    delta.nodes.extend(first_partial_answer);
     delta.nodes.push(Node {
         parent: Some(NodeId::ROOT),
         name: stage::DOWNLOAD,
@@ -224,9 +224,9 @@ pub(crate) fn absorb(
     set_raw_stamps(recorder.tree_mut(), departed.upload, upload_stamps);
     let last = recorder.tree().nodes().len() - 1;
     let last = u32::try_from(last).map_err(|_| TreeDeltaError::TooManyNodes)?;
-    // `download` was appended last, and the first part right before it.
-    let first_part = has_parts.then(|| NodeId(last - 1));
-    Ok(Some(AbsorbedReply { download: NodeId(last), first_part, observation }))
+    // `download` was appended last, and the first partial answer right before it.
+    let first_partial_answer = has_partial_answers.then(|| NodeId(last - 1));
+    Ok(Some(AbsorbedReply { download: NodeId(last), first_partial_answer, observation }))
 }
 
 fn set_raw_stamps(tree: &mut Tree, node: NodeId, stamps: RawStamps) {

@@ -14,7 +14,7 @@ use super::completed_request::{
     AbsorbedReply, ArrivedReply, AwaitedEvent, CompletedRequest, RequestError, Sizes, absorb, request_result,
 };
 use super::open::{OpenError, OpenedSession, handshake};
-use super::parts::{ArrivedParts, PartHandler};
+use super::partial_answers::{ArrivedPartialAnswers, PartialAnswerHandler};
 use super::receiving::ReceivingTask;
 use super::remarks::Remarks;
 use super::requests_in_flight::{Answer, RequestsInFlight};
@@ -158,20 +158,20 @@ impl Session {
     /// including the wait in the queue. The request is cancelled if the future is dropped or `timeout` ends. The cloud
     /// then stops computing if the model allows it.
     pub async fn request(&self, recorder: Recorder, sample: &Sample, timeout: Duration) -> CompletedRequest {
-        self.request_in_parts(recorder, sample, timeout, None).await
+        self.request_with_partial_answers(recorder, sample, timeout, None).await
     }
 
-    /// Sends a sample as [`request`](Self::request) does. `handler` takes each part of the answer that arrives before
-    /// the answer is complete.
+    /// Sends a sample as [`request`](Self::request) does. `handler` takes each partial answer that arrives before the
+    /// answer is complete.
     ///
-    /// If there was any part, also records `first-part` and `parts`, and `first-part-download` if the whole answer
-    /// arrives.
-    pub async fn request_in_parts(
+    /// If any partial answer arrived, also records `first-part` and `parts`, and `first-part-download` if the whole
+    /// answer arrives.
+    pub async fn request_with_partial_answers(
         &self,
         recorder: Recorder,
         sample: &Sample,
         timeout: Duration,
-        handler: Option<PartHandler>,
+        handler: Option<PartialAnswerHandler>,
     ) -> CompletedRequest {
         let shared = &*self.inner.shared;
         let mut completed = CompletedRequest {
@@ -180,7 +180,7 @@ impl Session {
             arrived_at: None,
             upload: None,
             download: None,
-            first_part: None,
+            first_partial_answer: None,
             observation: None,
         };
         let now = tokio::time::Instant::now();
@@ -195,17 +195,17 @@ impl Session {
             Err(error) => return CompletedRequest { result: Err(error), ..completed },
         };
         completed.upload = Some(pending.departed.upload);
-        // Parts of an answer that does not arrive as a whole.
-        let mut parts = ArrivedParts::default();
+        // Partial answers whose whole answer does not arrive.
+        let mut partial_answers = ArrivedPartialAnswers::default();
         let answer = tokio::time::timeout_at(deadline, &mut pending.answer).await;
         match answer {
             Ok(Ok(Answer::Reply(arrived))) => self.handle_reply(&mut completed, &pending, *arrived),
             Ok(Ok(Answer::Lost(reason, arrived))) => {
-                parts = arrived;
+                partial_answers = arrived;
                 completed.result = Err(RequestError::Lost(reason));
             }
             Ok(Ok(Answer::SessionEnded(reason, arrived))) => {
-                parts = arrived;
+                partial_answers = arrived;
                 completed.result = Err(RequestError::Lost(reason.to_string()));
             }
             Ok(Err(_)) => {
@@ -213,8 +213,8 @@ impl Session {
             }
             // The deadline has passed. The result is already a timeout; only the awaited event may have to be changed.
             Err(_) => {
-                parts = shared.requests.take_parts(pending.request).unwrap_or_default();
-                if let Some(count) = parts.count() {
+                partial_answers = shared.requests.take_partial_answers(pending.request).unwrap_or_default();
+                if let Some(count) = partial_answers.count() {
                     completed.result = Err(RequestError::Timeout(AwaitedEvent::RestOfAnswer(count)));
                 }
             }
@@ -222,7 +222,7 @@ impl Session {
         // If an answer arrived, `handle_reply` has recorded the sizes after the nodes of the cloud.
         if completed.arrived_at.is_none() {
             pending.sizes.record(&mut completed.recorder, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES);
-            parts.record(&mut completed.recorder, pending.departed.stamp.mono);
+            partial_answers.record(&mut completed.recorder, pending.departed.stamp.mono);
         }
         completed
     }
@@ -243,12 +243,12 @@ impl Session {
         let absorbed = absorb(recorder, self.inner.accepted.host, has_raw_stamps, &sent.departed, &arrived);
         sent.sizes.record(recorder, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES);
         sizes.record(recorder, stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES);
-        arrived.parts.record(recorder, sent.departed.stamp.mono);
+        arrived.partial_answers.record(recorder, sent.departed.stamp.mono);
         completed.result = match absorbed {
             Ok(absorbed) => {
-                if let Some(AbsorbedReply { download, first_part, observation }) = absorbed {
+                if let Some(AbsorbedReply { download, first_partial_answer, observation }) = absorbed {
                     completed.download = Some(download);
-                    completed.first_part = first_part;
+                    completed.first_partial_answer = first_partial_answer;
                     completed.observation = observation;
                 }
                 request_result(arrived.reply.outcome, arrived.frames)

@@ -8,7 +8,7 @@ use peernet_logger::{HostId, Recorder};
 use peernet_sample::Sample;
 
 use super::cloud::ListenerState;
-use super::part_sender::PartSender;
+use super::partial_answer_sender::PartialAnswerSender;
 use crate::message::{SessionAccepted, SessionHello, SessionId};
 
 /// Event of a listener.
@@ -99,8 +99,8 @@ pub struct IncomingRequest {
     pub recorder: Recorder,
     /// Time at which the whole message had arrived.
     pub received: Stamp,
-    /// Sends parts of the answer before it is complete.
-    pub parts: PartSender,
+    /// Sends partial answers before the answer is complete.
+    pub partial_answers: PartialAnswerSender,
     /// Sends the answer.
     pub reply: Responder,
 }

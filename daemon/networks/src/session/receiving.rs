@@ -8,7 +8,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::client::{CloseReason, CloudMessage};
 use super::completed_request::{ArrivedReply, Sizes};
-use super::parts::PartHandler;
+use super::partial_answers::PartialAnswerHandler;
 use super::requests_in_flight::{Answer, end_all};
 use super::state::SessionState;
 use crate::message::{Goodbye, Header, PartialReply, PartsRead};
@@ -29,20 +29,20 @@ impl SessionState {
         };
         match message {
             CloudMessage::Answer(waiter, reply) => {
-                let (parts, epoch) = (waiter.parts, self.clock.epoch());
-                let reply = ArrivedReply { reply, frames, parts, stamp: arrived, epoch };
+                let (partial_answers, epoch) = (waiter.partial_answers, self.clock.epoch());
+                let reply = ArrivedReply { reply, frames, partial_answers, stamp: arrived, epoch };
                 // Fails if the request was cancelled at this moment.
                 if waiter.answer.send(Answer::Reply(Box::new(reply))).is_err() {
                     self.counters.count_late();
                 }
                 None
             }
-            CloudMessage::Part(part) => {
-                self.receive_part(part, frames, arrived);
+            CloudMessage::PartialAnswer(partial_answer) => {
+                self.receive_partial_answer(partial_answer, frames, arrived);
                 None
             }
-            // The request was cancelled or has ended, so nobody reads its further parts.
-            CloudMessage::LatePart => None,
+            // The request was cancelled or has ended, so nobody reads its further partial answers.
+            CloudMessage::LatePartialAnswer => None,
             CloudMessage::Statistics(statistics) => {
                 self.peer_statistics.send_replace(Some(*statistics));
                 None
@@ -66,17 +66,17 @@ impl SessionState {
         }
     }
 
-    /// Handles a part of an answer.
-    fn receive_part(&self, part: PartialReply, frames: Frames, arrived: Stamp) {
-        let (handler, read_count) = self.requests.add_part(&part, arrived);
-        let request = part.request;
-        match part.sample.into_sample(frames.into_iter().skip(2)) {
+    /// Handles a partial answer.
+    fn receive_partial_answer(&self, partial_answer: PartialReply, frames: Frames, arrived: Stamp) {
+        let (handler, read_count) = self.requests.add_partial_answer(&partial_answer, arrived);
+        let request = partial_answer.request;
+        match partial_answer.sample.into_sample(frames.into_iter().skip(2)) {
             Ok(sample) => {
-                if let Some(PartHandler(handler)) = handler {
+                if let Some(PartialAnswerHandler(handler)) = handler {
                     handler(&sample);
                 }
             }
-            Err(problem) => self.report_invalid(&format!("a part of an answer: {problem}")),
+            Err(problem) => self.report_invalid(&format!("a partial answer: {problem}")),
         }
         if let Some(read_count) = read_count {
             let session = self.terms.session;
@@ -90,7 +90,8 @@ impl SessionState {
         if let Some(waiter) = waiter {
             self.counters.count_lost(1);
             // Fails if the request was cancelled at this moment; it then needs no answer.
-            let _ = waiter.answer.send(Answer::Lost(format!("{description}: {loss}"), waiter.parts));
+            let _ =
+                waiter.answer.send(Answer::Lost(format!("{description}: {loss}"), waiter.partial_answers));
         }
     }
 }

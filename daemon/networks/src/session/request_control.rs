@@ -13,7 +13,7 @@ use crate::message::MAX_UNREAD_PARTS;
 #[error("the edge does not wait for the answer any more")]
 pub struct RequestCancelled;
 
-/// Cancellation of a request, and flow control of the parts of its answer.
+/// Cancellation of a request, and flow control of the partial answers to it.
 #[derive(Debug, Default)]
 pub(crate) struct RequestControl {
     state: Mutex<ControlState>,
@@ -24,11 +24,11 @@ pub(crate) struct RequestControl {
 
 #[derive(Debug, Default)]
 struct ControlState {
-    /// Number of parts that were sent.
+    /// Number of partial answers that were sent.
     sent: u32,
-    /// Number of parts that the edge has read.
+    /// Number of partial answers that the edge has read.
     read: u32,
-    /// Number of unread parts that were lost on the way.
+    /// Number of unread partial answers that were lost on the way.
     lost: u32,
     is_cancelled: bool,
 }
@@ -54,38 +54,39 @@ impl RequestControl {
         self.state().is_cancelled
     }
 
-    /// Notes that the edge has read the first `read_count` parts. Ignores parts that were never sent.
+    /// Notes that the edge has read the first `read_count` partial answers. Ignores partial answers that were never
+    /// sent.
     pub(crate) fn acknowledge(&self, read_count: u32) {
         let mut state = self.state();
-        // A higher number would make the subtraction in `next_part` overflow.
+        // A higher number would make the subtraction in `next_partial_answer` overflow.
         let read_count = read_count.min(state.sent);
         if read_count > state.read {
             state.read = read_count;
-            // Most lost parts have lower numbers and now count as read. A lost part with a higher number occupies a
-            // place in the window, but only until the next acknowledgement.
+            // Most lost partial answers have lower numbers and now count as read. A lost partial answer with a higher
+            // number occupies a place in the window, but only until the next acknowledgement.
             state.lost = 0;
         }
         self.changed.notify_all();
     }
 
-    /// Notes that one of the unread parts was lost on the way, so that the edge does not acknowledge it. Ignored if no
-    /// part is unread.
-    pub(crate) fn note_lost_part(&self) {
+    /// Notes that one of the unread partial answers was lost on the way, so that the edge does not acknowledge it.
+    /// Ignored if no partial answer is unread.
+    pub(crate) fn note_lost_partial_answer(&self) {
         let mut state = self.state();
         state.lost = (state.lost + 1).min(state.sent - state.read);
         self.changed.notify_all();
     }
 
-    /// Returns the number of parts of the answer that were sent; `None` if none was.
-    pub(crate) fn sent_parts(&self) -> Option<NonZeroU32> {
+    /// Returns the number of partial answers that were sent; `None` if none was.
+    pub(crate) fn sent_partial_answers(&self) -> Option<NonZeroU32> {
         NonZeroU32::new(self.state().sent)
     }
 
-    /// Returns the number of the next part. Waits while [`MAX_UNREAD_PARTS`] parts are unread.
+    /// Returns the number of the next partial answer. Waits while [`MAX_UNREAD_PARTS`] partial answers are unread.
     ///
     /// # Errors
     /// If the request is cancelled.
-    pub(crate) fn next_part(&self) -> Result<u32, RequestCancelled> {
+    pub(crate) fn next_partial_answer(&self) -> Result<u32, RequestCancelled> {
         let is_full = |state: &mut ControlState| {
             !state.is_cancelled && state.sent - state.read - state.lost >= MAX_UNREAD_PARTS
         };
@@ -120,14 +121,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sending_waits_until_parts_are_read() {
+    fn sending_waits_until_partial_answers_are_read() {
         let control = Arc::new(RequestControl::default());
-        let numbers: Vec<u32> =
-            (0..MAX_UNREAD_PARTS).map(|_| control.next_part().expect("the window is open")).collect();
+        let numbers: Vec<u32> = (0..MAX_UNREAD_PARTS)
+            .map(|_| control.next_partial_answer().expect("the window is open"))
+            .collect();
         assert_eq!(numbers, (0..MAX_UNREAD_PARTS).collect::<Vec<_>>());
         let waiting = thread::spawn({
             let control = Arc::clone(&control);
-            move || control.next_part()
+            move || control.next_partial_answer()
         });
         control.acknowledge(0);
         assert!(!waiting.is_finished(), "nothing was read");
@@ -136,28 +138,28 @@ mod tests {
     }
 
     #[test]
-    fn acknowledgement_of_unsent_parts_opens_no_window() {
+    fn acknowledgement_of_unsent_partial_answers_opens_no_window() {
         let control = RequestControl::default();
         control.acknowledge(u32::MAX);
         for _ in 0..MAX_UNREAD_PARTS {
-            control.next_part().expect("the window is open");
+            control.next_partial_answer().expect("the window is open");
         }
         control.acknowledge(u32::MAX);
-        assert_eq!(control.next_part(), Ok(MAX_UNREAD_PARTS));
+        assert_eq!(control.next_partial_answer(), Ok(MAX_UNREAD_PARTS));
         assert_eq!(control.state().read, MAX_UNREAD_PARTS);
     }
 
     #[test]
-    fn lost_parts_are_not_unread() {
+    fn lost_partial_answers_are_not_unread() {
         let control = RequestControl::default();
-        control.note_lost_part();
+        control.note_lost_partial_answer();
         // Nothing arrives any more, so nothing is acknowledged.
         for number in 0..MAX_UNREAD_PARTS * 3 {
-            assert_eq!(control.next_part(), Ok(number));
-            control.note_lost_part();
+            assert_eq!(control.next_partial_answer(), Ok(number));
+            control.note_lost_partial_answer();
         }
         for _ in 0..MAX_UNREAD_PARTS {
-            control.next_part().expect("the window is open");
+            control.next_partial_answer().expect("the window is open");
         }
         control.acknowledge(MAX_UNREAD_PARTS * 4);
         let state = control.state();
@@ -168,12 +170,12 @@ mod tests {
     fn cancellation_ends_every_wait() {
         let control = Arc::new(RequestControl::default());
         for _ in 0..MAX_UNREAD_PARTS {
-            control.next_part().expect("the window is open");
+            control.next_partial_answer().expect("the window is open");
         }
         let waits = [
             thread::spawn({
                 let control = Arc::clone(&control);
-                move || control.next_part().map(drop)
+                move || control.next_partial_answer().map(drop)
             }),
             thread::spawn({
                 let control = Arc::clone(&control);

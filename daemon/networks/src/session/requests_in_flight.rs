@@ -8,7 +8,7 @@ use tokio::sync::{Semaphore, SemaphorePermit, oneshot, watch};
 
 use super::client::{ClientSession, CloseReason, CloudMessage};
 use super::completed_request::{ArrivedReply, AwaitedEvent, RequestError};
-use super::parts::{ArrivedParts, PartHandler};
+use super::partial_answers::{ArrivedPartialAnswers, PartialAnswerHandler};
 use crate::message::{Header, PartialReply, SessionId};
 use crate::statistics::Counters;
 
@@ -16,19 +16,20 @@ use crate::statistics::Counters;
 #[derive(Debug)]
 pub(super) enum Answer {
     Reply(Box<ArrivedReply>),
-    /// The request or its answer was lost on the way, after these parts. The text says how much of it arrived.
-    Lost(String, ArrivedParts),
-    /// The session ended, for this reason, after these parts of the answer.
-    SessionEnded(CloseReason, ArrivedParts),
+    /// The request or its answer was lost on the way, after these partial answers. The text says how much of it
+    /// arrived.
+    Lost(String, ArrivedPartialAnswers),
+    /// The session ended, for this reason, after these partial answers.
+    SessionEnded(CloseReason, ArrivedPartialAnswers),
 }
 
-/// The task that waits for an answer, and the parts of the answer that have arrived.
+/// The task that waits for an answer, and the partial answers that have arrived.
 #[derive(Debug)]
 pub(super) struct Waiter {
     pub(super) answer: oneshot::Sender<Answer>,
-    pub(super) parts: ArrivedParts,
-    /// Takes each part when it arrives.
-    handler: Option<PartHandler>,
+    pub(super) partial_answers: ArrivedPartialAnswers,
+    /// Takes each partial answer when it arrives.
+    handler: Option<PartialAnswerHandler>,
 }
 
 /// Requests of a session in flight. When the session is over, all of them end, and no further request can start.
@@ -81,19 +82,18 @@ impl RequestsInFlight {
     /// If the session is over.
     pub(super) fn start_request(
         &self,
-        handler: Option<PartHandler>,
+        handler: Option<PartialAnswerHandler>,
     ) -> Result<(u64, oneshot::Receiver<Answer>), RequestError> {
         let (sender, answer) = oneshot::channel();
-        let waiter = Waiter { answer: sender, parts: ArrivedParts::default(), handler };
+        let waiter = Waiter { answer: sender, partial_answers: ArrivedPartialAnswers::default(), handler };
         let request =
             self.client().start_request(waiter).map_err(|reason| RequestError::Lost(reason.to_string()))?;
         Ok((request, answer))
     }
 
-    /// Removes and returns the parts of the answer to a request that have arrived; `None` if the request is not in
-    /// flight.
-    pub(super) fn take_parts(&self, request: u64) -> Option<ArrivedParts> {
-        self.client().waiter_mut(request).map(|waiter| std::mem::take(&mut waiter.parts))
+    /// Removes and returns the partial answers to a request that have arrived; `None` if the request is not in flight.
+    pub(super) fn take_partial_answers(&self, request: u64) -> Option<ArrivedPartialAnswers> {
+        self.client().waiter_mut(request).map(|waiter| std::mem::take(&mut waiter.partial_answers))
     }
 
     /// Stops waiting for the answer to a request. Returns whether the request was still in flight.
@@ -101,12 +101,16 @@ impl RequestsInFlight {
         self.client().cancel_request(request)
     }
 
-    /// Adds a part of an answer. Returns the handler of the parts and, if an acknowledgement is due, the number of
-    /// parts that count as read.
-    pub(super) fn add_part(&self, part: &PartialReply, arrived: Stamp) -> (Option<PartHandler>, Option<u32>) {
+    /// Adds a partial answer. Returns the handler of the partial answers and, if an acknowledgement is due, the number
+    /// of partial answers that count as read.
+    pub(super) fn add_partial_answer(
+        &self,
+        partial_answer: &PartialReply,
+        arrived: Stamp,
+    ) -> (Option<PartialAnswerHandler>, Option<u32>) {
         let mut client = self.client();
-        let Some(waiter) = client.waiter_mut(part.request) else { return (None, None) };
-        let read_count = waiter.parts.add(part.part, part.departure, arrived);
+        let Some(waiter) = client.waiter_mut(partial_answer.request) else { return (None, None) };
+        let read_count = waiter.partial_answers.add(partial_answer.part, partial_answer.departure, arrived);
         (waiter.handler.clone(), read_count)
     }
 
@@ -150,7 +154,7 @@ pub(super) fn end_all(reason: &CloseReason, waiters: Vec<Waiter>, counters: &Cou
     counters.count_lost(waiters.len() as u64);
     for waiter in waiters {
         // Fails if the request was cancelled at this moment; it then needs no answer.
-        let _ = waiter.answer.send(Answer::SessionEnded(reason.clone(), waiter.parts));
+        let _ = waiter.answer.send(Answer::SessionEnded(reason.clone(), waiter.partial_answers));
     }
 }
 

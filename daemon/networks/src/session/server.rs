@@ -310,9 +310,8 @@ impl Server {
         self.sessions.get(&session)?.in_flight.0.get(&request).cloned()
     }
 
-    /// Returns the destination of the parts of an answer. `None` if the session is gone or its version has no partial
-    /// replies.
-    pub(crate) fn route_of_parts(&self, session: SessionId) -> Option<Route> {
+    /// Returns the destination of partial answers. `None` if the session is gone or its version has no partial replies.
+    pub(crate) fn route_of_partial_answers(&self, session: SessionId) -> Option<Route> {
         let entry = self.sessions.get(&session)?;
         (entry.version >= PARTIAL_REPLIES_SINCE).then(|| entry.route())
     }
@@ -393,13 +392,13 @@ impl Server {
         }
     }
 
-    /// Notes that a message without a tag, which may be a part of an answer, was lost on a connection. Which request
-    /// the part belongs to is unknown, so the loss counts for each request in flight on the connection. The window of a
-    /// request that lost no part is one place larger until the next acknowledgement.
-    pub(crate) fn note_lost_part(&self, connection: ConnectionId) {
+    /// Notes that a message without a tag, which may be a partial answer, was lost on a connection. Which request the
+    /// partial answer belongs to is unknown, so the loss counts for each request in flight on the connection. The
+    /// window of a request that lost no partial answer is one place larger until the next acknowledgement.
+    pub(crate) fn note_lost_partial_answer(&self, connection: ConnectionId) {
         let sessions = self.connections.get(&connection).into_iter().flatten();
         for entry in sessions.filter_map(|session| self.sessions.get(session)) {
-            entry.in_flight.0.values().for_each(|control| control.note_lost_part());
+            entry.in_flight.0.values().for_each(|control| control.note_lost_partial_answer());
         }
     }
 

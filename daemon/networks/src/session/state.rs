@@ -8,7 +8,7 @@ use peernet_sample::Sample;
 use tokio::sync::{oneshot, watch};
 
 use super::completed_request::{DepartedRequest, RequestError, Sizes};
-use super::parts::PartHandler;
+use super::partial_answers::PartialAnswerHandler;
 use super::remarks::Remarks;
 use super::requests_in_flight::{Answer, RequestsInFlight};
 use crate::message::{
@@ -137,7 +137,7 @@ impl SessionState {
         recorder: &mut Recorder,
         sample: &Sample,
         deadline: tokio::time::Instant,
-        handler: Option<PartHandler>,
+        handler: Option<PartialAnswerHandler>,
     ) -> Result<PendingRequest<'_>, RequestError> {
         let failed =
             |error: UnsendableSample| RequestError::Failed(format!("the sample cannot be sent: {error}"));

@@ -1,4 +1,4 @@
-//! Tests of answers that arrive in parts.
+//! Tests of answers that arrive as partial answers.
 
 use std::sync::mpsc::sync_channel;
 use std::sync::{Arc, Mutex};
@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use peernet_logger::{Measure, Tree};
 use peernet_networks::{
-    FIRST_PART, FIRST_PART_DOWNLOAD, IncomingRequest, PARTS, PARTS_SENT, PartError, PartHandler,
+    FIRST_PART, FIRST_PART_DOWNLOAD, IncomingRequest, PARTS, PARTS_SENT, PartialAnswerError, PartialAnswerHandler,
     RequestCancelled, RequestError, SessionSettings,
 };
 use peernet_stream::{Release, VersionRange};
@@ -17,23 +17,23 @@ use crate::support::{
 };
 
 over_every_network!(
-    answer_arrives_in_parts_beyond_the_window,
-    parts_and_answer_wait_while_the_queue_is_full,
-    too_large_part_is_refused_with_key_and_size,
+    partial_answers_arrive_beyond_window,
+    partial_answers_wait_while_queue_is_full,
+    too_large_partial_answer_is_refused_with_limit,
     edge_without_partial_replies_gets_the_whole_answer,
     end_of_session_cancels_a_waiting_model,
-    parts_of_incomplete_answer_are_recorded
+    partial_answers_of_incomplete_answer_are_recorded
 );
 
-/// Number of parts of an answer, far above the number of parts that may be unread.
-const PART_COUNT: usize = 300;
+/// Number of partial answers, far above the number that may be unread.
+const PARTIAL_ANSWER_COUNT: usize = 300;
 
-/// Handler that collects the texts of parts.
-fn collector() -> (PartHandler, Arc<Mutex<Vec<String>>>) {
+/// Handler that collects the texts of partial answers.
+fn collector() -> (PartialAnswerHandler, Arc<Mutex<Vec<String>>>) {
     let texts = Arc::new(Mutex::new(Vec::new()));
-    let handler = PartHandler(Arc::new({
+    let handler = PartialAnswerHandler(Arc::new({
         let texts = Arc::clone(&texts);
-        move |part| texts.lock().expect("no panic").push(text(part).to_owned())
+        move |partial_answer| texts.lock().expect("no panic").push(text(partial_answer).to_owned())
     }));
     (handler, texts)
 }
@@ -42,18 +42,23 @@ fn seconds(tree: &Tree, name: &str) -> Option<f64> {
     tree.find(&[name])?.1.measure.value()
 }
 
-async fn answer_arrives_in_parts_beyond_the_window(network: TestNetwork) {
+async fn partial_answers_arrive_beyond_window(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
     let (handler, texts) = collector();
     let pending = tokio::spawn({
         let session = session.clone();
-        async move { session.request_in_parts(recorder(), &sample("count"), TIME_LIMIT, Some(handler)).await }
+        async move {
+            session
+                .request_with_partial_answers(recorder(), &sample("count"), TIME_LIMIT, Some(handler))
+                .await
+        }
     });
     let incoming = cloud.next_request().await;
-    let parts = incoming.parts.clone();
+    let partial_answers = incoming.partial_answers.clone();
     let sending = tokio::task::spawn_blocking(move || {
-        (0..PART_COUNT).try_for_each(|number| parts.send(&sample(&format!("{number:03}"))))
+        (0..PARTIAL_ANSWER_COUNT)
+            .try_for_each(|number| partial_answers.send(&sample(&format!("{number:03}"))))
     });
     // The listener must be polled, so that it reads the acknowledgements.
     let sent = tokio::select! {
@@ -68,14 +73,14 @@ async fn answer_arrives_in_parts_beyond_the_window(network: TestNetwork) {
     let mut texts = texts.lock().expect("no panic").clone();
     // Datagrams may overtake each other.
     texts.sort();
-    assert_eq!(texts, (0..PART_COUNT).map(|number| format!("{number:03}")).collect::<Vec<_>>());
+    assert_eq!(texts, (0..PARTIAL_ANSWER_COUNT).map(|number| format!("{number:03}")).collect::<Vec<_>>());
     let tree = completed.recorder.tree();
-    assert_eq!(seconds(tree, PARTS.as_str()), Some(PART_COUNT as f64));
-    assert_eq!(seconds(tree, PARTS_SENT.as_str()), Some(PART_COUNT as f64));
+    assert_eq!(seconds(tree, PARTS.as_str()), Some(PARTIAL_ANSWER_COUNT as f64));
+    assert_eq!(seconds(tree, PARTS_SENT.as_str()), Some(PARTIAL_ANSWER_COUNT as f64));
     let first = seconds(tree, FIRST_PART.as_str()).expect("is recorded");
     assert!(first > 0.0 && first < TIME_LIMIT.as_secs_f64(), "{first}");
     let (download, node) = tree.find(&[FIRST_PART_DOWNLOAD.as_str()]).expect("is recorded");
-    assert_eq!(completed.first_part, Some(download));
+    assert_eq!(completed.first_partial_answer, Some(download));
     let Measure::Transit(transit) = &node.measure else { panic!("{node:?}") };
     let received = transit.received.expect("has arrived");
     assert!(
@@ -84,24 +89,24 @@ async fn answer_arrives_in_parts_beyond_the_window(network: TestNetwork) {
     );
     let last = tree.get(completed.download.expect("answered")).expect("in the tree");
     let Measure::Transit(last) = &last.measure else { panic!("{last:?}") };
-    assert!(transit.sent < last.sent, "the first part leaves before the whole answer");
+    assert!(transit.sent < last.sent, "the first partial answer leaves before the whole answer");
 }
 
-async fn parts_and_answer_wait_while_the_queue_is_full(network: TestNetwork) {
-    // The queue of a connection has as many bytes as the largest message: one part fills it. Datagrams retransmit a
-    // part of this size.
+async fn partial_answers_wait_while_queue_is_full(network: TestNetwork) {
+    // The queue of a connection has as many bytes as the largest message: one partial answer fills it. Datagrams
+    // retransmit a partial answer of this size.
     let (large, settings) = ("x".repeat(60_000), SessionSettings { max_message_bytes: 65_536, ..settings() });
     let mut cloud = Cloud::start_at(&unused_address(network), settings.clone()).await;
     let (session, _) = cloud.session(settings).await;
     let pending = tokio::spawn({
         let session = session.clone();
-        async move { session.request_in_parts(recorder(), &sample("count"), TIME_LIMIT, None).await }
+        async move { session.request_with_partial_answers(recorder(), &sample("count"), TIME_LIMIT, None).await }
     });
-    let IncomingRequest { parts, reply, recorder, .. } = cloud.next_request().await;
+    let IncomingRequest { partial_answers, reply, recorder, .. } = cloud.next_request().await;
     let sending = tokio::task::spawn_blocking({
         let large = large.clone();
         move || {
-            let sent = (0..PART_COUNT).try_for_each(|_| parts.send(&sample(&large)));
+            let sent = (0..PARTIAL_ANSWER_COUNT).try_for_each(|_| partial_answers.send(&sample(&large)));
             reply.send(recorder, Ok(sample(&large)));
             sent
         }
@@ -113,39 +118,43 @@ async fn parts_and_answer_wait_while_the_queue_is_full(network: TestNetwork) {
     assert_eq!(sent, Ok(()));
     let completed = within(pending).await.expect("no panic");
     assert_eq!(completed.result.as_ref().map(|answer| text(answer) == large), Ok(true));
-    assert_eq!(seconds(completed.recorder.tree(), PARTS.as_str()), Some(PART_COUNT as f64));
+    assert_eq!(seconds(completed.recorder.tree(), PARTS.as_str()), Some(PARTIAL_ANSWER_COUNT as f64));
 }
 
 #[tokio::test]
-async fn parts_wait_while_the_edge_reads_nothing() {
-    const PARTS_SENT: usize = 100;
-    // The system's buffers have room for few parts, and the queue for one.
+async fn partial_answers_wait_while_edge_reads_nothing() {
+    const SENT_COUNT: usize = 100;
+    // The system's buffers have room for few partial answers, and the queue for one.
     let (large, settings) =
         ("x".repeat(1 << 20), SessionSettings { max_message_bytes: 2 << 20, ..settings() });
     let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", settings.clone()).await;
     let (session, _) = cloud.session(settings).await;
     let (signal_sender, signal_receiver) = sync_channel::<()>(1);
     let signal_receiver = Mutex::new(Some(signal_receiver));
-    // The handler runs where messages are received. It stops the reading after the first part, until the cloud has
-    // sent 60 parts or 500 ms have passed.
-    let handler = PartHandler(Arc::new(move |_| {
+    // The handler runs where messages are received. It stops the reading after the first partial answer, until the
+    // cloud has sent 60 partial answers or 500 ms have passed.
+    let handler = PartialAnswerHandler(Arc::new(move |_| {
         if let Some(signal_receiver) = signal_receiver.lock().expect("no panic").take() {
             let _ = signal_receiver.recv_timeout(Duration::from_millis(500));
         }
     }));
     let pending = tokio::spawn({
         let session = session.clone();
-        async move { session.request_in_parts(recorder(), &sample("count"), TIME_LIMIT, Some(handler)).await }
+        async move {
+            session
+                .request_with_partial_answers(recorder(), &sample("count"), TIME_LIMIT, Some(handler))
+                .await
+        }
     });
-    let IncomingRequest { parts, reply, recorder, .. } = cloud.next_request().await;
+    let IncomingRequest { partial_answers, reply, recorder, .. } = cloud.next_request().await;
     let sending = tokio::task::spawn_blocking(move || {
-        let result = (0..PARTS_SENT).try_for_each(|number| {
-            parts.send(&sample(&large))?;
+        let result = (0..SENT_COUNT).try_for_each(|number| {
+            partial_answers.send(&sample(&large))?;
             if number == 60 {
                 // Nobody receives the signal if `send` has waited for the edge until the handler gave up.
                 let _ = signal_sender.try_send(());
             }
-            Ok::<_, PartError>(())
+            Ok::<_, PartialAnswerError>(())
         });
         reply.send(recorder, Ok(sample("whole")));
         result
@@ -157,23 +166,27 @@ async fn parts_wait_while_the_edge_reads_nothing() {
     assert_eq!(result, Ok(()));
     let completed = within(pending).await.expect("no panic");
     assert_eq!(completed.result.as_ref().map(text), Ok("whole"));
-    assert_eq!(seconds(completed.recorder.tree(), PARTS.as_str()), Some(PARTS_SENT as f64));
+    assert_eq!(seconds(completed.recorder.tree(), PARTS.as_str()), Some(SENT_COUNT as f64));
 }
 
-async fn parts_of_incomplete_answer_are_recorded(network: TestNetwork) {
+async fn partial_answers_of_incomplete_answer_are_recorded(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
     for closes in [false, true] {
         let (sender, arrived) = sync_channel(8);
-        let handler = PartHandler(Arc::new(move |_| sender.send(()).expect("is awaited")));
+        let handler = PartialAnswerHandler(Arc::new(move |_| sender.send(()).expect("is awaited")));
         let timeout = if closes { TIME_LIMIT } else { Duration::from_secs(2) };
         let pending = tokio::spawn({
             let session = session.clone();
-            async move { session.request_in_parts(recorder(), &sample("count"), timeout, Some(handler)).await }
+            async move {
+                session
+                    .request_with_partial_answers(recorder(), &sample("count"), timeout, Some(handler))
+                    .await
+            }
         });
         let incoming = cloud.next_request().await;
-        for part in ["a", "b", "c"] {
-            assert_eq!(incoming.parts.send(&sample(part)), Ok(()));
+        for partial_answer in ["a", "b", "c"] {
+            assert_eq!(incoming.partial_answers.send(&sample(partial_answer)), Ok(()));
         }
         let counting = tokio::task::spawn_blocking(move || (0..3).try_for_each(|_| arrived.recv()));
         within(counting).await.expect("no panic").expect("they arrive");
@@ -194,18 +207,18 @@ async fn parts_of_incomplete_answer_are_recorded(network: TestNetwork) {
     }
 }
 
-async fn too_large_part_is_refused_with_key_and_size(network: TestNetwork) {
+async fn too_large_partial_answer_is_refused_with_limit(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(SessionSettings { max_message_bytes: 65_536, ..settings() }).await;
     let pending = request(&session, "count", TIME_LIMIT);
     let incoming = cloud.next_request().await;
-    // More than may be unread: a part that is not sent is not unread.
-    for _ in 0..PART_COUNT {
-        let refused = incoming.parts.send(&sample(&"x".repeat(65_537))).expect_err("is too large");
-        assert_eq!(refused, PartError::TooLarge { bytes: 65_537, max_bytes: 65_536 });
+    // More than may be unread: a partial answer that is not sent is not unread.
+    for _ in 0..PARTIAL_ANSWER_COUNT {
+        let refused = incoming.partial_answers.send(&sample(&"x".repeat(65_537))).expect_err("is too large");
+        assert_eq!(refused, PartialAnswerError::TooLarge { bytes: 65_537, max_bytes: 65_536 });
         assert!(refused.to_string().contains("max_message_bytes"), "{refused}");
     }
-    assert_eq!(incoming.parts.send(&sample("small")), Ok(()));
+    assert_eq!(incoming.partial_answers.send(&sample("small")), Ok(()));
     incoming.reply.send(incoming.recorder, Ok(sample("whole")));
     let completed = within(pending).await.expect("no panic");
     assert_eq!(completed.result.as_ref().map(text), Ok("whole"));
@@ -218,13 +231,16 @@ async fn edge_without_partial_replies_gets_the_whole_answer(network: TestNetwork
     let pending = request(&session, "count", TIME_LIMIT);
     let incoming = cloud.next_request().await;
     // More than may be unread: nothing acknowledges them, because nothing is sent.
-    for number in 0..PART_COUNT {
-        assert_eq!(incoming.parts.send(&sample(&number.to_string())), Ok(()));
+    for number in 0..PARTIAL_ANSWER_COUNT {
+        assert_eq!(incoming.partial_answers.send(&sample(&number.to_string())), Ok(()));
     }
     incoming.reply.send(incoming.recorder, Ok(sample("whole")));
     let completed = within(pending).await.expect("no panic");
     assert_eq!(completed.result.as_ref().map(text), Ok("whole"));
-    assert!(completed.first_part.is_none() && completed.recorder.tree().find(&[PARTS.as_str()]).is_none());
+    assert!(
+        completed.first_partial_answer.is_none()
+            && completed.recorder.tree().find(&[PARTS.as_str()]).is_none()
+    );
     assert_eq!(session.statistics().malformed_messages, 0);
     echo(&mut cloud, &session, "next").await;
 }
@@ -234,11 +250,11 @@ async fn end_of_session_cancels_a_waiting_model(network: TestNetwork) {
     let (session, _) = cloud.session(settings()).await;
     let pending = request(&session, "count", TIME_LIMIT);
     let incoming = cloud.next_request().await;
-    let parts = incoming.parts.clone();
-    let waiting = tokio::task::spawn_blocking(move || parts.wait(TIME_LIMIT));
+    let partial_answers = incoming.partial_answers.clone();
+    let waiting = tokio::task::spawn_blocking(move || partial_answers.wait(TIME_LIMIT));
     session.close().await;
     assert!(matches!(within(pending).await.expect("no panic").result, Err(RequestError::Lost(_))));
     assert!(cloud.next_closed().await.1, "with a goodbye");
     assert_eq!(within(waiting).await.expect("no panic"), Err(RequestCancelled));
-    assert_eq!(incoming.parts.send(&sample("late")), Err(RequestCancelled.into()));
+    assert_eq!(incoming.partial_answers.send(&sample("late")), Err(RequestCancelled.into()));
 }

@@ -4,7 +4,9 @@ use std::time::Duration;
 
 use peernet_clock::Span;
 use peernet_logger::{HostIndex, Measure, NodeId, Unit, stage};
-use peernet_networks::{AwaitedEvent, Failure, PartSender, RequestCancelled, RequestError, SessionSettings};
+use peernet_networks::{
+    AwaitedEvent, Failure, PartialAnswerSender, RequestCancelled, RequestError, SessionSettings,
+};
 use peernet_sample::{Description, Part, Sample};
 use peernet_stream::{Release, VersionRange};
 
@@ -160,8 +162,8 @@ async fn failures_return_with_reason_and_measurements(network: TestNetwork) {
 }
 
 /// Waits on a thread until a request is cancelled.
-async fn until_cancelled(parts: PartSender) {
-    let waiting = tokio::task::spawn_blocking(move || parts.wait(TIME_LIMIT));
+async fn until_cancelled(partial_answers: PartialAnswerSender) {
+    let waiting = tokio::task::spawn_blocking(move || partial_answers.wait(TIME_LIMIT));
     assert_eq!(within(waiting).await.expect("no panic"), Err(RequestCancelled));
 }
 
@@ -177,7 +179,7 @@ async fn request_is_cancelled_at_its_time_limit(network: TestNetwork) {
     // The cloud handles messages while it waits for the next one.
     let next = request(&session, "next", TIME_LIMIT);
     let incoming = cloud.next_request().await;
-    until_cancelled(slow.parts).await;
+    until_cancelled(slow.partial_answers).await;
     slow.reply.send(slow.recorder, Ok(slow.sample));
     incoming.reply.send(incoming.recorder, Ok(incoming.sample));
     assert_eq!(within(next).await.expect("no panic").result.as_ref().map(text), Ok("next"));

@@ -137,7 +137,7 @@ async fn datagrams_of_both_directions_are_counted() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn lost_part_of_answer_is_counted_by_the_cloud_only() {
+async fn lost_partial_answer_is_counted_by_cloud_only() {
     let mut cloud = Cloud::on_network(TestNetwork::ZmqUdp).await;
     let relay = UdpRelay::start(&cloud.address(), PathImpairment::default(), 1).await;
     let opening = tokio::spawn({
@@ -149,8 +149,8 @@ async fn lost_part_of_answer_is_counted_by_the_cloud_only() {
     let pending = request(&session, "count", TIME_LIMIT);
     let incoming = cloud.next_request().await;
     relay.cut();
-    // A part of this size is not sent again.
-    assert_eq!(incoming.parts.send(&sample_of(payload(200_000, 2))), Ok(()));
+    // A partial answer of this size is not sent again.
+    assert_eq!(incoming.partial_answers.send(&sample_of(payload(200_000, 2))), Ok(()));
     // More than the heartbeats of that time.
     within(relay.wait_for_drops(10)).await;
     relay.restore();

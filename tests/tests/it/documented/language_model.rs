@@ -57,7 +57,7 @@ fn check_run(results: &Results, folder: &str) {
     let uploads = counted(&data, "upload");
     assert!(uploads.iter().all(|time| time.is_nan() != is_remote), "{folder}: {uploads:?}");
     if is_remote {
-        // Each token crossed the network as a part of the answer.
+        // Each token crossed the network as a partial answer.
         assert_eq!(counted(&data, "parts"), lengths, "{folder}");
         let first_parts = counted(&data, "first-part");
         assert!(first_parts.iter().zip(counted(&data, "total")).all(|(first, total)| *first <= total));

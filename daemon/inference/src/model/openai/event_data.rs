@@ -75,7 +75,7 @@ pub(super) struct Usage {
 }
 
 impl EventData<'_> {
-    /// Returns whether the event reports an error instead of a part of the answer. vLLM and FastAPI do so without the
+    /// Returns whether the event reports an error instead of a partial answer. vLLM and FastAPI do so without the
     /// object `error`.
     pub(super) fn is_error(&self) -> bool {
         let is_error_object = self.object.as_ref().is_some_and(|object| object == "error");

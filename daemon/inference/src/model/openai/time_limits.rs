@@ -19,7 +19,7 @@ pub(super) struct TimeLimits {
     pub(super) total: Duration,
 }
 
-/// Waits for the parts of one answer, with time limits.
+/// Waits for the steps of one answer (connection, response, chunks), with time limits.
 pub(super) struct Waits<'a> {
     limits: &'a TimeLimits,
     clock: &'a SharedClock,
@@ -33,22 +33,22 @@ impl<'a> Waits<'a> {
         Self { limits, clock, waiting_since: started_at }
     }
 
-    /// Waits for a part of the answer, within the limit that ends first.
+    /// Waits for a step of the answer, within the limit that ends first.
     ///
     /// # Errors
-    /// If the part is late.
+    /// If the step takes too long.
     pub(super) async fn within<T>(
         &self,
         answer: &StreamedAnswer,
-        part: impl Future<Output = T>,
+        step: impl Future<Output = T>,
     ) -> Result<T, RequestError> {
         let (remaining, late) = self.remaining(answer);
-        // `timeout` returns a part that has already arrived without checking the limit. A server whose parts always arrive early would
-        // have no limit.
+        // `timeout` returns the result of a step that is already done without checking the limit. A server whose chunks
+        // always arrive early would have no limit.
         if remaining.is_zero() {
             return Err(late);
         }
-        timeout(remaining, part).await.map_err(|_| late)
+        timeout(remaining, step).await.map_err(|_| late)
     }
 
     /// Returns the time until the limit that ends first, and the error to return when this time has passed.

@@ -61,7 +61,7 @@ impl Worker for OpenaiWorker {
         // While the requester has too many unread partial answers, this thread waits and reads nothing from the server.
         let send_text = |text: &str| {
             if send_error.is_none()
-                && let Err(error) = requester.send_part(partial_answer(text))
+                && let Err(error) = requester.send_partial_answer(partial_answer(text))
             {
                 send_error = Some(error);
                 cancellation.cancel();

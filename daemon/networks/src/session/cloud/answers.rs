@@ -92,17 +92,17 @@ pub(super) fn encode_answer(
     Ok(frames)
 }
 
-/// Encodes a part of an answer with its number; the request was received at `received`. The departure is stamped last.
+/// Encodes a partial answer with its number; the request was received at `received`. The departure is stamped last.
 ///
 /// # Errors
 /// If its header cannot be encoded.
-pub(super) fn encode_part(
+pub(super) fn encode_partial_answer(
     clock: &dyn Clock,
     key: RequestKey,
     (number, received): (u32, MonoTime),
-    part: &Sample,
+    partial_answer: &Sample,
 ) -> Result<Frames, HeaderError> {
-    let sample = SampleHeader::from_sample(part)?;
+    let sample = SampleHeader::from_sample(partial_answer)?;
     let stamp = clock.stamp();
     let departure = Departure {
         sent: stamp.wall,
@@ -113,10 +113,10 @@ pub(super) fn encode_part(
     };
     let RequestKey { session, request, .. } = key;
     let header = Header::PartialReply(PartialReply { session, request, part: number, departure, sample });
-    let mut frames = Vec::with_capacity(2 + part.parts.len());
+    let mut frames = Vec::with_capacity(2 + partial_answer.parts.len());
     // Frame 1 is empty, so that the payload begins at frame 2 as in every message.
     frames.extend([header.encode()?, Bytes::new()]);
-    frames.extend(part.parts.iter().map(|part| part.bytes.clone()));
+    frames.extend(partial_answer.parts.iter().map(|part| part.bytes.clone()));
     Ok(frames)
 }
 

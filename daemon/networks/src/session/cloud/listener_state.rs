@@ -6,14 +6,14 @@ use peernet_clock::{LogThrottle, MonoTime, SharedClock};
 use peernet_logger::{HostId, Recorder, Unit};
 use peernet_sample::Sample;
 
-use super::answers::{AnswerContent, AnswersBeingSent, encode_answer, encode_part};
+use super::answers::{AnswerContent, AnswersBeingSent, encode_answer, encode_partial_answer};
 use super::output::ListenerOutput;
 use crate::SessionSettings;
 use crate::message::{Header, PeerClock, SessionAccepted, SessionId, StatisticsReport};
 use crate::session::budget::RequestBudget;
 use crate::session::incoming::{Failure, RequestKey};
-use crate::session::part_sender::FULL_QUEUE_RETRY;
-use crate::session::parts::PARTS_SENT;
+use crate::session::partial_answer_sender::FULL_QUEUE_RETRY;
+use crate::session::partial_answers::PARTS_SENT;
 use crate::session::request_control::RequestControl;
 use crate::session::server::{FinishedRequest, Route, Server};
 use crate::transport::{CloudSender, ConnectionId, Peer, SendFailure};
@@ -93,8 +93,8 @@ impl ListenerState {
     }
 
     /// Sends an answer with the nodes that `recorder` recorded here. `recorder` is `None` if no model computed the
-    /// answer; the reply then has neither tree delta nor departure. Waits while the send queue is full with parts of
-    /// the same answer; never waits for other answers.
+    /// answer; the reply then has neither tree delta nor departure. Waits while the send queue is full with partial
+    /// answers to the same request; never waits for other requests.
     pub(crate) fn answer(
         &self,
         key: RequestKey,
@@ -105,12 +105,12 @@ impl ListenerState {
         // answer or the request. Otherwise the listener could close in between and send the goodbye before the answer.
         self.answers.count_while(|| {
             let Some((mut route, mut control)) = self.finish_request(key) else { return };
-            if let (Some(recorder), Some(sent)) = (&mut recorder, control.sent_parts()) {
+            if let (Some(recorder), Some(sent)) = (&mut recorder, control.sent_partial_answers()) {
                 recorder.record_value(PARTS_SENT, f64::from(sent.get()), Unit::NONE);
             }
             let mut content = AnswerContent::new(&route, recorder, result);
             loop {
-                let retry = control.sent_parts().map(|_| content.clone());
+                let retry = control.sent_partial_answers().map(|_| content.clone());
                 match (self.send_answer(&route, key, content), retry) {
                     (Ok(()), _) => return,
                     (Err(SendFailure::Full), Some(retry)) => content = retry,
@@ -153,25 +153,25 @@ impl ListenerState {
         self.output.send(&route.peer, frames, Some(key.request), Some(&route.counters))
     }
 
-    /// Returns the destination of the parts of an answer. `None` if the session is gone or knows no parts.
-    pub(crate) fn route_of_parts(&self, session: SessionId) -> Option<Route> {
-        self.lock_server().route_of_parts(session)
+    /// Returns the destination of partial answers. `None` if the session is gone or its version has no partial answers.
+    pub(crate) fn route_of_partial_answers(&self, session: SessionId) -> Option<Route> {
+        self.lock_server().route_of_partial_answers(session)
     }
 
-    /// Sends a part of an answer with its number; the request was received at `received`.
+    /// Sends a partial answer with its number; the request was received at `received`.
     ///
     /// # Errors
-    /// If the part cannot be encoded, or the network did not accept it.
-    pub(crate) fn send_part(
+    /// If the partial answer cannot be encoded, or the network did not accept it.
+    pub(crate) fn send_partial_answer(
         &self,
         route: &Route,
         key: RequestKey,
         (number, received): (u32, MonoTime),
-        part: &Sample,
+        partial_answer: &Sample,
     ) -> Result<(), SendFailure> {
-        let frames = encode_part(&*self.clock, key, (number, received), part)
+        let frames = encode_partial_answer(&*self.clock, key, (number, received), partial_answer)
             .map_err(|error| SendFailure::Gone(error.to_string()))?;
-        // The part has no tag: a lost part must not end its request.
+        // The partial answer has no tag: a lost partial answer must not end its request.
         self.output.send(&route.peer, frames, None, Some(&route.counters))
     }
 

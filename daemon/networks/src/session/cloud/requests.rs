@@ -14,7 +14,7 @@ use crate::session::completed_request::Sizes;
 use crate::session::incoming::{
     ArrivalStamp, Failure, Incoming, IncomingRequest, OpenRequest, RequestKey, Responder,
 };
-use crate::session::part_sender::PartSender;
+use crate::session::partial_answer_sender::PartialAnswerSender;
 use crate::session::server::{EdgeMessage, Server};
 use crate::transport::{Frames, Peer};
 
@@ -96,9 +96,17 @@ fn incoming_request(
     match (recorder, sample) {
         (Ok(recorder), Ok(sample)) => {
             let reply = Responder::new(key, Arc::downgrade(shared));
-            let parts = PartSender::new(key, received.mono, control, Arc::downgrade(shared));
+            let partial_answers =
+                PartialAnswerSender::new(key, received.mono, control, Arc::downgrade(shared));
             let session = key.session;
-            Some(Incoming::Request(IncomingRequest { session, sample, recorder, received, parts, reply }))
+            Some(Incoming::Request(IncomingRequest {
+                session,
+                sample,
+                recorder,
+                received,
+                partial_answers,
+                reply,
+            }))
         }
         (Err(problem), _) | (_, Err(problem)) => {
             shared.report_malformed(peer, &problem.to_string());

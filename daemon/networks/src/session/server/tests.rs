@@ -256,7 +256,7 @@ fn with_session(mut header: Header, session: SessionId) -> Header {
     match &mut header {
         Header::Request(request) => request.session = session,
         Header::Reply(reply) => reply.session = session,
-        Header::PartialReply(part) => part.session = session,
+        Header::PartialReply(partial_answer) => partial_answer.session = session,
         Header::PartsRead(read) => read.session = session,
         Header::Cancel(cancel) => cancel.session = session,
         Header::Clock(update) => update.session = session,

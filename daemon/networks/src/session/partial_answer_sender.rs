@@ -1,4 +1,4 @@
-//! Sends parts of an answer from the cloud.
+//! Sending of partial answers by the cloud.
 
 use std::sync::{Arc, Weak};
 use std::time::Duration;
@@ -12,43 +12,43 @@ use super::incoming::RequestKey;
 use super::request_control::{RequestCancelled, RequestControl};
 use crate::transport::SendFailure;
 
-/// Time after which a part is handed to a full send queue again.
-// The transports do not report when a full queue has room again. An acknowledgement of parts does not tell it either: a
-// few large parts fill a queue before the edge acknowledges any.
+/// Time after which a partial answer is handed to a full send queue again.
+// The transports do not report when a full queue has room again. An acknowledgement of partial answers does not tell it
+// either: a few large partial answers fill a queue before the edge acknowledges any.
 pub(super) const FULL_QUEUE_RETRY: Duration = Duration::from_millis(5);
 
-/// Reason why a part of an answer was not sent. The answer without it would be incomplete.
+/// Reason why a partial answer was not sent. The answer without it would be incomplete.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum PartError {
+pub enum PartialAnswerError {
     /// The edge does not wait for the answer any more.
     #[error(transparent)]
     Cancelled(#[from] RequestCancelled),
-    /// The part is larger than the edge accepts.
+    /// The partial answer is larger than the edge accepts.
     #[error(
         "a partial answer's {bytes} bytes are more than max_message_bytes of the edge's session, {max_bytes}: raise it there \
          (peernet --client: --max-message-bytes), or send smaller partial answers"
     )]
     TooLarge {
-        /// Payload of the part. Bytes.
+        /// Payload of the partial answer. Bytes.
         bytes: u64,
         /// Largest message that the edge accepts. Bytes.
         max_bytes: u64,
     },
-    /// The part has no form in which it can be sent, or the network refused it.
+    /// The partial answer has no form in which it can be sent, or the network refused it.
     #[error("a partial answer cannot be sent: {0}")]
     Unsendable(String),
 }
 
-/// Sends parts of the answer to one request, from any thread. Reports whether the edge still waits for the answer.
+/// Sends partial answers to one request, from any thread. Reports whether the edge still waits for the answer.
 #[derive(Clone, Debug)]
-pub struct PartSender {
+pub struct PartialAnswerSender {
     key: RequestKey,
     received: MonoTime,
     control: Arc<RequestControl>,
     shared: Weak<ListenerState>,
 }
 
-impl PartSender {
+impl PartialAnswerSender {
     pub(super) const fn new(
         key: RequestKey,
         received: MonoTime,
@@ -58,30 +58,30 @@ impl PartSender {
         Self { key, received, control, shared }
     }
 
-    /// Sends a part of the answer. Waits while the edge has 64 unread parts, and while the network's send queue is
-    /// full. Does nothing if the edge does not know partial replies.
+    /// Sends a partial answer. Waits while the edge has 64 unread partial answers, and while the network's send queue
+    /// is full. Does nothing if the edge does not know partial replies.
     ///
     /// # Errors
-    /// If the edge does not wait for the answer any more, or the part cannot be sent.
-    pub fn send(&self, part: &Sample) -> Result<(), PartError> {
-        // Checked before the part gets a number, which occupies a place in the window of unread parts until the edge
-        // acknowledges it. An edge that gets no parts never does.
-        let Some(route) = self.listener()?.route_of_parts(self.key.session) else {
+    /// If the edge does not wait for the answer any more, or the partial answer cannot be sent.
+    pub fn send(&self, partial_answer: &Sample) -> Result<(), PartialAnswerError> {
+        // Checked before the partial answer gets a number, which occupies a place in the window of unread partial
+        // answers until the edge acknowledges it. An edge that gets no partial answers never does.
+        let Some(route) = self.listener()?.route_of_partial_answers(self.key.session) else {
             return if self.is_cancelled() { Err(RequestCancelled.into()) } else { Ok(()) };
         };
-        let (bytes, max_bytes) = (part.payload_bytes(), route.max_message_bytes);
+        let (bytes, max_bytes) = (partial_answer.payload_bytes(), route.max_message_bytes);
         if bytes > max_bytes {
-            return Err(PartError::TooLarge { bytes, max_bytes });
+            return Err(PartialAnswerError::TooLarge { bytes, max_bytes });
         }
-        let number = self.control.next_part()?;
+        let number = self.control.next_partial_answer()?;
         loop {
             // The listener is not kept during the wait below, so that the port can be closed meanwhile.
             let listener = self.listener()?;
             // Looked up again after each wait, because the edge may have moved to another address.
-            let route = listener.route_of_parts(self.key.session).ok_or(RequestCancelled)?;
-            match listener.send_part(&route, self.key, (number, self.received), part) {
+            let route = listener.route_of_partial_answers(self.key.session).ok_or(RequestCancelled)?;
+            match listener.send_partial_answer(&route, self.key, (number, self.received), partial_answer) {
                 Ok(()) => return Ok(()),
-                Err(SendFailure::Gone(reason)) => return Err(PartError::Unsendable(reason)),
+                Err(SendFailure::Gone(reason)) => return Err(PartialAnswerError::Unsendable(reason)),
                 Err(SendFailure::Full) => drop(listener),
             }
             self.control.wait(FULL_QUEUE_RETRY)?;

@@ -1,4 +1,4 @@
-//! Parts of an answer that arrive at the edge before the answer is complete.
+//! Partial answers: parts of an answer that arrive at the edge before the answer is complete.
 
 use std::fmt;
 use std::num::NonZeroU32;
@@ -10,56 +10,57 @@ use peernet_sample::Sample;
 
 use crate::message::{Departure, MAX_UNREAD_PARTS};
 
-/// Name of the edge's node for the time from the departure of a request to the arrival of the first part of its answer.
+/// Name of the edge's node for the time from the departure of a request to the arrival of the first partial answer.
 pub const FIRST_PART: Name = Name::from_static("first-part");
-/// Name of the node for the way of the first part of an answer from the cloud to the edge; like `download`.
+/// Name of the node for the way of the first partial answer from the cloud to the edge; like `download`.
 pub const FIRST_PART_DOWNLOAD: Name = Name::from_static("first-part-download");
-/// Name of the value that is the number of parts of an answer that arrived before the whole answer.
+/// Name of the value for the number of partial answers that arrived before the whole answer.
 pub const PARTS: Name = Name::from_static("parts");
-/// Name of the cloud's value that is the number of parts of an answer that it sent. It is larger than [`PARTS`] by the
-/// parts that were lost on the way or arrived after the whole answer.
+/// Name of the cloud's value for the number of partial answers that it sent. It is larger than [`PARTS`] by those that
+/// were lost on the way or arrived after the whole answer.
 pub const PARTS_SENT: Name = Name::from_static("parts-sent");
 
-/// Number of parts after which the edge acknowledges them. It is a quarter of the window, so that an acknowledgement
-/// usually reaches the cloud before the window is full.
+/// Number of partial answers after which the edge acknowledges them. It is a quarter of the window, so that an
+/// acknowledgement usually reaches the cloud before the window is full.
 const ACKNOWLEDGE_AFTER: u32 = MAX_UNREAD_PARTS / 4;
 
-/// Function that takes each part of an answer when it arrives. It is called on the task that receives messages, and
-/// must not block.
+/// Function that takes each partial answer when it arrives. It is called on the task that receives messages, and must
+/// not block.
 #[derive(Clone)]
-pub struct PartHandler(pub Arc<dyn Fn(&Sample) + Send + Sync>);
+pub struct PartialAnswerHandler(pub Arc<dyn Fn(&Sample) + Send + Sync>);
 
-impl fmt::Debug for PartHandler {
+impl fmt::Debug for PartialAnswerHandler {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("PartHandler")
+        f.write_str("PartialAnswerHandler")
     }
 }
 
-/// Record of the parts of one answer that have arrived.
+/// Record of the partial answers to one request that have arrived.
 #[derive(Debug, Default)]
-pub(super) struct ArrivedParts {
-    /// Number of parts that arrived.
+pub(super) struct ArrivedPartialAnswers {
+    /// Number of partial answers that arrived.
     count: u32,
-    first: Option<FirstPart>,
-    /// Number of parts that count as read: the number of the newest part, plus one.
+    first: Option<FirstPartialAnswer>,
+    /// Number of partial answers that count as read: the number of the newest partial answer, plus one.
     read_count: u32,
     /// Value of `read_count` that was acknowledged last.
     acknowledged_count: u32,
 }
 
-/// Departure and arrival of the part that arrived first.
+/// Departure and arrival of the partial answer that arrived first.
 #[derive(Clone, Copy, Debug)]
-struct FirstPart {
+struct FirstPartialAnswer {
     departure: Departure,
     arrived: Stamp,
 }
 
-impl ArrivedParts {
-    /// Adds a part with this number. If an acknowledgement is due, returns the number of parts that count as read.
+impl ArrivedPartialAnswers {
+    /// Adds a partial answer with this number. If an acknowledgement is due, returns the number of partial answers that
+    /// count as read.
     pub(super) fn add(&mut self, number: u32, departure: Departure, arrived: Stamp) -> Option<u32> {
         self.count += 1;
-        self.first.get_or_insert(FirstPart { departure, arrived });
-        // On networks of datagrams, parts may overtake each other.
+        self.first.get_or_insert(FirstPartialAnswer { departure, arrived });
+        // On networks of datagrams, partial answers may overtake each other.
         self.read_count = self.read_count.max(number.saturating_add(1));
         let is_due = self.read_count - self.acknowledged_count >= ACKNOWLEDGE_AFTER;
         is_due.then(|| {
@@ -68,10 +69,10 @@ impl ArrivedParts {
         })
     }
 
-    /// Returns the node for the way of the first part from the cloud. `cloud` is the cloud's index in the tree. `None`
-    /// if no part arrived.
-    pub(super) fn first_part_download(&self, cloud: HostIndex) -> Option<Node> {
-        let FirstPart { departure, arrived } = self.first?;
+    /// Returns the node for the way of the first partial answer from the cloud. `cloud` is the cloud's index in the
+    /// tree. `None` if no partial answer arrived.
+    pub(super) fn first_partial_answer_download(&self, cloud: HostIndex) -> Option<Node> {
+        let FirstPartialAnswer { departure, arrived } = self.first?;
         let raw_stamps = departure.sent_raw.map(|sent| RawStamps { sent, received: arrived.raw });
         let transit = Transit { sent: departure.sent, received: Some(arrived.wall), delay: None, raw_stamps };
         Some(Node {
@@ -83,7 +84,7 @@ impl ArrivedParts {
         })
     }
 
-    /// Returns the number of parts that arrived; `None` if none did.
+    /// Returns the number of partial answers that arrived; `None` if none did.
     pub(super) const fn count(&self) -> Option<NonZeroU32> {
         NonZeroU32::new(self.count)
     }
@@ -91,7 +92,7 @@ impl ArrivedParts {
     /// Adds `first-part` and `parts` to the edge's tree, if any part arrived. `departed` is the departure of the
     /// request.
     pub(super) fn record(&self, recorder: &mut Recorder, departed: MonoTime) {
-        let Some(FirstPart { arrived, .. }) = self.first else { return };
+        let Some(FirstPartialAnswer { arrived, .. }) = self.first else { return };
         let start = recorder.offset(departed);
         let nodes = [
             (FIRST_PART, Measure::Timer(Some(arrived.mono - departed))),
@@ -110,7 +111,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn parts_are_acknowledged_before_the_window_closes() {
+    fn partial_answers_are_acknowledged_before_window_closes() {
         let departure = Departure {
             sent: WallTime::from_unix_nanos(0),
             sent_since_anchor: Span::ZERO,
@@ -122,13 +123,13 @@ mod tests {
             mono: MonoTime::from_nanos(0),
             raw: RawTime::from_nanos(0),
         };
-        let mut parts = ArrivedParts::default();
-        // Every second part is lost.
+        let mut partial_answers = ArrivedPartialAnswers::default();
+        // Every second partial answer is lost.
         let acknowledged: Vec<u32> = (0..MAX_UNREAD_PARTS)
             .step_by(2)
-            .filter_map(|number| parts.add(number, departure, arrived))
+            .filter_map(|number| partial_answers.add(number, departure, arrived))
             .collect();
         assert_eq!(acknowledged, [17, 33, 49]);
-        assert_eq!(parts.count, MAX_UNREAD_PARTS / 2);
+        assert_eq!(partial_answers.count, MAX_UNREAD_PARTS / 2);
     }
 }
