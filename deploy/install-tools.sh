@@ -36,8 +36,8 @@ vde_switch    vde2              links between them that delay
 wirefilter    vde2              links between them that delay
 tcpdump       tcpdump           captures between them
 faketime      faketime          programs that are shown a false time
-/usr/lib/python3/dist-packages/numpy  python3-numpy  Python objects of users get arrays
-/usr/lib/python3/dist-packages/PIL    python3-pil    Python objects of users get pictures
+/usr/lib/python3/dist-packages/numpy  python3-numpy  custom Python objects get arrays
+/usr/lib/python3/dist-packages/PIL    python3-pil    custom Python objects get pictures
 /usr/lib/python3/dist-packages/torch        python3-torch        models are exported from torchvision
 /usr/lib/python3/dist-packages/torchvision  python3-torchvision  models are exported from torchvision
 /usr/lib/python3/dist-packages/onnx         python3-onnx         models are exported from torchvision

@@ -1,4 +1,4 @@
-//! Actuator kind `exec`, which passes each answer to a program of the user.
+//! Actuator kind `exec`, which passes each answer to a custom program.
 
 use std::collections::BTreeMap;
 

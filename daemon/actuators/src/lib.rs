@@ -1,6 +1,6 @@
 //! Actuators, which act on a model's answers.
 //!
-//! `none` does nothing, `log` writes answers to the log, `exec` and `python` pass them to code of the user, `socket` sends
+//! `none` does nothing, `log` writes answers to the log, `exec` and `python` pass them to custom code, `socket` sends
 //! them to a robot's controller, `ros` publishes them. A new kind is one file or folder here, registered in
 //! [`ActuatorConfig`].
 
@@ -71,8 +71,8 @@ pub trait ActuatorKind {
     /// If its program cannot be started.
     fn build(&self, clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError>;
 
-    /// Finds what would prevent actions now, as far as that is possible without acting: creates the user's object, connects to the
-    /// controller, or asks the ROS master, and ends again. May block for some seconds.
+    /// Finds what would prevent actions now, as far as that is possible without acting: creates the custom object,
+    /// connects to the controller, or asks the ROS master, and ends again. May block for some seconds.
     ///
     /// # Errors
     /// Those of [`check`](Self::check), and everything that would make each action fail now.
@@ -94,7 +94,7 @@ pub trait ActuatorKind {
     /// on. Reads its files.
     fn facts(&self) -> Vec<(String, String)>;
 
-    /// Returns whether this kind runs a program of the user, whose arguments are published as a fingerprint only.
+    /// Returns whether this kind runs a custom program, whose arguments are published as a fingerprint only.
     fn is_program(&self) -> bool {
         false
     }
@@ -104,7 +104,8 @@ pub trait ActuatorKind {
         None
     }
 
-    /// Returns the environment variables that the configuration sets for the processes of users' code; `None` if the kind has none.
+    /// Returns the environment variables that the configuration sets for the processes of custom code; `None` if the
+    /// kind has none.
     fn env_mut(&mut self) -> Option<&mut BTreeMap<String, String>> {
         None
     }
@@ -114,7 +115,7 @@ pub trait ActuatorKind {
         self.env_mut().into_iter().for_each(hide_values);
     }
 
-    /// Checks everything that can be checked without running a user's program.
+    /// Checks everything that can be checked without running a custom program.
     ///
     /// # Errors
     /// If the configuration contradicts itself, or if something that it names does not exist.
@@ -122,8 +123,8 @@ pub trait ActuatorKind {
         Ok(())
     }
 
-    /// Returns conditions that prevent actions now although [`check`](Self::check) finds no error, as texts. May ask other hosts for
-    /// some seconds. Runs no code of the user.
+    /// Returns conditions that prevent actions now although [`check`](Self::check) finds no error, as texts. May ask
+    /// other hosts for some seconds. Runs no custom code.
     fn remarks(&self, clock: &SharedClock) -> Vec<String> {
         self.try_build(clock).err().map(|error| error.to_string()).into_iter().collect()
     }
@@ -138,9 +139,9 @@ pub enum ActuatorConfig {
     None(none::NoneConfig),
     /// Writes each answer to the log.
     Log(log::LogActuatorConfig),
-    /// Passes each answer to a program of the user; see docs/external-programs.md.
+    /// Passes each answer to a custom program; see docs/external-programs.md.
     Exec(exec::ExecConfig),
-    /// Passes each answer to a Python object of the user with `act(answer)`; see docs/actuators.md.
+    /// Passes each answer to a custom Python object with `act(answer)`; see docs/actuators.md.
     Python(python::PythonConfig),
     /// Sends each answer as a line of JSON over UDP or TCP; see docs/actuators.md.
     Socket(socket::SocketConfig),

@@ -1,4 +1,4 @@
-//! Actuator kind `python`: an object of the user with `act(answer)`.
+//! Actuator kind `python`: a custom object with `act(answer)`.
 
 use std::collections::BTreeMap;
 
@@ -27,7 +27,7 @@ impl ActuatorKind for PythonConfig {
         self.build(clock).map(drop)
     }
 
-    // Creating the object would run code of the user.
+    // Creating the object would run custom code.
     fn remarks(&self, _clock: &SharedClock) -> Vec<String> {
         Vec::new()
     }

@@ -1,5 +1,5 @@
-//! Benchmark of what a call of a Python object takes outside the user's code, compared with the same bytes through
-//! bare pipes.
+//! Benchmark of what a call of a Python object takes outside custom code, compared with the same bytes through bare
+//! pipes.
 //!
 //!     cargo bench -p peernet-external --bench python -- [--json] [ROUNDS]
 //!
@@ -52,7 +52,7 @@ fn main() {
     }
 }
 
-/// Measures the time of each call outside the user's code; returns its p50 and p99 in seconds.
+/// Measures the time of each call outside custom code; returns its p50 and p99 in seconds.
 fn measure_echo(part: &Part, rounds: usize, clock: &SharedClock) -> [f64; 2] {
     let folder = tempfile::tempdir().expect("there is room for a folder");
     fs::write(folder.path().join("echo.py"), ECHO).expect("it can be written");

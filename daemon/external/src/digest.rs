@@ -9,7 +9,7 @@ use sha2::{Digest, Sha256};
 
 use peernet_sample::printable_line;
 
-/// Size of the largest file of users' code that is hashed, bytes (256 MiB).
+/// Size of the largest file of custom code that is hashed, bytes (256 MiB).
 // Facts are read before a run, which a larger file would delay by more than a second.
 const MAX_HASHED_BYTES: u64 = 256 << 20;
 

@@ -1,4 +1,4 @@
-//! Environment variables that influence users' code, and the protection of variables that users set.
+//! Environment variables that influence custom code, and the protection of configured variables.
 
 use std::collections::BTreeMap;
 use std::env;
@@ -35,19 +35,20 @@ const NAMES: [&str; 26] = [
     "NVIDIA_TF32_OVERRIDE",
     "PYTORCH_CUDA_ALLOC_CONF",
 ];
-/// Variable of users' code in an experiment: the seed of a run, user and end, a number of at most 53 bits.
+/// Variable of custom code in an experiment: the seed for a repeat, a user, and the sensor, the actuator or the models;
+/// a number of at most 53 bits. A *user* of an experiment is one of the edges that use the cloud at the same time.
 pub const SEED_VARIABLE: &str = "PEERNET_SEED";
-/// Variable of users' code in an experiment: the number of the repeat, from 1.
+/// Variable of custom code in an experiment: the number of the repeat, from 1.
 pub const REPEAT_VARIABLE: &str = "PEERNET_REPEAT";
-/// Variable of users' code in an experiment: the number of the user, from 1.
+/// Variable of custom code in an experiment: the number of the user, from 1.
 pub const USER_VARIABLE: &str = "PEERNET_USER";
 /// Longest recorded value, characters.
 const MAX_VALUE_CHARS: usize = 1000;
-/// Text that replaces a value that a user set.
+/// Text that replaces a configured value.
 const HIDDEN_VALUE: &str = "(not told)";
 
-/// Returns the variables of this program that influence the results of users' code, with their values; users'
-/// processes inherit them.
+/// Returns the variables of this program that influence the results of custom code, with their values; its processes
+/// inherit them.
 pub fn environment() -> BTreeMap<String, String> {
     let recorded = |name: &&str| {
         let value = env::var_os(name)?.to_string_lossy().chars().take(MAX_VALUE_CHARS).collect::<String>();
@@ -56,9 +57,9 @@ pub fn environment() -> BTreeMap<String, String> {
     NAMES.iter().filter_map(recorded).collect()
 }
 
-/// Replaces the values of variables that users set (`env`), for a configuration that is published: they may be
-/// secret. The numbers of a run ([`SEED_VARIABLE`], [`REPEAT_VARIABLE`], [`USER_VARIABLE`]) stay, because they are
-/// needed to repeat it.
+/// Replaces the values of configured variables (`env`), for a configuration that is published: they may be secret. The
+/// numbers of a run ([`SEED_VARIABLE`], [`REPEAT_VARIABLE`], [`USER_VARIABLE`]) stay, because they are needed to repeat
+/// it.
 pub fn hide_values(variables: &mut BTreeMap<String, String>) {
     let is_number_of_run = |name: &str, value: &str| {
         [SEED_VARIABLE, REPEAT_VARIABLE, USER_VARIABLE].contains(&name) && value.parse::<u64>().is_ok()

@@ -1,4 +1,4 @@
-//! Users' code in separate processes, which are connected by pipes and restarted after they died.
+//! Custom code in separate processes, which are connected by pipes and restarted after they died.
 //!
 //! [`process`] starts a process, exchanges bytes with it and ends it; it does not interpret the bytes. [`python`]
 //! calls a Python object (`module::object`) in such a process, [`exec`] any program. Only the host's own

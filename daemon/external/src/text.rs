@@ -1,4 +1,4 @@
-//! Texts from users' code, which are shown on terminals and in logs.
+//! Texts from custom code, which are shown on terminals and in logs.
 
 use peernet_sample::printable_lines;
 use serde::{Deserialize, Deserializer};

@@ -4,8 +4,8 @@
 //!
 //! - [`Name`], [`Unit`], [`Measure`]: the name of a node, its unit, and what it measured; [`stage`]: the standard names.
 //! - [`Tree`]: the nodes of one iteration on all hosts that took part; [`limits`]: the maximum size of a tree.
-//! - [`Recorder`]: builds a tree while an iteration runs. Its guards close the nodes that they opened. Users can add
-//!   their own instruments ([`Meter`]).
+//! - [`Recorder`]: builds a tree while an iteration runs. Its guards close the nodes that they opened. Programs can add
+//!   custom instruments ([`Meter`]).
 //! - [`Stages`]: durations and sums of the stages of a finished tree.
 //! - [`wire`], `text`, [`csv`]: the binary form, the text for people, and the row of a table.
 

@@ -21,7 +21,7 @@ pub enum Measure {
     Throughput(Rate),
     /// Tokens per second of a language model; `None` while the node is open.
     TokenRate(Option<f64>),
-    /// A kind declared by the user: name, unit and value. The value is `None` while the node is open, or if the reading failed.
+    /// A custom kind: name, unit and value. The value is `None` while the node is open, or if the reading failed.
     Custom(Name, Unit, Option<f64>),
 }
 
@@ -133,8 +133,8 @@ impl Measure {
         if are_bounds_ordered { Ok(()) } else { Err(TreeError::CrossedBounds(position)) }
     }
 
-    /// Returns the name of the kind: `container`, `timer`, `transit`, `value`, `throughput`, `token-rate`, or the
-    /// user's name.
+    /// Returns the name of the kind: `container`, `timer`, `transit`, `value`, `throughput`, `token-rate`, or the name
+    /// of the custom kind.
     pub fn kind(&self) -> Name {
         match self {
             Self::Container => Name::from_static("container"),

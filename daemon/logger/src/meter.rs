@@ -1,4 +1,4 @@
-//! Instruments supplied by the user.
+//! Custom instruments.
 
 use crate::{Name, Unit};
 

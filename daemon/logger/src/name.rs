@@ -150,7 +150,7 @@ impl<'de> Deserialize<'de> for Name {
     }
 }
 
-/// A unit of measurement: the symbol of an SI unit, or a unit supplied by the user.
+/// A unit of measurement: the symbol of an SI unit, or a custom unit.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Unit(Name);

@@ -179,7 +179,7 @@ impl Recorder {
         self.enter(name, started_at, Measure::Container)
     }
 
-    /// Measures with a user's instrument until the guard is dropped. Nodes opened through the guard become its
+    /// Measures with a custom instrument until the guard is dropped. Nodes opened through the guard become its
     /// children.
     pub fn measure<M: Meter>(&mut self, name: Name, meter: M) -> MeterGuard<'_, M> {
         let started_at = self.clock.mono();

@@ -54,7 +54,7 @@ pub struct Anchor {
 pub struct Node {
     /// Parent of the node; `None` only for the root.
     pub parent: Option<NodeId>,
-    /// Standard name ([`crate::stage`]) or a name supplied by the user.
+    /// Standard name ([`crate::stage`]) or a custom name.
     pub name: Name,
     /// Host on which the node was opened.
     pub host: HostIndex,

@@ -185,9 +185,8 @@ impl Store {
     /// Returns the values of two node names in at most `max_pairs` iterations, evenly spread over the stored
     /// iterations.
     ///
-    /// The value of a standard name is the sum of the nodes of this name directly below the root. The value of any
-    /// other name, which a user defined, is the value of its first node. Both are as in `data.csv`. Only a few
-    /// iterations of a long run are read.
+    /// The value of a standard name is the sum of the nodes of this name directly below the root. The value of a custom
+    /// name is the value of its first node. Both are as in `data.csv`. Only a few iterations of a long run are read.
     pub async fn value_pairs(
         &self,
         run: i64,

@@ -115,7 +115,7 @@ impl DelayAccuracy {
 }
 
 /// Returns the sort key of a name in tables: the stages in their order, then `total`, `stages-total`, `unattributed`,
-/// throughputs, sizes, and users' names in alphabetical order.
+/// throughputs, sizes, and custom names in alphabetical order.
 pub fn rank(name: &str) -> (usize, &str) {
     const NAMES_AFTER_STAGES: [Name; 9] = [
         stage::TOTAL,

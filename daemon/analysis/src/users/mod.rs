@@ -1,4 +1,5 @@
-//! Statistics of many users of one cloud at the same time: latency against the number of users, and fairness.
+//! Statistics of edges that use one cloud at the same time (*users* of an experiment): latency against the number of
+//! users, and fairness.
 //!
 //! ```text
 //! Loaded ── concurrent_edges ──┐

@@ -1,4 +1,4 @@
-//! Output of users' code, remarks on connections, and with `PEERNET_LOG` the log.
+//! Output of custom code, remarks on connections, and with `PEERNET_LOG` the log.
 //!
 //! On a terminal, the lines are printed above the progress. A run of an experiment passes the lines to the program
 //! that shows the progress: on standard output, each line as a JSON string.
@@ -21,7 +21,7 @@ use tracing_subscriber::util::SubscriberInitExt;
 
 use super::progress::without_progress_bar;
 
-/// Log targets of the lines of users' code.
+/// Log targets of the lines of custom code.
 const USER_CODE_TARGETS: [&str; 2] = ["peernet_external::python", "peernet_external::exec"];
 
 /// The process that shows the lines.
@@ -36,7 +36,7 @@ pub(crate) enum LogDestination {
 /// Log targets of warnings that every user sees.
 const WARNING_TARGETS: [&str; 2] = [REMARK_LOG_TARGET, LOAD_LOG_TARGET];
 
-/// Installs the log. Unless `PEERNET_LOG` sets another level, the log contains only output of users' code, remarks on
+/// Installs the log. Unless `PEERNET_LOG` sets another level, the log contains only output of custom code, remarks on
 /// connections, and models that load for long.
 ///
 /// # Errors
@@ -88,8 +88,8 @@ impl Write for LogWriter {
     }
 }
 
-/// Formatter: `model my_model-Net: the line` for users' code, `warning: the text` for warnings, the log's form for
-/// the rest.
+/// Formatter: `model my_model-Net: the line` for custom code, `warning: the text` for warnings, the log's form for the
+/// rest.
 struct LogFormat {
     other: Line,
 }

@@ -89,7 +89,7 @@ impl Progress {
     /// Prints a line that stays visible. A bar stays below it.
     pub(crate) fn print_line(&self, text: impl Display) {
         let text = text.to_string();
-        // Peers and users' code may have written parts of the text.
+        // Peers and custom code may have written parts of the text.
         let text = printable_lines(&text);
         match &self.display {
             DisplayKind::Bar(bar) => bar.suspend(|| print_to_stderr(text)),

@@ -22,7 +22,7 @@ pub(crate) struct Arguments {
     order: PathBuf,
 }
 
-/// Measures the requested run. Prints its progress as lines of JSON objects, and output of users' code as JSON texts.
+/// Measures the requested run. Prints its progress as lines of JSON objects, and output of custom code as JSON texts.
 ///
 /// # Errors
 /// Those of [`measure`]. Also when the request cannot be read (66) or parsed (78), `PEERNET_LOG` is not a valid level

@@ -125,7 +125,7 @@ fn agent(config: &AgentConfig) -> Value {
     tables
 }
 
-/// Collects every number called `seed` and every seed of users' code, by the table that has it: `sensor`, `load`,
+/// Collects every number called `seed` and every seed of custom code, by the table that has it: `sensor`, `load`,
 /// `actuator`, or `model.` and the model's name.
 fn seeds(config: &AgentConfig) -> BTreeMap<String, u64> {
     const PIPELINE: &str = "pipeline";

@@ -71,7 +71,7 @@ impl AgentStateDir {
     }
 }
 
-/// Returns whether the agent runs programs of the user.
+/// Returns whether the agent runs custom programs.
 fn has_programs(config: &AgentConfig) -> bool {
     config.models.iter().any(ModelConfig::is_program)
         || config.pipelines.iter().any(|pipeline| {

@@ -15,7 +15,7 @@ pub(super) enum SensorType {
     Image,
     /// Random text.
     Text,
-    /// An object or program of the user.
+    /// A custom object or program.
     External,
     /// Random bytes.
     Synthetic,
@@ -85,7 +85,7 @@ fn check(config: SensorConfig) -> Result<SensorConfig, Failure> {
     Ok(config)
 }
 
-/// Makes the sensor of a user's object or program, which may be run because this command line names it.
+/// Makes the sensor of a custom object or program, which may be run because this command line names it.
 fn external_sensor(object: &str, pickle: bool) -> Result<SensorConfig, Failure> {
     Ok(match super::program(object)? {
         Some(command) => SensorConfig::program(command),

@@ -60,7 +60,7 @@ impl ProcessResult {
 pub(super) enum ChildEvent<'a> {
     /// Progress of each process, once it has reported.
     ProgressReport(&'a [Option<ProgressReport>]),
-    /// Output of users' code in the process of this index, or its log.
+    /// Output of custom code in the process of this index, or its log.
     Line(usize, &'a str),
     /// Announcement of how long the processes may still take to end.
     Ending(&'a str),

@@ -59,7 +59,8 @@ impl Estimates {
     }
 }
 
-/// Number of samples that are computed at the same time, and of users that share the computation.
+/// Number of samples that are computed at the same time, and of users (edges at the same time) that share the
+/// computation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct SharedComputation {
     users: u32,

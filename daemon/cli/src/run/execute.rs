@@ -169,7 +169,7 @@ pub(super) fn run_result(
     RunResult { status, exit: exit.code, reason, seconds }
 }
 
-/// Combines the progress of several users: the sums of their counts, and their totals together.
+/// Combines the progress of several users (edges at the same time): the sums of their counts, and their totals together.
 fn combine(reports: &[Option<ProgressReport>]) -> Option<ProgressReport> {
     let all: Vec<&ProgressReport> = reports.iter().flatten().collect();
     let (first, rest) = all.split_first()?;

@@ -77,7 +77,8 @@ impl Folder {
         &self.path
     }
 
-    /// Returns the folder of a run's results. If the run has several users, returns the folder of each user's results.
+    /// Returns the folder of a run's results. If the run has several users (edges at the same time), returns the folder
+    /// of each user's results.
     pub(super) fn results(&self, plan: &Plan, run: &Run) -> Vec<PathBuf> {
         let folder = self.run(run);
         match plan.configuration(run).users {

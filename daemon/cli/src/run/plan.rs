@@ -94,7 +94,8 @@ impl Plan {
         &self.configurations[run.configuration]
     }
 
-    /// Returns the agent's configuration of a user, counted from 0, for a run.
+    /// Returns the configuration of the agent of a user, counted from 0, for a run. A *user* of the experiment is one
+    /// of the edges that use the cloud at the same time.
     pub(super) fn agent(&self, run: &Run, user: u32, id: &str) -> AgentConfig {
         let mut agent = self.seeded_agent(self.configuration(run), run.repeat, user);
         agent.agent.name = self.agent_name(run, user);
@@ -104,8 +105,8 @@ impl Plan {
         agent
     }
 
-    /// Returns the agent's configuration of a user, counted from 0, with the seeds of a repeat and with the
-    /// environment variables that tell users' code of them.
+    /// Returns the configuration of the agent of a user, counted from 0, with the seeds of a repeat. Environment
+    /// variables tell custom code the seed, the repeat and the user.
     pub(super) fn seeded_agent(&self, configuration: &Configuration, repeat: u32, user: u32) -> AgentConfig {
         let mut agent = configuration.agent.clone();
         // Repeats and users get different payloads and draws. Configurations get the same ones, so that they can be
@@ -152,8 +153,8 @@ impl Plan {
         }
     }
 
-    /// Returns the name of a user's agent, numbered if there are several. `None` if the file has no name and a single
-    /// agent takes the machine's.
+    /// Returns the name of the agent of a user, numbered if there are several users. `None` if the file has no name and
+    /// a single agent takes the machine's.
     pub(super) fn agent_name(&self, run: &Run, user: u32) -> Option<Slug> {
         let configuration = self.configuration(run);
         let agent = &configuration.agent.agent;

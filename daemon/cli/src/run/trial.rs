@@ -194,7 +194,7 @@ fn describe_failure(request: &RunRequest, exit: ProcessResult) -> ProcessResult 
 
 /// Makes the request for a trial: the configuration with few iterations, without an actuator and without an aggregator.
 fn trial_request(plan: &Plan, configuration: &Configuration) -> RunRequest {
-    // Users' code may need the variables of the runs.
+    // Custom code may need the variables of the runs.
     let mut agent = plan.seeded_agent(configuration, 0, 0);
     // Dashboards show no trials.
     agent.agent.aggregator = None;

@@ -73,8 +73,8 @@ thread_local! {
     static SHOWS_ARGUMENTS: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Calls `write`. During this call, each command is serialized with its arguments. The arguments may be secret, so
-/// the result must go only to files and programs of the user.
+/// Calls `write`. During this call, each command is serialized with its arguments. The arguments may be secret, so only
+/// files and processes of the same operating-system user may get the result.
 ///
 /// At any other time a command is serialized as its program and the number of its arguments, whatever the name of the
 /// field that holds the command.

@@ -14,7 +14,7 @@ pub struct CallResult {
     pub times: CallTimes,
 }
 
-/// Step of a call that runs in the user's code.
+/// Step of a call that runs in custom code.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Step {
@@ -69,8 +69,7 @@ impl CallTimes {
         Self { restarted_at: None, started_at, ended_at, steps: stamps.iter().map(timed_step).collect() }
     }
 
-    /// Returns the time that is not spent in the user's code: transfer and conversion of the arguments and of the
-    /// result.
+    /// Returns the time that is not spent in custom code: transfer and conversion of the arguments and of the result.
     pub fn overhead(&self) -> Span {
         let in_steps: Span = self.steps.iter().map(|(_, from, to)| *to - *from).sum();
         (self.ended_at - self.started_at - in_steps).max(Span::ZERO)

@@ -60,7 +60,7 @@ pub enum PythonError {
         /// Message of Python.
         reason: String,
     },
-    /// The user's code raised an exception: its text on the first line, then the traceback.
+    /// Custom code raised an exception: its text on the first line, then the traceback.
     #[error("{0}")]
     Raised(String),
     /// The value cannot be transferred to the other process, at least not with this configuration.

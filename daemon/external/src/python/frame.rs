@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use super::{Images, ObjectDescription, Role, Step};
 use crate::text::deserialize_printable;
 
-/// First bytes of every message. A message without them shows that the user's program wrote to the pipe.
+/// First bytes of every message. A message without them shows that the custom program wrote to the pipe.
 pub(super) const MESSAGE_PREFIX: [u8; 4] = *b"PN1\n";
 /// Number of bytes before the header: [`MESSAGE_PREFIX`] and the header's length.
 pub(super) const PREFIX_BYTES: usize = 8;
@@ -74,7 +74,7 @@ pub(super) enum Reply {
         #[serde(rename = "stages")]
         steps: Vec<(Step, i64, i64)>,
     },
-    /// The user's code raised an exception.
+    /// Custom code raised an exception.
     Raised {
         #[serde(deserialize_with = "deserialize_printable")]
         text: String,

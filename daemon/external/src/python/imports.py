@@ -1,10 +1,13 @@
-# The code of a user's object: the user's own files, found by static analysis of imports, and the libraries.
+# Part of the worker's source: mod.rs concatenates its files. values.py imports sys; worker.py defines module_text and
+# bounded_utf8.
+#
+# The code of a custom object: its own files, found by static analysis of imports, and the libraries.
 import ast
 import os
 import warnings
 from importlib.machinery import PathFinder
 
-# Limit of the number of reported files of the user, and of libraries.
+# Limit of the number of reported own files, and of libraries.
 MAX_FILES = 64
 # Limit of the total length of the names of these files, in characters: a host sends them to its peers in one message.
 MAX_NAMES = 1 << 14
@@ -24,7 +27,7 @@ class Imports:
     """Files and libraries that one module imports, directly or indirectly."""
 
     def __init__(self, folder):
-        # The user's code may change the working folder, but its modules were searched in the first one.
+        # Custom code may change the working folder, but its modules were searched in the first one.
         self.folder = folder
         self.path = [entry or folder for entry in sys.path if isinstance(entry, str)]
         # Dictionaries keep the order of discovery.
@@ -36,7 +39,7 @@ class Imports:
         self.distributions = {}
 
     def follow(self, name):
-        """Records a module, the packages that contain it, and all their imports if they are the user's own."""
+        """Records a module, the packages that contain it, and all their imports if they are the object's own files."""
         self.visit(name)
         while self.pending_sources:
             for name in imports_of(*self.pending_sources.pop(0)):

@@ -73,7 +73,7 @@ pub(super) fn launch(
     })
 }
 
-/// Checks everything that can be checked without running the user's code: the name, the folder, the interpreter, and
+/// Checks everything that can be checked without running custom code: the name, the folder, the interpreter, and
 /// whether the interpreter finds the top-level package of the module.
 ///
 /// # Errors
@@ -83,7 +83,7 @@ pub(super) fn check(config: &PythonConfig, clock: &SharedClock) -> Result<(), Py
     let (module, _) = config.module_and_path()?;
     let launch = launch(config, config.object.clone(), None)?;
     let module_folder = launch.folder.clone().unwrap_or_default();
-    // To find a submodule, Python imports its parents, which is the user's code.
+    // To find a submodule, Python imports its parents, which is custom code.
     let top_package = module.split('.').next().unwrap_or(module);
     // This check makes it unnecessary to start an interpreter, which takes tens of milliseconds.
     if module_folder.join(format!("{top_package}.py")).is_file() || module_folder.join(top_package).is_dir() {

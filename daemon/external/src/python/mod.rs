@@ -1,13 +1,13 @@
-//! A user's Python object (`module::object`) in a separate process.
+//! A custom Python object (`module::object`) in a separate process.
 //!
-//! The process runs [`SOURCE`] with Python's standard library only. It imports the user's module from its folder,
-//! instantiates the class, and then answers one call after the other: `sample()` of a sensor, `preprocess`, `infer`
-//! and `postprocess` of a model, or `act()` of an actuator; `reset()` prepares a sensor or an actuator for an
-//! episode. Values are transferred as the parts of a sample (`values.py` defines the conversion). Therefore a Python
-//! object can take the values of another Python object, even if other parts of the pipeline are between the two.
+//! The process runs [`SOURCE`] with Python's standard library only. It imports the object's module from its folder,
+//! instantiates the class, and then answers one call after the other: `sample()` of a sensor, `preprocess`, `infer` and
+//! `postprocess` of a model, or `act()` of an actuator; `reset()` prepares a sensor or an actuator for an episode.
+//! Values are transferred as the parts of a sample (`values.py` defines the conversion). Therefore a Python object can
+//! take the values of another Python object, even if other parts of the pipeline are between the two.
 //!
-//! Before any of the user's code runs, the worker moves the pipes to other descriptors and replaces standard input and
-//! output, so that printed text cannot get between the messages.
+//! Before any custom code runs, the worker moves the pipes to other descriptors and replaces standard input and output,
+//! so that printed text cannot get between the messages.
 
 mod call_result;
 mod config;

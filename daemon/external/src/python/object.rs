@@ -1,4 +1,4 @@
-//! A user's object and the process in which it runs.
+//! A custom object and the process in which it runs.
 
 use bytes::Bytes;
 use peernet_clock::{MonoTime, SharedClock, Span};
@@ -44,8 +44,8 @@ pub struct PythonObject {
 }
 
 impl PythonObject {
-    /// Checks whether an object exists without running any of the user's code: its name, folder and interpreter, and
-    /// whether Python finds the module. Blocks for some tens of milliseconds.
+    /// Checks whether an object exists without running any custom code: its name, folder and interpreter, and whether
+    /// Python finds the module. Blocks for some tens of milliseconds.
     ///
     /// # Errors
     /// The first failed check.
@@ -90,7 +90,7 @@ impl PythonObject {
     /// over, or the process has ended.
     ///
     /// If the process died or did not answer, the next call restarts it. After repeated failures the restart is
-    /// delayed, and calls fail until then. An exception of the user's code does not end the process.
+    /// delayed, and calls fail until then. An exception of custom code does not end the process.
     pub fn call(&mut self, parts: &[Part]) -> CallResult {
         self.call_with_partial_answers(parts, &mut |_| true)
     }
@@ -231,7 +231,7 @@ impl PythonObject {
             shared_memory: worker.shared_memory(),
         };
         let (name, object) = (&self.launch.name, &self.config.object);
-        // Under the target of the output of users' code, which `peernet run` shows, too.
+        // Under the target of the output of custom code, which `peernet run` shows, too.
         let mut report = |elapsed: Span| {
             tracing::warn!(
                 target: "peernet_external::python",
@@ -297,8 +297,7 @@ impl Drop for PythonObject {
     }
 }
 
-/// Adds advice to the first line of an exception and its traceback, if a module is missing that the user's code
-/// imports.
+/// Adds advice to the first line of an exception and its traceback, if a module is missing that custom code imports.
 fn with_import_advice(text: &str) -> String {
     if !text.starts_with("ModuleNotFoundError: ") {
         return text.to_owned();

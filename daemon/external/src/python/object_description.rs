@@ -1,4 +1,4 @@
-//! Description of a user's object: interpreter, files, libraries.
+//! Description of a custom object: interpreter, files, libraries.
 
 use std::path::PathBuf;
 
@@ -17,7 +17,7 @@ pub struct ObjectDescription {
     /// Description of the object, such as `class camera::Camera`.
     #[serde(rename = "what")]
     pub object: String,
-    /// Users' own files that the object is made of; the file of its module is the first.
+    /// Own files of the object; the file of its module is the first.
     files: Vec<PathBuf>,
     /// Names and versions of the libraries that these files import anywhere, and of everything that was imported
     /// during the start; a version may be empty.

@@ -1,9 +1,9 @@
 //! Memory that is shared with the worker, for large parts.
 //!
 //! A pipe copies through the kernel page by page, which takes 22 µs per crossing at 150 kB on the reference machine;
-//! two `memcpy` take 3 µs. Neither side writes while the other one reads: a call is a request followed by a reply,
-//! and each side copies out what it received before it sends its next message. The second copy is
-//! needed because the next call overwrites the memory, and a user may keep a value longer.
+//! two `memcpy` take 3 µs. Neither side writes while the other one reads: a call is a request followed by a reply, and
+//! each side copies out what it received before it sends its next message. The second copy is needed because the next
+//! call overwrites the memory, and custom code may keep a value longer.
 
 use std::fs::File;
 use std::io;

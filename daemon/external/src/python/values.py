@@ -1,5 +1,7 @@
-# Conversion between Python values and parts of a sample. Standard library only; numpy, PIL and torch are used if the
-# user's code imports them.
+# Part of the worker's source: mod.rs concatenates its files.
+#
+# Conversion between Python values and parts of a sample. Standard library only; numpy, PIL and torch are used if
+# custom code imports them.
 import io
 import json
 import math

@@ -1,3 +1,5 @@
+# Part of the worker's source: mod.rs concatenates its files.
+#
 # The channel to the daemon: two pipes and shared memory.
 import mmap
 import os
@@ -10,7 +12,7 @@ ALIGNMENT = 64
 
 
 class Channel:
-    """Reads requests and writes replies. The user's code gets other standard streams."""
+    """Reads requests and writes replies. Custom code gets other standard streams."""
 
     def __init__(self):
         self.source = os.fdopen(os.dup(0), "rb", 1 << 13)
@@ -21,7 +23,7 @@ class Channel:
         null_device = os.open(os.devnull, os.O_RDONLY)
         os.dup2(null_device, 0)
         os.close(null_device)
-        # The user's output goes to standard error.
+        # The output of custom code goes to standard error.
         os.dup2(2, 1)
         sys.stdout.reconfigure(line_buffering=True, errors="backslashreplace")
         # A forked process must not use the pipes.
@@ -56,7 +58,7 @@ class Channel:
         return self.memory.bytes(head["at"], head["length"])
 
     def array(self, head):
-        """The content of a part in writable memory, so that users can change arrays in place."""
+        """The content of a part in writable memory, so that custom code can change arrays in place."""
         length = head["length"]
         empty = getattr(sys.modules.get("numpy"), "empty", None)
         data = bytearray(length) if empty is None else empty(length, "u1")
@@ -115,7 +117,7 @@ class SharedMemory:
 
     def __init__(self, file):
         self.file = file
-        # A program that the user starts must not inherit the file.
+        # A program that custom code starts must not inherit the file.
         os.set_inheritable(file, False)
         self.map = mmap.mmap(file, 0)
 

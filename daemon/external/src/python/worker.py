@@ -1,4 +1,6 @@
-# The worker process of a user's object: reads a call, makes it and writes the result.
+# Part of the worker's source: mod.rs concatenates its files.
+#
+# The worker process of a custom object: reads a call, makes it and writes the result.
 import inspect
 import numbers
 import time
@@ -231,7 +233,7 @@ ROLES = {"sensor": Sensor, "model": Model, "actuator": Actuator}
 
 
 def exception_text(error):
-    """An exception in one line, then its traceback from the user's first frame on."""
+    """An exception in one line, then its traceback from the first frame of custom code on."""
     trace = error.__traceback__
     while trace is not None and trace.tb_frame.f_code.co_filename.startswith(("<peernet>", "<frozen importlib")):
         trace = trace.tb_next

@@ -93,7 +93,7 @@ const PARTS: [Stage; 6] = [
     Stage { class: TOTAL, line: Some(INK.light), ..dark("stages-total", LINE_STRONG, Hatch::Plain) },
 ];
 
-/// Stage that a user's program defines.
+/// Stage that a custom program defines.
 const OTHER: Stage = Stage {
     name: "",
     class: "other",
@@ -109,7 +109,7 @@ pub fn label(name: &str) -> &str {
 }
 
 /// Returns the look of the stage, part of a stage or total with this name. Any other name is that of a stage that a
-/// user's program defines; such a stage has the colour of quiet text.
+/// custom program defines; such a stage has the colour of quiet text.
 pub fn stage(name: &str) -> Stage {
     STAGES.iter().chain(&PARTS).copied().find(|stage| stage.name == name).unwrap_or(OTHER)
 }

@@ -1,4 +1,4 @@
-//! Model kind `exec`: a program of the user, with one process for each worker.
+//! Model kind `exec`: a custom program, with one process for each worker.
 
 use std::collections::BTreeMap;
 use std::num::NonZeroU64;

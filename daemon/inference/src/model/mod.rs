@@ -65,7 +65,7 @@ pub trait ModelKind {
         Vec::new()
     }
 
-    /// Returns whether this kind runs a program of the user, whose arguments are published as a fingerprint only.
+    /// Returns whether this kind runs a custom program, whose arguments are published as a fingerprint only.
     fn is_program(&self) -> bool {
         false
     }
@@ -75,7 +75,7 @@ pub trait ModelKind {
         None
     }
 
-    /// Returns the environment variables that the configuration sets for the processes of users' code; `None` if the
+    /// Returns the environment variables that the configuration sets for the processes of custom code; `None` if the
     /// kind has none.
     fn env_mut(&mut self) -> Option<&mut BTreeMap<String, String>> {
         None
@@ -92,7 +92,7 @@ pub trait ModelKind {
     // difference.
     fn remove_defaults(&self, _keys: &mut Keys) {}
 
-    /// Checks the configuration without loading the model or running users' code.
+    /// Checks the configuration without loading the model or running custom code.
     ///
     /// # Errors
     /// If the configuration contradicts itself, or if something that it names does not exist.
@@ -129,9 +129,9 @@ pub struct LoadContext<'a> {
 pub enum ModelConfig {
     /// A model in ONNX form, run by ONNX Runtime.
     Onnx(ModelTable<onnx::OnnxConfig>),
-    /// A Python object of the user with `infer(x)`.
+    /// A custom Python object with `infer(x)`.
     Python(ModelTable<python::PythonConfig>),
-    /// A program of the user; see docs/external-programs.md.
+    /// A custom program; see docs/external-programs.md.
     Exec(ModelTable<exec::ExecConfig>),
     /// A model that answers with its input at once, to measure the time around a model.
     Echo(ModelTable<echo::EchoConfig>),
@@ -186,12 +186,12 @@ impl ModelConfig {
         self.common().queue.get()
     }
 
-    /// Returns whether the model runs a program of the user, whose arguments are published as a fingerprint only.
+    /// Returns whether the model runs a custom program, whose arguments are published as a fingerprint only.
     pub fn is_program(&self) -> bool {
         self.kind_settings().is_program()
     }
 
-    /// Returns the environment variables that the configuration sets for the processes of users' code; `None` if the
+    /// Returns the environment variables that the configuration sets for the processes of custom code; `None` if the
     /// kind has none.
     pub fn env_mut(&mut self) -> Option<&mut BTreeMap<String, String>> {
         self.kind_settings_mut().env_mut()
@@ -226,7 +226,7 @@ impl ModelConfig {
         }
     }
 
-    /// Checks the configuration without loading the model or running users' code.
+    /// Checks the configuration without loading the model or running custom code.
     pub(crate) fn check(&self, context: &LoadContext<'_>) -> Result<(), LoadError> {
         self.kind_settings().check(self.common(), context)
     }

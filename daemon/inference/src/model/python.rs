@@ -1,4 +1,4 @@
-//! Model kind `python`: an object of the user with `infer(x)`, with one process for each worker.
+//! Model kind `python`: a custom object with `infer(x)`, with one process for each worker.
 
 use std::collections::BTreeMap;
 use std::num::NonZeroU64;

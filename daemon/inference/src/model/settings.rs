@@ -8,7 +8,7 @@ use super::{ModelConfig, Table};
 
 /// Keys of common settings that are recorded elsewhere in a run's description.
 const RECORDED_ELSEWHERE: [&str; 2] = ["name", "device"];
-/// Key of the environment variables of users' code.
+/// Key of the environment variables of custom code.
 const ENVIRONMENT: &str = "env";
 
 impl ModelConfig {

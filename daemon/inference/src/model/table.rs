@@ -20,11 +20,11 @@ pub struct CommonSettings {
     /// Name under which peers request the model.
     pub name: Slug,
     /// Device on which the model runs. For kind `onnx`: `cpu`, `cuda:0`, `tensorrt:0` or `openvino:CPU`; the whole
-    /// model runs there or is refused. Users' code finds it in the variable `PEERNET_DEVICE`. Default:
+    /// model runs there or is refused. Custom code finds it in the variable `PEERNET_DEVICE`. Default:
     /// [`ModelKind::default_device`].
     #[serde(default = "default_device")]
     pub device: String,
-    /// Number of worker threads, each of which computes one sample at a time; for users' code, number of processes.
+    /// Number of worker threads, each of which computes one sample at a time; for custom code, number of processes.
     /// Default: 1.
     #[serde(default = "default_workers")]
     pub workers: NonZeroUsize,

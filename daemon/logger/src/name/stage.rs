@@ -107,7 +107,7 @@ standard_names! {
 // The wire form contains this name as text, like the name `ipc`.
 pub const BATCH_WAIT: Name = Name::from_static("batch-wait");
 /// Cloud or edge: overhead of the communication with the worker process that runs the model's code, in both directions.
-// The wire form contains this name as text, like names supplied by users.
+// The wire form contains this name as text, like custom names.
 pub const IPC: Name = Name::from_static("ipc");
 /// Overhead of the communication with a sensor's worker process, below `capture`.
 // The name differs from `ipc`, because statistics are grouped by name.

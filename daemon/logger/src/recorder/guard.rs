@@ -52,7 +52,7 @@ impl Drop for TimerGuard<'_> {
     }
 }
 
-/// Guard of an open node with a user's instrument, created by [`Recorder::measure`].
+/// Guard of an open node with a custom instrument, created by [`Recorder::measure`].
 #[derive(Debug)]
 pub struct MeterGuard<'a, M: Meter> {
     guard: TimerGuard<'a>,

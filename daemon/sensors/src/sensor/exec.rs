@@ -1,4 +1,4 @@
-//! Sensor kind `exec`: a program of the user.
+//! Sensor kind `exec`: a custom program.
 
 use std::collections::BTreeMap;
 

@@ -30,7 +30,7 @@ pub trait SensorKind {
     /// If the configuration contradicts itself, or if something that it names does not exist.
     fn open(&self, clock: &SharedClock) -> Result<Box<dyn Sensor>, SensorError>;
 
-    /// Checks everything that can be checked without running users' code.
+    /// Checks everything that can be checked without running custom code.
     ///
     /// # Errors
     /// If the configuration contradicts itself, or if something that it names does not exist.
@@ -44,7 +44,7 @@ pub trait SensorKind {
         Vec::new()
     }
 
-    /// Returns whether this kind runs a program of the user, whose arguments are published as a fingerprint only.
+    /// Returns whether this kind runs a custom program, whose arguments are published as a fingerprint only.
     fn is_program(&self) -> bool {
         false
     }
@@ -54,7 +54,8 @@ pub trait SensorKind {
         None
     }
 
-    /// Returns the environment variables that the configuration sets for the processes of users' code; `None` if the kind has none.
+    /// Returns the environment variables that the configuration sets for the processes of custom code; `None` if the
+    /// kind has none.
     fn env_mut(&mut self) -> Option<&mut BTreeMap<String, String>> {
         None
     }
@@ -74,9 +75,9 @@ pub enum SensorConfig {
     Images(images::ImagesConfig),
     /// Random letters and digits.
     Text(text::TextConfig),
-    /// A program of the user; see docs/external-programs.md.
+    /// A custom program; see docs/external-programs.md.
     Exec(exec::ExecConfig),
-    /// A Python object of the user with `sample()`; see docs/python.md.
+    /// A custom Python object with `sample()`; see docs/python.md.
     Python(python::PythonConfig),
     /// The messages of a topic of ROS 1 or ROS 2; see docs/ros.md.
     Ros(ros::RosSensorConfig),

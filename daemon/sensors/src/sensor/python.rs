@@ -1,4 +1,4 @@
-//! Sensor kind `python`: an object of the user with `sample()`.
+//! Sensor kind `python`: a custom object with `sample()`.
 
 use std::collections::BTreeMap;
 

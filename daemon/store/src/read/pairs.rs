@@ -50,8 +50,8 @@ impl Values {
     }
 
     /// Returns the value of the iteration: the sum of all nodes that count for the name. Pages group nodes by name, so
-    /// nodes that a user logged under one name at several places are one quantity here; `data.csv` has a column for
-    /// each of them.
+    /// nodes that custom code logged under one name at several places are one quantity here; `data.csv` has a column
+    /// for each of them.
     fn get(&self, name: &str) -> Option<f64> {
         let other = || Some(self.others.iter().find(|(other, _)| other == name)?.1);
         self.iteration_values.get(name).or_else(other)

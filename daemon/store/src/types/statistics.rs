@@ -17,7 +17,7 @@ use crate::quantity_statistics::{DelayAccuracy, QuantityStatistics, rank};
 pub struct StageStatistics {
     /// The node's name.
     pub stage: Name,
-    /// Unit of the values: `s`, `B`, `bit/s` or the user's own.
+    /// Unit of the values: `s`, `B`, `bit/s` or a custom unit.
     pub unit: String,
     /// `true` if the name is one of the stages that add up to `stages-total`.
     pub is_stage: bool,

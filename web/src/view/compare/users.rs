@@ -1,4 +1,4 @@
-//! Latency against the number of users that measure at the same time, and the fairness between these users.
+//! Latency against the number of users (edges that use the cloud at the same time), and the fairness between them.
 
 use futures::{StreamExt, TryStreamExt};
 use peernet_analysis::users::{Curve, EdgeMeasured, Repeat, Totals, Users, UsersLine, common_time};

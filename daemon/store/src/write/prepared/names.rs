@@ -9,7 +9,7 @@ use peernet_logger::{Measure, Name, Unit};
 pub(in crate::write) struct NameKey {
     pub(in crate::write) text: Name,
     pub(in crate::write) kind: Name,
-    /// `true` if the kind is a user's own.
+    /// `true` if the kind is custom.
     pub(in crate::write) custom: bool,
     pub(in crate::write) unit: Unit,
 }
