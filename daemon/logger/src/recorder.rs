@@ -73,7 +73,7 @@ impl Recorder {
     /// Continues a tree that arrived from another host. Closes `transit`, the transit of its message, at `arrival`.
     ///
     /// # Errors
-    /// If `transit` is not a transit in flight, or the tree already spans the largest number of hosts.
+    /// If `transit` is not a transit that has yet to arrive, or the tree already spans the largest number of hosts.
     pub fn resume(
         clock: SharedClock,
         host: HostId,

@@ -11,8 +11,8 @@ pub enum TreeError {
     /// A node precedes its parent.
     #[error("node {0} precedes its parent")]
     Order(usize),
-    /// A node refers to a host without an anchor.
-    #[error("node {0} refers to a host without an anchor")]
+    /// A node refers to a host that has no anchor in the tree.
+    #[error("node {0} refers to a host that the tree does not list")]
     UnknownHost(usize),
     /// The delta was made for another tree.
     #[error("the tree delta was made for a tree of {expected} nodes, but this one has {actual}")]
@@ -22,8 +22,8 @@ pub enum TreeError {
         /// Number of nodes of the tree that it was applied to.
         actual: usize,
     },
-    /// The delta closes a node that is not an open transit.
-    #[error("node {0} is not a transit in flight")]
+    /// A node that should arrive is not a transit, or has arrived already.
+    #[error("node {0} is not a message that has yet to arrive")]
     NotInFlight(usize),
     /// A node is deeper than the limit.
     #[error("node {0} is deeper than the limit of {MAX_DEPTH} levels")]
