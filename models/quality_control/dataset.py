@@ -16,7 +16,7 @@ import where
 from network import CELL
 from scene import LABELS
 
-WIDTHS = (1280, 640, 320)  # of the pictures that the model is to understand
+WIDTHS = (1280, 640, 320)  # of the pictures that the model should recognise
 SHARE_FULL = 0.1  # of the scenes, drawn at 1280; the others at 640, which takes a quarter of the time
 FILTERS = (Image.BILINEAR, Image.BICUBIC, Image.BOX, Image.LANCZOS)
 
@@ -42,9 +42,10 @@ def load(first_seed: int, count: int, workers: int) -> Dataset:
 
 
 def variants(seed: int) -> np.ndarray:
-    """One scene as the model's input sees it from each of WIDTHS: bytes [len(WIDTHS), height, width, 3].
+    """The model's input for one scene, sent at each of WIDTHS: bytes [len(WIDTHS), height, width, 3].
 
-    A scene drawn at 640 stands in for 1280 with a second encoding.
+    A scene that is drawn at 640 has the encoded drawing as its entry of 1280. About half of the smaller entries are
+    made from the encoded drawing, and so are encoded twice; the others are made from the drawing itself.
     """
     rng = np.random.default_rng([seed, 77])
     full = rng.random() < SHARE_FULL

@@ -105,7 +105,7 @@ class Detector(nn.Module):
 
 
 def _features(classifier: Path) -> nn.Sequential:
-    """The classifier's convolutions, whose weights have the normalisation of the training in them."""
+    """The classifier's convolutions, with the batch normalisation folded into their weights."""
     graph = onnx.load(str(classifier / "model.onnx")).graph
     weights = {one.name: torch.from_numpy(numpy_helper.to_array(one).copy()) for one in graph.initializer}
     layers: list[nn.Module] = []
@@ -128,7 +128,7 @@ def _features(classifier: Path) -> nn.Sequential:
 
 
 def targets(seed: int, mirrored: bool) -> np.ndarray:
-    """For each cell its class + 1 or 0, and the edges of its box: [5, rows, columns]."""
+    """For each cell 0 (no box) or its class + 1, and the edges of its box: [5, rows, columns]."""
     found = np.zeros((5, ROWS, COLUMNS), np.float32)
     drawn = boxes.boxes(scenes.sample(seed, LABELS[seed % len(LABELS)]), WIDTH)
     # Small boxes last: where two meet, the smaller one is harder to find.
@@ -161,12 +161,13 @@ def loss_of(detector: Detector, features: torch.Tensor, wanted: torch.Tensor) ->
     positive = kinds > 0
     count = positive.sum().clamp(min=1)
     ones = nn.functional.one_hot(kinds, len(boxes.NAMES) + 1)[..., 1:].permute(0, 3, 1, 2).float()
-    share = logits.sigmoid()
-    wrong = torch.where(ones > 0, 1 - share, share)
+    probability = logits.sigmoid()
+    wrong = torch.where(ones > 0, 1 - probability, probability)
     weight = torch.where(ones > 0, 0.25, 0.75) * wrong**2
-    named = (weight * nn.functional.binary_cross_entropy_with_logits(logits, ones, reduction="none")).sum() / count
+    entropy = nn.functional.binary_cross_entropy_with_logits(logits, ones, reduction="none")
+    class_loss = (weight * entropy).sum() / count
     edges, true = (one.permute(0, 2, 3, 1)[positive] for one in (edges, wanted[:, 1:]))
-    return 2 * named + (1 - overlap(edges, true)).sum() / count
+    return 2 * class_loss + (1 - overlap(edges, true)).sum() / count
 
 
 def overlap(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:

@@ -35,11 +35,11 @@ class Seen:
 
     def distance(self, level: float) -> np.ndarray:
         """Distance in mm from the part's edge at the height `level`."""
-        return FAR - self.map(np.maximum(FAR - self.face.edge, 0), level)
+        return FAR - self.map(np.maximum(FAR - self.face.edge_distance, 0), level)
 
     def distance_above_belt(self, shift: tuple[float, float]) -> np.ndarray:
         """Distance in mm from the part's edge, `shift` mm away from where each pixel meets the belt."""
-        inside = np.maximum(FAR - self.face.edge, 0)
+        inside = np.maximum(FAR - self.face.edge_distance, 0)
         return FAR - warp(inside, self.face.texels, self.view, self.pose, self.where, 0.0, shift)
 
     def cover(self, level: float) -> np.ndarray:
@@ -95,7 +95,7 @@ def _shadow(patch: np.ndarray, seen: Seen, light: Light) -> None:
 
 def _walls(patch: np.ndarray, seen: Seen, scene: Scene, rng: np.random.Generator) -> None:
     """The sides of the plate and of its holes, as slices from the belt upwards."""
-    out_y, out_x = np.gradient(seen.face.edge, 1 / seen.face.texels)
+    out_y, out_x = np.gradient(seen.face.edge_distance, 1 / seen.face.texels)
     c, s = np.cos(seen.pose.angle), np.sin(seen.pose.angle)
     lamp = lamp_direction(scene.light)
     lit = np.clip((c * out_x - s * out_y) * lamp[0] + (s * out_x + c * out_y) * lamp[1], 0, 1)

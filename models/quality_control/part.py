@@ -58,7 +58,7 @@ def to_part(x: Coordinate, y: Coordinate, px: float, py: float, angle: float) ->
 
 
 def outline_distance(x: Coordinate, y: Coordinate) -> Coordinate:
-    """Distance from the plate's outline, holes left out."""
+    """Distance from the plate's outline, negative inside; holes are left out."""
     qx = np.abs(x) - (LENGTH / 2 - CORNER)
     qy = np.abs(y) - (WIDTH / 2 - CORNER)
     box = np.hypot(np.maximum(qx, 0), np.maximum(qy, 0)) + np.minimum(np.maximum(qx, qy), 0) - CORNER
@@ -67,7 +67,7 @@ def outline_distance(x: Coordinate, y: Coordinate) -> Coordinate:
 
 
 def distance(x: Coordinate, y: Coordinate, missing: str | None = None) -> Coordinate:
-    """Distance from the nearest edge of the top face, but for the hole called `missing`."""
+    """Distance from the nearest edge of the top face, negative on the metal; without the hole called `missing`."""
     found = outline_distance(x, y)
     for hole in HOLES:
         if hole.name != missing:

@@ -16,7 +16,7 @@ from noise import smooth_noise
 from scene import Dent, Scene, Scratch
 
 MARGIN = 3.0  # mm around the part
-FINE = 10.0  # texels per mm at which scratches are drawn, whatever the map's own
+FINE = 10.0  # texels per mm at which scratches are drawn, at any resolution of the map
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Surface:
     """The maps of one part, all of the same shape [rows, columns]."""
 
     texels: float
-    edge: np.ndarray  # signed distance in mm
+    edge_distance: np.ndarray  # mm to the nearest edge of the top face, negative on the metal
     slope_x: np.ndarray  # change of height per mm, along x
     slope_y: np.ndarray
     albedo: np.ndarray  # relative reflectance, 1.0 = clean metal
@@ -34,7 +34,7 @@ class Surface:
 
 
 def grid(texels: float) -> tuple[np.ndarray, np.ndarray]:
-    """Part millimetres of every texel: x [1, columns], y [rows, 1]."""
+    """Position of every texel on the part in mm, from the part's middle: x [1, columns], y [rows, 1]."""
     half_x, half_y = part.LENGTH / 2 + MARGIN, part.WIDTH / 2 + MARGIN
     columns, rows = round(2 * half_x * texels), round(2 * half_y * texels)
     x = ((np.arange(columns) + 0.5) / texels - half_x).astype(np.float32)
@@ -45,14 +45,14 @@ def grid(texels: float) -> tuple[np.ndarray, np.ndarray]:
 def build(scene: Scene, texels: float, rng: np.random.Generator) -> Surface:
     """The maps of the scene's part."""
     x, y = grid(texels)
-    edge = part.distance(x, y, scene.missing).astype(np.float32)
+    edge_distance = part.distance(x, y, scene.missing).astype(np.float32)
     for dent in scene.dents:
         if dent.edge:
-            edge = _soft_max(edge, _notch(dent, x, y), 1.2)
-    height = _shape(x, y, edge, scene.missing)
-    marks, along_x, along_y = _marks(scene, x, y, edge.shape, texels, rng)
-    rough = np.zeros_like(edge)
-    albedo = 1.0 + 0.05 * smooth_noise(rng, edge.shape, 18 * texels) + 0.9 * marks
+            edge_distance = _smooth_maximum(edge_distance, _notch(dent, x, y), 1.2)
+    height = _shape(x, y, edge_distance, scene.missing)
+    marks, along_x, along_y = _marks(scene, x, y, edge_distance.shape, texels, rng)
+    rough = np.zeros_like(edge_distance)
+    albedo = 1.0 + 0.05 * smooth_noise(rng, edge_distance.shape, 18 * texels) + 0.9 * marks
     for dent in scene.dents:
         hollow, inside = _hollow(dent, x, y)
         height += hollow
@@ -61,19 +61,20 @@ def build(scene: Scene, texels: float, rng: np.random.Generator) -> Surface:
         albedo -= 0.08 * inside
     height += marks * 0.35 / texels * 2
     for scratch in scene.scratches:
-        groove = _groove(scratch, edge.shape)
-        groove[edge > -0.3] = 0
+        groove = _groove(scratch, edge_distance.shape)
+        groove[edge_distance > -0.3] = 0
         height -= 0.17 * scratch.depth * groove
         albedo *= 1 + scratch.bright * scratch.depth * groove
-    ink = _engraving(edge.shape, texels, rng)
-    ink[edge > -2] = 0
+    ink = _engraving(edge_distance.shape, texels, rng)
+    ink[edge_distance > -2] = 0
     albedo *= 1 - 0.5 * ink
-    albedo *= 1 - 0.12 * np.clip(smooth_noise(rng, edge.shape, 30 * texels) - 0.3, 0, 1)
+    albedo *= 1 - 0.12 * np.clip(smooth_noise(rng, edge_distance.shape, 30 * texels) - 0.3, 0, 1)
     slope_y, slope_x = np.gradient(height, 1 / texels)
-    return Surface(texels, edge, slope_x, slope_y, albedo, along_x, along_y, rough)
+    return Surface(texels, edge_distance, slope_x, slope_y, albedo, along_x, along_y, rough)
 
 
-def _soft_max(a: np.ndarray, b: np.ndarray, width: float) -> np.ndarray:
+def _smooth_maximum(a: np.ndarray, b: np.ndarray, width: float) -> np.ndarray:
+    """The larger of two distances, smooth within `width` of where they are equal."""
     h = np.clip(0.5 + 0.5 * (a - b) / width, 0, 1)
     return b + (a - b) * h + width * h * (1 - h)
 
@@ -84,9 +85,9 @@ def _step(distance: np.ndarray, width: float) -> np.ndarray:
     return t * t * (3 - 2 * t)
 
 
-def _shape(x: np.ndarray, y: np.ndarray, edge: np.ndarray, missing: str | None) -> np.ndarray:
+def _shape(x: np.ndarray, y: np.ndarray, edge_distance: np.ndarray, missing: str | None) -> np.ndarray:
     """Height of the intended shape in mm: chamfers, countersinks, recess."""
-    height = -np.clip(part.CHAMFER + edge, 0, part.CHAMFER)
+    height = -np.clip(part.CHAMFER + edge_distance, 0, part.CHAMFER)
     for hole in part.HOLES:
         if hole.name == missing:
             continue

@@ -66,12 +66,12 @@ def loss_of(network: Network, seen: Dataset, chosen: np.ndarray, rng: np.random.
     variant = rng.integers(0, len(WIDTHS), len(chosen))
     pictures, targets = altered(seen.pictures[chosen, variant], seen.maps[chosen], rng)
     maps = network.maps(pictures)
-    named = nn.functional.cross_entropy(
+    class_loss = nn.functional.cross_entropy(
         network.judge(maps), torch.from_numpy(seen.labels[chosen]), label_smoothing=0.02
     )
     weight = torch.full((1, 1, 1), CELL_WEIGHT)
-    located = nn.functional.binary_cross_entropy_with_logits(maps, targets, pos_weight=weight)
-    return named + LOCATION_SHARE * located
+    location_loss = nn.functional.binary_cross_entropy_with_logits(maps, targets, pos_weight=weight)
+    return class_loss + LOCATION_SHARE * location_loss
 
 
 def altered(pixels: np.ndarray, maps: np.ndarray, rng: np.random.Generator) -> tuple[torch.Tensor, torch.Tensor]:

@@ -25,18 +25,18 @@ use tokio_util::sync::CancellationToken;
 
 use crate::requests::{ResponseTimes, measure};
 
-/// Number of nodes of the small run; half of the large run's nodes if that is smaller.
-const SMALL_NODES: u64 = 1_000_000;
+/// Maximum number of nodes of the small run, which has at most half of the large run's nodes.
+const MAX_SMALL_NODES: u64 = 1_000_000;
 
 #[tokio::main]
 async fn main() {
     let mut arguments = std::env::args().skip(1).filter(|argument| argument != "--bench");
     let nodes: u64 =
-        arguments.next().map_or(SMALL_NODES * 100, |word| word.parse().expect("a number of nodes"));
+        arguments.next().map_or(MAX_SMALL_NODES * 100, |word| word.parse().expect("a number of nodes"));
     let scratch = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).expect("a folder");
     let folder = arguments.next().map_or_else(|| scratch.path().to_owned(), PathBuf::from);
     std::fs::create_dir_all(&folder).expect("a folder");
-    let small_nodes = SMALL_NODES.min(nodes / 2);
+    let small_nodes = MAX_SMALL_NODES.min(nodes / 2);
     let small = measure_database(&folder, small_nodes).await;
     let large = measure_database(&folder, nodes).await;
     println!("\n| page | {small_nodes} nodes, median ms | max | {nodes} nodes, median ms | max | ratio |");

@@ -42,8 +42,8 @@ impl PageCheck {
         }))
     }
 
-    /// Makes a whole pass over a file that no connection of this process has open ([`PageFile::open`]). Returns the
-    /// numbers of malformed pages.
+    /// Makes a whole pass over a file. Returns the numbers of malformed pages. No connection of this process may have
+    /// the file open, because closing it here would release SQLite's locks (see [`PageFile::open`]).
     pub(crate) fn find_malformed(database: &Path) -> io::Result<Vec<u32>> {
         let file = Arc::new(File::open(database)?);
         let Some(mut check) = Self::start(file, log_path(database))? else { return Ok(vec![1]) };
@@ -72,9 +72,9 @@ impl PageCheck {
     /// Returns the malformed pages that are in use.
     ///
     /// While an aggregator stores, a checkpoint may be in progress, so the main file may mix pages of different times.
-    /// Therefore pages to which the write-ahead log refers count as in use, too. A page is returned only if it is still
-    /// malformed when it is read again. The result may still contain pages that were moved during the pass; another
-    /// pass does not find these pages again.
+    /// Therefore overflow pages to which pages in the write-ahead log refer are not malformed, either. A page is returned
+    /// only if it is still malformed when it is read again. The result may still contain pages that were moved during
+    /// the pass; another pass does not find these pages again.
     pub(crate) fn finish(mut self) -> io::Result<Vec<u32>> {
         let missing_page = self.file.first_missing_page()?;
         self.follow_overflows(None)?;

@@ -21,8 +21,8 @@ pub(crate) struct PairwiseRow {
     pub picture: Picture,
 }
 
-/// Returns the pairwise differences between the totals of the baseline and of each other configuration, in the order of the
-/// differences. An entry is `None` if one of the two configurations has no total. The list has at most [`MAX_DISTRIBUTIONS`] entries.
+/// Returns the pairwise differences between the totals of the baseline and of each other configuration, in the order of
+/// `differences.others`. An entry is `None` if one of the two configurations has no total. The list has at most [`MAX_DISTRIBUTIONS`] entries.
 pub(crate) fn pairwise(comparison: &Comparison, differences: &Differences) -> Vec<Option<PairwiseRow>> {
     let all = &comparison.configurations;
     let total = |index: usize| all.get(index)?.summary(comparison.total_column.name());
@@ -50,11 +50,12 @@ pub(crate) fn pairwise(comparison: &Comparison, differences: &Differences) -> Ve
             beyond => format!(", {} % beyond the axis", percent(beyond)),
         };
         let median = pairs.quantile(0.5).map_or_else(String::new, |median| duration(median).to_string());
+        let total_title = comparison.total_column.title().to_lowercase();
         let label = format!(
-            "{} less {}, {} of one iteration each: median {median}, faster in {faster} % of the pairs{beyond}",
+            "{total_title} of an iteration of {} minus {total_title} of an iteration of {}: median {median}, faster in \
+             {faster} % of the pairs{beyond}",
             all[*index].name,
             all[differences.baseline].name,
-            comparison.total_column.title().to_lowercase(),
         );
         let items = axis.histogram(&pairs, &look::stage(comparison.total_column.name()), interval);
         let picture =

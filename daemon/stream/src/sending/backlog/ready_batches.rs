@@ -1,10 +1,10 @@
-//! Batches that are in the spool and in memory, ready to be sent.
+//! Batches of the spool of which a copy is in memory, ready to be sent.
 
 use std::collections::VecDeque;
 
 use crate::spool::{SpooledBatch, Usage};
 
-/// Contiguous batches that are in the spool and in memory, from the oldest unacknowledged batch on.
+/// Contiguous batches of the spool of which a copy is in memory, from the oldest unacknowledged batch on.
 #[derive(Clone, Debug)]
 pub(super) struct ReadyBatches {
     batches: VecDeque<SpooledBatch>,
