@@ -17,8 +17,8 @@ mod measure;
 mod models;
 mod network;
 pub mod output;
+mod paper_commands;
 mod plot;
-mod published;
 mod recompute;
 #[cfg(test)]
 mod reference;
@@ -59,7 +59,7 @@ struct Cli {
     command: Option<Command>,
     /// As the paper types it: `peernet --server …`, `peernet --client …`.
     #[command(flatten)]
-    published: Option<published::Arguments>,
+    paper: Option<paper_commands::Arguments>,
 }
 
 #[derive(Debug, Subcommand)]
@@ -125,7 +125,7 @@ pub fn main() -> ExitCode {
     };
     let result = match line {
         Cli { command: Some(command), .. } => command.run(),
-        Cli { published: Some(published), .. } => published::run(&published),
+        Cli { paper: Some(arguments), .. } => paper_commands::run(&arguments),
         // The parser requires one of the two.
         Cli { .. } => Ok(()),
     };

@@ -7,7 +7,7 @@ use peernet_networks::NetworkKind;
 #[error("there is {}", known_kinds())]
 pub(crate) struct NetworkNameError;
 
-/// Returns a kind by its published name.
+/// Returns a kind by its name in the paper's program.
 ///
 /// # Errors
 /// When no kind has this name.

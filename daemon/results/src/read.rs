@@ -64,7 +64,7 @@ fn record_without_file(path: &Path, rows: &Rows, has_warm_up_flags: bool) -> Run
     let warm_up = if has_warm_up_flags {
         String::new()
     } else {
-        format!("the first {PUBLISHED_WARM_UP_ROWS} rows, which the published figures leave out")
+        format!("the first {PUBLISHED_WARM_UP_ROWS} rows, which the figures of the paper's program leave out")
     };
     RunRecord {
         title: name.clone(),

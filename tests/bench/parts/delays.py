@@ -45,7 +45,7 @@ def measure(quick: bool) -> Section:
             _beside(beside, path, seen[f"{path.name}, idle, 0 ppm"], edge, cloud, seconds)
     section.table(table)
     section.say(
-        "On the same paths, what a user gets elsewhere. *chrony*: the stamps' difference less the offset that chrony "
+        "On the same paths, what a user gets elsewhere. *chrony*: the stamps' difference minus the offset that chrony "
         "(following the cloud's chronyd over the path, up to four polls a second) tells of equal clocks, with its root "
         "delay and dispersion as interval. *stamp-suite*: its one-way delays with clocks 500 ms apart, which it takes for one. "
         "All in µs."

@@ -158,7 +158,7 @@ def _paced(section: Section, bench: Bench, repeats: int) -> None:
     section.say(
         f"The same server sends {PACED} tokens, one each {INTERVAL_MS:g} ms; {repeats} repeats of "
         f"{bench.counts['paced']} answers, in turn. *First token*: from the request to the first token at the reader "
-        "(with the cloud: `first-part`), less the server's own time from the request to that token. *End*: from the "
+        "(with the cloud: `first-part`), minus the server's own time from the request to that token. *End*: from the "
         "server's stamp before it writes the last token to the end of the answer at the reader. All programs read the "
         "clock of one machine."
     )

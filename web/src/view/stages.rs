@@ -97,7 +97,7 @@ impl StageRow {
 
     /// Returns the row of the sum of both directions.
     fn network(column: DurationFormat, part: &StagePart, share: Option<f64>) -> Self {
-        let title = "free of any clock: the round trip less the time on the other host";
+        let title = "free of any clock: the round trip minus the time on the other host";
         Self {
             mean: column.duration(part.seconds),
             bound: BoundCell { text: "exact".to_owned(), sign: None, title },

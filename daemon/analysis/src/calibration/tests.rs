@@ -131,7 +131,7 @@ fn good_link_is_trusted_and_line_is_fitted() {
         );
     }
     assert!((study.clocks.offset.expect("delays are corrected by it") - 1.0).abs() < 1e-6);
-    // The raw differences, as in the published study, contain the offset of the clocks with either sign.
+    // The raw differences, as in the paper's study, contain the offset of the clocks with either sign.
     let raw = study.directions().map(|direction| direction.fits.expect("eight sizes").raw.intercept.value);
     assert!((raw[0] - 1.0).abs() < 1e-3 && (raw[1] + 1.0).abs() < 1e-3, "{raw:?}");
 }

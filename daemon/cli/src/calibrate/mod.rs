@@ -1,4 +1,4 @@
-//! `peernet calibrate`: the published study of a link as a command.
+//! `peernet calibrate`: the paper's study of a link as a command.
 //!
 //! A payload sweep is a run of the `synthetic` sensor: an agent in the foreground sends payloads of all sizes to a
 //! peer's model `calibration`, which returns them, and [`peernet_analysis`] makes a study of the delays.

@@ -1,9 +1,9 @@
 //! Running of an agent in the foreground: the agent is started, observed until it is done or a signal arrives, and
 //! stopped.
 //!
-//! Three commands use this module: `calibrate` studies a link, `measure` records a run, and the published `--server`
-//! serves. The commands differ in their observer ([`RunObserver`]); starting, signals and stopping are the same.
-//! Events come from the agent's tap. The rest of the agent's state is read several times a second.
+//! Three commands use this module: `calibrate` studies a link, `measure` records a run, and the paper's `--server`
+//! serves. The commands differ in their observer ([`RunObserver`]); starting, signals and stopping are the same. Events
+//! come from the agent's tap. The rest of the agent's state is read several times a second.
 
 mod agent_end;
 mod command_line;

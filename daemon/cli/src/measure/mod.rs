@@ -6,7 +6,7 @@
 //!                                     └─ record ── run.json, summary.*
 //! ```
 //!
-//! The published client calls [`measure`] itself; an experiment starts one process for each of its runs
+//! The paper's command `--client` calls [`measure`] itself; an experiment starts one process for each of its runs
 //! (`peernet measure --order FILE`), so that a crash affects one run only.
 
 mod agent_end;

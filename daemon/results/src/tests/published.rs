@@ -25,7 +25,7 @@ fn published_file_without_record_is_read() {
     assert_eq!(
         warm_up,
         [true, true, true, true, true, false, false],
-        "the published figures drop the first five"
+        "the figures of the paper's program drop the first five"
     );
     let last = loaded.rows.get(6).expect("seven");
     assert_eq!(

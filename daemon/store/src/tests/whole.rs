@@ -60,7 +60,7 @@ async fn each_tree_shape_is_found_once_per_page() {
     assert_eq!(test_store.store.full_iterations(&run, 43).await.expect("answers"), None);
 }
 
-/// A published server reports to no aggregator: it has the name that the edge gives it.
+/// A server of the paper's commands reports to no aggregator: it has the name that the edge gives it.
 #[tokio::test]
 async fn silent_server_has_name_given_by_run() {
     let mut test_store = TestStore::new().await;

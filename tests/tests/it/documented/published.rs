@@ -1,4 +1,4 @@
-//! The published commands in the documents, and the use of their results.
+//! The paper's commands in the documents, and the use of their results.
 
 use peernet_tests::{Document, DocumentedCommands, wait_until};
 

@@ -1,4 +1,4 @@
-//! Tests of the published commands over datagrams, of which some are lost.
+//! Tests of the paper's commands over datagrams, of which some are lost.
 
 use peernet_tests::Network;
 use peernet_tests::network::WireProperties;

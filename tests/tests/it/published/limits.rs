@@ -1,4 +1,4 @@
-//! Tests of the published commands' limits: the time for an answer, and the size of a sample.
+//! Tests of the limits of the paper's commands: the time for an answer, and the size of a sample.
 
 use peernet_tests::ProcessEnd;
 

@@ -1,4 +1,4 @@
-//! Tests of the published commands, as the paper shows them.
+//! Tests of the paper's commands, as the paper shows them.
 
 mod commands;
 mod datagrams;

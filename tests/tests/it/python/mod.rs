@@ -8,7 +8,7 @@ use std::path::Path;
 
 use peernet_tests::python;
 
-/// Sensor in the published style, with two arrays per sample.
+/// Sensor in the style of the paper's program, with two arrays per sample.
 const RIG: &str = r#"
 import numpy
 
@@ -23,7 +23,7 @@ class Rig:
         return image, numpy.array([self.taken, 0.5])
 "#;
 
-/// Model in the published style, which raises an exception for every tenth sample.
+/// Model in the style of the paper's program, which raises an exception for every tenth sample.
 const FOLLOWER: &str = r#"
 import os
 

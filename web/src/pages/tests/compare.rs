@@ -209,7 +209,10 @@ async fn iterations_are_compared_with_those_of_baseline() {
     let html = page_of(two, true).await;
     let pairs = html.split("class=\"bars pairs\"").nth(1).and_then(|rest| rest.split("</table>").next());
     let pairs = pairs.expect("a table");
-    assert!(pairs.contains("total of an iteration of A minus total of an iteration of B: median "), "{pairs}");
+    assert!(
+        pairs.contains("total of an iteration of A minus total of an iteration of B: median "),
+        "{pairs}"
+    );
     assert!(pairs.contains("data-h=\"faster in %\">") && pairs.contains("more than chance"), "{pairs}");
 }
 

@@ -54,8 +54,7 @@ pub(crate) fn pairwise(comparison: &Comparison, differences: &Differences) -> Ve
         let label = format!(
             "{total_title} of an iteration of {} minus {total_title} of an iteration of {}: median {median}, faster in \
              {faster} % of the pairs{beyond}",
-            all[*index].name,
-            all[differences.baseline].name,
+            all[*index].name, all[differences.baseline].name,
         );
         let items = axis.histogram(&pairs, &look::stage(comparison.total_column.name()), interval);
         let picture =

@@ -11,7 +11,7 @@ use toml::{Table, Value};
 use super::experiment::Network;
 use crate::exit::Failure;
 use crate::network::network as kind;
-use crate::published::{DeviceAddresses, addresses};
+use crate::paper_commands::{DeviceAddresses, addresses};
 use crate::run::relative_paths::base_hint;
 
 /// Files of devices, each read once, so that remarks about a file appear once for all combinations.

@@ -110,7 +110,7 @@ mod tests {
             let kind = if words[0] == "--text-size" { "random string" } else { "image" };
             let words = line.split(' ').map(OsString::from).chain([kind.into()]).chain(words);
             let line = Cli::try_parse_from(words).expect("a command line of the paper's program");
-            let failure = from_arguments(&line.published.expect("its options")).expect_err("refused");
+            let failure = from_arguments(&line.paper.expect("its options")).expect_err("refused");
             (failure.exit, failure.to_string())
         };
         let (exit, message) = refused(["--dataset-loc".into(), OsString::from_vec(b"pic\xff".to_vec())]);

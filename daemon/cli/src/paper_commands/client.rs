@@ -21,7 +21,7 @@ use super::{Arguments, sensor};
 use crate::foreground::{command_line, dashboard_hint, tables};
 use crate::measure::{AgentStateDir, Measured, RunRequest, measure, undelivered};
 
-/// Number of iterations at the start of a run that the published plots drop.
+/// Number of iterations at the start of a run that the plots of the paper's program leave out.
 const WARM_UP_ITERATIONS: u64 = 5;
 /// Longest wait for an answer in milliseconds unless `--timeout` sets another: the largest model on a slow processor
 /// takes long. It is longer than the server's limit for one call of a model (60 s), because the server's error says
@@ -149,7 +149,7 @@ mod tests {
             file.display()
         );
         let words = line.split(' ').map(|word| word.replace("exec:cat", "exec:cat -u"));
-        let arguments = Cli::try_parse_from(words).expect("a published command line").published;
+        let arguments = Cli::try_parse_from(words).expect("a command line of the paper").paper;
         let arguments = arguments.expect("its options are at the top level");
         let devices = Devices::read(&arguments.network_config, None).expect("a file of devices");
         let request = run_request(&arguments, &devices).expect("a pipeline");

@@ -1,4 +1,4 @@
-//! The published options, with the published defaults.
+//! Options of the paper's commands, with the defaults of the paper's program.
 
 use std::num::{NonZeroU64, ParseIntError, TryFromIntError};
 use std::ops::RangeInclusive;
@@ -16,7 +16,7 @@ use crate::seconds::{SecondsError, seconds};
 const MESSAGE_BYTES_RANGE: RangeInclusive<u64> =
     SessionSettings::MESSAGE_BYTES_RANGE.0..=SessionSettings::MESSAGE_BYTES_RANGE.1;
 
-/// The published experiment: one device serves a model, the other senses and measures.
+/// The paper's experiment: one device serves a model, the other senses and measures.
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Published experiment")]
 pub(crate) struct Arguments {
@@ -158,12 +158,12 @@ mod tests {
     use crate::Cli;
 
     fn read(line: &str) -> Arguments {
-        let line = Cli::try_parse_from(line.split_whitespace()).expect("a published command line");
-        line.published.expect("its options are at the top level")
+        let line = Cli::try_parse_from(line.split_whitespace()).expect("a command line of the paper");
+        line.paper.expect("its options are at the top level")
     }
 
     #[test]
-    fn omitted_options_have_published_defaults() {
+    fn omitted_options_have_defaults_of_paper() {
         let read = read("peernet --name a --network-config b.yaml --iterations 7");
         assert!(!read.client && !read.generate_plots && !read.overwrite && !read.pickle && !read.quiet);
         assert_eq!((read.network, read.sensor_type), (None, SensorType::Image));
@@ -198,9 +198,9 @@ mod tests {
     }
 
     #[test]
-    fn subcommand_needs_no_published_option() {
+    fn subcommand_needs_no_option_of_paper() {
         let line = Cli::try_parse_from(["peernet", "status"]).expect("a command");
-        assert!(line.command.is_some() && line.published.is_none());
+        assert!(line.command.is_some() && line.paper.is_none());
         assert!(Cli::try_parse_from(["peernet", "--client", "status"]).is_err());
     }
 }

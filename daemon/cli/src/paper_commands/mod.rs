@@ -1,7 +1,7 @@
 //! The commands of the paper: `peernet --server …` on the device that serves, `peernet --client …` on the device that
 //! senses.
 //!
-//! They run the daemon's pipeline code in the foreground, configured by the published options.
+//! They run the daemon's pipeline code in the foreground, configured by the options of the paper's program.
 
 mod arguments;
 mod client;

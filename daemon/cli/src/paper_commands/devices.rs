@@ -15,7 +15,7 @@ use serde::de::IgnoredAny;
 
 use crate::address::{AddressError, DEFAULT_PORT, address};
 
-/// The file in its published form.
+/// The file in the form that the paper's program reads.
 #[derive(Debug, Deserialize)]
 struct File {
     devices: BTreeMap<String, String>,
@@ -216,7 +216,7 @@ server: cluster
     }
 
     #[test]
-    fn published_file_is_parsed() {
+    fn device_file_of_paper_is_parsed() {
         let devices = Devices::parse(PUBLISHED, "net.yaml", None).expect("reads");
         assert_eq!(devices.address.to_string(), "tcp://cluster.lab.example:5551");
         let text = format!("{PUBLISHED}start_port: 6000\nsomething: [1, 2]\n");
