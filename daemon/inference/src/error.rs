@@ -12,7 +12,7 @@ const MAX_LISTED: usize = 30;
 #[derive(Debug, thiserror::Error)]
 pub enum LoadError {
     /// No model of that name is offered.
-    #[error("no model named {name}; {}", offered_text(.known))]
+    #[error("no model named {name}; {}", offered_text("this host", .known))]
     UnknownModel {
         /// The requested name.
         name: String,
@@ -34,7 +34,7 @@ pub enum LoadError {
         known: Vec<String>,
     },
     /// The request names no model although several are offered.
-    #[error("the request names no model; {}; name a model", offered_text(.known))]
+    #[error("the request names no model; {}; name a model", offered_text("this host", .known))]
     Unnamed {
         /// The models that this host offers.
         known: Vec<String>,
@@ -175,8 +175,8 @@ impl LoadError {
         matches!(self, Self::Server { is_transient: true, .. })
     }
 
-    /// Returns whether something in the configuration does not exist: a model, its file, a program, a module or a
-    /// Python interpreter.
+    /// Returns whether something in the configuration does not exist or cannot be read: a model, its file, a program, a
+    /// module or a Python interpreter.
     pub const fn is_missing(&self) -> bool {
         matches!(
             self,
@@ -202,7 +202,8 @@ impl LoadError {
     pub fn to_peer(&self, model: &str, host: &str) -> String {
         match self {
             // The peer tries again until loading succeeds, and shows this reason to its user meanwhile. The reason
-            // names neither an address nor the variable with a key, unless it quotes the server.
+            // contains neither the server's address nor the name of the environment variable that holds the API key.
+            // Only a text quoted from the server may contain the address; such a reason is not shown.
             Self::Server { url, is_transient: true, reason, .. } if !names_server(reason, url) => {
                 format!("model {model} cannot be loaded on host {host}: {reason}")
             }
@@ -224,9 +225,14 @@ impl LoadError {
                     "model {model} cannot run on {device}: the serving host's ONNX Runtime has no {provider}"
                 )
             }
-            Self::UnknownModel { .. }
-            | Self::Unnamed { .. }
-            | Self::Changed(_)
+            Self::UnknownModel { name, known } => {
+                format!("no model named {name}; {}", offered_text(&format!("host {host}"), known))
+            }
+            Self::Unnamed { known } => {
+                let offered = offered_text(&format!("host {host}"), known);
+                format!("the request names no model; {offered}; name a model")
+            }
+            Self::Changed(_)
             | Self::BankFull { .. }
             | Self::Duplicate(_)
             | Self::AboveLimit { .. }
@@ -334,8 +340,8 @@ pub enum InferenceError {
         /// Capacity of the queue.
         capacity: usize,
     },
-    /// The request was cancelled before its answer was complete.
-    #[error("model {model} stopped: nobody waits for the answer any more")]
+    /// The request was cancelled before its answer was complete. The model continues with other requests.
+    #[error("model {model} gave up this request: nobody waits for its answer any more")]
     Cancelled {
         /// The model.
         model: String,
@@ -392,9 +398,9 @@ fn available_text(known: &[String]) -> String {
     }
 }
 
-fn offered_text(known: &[String]) -> String {
+fn offered_text(host: &str, known: &[String]) -> String {
     match known {
-        [] => "this host offers none: add a [[model]] to its configuration".to_owned(),
-        known => format!("this host offers {}", first_names(known)),
+        [] => format!("{host} offers none: add a [[model]] to its configuration"),
+        known => format!("{host} offers {}", first_names(known)),
     }
 }

@@ -52,8 +52,8 @@ fn main() -> BenchResult<()> {
     let session = runtime.block_on(async { tokio::spawn(open(address, settings)).await })??;
     println!("datagrams of {datagram_bytes} bytes, answers of {ANSWER_BYTES} bytes, two threads");
     println!(
-        "{:>9} | {:>9} {:>9} | {:>9} {:>9} | {:>8} {:>8} {:>6}",
-        "bytes", "UDP p50", "p99", "p50", "p99", "UDP/s", "/s", "ratio"
+        "{:>9} | {:>9} {:>9} | {:>11} {:>11} | {:>8} {:>9} {:>6}",
+        "bytes", "UDP p50", "UDP p99", "session p50", "session p99", "UDP/s", "session/s", "ratio"
     );
     for size in sizes {
         let payload = Bytes::from(vec![7; size]);
@@ -84,7 +84,7 @@ fn report(size: usize, bare_times: &mut [Span], session_times: &mut [Span]) {
     let rate = |spans: &[Span]| spans.len() as f64 / spans.iter().copied().sum::<Span>().seconds();
     let (bare_rate, session_rate) = (rate(bare_times), rate(session_times));
     println!(
-        "{size:>9} | {:>9.1} {:>9.1} | {:>9.1} {:>9.1} | {bare_rate:>8.0} {session_rate:>8.0} {:>6.2}",
+        "{size:>9} | {:>9.1} {:>9.1} | {:>11.1} {:>11.1} | {bare_rate:>8.0} {session_rate:>9.0} {:>6.2}",
         quantile_micros(bare_times, 0.5),
         quantile_micros(bare_times, 0.99),
         quantile_micros(session_times, 0.5),

@@ -173,7 +173,7 @@ impl Store {
         read::iterations::slowest_iterations(&self.readers, run, n).await
     }
 
-    /// Returns iterations by ascending number.
+    /// Returns iterations in the order of their numbers.
     pub async fn iterations(
         &self,
         run: i64,
@@ -224,9 +224,9 @@ impl Store {
         read::iterations::iteration(&self.readers, run, number).await
     }
 
-    /// Returns the next iterations after a number, as the agent sent them, by ascending number. The first part of the
-    /// result is the number of the last examined iteration, which is the argument `after` of the next call. Returns
-    /// `None` after the last iteration.
+    /// Returns the next iterations after a number, as the agent sent them, in the order of their numbers. The first
+    /// part of the result is the number of the last examined iteration, which is the argument `after` of the next call.
+    /// Returns `None` after the last iteration.
     pub async fn full_iterations(
         &self,
         run: &RunSummary,

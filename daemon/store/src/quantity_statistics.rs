@@ -63,8 +63,8 @@ pub struct DelayAccuracy {
     pub stage: Name,
     /// Half the width of the interval that contains the delay, seconds; `None` when no delay had one.
     pub half_width: Option<QuantityStatistics>,
-    /// Lower ends and upper ends of the intervals of the delays that have a value, seconds; `None` if an earlier
-    /// version recorded the delays.
+    /// Lower and upper ends of the intervals of the delays whose value is known, seconds; `None` if an earlier version
+    /// recorded the delays.
     pub ends: Option<[QuantityStatistics; 2]>,
     /// Number of delays per verdict, in the order of [`Verdict::ALL`]; verdicts without delays are omitted.
     pub verdicts: Vec<(Verdict, u64)>,
@@ -72,10 +72,10 @@ pub struct DelayAccuracy {
 
 impl DelayAccuracy {
     /// Returns the number of messages to the other host and the number back, including those with an unknown delay.
-    pub fn sent_messages(bounds: &[Self]) -> [u64; 2] {
-        [stage::UPLOAD, stage::DOWNLOAD].map(|direction| {
-            let bound = bounds.iter().find(|bound| bound.stage == direction);
-            bound.map_or(0, |bound| bound.verdicts.iter().map(|(_, count)| count).sum())
+    pub fn sent_messages(directions: &[Self]) -> [u64; 2] {
+        [stage::UPLOAD, stage::DOWNLOAD].map(|name| {
+            let direction = directions.iter().find(|direction| direction.stage == name);
+            direction.map_or(0, |direction| direction.verdicts.iter().map(|(_, count)| count).sum())
         })
     }
 
@@ -128,8 +128,8 @@ pub fn rank(name: &str) -> (usize, &str) {
         stage::UPLOAD_LOGGER_BYTES,
         stage::DOWNLOAD_LOGGER_BYTES,
     ];
-    // The first stage is `sensing`. Its two parts follow it, as children do in a tree, so that the positions of the
-    // standard names are multiples of three.
+    // The positions of the standard names are multiples of three, so that the two parts of `sensing` have positions
+    // between it and the next stage, as children have in a tree.
     let standard_position = || {
         let index = stage::ORDER.iter().chain(&NAMES_AFTER_STAGES).position(|standard| standard == name)?;
         Some(3 * index)

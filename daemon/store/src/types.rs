@@ -201,7 +201,7 @@ pub struct SeriesPoint {
     pub p95: Option<f64>,
 }
 
-/// Selection of the iterations of a run to list, by ascending number.
+/// Selection of the iterations of a run to list, in the order of their numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct IterationFilter {
     /// Selects the iterations with a greater number than this: the last number of the previous page; 0 for the first

@@ -97,7 +97,7 @@ async fn peer_gets_named_model_on_allowed_device() {
 
     for (placement, expected) in [
         (", model = 'plates', device = 'cuda:0'", "only on cpu"),
-        (", model = 'quality-control'", "this host offers plates, plates_2"),
+        (", model = 'quality-control'", " offers plates, plates_2"),
     ] {
         let edge = TestAgent::start("edge", None, &pipeline(&cloud, placement)).await;
         let reason = waiting_reason(&edge).await;

@@ -24,7 +24,7 @@ struct TreeView<'a> {
 }
 
 #[derive(Deserialize)]
-#[serde(rename = "Growth")]
+#[serde(rename = "TreeDelta")]
 struct PlainTreeDelta {
     base: u32,
     anchor: Anchor,
@@ -34,7 +34,7 @@ struct PlainTreeDelta {
 }
 
 #[derive(Serialize)]
-#[serde(rename = "Growth")]
+#[serde(rename = "TreeDelta")]
 struct TreeDeltaView<'a> {
     base: u32,
     anchor: &'a Anchor,

@@ -70,36 +70,36 @@ impl Session {
     }
 
     fn start(
-        OpenedSession { connection, accepted, remarks }: OpenedSession,
+        OpenedSession { connection, accepted: acceptance, remarks }: OpenedSession,
         settings: &SessionSettings,
         clock: SharedClock,
         counters: Counters,
     ) -> Self {
         // With a limit of 0, every request would wait until its timeout, and the timeout would be the only reason
         // given.
-        let slots = accepted.max_in_flight.min(settings.max_in_flight).max(1);
+        let slots = acceptance.max_in_flight.min(settings.max_in_flight).max(1);
         let shared = Arc::new(SessionState {
             terms: SessionTerms {
-                session: accepted.session,
-                version: accepted.protocol,
+                session: acceptance.session,
+                version: acceptance.protocol,
                 // The cloud would refuse a larger message after it has crossed the network.
-                max_message_bytes: accepted.max_message_bytes.min(settings.max_message_bytes),
+                max_message_bytes: acceptance.max_message_bytes.min(settings.max_message_bytes),
             },
-            requests: RequestsInFlight::new(accepted.session, slots as usize),
+            requests: RequestsInFlight::new(acceptance.session, slots as usize),
             sender: connection.sender,
             clock,
             counters,
-            peer_clock: watch::Sender::new(accepted.accepted.host_clock.clone()),
+            peer_clock: watch::Sender::new(acceptance.accepted.host_clock.clone()),
             peer_statistics: watch::Sender::default(),
             remarks: Remarks::new(remarks),
-            cloud: accepted.accepted.name.clone(),
+            cloud: acceptance.accepted.name.clone(),
             log_throttle: Mutex::default(),
             planned_iterations: OnceLock::new(),
         });
         let (stop, stopped) = (CancellationToken::new(), CancellationToken::new());
         let task = ReceivingTask { shared: shared.clone(), stop: stop.clone(), stopped: stopped.clone() };
         tokio::spawn(task.run(connection.receiver, settings.close_timeout()));
-        Self { inner: Arc::new(Inner { shared, accepted: accepted.accepted, stop, stopped }) }
+        Self { inner: Arc::new(Inner { shared, accepted: acceptance.accepted, stop, stopped }) }
     }
 
     /// Returns the cloud's acceptance of the session.
@@ -129,8 +129,8 @@ impl Session {
         self.inner.shared.sender.caveat()
     }
 
-    /// Returns a reader of further warnings that occur while the session is open, oldest first. Each text names the
-    /// object and says what to do. The list only grows.
+    /// Returns a reader of further warnings that occur while the session is open, oldest first. Each text says what
+    /// slows the connection down and what to do about it. The list only grows.
     pub fn remarks(&self) -> watch::Receiver<Vec<String>> {
         self.inner.shared.remarks.subscribe()
     }
@@ -271,8 +271,8 @@ impl Session {
         self.inner.stopped.cancelled().await;
     }
 
-    /// [Closes](Self::close) the session at the end of a run of `planned_iterations` planned iterations, so that the
-    /// cloud does not wait for missing requests.
+    /// [Closes](Self::close) the session at the end of a run, and tells the cloud how many iterations were planned. From
+    /// this number the cloud knows how many requests never arrived, and does not wait for them.
     pub async fn close_after_run(&self, planned_iterations: u64) {
         self.inner.shared.planned_iterations.get_or_init(|| planned_iterations);
         self.close().await;

@@ -266,7 +266,7 @@ pub(crate) enum EdgeEvent {
     Lost(MessageLoss),
     /// Invalid data arrived and was dropped, for this reason.
     InvalidData(String),
-    /// The connection works, but worse than it could. The text says why, names the object, and says what to do.
+    /// The connection works, but worse than it could. The text says why, and what to do about it.
     Remark(String),
 }
 
@@ -340,7 +340,7 @@ pub enum ListenerEvent {
     Gone(ConnectionId, String),
     /// Bytes that violate the transport's protocol arrived. A connection that sent them was dropped.
     InvalidData(Option<SocketAddr>, String),
-    /// A connection works, but worse than it could. The text says why, names the object, and says what to do.
+    /// A connection works, but worse than it could. The text says why, and what to do about it.
     Remark(ConnectionId, String),
     /// An edge was refused: its claimed host, and the reason.
     Refused(Option<HostId>, String),

@@ -35,7 +35,7 @@ pub(super) const STATEMENTS: [(&str, &str); 6] = [
     ("NODES_FROM", NODES_FROM),
 ];
 
-/// Deletes iterations by ascending number, at a cost of about `max_cost` rows of the table `node`.
+/// Deletes iterations in the order of their numbers, at a cost of about `max_cost` rows of the table `node`.
 pub(super) async fn delete(
     connection: &mut SqliteConnection,
     run: i64,

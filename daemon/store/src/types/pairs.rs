@@ -3,7 +3,7 @@
 /// Two quantities of some iterations of a run. Only successful iterations after the warm-up have points.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ValuePairs {
-    /// Both quantities of each iteration that has them, in SI units, by ascending number.
+    /// Both quantities of each iteration that has them, in SI units, in the order of the iterations.
     pub points: Vec<(f64, f64)>,
     /// Number of iterations of any kind that were read.
     pub read_iterations: u64,

@@ -20,7 +20,7 @@ pub(in crate::transport::ros) enum Event {
     Lost(MessageLoss),
     /// The peer sent invalid data, for this reason.
     InvalidData(String),
-    /// The connection works, but worse than it could. The text names the object and says what to do.
+    /// The connection works, but worse than it could. The text says why, and what to do about it.
     Remark(String),
     /// The connection ended, for this reason.
     Gone(String),
