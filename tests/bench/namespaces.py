@@ -33,7 +33,7 @@ class Host:
 
 
 def need_root() -> None:
-    """Raises a failure if this process may not create network namespaces."""
+    """Raises a failure if this process has no permission to create network namespaces."""
     if os.geteuid() != 0:
         raise Failure(
             "this part makes two network namespaces, which needs root: run tests/bench/run.sh as root; "

@@ -33,7 +33,7 @@ pub(crate) enum WebError {
     Gone(String),
     /// A page of another site requests a change.
     #[error(
-        "a page of {0} may not change data of this dashboard, only its own pages and programs may; a reverse proxy must forward the Host header"
+        "a page of {0} must not change data of this dashboard: only its own pages and programs may; a reverse proxy must forward the Host header"
     )]
     OtherSite(String),
     /// The store returned an error.

@@ -82,13 +82,17 @@ pub enum SocketError {
     )]
     AnswerType(String),
     /// The answer contains a number that JSON does not have.
-    #[error("the answer contains {0}, which JSON does not have; nothing was sent to the controller")]
+    #[error(
+        "the model's answer contains {0}, which JSON does not have; nothing was sent to the robot's controller"
+    )]
     NotFinite(f64),
     /// The answer claims to be JSON and is not, or an array does not match its shape.
-    #[error("the answer cannot be read: {0}; nothing was sent to the controller")]
+    #[error("the model's answer is not valid: {0}; nothing was sent to the robot's controller")]
     InvalidAnswer(String),
     /// The line is longer than allowed.
-    #[error("the answer needs a line of more than {limit} bytes; nothing was sent to the controller")]
+    #[error(
+        "the model's answer needs a line of more than {limit} bytes; nothing was sent to the robot's controller"
+    )]
     AnswerLength {
         /// The limit, bytes.
         limit: usize,

@@ -257,7 +257,7 @@ impl RunningAggregator {
             let failure = match ended {
                 Ok((_, Err(failure))) => Some(failure),
                 Ok((id, Ok(()))) => {
-                    // `self.stop` is a child token: when it is cancelled, the tasks may not have noticed yet, but their
+                    // `self.stop` is a child token: perhaps the tasks have not noticed its cancellation yet, but their
                     // end is expected.
                     let is_unexpected = !self.stop.is_cancelled() && result.is_ok();
                     is_unexpected.then(|| Failure::TaskEnded(self.name(id)))

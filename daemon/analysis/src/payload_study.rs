@@ -1,7 +1,7 @@
 //! Delay and throughput against payload in recorded runs: which messages are compared, and which of them are drawn.
 //!
-//! A file of results has every message of a run; a page has only the run's sketches. Both fill [`DirectionSizes`], and
-//! the further steps are the same for both.
+//! A file of results has every message of a run; a page has only the run's sketches. Both fill [`DirectionMessages`],
+//! and the further steps are the same for both.
 
 use std::collections::BTreeMap;
 
@@ -81,9 +81,9 @@ fn name_without_number(edge: &str) -> Option<String> {
     number.bytes().all(|byte| byte.is_ascii_digit()).then(|| name.to_owned())
 }
 
-/// Messages of one direction of a link.
+/// Messages of one direction of a link, by size.
 #[derive(Clone, Debug, PartialEq)]
-pub struct DirectionSizes {
+pub struct DirectionMessages {
     /// `upload` or `download`.
     pub name: &'static str,
     /// Sizes, the smallest first.
@@ -94,7 +94,7 @@ pub struct DirectionSizes {
     runs_with_several_sizes: u64,
 }
 
-impl DirectionSizes {
+impl DirectionMessages {
     /// Returns the messages of rows in the statistics.
     pub fn from_rows(name: &'static str, rows: &[RowRef<'_>]) -> Self {
         let [payload, metadata, lower, upper] =
@@ -120,7 +120,7 @@ impl DirectionSizes {
         }
     }
 
-    /// Returns the messages of stored runs, each of which is one size: the median of its payloads.
+    /// Returns the messages of stored runs. All messages of a run count as one size, the median of their payloads.
     pub fn from_sketches<'a>(
         name: &'static str,
         runs: impl IntoIterator<Item = MessageSketches<'a>>,
@@ -159,13 +159,13 @@ impl DirectionSizes {
     /// messages of several sizes are shown as one point.
     fn notes(&self) -> impl Iterator<Item = String> {
         let name = self.name;
-        let negative_sizes = self.sizes.iter().filter(|size| size.median <= 0.0).count();
+        let sizes_without_positive_delay = self.sizes.iter().filter(|size| size.median <= 0.0).count();
         let unknown_delays = (self.unknown_delays > 0).then(|| {
             let messages = counted(self.unknown_delays, "message");
             format!("left out: {messages} of {name} without a known delay")
         });
-        let negative_delays = (negative_sizes > 0).then(|| {
-            let sizes = counted(negative_sizes as u64, "size");
+        let without_positive_delay = (sizes_without_positive_delay > 0).then(|| {
+            let sizes = counted(sizes_without_positive_delay as u64, "size");
             format!("not drawn: {sizes} of {name} whose median delay is not above zero")
         });
         let several_sizes = (self.runs_with_several_sizes > 0).then(|| {
@@ -174,7 +174,7 @@ impl DirectionSizes {
         });
         let remark = self.sizes.iter().find_map(|size| size.bounds_method.remark());
         let remark = remark.map(|remark| format!("clock bounds of {name}: {remark}"));
-        [unknown_delays, negative_delays, several_sizes, remark].into_iter().flatten()
+        [unknown_delays, without_positive_delay, several_sizes, remark].into_iter().flatten()
     }
 }
 
@@ -206,7 +206,7 @@ pub struct PayloadStudy {
     /// Name of the link, for titles; empty if neither host is known.
     pub link_name: String,
     /// Directions that are drawn.
-    pub directions: Vec<DirectionSizes>,
+    pub directions: Vec<DirectionMessages>,
     /// Notes on the directions and the links that are not drawn.
     pub missing: Vec<String>,
     /// Notes on the messages.
@@ -217,20 +217,21 @@ impl PayloadStudy {
     /// Returns the messages of both directions of a link. `notes` are further notes on them.
     pub fn new(
         link: &Link,
-        directions: [DirectionSizes; 2],
+        directions: [DirectionMessages; 2],
         notes: impl IntoIterator<Item = String>,
     ) -> Self {
-        let (directions, others): (Vec<DirectionSizes>, Vec<DirectionSizes>) =
-            directions.into_iter().partition(DirectionSizes::is_varied);
+        let (directions, others): (Vec<DirectionMessages>, Vec<DirectionMessages>) =
+            directions.into_iter().partition(DirectionMessages::is_varied);
         Self {
             link_name: link.name(),
-            missing: others.iter().filter_map(DirectionSizes::missing_reason).collect(),
-            notes: notes.into_iter().chain(directions.iter().flat_map(DirectionSizes::notes)).collect(),
+            missing: others.iter().filter_map(DirectionMessages::missing_reason).collect(),
+            notes: notes.into_iter().chain(directions.iter().flat_map(DirectionMessages::notes)).collect(),
             directions,
         }
     }
 
-    /// Selects the studies that have a direction to draw. The first of them gets the notes on the links of the others.
+    /// Selects the studies that have a direction to draw. The first selected study gets the notes on the links that are
+    /// left out.
     pub fn select_drawable(studies: impl IntoIterator<Item = Self>) -> Vec<Self> {
         let (mut drawable, others): (Vec<Self>, Vec<Self>) =
             studies.into_iter().partition(|study| !study.directions.is_empty());

@@ -144,7 +144,7 @@ fn describe_clocks(clocks: &[String]) -> String {
     let phrases = clocks.iter().map(|clocks| match clocks.as_str() {
         "raw" => "by free-running clocks",
         "raw-to-wall" => "by the edge's raw and the cloud's wall clock",
-        _ => "by wall clocks, whose steps and slews reach these delays,",
+        _ => "by wall clocks, whose steps and slews change these delays,",
     });
     phrases.collect::<Vec<_>>().join(" and ")
 }
@@ -214,7 +214,7 @@ run 7: computed again by free-running clocks from 60 seconds of exchanges betwee
         let earlier = Recomputed { clocks: wall_clocks(), ..recomputed };
         let text = describe(7, &earlier);
         assert!(
-            text.contains("again by wall clocks, whose steps and slews reach these delays, from 60 seconds"),
+            text.contains("again by wall clocks, whose steps and slews change these delays, from 60 seconds"),
             "{text}"
         );
 

@@ -6,7 +6,7 @@ use crate::drawing::{Parts, Scaling, Series, Unit, Value};
 use crate::look::Mark;
 use peernet_analysis::fit::{Fit, rate};
 use peernet_analysis::message_sizes::{SizeSummary, line_through_medians};
-use peernet_analysis::payload_study::{DirectionSizes, PayloadStudy};
+use peernet_analysis::payload_study::{DirectionMessages, PayloadStudy};
 
 /// Messages of one direction.
 #[derive(Clone, Debug)]
@@ -32,7 +32,7 @@ pub(crate) struct MessageFigures {
 
 /// Returns the figures of latency and of throughput against payload.
 pub fn payload_figures(study: &PayloadStudy) -> [Scaling; 2] {
-    let series = |direction: &DirectionSizes| MessageSeries::new(direction.name, direction.sizes.clone());
+    let series = |direction: &DirectionMessages| MessageSeries::new(direction.name, direction.sizes.clone());
     let messages = MessageFigures {
         link_name: study.link_name.clone(),
         directions: study.directions.iter().map(series).collect(),

@@ -37,7 +37,7 @@ impl ResultFolder {
     /// not removed yet.
     ///
     /// # Errors
-    /// If another program writes to the folder, or if it contains files that may not be replaced, is not a folder or
+    /// If another program writes to the folder, or if it contains files that must not be replaced, is not a folder or
     /// cannot be created.
     pub fn acquire(dir: &Path, overwrite: Overwrite) -> Result<Self, FolderError> {
         super::preparation::acquire(dir, overwrite).map(|(path, lock)| Self { path, _lock: Arc::new(lock) })

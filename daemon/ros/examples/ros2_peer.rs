@@ -103,7 +103,7 @@ async fn publish(node: &Ros2Node, plan: &Plan) -> PeerResult {
     let clock = clock()?;
     let publisher = node.create_publisher(&plan.topic, plan.kind.type_name(), &keep_all_qos())?;
     publisher.wait_for_peer(TIME_LIMIT).await?;
-    // The subscription may not have discovered this publisher yet, which DDS does not report. It would miss earlier
+    // Perhaps the subscription has not discovered this publisher yet, which DDS does not report. It would miss earlier
     // messages.
     tokio::time::sleep(Duration::from_secs(1)).await;
     for number in 0..plan.count {

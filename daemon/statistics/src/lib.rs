@@ -29,7 +29,8 @@ pub use splitmix::SplitMix64;
 pub use summary::{MIN_VALUES_FOR_P95, MIN_VALUES_FOR_P99, Summary};
 
 /// Possible widths of the buckets of a time axis, seconds, everywhere in PEERNet.
-// Each is a multiple of a width that the aggregator stores (1 s, 10 s, 1 min, 1 h), at most 15 times that width.
+// Each is a multiple of a width that the aggregator stores (1 s, 10 s, 1 min, 1 h): at most 15 times that width, except
+// the day, which is 24 hours.
 pub const BUCKET_WIDTHS_S: [u32; 15] =
     [1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 900, 3_600, 7_200, 21_600, 86_400];
 

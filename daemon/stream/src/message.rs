@@ -112,7 +112,7 @@ pub enum ToAgent {
         /// Number of the first missing batch.
         from: u64,
     },
-    /// All bytes before the request for this echo have arrived; they may not be stored yet. The echo is sent at once
+    /// All bytes before the request for this echo have arrived; they need not be stored yet. The echo is sent at once
     /// and is separate from acknowledgements, so that a slow store is not mistaken for a slow link.
     Echo {
         /// Number from the request.

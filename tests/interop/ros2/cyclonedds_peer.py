@@ -145,7 +145,7 @@ class Outgoing:
 def publish(participant, topic, kind, count, size):
     outgoing = Outgoing(participant, topic, TYPES[kind])
     outgoing.wait_for_subscription()
-    # The subscription may not have discovered this publisher yet; it would miss earlier messages.
+    # Perhaps the subscription has not discovered this publisher yet; it would miss earlier messages.
     time.sleep(1)
     for number in range(count):
         outgoing.writer.write(message(kind, size, number))

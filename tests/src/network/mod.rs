@@ -71,7 +71,7 @@ impl Network {
     /// Connects edge and cloud by a veth pair.
     ///
     /// # Panics
-    /// If this process may not create namespaces, or if a tool is missing.
+    /// If this process has no permission to create namespaces, or if a tool is missing.
     pub fn direct() -> Self {
         let network = Self::create_hosts(false);
         let (edge, cloud) = (&network.edge, &network.cloud);

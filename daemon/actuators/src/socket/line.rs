@@ -229,13 +229,16 @@ mod tests {
         };
         refused(&tensor(ElementType::F32, &[1], f32::NAN.to_le_bytes().to_vec()), "contains NaN");
         let tree = |json: &str| unshaped(MediaType::from_iana(TREE), json);
-        refused(&tree(r#"{"dict":[["x",NaN]]}"#), "the answer contains NaN, which JSON does not have");
-        refused(&tree("[1.5,-Infinity]"), "the answer contains -inf, which JSON does not have");
+        refused(
+            &tree(r#"{"dict":[["x",NaN]]}"#),
+            "the model's answer contains NaN, which JSON does not have",
+        );
+        refused(&tree("[1.5,-Infinity]"), "the model's answer contains -inf, which JSON does not have");
         refused(&tree(r#"{"dict":[[1,"NaN \"N"]]}"#), "type application/x-python-tree");
         refused(&tensor(ElementType::F16, &[1], vec![0, 0]), "type array of F16");
         refused(&tensor(ElementType::F32, &[3], vec![0; 4]), "does not match its shape");
         refused(&unshaped(MediaType::Jpeg, "abc"), "type image/jpeg");
-        refused(&unshaped(MediaType::Json, "{"), "cannot be read");
+        refused(&unshaped(MediaType::Json, "{"), "is not valid");
         refused(&unshaped(MediaType::Text, &"x".repeat(MAX_LINE_BYTES)), "more than 65507 bytes");
         refused(&tensor(ElementType::U8, &[600_000], vec![0; 600_000]), "more than 65507 bytes");
     }

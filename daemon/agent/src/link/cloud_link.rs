@@ -72,7 +72,7 @@ impl CloudLink {
         let announcements = (shared.host.host_clock.borrow().clone(), accepted.host_clock.clone());
         let mut clock_state =
             LinkClockState::new((accepted.host, accepted.name.clone()), relation, announcements, now);
-        // The announcement of the latest interruption may not have arrived yet.
+        // Perhaps the announcement of the latest interruption has not arrived yet.
         clock_state.begin_epoch_of_edge(clock.epoch());
         let reflector_address = shared.probes.reflectors.get(&accepted.name);
         let reflector =

@@ -33,9 +33,9 @@ pub(super) enum ActError {
     Panicked(#[from] JoinError),
 }
 
-/// Sample to whose answer the actuator responds.
+/// Sample whose answer the actuator acts on.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct SampleOrigin<'a> {
+pub(super) struct AnsweredSample<'a> {
     pub(super) run: RunId,
     pub(super) position: Position,
     /// Origin of the sample, such as the name of a file.
@@ -46,7 +46,7 @@ pub(super) struct SampleOrigin<'a> {
 #[derive(Clone)]
 pub(super) struct ActuatorExecutor {
     ordered_actuator: Arc<Mutex<OrderedActuator>>,
-    /// `true` if the actuator may block. It then runs on a thread; otherwise it would delay all iterations in flight.
+    /// `true` if the actuator may block. It then runs on a thread of its own, so that it delays no iteration in flight.
     blocks: bool,
     /// `true` if the actuator has to be reset before each episode.
     resets: bool,
@@ -93,26 +93,26 @@ impl ActuatorExecutor {
     pub(super) async fn act(
         &self,
         mut log: Recorder,
-        origin: SampleOrigin<'_>,
+        answered: AnsweredSample<'_>,
         answer: &Sample,
     ) -> (Recorder, Result<Feedback, ActError>) {
         // An owned guard, because it moves into the thread below.
         let mut ordered_actuator = Arc::clone(&self.ordered_actuator).lock_owned().await;
-        if !ordered_actuator.accepts(&origin) {
+        if !ordered_actuator.accepts(&answered) {
             log.record_value(SUPERSEDED, 1.0, Unit::NONE);
             return (log, Ok(Feedback::default()));
         }
         if !self.blocks {
-            let feedback = ordered_actuator.act(&mut log, origin, answer);
+            let feedback = ordered_actuator.act(&mut log, answered, answer);
             return (log, feedback.map_err(ActError::from));
         }
         // If the thread panics, its recorder is lost; this copy has what was recorded before.
         let log_backup = log.clone();
-        let (run, position) = (origin.run, origin.position);
-        let (source, answer) = (origin.source.to_owned(), answer.clone());
+        let (run, position) = (answered.run, answered.position);
+        let (source, answer) = (answered.source.to_owned(), answer.clone());
         let thread_result = spawn_blocking(move || {
             let feedback =
-                ordered_actuator.act(&mut log, SampleOrigin { run, position, source: &source }, &answer);
+                ordered_actuator.act(&mut log, AnsweredSample { run, position, source: &source }, &answer);
             (log, feedback.map_err(ActError::from))
         });
         thread_result.await.unwrap_or_else(|panic| (log_backup, Err(panic.into())))
@@ -131,20 +131,20 @@ impl ActuatorExecutor {
 impl OrderedActuator {
     /// Returns whether the actuator may act on an answer. It must not act on the answer to an older sample after the
     /// answer to a newer sample, and must not continue an episode that has ended.
-    fn accepts(&self, origin: &SampleOrigin<'_>) -> bool {
-        let Position { number, episode, .. } = origin.position;
-        let is_older = self.last_acted.is_some_and(|(run, last)| run == origin.run && number < last);
-        !is_older && self.ended_episode != Some((origin.run, episode))
+    fn accepts(&self, answered: &AnsweredSample<'_>) -> bool {
+        let Position { number, episode, .. } = answered.position;
+        let is_older = self.last_acted.is_some_and(|(run, last)| run == answered.run && number < last);
+        !is_older && self.ended_episode != Some((answered.run, episode))
     }
 
     /// Acts on an answer, and records `actuation` and the feedback.
     fn act(
         &mut self,
         log: &mut Recorder,
-        origin: SampleOrigin<'_>,
+        answered: AnsweredSample<'_>,
         answer: &Sample,
     ) -> Result<Feedback, ActuatorError> {
-        let SampleOrigin { run, position: Position { number, episode, step, .. }, source } = origin;
+        let AnsweredSample { run, position: Position { number, episode, step, .. }, source } = answered;
         // This applies also if the action fails: a part of it may have been done.
         self.last_acted = Some((run, number));
         let action = Action { answer, source, iteration: number, episode, step };

@@ -8,7 +8,7 @@ use peernet_logger::{NodeId, Recorder, RunId, stage};
 use peernet_sample::Sample;
 use peernet_stream::Outcome;
 
-use super::actuator_executor::{ActuatorExecutor, SampleOrigin};
+use super::actuator_executor::{ActuatorExecutor, AnsweredSample};
 use super::load::Start;
 use super::placement::{ComputationResult, Placement};
 use super::progress::Position;
@@ -76,8 +76,8 @@ impl QueuedSample {
         let (log, act_result) = match (&result, actuator_executor) {
             (Ok(Some(answer)), Some(actuator_executor)) => {
                 let position = self.iteration.position;
-                let origin = SampleOrigin { run: self.run, position, source: &self.sample.source };
-                let (log, act_result) = actuator_executor.act(log, origin, answer).await;
+                let answered = AnsweredSample { run: self.run, position, source: &self.sample.source };
+                let (log, act_result) = actuator_executor.act(log, answered, answer).await;
                 (log, act_result.map_err(|error| Outcome::Failed(format!("the actuator failed: {error}"))))
             }
             (Ok(_), _) => (log, Ok(Feedback::default())),

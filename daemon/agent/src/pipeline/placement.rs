@@ -328,8 +328,8 @@ async fn compute_locally(
     timeout: Duration,
 ) -> ComputationResult {
     let (reply, mut done) = oneshot::channel();
-    // The recorder moves to the model's thread, which may not return it. This copy then has what was recorded before.
-    // It has a few nodes, so copying takes a fraction of a microsecond.
+    // The recorder moves to the model's thread. If the thread does not return it, this copy has what was recorded
+    // before. It has a few nodes, so copying takes a fraction of a microsecond.
     let log_backup = log.clone();
     let received = log.clock().mono();
     let reply = Box::new(move |finished: FinishedJob| {

@@ -135,7 +135,7 @@ impl Pipeline {
         }
     }
 
-    /// Marks the pipeline as away, because its host became silent and may or may not still run it.
+    /// Marks the pipeline as away, because its host became silent. Whether the host still runs it is unknown.
     pub(super) fn mark_away(&mut self) {
         if !matches!(self.state, PipelineState::Finished | PipelineState::Failed(_)) {
             self.state = PipelineState::Away;

@@ -28,7 +28,7 @@ pub fn jain_index(shares: &[f64]) -> Option<f64> {
     (squares > 0.0).then(|| (sum * sum / (shares.len() as f64 * squares)).min(1.0))
 }
 
-/// Results of configurations with one or many users.
+/// Results of configurations with one or many users: edges that use the cloud at the same time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Users {
     /// Names of the columns that distinguish the lines.

@@ -1,4 +1,4 @@
-//! The command line as it was typed.
+//! The command line of this process, for display.
 
 /// Returns the command line, quoted for a shell. It is for display only: parts that are not UTF-8 are replaced.
 pub(crate) fn command_line() -> String {

@@ -31,7 +31,7 @@ impl Results {
     /// Creates and locks the folder that the request names.
     ///
     /// # Errors
-    /// When the folder holds results that may not be replaced (64), another program writes there (69), or the folder
+    /// When the folder holds results that must not be replaced (64), another program writes there (69), or the folder
     /// cannot be created (73).
     pub(super) fn prepare(request: &RunRequest) -> Result<Self, Failure> {
         // Previous results are restored only if the folder can be locked, which shows that no run is active there.

@@ -45,7 +45,7 @@ impl ExchangeTimes {
     pub(super) fn has_exchange_near(&self, from: RawTime, to: RawTime, within: Span) -> bool {
         let (from, to) = (from - within, to + within);
         let index = self.times.partition_point(|time| *time < from);
-        // The newest exchange may not be among the thinned times.
+        // The thinned times need not include the newest exchange.
         [self.times.get(index).copied(), self.newest]
             .into_iter()
             .flatten()

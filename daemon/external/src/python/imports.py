@@ -32,7 +32,8 @@ class Imports:
         self.path = [entry or folder for entry in sys.path if isinstance(entry, str)]
         # Dictionaries keep the order of discovery.
         self.files, self.libraries = {}, {}
-        # Folders of the submodules of a package, by its name; None if its imports are not followed.
+        # Folders in which submodules are searched, by the name of the module; None if it has none or they are not
+        # searched.
         self.package_folders = {}
         self.pending_sources, self.is_incomplete = [], False
         self.name_chars_left, self.source_bytes_left = MAX_NAMES, MAX_SOURCE
@@ -57,7 +58,7 @@ class Imports:
                 return
 
     def visit_module(self, name, search_path):
-        """Records a module. Returns the folders of its submodules; None if they are not followed."""
+        """Records a module. Returns the folders in which its submodules are searched; None if there is nothing to search."""
         file, folders = locate(name, search_path)
         location = file or (folders[0] if folders else None)
         if location is None or self.is_standard(location):
@@ -127,7 +128,8 @@ def locate(name, search_path):
     if spec is None:
         return None, None
     if spec.origin is None:
-        # The list in the spec of a namespace package looks up the parent in sys.modules, where it may be missing.
+        # submodule_search_locations of a namespace package is computed from the parent in sys.modules, which need not
+        # be imported.
         folders = (os.path.join(folder, name.rpartition(".")[2]) for folder in search_path)
         return None, [folder for folder in folders if os.path.isdir(folder)]
     return spec.origin, spec.submodule_search_locations
@@ -142,7 +144,7 @@ def containing_archive(file):
 
 
 def imports_of(tree, package):
-    """The names that a module in this package imports anywhere. The last component of a name may not be a module."""
+    """The names that a module in this package imports anywhere. The last component of a name need not be a module."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)

@@ -125,9 +125,9 @@ impl<'a> StageBar<'a> {
         let words = if (1.0..9.95).contains(&value) { fixed(value, 1) } else { figure(value) };
         let short_name = if name == BOTH_DIRECTIONS { "up + down" } else { name };
         let label = Label::new(At::new(middle, 0.5), words, stage(name).text()).anchored(Anchor::Middle);
-        let label = label.led_by(format!("{short_name} ")).fits_within(end - begin);
+        let label = label.led_by(format!("{short_name} ")).with_max_width(end - begin);
         match self.spread_ends() {
-            Some([left, right]) => label.fits_within(2.0 * (left - middle).max(middle - right).max(0.0)),
+            Some([left, right]) => label.with_max_width(2.0 * (left - middle).max(middle - right).max(0.0)),
             None => label,
         }
     }

@@ -7,7 +7,7 @@ use crate::of_messages::payload_figures;
 use peernet_analysis::compare::Configurations;
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::payload_study::{
-    DIRECTIONS, DirectionSizes, Link, PayloadStudy, group_by_link, pooled_note,
+    DIRECTIONS, DirectionMessages, Link, PayloadStudy, group_by_link, pooled_note,
 };
 use peernet_analysis::rows::RowRef;
 
@@ -31,7 +31,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
             too_large_note(rows.clone(), &PAYLOAD_COLUMNS),
         ];
         let in_statistics: Vec<RowRef<'_>> = rows.filter(RowRef::is_in_statistics).collect();
-        let directions = DIRECTIONS.map(|name| DirectionSizes::from_rows(name, &in_statistics));
+        let directions = DIRECTIONS.map(|name| DirectionMessages::from_rows(name, &in_statistics));
         PayloadStudy::new(&link, directions, notes.into_iter().flatten())
     });
     let studies = PayloadStudy::select_drawable(studies);

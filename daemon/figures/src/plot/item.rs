@@ -107,7 +107,7 @@ impl Label {
     /// Returns the same text with a limit of its width: pages show the text only if it takes at most the share `share`
     /// of the picture's width. If the method is called several times, the smallest share applies.
     #[must_use]
-    pub fn fits_within(self, share: f64) -> Self {
+    pub fn with_max_width(self, share: f64) -> Self {
         let raise = |min_width: Option<u16>, words: &str| {
             Some(min_width?.max(text::width_step(text::rem(words) / share.max(1e-9))?))
         };

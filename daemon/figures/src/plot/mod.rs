@@ -38,7 +38,7 @@
 //! - [`page::picture`](crate::render::page::picture) draws items without axes: bars, sparklines, tracks.
 //! - [`page::axis`](crate::render::page::axis) draws the row of labels above bars.
 //!
-//! [`Label::fits_within`] hides a text if there is not enough room for it. The width of the text is measured in the embedded font.
+//! [`Label::with_max_width`] hides a text on a page that has not enough room for it. The width of the text is measured in the embedded font.
 //! [`Scale::at_or_outside`](crate::scale::Scale::at_or_outside) places a line that may leave its plot.
 
 mod axis;

@@ -51,7 +51,7 @@ impl ModelFolders {
         Self(folders.into_iter().filter(is_new).collect())
     }
 
-    /// Returns the folders in the order in which they are searched; some may not exist.
+    /// Returns the folders in the order in which they are searched; some of them need not exist.
     pub fn paths(&self) -> &[PathBuf] {
         &self.0
     }

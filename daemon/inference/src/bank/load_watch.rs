@@ -13,7 +13,7 @@ const FIRST_REPORT: Duration = Duration::from_secs(30);
 pub const LOAD_LOG_TARGET: &str = "peernet_inference::loading";
 
 /// Logs that a model is still loading, until this is dropped.
-// The first run of a model may never end, and building an engine for a GPU may take many minutes.
+// The first inference of a model may never end, and building an engine for a GPU may take many minutes.
 pub(super) struct LoadWatch {
     /// Dropping it ends the thread that logs.
     loading: Option<SyncSender<()>>,

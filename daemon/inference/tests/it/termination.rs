@@ -85,5 +85,5 @@ fn shutdown_ends_first_run_of_a_model() {
         assert_eq!(bank.shutdown_within(LONG), [] as [peernet_logger::Slug; 0]);
         loading.join().expect("does not panic")
     });
-    assert!(loading.is_err(), "the first run was terminated");
+    assert!(loading.is_err(), "the first inference was terminated");
 }

@@ -22,7 +22,7 @@ pub enum OpenError {
         /// Cause.
         reason: String,
     },
-    /// A program accepted the connection, did not answer in time, and may not be a cloud.
+    /// A program accepted the connection, did not answer in time, and need not be a cloud.
     #[error(
         "something listens at {address} but does not answer like an agent's [serve]; is this the port of an aggregator or of something else?{}",
         Self::LOADING
@@ -156,7 +156,7 @@ pub(crate) async fn handshake(
                 counters.count_malformed();
                 continue;
             }
-            // The other end may not be a cloud: an aggregator, too, closes the connection without an answer. A cloud
+            // The other end need not be a cloud: an aggregator, too, closes the connection without an answer. A cloud
             // that has too many sessions to open does the same.
             _ if !connection.peer_is_cloud => OpenError::TimedOut { address: address.clone(), waited_ms },
             Ok(Err(disconnected)) => {

@@ -63,7 +63,7 @@ impl ErrorEstimate {
     /// Returns the smallest estimate of two bytes that is at least `error`. The S bit is 0: the estimate does not claim
     /// that the clock follows UTC, because it is about stamps relative to their own clock.
     pub fn new(format: Format, error: Span) -> Self {
-        // The unit is 2⁻³² s; the multiplier has 8 bits and may not be zero.
+        // The unit is 2⁻³² s; the multiplier has 8 bits and must not be zero.
         let units = (u128::from(error.nanos().max(0).unsigned_abs()) << 32).div_ceil(1_000_000_000);
         let scale = (0..63).find(|scale| units.div_ceil(1 << scale) <= 255).unwrap_or(63);
         let multiplier = units.div_ceil(1 << scale).clamp(1, 255) as u16;

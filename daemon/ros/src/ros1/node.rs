@@ -143,8 +143,9 @@ impl Node {
         self.state.registrar.master().topic_types().await
     }
 
-    /// Returns the nodes among `nodes` that are running and publish a topic, except this node. The master also lists nodes that
-    /// ended without unregistering. A node with this node's name counts until this node has registered something.
+    /// Returns the nodes among `nodes` that are running and publish a topic, except this node. The master also lists
+    /// nodes that ended without unregistering. Another node with this node's name is included until this node has
+    /// registered something, because the master then knows only this node by the name.
     ///
     /// # Errors
     /// If the master does not answer.

@@ -117,7 +117,7 @@ async fn exchange(uri: &RpcUri, xml: Bytes) -> Result<Bytes, RpcError> {
     tokio::pin!(exchange, connection);
     tokio::select! {
         result = &mut exchange => result,
-        // The peer closes the connection after its answer, which may not have been read yet.
+        // The peer closes the connection after its answer, which perhaps has not been read yet.
         _ = &mut connection => exchange.await,
     }
 }

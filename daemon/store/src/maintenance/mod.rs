@@ -38,7 +38,7 @@ fn read_only_options(path: &Path) -> SqliteConnectOptions {
 /// Returns the free bytes for this user on the disk of a file or folder.
 ///
 /// # Errors
-/// When the file does not exist or may not be examined.
+/// When the file does not exist or this process has no permission to examine it.
 pub fn free_bytes(path: &Path) -> std::io::Result<u64> {
     let disk = rustix::fs::statvfs(path)?;
     Ok(disk.f_bavail.saturating_mul(disk.f_frsize))

@@ -62,7 +62,7 @@ impl Default for Counters {
             hosts: HashMap::new(),
             runs: HashMap::new(),
             totals: HashMap::new(),
-            // An agent may report any number of missing events, and the column may not overflow. So the totals are
+            // An agent may report any number of missing events, and the column must not overflow. So the totals are
             // added in Rust, where the addition saturates, and the statement only writes them.
             write_hosts: Insert::new(
                 "UPDATE host SET last_seen_ns = now.column2, events = now.column3, nodes = now.column4, \

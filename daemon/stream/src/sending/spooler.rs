@@ -356,7 +356,7 @@ impl EventSpooler {
     /// Returns whether a batch is to be deleted, now or later.
     fn may_delete(&self) -> bool {
         let (through, _) = self.backlog.acknowledged();
-        // A batch that is being written may not be in the file yet.
+        // A batch that is being written is perhaps not in the file yet.
         let is_written = through <= self.backlog.spooled() || !self.appends.is_in_progress();
         through > self.deletions.through() && is_written && self.deletions.may_be_scheduled()
     }

@@ -2,7 +2,7 @@
 
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::message_sizes::line_through_medians;
-use peernet_analysis::payload_study::{DIRECTIONS, DirectionSizes, Link, PayloadStudy};
+use peernet_analysis::payload_study::{DIRECTIONS, DirectionMessages, Link, PayloadStudy};
 use peernet_analysis::quality::Quality;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{Outcome, Row, RowRef};
@@ -161,7 +161,7 @@ fn page_and_figure_have_equal_qualities() {
 /// Returns the studies of the files of these runs, all over the same link.
 fn studies_of_files(runs: &[Loaded]) -> Vec<PayloadStudy> {
     let rows: Vec<RowRef<'_>> = runs.iter().flat_map(in_statistics).collect();
-    let directions = DIRECTIONS.map(|name| DirectionSizes::from_rows(name, &rows));
+    let directions = DIRECTIONS.map(|name| DirectionMessages::from_rows(name, &rows));
     PayloadStudy::select_drawable([PayloadStudy::new(&Link::from(&runs[0].record), directions, None)])
 }
 
@@ -189,7 +189,7 @@ fn page_and_figure_have_equal_latencies_against_payload() {
         let [file, page] = [file, page].map(|size| size.tails.expect("enough"));
         assert!(relative(page.0, file.0) <= tolerance && relative(page.1, file.1) <= tolerance);
     }
-    let line = |study: &[DirectionSizes]| line_through_medians(&study[0].sizes).expect("four sizes");
+    let line = |study: &[DirectionMessages]| line_through_medians(&study[0].sizes).expect("four sizes");
     let (file, page) = (line(file), line(page));
     // The two lines differ by no more than the medians do. A line through the means would have an intercept of 3.3 ms.
     assert!(relative(page.at(1_120.0), file.at(1_120.0)) < 0.01, "{file:?} {page:?}");
@@ -220,7 +220,7 @@ fn page_and_figure_draw_equal_selections_of_payloads() {
         let runs: Vec<Loaded> = sizes.into_iter().map(run).collect();
         let sizes_by_direction = |studies: &[PayloadStudy]| {
             let all = studies.iter().flat_map(|study| &study.directions);
-            let sizes = |direction: &DirectionSizes| {
+            let sizes = |direction: &DirectionMessages| {
                 direction.sizes.iter().map(|size| (size.payload_bytes, size.count)).collect()
             };
             all.map(|direction| (direction.name, sizes(direction))).collect::<Vec<(&str, Vec<(u64, u64)>)>>()

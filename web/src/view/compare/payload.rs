@@ -2,7 +2,7 @@
 
 use peernet_analysis::message_sizes::{MessageSketches, SizeSummary};
 use peernet_analysis::payload_study::{
-    DIRECTIONS, DirectionSizes, Link, PayloadStudy, group_by_link, pooled_note,
+    DIRECTIONS, DirectionMessages, Link, PayloadStudy, group_by_link, pooled_note,
 };
 use peernet_figures::drawing::Scaling;
 use peernet_figures::payload_figures;
@@ -51,7 +51,7 @@ pub(super) fn studies(comparison: &Comparison) -> Vec<PayloadStudy> {
         let labels: Vec<&[String]> = runs.iter().map(|(one, _)| one.values.as_slice()).collect();
         let directions = DIRECTIONS.map(|name| {
             let sketches = runs.iter().filter_map(|(_, run)| sketches(comparison, run.number, name));
-            DirectionSizes::from_sketches(name, sketches)
+            DirectionMessages::from_sketches(name, sketches)
         });
         PayloadStudy::new(&link, directions, pooled_note(&comparison.axes, &labels))
     });

@@ -201,7 +201,7 @@ fn strip(input: &ChartInput<'_>, direction: NetworkDirection, hatches: &[Item]) 
         items.push(span((from, to), class));
         let words = format!("{} {verdict}", direction.delay_name());
         let label = Label::new(At::new(from, 0.5), words, TextStyle { class, ..TextStyle::AXIS });
-        texts.push(Item::Text(label.shifted(0.4, 0.36).fits_within(to - from)));
+        texts.push(Item::Text(label.shifted(0.4, 0.36).with_max_width(to - from)));
     }
     items.extend(texts);
     items.extend(hatches.iter().cloned());

@@ -89,7 +89,7 @@ pub(super) fn row(node: &PlacedNode, timeline: &Timeline, scale: &Scale, has_med
             format!("median {}", timeline.duration_format().duration(median)),
             look.text(),
         );
-        items.push(Item::Text(label.shifted(0.5, 0.36).fits_within(at(scale, start + length) - x)));
+        items.push(Item::Text(label.shifted(0.5, 0.36).with_max_width(at(scale, start + length) - x)));
     }
     // The uncertain end of a message is on the cloud: the arrival of an upload, the departure of a download. The whisker is drawn there.
     let bounds = node.delay.and_then(|delay| delay.bounds).filter(|(lo, hi)| hi > lo).zip(visit);

@@ -17,7 +17,8 @@ const MIN_VISIBLE_CHANGE: f64 = 0.000_5;
 /// Significance level: if chance alone causes such a trend with at least this probability, the trend is attributed to
 /// chance.
 const MAX_CHANCE: f64 = 0.05;
-/// Share by which the first iterations may take longer than the rest without a doubt about the warm-up.
+/// If the first iterations take longer than the rest by more than this share, the finding about the warm-up may be
+/// doubtful.
 const MAX_COLD_EXCESS: f64 = 0.1;
 /// The finding about outliers is doubtful if they contribute at least this share of the mean.
 const MAX_INFLUENCE: f64 = 0.05;
@@ -38,8 +39,8 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
 /// Returns the sentence that says why it cannot be told whether something is the case. `whether` is the clause after
 /// "whether": `the run drifted`.
 ///
-/// A run with enough iterations can have too few time buckets. The dashboard's buckets last a second or longer. After the clock was set
-/// forward, a single bucket can contain the whole jump.
+/// A run with enough iterations can have too few time buckets. The dashboard's buckets last a second or longer. After
+/// the clock was set forward, the run seems so long that its buckets are wide, and few of them contain iterations.
 fn too_short_text(total: &TimeSeries, whether: &str) -> String {
     if total.count < MIN_ITERATIONS {
         return format!(
@@ -68,7 +69,7 @@ fn judge_stationarity(total: &TimeSeries, stages: &[(String, TimeSeries)]) -> Fi
         ms(first)
     );
     if change_size < MIN_VISIBLE_CHANGE {
-        let text = format!("The medians of both halves are the same, {}: it did not drift.", ms(first));
+        let text = format!("The medians of both halves are the same, {}: the run did not drift.", ms(first));
         return finding(about, Grade::Good, text);
     }
     let p_value = match chance {
@@ -76,7 +77,8 @@ fn judge_stationarity(total: &TimeSeries, stages: &[(String, TimeSeries)]) -> Fi
         p => format!("p\u{202f}=\u{202f}{}", significant(p)),
     };
     if !total.has_notable_change() {
-        let text = format!("{change_text}, less than {}: it did not drift.", percent(MIN_NOTABLE_CHANGE));
+        let text =
+            format!("{change_text}, less than {}: the run did not drift.", percent(MIN_NOTABLE_CHANGE));
         return finding(about, Grade::Good, text);
     }
     if chance >= MAX_CHANCE {

@@ -34,7 +34,7 @@ const REPLACED_KEYS: [(&str, &str); 6] = [
 pub(in crate::run) struct Configuration {
     /// Axes with their labels, in the order of the file.
     pub(in crate::run) labels: Vec<(String, String)>,
-    /// Number of edges that send concurrently.
+    /// Number of users: edges that use the cloud at the same time.
     pub(in crate::run) users: u32,
     /// The agent's configuration with its pipeline.
     pub(in crate::run) agent: AgentConfig,

@@ -57,7 +57,7 @@ pub(in crate::run) struct Experiment {
     /// Duration of each run after its warm-up, seconds.
     #[serde(default)]
     duration_s: Option<f64>,
-    /// Number of edges that send concurrently, each in a separate process. Default: 1.
+    /// Number of users: edges that use the cloud at the same time, each in a separate process. Default: 1.
     #[serde(default = "one")]
     pub(in crate::run) users: NonZeroU32,
     /// Longest wait for an absent peer; seconds.

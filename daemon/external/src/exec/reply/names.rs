@@ -1,4 +1,4 @@
-//! Names that a program may not use for its stages and values.
+//! Names that a program must not use for its stages and values.
 
 use super::{FramingError, REWARD_FORM, SUCCESS_FORM};
 

@@ -67,7 +67,7 @@ fn stack_values_are_labelled_if_they_fit() {
         let middle = At::new(scale.at(f64::midpoint(from, to)), 0.5);
         let label =
             Label::new(middle, format!("{:.1}", to - from), stage(name).text()).anchored(Anchor::Middle);
-        items.push(Item::Text(label.fits_within(scale.at(to) - scale.at(from))));
+        items.push(Item::Text(label.with_max_width(scale.at(to) - scale.at(from))));
     }
     items.extend(Orientation::Horizontal.whisker(
         [0.3, 0.4].map(|at| At::new(at, 0.5)),

@@ -35,7 +35,7 @@ fn omitted_direction_is_noted_with_sizes() {
 }
 
 #[test]
-fn unknown_delays_and_negative_sizes_are_counted() {
+fn unknown_and_non_positive_delays_are_counted() {
     let mut run = run(100, |number| {
         let bytes = [1e3, 1e4, 1e5, 1e6][number as usize % 4];
         vec![("upload-bytes", bytes), ("upload", if bytes < 2e3 { -0.1 } else { bytes / 1e5 })]

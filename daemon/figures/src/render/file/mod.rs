@@ -33,7 +33,7 @@ const EDGE: f64 = 5.0;
 const GAP: f64 = 2.7;
 /// Distance between two lines of text, points.
 const LINE: f64 = 10.0;
-/// Distance between a plot and its strip, points.
+/// Distance between a plot and the [strip](crate::plot::Strip) along its side, points.
 const STRIP_GAP: f64 = 2.0;
 const POINTS_PER_INCH: f64 = 72.0;
 

@@ -66,10 +66,10 @@ fn page_has_classes_and_shares_without_colours() {
 #[test]
 fn text_appears_at_width_where_it_fits() {
     let min_width = |share: f64, words: &str| {
-        Label::new(At::new(0.5, 0.5), words, TextStyle::ON_PALE).fits_within(share).min_width
+        Label::new(At::new(0.5, 0.5), words, TextStyle::ON_PALE).with_max_width(share).min_width
     };
     assert_eq!((min_width(0.2, "2.6"), min_width(0.001, "2.6")), (Some(8), None));
     assert!(min_width(0.075, "2.6") > min_width(0.2, "2.6"));
-    let hidden = Label::new(At::new(0.5, 0.5), "2.6", TextStyle::ON_PALE).fits_within(0.001);
+    let hidden = Label::new(At::new(0.5, 0.5), "2.6", TextStyle::ON_PALE).with_max_width(0.001);
     assert!(!picture(&[Item::Text(hidden)], "stages", "").contains("2.6"));
 }

@@ -90,7 +90,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn scores_are_probabilities_in_order_of_outputs(numbers: [i16; 3]) {
+        fn scores_are_probabilities_and_rise_with_outputs(numbers: [i16; 3]) {
             let numbers = numbers.map(f32::from);
             for activation in [Activation::Softmax, Activation::Sigmoid] {
                 let mut scores = numbers;

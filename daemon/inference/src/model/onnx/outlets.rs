@@ -23,7 +23,7 @@ pub(super) enum MismatchError {
     /// The model takes a fixed number of samples, so it cannot compute batches.
     #[error(
         "its input {0:?} takes one sample at a time; remove `batch`, or export the model with an open first dimension \
-         (dynamic_axes) and write the length 1 in the card"
+         (dynamic_axes); the shape in the card, which is that of one sample, then begins with 1"
     )]
     FixedBatch(String),
 }
@@ -83,7 +83,7 @@ fn check_outputs(task: &Task, outlets: &[Outlet]) -> Result<(), MismatchError> {
         Task::Detection(task) => check_detection(task, &check),
         Task::Segmentation(task) => {
             // Floats are scores, other numbers are classes. Whether the shape fits the type is checked in the first
-            // run.
+            // inference.
             check_with_labels(task.labels.len(), |classes| {
                 let scores = [one, classes, None, None];
                 check(&task.name, Elements::Any, &[&scores, &[one, None, None], &[one, one, None, None]])
@@ -163,7 +163,7 @@ fn check_outlet(
     };
     let dtype = outlet.dtype();
     let fits_any_shape = |actual: &[i64]| {
-        // A model that does not declare a shape appears to have no dimension; the first run then shows its shape.
+        // A model that does not declare a shape appears to have no dimension; the first inference then shows its shape.
         let is_undeclared = actual.is_empty() && what == "output";
         is_undeclared || shapes.iter().any(|shape| shape_fits(actual, shape))
     };

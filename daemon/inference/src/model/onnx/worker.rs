@@ -36,7 +36,7 @@ pub(super) struct OnnxWorker {
 impl OnnxWorker {
     /// Creates a worker, and runs it on zeros and the card's constants, once for each size of a batch that needs
     /// another amount of memory: one sample, and the largest batch.
-    // The first run of a session is slow. It also shows whether the card fits the model before a sample arrives.
+    // The first inference of a session is slow. It also shows whether the card fits the model before a sample arrives.
     pub(super) fn new_warmed_up(
         plan: Arc<Plan>,
         session: Session,

@@ -218,7 +218,7 @@ async fn exchange<R: AsyncFnOnce(SendRequest<Full<Bytes>>) -> Result<(), Request
     tokio::pin!(requests, connection);
     tokio::select! {
         result = &mut requests => result,
-        // The server closes the connection after its answer, which may not have been read yet.
+        // The server closes the connection after its answer, which perhaps has not been read yet.
         _ = &mut connection => requests.await,
     }
 }

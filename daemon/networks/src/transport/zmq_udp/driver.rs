@@ -150,7 +150,7 @@ impl<M: Machine> Port<M> {
                 }
             };
             let mut result = self.socket.try_send(route, out, batch);
-            // The source address may not belong to this machine any more; the system then chooses another one.
+            // If the source address does not belong to this machine any more, the system chooses another one.
             if let Err(error) = &result
                 && route.from.is_some()
                 && !matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::ConnectionRefused)

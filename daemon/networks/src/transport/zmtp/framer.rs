@@ -215,7 +215,7 @@ impl Framer {
     /// header must have arrived.
     ///
     /// # Errors
-    /// If the connection may not send such a frame at present.
+    /// If the connection must not send such a frame at present.
     fn check_frame(&self, frame: &[u8], allowance: &Allowance) -> Result<(u8, usize), Violation> {
         let (flags, length) = (frame[0], frame_length(frame));
         let size = self.finished_bytes.saturating_add(length).saturating_add(FRAME_OVERHEAD_BYTES);

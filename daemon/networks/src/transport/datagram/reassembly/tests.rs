@@ -47,7 +47,7 @@ fn missing_fragment_loses_message_with_counts() {
         }
     }
     reassembly.tick(time_at(1_000));
-    assert_eq!(reassembly.take_lost(), [], "the rest may not have left yet");
+    assert_eq!(reassembly.take_lost(), [], "perhaps the rest has not left yet");
     reassembly.note_sent(1, time_at(1_000));
     reassembly.tick(time_at(1_099));
     assert_eq!(reassembly.take_lost(), []);

@@ -45,7 +45,7 @@ struct Table {
 pub(super) enum OpenOutcome {
     /// An earlier request has opened the connection.
     Repeated,
-    /// The connection may not be opened now, for this reason.
+    /// The connection must not be opened now, for this reason.
     Refused(&'static str),
     /// The connection may be opened now.
     Started {

@@ -11,8 +11,8 @@ use crate::transport::ros::channel::Channel;
 use crate::transport::ros::interface::{SessionNode, SessionSubscriber, TopicPurpose};
 use crate::transport::ros::payload_topic::{MASTER_RETRY_INTERVAL, describe_open_failure};
 
-/// Subscription to the payloads of one connection. It is opened once and in the background, because the master
-/// must be asked and may not be reachable.
+/// Subscription to the payloads of one connection. It is opened once and in the background, because the master must be
+/// asked and is perhaps not reachable.
 #[derive(Debug)]
 pub(super) enum PayloadSubscription {
     /// The connection has had no session yet. Its payload topic is not subscribed to before a session.
