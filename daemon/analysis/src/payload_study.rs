@@ -53,7 +53,8 @@ impl Link {
 
 /// Groups runs by their link, in the order of the first run of each link. Each run is given as its link, its position
 /// in an experiment, if it has one, and an item that stands for the run. Runs over the same link are one study. The
-/// runs of the concurrent edges of an experiment (its *users*: `NAME-1`, `NAME-2`, … on one machine) are one study, too.
+/// runs of the concurrent edges of an experiment (its *users*: `NAME-1`, `NAME-2`, … on one machine) are one study,
+/// too.
 pub fn group_by_link<'a, T>(
     runs: impl IntoIterator<Item = (Link, Option<&'a ExperimentPosition>, T)>,
 ) -> Vec<(Link, Vec<T>)> {

@@ -25,8 +25,8 @@ impl TotalColumn {
         Self::from_counts(iterations, totals, sums)
     }
 
-    /// Returns the latency that is compared, from three numbers of all runs together: of iterations in the statistics, of
-    /// those with a total, and of those with a sum of stages.
+    /// Returns the latency that is compared, from three numbers of all runs together: of iterations in the statistics,
+    /// of those with a total, and of those with a sum of stages.
     ///
     /// The total is longer than the sum of its stages, so that a total cannot be compared with a sum. If at least one
     /// iteration has no total, all iterations are therefore compared by the sum of their stages, unless no iteration

@@ -24,8 +24,8 @@ pub struct LatencyBar {
 
 impl LatencyBar {
     /// Returns the bar of a configuration with this number of iterations in the statistics. `latency_of` returns the
-    /// latency of a node; `None` if the node has no values. For `sent`, see [`StageSplit::new`]. Returns `None` without an
-    /// iteration.
+    /// latency of a node; `None` if the node has no values. For `sent`, see [`StageSplit::new`]. Returns `None` without
+    /// an iteration.
     pub fn new(
         column: TotalColumn,
         iterations: u64,

@@ -1,9 +1,9 @@
 //! Kinds of figures: the layout of the results of the analysis.
 //!
 //! Every kind is a type with a method `figure`, `plot` or `items`. The method returns a layout of `crate::plot`, which
-//! both renderers can draw: on a page and in a file. Everything that differs by colour differs by mark, dash or hatch as
-//! well. [`Distribution`] and [`Stack`] are for both renderers. If a kind is drawn only on pages, its documentation says
-//! so. The values of such a kind are sketches and means, because a page does not read single iterations.
+//! both renderers can draw: on a page and in a file. Everything that differs by colour differs by mark, dash or hatch
+//! as well. [`Distribution`] and [`Stack`] are for both renderers. If a kind is drawn only on pages, its documentation
+//! says so. The values of such a kind are sketches and means, because a page does not read single iterations.
 
 mod accuracy;
 mod binned;

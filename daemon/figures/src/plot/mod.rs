@@ -6,12 +6,11 @@
 //!                                                                              └─ render::file ── SVG, PNG, PDF, text
 //! ```
 //!
-//! A kind of figure is a function, or a type with a method, that makes [`Plot`]s. It chooses the scales and uses them to
-//! place [`Item`]s.
-//! Positions are not pixels or points, but shares of the plot from the left and from the top ([`Plot::at`] computes
-//! them from values). Lengths that stay the same when the plot grows (marks, caps, distances of text) are given in
-//! points or as multiples of the type size. The look of an item is a [`Style`](crate::look::Style), which has a class
-//! for pages and literal attributes for files.
+//! A kind of figure is a function, or a type with a method, that makes [`Plot`]s. It chooses the scales and uses them
+//! to place [`Item`]s. Positions are not pixels or points, but shares of the plot from the left and from the top
+//! ([`Plot::at`] computes them from values). Lengths that stay the same when the plot grows (marks, caps, distances of
+//! text) are given in points or as multiples of the type size. The look of an item is a [`Style`](crate::look::Style),
+//! which has a class for pages and literal attributes for files.
 //!
 //! ```
 //! use peernet_figures::look::Style;
@@ -30,9 +29,9 @@
 //!
 //! # A figure of a page
 //!
-//! A kind of figure that several pages or files show is a type in `crate::drawing`; one of its methods makes the plots. A
-//! figure that depends on the types of one page, such as the waterfall of an iteration, is a function in the view of that
-//! page and returns [`Item`]s.
+//! A kind of figure that several pages or files show is a type in `crate::drawing`; one of its methods makes the plots.
+//! A figure that depends on the types of one page, such as the waterfall of an iteration, is a function in the view of
+//! that page and returns [`Item`]s.
 //!
 //! - [`page::plot`](crate::render::page::plot) draws a plot with both axes.
 //! - [`page::picture`](crate::render::page::picture) draws items without axes: bars, sparklines, tracks.

@@ -1,7 +1,7 @@
 //! Scales: positions of values along an axis, and the round numbers at which the axis is marked.
 //!
-//! A scale works with values and shares of its length, not with pixels: the renderers (`crate::render`) turn shares into
-//! points or percent.
+//! A scale works with values and shares of its length, not with pixels: the renderers (`crate::render`) turn shares
+//! into points or percent.
 
 mod clock;
 mod step;

@@ -72,9 +72,9 @@ impl PageCheck {
     /// Returns the malformed pages that are in use.
     ///
     /// While an aggregator stores, a checkpoint may be in progress, so the main file may mix pages of different times.
-    /// Therefore overflow pages to which pages in the write-ahead log refer are not malformed, either. A page is returned
-    /// only if it is still malformed when it is read again. The result may still contain pages that were moved during
-    /// the pass; another pass does not find these pages again.
+    /// Therefore overflow pages to which pages in the write-ahead log refer are not malformed, either. A page is
+    /// returned only if it is still malformed when it is read again. The result may still contain pages that were moved
+    /// during the pass; another pass does not find these pages again.
     pub(crate) fn finish(mut self) -> io::Result<Vec<u32>> {
         let missing_page = self.file.first_missing_page()?;
         self.follow_overflows(None)?;

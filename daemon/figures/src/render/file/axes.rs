@@ -89,8 +89,8 @@ fn draw_x_axis(svg: &mut Writer, plot: &Plot, area: &Area) {
     let mut end_of_labels = 0.0;
     for tick in ticks.iter().filter(|tick| !tick.text.is_empty()) {
         let half_width = tick.text.lines().map(|line| width(line, TEXT)).fold(0.0, f64::max) / 2.0;
-        // A label at the right end is moved so that it stays in the picture. A label that would overlap the previous label
-        // is left out.
+        // A label at the right end is moved so that it stays in the picture. A label that would overlap the previous
+        // label is left out.
         let x = (area.left + area.width * tick.at).min(WIDTH - 1.5 - half_width);
         if x - half_width < end_of_labels {
             continue;
