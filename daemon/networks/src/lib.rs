@@ -20,9 +20,9 @@ pub use message::{
 };
 pub use session::{
     Announcer, AwaitedEvent, BindError, CloseReason, CompletedRequest, FIRST_PART, FIRST_PART_DOWNLOAD,
-    Failure, Incoming, IncomingRequest, Listener, OpenError, OpenRequest, PARTS, PARTS_SENT, PartialAnswerError,
-    PartialAnswerHandler, PartialAnswerSender, RequestCancelled, RequestError, Responder, Session,
-    StatisticsReader,
+    Failure, Incoming, IncomingRequest, Listener, OpenError, OpenRequest, PARTS, PARTS_SENT,
+    PartialAnswerError, PartialAnswerHandler, PartialAnswerSender, RequestCancelled, RequestError, Responder,
+    Session, StatisticsReader,
 };
 pub use settings::{InvalidSettings, Ros2SessionSettings, SessionSettings};
 pub use statistics::{ConnectionAddresses, ConnectionStatistics, DirectionStatistics, TransportRoundTrip};

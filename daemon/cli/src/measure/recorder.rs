@@ -206,7 +206,7 @@ impl<'a> RunRecorder<'a> {
         let phase = match (&trouble, self.progress.started_at, self.recorded.rows.last()) {
             (_, None, _) => Phase::Starting,
             (Some(_), ..) => Phase::Waiting,
-            (None, _, last) if last.is_none_or(|row| row.warm_up) => Phase::WarmUp,
+            (None, _, last) if last.is_none_or(|row| row.warm_up()) => Phase::WarmUp,
             _ => Phase::Measuring,
         };
         self.progress.report(phase, trouble, self.clock.mono())

@@ -1,6 +1,6 @@
 //! Execution of the runs, one after the other.
 
-use crate::exit::{Exit, Failure};
+use crate::exit::Failure;
 use peernet_analysis::record::User;
 use peernet_clock::SharedClock;
 use peernet_results::Overwrite;

@@ -1,6 +1,7 @@
 use std::path::Path;
 
 use clap::Parser;
+use peernet_stream::ExperimentPosition;
 use serde_json::{Value, json};
 
 use super::children::ProcessResults;

@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use peernet_logger::{Measure, Tree};
 use peernet_networks::{
-    FIRST_PART, FIRST_PART_DOWNLOAD, IncomingRequest, PARTS, PARTS_SENT, PartialAnswerError, PartialAnswerHandler,
-    RequestCancelled, RequestError, SessionSettings,
+    FIRST_PART, FIRST_PART_DOWNLOAD, IncomingRequest, PARTS, PARTS_SENT, PartialAnswerError,
+    PartialAnswerHandler, RequestCancelled, RequestError, SessionSettings,
 };
 use peernet_stream::{Release, VersionRange};
 

@@ -217,7 +217,7 @@ async fn abandoned_request_frees_its_place(network: TestNetwork) {
     pending.abort();
     assert!(within(pending).await.expect_err("aborted").is_cancelled());
     echo(&mut cloud, &session, "next").await;
-    until_cancelled(dropped.parts).await;
+    until_cancelled(dropped.partial_answers).await;
     dropped.reply.send(dropped.recorder, Ok(dropped.sample));
     echo(&mut cloud, &session, "last").await;
     assert_eq!(session.statistics().late_messages, 0);

@@ -2,6 +2,7 @@ use peernet_analysis::rows::{Outcome, Row, Rows};
 use peernet_analysis::summary::Summary;
 use peernet_analysis::trust::StartTimes;
 use peernet_clock::Span;
+use peernet_logger::Name;
 use peernet_store::{QuantityStatistics, SeriesPoint, StageSeries};
 use peernet_stream::PlacementKind;
 
