@@ -70,7 +70,7 @@ pub(super) enum ChildEvent<'a> {
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum ChildOutput {
-    ProgressReport(ProgressReport),
+    ProgressReport(Box<ProgressReport>),
     Line(String),
     /// [`MEASUREMENT_ENDED`]
     #[serde(skip)]
@@ -92,7 +92,7 @@ pub(super) async fn execute(
     let mut reports: Vec<Option<ProgressReport>> = vec![None; requests.len()];
     let mut handle = |index: usize, output: ChildOutput, show: &mut dyn FnMut(ChildEvent<'_>)| match output {
         ChildOutput::ProgressReport(report) => {
-            reports[index] = Some(report);
+            reports[index] = Some(*report);
             show(ChildEvent::ProgressReport(&reports));
         }
         ChildOutput::Line(line) => show(ChildEvent::Line(index, &line)),

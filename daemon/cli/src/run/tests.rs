@@ -374,7 +374,7 @@ fn run_without_figures_is_finished() {
     let status = || run_result(&folder, &record, run, &process_results, 1.0).status;
     assert_eq!(status(), RunStatus::Failed, "there are no results");
     let [path] = folder.results(&record.plan, run).try_into().expect("one user");
-    let write = || write_results(&path, record.plan.experiment_position(run, &record.id));
+    let write = || write_results(&path, &record.plan.experiment_position(run, &record.id));
     write();
     std::fs::write(path.join("data.csv"), "iteration,sensing,outcome\n1,0.5,ok\n").expect("writable");
     assert_eq!(status(), RunStatus::Failed, "rows are missing");
@@ -394,12 +394,12 @@ fn run_stopped_after_its_results_is_finished() {
     let process_results = ProcessResults { exits: vec![killed], interrupted: true };
     let status = || run_result(&folder, &record, run, &process_results, 1.0).status;
     assert_eq!(status(), RunStatus::Interrupted, "there are no results");
-    write_results(&folder.results(&record.plan, run)[0], record.plan.experiment_position(run, &record.id));
+    write_results(&folder.results(&record.plan, run)[0], &record.plan.experiment_position(run, &record.id));
     assert_eq!(status(), RunStatus::Finished);
 }
 
 /// Writes the results of a finished run of two iterations.
-fn write_results(path: &Path, experiment: ExperimentPosition) {
+fn write_results(path: &Path, experiment: &ExperimentPosition) {
     std::fs::create_dir_all(path).expect("writable");
     let record_json =
         json!({ "format": 1, "reason": "finished", "counts": { "ok": 2 }, "experiment": experiment });
