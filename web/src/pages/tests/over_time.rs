@@ -26,7 +26,8 @@ async fn panel_of(configurations: Vec<Configuration>) -> Option<String> {
 
 #[tokio::test]
 async fn each_run_is_drawn_with_episodes_and_losses() {
-    let two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
+    let mut two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
+    two[0].runs[0].counts.lost = 3;
     let panel = panel_of(two).await.expect("a panel");
     assert_eq!(panel.matches("<figure>").count(), 2, "{panel}");
     let [first, second] = [1, 2].map(|at| panel.split("<figure>").nth(at).expect("a picture").to_owned());

@@ -100,7 +100,7 @@ fn success_and_return_are_shown_beside_latency() {
     assert_eq!(column(&csv, "success-episodes")[1], episodes.to_string());
     assert_eq!(column(&csv, "superseded")[0], "0");
     let without = Comparison::new(&paper()).text();
-    assert!(!without.contains("success") && !without.contains("superseded"), "{without}");
+    assert!(!without.contains("success (%)") && !without.contains("superseded"), "{without}");
     for name in ["superseded", "episode-success", "episode-return"] {
         assert!(is_compared(name), "else {name} is not read");
     }
