@@ -22,6 +22,8 @@ struct OpenEpisode {
     number: u32,
     /// `false` for an episode of the warm-up at the start of the run.
     is_after_warm_up: bool,
+    /// `false` for an episode whose reset failed. No action was possible in it.
+    was_reset: bool,
     /// Latest report of success.
     success: Option<bool>,
     /// Sum of the rewards.
@@ -35,14 +37,20 @@ pub(super) struct EpisodeResult {
     pub(super) success: Option<bool>,
     /// Return of the episode: the sum of its rewards, without a discount (Sutton and Barto, *Reinforcement Learning*,
     /// 2nd edition, section 3.3). Infinite or NaN if the finite rewards have no finite sum. `None` if the actuator
-    /// reports no rewards.
+    /// reports no rewards, or the reset for the episode failed.
     pub(super) total_reward: Option<f64>,
 }
 
 impl EpisodeScores {
     /// Begins an episode; `is_after_warm_up` is `false` for an episode of the warm-up.
     pub(super) fn begin(&mut self, number: u32, is_after_warm_up: bool) {
-        self.open.push(OpenEpisode { number, is_after_warm_up, success: None, total_reward: 0.0 });
+        self.open.push(OpenEpisode::new(number, is_after_warm_up, true));
+    }
+
+    /// Begins an episode whose reset failed. It is no success, and it has no return: 0 may be a better return than that
+    /// of every other episode.
+    pub(super) fn begin_unprepared(&mut self, number: u32, is_after_warm_up: bool) {
+        self.open.push(OpenEpisode::new(number, is_after_warm_up, false));
     }
 
     /// Adds the feedback on one action of an episode.
@@ -59,11 +67,17 @@ impl EpisodeScores {
     /// because the actuator reports none.
     pub(super) fn close(&mut self, number: u32) -> Option<EpisodeResult> {
         let index = self.open.iter().position(|episode| episode.number == number)?;
-        let OpenEpisode { is_after_warm_up, success, total_reward, .. } = self.open.remove(index);
+        let OpenEpisode { is_after_warm_up, was_reset, success, total_reward, .. } = self.open.remove(index);
         let success = self.reports_success.then(|| success.unwrap_or(false));
-        let total_reward = self.reports_reward.then_some(total_reward);
+        let total_reward = (self.reports_reward && was_reset).then_some(total_reward);
         (is_after_warm_up && (success.is_some() || total_reward.is_some()))
             .then_some(EpisodeResult { success, total_reward })
+    }
+}
+
+impl OpenEpisode {
+    const fn new(number: u32, is_after_warm_up: bool, was_reset: bool) -> Self {
+        Self { number, is_after_warm_up, was_reset, success: None, total_reward: 0.0 }
     }
 }
 
@@ -120,6 +134,8 @@ mod tests {
         scores.begin(2, true);
         [1e308, 1e308].iter().for_each(|each| scores.add(2, &reward(*each)));
         let pipeline = "line".parse().expect("a name");
+        scores.begin_unprepared(3, true);
+        assert_eq!(scores.close(3), Some(EpisodeResult { success: Some(false), total_reward: None }));
         let infinite = scores.close(2).expect("has a success");
         let remark = infinite.remark(&pipeline, 2).expect("the sum is infinite");
         assert!(remark.contains("episode 2 add up to inf"), "{remark}");

@@ -80,9 +80,19 @@ impl Progress {
 
     /// Assigns number, episode and step to the next iteration.
     pub(crate) fn assign_position(&mut self, intended: MonoTime) -> Position {
+        let is_episode_start = self.episode_steps.is_some() && self.next.1 < self.warm_up.steps;
+        self.assign(intended, is_episode_start)
+    }
+
+    /// Assigns number, episode and step to an iteration whose preparation failed. It is no warm-up of its episode.
+    // Otherwise no count of a run would show that an episode could not begin.
+    pub(crate) fn assign_unprepared_position(&mut self, intended: MonoTime) -> Position {
+        self.assign(intended, false)
+    }
+
+    fn assign(&mut self, intended: MonoTime, is_episode_warm_up: bool) -> Position {
         let (episode, step) = self.next;
-        let is_episode_start = self.episode_steps.is_some() && step < self.warm_up.steps;
-        let warm_up = self.is_run_warm_up(episode) || is_episode_start;
+        let warm_up = self.is_run_warm_up(episode) || is_episode_warm_up;
         self.started += 1;
         // A u32 can hold neither the episode nor the step of a run of years: they stop at the largest value.
         self.next = match self.episode_steps {

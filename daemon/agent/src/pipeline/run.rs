@@ -103,6 +103,16 @@ impl Run {
         position
     }
 
+    /// Assigns number, episode and step to an iteration whose preparation failed.
+    pub(super) fn assign_unprepared_position(&mut self, intended: MonoTime) -> Position {
+        let is_after_warm_up = !self.progress.is_next_run_warm_up();
+        let position = self.progress.assign_unprepared_position(intended);
+        if position.step == 0 {
+            self.scores.begin_unprepared(position.episode, is_after_warm_up);
+        }
+        position
+    }
+
     /// Returns whether the next iteration is the first of its episode.
     pub(super) const fn begins_episode(&self) -> bool {
         self.progress.begins_episode()

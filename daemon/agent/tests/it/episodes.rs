@@ -154,13 +154,16 @@ async fn reset_waits_for_iterations_in_flight() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn failed_reset_fails_one_iteration_and_its_episode() {
-    let keys = "episode_steps = 3\nlimit = { episodes = 3 }\nwarm_up = { iterations = 0 }";
+    let keys = "episode_steps = 3\nlimit = { episodes = 3 }\nwarm_up = { iterations = 0, steps = 1 }";
     let iterations = run("kind = 'echo'", ("Loose", "Arm"), keys).await;
     assert_eq!(positions(&iterations), [(0, 0), (0, 1), (0, 2), (1, 0), (2, 0), (2, 1), (2, 2)]);
     let Outcome::Failed(reason) = &iterations[3].outcome else { panic!("{:?}", iterations[3].outcome) };
     assert!(reason.starts_with("cannot reset the sensor for an episode: RuntimeError: no arm"), "{reason}");
     assert_eq!(iterations.iter().filter(|iteration| iteration.outcome == Outcome::Ok).count(), 6);
-    assert_eq!(results(&iterations), [(0, 0.0, 1.5), (1, 0.0, 0.0), (2, 0.0, 1.5)], "a failed one counts");
+    let warm_up: Vec<bool> = iterations.iter().map(|iteration| iteration.warm_up).collect();
+    assert_eq!(warm_up, [true, false, false, false, true, false, false], "the failure counts");
+    assert_eq!(results(&iterations), [(0, 0.0, 1.5), (2, 0.0, 1.5)], "the failed one has no return");
+    assert_eq!(value(&iterations[3].tree, "episode-success"), Some(0.0));
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

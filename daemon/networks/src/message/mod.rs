@@ -34,9 +34,9 @@ pub(crate) mod strategies;
 
 pub use clock_socket::{ClockSocketName, InvalidClockSocketName};
 pub(crate) use header::{
-    Accepted, Cancel, ClockUpdate, Departure, Goodbye, Header, HeaderError, MAX_FRAMES, MAX_UNREAD_PARTS,
-    Open, Outcome, PartialReply, PartsRead, RefusalKind, Refused, Reply, Request, SampleHeader,
-    StatisticsReport, UnknownSession,
+    Accepted, Cancel, ClockUpdate, Departure, Goodbye, Header, HeaderError, MAX_FRAMES, MAX_UNREAD_BYTES,
+    MAX_UNREAD_PARTS, Open, Outcome, PartialReply, PartsRead, RefusalKind, Refused, Reply, Request,
+    SampleHeader, StatisticsReport, UnknownSession,
 };
 pub use hello::{
     MAX_CONDITIONS, PeerClock, RAW_STAMPS_SINCE, RawClock, SESSION_VERSIONS, SessionAccepted, SessionHello,

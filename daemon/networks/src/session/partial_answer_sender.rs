@@ -58,8 +58,8 @@ impl PartialAnswerSender {
         Self { key, received, control, shared }
     }
 
-    /// Sends a partial answer. Waits while the edge has 64 unread partial answers, and while the network's send queue
-    /// is full. Does nothing if the edge does not know partial replies.
+    /// Sends a partial answer. Waits while the edge has 64 unread partial answers or 256 KiB of them, and while the
+    /// network's send queue is full. Does nothing if the edge does not know partial replies.
     ///
     /// # Errors
     /// If the edge does not wait for the answer any more, or the partial answer cannot be sent.
@@ -73,7 +73,7 @@ impl PartialAnswerSender {
         if bytes > max_bytes {
             return Err(PartialAnswerError::TooLarge { bytes, max_bytes });
         }
-        let number = self.control.next_partial_answer()?;
+        let number = self.control.next_partial_answer(bytes)?;
         loop {
             // The listener is not kept during the wait below, so that the port can be closed meanwhile.
             let listener = self.listener()?;

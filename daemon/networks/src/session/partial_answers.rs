@@ -8,7 +8,7 @@ use peernet_clock::{MonoTime, Stamp};
 use peernet_logger::{HostIndex, Measure, Name, Node, NodeId, RawStamps, Recorder, Transit, Unit};
 use peernet_sample::Sample;
 
-use crate::message::{Departure, MAX_UNREAD_PARTS};
+use crate::message::{Departure, MAX_UNREAD_BYTES, MAX_UNREAD_PARTS};
 
 /// Name of the edge's node for the time from the departure of a request to the arrival of the first partial answer.
 pub const FIRST_PART: Name = Name::from_static("first-part");
@@ -23,6 +23,8 @@ pub const PARTS_SENT: Name = Name::from_static("parts-sent");
 /// Number of partial answers after which the edge acknowledges them. It is a quarter of the window, so that an
 /// acknowledgement usually reaches the cloud before the window is full.
 const ACKNOWLEDGE_AFTER: u32 = MAX_UNREAD_PARTS / 4;
+/// Number of payload bytes of partial answers after which the edge acknowledges them, likewise.
+const ACKNOWLEDGE_AFTER_BYTES: u64 = MAX_UNREAD_BYTES / 4;
 
 /// Function that takes each partial answer when it arrives. It is called on the task that receives messages, and must
 /// not block.
@@ -45,6 +47,8 @@ pub(super) struct ArrivedPartialAnswers {
     read_count: u32,
     /// Value of `read_count` that was acknowledged last.
     acknowledged_count: u32,
+    /// Payload bytes of the partial answers that arrived since the last acknowledgement.
+    unacknowledged_bytes: u64,
 }
 
 /// Departure and arrival of the partial answer that arrived first.
@@ -55,16 +59,25 @@ struct FirstPartialAnswer {
 }
 
 impl ArrivedPartialAnswers {
-    /// Adds a partial answer with this number. If an acknowledgement is due, returns the number of partial answers that
-    /// count as read.
-    pub(super) fn add(&mut self, number: u32, departure: Departure, arrived: Stamp) -> Option<u32> {
+    /// Adds a partial answer with this number and `bytes` bytes of payload. If an acknowledgement is due, returns the
+    /// number of partial answers that count as read.
+    pub(super) fn add(
+        &mut self,
+        number: u32,
+        bytes: u64,
+        departure: Departure,
+        arrived: Stamp,
+    ) -> Option<u32> {
         self.count += 1;
         self.first.get_or_insert(FirstPartialAnswer { departure, arrived });
         // On networks of datagrams, partial answers may overtake each other.
         self.read_count = self.read_count.max(number.saturating_add(1));
-        let is_due = self.read_count - self.acknowledged_count >= ACKNOWLEDGE_AFTER;
+        self.unacknowledged_bytes = self.unacknowledged_bytes.saturating_add(bytes);
+        let is_due = self.read_count - self.acknowledged_count >= ACKNOWLEDGE_AFTER
+            || self.unacknowledged_bytes >= ACKNOWLEDGE_AFTER_BYTES;
         is_due.then(|| {
             self.acknowledged_count = self.read_count;
+            self.unacknowledged_bytes = 0;
             self.read_count
         })
     }
@@ -127,9 +140,14 @@ mod tests {
         // Every second partial answer is lost.
         let acknowledged: Vec<u32> = (0..MAX_UNREAD_PARTS)
             .step_by(2)
-            .filter_map(|number| partial_answers.add(number, departure, arrived))
+            .filter_map(|number| partial_answers.add(number, 1, departure, arrived))
             .collect();
         assert_eq!(acknowledged, [17, 33, 49]);
         assert_eq!(partial_answers.count, MAX_UNREAD_PARTS / 2);
+        let mut partial_answers = ArrivedPartialAnswers::default();
+        let mut add_bytes = |number, bytes| partial_answers.add(number, bytes, departure, arrived);
+        assert_eq!(add_bytes(0, ACKNOWLEDGE_AFTER_BYTES - 40), None);
+        assert_eq!(add_bytes(1, 40), Some(2));
+        assert_eq!(add_bytes(2, 40), None);
     }
 }

@@ -68,7 +68,8 @@ impl SessionState {
 
     /// Handles a partial answer.
     fn receive_partial_answer(&self, partial_answer: PartialReply, frames: Frames, arrived: Stamp) {
-        let (handler, read_count) = self.requests.add_partial_answer(&partial_answer, arrived);
+        let bytes = frames.iter().skip(2).map(|frame| frame.len() as u64).sum();
+        let (handler, read_count) = self.requests.add_partial_answer(&partial_answer, bytes, arrived);
         let request = partial_answer.request;
         match partial_answer.sample.into_sample(frames.into_iter().skip(2)) {
             Ok(sample) => {

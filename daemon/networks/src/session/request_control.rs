@@ -1,12 +1,13 @@
 //! State of a request on the cloud, shared by its model, its session and its connection.
 
+use std::collections::VecDeque;
 use std::num::NonZeroU32;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use tokio_util::sync::CancellationToken;
 
-use crate::message::MAX_UNREAD_PARTS;
+use crate::message::{MAX_UNREAD_BYTES, MAX_UNREAD_PARTS};
 
 /// Error: the edge does not wait for the answer any more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -30,7 +31,18 @@ struct ControlState {
     read: u32,
     /// Number of unread partial answers that were lost on the way.
     lost: u32,
+    /// Payload bytes of each unread partial answer; 0 for those that were probably lost.
+    unread_bytes: VecDeque<u64>,
     is_cancelled: bool,
+}
+
+impl ControlState {
+    /// Returns whether the next partial answer has to wait for an acknowledgement.
+    // The edge acknowledges a quarter of each limit, so an acknowledgement is due whenever this is true.
+    fn is_window_full(&self) -> bool {
+        let unread = self.sent - self.read - self.lost;
+        unread >= MAX_UNREAD_PARTS || self.unread_bytes.iter().sum::<u64>() >= MAX_UNREAD_BYTES
+    }
 }
 
 impl RequestControl {
@@ -61,6 +73,8 @@ impl RequestControl {
         // A higher number would make the subtraction in `next_partial_answer` overflow.
         let read_count = read_count.min(state.sent);
         if read_count > state.read {
+            let newly_read = (read_count - state.read) as usize;
+            state.unread_bytes.drain(..newly_read);
             state.read = read_count;
             // Most lost partial answers have lower numbers and now count as read. A lost partial answer with a higher
             // number occupies a place in the window, but only until the next acknowledgement.
@@ -74,6 +88,10 @@ impl RequestControl {
     pub(crate) fn note_lost_partial_answer(&self) {
         let mut state = self.state();
         state.lost = (state.lost + 1).min(state.sent - state.read);
+        // The network does not say which one was lost. It retransmits small messages, so a large one was lost.
+        if let Some(largest) = state.unread_bytes.iter_mut().max() {
+            *largest = 0;
+        }
         self.changed.notify_all();
     }
 
@@ -82,14 +100,13 @@ impl RequestControl {
         NonZeroU32::new(self.state().sent)
     }
 
-    /// Returns the number of the next partial answer. Waits while [`MAX_UNREAD_PARTS`] partial answers are unread.
+    /// Returns the number of the next partial answer, which has `bytes` bytes of payload. Waits while
+    /// [`MAX_UNREAD_PARTS`] partial answers or [`MAX_UNREAD_BYTES`] are unread.
     ///
     /// # Errors
     /// If the request is cancelled.
-    pub(crate) fn next_partial_answer(&self) -> Result<u32, RequestCancelled> {
-        let is_full = |state: &mut ControlState| {
-            !state.is_cancelled && state.sent - state.read - state.lost >= MAX_UNREAD_PARTS
-        };
+    pub(crate) fn next_partial_answer(&self, bytes: u64) -> Result<u32, RequestCancelled> {
+        let is_full = |state: &mut ControlState| !state.is_cancelled && state.is_window_full();
         let mut state =
             self.changed.wait_while(self.state(), is_full).unwrap_or_else(PoisonError::into_inner);
         if state.is_cancelled {
@@ -97,6 +114,7 @@ impl RequestControl {
         }
         let number = state.sent;
         state.sent += 1;
+        state.unread_bytes.push_back(bytes);
         Ok(number)
     }
 
@@ -124,12 +142,12 @@ mod tests {
     fn sending_waits_until_partial_answers_are_read() {
         let control = Arc::new(RequestControl::default());
         let numbers: Vec<u32> = (0..MAX_UNREAD_PARTS)
-            .map(|_| control.next_partial_answer().expect("the window is open"))
+            .map(|_| control.next_partial_answer(1).expect("the window is open"))
             .collect();
         assert_eq!(numbers, (0..MAX_UNREAD_PARTS).collect::<Vec<_>>());
         let waiting = thread::spawn({
             let control = Arc::clone(&control);
-            move || control.next_partial_answer()
+            move || control.next_partial_answer(1)
         });
         control.acknowledge(0);
         assert!(!waiting.is_finished(), "nothing was read");
@@ -142,10 +160,10 @@ mod tests {
         let control = RequestControl::default();
         control.acknowledge(u32::MAX);
         for _ in 0..MAX_UNREAD_PARTS {
-            control.next_partial_answer().expect("the window is open");
+            control.next_partial_answer(1).expect("the window is open");
         }
         control.acknowledge(u32::MAX);
-        assert_eq!(control.next_partial_answer(), Ok(MAX_UNREAD_PARTS));
+        assert_eq!(control.next_partial_answer(1), Ok(MAX_UNREAD_PARTS));
         assert_eq!(control.state().read, MAX_UNREAD_PARTS);
     }
 
@@ -155,11 +173,11 @@ mod tests {
         control.note_lost_partial_answer();
         // Nothing arrives any more, so nothing is acknowledged.
         for number in 0..MAX_UNREAD_PARTS * 3 {
-            assert_eq!(control.next_partial_answer(), Ok(number));
+            assert_eq!(control.next_partial_answer(1), Ok(number));
             control.note_lost_partial_answer();
         }
         for _ in 0..MAX_UNREAD_PARTS {
-            control.next_partial_answer().expect("the window is open");
+            control.next_partial_answer(1).expect("the window is open");
         }
         control.acknowledge(MAX_UNREAD_PARTS * 4);
         let state = control.state();
@@ -167,15 +185,34 @@ mod tests {
     }
 
     #[test]
+    fn sending_waits_until_bytes_are_read_or_lost() {
+        let control = Arc::new(RequestControl::default());
+        assert_eq!(control.next_partial_answer(MAX_UNREAD_BYTES - 1), Ok(0));
+        assert_eq!(control.next_partial_answer(MAX_UNREAD_BYTES * 9), Ok(1), "one may exceed the window");
+        let wait_for_next = || {
+            let control = Arc::clone(&control);
+            thread::spawn(move || control.next_partial_answer(MAX_UNREAD_BYTES))
+        };
+        let waiting = wait_for_next();
+        control.acknowledge(1);
+        assert!(!waiting.is_finished(), "the larger one is unread");
+        control.acknowledge(2);
+        assert_eq!(waiting.join().expect("does not panic"), Ok(2));
+        let waiting = wait_for_next();
+        control.note_lost_partial_answer();
+        assert_eq!(waiting.join().expect("does not panic"), Ok(3));
+    }
+
+    #[test]
     fn cancellation_ends_every_wait() {
         let control = Arc::new(RequestControl::default());
         for _ in 0..MAX_UNREAD_PARTS {
-            control.next_partial_answer().expect("the window is open");
+            control.next_partial_answer(1).expect("the window is open");
         }
         let waits = [
             thread::spawn({
                 let control = Arc::clone(&control);
-                move || control.next_partial_answer().map(drop)
+                move || control.next_partial_answer(1).map(drop)
             }),
             thread::spawn({
                 let control = Arc::clone(&control);

@@ -101,16 +101,18 @@ impl RequestsInFlight {
         self.client().cancel_request(request)
     }
 
-    /// Adds a partial answer. Returns the handler of the partial answers and, if an acknowledgement is due, the number
+    /// Adds a partial answer with `bytes` bytes of payload. Returns the handler of the partial answers and, if an acknowledgement is due, the number
     /// of partial answers that count as read.
     pub(super) fn add_partial_answer(
         &self,
         partial_answer: &PartialReply,
+        bytes: u64,
         arrived: Stamp,
     ) -> (Option<PartialAnswerHandler>, Option<u32>) {
         let mut client = self.client();
         let Some(waiter) = client.waiter_mut(partial_answer.request) else { return (None, None) };
-        let read_count = waiter.partial_answers.add(partial_answer.part, partial_answer.departure, arrived);
+        let PartialReply { part, departure, .. } = *partial_answer;
+        let read_count = waiter.partial_answers.add(part, bytes, departure, arrived);
         (waiter.handler.clone(), read_count)
     }
 

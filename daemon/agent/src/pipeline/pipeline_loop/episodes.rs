@@ -40,7 +40,8 @@ impl PipelineLoop<'_> {
         if outcome != Outcome::Ok && self.end_reason.is_none() {
             let start = Start { intended: now, skipped: 0 };
             let (log, started_at) = iteration::start(clock, self.context.host.id, now);
-            let iteration = StartedIteration { position: self.run.assign_position(now), start, started_at };
+            let iteration =
+                StartedIteration { position: self.run.assign_unprepared_position(now), start, started_at };
             let feedback = Feedback { episode_ended: true, ..Feedback::default() };
             self.finish(iteration, log, outcome, feedback, None);
         }
