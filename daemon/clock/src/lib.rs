@@ -15,7 +15,7 @@
 //! - `source`: the [`Clock`] trait and the system's clock; `manual`: a clock for tests; `faulty_clock`: a clock with
 //!   injected faults, which `clock_faults` describes.
 //! - `steps`: detects steps and slews of a wall clock, and sleeps of the machine.
-//! - `exchange`: four stamps and the bounds of the offset that follow from them; `discipline`: the error bounds that a
+//! - `exchange`: four stamps and the bounds of the offset that follow from them; `clock_claim`: the error bounds that a
 //!   time daemon claims for a wall clock.
 //! - `band`: the interval of the offset over time that all exchanges together prove, and the estimate within it.
 //! - `related_clocks`: which clocks of the two hosts are related, free-running clocks or wall clocks.
@@ -25,9 +25,9 @@
 //! - `log_throttle`: limits repeated log lines to one per minute.
 
 mod band;
+mod clock_claim;
 mod clock_faults;
 mod delay;
-mod discipline;
 mod exchange;
 mod faulty_clock;
 mod identity;
@@ -43,9 +43,9 @@ mod system;
 mod time;
 
 pub use band::ProvenSkew;
+pub use clock_claim::ClockClaim;
 pub use clock_faults::{ClockFaultStep, ClockFaults, SteppedClock};
 pub use delay::{DelaySource, Interval, OneWayDelay, Verdict};
-pub use discipline::Discipline;
 pub use exchange::{Exchange, ExchangeObservation};
 pub use faulty_clock::FaultyClock;
 pub use identity::{ClockIdentity, time_namespace};

@@ -3,7 +3,7 @@
 use std::iter::Sum;
 
 use peernet_clock::{
-    ClockFaults, Discipline, Exchange, ExchangeCounts, Interval, Offset, RelatedClocks, Span, Verdict,
+    ClockClaim, ClockFaults, Exchange, ExchangeCounts, Interval, Offset, RelatedClocks, Span, Verdict,
     WallTime,
 };
 use serde::ser::SerializeStruct;
@@ -284,7 +284,8 @@ pub enum Probing {
 pub struct HostClock {
     /// Error bounds that the host's time daemon or its kernel claims; `None` if the clock is not synchronised or
     /// neither claims any bounds.
-    pub discipline: Option<Discipline>,
+    #[serde(rename = "discipline")]
+    pub claim: Option<ClockClaim>,
     /// Description for people, such as `chrony, stratum 2, to 10.0.0.1`, `kernel, synchronised`, `not synchronised`.
     pub text: String,
     /// Number of steps, slews and sleeps of the clock since the agent started.

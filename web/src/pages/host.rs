@@ -20,7 +20,7 @@ use crate::state::{App, AppState};
 use crate::view::events::{self, Events};
 use crate::view::hosts::{HostLine, clock_words, hardware_name};
 use crate::view::link::Subject;
-use crate::view::link::panels::{discipline, reported_error_bounds};
+use crate::view::link::panels::{describe_synchronisation, reported_error_bounds};
 use crate::view::now::{NowRow, NowTable};
 use crate::view::{clock_fault, list_limits};
 use crate::zone::ZonedTime;
@@ -200,7 +200,7 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
         clock: vec![
             ("Wall clock", clock),
             ("Relation to the aggregator's clock", relation),
-            ("Synchronised by", discipline(&host.clock)),
+            ("Synchronised by", describe_synchronisation(&host.clock)),
             ("Reported error bound", reported_error_bounds(&host.clock)),
             ("Steps noticed", step_count(&host.clock)),
             (

@@ -9,7 +9,7 @@ use peernet_stream::{Hardware, HostMetrics};
 use super::chip::{Chip, Tone};
 use super::clock_fault;
 use super::events::{self, FAR_BEHIND, Remark};
-use super::link::panels::discipline;
+use super::link::panels::describe_synchronisation;
 use crate::picture::Picture;
 use crate::zone::{Zone, ZonedTime};
 
@@ -182,7 +182,7 @@ impl HostLine {
             waiting: count(host.accounting.waiting),
             behind: host.behind.map_or_else(|| "0".to_owned(), |behind| fixed(behind.seconds(), 1)),
             clock,
-            clock_title: format!("{clock_title}; {}", discipline(&host.clock)),
+            clock_title: format!("{clock_title}; {}", describe_synchronisation(&host.clock)),
             clock_fault: host.clock.faults.as_ref().map(|_| clock_fault::CHIP),
             name,
         }

@@ -8,7 +8,7 @@ use peernet_probes::Key;
 
 use super::Report;
 use crate::config::{
-    ClockConfig, ClockFaultConfig, ClockFaultStepConfig, DisciplineSource, ProbesConfig, ServeConfig,
+    ClaimSource, ClockConfig, ClockFaultConfig, ClockFaultStepConfig, ProbesConfig, ServeConfig,
 };
 
 /// Largest drift between two clocks that may be configured, in parts per million. A clock that drifts faster is
@@ -71,7 +71,7 @@ pub(super) fn check_clock(report: &mut Report, clock: &ClockConfig) {
             "is empty; remove the key to use \"chronyc\", or remove chrony from clock.discipline",
         );
     } else if clock.chronyc != ClockConfig::default().chronyc
-        && clock.discipline.contains(&DisciplineSource::Chrony)
+        && clock.discipline.contains(&ClaimSource::Chrony)
         && !is_command(&clock.chronyc)
     {
         // A missing default command is not a problem: not every host has chrony.

@@ -26,7 +26,7 @@ pub struct ClockConfig {
     /// Source of the time stamps of probes. Default: `kernel`.
     pub timestamps: Timestamps,
     /// Sources of claims about this host's wall clock. Default: `["kernel", "chrony"]`.
-    pub discipline: Vec<DisciplineSource>,
+    pub discipline: Vec<ClaimSource>,
     /// Interval at which the claims are read; seconds, 0.1 to 3600. Default: 5.
     pub discipline_interval_s: f64,
     /// Command that queries chrony. Default: `chronyc`.
@@ -44,7 +44,7 @@ impl Default for ClockConfig {
             fresh_s: 10.0,
             trust_time_daemons: false,
             timestamps: Timestamps::default(),
-            discipline: vec![DisciplineSource::Kernel, DisciplineSource::Chrony],
+            discipline: vec![ClaimSource::Kernel, ClaimSource::Chrony],
             discipline_interval_s: 5.0,
             chronyc: "chronyc".to_owned(),
             chronyc_arguments: Vec::new(),
@@ -86,7 +86,7 @@ pub enum Timestamps {
 /// Source of claims about this host's wall clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum DisciplineSource {
+pub enum ClaimSource {
     /// The kernel's own error bound, which ntpd, chrony and PTP daemons maintain.
     Kernel,
     /// chrony, queried by `chronyc`.

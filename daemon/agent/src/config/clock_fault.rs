@@ -16,7 +16,7 @@ pub struct ClockFaultConfig {
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub steps: Vec<ClockFaultStepConfig>,
     /// Claim of the host about its clock. Default: `none`.
-    pub discipline: ClaimedDiscipline,
+    pub discipline: ClaimPolicy,
 }
 
 /// `steps = [{ at_s = …, by_ms = …, clock = … }]`: one step of a clock.
@@ -36,7 +36,7 @@ pub struct ClockFaultStepConfig {
 /// Claim of a host with clock faults about its clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum ClaimedDiscipline {
+pub enum ClaimPolicy {
     /// No claim, like a host without a time daemon.
     #[default]
     None,

@@ -13,8 +13,8 @@ mod reflector;
 mod serve;
 mod spool;
 
-pub use clock::{ClockConfig, DisciplineSource, Timestamps};
-pub use clock_fault::{ClaimedDiscipline, ClockFaultConfig, ClockFaultStepConfig};
+pub use clock::{ClaimSource, ClockConfig, Timestamps};
+pub use clock_fault::{ClaimPolicy, ClockFaultConfig, ClockFaultStepConfig};
 pub use host::HostConfig;
 pub use listen::{ListenAddresses, ListenAddressesError};
 pub use observe::{ObserveConfig, ObserveError, PairBy};

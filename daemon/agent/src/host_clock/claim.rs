@@ -1,6 +1,6 @@
 //! Claims about the error of the wall clock, and their combination.
 
-use peernet_clock::{DelaySource, Discipline, Interval, MonoTime, Span};
+use peernet_clock::{ClockClaim, DelaySource, Interval, MonoTime, Span};
 
 /// Frequency tolerance of a disciplined clock, parts per million: the rate at which the bound of its error grows (PHI
 /// of RFC 5905, section 7.2).
@@ -42,7 +42,7 @@ impl Claim {
 pub(super) struct ClaimSummary {
     /// The intersection of all claims (Marzullo's algorithm, with no claim allowed to be wrong); `None` without a
     /// claim, or if the claims contradict each other.
-    pub(super) discipline: Option<Discipline>,
+    pub(super) claim: Option<ClockClaim>,
     /// Text for users.
     pub(super) text: String,
     /// `true` if claims contradict each other.
@@ -72,10 +72,10 @@ pub(super) fn combine(reports: &[SourceReport], until: MonoTime) -> ClaimSummary
             .map(|(report, error)| format!("{}: error {} to {}", report.text, error.lo, error.hi))
             .collect();
         let text = format!("claims contradict each other, none is used ({})", descriptions.join("; "));
-        return ClaimSummary { discipline: None, text, is_contradictory: true };
+        return ClaimSummary { claim: None, text, is_contradictory: true };
     };
     ClaimSummary {
-        discipline: Some(Discipline { source: narrowest_claim.source, error }),
+        claim: Some(ClockClaim { source: narrowest_claim.source, error }),
         text: join_texts(&mut claims.iter().map(|(report, _)| *report)),
         is_contradictory: false,
     }
@@ -103,27 +103,24 @@ mod tests {
     fn two_claims_are_combined_to_their_intersection() {
         let both = combined(Some((-5, 5)), Some((1, 9)));
         let error = Interval { lo: Span::from_millis(1), hi: Span::from_millis(5) };
-        assert_eq!(both.discipline, Some(Discipline { source: DelaySource::Chrony, error }));
+        assert_eq!(both.claim, Some(ClockClaim { source: DelaySource::Chrony, error }));
         assert_eq!(both.text, "kernel; chrony");
     }
 
     #[test]
     fn source_without_claim_leaves_claim_of_other_source() {
         let one = combined(None, Some((1, 9)));
-        assert_eq!(one.discipline.map(|claim| claim.source), Some(DelaySource::Chrony));
+        assert_eq!(one.claim.map(|claim| claim.source), Some(DelaySource::Chrony));
         assert_eq!(one.text, "chrony");
         let none = combined(None, None);
-        assert_eq!(
-            (none.discipline, none.text.as_str(), none.is_contradictory),
-            (None, "kernel; chrony", false)
-        );
-        assert_eq!(combine(&[], MonoTime::from_nanos(0)).discipline, None);
+        assert_eq!((none.claim, none.text.as_str(), none.is_contradictory), (None, "kernel; chrony", false));
+        assert_eq!(combine(&[], MonoTime::from_nanos(0)).claim, None);
     }
 
     #[test]
     fn contradicting_claims_are_described_and_not_used() {
         let apart = combined(Some((-5, 0)), Some((1, 9)));
-        assert_eq!((apart.discipline, apart.is_contradictory), (None, true));
+        assert_eq!((apart.claim, apart.is_contradictory), (None, true));
         for part in ["kernel: error -5.000 ms to 0.000 ms", "chrony: error 1.000 ms to 9.000 ms"] {
             assert!(apart.text.contains(part), "{}", apart.text);
         }

@@ -1,6 +1,6 @@
 //! Exact claim of a host about its clock with injected faults.
 
-use peernet_clock::{ClockFaults, DelaySource, Discipline, Interval, Span, WallTime};
+use peernet_clock::{ClockClaim, ClockFaults, DelaySource, Interval, Span, WallTime};
 
 /// Half the width of the claim.
 const BOUND: Span = Span::from_micros(1);
@@ -8,11 +8,11 @@ const BOUND: Span = Span::from_micros(1);
 /// Returns a claim that contains the clock's error at `true_time`. Unless the clock is stepped, the claim also contains
 /// the error at any time within `reach` before or after `true_time`.
 // The claim is also used for messages that were stamped before it was made.
-pub(super) fn exact_claim(description: &ClockFaults, true_time: WallTime, reach: Span) -> Discipline {
+pub(super) fn exact_claim(description: &ClockFaults, true_time: WallTime, reach: Span) -> ClockClaim {
     let current_error = description.wall_error_at(true_time);
     let drift = Span::from_nanos((reach.nanos() as f64 * description.drift_ppm.abs() * 1e-6).ceil() as i64);
     let error = Interval { lo: current_error - drift - BOUND, hi: current_error + drift + BOUND };
-    Discipline { source: DelaySource::Kernel, error }
+    ClockClaim { source: DelaySource::Kernel, error }
 }
 
 #[cfg(test)]

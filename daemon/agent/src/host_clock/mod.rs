@@ -55,7 +55,7 @@ const CHECKS_BETWEEN_CLAIMS: u32 = 10;
 /// Returns the state of the clocks before any source was queried.
 pub(crate) fn initial_state(clock: &SharedClock) -> PeerClock {
     PeerClock {
-        discipline: None,
+        claim: None,
         text: "not queried yet".to_owned(),
         epoch: clock.wall_epoch(),
         faults: clock.injected_faults().cloned(),
@@ -65,9 +65,9 @@ pub(crate) fn initial_state(clock: &SharedClock) -> PeerClock {
 
 /// Returns the description of a host's clocks for live updates.
 pub(crate) fn describe_clock(clock: &PeerClock) -> HostClock {
-    let PeerClock { epoch, discipline, text, faults, raw } = clock.clone();
+    let PeerClock { epoch, claim, text, faults, raw } = clock.clone();
     let clocksource = raw.map(|raw| raw.clocksource).filter(|name| !name.is_empty());
-    HostClock { discipline, text, epoch, faults, clocksource }
+    HostClock { claim, text, epoch, faults, clocksource }
 }
 
 fn raw_clock(clock: &SharedClock, clocksource: String) -> RawClock {
@@ -103,10 +103,10 @@ pub(crate) async fn run(
                     || published.raw.as_ref().is_none_or(|published| published.epoch != raw.epoch);
                 if is_disturbed {
                     published.epoch = wall_epoch;
-                    published.discipline = None;
+                    published.claim = None;
                     "not queried since the clock was disturbed".clone_into(&mut published.text);
                 }
-                let checks_between = if published.discipline.is_some() {
+                let checks_between = if published.claim.is_some() {
                     CHECKS_BETWEEN_CLAIMS
                 } else {
                     CHECKS_BETWEEN_ANNOUNCEMENTS
@@ -130,10 +130,10 @@ pub(crate) async fn run(
                 publish.send_if_modified(|published| {
                     let (epoch, raw_epoch) = epochs;
                     let is_new = published.epoch != epoch
-                        || published.discipline != summary.discipline
+                        || published.claim != summary.claim
                         || published.text != summary.text;
                     published.epoch = epoch;
-                    published.discipline = summary.discipline;
+                    published.claim = summary.claim;
                     published.text = summary.text;
                     if let Some(raw) = &mut published.raw {
                         (raw.epoch, raw.wall_ahead) = (raw_epoch, clock.wall_ahead());

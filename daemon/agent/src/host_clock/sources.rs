@@ -7,7 +7,7 @@ use peernet_clock::{SharedClock, Span};
 use super::chronyc::{CHRONYC_TIMEOUT, Chronyc};
 use super::claim::{ClaimSummary, combine};
 use super::{exact_claim, kernel};
-use crate::config::{ClaimedDiscipline, ClockConfig, ClockFaultConfig, DisciplineSource};
+use crate::config::{ClaimPolicy, ClaimSource, ClockConfig, ClockFaultConfig};
 
 /// Time for which a claim must hold after the next query is due: the query and the announcement to a peer take time.
 const CLAIM_MARGIN: Duration = CHRONYC_TIMEOUT.saturating_add(Duration::from_secs(1));
@@ -45,14 +45,14 @@ impl ClaimSources {
         let mut period = config.discipline_interval();
         let is_configured = |source| config.discipline.contains(&source);
         let claims = match faults.map(|faults| faults.discipline) {
-            Some(ClaimedDiscipline::None) => Claims::None,
-            Some(ClaimedDiscipline::Exact) => {
+            Some(ClaimPolicy::None) => Claims::None,
+            Some(ClaimPolicy::Exact) => {
                 period = period.min(EXACT_INTERVAL);
                 Claims::Exact
             }
-            Some(ClaimedDiscipline::Unaware) | None => Claims::Daemons {
-                kernel: is_configured(DisciplineSource::Kernel),
-                chronyc: is_configured(DisciplineSource::Chrony).then(|| Chronyc::new(config, clock.clone())),
+            Some(ClaimPolicy::Unaware) | None => Claims::Daemons {
+                kernel: is_configured(ClaimSource::Kernel),
+                chronyc: is_configured(ClaimSource::Chrony).then(|| Chronyc::new(config, clock.clone())),
             },
         };
         Self { clock, true_clock, period, claims, is_contradictory: false }
@@ -68,14 +68,14 @@ impl ClaimSources {
         let validity = Span::from(self.period + CLAIM_MARGIN);
         let summary = match &mut self.claims {
             Claims::None => ClaimSummary {
-                text: "clock fault injection, claims nothing".to_owned(),
+                text: "no claim, because clock faults are injected".to_owned(),
                 ..ClaimSummary::default()
             },
             Claims::Exact => ClaimSummary {
-                discipline: self.clock.injected_faults().map(|description| {
+                claim: self.clock.injected_faults().map(|description| {
                     exact_claim::exact_claim(description, self.true_clock.wall(), validity)
                 }),
-                text: "clock fault injection, claims its error exactly".to_owned(),
+                text: "exact claim, because clock faults are injected".to_owned(),
                 is_contradictory: false,
             },
             Claims::Daemons { kernel, chronyc } => {

@@ -1,6 +1,6 @@
 //! The latest announcement of a host about its clocks. No I/O.
 
-use peernet_clock::{Discipline, Interval, RawTime, Span};
+use peernet_clock::{ClockClaim, Interval, RawTime, Span};
 use peernet_networks::PeerClock;
 
 /// Longest time between the reading of a host's clocks and the arrival of the announcement at the other host.
@@ -67,8 +67,8 @@ impl AnnouncedClock {
     ///
     /// The daemon's claim is about the wall clock. The announcement contains the difference of the wall clock and the
     /// free-running clock. Since then the free-running clock may have drifted from true time by the drift limit.
-    pub(super) fn claim(&self, now: RawTime, max_drift_ppm: f64) -> Option<Discipline> {
-        let claim = self.clock.discipline.filter(|_| !self.is_outdated)?;
+    pub(super) fn claim(&self, now: RawTime, max_drift_ppm: f64) -> Option<ClockClaim> {
+        let claim = self.clock.claim.filter(|_| !self.is_outdated)?;
         if !self.is_free_running {
             return Some(claim);
         }
@@ -76,7 +76,7 @@ impl AnnouncedClock {
         let age = (now - self.announced_at).max(Span::ZERO) + MAX_TRANSIT;
         let drift = Span::from_nanos((age.nanos() as f64 * max_drift_ppm * 1e-6).ceil() as i64);
         let Interval { lo, hi } = claim.error;
-        Some(Discipline {
+        Some(ClockClaim {
             error: Interval { lo: lo - wall_ahead.hi - drift, hi: hi - wall_ahead.lo + drift },
             ..claim
         })
@@ -98,7 +98,7 @@ mod tests {
     fn announcement_with_claim(raw_epoch: u32) -> PeerClock {
         let millis = |lo, hi| Interval { lo: Span::from_millis(lo), hi: Span::from_millis(hi) };
         PeerClock {
-            discipline: Some(Discipline { source: DelaySource::Chrony, error: millis(-1, 2) }),
+            claim: Some(ClockClaim { source: DelaySource::Chrony, error: millis(-1, 2) }),
             raw: Some(RawClock {
                 epoch: raw_epoch,
                 wall_ahead: millis(5_000, 5_001),
@@ -116,7 +116,7 @@ mod tests {
         let expected = Interval { lo: Span::from_millis(-5_003), hi: Span::from_millis(-4_997) };
         assert_eq!(claim.error, expected, "10 s at 100 ppm are 1 ms at each end");
         let by_wall = AnnouncedClock::new(announcement_with_claim(0), false, at);
-        assert_eq!(by_wall.claim(at + Span::from_seconds(9), 100.0), announcement_with_claim(0).discipline);
+        assert_eq!(by_wall.claim(at + Span::from_seconds(9), 100.0), announcement_with_claim(0).claim);
     }
 
     #[test]

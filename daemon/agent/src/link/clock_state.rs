@@ -82,7 +82,7 @@ impl LinkClockState {
             cloud,
             reports: ClockReports::default(),
         };
-        clock_state.update_disciplines(now.raw);
+        clock_state.update_claims(now.raw);
         clock_state
     }
 
@@ -246,7 +246,7 @@ impl LinkClockState {
         if let Some(epoch) = self.edge.announce(clock, now) {
             self.update_relation((epoch, None), |relation| relation.restart_after_edge_step(epoch));
         }
-        self.update_disciplines(now);
+        self.update_claims(now);
     }
 
     /// Handles an announcement of the cloud about its clocks.
@@ -255,7 +255,7 @@ impl LinkClockState {
         if let Some(epoch) = self.cloud.announce(clock, now) {
             self.update_relation((0, Some(epoch)), |relation| relation.restart_after_cloud_step(epoch));
         }
-        self.update_disciplines(now);
+        self.update_claims(now);
         let is_free_running = self.relation.settings().clocks == RelatedClocks::Raw;
         ClockStateChanges {
             is_cloud_wall_set: is_free_running && self.cloud.wall_epoch() > old_epoch,
@@ -268,7 +268,7 @@ impl LinkClockState {
         let mut changes = ClockStateChanges::default();
         self.start_new_window(now, &mut changes);
         if now.wall.unix_seconds() != self.second.at {
-            self.update_disciplines(now.raw);
+            self.update_claims(now.raw);
             changes.lost_proof = self.reports.report_ended_proof(now.raw);
             // If the clock was set back, the second is closed early. If it was set forward, the second is closed with
             // the state at its end.
@@ -440,7 +440,7 @@ impl LinkClockState {
     }
 
     /// Passes the current claims of the time daemons to the relation.
-    fn update_disciplines(&mut self, now: RawTime) {
+    fn update_claims(&mut self, now: RawTime) {
         let limit = self.relation.settings().max_drift_ppm;
         self.relation.set_claims(self.edge.claim(now, limit), self.cloud.claim(now, limit));
     }

@@ -126,9 +126,9 @@ pub(super) struct RecordedRun {
     pub(super) edge: Option<HostDescription>,
     /// The host that serves the model.
     pub(super) cloud: Option<Cloud>,
-    /// Description of the edge's clock discipline.
+    /// Description of what synchronises the edge's clock.
     pub(super) edge_clock: Option<String>,
-    /// Description of the cloud's clock discipline.
+    /// Description of what synchronises the cloud's clock.
     pub(super) cloud_clock: Option<String>,
     /// Error because of which some rows are not in the file.
     pub(super) unwritten: Option<String>,

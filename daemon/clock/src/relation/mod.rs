@@ -15,7 +15,7 @@ mod types;
 mod windows;
 
 use crate::band::{Bounds, Contradiction, ProvenSkew};
-use crate::{Discipline, Exchange, ExchangeObservation, RawTime, RelatedClocks, Span, WallTime};
+use crate::{ClockClaim, Exchange, ExchangeObservation, RawTime, RelatedClocks, Span, WallTime};
 use contradictions::Contradictions;
 use exchange_times::ExchangeTimes;
 use sources::Claims;
@@ -92,7 +92,7 @@ impl Relation {
 
     /// Sets the current claims of the two hosts' time daemons; `None` for a host without a claim. A claim is used only
     /// if the settings trust time daemons. It counts until the next call or until its clock is stepped.
-    pub fn set_claims(&mut self, edge: Option<Discipline>, cloud: Option<Discipline>) {
+    pub fn set_claims(&mut self, edge: Option<ClockClaim>, cloud: Option<ClockClaim>) {
         self.claims = Claims { edge, cloud };
     }
 

@@ -3,19 +3,19 @@
 //! If two sources are right, the offset lies in the overlap of their intervals. If the intervals do not overlap, at
 //! least one source is wrong. The result then says so instead of averaging the sources.
 
-use crate::{DelaySource, Discipline, Interval, Span};
+use crate::{ClockClaim, DelaySource, Interval, Span};
 
 /// Current claims of the two hosts' time daemons.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Claims {
-    pub(super) edge: Option<Discipline>,
-    pub(super) cloud: Option<Discipline>,
+    pub(super) edge: Option<ClockClaim>,
+    pub(super) cloud: Option<ClockClaim>,
 }
 
 impl Claims {
     /// Returns the offset that follows from both claims together, and its source; `None` if a claim is missing.
     pub(super) fn offset(&self) -> Option<(DelaySource, Interval)> {
-        Some(Discipline::offset(self.edge.as_ref()?, self.cloud.as_ref()?))
+        Some(ClockClaim::offset(self.edge.as_ref()?, self.cloud.as_ref()?))
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use peernet_clock::{ClockFaults, ClockIdentity, Discipline, Interval};
+use peernet_clock::{ClockClaim, ClockFaults, ClockIdentity, Interval};
 use peernet_logger::{HostId, Slug};
 use peernet_stream::{Condition, Hardware, Release, VersionRange};
 use serde::de::Error as _;
@@ -148,8 +148,8 @@ pub struct PeerClock {
     /// Epoch of the wall clock, [`peernet_clock::Clock::wall_epoch`].
     pub epoch: u32,
     /// Claim of the host's time daemon about the wall clock.
-    #[serde(deserialize_with = "deserialize_discipline")]
-    pub discipline: Option<Discipline>,
+    #[serde(rename = "discipline", deserialize_with = "deserialize_claim")]
+    pub claim: Option<ClockClaim>,
     /// Description of that claim, for people.
     #[serde(deserialize_with = "deserialize_text")]
     pub text: String,
@@ -244,15 +244,13 @@ fn deserialize_interval<'de, D: Deserializer<'de>>(deserializer: D) -> Result<In
 
 /// Deserializes a time daemon's claim. Refuses a claim whose interval ends before it begins, because the intervals of
 /// delays are computed from it.
-fn deserialize_discipline<'de, D: Deserializer<'de>>(
-    deserializer: D,
-) -> Result<Option<Discipline>, D::Error> {
-    let discipline: Option<Discipline> = Option::deserialize(deserializer)?;
-    match discipline {
-        Some(Discipline { error, .. }) if error.hi < error.lo => {
+fn deserialize_claim<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<ClockClaim>, D::Error> {
+    let claim: Option<ClockClaim> = Option::deserialize(deserializer)?;
+    match claim {
+        Some(ClockClaim { error, .. }) if error.hi < error.lo => {
             Err(D::Error::custom("the interval ends before it begins"))
         }
-        discipline => Ok(discipline),
+        claim => Ok(claim),
     }
 }
 

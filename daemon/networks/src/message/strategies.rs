@@ -1,7 +1,7 @@
 //! Proptest strategies for messages.
 
 use peernet_clock::{
-    ClockFaultStep, ClockFaults, ClockIdentity, DelaySource, Discipline, Interval, RawTime, Span, WallTime,
+    ClockClaim, ClockFaultStep, ClockFaults, ClockIdentity, DelaySource, Interval, RawTime, Span, WallTime,
 };
 use peernet_logger::{HostId, Slug};
 use peernet_sample::{Description, ElementType, MediaType, PixelFormat};
@@ -56,11 +56,11 @@ fn span() -> impl Strategy<Value = Span> {
     any::<i64>().prop_map(Span::from_nanos)
 }
 
-fn discipline() -> impl Strategy<Value = Discipline> {
+fn claim() -> impl Strategy<Value = ClockClaim> {
     let source = prop_oneof![Just(DelaySource::Kernel), Just(DelaySource::Chrony)];
     (source, span(), span()).prop_map(|(source, a, b)| {
         let error = Interval { lo: a.min(b), hi: a.max(b) };
-        Discipline { source, error }
+        ClockClaim { source, error }
     })
 }
 
@@ -76,9 +76,9 @@ fn faults() -> impl Strategy<Value = ClockFaults> {
 }
 
 pub(crate) fn peer_clock() -> impl Strategy<Value = PeerClock> {
-    let (discipline, faults) = (proptest::option::of(discipline()), proptest::option::of(faults()));
-    (any::<u32>(), discipline, printable_text(), faults, proptest::option::of(raw_clock()))
-        .prop_map(|(epoch, discipline, text, faults, raw)| PeerClock { epoch, discipline, text, faults, raw })
+    let (claim, faults) = (proptest::option::of(claim()), proptest::option::of(faults()));
+    (any::<u32>(), claim, printable_text(), faults, proptest::option::of(raw_clock()))
+        .prop_map(|(epoch, claim, text, faults, raw)| PeerClock { epoch, claim, text, faults, raw })
 }
 
 fn raw_clock() -> impl Strategy<Value = RawClock> {

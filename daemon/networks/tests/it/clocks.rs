@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use peernet_clock::{
-    Clock, ClockFaultStep, ClockFaults, ClockIdentity, DelaySource, Discipline, Interval, MonoTime, RawTime,
+    Clock, ClockClaim, ClockFaultStep, ClockFaults, ClockIdentity, DelaySource, Interval, MonoTime, RawTime,
     RelatedClocks, Span, Stamp, SteppedClock, SystemClock, WallTime,
 };
 use peernet_logger::{Measure, NodeId, Transit};
@@ -322,7 +322,7 @@ fn clock_state() -> PeerClock {
     let step = ClockFaultStep::wall_step(Span::from_seconds(5), Span::from_seconds(3));
     PeerClock {
         epoch: 2,
-        discipline: Some(Discipline { source: DelaySource::Chrony, error }),
+        claim: Some(ClockClaim { source: DelaySource::Chrony, error }),
         text: "chrony, 3 sources".into(),
         faults: Some(ClockFaults {
             offset: Span::from_millis(-1_000),
@@ -375,11 +375,8 @@ async fn plain_zeromq_socket_reads_announcement() {
         panic!("no announcement")
     };
     assert_eq!((announced_session, clock.epoch, clock.text.as_str()), (session, 2, "chrony, 3 sources"));
-    let discipline = clock.discipline.expect("announced");
-    assert_eq!(
-        (discipline.source.as_str(), discipline.error.lo, discipline.error.hi),
-        ("chrony", -20_000, 30_000)
-    );
+    let claim = clock.claim.expect("announced");
+    assert_eq!((claim.source.as_str(), claim.error.lo, claim.error.hi), ("chrony", -20_000, 30_000));
     let faults = clock.faults.expect("announced");
     assert_eq!((faults.offset, faults.drift_ppm, faults.since), (-1_000_000_000, 49.5, 7));
     let steps: Vec<_> = faults.steps.iter().map(|step| (step.at, step.by)).collect();

@@ -309,7 +309,7 @@ async fn invalid_answers_change_no_tree() {
 
     let error = wire::Interval { lo: 1, hi: 0 };
     let impossible_clock = wire::HostClock {
-        discipline: Some(wire::Discipline { source: "chrony".into(), error }),
+        claim: Some(wire::ClockClaim { source: "chrony".into(), error }),
         ..wire::host_clock(1)
     };
     // Replies to requests that were never made, replies of other sessions, and garbage do not affect the session.

@@ -142,14 +142,15 @@ pub(crate) struct Condition {
 #[derive(Serialize, Deserialize, Debug)]
 pub(crate) struct HostClock {
     pub(crate) epoch: u32,
-    pub(crate) discipline: Option<Discipline>,
+    #[serde(rename = "discipline")]
+    pub(crate) claim: Option<ClockClaim>,
     pub(crate) text: String,
     #[serde(rename = "rehearsal")]
     pub(crate) faults: Option<ClockFault>,
 }
 
 #[derive(Serialize, Deserialize, Debug)]
-pub(crate) struct Discipline {
+pub(crate) struct ClockClaim {
     pub(crate) source: String,
     pub(crate) error: Interval,
 }
@@ -176,7 +177,7 @@ pub(crate) struct Step {
 
 /// Returns the state of an unknown clock.
 pub(crate) fn host_clock(epoch: u32) -> HostClock {
-    HostClock { epoch, discipline: None, text: String::new(), faults: None }
+    HostClock { epoch, claim: None, text: String::new(), faults: None }
 }
 
 pub(crate) fn hello(protocol: u16) -> Hello {

@@ -1,6 +1,6 @@
 //! Judging a run again: intervals never get wider, stamps are unchanged, and nothing changes if nothing can be added.
 
-use peernet_clock::{DelaySource, Direction, Discipline, OneWayDelay, RelatedClocks, Span, Verdict};
+use peernet_clock::{ClockClaim, DelaySource, Direction, OneWayDelay, RelatedClocks, Span, Verdict};
 use peernet_logger::RunId;
 use peernet_stream::{Event, Iteration, Outcome};
 
@@ -274,7 +274,7 @@ async fn unreported_jump_does_not_change_earlier_delays() {
 
 #[tokio::test]
 async fn time_daemon_claims_are_used_as_in_first_judgement() {
-    let claim = |interval| Some(Discipline { source: DelaySource::Chrony, error: interval });
+    let claim = |interval| Some(ClockClaim { source: DelaySource::Chrony, error: interval });
     for error_ms in [0, 50] {
         let mut test_store = TestStore::new().await;
         let judged = simulate(&mut test_store, (5, 30, 5), |second, simulation| {

@@ -2,7 +2,7 @@
 //! agent would keep: the delays were judged by the same code that judges them again.
 
 use peernet_clock::{
-    Discipline, Exchange, ExchangeObservation, Interval, JudgedExchange, LearnResult, OneWayDelay, RawTime,
+    ClockClaim, Exchange, ExchangeObservation, Interval, JudgedExchange, LearnResult, OneWayDelay, RawTime,
     RelatedClocks, Relation, RelationSettings, Span, WallTime,
 };
 use peernet_logger::{HostId, Measure, RawStamps, RunId, Transit};
@@ -90,8 +90,8 @@ impl Simulation {
     }
 
     /// Sets the claim of both hosts' time daemons about the offset.
-    pub(super) fn claim(&mut self, claim: Option<Discipline>) {
-        let exact = claim.map(|claim| Discipline { error: Interval::exactly(Span::ZERO), ..claim });
+    pub(super) fn claim(&mut self, claim: Option<ClockClaim>) {
+        let exact = claim.map(|claim| ClockClaim { error: Interval::exactly(Span::ZERO), ..claim });
         self.relation.set_claims(exact, claim);
     }
 

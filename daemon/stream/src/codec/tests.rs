@@ -1,5 +1,5 @@
 use peernet_clock::{
-    ClockFaultStep, ClockFaults, DelaySource, Discipline, Exchange, ExchangeCounts, Interval, Offset,
+    ClockClaim, ClockFaultStep, ClockFaults, DelaySource, Exchange, ExchangeCounts, Interval, Offset,
     RawTime, Span, Verdict, WallTime,
 };
 use proptest::prelude::*;
@@ -67,7 +67,7 @@ fn clock() -> ClockSample {
 
 fn host_clock() -> HostClock {
     HostClock {
-        discipline: Some(Discipline { source: DelaySource::Chrony, error: interval(-7, 7) }),
+        claim: Some(ClockClaim { source: DelaySource::Chrony, error: interval(-7, 7) }),
         text: "chrony, stratum 2, to 10.0.0.1".into(),
         epoch: 3,
         faults: Some(ClockFaults {

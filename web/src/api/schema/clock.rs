@@ -1,6 +1,6 @@
 //! Schema of hosts' wall clocks.
 
-use peernet_clock::{ClockFaults, Discipline, Interval};
+use peernet_clock::{ClockClaim, ClockFaults, Interval};
 use peernet_stream as stream;
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -24,7 +24,8 @@ impl From<Interval> for Bounds {
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct HostClock {
     /// Claim of the time daemon or of the kernel; null if the clock is not synchronised or nothing is reported.
-    pub discipline: Option<Claim>,
+    #[serde(rename = "discipline")]
+    pub claim: Option<Claim>,
     /// Description of the synchronisation: `chrony, stratum 2, to 10.0.0.1`, `not synchronised`.
     pub text: String,
     /// Number of steps, excessive drifts and suspensions of the clock that were detected since the agent started.
@@ -82,12 +83,9 @@ impl From<&ClockFaults> for ClockFault {
 
 impl From<&stream::HostClock> for HostClock {
     fn from(clock: &stream::HostClock) -> Self {
-        let claim = |discipline: Discipline| Claim {
-            source: discipline.source.name(),
-            error: discipline.error.into(),
-        };
+        let claim = |claim: ClockClaim| Claim { source: claim.source.name(), error: claim.error.into() };
         Self {
-            discipline: clock.discipline.map(claim),
+            claim: clock.claim.map(claim),
             text: clock.text.clone(),
             epoch: clock.epoch,
             clock_fault: clock.faults.as_ref().map(ClockFault::from),

@@ -1,6 +1,6 @@
 //! Origin of the bounds of an offset, and advice to narrow it.
 
-use peernet_clock::{DelaySource, Discipline, Interval, Offset, RelatedClocks, Span};
+use peernet_clock::{ClockClaim, DelaySource, Interval, Offset, RelatedClocks, Span};
 use peernet_statistics::number::{NONE, SPACE, count, interval_ms, trip_ms};
 use peernet_stream::{HostClock, Probing};
 
@@ -114,9 +114,9 @@ fn unused_claims(subject: &Subject<'_>, offset: &Offset) -> Option<SourceRow> {
 /// Returns the offset of the wall clocks that follows from the present claims of both hosts' time daemons.
 fn claimed_offset(subject: &Subject<'_>) -> Option<(DelaySource, Interval)> {
     let link = subject.live?;
-    let claim = |clock: &Option<HostClock>| clock.as_ref()?.discipline;
+    let claim = |clock: &Option<HostClock>| clock.as_ref()?.claim;
     let (edge, cloud) = (claim(&link.live.edge)?, claim(&link.live.cloud)?);
-    Some(Discipline::offset(&edge, &cloud))
+    Some(ClockClaim::offset(&edge, &cloud))
 }
 
 /// The key that lets claims of time daemons narrow a bound.
@@ -206,12 +206,11 @@ fn hints(subject: &Subject<'_>, offset: Option<&Offset>) -> Vec<String> {
         }
         Probing::On { .. } => {}
     }
-    let undisciplined =
-        |clock: &Option<HostClock>| clock.as_ref().is_none_or(|clock| clock.discipline.is_none());
+    let has_no_claim = |clock: &Option<HostClock>| clock.as_ref().is_none_or(|clock| clock.claim.is_none());
     let hosts_without_daemon: Vec<&str> =
         [(&link.live.edge, &subject.edge), (&link.live.cloud, &subject.cloud)]
             .into_iter()
-            .filter(|(clock, _)| undisciplined(clock))
+            .filter(|(clock, _)| has_no_claim(clock))
             .map(|(_, name)| name.as_str())
             .collect();
     let width = |wanted: fn(DelaySource) -> bool| {

@@ -27,8 +27,8 @@ pub(crate) struct HostRow {
 
 /// Returns the bounds of the clock's error that a time daemon claims, in words: `within ±0.42 ms of true time`, `+4,001.08 ms from true time, ±0.04 ms`.
 pub(crate) fn reported_error_bounds(clock: &HostClock) -> String {
-    let Some(discipline) = clock.discipline else { return NONE.to_owned() };
-    let (lo, hi) = (discipline.error.lo.seconds(), discipline.error.hi.seconds());
+    let Some(claim) = clock.claim else { return NONE.to_owned() };
+    let (lo, hi) = (claim.error.lo.seconds(), claim.error.hi.seconds());
     if lo <= 0.0 && hi >= 0.0 {
         return format!("within {} of true time", bound(hi.max(-lo)));
     }
@@ -41,10 +41,10 @@ pub(crate) fn reported_error_bounds(clock: &HostClock) -> String {
 const PROCESSOR_COUNTERS: [&str; 2] = ["tsc", "arch_sys_counter"];
 
 /// Describes how a clock is synchronised, and whether the hypervisor supplies it.
-pub(crate) fn discipline(clock: &HostClock) -> String {
-    let text = match (clock.text.is_empty(), clock.discipline) {
+pub(crate) fn describe_synchronisation(clock: &HostClock) -> String {
+    let text = match (clock.text.is_empty(), clock.claim) {
         (false, _) => clock.text.clone(),
-        (true, Some(discipline)) => discipline.source.name().to_owned(),
+        (true, Some(claim)) => claim.source.name().to_owned(),
         (true, None) => "not reported".to_owned(),
     };
     match clock.clocksource.as_deref() {
@@ -61,7 +61,7 @@ pub(crate) fn hosts(subject: &Subject<'_>) -> Vec<HostRow> {
     let row = |name: &str, role, clock: Option<&HostClock>| HostRow {
         name: name.to_owned(),
         role: if role == name { "" } else { role },
-        text: clock.map_or_else(|| "has not reported yet".to_owned(), discipline),
+        text: clock.map_or_else(|| "has not reported yet".to_owned(), describe_synchronisation),
         claims: clock.map_or_else(|| NONE.to_owned(), reported_error_bounds),
         steps: clock.map_or_else(|| NONE.to_owned(), |clock| count(clock.epoch.into())),
         clock_fault: clock.and_then(|clock| clock.faults.as_ref()).map(clock_fault::describe),

@@ -1,7 +1,7 @@
 //! Clock samples of a pipeline: the edge's relation to the rack's clock, once a second.
 
 use peernet_clock::{
-    ClockFaults, DelaySource, Discipline, Exchange, ExchangeCounts, Interval, Offset, RawTime, RelatedClocks,
+    ClockClaim, ClockFaults, DelaySource, Exchange, ExchangeCounts, Interval, Offset, RawTime, RelatedClocks,
     Span, Verdict, WallTime,
 };
 use peernet_logger::{HostId, stage};
@@ -27,7 +27,7 @@ fn seconds(seconds: f64) -> Span {
 pub(super) fn host_clock(has_clock_fault: bool, since: WallTime) -> HostClock {
     let claim = Interval { lo: seconds(-0.0018), hi: seconds(0.0021) };
     HostClock {
-        discipline: Some(Discipline { source: DelaySource::Chrony, error: claim }),
+        claim: Some(ClockClaim { source: DelaySource::Chrony, error: claim }),
         text: "chrony, stratum 3, to ntp.plant".into(),
         epoch: u32::from(has_clock_fault),
         faults: has_clock_fault.then(|| ClockFaults {

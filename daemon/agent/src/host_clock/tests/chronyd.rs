@@ -5,7 +5,7 @@ use std::process::{Child, Command, Stdio};
 
 use peernet_test_ports::free_port;
 
-use crate::config::{ClockConfig, DisciplineSource};
+use crate::config::{ClaimSource, ClockConfig};
 
 /// Returns the path of a program of the unpacked package, or of the system.
 fn program(name: &str) -> PathBuf {
@@ -81,7 +81,7 @@ impl Chronyd {
     /// Returns the configuration of an agent that queries only this chronyd.
     pub(super) fn clock_config(&self) -> ClockConfig {
         ClockConfig {
-            discipline: vec![DisciplineSource::Chrony],
+            discipline: vec![ClaimSource::Chrony],
             discipline_interval_s: 0.1,
             chronyc: program("chronyc").display().to_string(),
             chronyc_arguments: self.arguments(),

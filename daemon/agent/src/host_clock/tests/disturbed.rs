@@ -5,7 +5,7 @@ use std::sync::Arc;
 use peernet_clock::{ClockIdentity, FaultyClock, SharedClock, Span, SteppedClock};
 
 use super::{start_watching, system_clock};
-use crate::config::{ClaimedDiscipline, ClockConfig, ClockFaultConfig, ClockFaultStepConfig};
+use crate::config::{ClaimPolicy, ClockConfig, ClockFaultConfig, ClockFaultStepConfig};
 
 /// Returns the machine's clock with injected faults.
 fn faulty_clock(config: &ClockFaultConfig) -> SharedClock {
@@ -27,7 +27,7 @@ async fn step_is_published_with_its_clock_fault() {
     assert_eq!(first.faults.as_ref(), clock.injected_faults());
     let epoch = first.epoch;
     let after = published.wait_for(|state| state.epoch > epoch).await.expect("the task runs").clone();
-    assert_eq!(after.discipline, None);
+    assert_eq!(after.claim, None);
 }
 
 #[tokio::test]
@@ -36,18 +36,19 @@ async fn host_with_clock_fault_claims_nothing_or_exact_error() {
     let clock = faulty_clock(&without_claim);
     let (mut published, _running) =
         start_watching(ClockConfig::default(), Some(without_claim.clone()), &clock);
-    let state =
-        published.wait_for(|state| state.text.starts_with("clock fault")).await.expect("the task runs");
-    assert_eq!((state.discipline, state.text.as_str()), (None, "clock fault injection, claims nothing"));
+    let state = published
+        .wait_for(|state| state.text.ends_with("clock faults are injected"))
+        .await
+        .expect("the task runs");
+    assert_eq!((state.claim, state.text.as_str()), (None, "no claim, because clock faults are injected"));
     drop(state);
 
-    let exact_claim =
-        ClockFaultConfig { drift_ppm: -50.0, discipline: ClaimedDiscipline::Exact, ..without_claim };
+    let exact_claim = ClockFaultConfig { drift_ppm: -50.0, discipline: ClaimPolicy::Exact, ..without_claim };
     let clock = faulty_clock(&exact_claim);
     let description = clock.injected_faults().expect("it has faults").clone();
     let (mut published, _running) = start_watching(ClockConfig::default(), Some(exact_claim), &clock);
-    let state = published.wait_for(|state| state.discipline.is_some()).await.expect("the task runs").clone();
-    let error = state.discipline.expect("it was waited for").error;
+    let state = published.wait_for(|state| state.claim.is_some()).await.expect("the task runs").clone();
+    let error = state.claim.expect("it was waited for").error;
     let now = description.wall_error_at(description.true_wall(clock.wall()));
     assert!(error.lo <= now && now <= error.hi, "{now} is not in {error:?}");
     assert!(error.width() < Span::from_millis(1), "{error:?}");

@@ -26,7 +26,7 @@ async fn interval_contains_known_bias_and_not_its_opposite() {
         let (mut published, _running) = start_watching(client.clock_config(), None, &clock);
         let state = wait_for_first_answer(&mut published).await;
         assert_eq!(state.text, "chrony, stratum 11, to 127.0.0.1");
-        let claim = state.discipline.expect("chrony is synchronised");
+        let claim = state.claim.expect("chrony is synchronised");
         assert_eq!(claim.source, DelaySource::Chrony);
         let contains = |error: Span| claim.error.lo <= error && error <= claim.error.hi;
         assert!(contains(error), "{error} is not in {:?}", claim.error);
@@ -46,7 +46,7 @@ async fn daemon_without_other_source_claims_nothing() {
         let clock = system_clock();
         let (mut published, _running) = start_watching(daemon.clock_config(), None, &clock);
         let state = wait_for_first_answer(&mut published).await;
-        assert_eq!((state.discipline, state.text.as_str()), (None, text));
+        assert_eq!((state.claim, state.text.as_str()), (None, text));
     }
 }
 
@@ -56,9 +56,9 @@ async fn claim_ends_with_its_daemon() {
     let mut client = Chronyd::client(&server, 0.0);
     let clock = system_clock();
     let (mut published, _running) = start_watching(client.clock_config(), None, &clock);
-    published.wait_for(|state| state.discipline.is_some()).await.expect("the task runs");
+    published.wait_for(|state| state.claim.is_some()).await.expect("the task runs");
     client.kill();
-    let state = published.wait_for(|state| state.discipline.is_none()).await.expect("the task runs").clone();
+    let state = published.wait_for(|state| state.claim.is_none()).await.expect("the task runs").clone();
     assert!(state.text.starts_with("chrony, "), "{}", state.text);
 }
 
@@ -82,12 +82,12 @@ async fn hanging_or_invalid_command_claims_nothing() {
         std::fs::set_permissions(&command, mode).expect("the file is ours");
         let config = ClockConfig {
             chronyc: command.display().to_string(),
-            discipline: vec![crate::config::DisciplineSource::Chrony],
+            discipline: vec![crate::config::ClaimSource::Chrony],
             ..ClockConfig::default()
         };
         let (mut published, _running) = start_watching(config, None, &clock);
         let state = wait_for_first_answer(&mut published).await;
-        assert_eq!(state.discipline, None);
+        assert_eq!(state.claim, None);
         assert!(state.text.contains(text), "{}", state.text);
     }
 }

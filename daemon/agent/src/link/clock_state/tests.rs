@@ -1,6 +1,6 @@
 //! Tests of seconds, windows and restarts. The relation itself is tested in the crate `clock`.
 
-use peernet_clock::{DelaySource, Discipline, Exchange, Interval, RelationSettings};
+use peernet_clock::{ClockClaim, DelaySource, Exchange, Interval, RelationSettings};
 use peernet_networks::RawClock;
 
 use super::*;
@@ -19,10 +19,10 @@ fn now(millis: i64) -> Stamp {
 }
 
 /// Returns a host's announcement in this epoch of its free-running clock, which agrees with its wall clock.
-fn announcement(epoch: u32, discipline: Option<Discipline>) -> PeerClock {
+fn announcement(epoch: u32, claim: Option<ClockClaim>) -> PeerClock {
     let wall_ahead = Interval::exactly(Span::ZERO);
     let raw = Some(RawClock { epoch, wall_ahead, clocksource: "tsc".into() });
-    PeerClock { raw, discipline, ..PeerClock::default() }
+    PeerClock { raw, claim, ..PeerClock::default() }
 }
 
 /// Returns an exchange with a cloud that is `ahead`: 1 ms in each direction, 2 ms in between.
@@ -168,7 +168,7 @@ fn claims_after_step_do_not_reach_earlier_window() {
     let mut clock_state = clock_state();
     let announcement_with_claim = |millis, epoch| {
         let error = Interval::exactly(Span::from_millis(millis));
-        announcement(epoch, Some(Discipline { source: DelaySource::Chrony, error }))
+        announcement(epoch, Some(ClockClaim { source: DelaySource::Chrony, error }))
     };
     let _ = clock_state.handle_cloud_announcement(announcement_with_claim(0, 0), now(5000).raw);
     let _ = clock_state.judge(&network(), &exchange(5000, 0), MESSAGE_DELAYS, now(5004));
@@ -211,8 +211,8 @@ fn claim_before_step_stays_void() {
     let mut clock_state = clock_state();
     let claim = |epoch| {
         let error = Interval::exactly(Span::ZERO);
-        let discipline = Some(Discipline { source: DelaySource::Chrony, error });
-        announcement(epoch, discipline)
+        let claim = Some(ClockClaim { source: DelaySource::Chrony, error });
+        announcement(epoch, claim)
     };
     clock_state.handle_edge_announcement(claim(0), now(0).raw);
     let _ = clock_state.handle_cloud_announcement(claim(0), now(0).raw);

@@ -1,7 +1,7 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::Discipline;
+use crate::ClockClaim;
 
 proptest! {
     #[test]
@@ -141,7 +141,7 @@ fn consistently_wrong_stamps_contradict_time_daemons_only() {
     assert!((offset.estimate - Span::from_millis(40)).abs() < Span::from_millis(1));
 
     let within = Interval { lo: Span::from_millis(-2), hi: Span::from_millis(2) };
-    let claim = Discipline { source: DelaySource::Chrony, error: within };
+    let claim = ClockClaim { source: DelaySource::Chrony, error: within };
     relation.set_claims(Some(claim), Some(claim));
     let offset = relation.offset(at(20), WallTime::default()).expect("the clocks are related");
     assert_eq!(offset.verdict, Verdict::Inconsistent);

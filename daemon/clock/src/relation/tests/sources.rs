@@ -1,12 +1,12 @@
 use super::*;
-use crate::Discipline;
+use crate::ClockClaim;
 
 fn millis(lo: i64, hi: i64) -> Interval {
     Interval { lo: Span::from_millis(lo), hi: Span::from_millis(hi) }
 }
 
-fn claim(source: DelaySource, lo: i64, hi: i64) -> Option<Discipline> {
-    Some(Discipline { source, error: millis(lo, hi) })
+fn claim(source: DelaySource, lo: i64, hi: i64) -> Option<ClockClaim> {
+    Some(ClockClaim { source, error: millis(lo, hi) })
 }
 
 /// Creates a relation whose band is about [-15, 35] ms with an estimate of 10 ms: 30 ms up, 20 ms down, the cloud 5 ms

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use peernet_clock::{
-    DelaySource, Discipline, Exchange, ExchangeObservation, Interval, RawTime, RelatedClocks, Relation,
+    ClockClaim, DelaySource, Exchange, ExchangeObservation, Interval, RawTime, RelatedClocks, Relation,
     RelationSettings, Span,
 };
 use sqlx::FromRow;
@@ -105,11 +105,11 @@ impl RollingWindow {
             && *claim != self.current_claim
         {
             self.current_claim = *claim;
-            let discipline = |error: fn(Interval) -> Interval| {
-                claim.map(|(source, offset)| Discipline { source, error: error(offset) })
+            let claim_with = |error: fn(Interval) -> Interval| {
+                claim.map(|(source, offset)| ClockClaim { source, error: error(offset) })
             };
             // The stored claim is about the offset: it is set as if the edge's clock were exact.
-            relation.set_claims(discipline(|_| Interval::exactly(Span::ZERO)), discipline(|offset| offset));
+            relation.set_claims(claim_with(|_| Interval::exactly(Span::ZERO)), claim_with(|offset| offset));
         }
         Ok(self.relation.as_ref())
     }

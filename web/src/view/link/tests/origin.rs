@@ -1,6 +1,6 @@
 //! Tests of the origin of a bound.
 
-use peernet_clock::{DelaySource, Discipline, Interval};
+use peernet_clock::{ClockClaim, DelaySource, Interval};
 use peernet_stream::{HostClock, Probing};
 
 use super::super::chart::{OffsetView, tracks};
@@ -15,10 +15,8 @@ use crate::zone::Zone;
 fn unused_claims_are_listed_with_exchanges() {
     let mut link = link(Some(0.00065), &[]);
     let error = Interval { lo: Span::from_millis(-1), hi: Span::from_millis(1) };
-    let claims = HostClock {
-        discipline: Some(Discipline { source: DelaySource::Chrony, error }),
-        ..HostClock::default()
-    };
+    let claims =
+        HostClock { claim: Some(ClockClaim { source: DelaySource::Chrony, error }), ..HostClock::default() };
     (link.live.edge, link.live.cloud) = (Some(claims.clone()), Some(claims));
     if let Some(offset) = &mut link.live.latest_sample.offset {
         offset.sources.truncate(1);
@@ -31,7 +29,7 @@ fn unused_claims_are_listed_with_exchanges() {
 
     let close = Interval { lo: Span::from_micros(-100), hi: Span::from_micros(100) };
     for clock in [&mut link.live.edge, &mut link.live.cloud].into_iter().flatten() {
-        clock.discipline = Some(Discipline { source: DelaySource::Chrony, error: close });
+        clock.claim = Some(ClockClaim { source: DelaySource::Chrony, error: close });
     }
     let origin = Origin::of(&Subject::live(&link), &time_series(&link));
     assert!(origin.hints[0].contains("trust_time_daemons = true on cam-1"), "{origin:?}");
@@ -79,11 +77,11 @@ fn origin_lists_sources_reasons_and_hints() {
     );
     assert!(origin.hints[0].contains("PTP or chrony on cam-1 and rack-a"), "{origin:?}");
 
-    let claim = peernet_clock::Discipline {
+    let claim = peernet_clock::ClockClaim {
         source: DelaySource::Chrony,
         error: Interval { lo: Span::from_micros(-900), hi: Span::from_micros(900) },
     };
-    let clock = HostClock { discipline: Some(claim), ..HostClock::default() };
+    let clock = HostClock { claim: Some(claim), ..HostClock::default() };
     (link.live.edge, link.live.cloud) = (Some(clock.clone()), Some(clock));
     link.live.probing = Probing::Unanswered { address: "udp://192.0.2.5:8620".into(), reason: None };
     let origin = Origin::of(&Subject::live(&link), &time_series(&link));

@@ -11,8 +11,8 @@ use crate::tests::samples::link;
 fn claim_is_formatted_as_error_and_uncertainty() {
     let claim = |lo, hi| {
         let error = Interval { lo: Span::from_micros(lo), hi: Span::from_micros(hi) };
-        let discipline = peernet_clock::Discipline { source: DelaySource::Chrony, error };
-        panels::reported_error_bounds(&HostClock { discipline: Some(discipline), ..HostClock::default() })
+        let claim = peernet_clock::ClockClaim { source: DelaySource::Chrony, error };
+        panels::reported_error_bounds(&HostClock { claim: Some(claim), ..HostClock::default() })
     };
     assert_eq!(claim(-1_800, 2_100), "within ±2.1\u{202f}ms of true time");
     assert_eq!(claim(4_001_040, 4_001_120), "+4,001.080\u{202f}ms from true time, ±0.040\u{202f}ms");
@@ -128,8 +128,8 @@ fn clock_that_a_hypervisor_supplies_is_named() {
         ..HostClock::default()
     };
     for source in [None, Some("tsc"), Some("arch_sys_counter")] {
-        assert_eq!(panels::discipline(&clock(source)), "chrony, stratum 2");
+        assert_eq!(panels::describe_synchronisation(&clock(source)), "chrony, stratum 2");
     }
-    let supplied = panels::discipline(&clock(Some("kvm-clock")));
+    let supplied = panels::describe_synchronisation(&clock(Some("kvm-clock")));
     assert_eq!(supplied, "chrony, stratum 2; clock supplied by the hypervisor (kvm-clock)");
 }

@@ -6,14 +6,14 @@ use crate::{DelaySource, Interval};
 
 /// Claim of a time daemon about its host's wall clock: clock minus true time lies within an interval.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Discipline {
+pub struct ClockClaim {
     /// Source of the claim: [`DelaySource::Kernel`] or [`DelaySource::Chrony`].
     pub source: DelaySource,
     /// Error of the wall clock: clock minus true time.
     pub error: Interval,
 }
 
-impl Discipline {
+impl ClockClaim {
     /// Returns the offset (cloud minus edge) by the claims of both hosts, and the source of the offset: chrony if at least
     /// one of the claims is chrony's, otherwise the source of the edge's claim.
     pub fn offset(edge: &Self, cloud: &Self) -> (DelaySource, Interval) {
