@@ -148,7 +148,7 @@ impl WebError {
             Self::Store(_) => &format!(
                 "the stored data could not be read; the aggregator's log has the cause under the id {id}"
             ),
-            Self::TookTooLong(_) => "the answer took too long; try again, or request less at once",
+            Self::TookTooLong(_) => "the answer took too long; try again, or request less data",
             _ => &format!("an internal error occurred; the aggregator's log has the cause under the id {id}"),
         };
         ProblemDetails::new(status, detail.to_owned(), Some(id))

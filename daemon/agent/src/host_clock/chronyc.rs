@@ -107,7 +107,7 @@ impl Chronyc {
             .kill_on_drop(true)
             .spawn()?;
         let (output, errors) = (child.stdout.take(), child.stderr.take());
-        // Both pipes are served at once: the command would block if the pipe that is not read became full.
+        // Both pipes are served at the same time: the command would block if the pipe that is not read became full.
         let (output, errors) = tokio::try_join!(first_line(output), first_line(errors))?;
         Ok((child.wait().await?, output, errors))
     }

@@ -13,7 +13,7 @@ pub const IGNORED_CLASS: u8 = 255;
 /// Number of different classes in one byte.
 const CLASSES: usize = 256;
 
-/// Numbers of the classes of the pixels of a picture, row by row.
+/// Class of each pixel of a picture, row by row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ClassMap<'a> {
     width: usize,
@@ -118,7 +118,7 @@ mod tests {
 
     #[test]
     fn mean_is_over_labelled_and_answered_classes() {
-        // Class 0: 2 of 3 pixels; class 1: 1 of 3; class 2 is answered only.
+        // Pixels of the intersection and of the union: class 0: 2 of 3; class 1: 1 of 4; class 2: 0 of 2.
         let pixels = scored(map(3, &[0, 0, 0, 1, 1, 1]), map(3, &[0, 0, 1, 1, 2, 2]));
         let expected = (2.0 / 3.0 + 1.0 / 4.0 + 0.0) / 3.0;
         assert!((pixels.mean_iou().expect("is scored") - expected).abs() < 1e-12, "{:?}", pixels.mean_iou());
@@ -145,7 +145,7 @@ mod tests {
     fn pictures_are_scored_together() {
         let mut pixels = scored(map(1, &[0, 0, 0]), map(1, &[0, 0, 0]));
         pixels.add(map(1, &[0]), map(1, &[1]));
-        // Class 0: 3 of 4 pixels; class 1: none of 1.
+        // Pixels of the intersection and of the union: class 0: 3 of 4; class 1: 0 of 1.
         assert_eq!(pixels.mean_iou(), Some(3.0 / 8.0));
     }
 

@@ -281,7 +281,7 @@ fn chosen_repeat_has_separate_line() {
     assert_eq!(lines, expected.map(|(name, runs)| (name.to_owned(), runs)));
     let edges = [edge("user-1", 0, "1/user-1"), edge("user-2", 0, "1/user-2"), edge("user-1", 1, "2/user-1")];
     let comparison = Comparison::with_repeats(&edges, Repeats::PooledExcept(&[0]));
-    assert_eq!(comparison.lines[0].runs, [0, 1], "measured at once");
+    assert_eq!(comparison.lines[0].runs, [0, 1], "measured at the same time");
 }
 
 /// Returns a run as a published `data.csv` describes it: by its name only.

@@ -13,7 +13,7 @@ use serde::Deserialize;
 use crate::experiment::{FORMAT, MAX_RECORD_BYTES, RECORD, RUNS, RunStatus};
 
 /// Number of parent folders of results that are searched for the record of their experiment. Between the results and
-/// the experiment's folder are `runs`, the run's folder if several edges send at once, and possibly a folder that the
+/// the experiment's folder are `runs`, the run's folder if several edges send at the same time, and possibly a folder that the
 /// user made.
 const MAX_ANCESTORS: usize = 4;
 

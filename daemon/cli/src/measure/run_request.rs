@@ -35,7 +35,7 @@ pub(crate) struct RunRequest {
     /// The network configuration file that the command names.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) network_config: Option<NetworkConfig>,
-    /// Number of this edge, if several edges send at once.
+    /// Number of this edge, if several edges send at the same time.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) user: Option<User>,
     /// Description of the iterations that are warm-up.

@@ -115,7 +115,7 @@ impl Execution<'_> {
         Ok(interrupted)
     }
 
-    /// Makes one request for each edge that sends at once.
+    /// Makes one request for each edge. All edges send at the same time.
     fn requests(&self, run: &Run) -> Vec<RunRequest> {
         let plan = &self.record.plan;
         let configuration = plan.configuration(run);

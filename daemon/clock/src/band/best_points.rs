@@ -1,4 +1,4 @@
-//! The best point of each interval of time. Points of one interval are compared after the skew is removed from them.
+//! The lowest point of each interval of time. Points of one interval are compared after the skew is removed from them.
 
 use std::collections::VecDeque;
 
@@ -9,7 +9,7 @@ use super::slots::Point;
 pub(super) enum InsertResult {
     /// The point was not inserted: its interval has a better point or is too old.
     Worse,
-    /// The point replaced the earlier best point of its interval.
+    /// The point replaced an earlier point of its interval.
     Better,
     /// The point is the first of its interval.
     First,

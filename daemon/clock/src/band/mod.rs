@@ -317,12 +317,12 @@ impl Band {
 
     /// Returns the skew that the exchanges prove; `None` without enough exchanges.
     pub(crate) fn proven_skew(&self) -> Option<ProvenSkew> {
-        self.trend.proof().proven_skew()
+        self.trend.skew_bounds().proven_skew()
     }
 
     /// Returns the proven skew if it exceeds the limit of drift in either direction.
     pub(crate) fn excess_skew(&self) -> Option<ProvenSkew> {
-        // The proof is computed in floating point; a billionth is far more than its rounding error.
+        // The bounds are computed in floating point; a billionth is far more than its rounding error.
         let limit = self.drift.limit.slope() * 1e6 * (1.0 + 1e-9);
         self.proven_skew().filter(|skew| skew.min_ppm > limit || skew.max_ppm < -limit)
     }

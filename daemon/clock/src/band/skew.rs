@@ -2,15 +2,15 @@
 //!
 //! With an upper bound U_a and a later lower bound L_b, the offset grew by at least L_b − U_a: at some time in between
 //! its rate was (L_b − U_a) / (b − a) or more. With L_a and U_b it was (U_b − L_a) / (b − a) or less. The window of the
-//! band is too short for such a proof: over a path of 40 ms, an excess of 50 ppm shows after a quarter of an hour. The
-//! best point of every sixteen seconds is therefore kept for half an hour. These points serve only this proof, not the
+//! band is too short for this: over a path of 40 ms, an excess of 50 ppm shows after a quarter of an hour. The
+//! lowest point of every sixteen seconds is therefore kept for half an hour. These points serve only these bounds, not the
 //! bounds of delays.
 
 use super::best_points::{BestPoints, InsertResult};
 use super::hull;
 use super::slots::Point;
 
-/// Length of the intervals of which the best point is kept.
+/// Length of the intervals of which the lowest point is kept.
 const INTERVAL_NANOS: i64 = 16_000_000_000;
 /// Maximum number of intervals, which together last half an hour.
 const MAX_INTERVALS: usize = 128;
@@ -25,27 +25,28 @@ pub struct ProvenSkew {
     pub max_ppm: f64,
 }
 
-/// The points that prove a skew.
+/// Points of the last half hour from which bounds of the skew follow. The bounds hold for any delays.
 #[derive(Clone, Debug)]
-pub(super) struct SkewProof {
+pub(super) struct SkewBounds {
     upper: BestPoints,
     /// Lower bounds with the opposite sign.
     lower: BestPoints,
     proven_skew: Option<ProvenSkew>,
 }
 
-impl Default for SkewProof {
+impl Default for SkewBounds {
     fn default() -> Self {
         let no_points = || BestPoints::new(INTERVAL_NANOS, MAX_INTERVALS);
         Self { upper: no_points(), lower: no_points(), proven_skew: None }
     }
 }
 
-impl SkewProof {
+impl SkewBounds {
     /// Inserts an exchange; `slope` is the estimated skew in seconds per second.
     pub(super) fn insert(&mut self, upper: Point, lower: Point, slope: f64) {
         let results = [self.upper.insert(upper, slope), self.lower.insert(lower, -slope)];
-        // The skew is proven anew only once per interval, because the proof compares all pairs of points of the hulls.
+        // The bounds are computed only once per interval, because the computation compares all pairs of points of the
+        // hulls.
         if results.contains(&InsertResult::First) {
             self.proven_skew = self.prove();
         }
@@ -94,12 +95,12 @@ mod tests {
             edge: SimulatedClock::drifting(Span::ZERO, 0.0),
             cloud: SimulatedClock::drifting(Span::ZERO, ppm),
         };
-        let mut proof = SkewProof::default();
+        let mut skew_bounds = SkewBounds::default();
         for trip in path.trips(&host_clocks, (0.0, seconds), 10.0, &mut RandomSource::new(7)) {
             let Bounds { upper, lower } = Bounds::from(&trip.exchange);
-            proof.insert(upper, lower, 0.0);
+            skew_bounds.insert(upper, lower, 0.0);
         }
-        proof.proven_skew().expect("several intervals")
+        skew_bounds.proven_skew().expect("several intervals")
     }
 
     #[test]

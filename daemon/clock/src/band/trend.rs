@@ -1,20 +1,20 @@
 //! The point estimate of the offset within the band, and its rate.
 //!
-//! The estimate keeps the best upper and the best lower point of each second. It uses the points of about twenty
+//! The estimate keeps the lowest upper and the highest lower point of each second, after the skew is removed. It uses the points of about twenty
 //! seconds around the time of the query. The skew is the mean slope of two lines, one below all upper points and the
 //! other above all lower points. After the skew is removed, the remaining drift is a wander that is much slower than
 //! the limit of drift, so that the band of these points is much narrower. The estimate is the middle of this narrow
 //! band. The estimate is right only if the shortest delays of both directions are equal. This cannot be verified, and
 //! the bounds do not rely on it.
 //!
-//! The slots of the band are unsuitable for the estimate. The best point of a slot is the point that bounds later times
-//! best. For two clocks that drift apart at the limit, that is always the earliest or the latest point.
+//! The points that `slots` keeps are unsuitable for the estimate. A slot keeps the point that bounds later times best. If
+//! the clocks drift apart at the limit, this is the first or the last point of the slot, whatever its delay.
 
 use std::sync::OnceLock;
 
 use super::best_points::{BestPoints, InsertResult};
 use super::hull;
-use super::skew::SkewProof;
+use super::skew::SkewBounds;
 use super::slots::Point;
 
 const SECOND: i64 = 1_000_000_000;
@@ -35,14 +35,13 @@ const MIN_EXCHANGES: u64 = 8;
 /// Shortest time between the first and the last exchange from which a skew is computed.
 const MIN_EXCHANGE_RANGE_NANOS: i64 = 5 * SECOND;
 
-/// The best upper and the best lower point of each second, and the skew that follows from them.
+/// The lowest upper and the highest lower point of each second, and the skew that follows from them.
 #[derive(Clone, Debug)]
 pub(super) struct Trend {
     upper: BestPoints,
     /// Lower bounds with the opposite sign.
     lower: BestPoints,
-    /// Skew of the offset as of the newest second. A later point replaces an earlier point of its second if it is lower
-    /// than the earlier point plus the drift at this skew.
+    /// Skew of the offset as of the newest second. Points of one second are compared after this skew is removed.
     slope: f64,
     /// Cached slope of the newest [`ESTIMATE_SECONDS`] seconds, until one of their points changes.
     // Most queries are about the present, and most exchanges change no point.
@@ -50,7 +49,7 @@ pub(super) struct Trend {
     /// Times of the first and the last exchange, nanoseconds.
     time_range: Option<(i64, i64)>,
     exchanges: u64,
-    proof: SkewProof,
+    skew_bounds: SkewBounds,
 }
 
 impl Default for Trend {
@@ -63,7 +62,7 @@ impl Default for Trend {
             newest_slope: OnceLock::new(),
             time_range: None,
             exchanges: 0,
-            proof: SkewProof::default(),
+            skew_bounds: SkewBounds::default(),
         }
     }
 }
@@ -75,7 +74,7 @@ impl Trend {
         let (first, last) = self.time_range.unwrap_or((upper.x, lower.x));
         self.time_range = Some((first.min(upper.x), last.max(lower.x)));
         self.exchanges += 1;
-        self.proof.insert(upper, lower, self.slope);
+        self.skew_bounds.insert(upper, lower, self.slope);
         let results = [self.upper.insert(upper, self.slope), self.lower.insert(lower, -self.slope)];
         if results != [InsertResult::Worse; 2] {
             self.newest_slope.take();
@@ -111,13 +110,13 @@ impl Trend {
         self.slope(self.time_range?.1, SKEW_SECONDS, f64::INFINITY)
     }
 
-    /// Returns the proof of the skew.
-    pub(super) fn proof(&self) -> &SkewProof {
-        &self.proof
+    /// Returns the points that bound the skew whatever the delays were.
+    pub(super) fn skew_bounds(&self) -> &SkewBounds {
+        &self.skew_bounds
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
-        self.upper.memory_bytes() + self.lower.memory_bytes() + self.proof.memory_bytes()
+        self.upper.memory_bytes() + self.lower.memory_bytes() + self.skew_bounds.memory_bytes()
     }
 
     /// Returns the rate of the offset in seconds per second, from the points of the `seconds` seconds nearest to `x`.

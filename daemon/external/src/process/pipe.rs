@@ -14,7 +14,7 @@ use super::{Fault, ProcessError};
 
 /// Requested capacity of a pipe, bytes: the most that Linux grants to unprivileged processes (`fs.pipe-max-size`).
 const PIPE_BYTES: usize = 1 << 20;
-/// Number of bytes that are read at once while the length of the data is unknown.
+/// Number of bytes of one read while the length of the data is unknown.
 const READ_CHUNK_BYTES: usize = 8 << 10;
 /// Maximum number of bytes that are read ahead while a request is still being written: the length of the longest
 /// answer.

@@ -96,7 +96,7 @@ pub enum MissingData {
         unknown: Option<UnknownLabels>,
     },
     /// No run had several edges.
-    #[error("it needs runs of an experiment with several edges at once: set experiment.users")]
+    #[error("it needs runs of an experiment with several edges at the same time: set experiment.users")]
     Users,
     /// The edges of a run did not measure at the same time.
     #[error(

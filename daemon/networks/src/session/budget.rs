@@ -10,7 +10,7 @@ use crate::transport::Frames;
 /// Counts the bytes of requests from their arrival until their last owner drops them. The last owner is the model, or
 /// the network while it sends the bytes back.
 ///
-/// If many large requests arrive at once, some are answered with "overloaded", so that they do not fill the memory.
+/// If many large requests arrive at the same time, some are answered with "overloaded", so that they do not fill the memory.
 #[derive(Debug)]
 pub(super) struct RequestBudget {
     max_bytes: u64,
@@ -21,7 +21,7 @@ pub(super) struct RequestBudget {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "the requests in flight on the cloud have {used} bytes, and {bytes} more would exceed its max_in_flight_bytes, {max_bytes}; \
-     send fewer requests at once, or raise max_in_flight_bytes there"
+     send fewer requests at the same time, or raise max_in_flight_bytes there"
 )]
 pub(super) struct BudgetExceeded {
     /// Bytes of the requests in flight.

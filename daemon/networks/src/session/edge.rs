@@ -151,7 +151,7 @@ impl Session {
         StatisticsReader(Arc::downgrade(&self.inner.shared))
     }
 
-    /// Sends a sample and waits for the answer. Any number of requests may be in progress at once.
+    /// Sends a sample and waits for the answer. Any number of requests may be in progress at the same time.
     ///
     /// Records in `recorder`: `send-queue` if the request had to wait because too many were in flight, `encode`,
     /// `upload`, `download`, their sizes, and the nodes of the cloud. `timeout` is the time limit for everything,

@@ -42,7 +42,7 @@ pub(super) struct RequestsInFlight {
 }
 
 impl RequestsInFlight {
-    /// Creates an empty set that allows at most `slots` requests in flight at once.
+    /// Creates an empty set that allows at most `slots` requests in flight at the same time.
     pub(super) fn new(session: SessionId, slots: usize) -> Self {
         Self {
             client: Mutex::new(ClientSession::new(session)),

@@ -1,4 +1,4 @@
-//! Tests with many edges at once, on several threads.
+//! Tests with many edges at the same time, on several threads.
 
 use std::time::Duration;
 

@@ -17,7 +17,7 @@ use super::{Integrity, PageCheck, log_path};
 use crate::database_error::is_damage;
 use crate::limits::BUSY_TIMEOUT;
 
-/// Number of bytes that are read at once.
+/// Number of bytes of one read.
 const READ_STEP_BYTES: u64 = 1 << 20;
 /// Bytes per second of the first pass: the file may have been damaged while no aggregator ran.
 const FIRST_BYTES_PER_SECOND: u64 = 128 << 20;

@@ -65,7 +65,7 @@ impl CompressionControl {
         self.full_since.get_or_insert(now);
     }
 
-    /// Records that data took too long to arrive.
+    /// Records that the flow control found the link slow: sent bytes took too long to reach the aggregator.
     pub(super) fn record_slow_link(&mut self) {
         self.is_compressing |= self.compression == Compression::Auto;
     }
@@ -157,9 +157,9 @@ mod tests {
     }
 
     #[test]
-    fn round_trips_count_only_while_link_is_limit() {
+    fn acknowledgements_count_only_while_window_is_full() {
         let mut compression_control = CompressionControl::new(Compression::Auto);
-        // Few events are acknowledged at once.
+        // Each batch is small and is acknowledged immediately, so the window is never full.
         for n in 0..1_000 {
             compression_control.record_ack(1_000, at(100 * n));
             compression_control.record_idle(false, at(100 * n));

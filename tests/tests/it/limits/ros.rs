@@ -5,7 +5,7 @@ use serde_json::Value;
 
 const ITERATIONS: u64 = 200;
 
-/// Returns a cloud whose memory limit permits one message of a robot, but not two at once.
+/// Returns a cloud whose memory limit permits one message of a robot, but not two at the same time.
 fn cloud_tables(system: &Ros1System) -> String {
     format!(
         "[serve]\nlisten = \"ros1://127.0.0.1:{}/cloud\"\n\

@@ -71,7 +71,7 @@ fn killed_process_is_reported_and_restarted() {
     killer.join().expect("it was there to be killed");
     assert!(message.contains("signal 9 (SIGKILL") && message.contains("it is restarted"), "{message}");
 
-    // Two processes die at once, between calls.
+    // Two processes die at the same time, between calls.
     let process_ids = [process_id(&mut model), process_id(&mut other_model)];
     assert_ne!(process_ids[0], first_id);
     process_ids.into_iter().for_each(kill);

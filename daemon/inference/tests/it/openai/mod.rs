@@ -227,7 +227,7 @@ fn events_of_one_http_chunk_are_counted_separately() {
     assert_eq!(parts(&finished.result.expect("answers")).0, "abc");
     let tree = finished.recorder.finish();
     assert_eq!((value(&tree, "output-chunks"), value(&tree, "output-tokens")), (Some(3.0), Some(3.0)));
-    assert_eq!(value(&tree, "inter-token-latency"), Some(0.0), "they arrived at once");
+    assert_eq!(value(&tree, "inter-token-latency"), Some(0.0), "they arrived at the same time");
 }
 
 #[test]

@@ -23,7 +23,7 @@ use crate::transport::{Frames, MessageLoss, SendFailure};
 /// have no tag. Bytes.
 const MAX_RETRANSMITTED_BYTES: u32 = 64 * 1024;
 
-/// Maximum number of bytes of datagrams that are sent at once.
+/// Maximum number of bytes of datagrams that are sent together.
 // The system takes datagrams that are sent together (UDP_SEGMENT) as one, which has at most 65,507 bytes over IPv4.
 const MAX_BATCH_BYTES: usize = 60_000;
 

@@ -37,7 +37,7 @@ const MIN_HELLO_INTERVAL: Duration = Duration::from_millis(10);
 /// Longest interval between two hellos of an edge.
 const MAX_HELLO_INTERVAL: Duration = Duration::from_millis(500);
 
-/// Number of messages of the largest length that may be incomplete at once: messages that are being received, and
+/// Number of messages of the largest length that may be incomplete at the same time: messages that are being received, and
 /// messages of which only the companion or the payload has arrived.
 const MAX_INCOMPLETE_MESSAGES: u64 = 6;
 

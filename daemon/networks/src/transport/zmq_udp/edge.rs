@@ -30,7 +30,7 @@ use crate::transport::{
 };
 use crate::{Address, SessionSettings};
 
-/// Number of unfinished messages of the largest length that may be held at once.
+/// Number of unfinished messages of the largest length that may be held at the same time.
 const UNFINISHED_MESSAGES: u64 = 4;
 
 /// Opens a virtual connection to a cloud's port.

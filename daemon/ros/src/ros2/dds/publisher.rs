@@ -22,7 +22,7 @@ pub struct Ros2Publisher {
     pub(super) writer: DataWriter<RawMessage, RawAdapter>,
     pub(super) endpoint: Endpoint,
     pub(super) qos: QosProfile,
-    /// Bytes published since all messages were acknowledged; approximate if several tasks publish at once.
+    /// Bytes published since all messages were acknowledged; approximate if several tasks publish at the same time.
     pub(super) unacknowledged_bytes: AtomicUsize,
     /// Largest value of `unacknowledged_bytes`.
     pub(super) max_unacknowledged_bytes: usize,

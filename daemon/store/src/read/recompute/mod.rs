@@ -22,7 +22,7 @@ use crate::types::{RecomputedDelays, RecomputedStage};
 
 /// Name of the requested data in errors.
 const WHAT: &str = "a run's delays";
-/// Number of delays that are read at once.
+/// Number of delays of one read.
 const PAGE: u32 = 2_000;
 
 /// A stored delay.

@@ -21,7 +21,7 @@ pub(super) const EXCHANGE_RANGE: Span = Span::from_seconds(10);
 /// Longest time by which a delay may be earlier than the delay that was judged before it. An iteration may take as long
 /// as that.
 const MAX_DISORDER: Span = Span::from_seconds(60);
-/// Number of samples that are read at once.
+/// Number of samples of one read.
 const PAGE: u32 = 1_000;
 
 /// A stored second.

@@ -184,7 +184,7 @@ impl Backlog {
         self.oldest.number + self.ready.len() as u64
     }
 
-    /// Returns the number of bytes that are read from the file at once.
+    /// Returns the number of bytes of one read from the file.
     pub(super) fn part_bytes(&self) -> usize {
         usize::try_from(self.ready.part_bytes()).unwrap_or(usize::MAX)
     }

@@ -27,7 +27,7 @@ impl ReadyBatches {
         self.usage
     }
 
-    /// Returns the number of bytes that are read at once: a quarter of the budget, so that the next batches are read
+    /// Returns the number of bytes of one read: a quarter of the budget, so that the next batches are read
     /// while earlier batches are in flight.
     pub(super) const fn part_bytes(&self) -> u64 {
         self.budget / 4

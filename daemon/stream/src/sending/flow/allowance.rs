@@ -70,7 +70,7 @@ impl Allowance {
         self.is_slow
     }
 
-    /// Returns the largest number of bytes of a batch that are handed over at once.
+    /// Returns the largest number of bytes of a batch that are handed over in one call.
     pub(super) fn part_bytes(&self) -> u64 {
         (self.bytes / 4).max(MIN_PART_BYTES)
     }
@@ -91,7 +91,7 @@ impl Allowance {
         let bytes_at_rate = |rate: f64| (rate * target.seconds()) as u64;
         if round_trip > target {
             let reduced = bytes_at_rate(best).max(self.bytes / 2).max(MIN_ALLOWANCE_BYTES);
-            // The allowance is at most halved at once: a single late echo may be due to a lost packet.
+            // The allowance is at most halved in one step: a single late echo may be due to a lost packet.
             self.bytes = self.bytes.min(reduced);
         } else {
             // The allowance counts as fully used if less than one part of it was unused.
