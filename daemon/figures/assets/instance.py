@@ -32,7 +32,7 @@ def main() -> None:
     subsetter.populate(unicodes=TEXT + SIGNS)
     font = TTFont(plain)
     subsetter.subset(font)
-    # A file names the family that readers have installed.
+    # SVG figures name the font by its family, so that a reader's installed Inter is used. This font has the same name.
     for number in (1, 4, 16):
         if font["name"].getDebugName(number):
             font["name"].setName(FAMILY, number, 3, 1, 0x409)

@@ -21,7 +21,7 @@ const MAX_IN_FLIGHT_BYTES: u64 = 1 << 40;
 const MAX_SESSIONS: u32 = 65_536;
 
 // Smallest and largest value of each key that has no constant above.
-const OPEN_TIMEOUT_MS_RANGE: (u64, u64) = (1, MAX_TIME_MS);
+const POSITIVE_TIME_MS_RANGE: (u64, u64) = (1, MAX_TIME_MS);
 const TIME_MS_RANGE: (u64, u64) = (10, MAX_TIME_MS);
 const CLOSE_TIMEOUT_MS_RANGE: (u64, u64) = (0, MAX_TIME_MS);
 const IN_FLIGHT_BYTES_RANGE: (u64, u64) = (4 << 10, MAX_IN_FLIGHT_BYTES);
@@ -127,7 +127,7 @@ impl SessionSettings {
     /// If a value is out of range, or the heartbeat timeout is shorter than two heartbeat intervals. The error names
     /// the key and what is allowed.
     pub fn check(&self) -> Result<(), InvalidSettings> {
-        check_range("open_timeout_ms", self.open_timeout_ms, OPEN_TIMEOUT_MS_RANGE)?;
+        check_range("open_timeout_ms", self.open_timeout_ms, POSITIVE_TIME_MS_RANGE)?;
         check_range("hello_timeout_ms", self.hello_timeout_ms, TIME_MS_RANGE)?;
         check_range("heartbeat_interval_ms", self.heartbeat_interval_ms, TIME_MS_RANGE)?;
         check_range("heartbeat_timeout_ms", self.heartbeat_timeout_ms, TIME_MS_RANGE)?;
@@ -162,7 +162,7 @@ impl SessionSettings {
         let heartbeat_interval_ms =
             clamped(self.heartbeat_interval_ms, (TIME_MS_RANGE.0, TIME_MS_RANGE.1 / 2));
         Self {
-            open_timeout_ms: clamped(self.open_timeout_ms, OPEN_TIMEOUT_MS_RANGE),
+            open_timeout_ms: clamped(self.open_timeout_ms, POSITIVE_TIME_MS_RANGE),
             hello_timeout_ms: clamped(self.hello_timeout_ms, TIME_MS_RANGE),
             heartbeat_interval_ms,
             heartbeat_timeout_ms: clamped(

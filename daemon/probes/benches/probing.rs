@@ -128,7 +128,7 @@ fn probe(target: SocketAddr, stamps: TimestampSource, key: Option<&Key>) -> Prob
                     ProbeResult::Refined(_) => totals.refined += 1,
                     ProbeResult::Lost => totals.lost += 1,
                     ProbeResult::Sent | ProbeResult::Late => {}
-                    ProbeResult::Stepped(_) => panic!("the clock was set"),
+                    ProbeResult::ClockInterrupted(_) => panic!("the clock was interrupted"),
                     ProbeResult::Refused(reason) => panic!("refused: {reason}"),
                 }
             }

@@ -49,7 +49,7 @@ pub struct ProberConfig {
     pub timeout: Duration,
 }
 
-/// Event of probing, in the order of occurrence.
+/// Event of probing. Events are reported in the order in which they occur.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ProbeResult {
     /// The probe was sent.
@@ -58,7 +58,7 @@ pub enum ProbeResult {
     Answered(ExchangeObservation),
     /// The probe was answered, but this host's free-running clock was interrupted in between, so the stamps cannot
     /// be compared. The value is the clock's new epoch.
-    Stepped(u32),
+    ClockInterrupted(u32),
     /// An exchange that was reported as [`Answered`](Self::Answered) before, now with a better stamp of the reply's
     /// departure.
     Refined(ExchangeObservation),
@@ -279,8 +279,8 @@ impl Prober {
         match reply {
             Ok(reply) => {
                 pending_results.0.extend(reply.refined.map(ProbeResult::Refined));
-                let stepped = ProbeResult::Stepped(arrival.epoch);
-                pending_results.push(reply.answered.map_or(stepped, ProbeResult::Answered));
+                let interrupted = ProbeResult::ClockInterrupted(arrival.epoch);
+                pending_results.push(reply.answered.map_or(interrupted, ProbeResult::Answered));
             }
             Err(LATE) => pending_results.push(ProbeResult::Late),
             Err(reason) => pending_results.push(ProbeResult::Refused(reason)),

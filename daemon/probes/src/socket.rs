@@ -1,4 +1,4 @@
-//! The UDP socket of both roles, with the kernel's packet stamps if available.
+//! The UDP socket of the prober and of the reflector, with the kernel's packet stamps if available.
 
 use std::fmt;
 use std::future::{pending, poll_fn};
@@ -139,7 +139,7 @@ impl ProbeSocket {
                 Ok(Some(false)) => return self.disable_kernel_stamps(),
                 // The clock was set meanwhile, or the packet has no stamp. Another packet is tried.
                 Ok(None) => {}
-                // If the check fails, the kernel's stamps are used. If they are of another clock,
+                // If the check cannot be done, the kernel's stamps are used. If they are of another clock,
                 // `SenderState::receive` still notices it by the order of events.
                 Err(error) => {
                     tracing::debug!(%error, "failed to compare the kernel's stamps with the clock");

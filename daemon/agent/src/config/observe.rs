@@ -72,7 +72,8 @@ impl ObserveConfig {
     /// Returns the version of ROS that is observed. `variable` looks up an environment variable.
     ///
     /// # Errors
-    /// When the version is unknown, is not in this build, or has no sequence numbers to pair by.
+    /// When the version is unknown or not in this build, or when messages are paired by sequence number and the version
+    /// has none.
     pub fn resolve_version(
         &self,
         variable: impl Fn(&str) -> Option<String>,
@@ -139,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn peer_is_refused_where_messages_have_no_key() {
+    fn peer_is_refused_if_messages_are_paired_by_order() {
         let peer = Some("tcp://rack:5551".parse().expect("an address"));
         let by_order = ObserveConfig { peer: peer.clone(), ..config(PairBy::Order) };
         let error = by_order.check_peer().expect_err("it is refused");

@@ -73,7 +73,7 @@ impl AnswerMonitor {
                     self.answered_state = Some(std::mem::replace(shown_state, unanswered_state));
                 }
             }
-            ProbeResult::Answered(_) | ProbeResult::Stepped(_) => {
+            ProbeResult::Answered(_) | ProbeResult::ClockInterrupted(_) => {
                 self.in_flight = self.in_flight.saturating_sub(1);
                 (self.consecutive_losses, self.refusal_reason, self.refusals, self.late_answers) =
                     (0, None, 0, 0);

@@ -200,7 +200,7 @@ impl LinkClockState {
                     self.second.add_round_trip(observation.exchange.round_trip());
                 }
             }
-            ProbeResult::Stepped(epoch) => {
+            ProbeResult::ClockInterrupted(epoch) => {
                 probes.answered = probes.answered.saturating_add(1);
                 // A step of this host's clock is between its stamps, so the relation learns only the step.
                 self.update_relation((*epoch, None), |relation| relation.restart_after_edge_step(*epoch));

@@ -111,7 +111,7 @@ impl ReflectorAnswers {
             ProbeResult::Refused(_) => probes.refused = probes.refused.saturating_add(1),
             // The probe was counted as lost before.
             ProbeResult::Late => {}
-            ProbeResult::Stepped(epoch) => {
+            ProbeResult::ClockInterrupted(epoch) => {
                 probes.answered = probes.answered.saturating_add(1);
                 self.relation.restart_after_edge_step(*epoch);
             }

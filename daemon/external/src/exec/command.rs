@@ -110,9 +110,9 @@ impl ExecConfig {
     /// arguments are left out, because they may be secret. The name of each fact begins with the role. Reads the
     /// files.
     pub fn facts_for(&self, role: Role) -> Vec<(String, String)> {
-        let heading = role.heading();
-        let mut facts = vec![(heading.to_owned(), program_fact(&self.command))];
-        facts.extend(digest::files_fact(heading, &self.files(role)));
+        let prefix = role.fact_prefix();
+        let mut facts = vec![(prefix.to_owned(), program_fact(&self.command))];
+        facts.extend(digest::files_fact(prefix, &self.files(role)));
         facts
     }
 
@@ -120,7 +120,7 @@ impl ExecConfig {
     /// `2, fingerprint 8a5e1f0c92d3`); `None` if there are no arguments.
     pub fn arguments_fact_for(&self, role: Role, key: &FingerprintKey) -> Option<(String, String)> {
         let fingerprint = self.command.fingerprint(key)?;
-        Some((format!("{} arguments", role.heading()), fingerprint))
+        Some((format!("{} arguments", role.fact_prefix()), fingerprint))
     }
 
     /// Returns the files that the text of the command names: the program, and its script or data.

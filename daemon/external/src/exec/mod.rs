@@ -81,8 +81,8 @@ impl Role {
         }
     }
 
-    /// Returns the role's name as the first word of the names of facts.
-    const fn heading(self) -> &'static str {
+    /// Returns the role's name as it begins the names of a run's facts, such as `Sensor program`.
+    const fn fact_prefix(self) -> &'static str {
         match self {
             Self::Sensor => "Sensor",
             Self::Model => "Model",

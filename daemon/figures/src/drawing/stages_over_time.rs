@@ -10,8 +10,8 @@ use crate::scale::Scale;
 
 /// The vertical axis extends beyond the largest quantile by this share of the quantile.
 const MARGIN: f64 = 0.05;
-/// Units of the horizontal axis. Each has the length of the longest axis for which it is used, seconds; its own length,
-/// seconds; and its name.
+/// Units of the horizontal axis, as tuples: length of the longest axis that uses the unit, seconds; length of the unit,
+/// seconds; name of the unit.
 const UNITS: [(f64, f64, &str); 4] = [
     (180.0, 1.0, "seconds"),
     (10_800.0, 60.0, "minutes"),
@@ -90,8 +90,8 @@ impl StagesOverTime {
     /// where buckets or values are missing. The line has a point in the middle of each bucket. Each piece between
     /// interruptions is extended to the beginning of its first bucket and to the end of its last bucket.
     fn outline(&self, value: impl Fn(&StageBucket) -> Option<f64>) -> Vec<Option<(f64, f64)>> {
-        // The bucket in which the warm-up ends has only iterations after the warm-up, so the line begins at the end of
-        // the warm-up and not at the beginning of the bucket.
+        // Statistics leave out the iterations of the warm-up. The values of the bucket in which the warm-up ends hold
+        // only from that end on, so the line begins there and not at the beginning of the bucket.
         let at_start = self.warm_up.first().filter(|(from, _)| *from <= 0.0);
         let start = at_start.map_or(0.0, |(_, until)| until.clamp(0.0, self.length));
         let within_run = |time: f64| time.clamp(start, self.length);
@@ -158,7 +158,8 @@ impl StagesOverTime {
             (Path::line(outline(&|bucket| Some(bucket.median))), "median"),
         ];
         for (path, class) in lines.into_iter().filter(|(path, _)| !path.is_empty()) {
-            items.extend(["under", class].map(|class| Item::path(path.clone(), Style::of_page(class))));
+            // A wide pale line below each line separates it from the areas.
+            items.extend(["halo", class].map(|class| Item::path(path.clone(), Style::of_page(class))));
         }
         let mut failed: Vec<f64> = self.failed.iter().map(x_share).collect();
         failed.sort_by(f64::total_cmp);
@@ -199,7 +200,7 @@ impl OverTimeAxes {
         let line = |class| Swatch::Line(Style::of_page(class));
         let keys = [
             (true, line("median"), "median of the total"),
-            (any(StagesOverTime::has_p95), line("p95"), "p95 of points with 60 iterations"),
+            (any(StagesOverTime::has_p95), line("p95"), "p95 (points of at least 60 iterations)"),
             (any(|run| !run.borders.is_empty()), line("border"), "new episode"),
             (any(|run| !run.warm_up.is_empty()), Swatch::Area(Style::shade()), "warm-up"),
             (any(|run| !run.failed.is_empty()), line("lost"), "failed"),
@@ -213,7 +214,7 @@ impl OverTimeAxes {
         self.time_unit().1
     }
 
-    /// Returns the length in seconds and the name of the unit of the horizontal axis.
+    /// Returns the unit of the horizontal axis: its length in seconds, such as 60 for minutes, and its name.
     fn time_unit(&self) -> (f64, &'static str) {
         let fits = |(max_length, ..): &&(f64, f64, &str)| self.length <= *max_length;
         UNITS.iter().find(fits).map_or((1.0, "seconds"), |(_, seconds, name)| (*seconds, *name))

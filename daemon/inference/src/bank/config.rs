@@ -22,7 +22,8 @@ pub struct BankConfig {
     pub devices: Vec<String>,
     /// Maximum number of these models that may be loaded at the same time, 1 to 64. When a further model is requested,
     /// the model whose last request is the oldest is unloaded if it is not in use. Default: 2.
-    pub most_loaded: NonZeroUsize,
+    #[serde(rename = "most_loaded")]
+    pub max_loaded: NonZeroUsize,
     /// Number of worker threads of each model; each computes one sample at a time. Default: 1.
     pub workers: NonZeroUsize,
     /// Maximum number of samples that wait for a free worker; more are rejected. Default: 16.
@@ -39,7 +40,7 @@ impl Default for BankConfig {
         Self {
             folders: vec![DEFAULT_MODEL_FOLDER.into()],
             devices: vec!["cpu".to_owned()],
-            most_loaded: one.saturating_add(1),
+            max_loaded: one.saturating_add(1),
             workers: one,
             queue: one.saturating_add(15),
             intra_threads: one,

@@ -58,7 +58,7 @@ impl ModelCache {
         };
         let stamp = FilesStamp::read(&found.folder);
         let mut entries = self.lock();
-        let to_unload = entries_to_unload(&mut entries, name, device, &stamp, self.config.most_loaded.get())?;
+        let to_unload = entries_to_unload(&mut entries, name, device, &stamp, self.config.max_loaded.get())?;
         let existing = entries.iter().position(|entry| is_entry(entry, name, device));
         let entry = match existing {
             Some(at) => entries.remove(at),
@@ -84,7 +84,7 @@ impl ModelCache {
     /// Checks the folders and limits; returns each error with its key.
     pub(super) fn check(&self) -> Vec<(&'static str, LoadError)> {
         let mut errors: Vec<_> = self.folders.check().into_iter().map(|error| ("folders", error)).collect();
-        let (value, most) = (self.config.most_loaded.get(), BankConfig::MAX_LOADED);
+        let (value, most) = (self.config.max_loaded.get(), BankConfig::MAX_LOADED);
         if value > most {
             let (value, most) = (value as u64, most as u64);
             errors.push(("most_loaded", LoadError::AboveLimit { key: "most_loaded", value, most }));

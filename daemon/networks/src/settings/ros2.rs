@@ -3,7 +3,7 @@
 use peernet_ros::ros2::{QosProfile, Reliability};
 use serde::{Deserialize, Serialize};
 
-use super::{InvalidSettings, OPEN_TIMEOUT_MS_RANGE, check_range};
+use super::{InvalidSettings, POSITIVE_TIME_MS_RANGE, check_range};
 
 /// Smallest and largest value of `depth`.
 const DEPTH_RANGE: (u64, u64) = (1, QosProfile::MAX_DEPTH as u64);
@@ -12,12 +12,13 @@ const DEPTH_RANGE: (u64, u64) = (1, QosProfile::MAX_DEPTH as u64);
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Ros2SessionSettings {
-    /// Reliability of payloads: whether lost payloads are sent again. Companion messages are always reliable.
+    /// Reliability of payloads: whether lost payloads are sent again. The *companion* of a payload, the message with its
+    /// header and tree, is always reliable.
     pub reliability: Reliability,
     /// Number of payloads that a topic keeps until they are taken.
     pub depth: u32,
     /// Longest time between two payloads, which this end promises. It is also the longest time that this end waits for
-    /// a payload whose companion message has arrived. Milliseconds.
+    /// a payload whose companion has arrived. Milliseconds.
     // Skipped, because TOML has no null and the record of a run is written as TOML.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub deadline_ms: Option<u64>,
@@ -34,7 +35,7 @@ impl Default for Ros2SessionSettings {
 impl Ros2SessionSettings {
     pub(super) fn check(&self) -> Result<(), InvalidSettings> {
         check_range("ros2.depth", u64::from(self.depth), DEPTH_RANGE)?;
-        self.deadline_ms.map_or(Ok(()), |ms| check_range("ros2.deadline_ms", ms, OPEN_TIMEOUT_MS_RANGE))
+        self.deadline_ms.map_or(Ok(()), |ms| check_range("ros2.deadline_ms", ms, POSITIVE_TIME_MS_RANGE))
     }
 
     /// Returns the settings with every value brought into the range that [`check`](Self::check) allows.
@@ -43,7 +44,7 @@ impl Ros2SessionSettings {
             depth: self.depth.clamp(1, QosProfile::MAX_DEPTH),
             deadline_ms: self
                 .deadline_ms
-                .map(|ms| ms.clamp(OPEN_TIMEOUT_MS_RANGE.0, OPEN_TIMEOUT_MS_RANGE.1)),
+                .map(|ms| ms.clamp(POSITIVE_TIME_MS_RANGE.0, POSITIVE_TIME_MS_RANGE.1)),
             ..self
         }
     }

@@ -1,4 +1,4 @@
-//! The base packets of both roles in both modes (RFC 8762, sections 4.2 and 4.3, with the session identifier of RFC
+//! The base packets of session-sender and session-reflector in both modes (RFC 8762, sections 4.2 and 4.3, with the session identifier of RFC
 //! 8972, section 3). All numbers are big-endian.
 
 use super::auth::{CODE_BYTES, Key};
@@ -53,7 +53,7 @@ impl Mode {
         if key.is_some() { Self::Authenticated } else { Self::Unauthenticated }
     }
 
-    /// Returns the length of the base packet, which is the same for both roles. TLVs follow it.
+    /// Returns the length of the base packet, which is the same for session-sender and session-reflector. TLVs follow it.
     pub const fn base_bytes(self) -> usize {
         match self {
             Self::Unauthenticated => 44,

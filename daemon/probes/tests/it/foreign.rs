@@ -1,4 +1,4 @@
-//! Tests of interoperability with stamp-suite, in both roles.
+//! Tests of interoperability with stamp-suite, as session-sender and as session-reflector.
 
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};

@@ -1,4 +1,4 @@
-//! Tests of both roles over real sockets.
+//! Tests of the prober and the reflector over real sockets.
 
 use std::time::Duration;
 

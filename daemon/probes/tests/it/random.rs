@@ -1,4 +1,4 @@
-//! Tests of both roles with arbitrary bytes, and with the corpus of the fuzz target.
+//! Tests of the prober and the reflector with arbitrary bytes, and with the corpus of the fuzz target.
 
 use std::path::Path;
 

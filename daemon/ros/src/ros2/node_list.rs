@@ -168,7 +168,7 @@ impl OwnEntry {
     }
 }
 
-/// Appends a string, and the padding that the length of the next value needs.
+/// Appends a string, and padding to a multiple of four bytes, because the next value begins with a `u32`.
 fn put_string(cdr: &mut BytesMut, text: &str) {
     cdr.put_u32_le(u32::try_from(text.len() + 1).unwrap_or(u32::MAX));
     cdr.put_slice(text.as_bytes());

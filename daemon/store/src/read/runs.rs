@@ -109,8 +109,8 @@ pub(crate) async fn experiments(readers: &Readers, limit: u32) -> Result<Vec<Exp
         name: row.name.unwrap_or_default(),
         runs: count(row.runs),
         open: count(row.open),
-        oldest: row.oldest,
-        newest: row.newest,
+        first_run: row.oldest,
+        last_run: row.newest,
         started: wall(row.started_ns),
     };
     Ok(rows.into_iter().map(summary).collect())

@@ -76,7 +76,7 @@ async fn experiments_are_listed_with_their_runs() {
     let listed = test_store.store.experiments(10).await.expect("answers");
     let listed_experiments: Vec<_> = listed
         .iter()
-        .map(|item| (item.id.as_str(), item.runs, item.open, item.oldest, item.newest))
+        .map(|item| (item.id.as_str(), item.runs, item.open, item.first_run, item.last_run))
         .collect();
     // When a pipeline begins a run, its previous run ends.
     assert_eq!(listed_experiments, [("a", 2, 1, 1, 4), ("b", 1, 0, 2, 2)]);

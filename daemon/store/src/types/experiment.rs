@@ -19,21 +19,23 @@ pub struct ExperimentSummary {
     pub runs: u64,
     /// Number of runs that have not ended.
     pub open: u64,
-    /// Number of the experiment's first run.
-    pub oldest: i64,
-    /// Number of the experiment's last run.
-    pub newest: i64,
+    /// The experiment's first run, by its number (`#12`).
+    #[serde(rename = "oldest")]
+    pub first_run: i64,
+    /// The experiment's last run, by its number.
+    #[serde(rename = "newest")]
+    pub last_run: i64,
     /// Start of the first run, on its edge's wall clock.
     pub started: WallTime,
 }
 
 impl From<&RunSummary> for Candidate {
     fn from(run: &RunSummary) -> Self {
-        let position = run.experiment.as_ref();
+        let membership = run.experiment.as_ref();
         Self {
             id: Some(run.id),
             state: Some(RunState::from_end_reason(run.reason.as_ref())),
-            repeat: position.map(|position| Repeat::new(position, run.host, run.pipeline.as_str())),
+            repeat: membership.map(|membership| Repeat::new(membership, run.host, run.pipeline.as_str())),
             times: Some((run.started, run.ended.or(run.last_iteration).unwrap_or(run.started))),
             sequence: run.number,
             is_named: false,
@@ -42,7 +44,7 @@ impl From<&RunSummary> for Candidate {
     }
 }
 
-/// One node name over the time of a run, summed up in buckets.
+/// Summaries of the values of one node name, one for each bucket of a run's time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StageBuckets {
     /// The node's name.

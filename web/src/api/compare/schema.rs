@@ -24,18 +24,20 @@ pub(crate) struct Experiment {
     pub runs: u64,
     /// Number of these runs that have not ended.
     pub open: u64,
-    /// Number of its first run.
-    pub oldest: i64,
-    /// Number of its newest run.
-    pub newest: i64,
+    /// Its first run, by its number.
+    #[serde(rename = "oldest")]
+    pub first_run: i64,
+    /// Its newest run, by its number.
+    #[serde(rename = "newest")]
+    pub last_run: i64,
     /// Start of the first run, on its edge's wall clock.
     pub started: String,
 }
 
 impl From<&store::ExperimentSummary> for Experiment {
     fn from(summary: &store::ExperimentSummary) -> Self {
-        let store::ExperimentSummary { id, name, runs, open, oldest, newest, started } = summary.clone();
-        Self { id, name, runs, open, oldest, newest, started: time(started) }
+        let store::ExperimentSummary { id, name, runs, open, first_run, last_run, started } = summary.clone();
+        Self { id, name, runs, open, first_run, last_run, started: time(started) }
     }
 }
 

@@ -192,9 +192,9 @@ fn probe_across_own_step_reports_only_step() {
     }
     assert!(clock_state.latest_sample(&network(), now(300)).offset.is_some());
     let _ = clock_state.handle_probe_result(&ProbeResult::Sent, true, now(300));
-    let _ = clock_state.handle_probe_result(&ProbeResult::Stepped(1), true, now(304));
+    let _ = clock_state.handle_probe_result(&ProbeResult::ClockInterrupted(1), true, now(304));
     assert_eq!(clock_state.latest_sample(&network(), now(305)).offset, None);
-    let changes = clock_state.handle_probe_result(&ProbeResult::Stepped(1), true, now(306));
+    let changes = clock_state.handle_probe_result(&ProbeResult::ClockInterrupted(1), true, now(306));
     assert!(changes.restart.is_none(), "{changes:?}");
     let after_step = |millis| ExchangeObservation { edge_epoch: 1, ..exchange(millis, -3000) };
     // The relation cannot exclude that this exchange was in flight during the step.

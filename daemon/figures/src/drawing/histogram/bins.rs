@@ -86,7 +86,7 @@ mod tests {
         assert_eq!(tail.beyond.0 + tail.beyond.1 + tail.counts.iter().sum::<u64>(), 1003);
         assert!(tail.from >= 0.0 && tail.to() < 1000.0, "{tail:?}");
         let normal = bins((0..1000).map(|i| (f64::from(i) / 500.0 - 1.0).powi(3))).expect("there are values");
-        assert_eq!(normal.beyond, (0, 0), "nothing is cut that can be shown");
+        assert_eq!(normal.beyond, (0, 0), "every value that fits is in a bin");
         let few = bins([1.0, 1.1, 1.2, 90.0]).expect("there are values");
         assert_eq!((few.beyond, few.counts[0]), ((0, 0), 3));
     }

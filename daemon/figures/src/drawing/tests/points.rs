@@ -70,7 +70,7 @@ fn falling_line_ends_at_edge_of_plot() {
 #[test]
 fn legend_omits_whisker_without_clock_bounds() {
     let has_whisker = |share: f64| scaling(None, Some(share)).words().contains("whisker: by clock bounds");
-    assert!(has_whisker(0.2) && !has_whisker(0.0), "one clock has no bounds");
+    assert!(has_whisker(0.2) && !has_whisker(0.0), "there are no bounds if both ends read the same clock");
 }
 
 fn score(label: &str, right: u64, count: u64, median: f64) -> Score {

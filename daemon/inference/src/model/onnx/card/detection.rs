@@ -2,7 +2,7 @@
 
 use serde::Deserialize;
 
-use super::CardError;
+use super::ModelCardError;
 use super::output::{Activation, check_labels};
 
 /// Score above which an object is reported, by default.
@@ -162,9 +162,9 @@ impl Layout {
 }
 
 impl TryFrom<DetectionTable> for Detection {
-    type Error = CardError;
+    type Error = ModelCardError;
 
-    fn try_from(table: DetectionTable) -> Result<Self, CardError> {
+    fn try_from(table: DetectionTable) -> Result<Self, ModelCardError> {
         let layout = table.layout;
         table.check_keys()?;
         check_labels(&table.labels)?;
@@ -190,7 +190,7 @@ impl TryFrom<DetectionTable> for Detection {
 
 impl DetectionTable {
     /// Checks that the table has only keys of its layout, and that its numbers are in range.
-    fn check_keys(&self) -> Result<(), CardError> {
+    fn check_keys(&self) -> Result<(), ModelCardError> {
         let present = [
             ("name", self.name.is_some()),
             ("boxes", self.boxes.is_some()),
@@ -203,27 +203,27 @@ impl DetectionTable {
         if let Some((key, _)) =
             present.into_iter().find(|(key, is_present)| *is_present && !keys.contains(key))
         {
-            return Err(CardError::SurplusKey { layout, key, expected: keys.join(", ") });
+            return Err(ModelCardError::SurplusKey { layout, key, expected: keys.join(", ") });
         }
         let thresholds =
             [("score_threshold", Some(self.score_threshold)), ("iou_threshold", self.iou_threshold)];
         for (key, value) in thresholds {
             if let Some(value) = value.filter(|value| !(0.0..=1.0).contains(value)) {
-                return Err(CardError::Threshold { key, value });
+                return Err(ModelCardError::Threshold { key, value });
             }
         }
         if self.activation == Some(Activation::Softmax) && self.layout != Layout::Detr {
-            return Err(CardError::NoSoftmax(layout));
+            return Err(ModelCardError::NoSoftmax(layout));
         }
         match self.max_detections {
             1..=MAX_MAX_DETECTIONS => Ok(()),
-            other => Err(CardError::MaxDetections(other)),
+            other => Err(ModelCardError::MaxDetections(other)),
         }
     }
 
-    fn into_outputs(self) -> Result<DetectionOutputs, CardError> {
+    fn into_outputs(self) -> Result<DetectionOutputs, ModelCardError> {
         let (layout, keys) = (self.layout.name(), self.layout.keys());
-        let missing = |key| CardError::MissingKey { layout, key, expected: keys.join(", ") };
+        let missing = |key| ModelCardError::MissingKey { layout, key, expected: keys.join(", ") };
         let required = |key, value: Option<String>| value.ok_or_else(|| missing(key));
         let activation = self.activation.unwrap_or_default();
         Ok(match self.layout {

@@ -1,11 +1,11 @@
-//! Defects of cards.
+//! Defects of model cards (`model.toml`).
 
 use super::super::data_type::DataType;
 use super::preprocessing::{Colour, Layout};
 
-/// Defect in the text of a card.
+/// Defect in the text of a model card, the file `model.toml` that describes a model.
 #[derive(Debug, thiserror::Error)]
-pub(in crate::model::onnx) enum CardError {
+pub(in crate::model::onnx) enum ModelCardError {
     /// The text is not TOML, or a key is missing, unknown or of another type.
     #[error("{}", .0.to_string().trim_end())]
     Toml(#[from] toml::de::Error),
@@ -44,14 +44,16 @@ pub(in crate::model::onnx) enum CardError {
     PictureType(String),
     /// A constant has neither one number nor as many as its shape.
     #[error(
-        "input {input:?} has {count} numbers in its key value; its shape needs {expected}, or one for all"
+        "the key `value` of input {input:?} has {count} numbers; its shape needs {expected}, or one for all"
     )]
     ConstantLength { input: String, count: usize, expected: usize },
     /// A constant cannot be converted to the input's type without a change.
-    #[error("input {input:?} has {value} in its key value, which is not a {data_type}")]
+    #[error("the key `value` of input {input:?} has {value}, which is not a {data_type}")]
     ConstantValue { input: String, value: f64, data_type: DataType },
     /// A table for pictures has nothing to apply to.
-    #[error("[preprocessing] applies to no input: a picture has the keys layout and colour")]
+    #[error(
+        "[preprocessing] applies to no input, because none is a picture; an input becomes a picture with the keys layout and colour"
+    )]
     NoPicture,
     /// A task needs a picture.
     #[error("task {0} needs an input that is a picture, with the keys layout and colour")]
@@ -64,7 +66,7 @@ pub(in crate::model::onnx) enum CardError {
         "preprocessing.scale, mean and std are finite numbers; write the values with which the model was trained"
     )]
     NotFinite,
-    /// A key that floats need is missing.
+    /// A key is missing that an input of a floating-point type requires.
     #[error(
         "preprocessing.{0} is missing; only an input of integers has a default, which leaves bytes as they are"
     )]
@@ -122,7 +124,7 @@ pub(in crate::model::onnx) enum CardError {
     /// A threshold is not a share.
     #[error("output.{key} is {value}; it is a number from 0 to 1")]
     Threshold { key: &'static str, value: f64 },
-    /// No detection would be left.
+    /// `max_detections` is outside of 1 to 10,000.
     #[error("output.max_detections is {0}; it is a number from 1 to 10,000")]
     MaxDetections(usize),
     /// The task has no output.

@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer};
 
-use super::CardError;
+use super::ModelCardError;
 use super::preprocessing::{Colour, Layout, Normalisation, Preprocessing};
 use crate::model::onnx::data_type::DataType;
 use crate::model::onnx::numbers::{Element, Numbers, for_elements};
@@ -67,29 +67,29 @@ impl Input {
     pub(super) fn from_tables(
         tables: Vec<InputTable>,
         shared: Option<&Preprocessing>,
-    ) -> Result<Vec<Self>, CardError> {
+    ) -> Result<Vec<Self>, ModelCardError> {
         if tables.is_empty() {
-            return Err(CardError::NoInput);
+            return Err(ModelCardError::NoInput);
         }
         let inputs = tables.into_iter().map(|table| Self::from_table(table, shared));
         let inputs = inputs.collect::<Result<Vec<_>, _>>()?;
         let mut names = HashSet::new();
         if let Some(input) = inputs.iter().find(|input| !names.insert(&input.name)) {
-            return Err(CardError::DuplicateName { table: "input", name: input.name.clone() });
+            return Err(ModelCardError::DuplicateName { table: "input", name: input.name.clone() });
         }
         if shared.is_some() && !inputs.iter().any(|input| input.picture().is_some()) {
-            return Err(CardError::NoPicture);
+            return Err(ModelCardError::NoPicture);
         }
         Ok(inputs)
     }
 
-    fn from_table(table: InputTable, shared: Option<&Preprocessing>) -> Result<Self, CardError> {
+    fn from_table(table: InputTable, shared: Option<&Preprocessing>) -> Result<Self, ModelCardError> {
         let InputTable { name, dtype: data_type, shape, layout, colour, preprocessing, value } = table;
         let is_picture = layout.is_some() || colour.is_some() || preprocessing.is_some();
         let source = match value {
             Some(value) => Source::Constant(check_constant(&name, data_type, &shape, value)?),
             None if is_picture => {
-                let missing = |key| CardError::IncompletePicture { input: name.clone(), missing: key };
+                let missing = |key| ModelCardError::IncompletePicture { input: name.clone(), missing: key };
                 let layout = layout.ok_or_else(|| missing("layout"))?;
                 let colour = colour.ok_or_else(|| missing("colour"))?;
                 let preprocessing =
@@ -123,21 +123,21 @@ impl PictureSource {
         shape: &[usize],
         (layout, colour): (Layout, Colour),
         preprocessing: Preprocessing,
-    ) -> Result<Self, CardError> {
+    ) -> Result<Self, ModelCardError> {
         if data_type == DataType::Bool {
-            return Err(CardError::PictureType(name.to_owned()));
+            return Err(ModelCardError::PictureType(name.to_owned()));
         }
         let rank = shape.len();
         let (channels, height, width) =
-            layout.dimensions(shape).ok_or_else(|| CardError::Rank { input: name.to_owned(), rank })?;
+            layout.dimensions(shape).ok_or_else(|| ModelCardError::Rank { input: name.to_owned(), rank })?;
         if let Some(batch) = shape[..rank - 3].iter().find(|length| **length != 1) {
-            return Err(CardError::Batch(*batch));
+            return Err(ModelCardError::Batch(*batch));
         }
         let expected = colour.channels();
         if channels != expected {
             let other = layout.other().dimensions(shape);
             let fits_other = other.is_some_and(|(channels, ..)| channels == expected);
-            return Err(CardError::Channels { channels, layout, colour, expected, fits_other });
+            return Err(ModelCardError::Channels { channels, layout, colour, expected, fits_other });
         }
         let normalisation = preprocessing.normalisation(channels, !data_type.is_float())?;
         preprocessing.check_size((width, height))?;
@@ -152,10 +152,10 @@ fn check_constant(
     data_type: DataType,
     shape: &[usize],
     values: Vec<f64>,
-) -> Result<Vec<f64>, CardError> {
+) -> Result<Vec<f64>, ModelCardError> {
     let (input, expected) = (input.to_owned(), shape.iter().product::<usize>());
     if values.len() != 1 && values.len() != expected {
-        return Err(CardError::ConstantLength { input, count: values.len(), expected });
+        return Err(ModelCardError::ConstantLength { input, count: values.len(), expected });
     }
     let mut converted = Numbers::zeros(data_type, values.len());
     converted.fill(&values);
@@ -168,7 +168,7 @@ fn check_constant(
         converted == f64::from(values[at] as f32) && values[at].fract() == 0.0
     };
     match (0..values.len()).find(|at| !values[*at].is_finite() || !is_same(*at)) {
-        Some(at) => Err(CardError::ConstantValue { input, value: values[at], data_type }),
+        Some(at) => Err(ModelCardError::ConstantValue { input, value: values[at], data_type }),
         None => Ok(values),
     }
 }

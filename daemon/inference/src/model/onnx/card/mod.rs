@@ -9,7 +9,7 @@ mod preprocessing;
 pub(super) mod tests;
 
 pub(super) use detection::{BoxFormat, BoxUnit, Detection, DetectionOutputs};
-pub(super) use error::CardError;
+pub(super) use error::ModelCardError;
 pub(super) use input::{Input, PictureSource, Source};
 pub(super) use output::{Activation, Classification, Embedding, Segmentation, TensorOutput};
 pub(super) use preprocessing::{CentreCrop, Colour, Layout, Normalisation, Position, Resize, Rounding};
@@ -120,7 +120,7 @@ impl Card {
         Self::parse(&text).map_err(|error| wrong(error.to_string()))
     }
 
-    pub(super) fn parse(text: &str) -> Result<Self, CardError> {
+    pub(super) fn parse(text: &str) -> Result<Self, ModelCardError> {
         // The text is parsed a second time as a whole, so that errors name the lines of the text.
         let Header { task } = toml::from_str(text)?;
         match task {
@@ -145,15 +145,15 @@ impl Card {
 
     fn parse_as<O: DeserializeOwned>(
         text: &str,
-        task: impl FnOnce(O) -> Result<Task, CardError>,
-    ) -> Result<Self, CardError> {
+        task: impl FnOnce(O) -> Result<Task, ModelCardError>,
+    ) -> Result<Self, ModelCardError> {
         let file: CardFile<O> = toml::from_str(text)?;
         let CardFile { name, description, version, input, preprocessing, output, provenance, .. } = file;
         let inputs = Input::from_tables(input.0, preprocessing.as_ref())?;
         let card = Self { name, description, version, inputs, task: task(output)?, provenance };
         // The boxes or pixels of an answer relate to a picture, so there must be a picture.
         if matches!(card.task, Task::Detection(_) | Task::Segmentation(_)) && card.picture().is_none() {
-            return Err(CardError::PictureTask(card.task.name()));
+            return Err(ModelCardError::PictureTask(card.task.name()));
         }
         Ok(card)
     }

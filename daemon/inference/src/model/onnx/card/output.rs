@@ -4,7 +4,7 @@ use std::collections::HashSet;
 
 use serde::Deserialize;
 
-use super::CardError;
+use super::ModelCardError;
 use super::input::lengths;
 use crate::model::onnx::data_type::DataType;
 
@@ -82,12 +82,12 @@ impl Classification {
         self.top_k.unwrap_or(DEFAULT_TOP_K).min(self.labels.len())
     }
 
-    pub(super) fn check(&self) -> Result<(), CardError> {
+    pub(super) fn check(&self) -> Result<(), ModelCardError> {
         check_labels(&self.labels)?;
         match self.top_k {
-            Some(0) => Err(CardError::NoListedClass),
+            Some(0) => Err(ModelCardError::NoListedClass),
             Some(top_k) if top_k > self.labels.len() => {
-                Err(CardError::TopK { top_k, classes: self.labels.len() })
+                Err(ModelCardError::TopK { top_k, classes: self.labels.len() })
             }
             _ => Ok(()),
         }
@@ -95,36 +95,36 @@ impl Classification {
 }
 
 impl Segmentation {
-    pub(super) fn check(&self) -> Result<(), CardError> {
+    pub(super) fn check(&self) -> Result<(), ModelCardError> {
         check_labels(&self.labels)?;
         match self.labels.len() {
-            count if count > MAX_SEGMENTATION_CLASSES => Err(CardError::TooManyClasses(count)),
+            count if count > MAX_SEGMENTATION_CLASSES => Err(ModelCardError::TooManyClasses(count)),
             _ => Ok(()),
         }
     }
 }
 
 /// Checks the outputs of the task `tensors`.
-pub(super) fn check_tensors(outputs: &[TensorOutput]) -> Result<(), CardError> {
+pub(super) fn check_tensors(outputs: &[TensorOutput]) -> Result<(), ModelCardError> {
     if outputs.is_empty() {
-        return Err(CardError::NoOutput);
+        return Err(ModelCardError::NoOutput);
     }
     let mut names = HashSet::new();
     match outputs.iter().find(|output| !names.insert(&output.name)) {
-        Some(output) => Err(CardError::DuplicateName { table: "output", name: output.name.clone() }),
+        Some(output) => Err(ModelCardError::DuplicateName { table: "output", name: output.name.clone() }),
         None => Ok(()),
     }
 }
 
 /// Checks that there are labels and that all differ.
-pub(super) fn check_labels(labels: &[String]) -> Result<(), CardError> {
+pub(super) fn check_labels(labels: &[String]) -> Result<(), ModelCardError> {
     if labels.is_empty() {
-        return Err(CardError::NoLabels);
+        return Err(ModelCardError::NoLabels);
     }
     // Labels that differ in case alone are allowed: ImageNet has `cardigan`, a garment, and `Cardigan`, a dog.
     let mut seen = HashSet::new();
     match labels.iter().find(|label| !seen.insert(label.as_str())) {
-        Some(label) => Err(CardError::DuplicateLabel(label.clone())),
+        Some(label) => Err(ModelCardError::DuplicateLabel(label.clone())),
         None => Ok(()),
     }
 }

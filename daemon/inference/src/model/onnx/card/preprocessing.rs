@@ -5,7 +5,7 @@ use std::fmt;
 use peernet_imaging::{Filter, Orientation};
 use serde::Deserialize;
 
-use super::CardError;
+use super::ModelCardError;
 
 /// Order of a picture's dimensions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
@@ -209,7 +209,7 @@ const fn default_fill() -> u8 {
 
 impl Preprocessing {
     /// Checks that the steps produce a picture of `wanted` width and height, pixels.
-    pub(super) fn check_size(&self, wanted: (usize, usize)) -> Result<(), CardError> {
+    pub(super) fn check_size(&self, wanted: (usize, usize)) -> Result<(), ModelCardError> {
         if let (Some(resize), Some(CentreCrop { width, height, .. })) = (self.resize, self.crop) {
             // The picture may be wide or high, so one side of a crop may be longer than the shorter side of the
             // picture.
@@ -222,7 +222,7 @@ impl Preprocessing {
                 }
             };
             if !fits {
-                return Err(CardError::Crop { crop: (width, height), made });
+                return Err(ModelCardError::Crop { crop: (width, height), made });
             }
         }
         let made = match (self.resize, self.crop) {
@@ -232,14 +232,14 @@ impl Preprocessing {
                 (width, height)
             }
             // The longer side depends on the picture, so the size is not fixed without a crop.
-            (Some(Resize::Shortest { .. }), None) => return Err(CardError::NoCrop),
+            (Some(Resize::Shortest { .. }), None) => return Err(ModelCardError::NoCrop),
             // The size of each picture is compared with the input when it arrives.
             (None, None) => return Ok(()),
         };
         if (made.0 as usize, made.1 as usize) == wanted {
             Ok(())
         } else {
-            Err(CardError::Size { made, wanted })
+            Err(ModelCardError::Size { made, wanted })
         }
     }
 
@@ -249,11 +249,11 @@ impl Preprocessing {
         &self,
         channels: usize,
         has_defaults: bool,
-    ) -> Result<Normalisation, CardError> {
-        let missing = |key| if has_defaults { Ok(()) } else { Err(CardError::NoNormalisation(key)) };
+    ) -> Result<Normalisation, ModelCardError> {
+        let missing = |key| if has_defaults { Ok(()) } else { Err(ModelCardError::NoNormalisation(key)) };
         let list = |key, values: &Option<Vec<f64>>, default: f64| match values {
             Some(values) if values.len() != channels => {
-                Err(CardError::Numbers { key, count: values.len(), channels })
+                Err(ModelCardError::Numbers { key, count: values.len(), channels })
             }
             Some(values) => Ok(values.clone()),
             None => missing(key).map(|()| vec![default; channels]),
@@ -265,14 +265,14 @@ impl Preprocessing {
             None => missing("scale").map(|()| 1.0)?,
         };
         if !mean.iter().chain(&std).chain([&scale]).all(|number| number.is_finite()) {
-            return Err(CardError::NotFinite);
+            return Err(ModelCardError::NotFinite);
         }
         // All pixels would be the same number.
         if scale == 0.0 {
-            return Err(CardError::NoScale);
+            return Err(ModelCardError::NoScale);
         }
         if let Some(deviation) = std.iter().find(|deviation| **deviation <= 0.0) {
-            return Err(CardError::Deviation(*deviation));
+            return Err(ModelCardError::Deviation(*deviation));
         }
         Ok(Normalisation { scale, mean, std })
     }

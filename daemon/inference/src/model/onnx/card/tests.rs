@@ -87,7 +87,7 @@ labels = ["a", "b"]
     )
 }
 
-pub(in crate::model::onnx) fn changed(from: &str, to: &str) -> Result<Card, CardError> {
+pub(in crate::model::onnx) fn changed(from: &str, to: &str) -> Result<Card, ModelCardError> {
     assert!(SMALL.contains(from), "{from}");
     Card::parse(&SMALL.replace(from, to))
 }
@@ -227,8 +227,8 @@ fn contradictory_inputs_and_outputs_are_named() {
         &[
             ("name = \"wrist\"", "name = \"front\"", "input names \"front\" twice"),
             ("name = \"done\"", "name = \"action\"", "output names \"action\" twice"),
-            ("value = [[3, 4]]", "value = [3, 4, 5]", "3 numbers in its key value; its shape needs 2"),
-            ("value = [[3, 4]]", "value = [3, 4.5]", "4.5 in its key value, which is not a int64"),
+            ("value = [[3, 4]]", "value = [3, 4, 5]", "has 3 numbers; its shape needs 2"),
+            ("value = [[3, 4]]", "value = [3, 4.5]", "has 4.5, which is not a int64"),
             (
                 "value = [[3, 4]]",
                 "value = 9007199254740993",
@@ -237,12 +237,12 @@ fn contradictory_inputs_and_outputs_are_named() {
             (
                 "dtype = \"int64\"\nshape = [1, 2]\nvalue = [[3, 4]]",
                 "dtype = \"float16\"\nshape = [1, 2]\nvalue = [[3, 70000]]",
-                "70000 in its key value, which is not a float16",
+                "has 70000, which is not a float16",
             ),
             (
                 "dtype = \"int64\"\nshape = [1, 2]\nvalue = [[3, 4]]",
                 "dtype = \"float64\"\nshape = [1, 2]\nvalue = [[1e300, inf]]",
-                "inf in its key value, which is not a float64",
+                "has inf, which is not a float64",
             ),
             ("value = [[3, 4]]", "value = \"three\"", "is not a number"),
             ("dtype = \"bool\"", "", "missing field `dtype`"),
