@@ -24,7 +24,7 @@ function simulateVisibility() {
   };
   // First and last second of the first pipeline in each live event since the page was shown.
   globalThis.seen = [];
-  document.addEventListener("peer-picture", ({ detail }) => {
+  document.addEventListener("peernet-picture", ({ detail }) => {
     const seconds = detail.pipelines[0]?.seconds ?? [];
     if (seconds.length) globalThis.seen.push([seconds[0].at, seconds[seconds.length - 1].at]);
   });

@@ -154,12 +154,12 @@ pub struct HostSnapshot {
 }
 
 impl HostSnapshot {
-    /// Returns the number of the host's events that are missing in the database for ever. Events that another database
-    /// stored before the host connected to this one are not counted.
+    /// Returns the number of the host's events that are missing in the database for ever. Events that are in another
+    /// database are not counted.
     pub fn missing_events(&self) -> u64 {
         // Both numbers count the gaps that the agent reported. The aggregator also counts batches that it found
         // missing, and the agent also counts events whose gap it has not sent yet.
-        self.accounting.dropped.max(self.stored.missing.saturating_sub(self.stored.missing_before))
+        self.accounting.dropped.max(self.stored.missing.saturating_sub(self.stored.in_other_database))
     }
 }
 
@@ -242,7 +242,8 @@ pub struct Window {
     pub rate_hz: f64,
     /// Fraction of failed iterations (outcome `failed`, `lost` or `timeout`), 0 to 1; `None` if there were no
     /// iterations.
-    pub lost_fraction: Option<f64>,
+    #[serde(rename = "lost_fraction")]
+    pub failed_fraction: Option<f64>,
     /// Fraction of iterations that missed their deadline or failed, 0 to 1; `None` without a deadline or
     /// without iterations.
     pub miss_rate: Option<f64>,

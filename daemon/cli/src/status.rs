@@ -47,7 +47,8 @@ struct Placement {
 struct Window {
     seconds: u32,
     rate_hz: f64,
-    lost_fraction: Option<f64>,
+    #[serde(rename = "lost_fraction")]
+    failed_fraction: Option<f64>,
     /// Absent in answers of earlier releases.
     miss_rate: Option<f64>,
     values: Vec<Statistics>,
@@ -93,8 +94,8 @@ struct Events {
 struct Stored {
     missing: u64,
     /// Absent in answers of earlier releases.
-    #[serde(default)]
-    missing_before: u64,
+    #[serde(rename = "missing_before", default)]
+    in_other_database: u64,
 }
 
 impl Host {
@@ -104,7 +105,7 @@ impl Host {
         self.now
             .as_ref()
             .map_or(0, |now| now.events.dropped)
-            .max(self.stored.missing.saturating_sub(self.stored.missing_before))
+            .max(self.stored.missing.saturating_sub(self.stored.in_other_database))
     }
 }
 
@@ -192,7 +193,7 @@ fn pipeline_row(pipeline: &Pipeline, faulty: &FaultyClocks) -> Vec<String> {
         placement_text,
         with_clock_fault_mark(&pipeline.state, is_faulty),
         or_dash(window.map(|window| number::rate(window.rate_hz))),
-        or_dash(window.and_then(|window| window.lost_fraction).map(number::percent)),
+        or_dash(window.and_then(|window| window.failed_fraction).map(number::percent)),
         or_dash(window.and_then(|window| window.miss_rate).map(number::percent)),
         milliseconds(total.and_then(|statistics| statistics.p50)),
         milliseconds(total.and_then(|statistics| statistics.p95)),

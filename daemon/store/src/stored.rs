@@ -3,26 +3,25 @@
 pub use peernet_analysis::clock_points::ClockPoint;
 use serde::Serialize;
 
-/// Beginning of the reason of a gap of events that another database stored before their host connected to this one.
-macro_rules! before_database {
+/// Prefix of the reason of a gap whose events are in another database, because their host streamed to it before.
+macro_rules! other_database_prefix {
     () => {
         "from before this database: "
     };
 }
 
-/// SQL expression: number of a host's events that another database stored before the host connected to this
-/// one, for a row of `host`.
-macro_rules! missing_before {
+/// SQL expression for a row of `host`: number of the host's missing events that are in another database.
+macro_rules! in_other_database {
     () => {
         concat!(
             "(SELECT coalesce(sum(count), 0) FROM gap WHERE gap.run IS NULL AND gap.host = host.id AND gap.reason LIKE '",
-            $crate::stored::before_database!(),
-            "%') AS missing_before"
+            $crate::stored::other_database_prefix!(),
+            "%') AS in_other_database"
         )
     };
 }
 
-pub(crate) use {before_database, missing_before};
+pub(crate) use {in_other_database, other_database_prefix};
 
 /// Counts of the stored data of one host.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -35,8 +34,9 @@ pub struct StoredCounts {
     pub gaps: u64,
     /// Number of events in these gaps; events that could not be counted are not included.
     pub missing: u64,
-    /// Number of the missing events that were stored in another database before the host connected to this one.
-    pub missing_before: u64,
+    /// Number of the missing events that are in another database, because the host streamed to it before.
+    #[serde(rename = "missing_before")]
+    pub in_other_database: u64,
     /// Batches that arrived more than once and were stored once, since the aggregator started.
     pub duplicates: u64,
     /// Batches that were quarantined because they could not be stored.

@@ -11,19 +11,19 @@
     const dark = root.dataset.theme ? root.dataset.theme === "dark" : system.matches;
     root.dataset.theme = dark ? "light" : "dark";
     try { localStorage.setItem("theme", root.dataset.theme); } catch { /* Storage may be forbidden: the theme then lasts for this page only. */ }
-    dispatch("peer-theme");
+    dispatch("peernet-theme");
   }
-  system.addEventListener("change", () => dispatch("peer-theme"));
+  system.addEventListener("change", () => dispatch("peernet-theme"));
   // Printed pages use the light theme.
   let themeBeforePrint;
   addEventListener("beforeprint", () => {
     themeBeforePrint = root.dataset.theme;
     root.dataset.theme = "light";
-    dispatch("peer-theme", "print");
+    dispatch("peernet-theme", "print");
   });
   addEventListener("afterprint", () => {
     if (themeBeforePrint) root.dataset.theme = themeBeforePrint; else delete root.dataset.theme;
-    dispatch("peer-theme");
+    dispatch("peernet-theme");
   });
 
   // --- menu on small screens
@@ -54,12 +54,12 @@
     const shown = buttons.filter((other) => other.getAttribute("aria-pressed") === "true");
     const back = shown.length === 1 && shown[0] === button;
     for (const other of buttons) other.setAttribute("aria-pressed", String(back || other === button));
-    dispatch("peer-isolate", back ? null : button.dataset.stage);
+    dispatch("peernet-isolate", back ? null : button.dataset.stage);
   }
 
   function selectRange(button) {
     for (const other of findAll("#range button")) other.setAttribute("aria-pressed", String(other === button));
-    dispatch("peer-range", Number(button.dataset.seconds));
+    dispatch("peernet-range", Number(button.dataset.seconds));
   }
 
   // --- search in the list of the page
@@ -137,7 +137,7 @@
     if (at("#theme")) switchTheme();
     else if (at("#menu")) toggleMenu();
     else if (at("#keys")) find("#keyhelp").showModal();
-    else if (at("#pause")) dispatch("peer-toggle-pause");
+    else if (at("#pause")) dispatch("peernet-toggle-pause");
     else if ((hit = at("#pin"))) togglePin(hit);
     else if ((hit = at("[data-copy]"))) copyText(hit);
     else if ((hit = at("[data-shows]"))) selectView(hit);
@@ -147,7 +147,7 @@
     else if (plain && (hit = at("a[data-swap]"))) { event.preventDefault(); swapPanel(hit); }
   });
   document.addEventListener("input", (event) => { if (event.target.id === "search") filterRows(); });
-  document.addEventListener("peer-updated", filterRows);
+  document.addEventListener("peernet-updated", filterRows);
 
   // --- keyboard; a key without an action on this page keeps its action in the browser, such as scrolling by the space bar
   let gPressedAt = 0;

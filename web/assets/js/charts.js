@@ -14,7 +14,7 @@ const PEER = (() => {
   }
   // These listeners are registered, and therefore run, before the listeners that redraw the charts. So the charts read
   // the new values.
-  document.addEventListener("peer-theme", () => cache.clear());
+  document.addEventListener("peernet-theme", () => cache.clear());
   addEventListener("resize", () => cache.clear());
 
   // The browser resolves light-dark() in a computed colour.
@@ -261,7 +261,7 @@ const PEER = (() => {
   function forget() {
     for (const one of drawn) if (!one.node.isConnected) { one.chart.dispose(); drawn.delete(one); }
   }
-  document.addEventListener("peer-theme", ({ detail }) => drawn.forEach((one) => redraw(one, detail === "print")));
+  document.addEventListener("peernet-theme", ({ detail }) => drawn.forEach((one) => redraw(one, detail === "print")));
   document.addEventListener("visibilitychange", () => { if (!document.hidden) drawn.forEach((one) => { if (one.stale) redraw(one); }); });
 
   return { PARTS, look, css, px, fill, edge, clock, text, sides, timeAxis, valueAxis, tooltip, tip, marks, parts, bucket, steps, ticks, draw, redraw, forget, isHovered: (node) => hovered === node };

@@ -251,7 +251,7 @@
   }
 
   // --- new data
-  document.addEventListener("peer-picture", ({ detail }) => {
+  document.addEventListener("peernet-picture", ({ detail }) => {
     for (const pipeline of detail.pipelines) {
       const card = cards.find((other) => other.host === pipeline.host && other.pipeline === pipeline.name);
       if (!card) continue;
@@ -284,18 +284,18 @@
       refresh();
     } catch { /* The next update asks again. */ }
   }
-  document.addEventListener("peer-back", () => cards.forEach(catchUp));
-  document.addEventListener("peer-updated", ({ detail }) => {
+  document.addEventListener("peernet-reconnected", () => cards.forEach(catchUp));
+  document.addEventListener("peernet-updated", ({ detail }) => {
     if (detail.marks.length) marks = detail.marks;
     for (const [key, obstacles] of detail.obstacles) {
       const card = cards.find((other) => other.key === key);
       if (card) card.obstacles = obstacles;
     }
   });
-  document.addEventListener("peer-pause", ({ detail }) => { paused = detail; refresh(); });
+  document.addEventListener("peernet-pause", ({ detail }) => { paused = detail; refresh(); });
   document.addEventListener("visibilitychange", refresh);
-  document.addEventListener("peer-range", ({ detail }) => { range = detail; scale = { max: 0, since: 0 }; refresh(); });
-  document.addEventListener("peer-isolate", ({ detail }) => { isolatedStage = detail; scale = { max: 0, since: 0 }; refresh(); });
-  document.addEventListener("peer-renewed", begin);
+  document.addEventListener("peernet-range", ({ detail }) => { range = detail; scale = { max: 0, since: 0 }; refresh(); });
+  document.addEventListener("peernet-isolate", ({ detail }) => { isolatedStage = detail; scale = { max: 0, since: 0 }; refresh(); });
+  document.addEventListener("peernet-reloaded", begin);
   begin();
 })();

@@ -1,4 +1,4 @@
-// Updates a page from the live stream: replaces figures in place, and shows when the stream is disconnected.
+// Updates a page from the live stream: replaces numbers and drawings in place, and shows when the stream is disconnected.
 (() => {
   // A stream without any event for SILENCE_MS counts as lost. The server sends a heartbeat every two seconds.
   const RETRY_MS = 2000, SILENCE_MS = 6500;
@@ -44,7 +44,7 @@
     document.title = `${update.title} · PEERNet`;
     for (const [id, html] of update.parts) pendingParts.set(`part-${id}`, html);
     replace();
-    dispatch("peer-updated", update);
+    dispatch("peernet-updated", update);
   }
 
   // --- parts outside the viewport are replaced when they scroll into it, or before printing
@@ -54,7 +54,8 @@
       if (isIntersecting) hiddenParts.delete(target.id);
       else hiddenParts.add(target.id);
     }
-    if (replace()) dispatch("peer-updated", { marks: [], obstacles: [] });
+    // The charts get no new data: no incidents to mark, and no reasons why a throughput has no line.
+    if (replace()) dispatch("peernet-updated", { marks: [], obstacles: [] });
   });
   function observeParts() {
     visibility.disconnect();
@@ -106,7 +107,7 @@
       }
       // A new stream sends every part again: updates from the time of the fetch may be older or newer than the page.
       connect();
-      dispatch("peer-renewed");
+      dispatch("peernet-reloaded");
     } catch { /* The next update tries again; the stream shows that the aggregator is unreachable. */
     } finally {
       isReloading = false;
@@ -173,9 +174,10 @@
       handleReconnect();
       handle(event.data);
     });
+    // `rehearsals` has the injected clock faults.
     on("status", (data) => { status = JSON.parse(data); showClockFaults(status.rehearsals); showNotStoring(status.not_storing); updateState(); });
     on("page", (data) => { pending = mergeUpdates(pending, JSON.parse(data)); schedule(); });
-    on("picture", (data) => dispatch("peer-picture", JSON.parse(data)));
+    on("picture", (data) => dispatch("peernet-picture", JSON.parse(data)));
     on("heartbeat", () => {});
     source.addEventListener("error", handleDisconnect);
   }
@@ -205,7 +207,7 @@
     document.body.classList.remove("away");
     $("banner").hidden = true;
     updateState();
-    dispatch("peer-back");
+    dispatch("peernet-reconnected");
   }
 
   let isLeaving = false;
@@ -216,7 +218,7 @@
     if (isDisconnected) showLag();
   }, 1000);
 
-  document.addEventListener("peer-toggle-pause", () => {
+  document.addEventListener("peernet-toggle-pause", () => {
     paused = !paused;
     const button = $("pause");
     if (button) {
@@ -224,7 +226,7 @@
       button.querySelector("span").textContent = paused ? "Resume" : "Pause";
     }
     updateState();
-    dispatch("peer-pause", paused);
+    dispatch("peernet-pause", paused);
     schedule();
   });
   document.addEventListener("visibilitychange", () => {

@@ -195,7 +195,7 @@ fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
         }
     };
     let traffic = speed::traffic(kind, window);
-    let failed = window.lost_fraction.map_or_else(|| NONE.to_owned(), percent);
+    let failed = window.failed_fraction.map_or_else(|| NONE.to_owned(), percent);
     let accuracies = look::ACCURACIES.into_iter().filter_map(|(name, label)| {
         let number = share(window.value(name)?.mean);
         let title = "accuracy: how often the model was right, where samples have labels".to_owned();

@@ -120,7 +120,7 @@ pub(crate) fn window(seconds: u32, hz: f64, scale: f64, verdict: Verdict) -> Win
         covered_s: f64::from(seconds),
         counts: OutcomeCounts { ok, ..OutcomeCounts::default() },
         rate_hz: hz,
-        lost_fraction: (ok > 0).then_some(0.0),
+        failed_fraction: (ok > 0).then_some(0.0),
         miss_rate: None,
         transfers: transfers(ok, (known && ok > 0).then_some(0.0063 * scale)),
         values,

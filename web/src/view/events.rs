@@ -203,9 +203,9 @@ pub(crate) fn stored_count_pairs(
     newest: Option<peernet_clock::WallTime>,
     zone: Zone,
 ) -> Vec<(&'static str, String)> {
-    let before = match stored.missing_before {
+    let before = match stored.in_other_database {
         0 => String::new(),
-        before => format!(", {} of them from before this database", count(before)),
+        before => format!(", {} of them in another database", count(before)),
     };
     let mut pairs = vec![
         ("Stored", format!("{} events, {} nodes", count(stored.events), count(stored.nodes))),
@@ -364,7 +364,7 @@ mod tests {
         host.accounting.dropped = 0;
         assert_eq!((most_severe_remark(&host), EventLine::new(&host).lost), (None, None));
         // Another database stored these events before the host connected to this one.
-        (host.stored.missing, host.stored.missing_before) = (849, 849);
+        (host.stored.missing, host.stored.in_other_database) = (849, 849);
         assert_eq!(most_severe_remark(&host), None);
         host.stored.missing = 2 * 849;
         assert_eq!(

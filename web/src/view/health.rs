@@ -133,8 +133,8 @@ fn pipeline_notes(pipeline: &PipelineSnapshot, snapshot: &LiveState, warn: &Warn
         return notes;
     }
     let Some(window) = pipeline.window(60) else { return notes };
-    if let Some(lost) = window.lost_fraction.filter(|lost| *lost > NOTABLE_SHARE) {
-        let text = format!("failed in {}\u{202f}% of the iterations of the last minute.", percent(lost));
+    if let Some(failed) = window.failed_fraction.filter(|failed| *failed > NOTABLE_SHARE) {
+        let text = format!("failed in {}\u{202f}% of the iterations of the last minute.", percent(failed));
         notes.push(note(Chip::new(Tone::Warn, "gap", "losses"), text));
     }
     notes.extend(warnings::pipeline_warnings(window, warn).into_iter().map(|(chip, text)| note(chip, text)));

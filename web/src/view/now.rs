@@ -199,8 +199,8 @@ impl NowRow {
             p99: p99_cell,
             rate: rate(window.rate_hz),
             lost: window
-                .lost_fraction
-                .map_or_else(|| Cell::none("no iteration in this time"), |lost| Cell::new(percent(lost))),
+                .failed_fraction
+                .map_or_else(|| Cell::none("no iteration in this time"), |failed| Cell::new(percent(failed))),
             missed: window
                 .miss_rate
                 .map_or_else(|| Cell::none("no deadline"), |missed| Cell::new(percent(missed))),

@@ -31,7 +31,7 @@ struct StreamingHost {
     spool: PathBuf,
 }
 
-/// Warns of aggregators that cannot be reached before the first run.
+/// Warns, before the first run, of aggregators that cannot be reached.
 pub(super) async fn warn_if_unreachable(aggregators: &[&Address]) {
     for aggregator in aggregators {
         if let Err(error) = reach_aggregator(aggregator).await {

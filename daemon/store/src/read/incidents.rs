@@ -33,7 +33,7 @@ struct Host {
     nodes: i64,
     gaps: i64,
     missing: i64,
-    missing_before: i64,
+    in_other_database: i64,
     quarantined: i64,
 }
 
@@ -88,7 +88,7 @@ pub(crate) async fn hosts(readers: &Readers) -> Result<Vec<HostRow>, StoreError>
                     nodes: count(row.nodes),
                     gaps: count(row.gaps),
                     missing: count(row.missing),
-                    missing_before: count(row.missing_before),
+                    in_other_database: count(row.in_other_database),
                     duplicates: 0,
                     quarantined: count(row.quarantined),
                 },

@@ -280,7 +280,7 @@ async fn events_before_first_contact_are_counted_apart() {
     let introduction = hello(generate::host(host, "edge"), process);
     let committed = test_store.commit(&[introduction, missing(1, 9, 40), first_batch]).await;
     let (stored, _) = committed.hosts[&host];
-    assert_eq!((stored.gaps, stored.missing, stored.missing_before), (1, 40, 40));
+    assert_eq!((stored.gaps, stored.missing, stored.in_other_database), (1, 40, 40));
     let incidents = "SELECT count(*) FROM incident WHERE kind = 'gap' AND text LIKE \
                      '40 events missing: from before this database: batches 1 to 9 of stream %'";
     assert_eq!(test_store.count(incidents).await, 1);
@@ -289,7 +289,7 @@ async fn events_before_first_contact_are_counted_apart() {
     test_store.writer = open(&test_store.path).await;
     let committed = test_store.commit(&[missing(11, 12, 5)]).await;
     let (stored, _) = committed.hosts[&host];
-    assert_eq!((stored.gaps, stored.missing, stored.missing_before), (2, 45, 40));
+    assert_eq!((stored.gaps, stored.missing, stored.in_other_database), (2, 45, 40));
     let hosts = test_store.store.hosts().await.expect("answers");
     let edge = hosts.iter().find(|row| row.id == host).map(|row| row.stored);
     assert_eq!(edge, Some(stored));

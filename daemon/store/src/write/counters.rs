@@ -13,7 +13,7 @@ use super::prepared::RunPart;
 use crate::column::{column, count};
 use crate::extent::Extent;
 use crate::insert::Insert;
-use crate::stored::{StoredCounts, missing_before};
+use crate::stored::{StoredCounts, in_other_database};
 
 /// Maximum number of hosts whose counters are in memory: the largest value of `[aggregator] max_hosts`. If there are
 /// more, all are discarded and read again when needed.
@@ -112,7 +112,7 @@ impl Counters {
         if let Some(pending) = self.hosts.get(&host) {
             counts.add(&pending.added);
         }
-        Ok(counts.events == 0 && counts.quarantined == 0 && counts.missing == counts.missing_before)
+        Ok(counts.events == 0 && counts.quarantined == 0 && counts.missing == counts.in_other_database)
     }
 
     /// Adds the part of a run that is in a batch.
@@ -164,8 +164,9 @@ impl Counters {
                 Entry::Occupied(entry) => entry.into_mut(),
                 Entry::Vacant(entry) => {
                     let mut stored = read_total(connection, counts.id).await?;
-                    // `missing_before` is a sum over the table of gaps, which already has the gaps of this transaction.
-                    stored.missing_before = stored.missing_before.saturating_sub(counts.added.missing_before);
+                    // `in_other_database` is a sum over the table of gaps, which already has the gaps of this transaction.
+                    stored.in_other_database =
+                        stored.in_other_database.saturating_sub(counts.added.in_other_database);
                     entry.insert(stored)
                 }
             };
@@ -201,23 +202,23 @@ impl HostCounts {
 }
 
 impl StoredCounts {
-    /// Makes the counts from the columns of `host` and the sum of its gaps from before the database: events, nodes,
-    /// gaps, missing, quarantined, missing before.
+    /// Makes the counts from columns of `host` and the number of its missing events that are in another database: events,
+    /// nodes, gaps, missing, quarantined, in another database.
     pub(super) fn from_columns(
-        (events, nodes, gaps, missing, quarantined, missing_before): (i64, i64, i64, i64, i64, i64),
+        (events, nodes, gaps, missing, quarantined, in_other_database): (i64, i64, i64, i64, i64, i64),
     ) -> Self {
-        let [events, nodes, gaps, missing, quarantined, missing_before] =
-            [events, nodes, gaps, missing, quarantined, missing_before].map(count);
-        Self { events, nodes, gaps, missing, missing_before, duplicates: 0, quarantined }
+        let [events, nodes, gaps, missing, quarantined, in_other_database] =
+            [events, nodes, gaps, missing, quarantined, in_other_database].map(count);
+        Self { events, nodes, gaps, missing, in_other_database, duplicates: 0, quarantined }
     }
 
     pub(super) fn add(&mut self, other: &Self) {
-        let Self { events, nodes, gaps, missing, missing_before, duplicates: _, quarantined } = other;
+        let Self { events, nodes, gaps, missing, in_other_database, duplicates: _, quarantined } = other;
         self.events = self.events.saturating_add(*events);
         self.nodes = self.nodes.saturating_add(*nodes);
         self.gaps = self.gaps.saturating_add(*gaps);
         self.missing = self.missing.saturating_add(*missing);
-        self.missing_before = self.missing_before.saturating_add(*missing_before);
+        self.in_other_database = self.in_other_database.saturating_add(*in_other_database);
         self.quarantined = self.quarantined.saturating_add(*quarantined);
     }
 }
@@ -226,7 +227,7 @@ impl StoredCounts {
 async fn read_total(connection: &mut SqliteConnection, host: i64) -> Result<StoredCounts, sqlx::Error> {
     let counts: (i64, i64, i64, i64, i64, i64) = sqlx::query_as(concat!(
         "SELECT events, nodes, gaps, missing, quarantined, ",
-        missing_before!(),
+        in_other_database!(),
         " FROM host WHERE id = ?"
     ))
     .bind(host)

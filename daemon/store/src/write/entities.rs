@@ -10,7 +10,7 @@ use serde::Serialize;
 use sqlx::SqliteConnection;
 
 use super::{Refusal, RunName};
-use crate::stored::{StoredCounts, missing_before};
+use crate::stored::{StoredCounts, in_other_database};
 
 /// Maximum number of runs in memory. When it is reached, all are discarded and read again when needed.
 const MAX_CACHED_RUNS: usize = 10_000;
@@ -387,7 +387,7 @@ pub(crate) async fn read_host_counts(
 ) -> Result<Vec<(HostId, StoredCounts)>, sqlx::Error> {
     let rows: Vec<(String, i64, i64, i64, i64, i64, i64)> = sqlx::query_as(concat!(
         "SELECT uuid, events, nodes, gaps, missing, quarantined, ",
-        missing_before!(),
+        in_other_database!(),
         " FROM host WHERE name IS NOT NULL ORDER BY last_seen_ns DESC LIMIT ?",
     ))
     .bind(limit)

@@ -10,7 +10,7 @@ use sqlx::SqliteConnection;
 use super::Refusal;
 use super::entities::{Entities, Reporter};
 use crate::column::column;
-use crate::stored::{StoredCounts, before_database};
+use crate::stored::{StoredCounts, other_database_prefix};
 
 /// Number of quarantined batches that are kept. Older ones are deleted.
 const MAX_QUARANTINED: i64 = 1_000;
@@ -90,7 +90,7 @@ pub(super) async fn insert_missing_batches(
 ) -> Result<StoredCounts, Refusal> {
     let MissingBatches { stream, from, through, events, .. } = missing;
     let reason = match is_first_contact {
-        true => describe_batches_before_database(stream, *from, *through),
+        true => describe_batches_of_other_database(stream, *from, *through),
         false => format!(
             "batches {from} to {through} of stream {stream} are not in this database: they were stored in another database before this one was \
              created or restored, and their agent has deleted them from its spool"
@@ -99,12 +99,12 @@ pub(super) async fn insert_missing_batches(
     insert_unattributed_gap(connection, host, &reason, *events, now).await
 }
 
-/// Returns the reason of a gap of batches that another database stored before their host connected to this one.
-/// `missing_before!` finds it by its beginning.
-pub(super) fn describe_batches_before_database(stream: &StreamId, from: u64, through: u64) -> String {
+/// Returns the reason of a gap whose batches are in another database, because their host streamed to it before.
+/// `in_other_database!` finds it by its prefix.
+pub(super) fn describe_batches_of_other_database(stream: &StreamId, from: u64, through: u64) -> String {
     format!(
         "{}batches {from} to {through} of stream {stream} were stored in another database, and their agent has deleted them from its spool",
-        before_database!()
+        other_database_prefix!()
     )
 }
 
@@ -140,8 +140,8 @@ pub(super) async fn insert_unattributed_gap(
         .bind(format!("{subject}: {reason}"))
         .execute(connection)
         .await?;
-    let missing_before = if reason.starts_with(before_database!()) { missing } else { 0 };
-    Ok(StoredCounts { gaps: 1, missing, missing_before, ..StoredCounts::default() })
+    let in_other_database = if reason.starts_with(other_database_prefix!()) { missing } else { 0 };
+    Ok(StoredCounts { gaps: 1, missing, in_other_database, ..StoredCounts::default() })
 }
 
 /// Stores a batch whose events cannot be stored. `events` is the number of events if they can be decoded.

@@ -146,7 +146,7 @@ impl AdvancedStreams {
         });
         let missing_previous = introduction.missing_previous.map(|MissingPreviousBatches { stream, from, through, events }| {
             let reason = match is_first_contact {
-                true => records::describe_batches_before_database(&stream, from, through),
+                true => records::describe_batches_of_other_database(&stream, from, through),
                 false => format!(
                     "batches {from} to {through} of stream {stream} are not in this database: they were stored in a newer \
                      database, of which this one is an older copy"

@@ -193,8 +193,9 @@ pub(crate) struct Stored {
     pub gaps: u64,
     /// Events missing in the gaps, as far as they could be counted.
     pub missing: u64,
-    /// Those of them that were stored in another database before the host connected to this one.
-    pub missing_before: u64,
+    /// Those of them that are in another database, because the host streamed to it before.
+    #[serde(rename = "missing_before")]
+    pub in_other_database: u64,
     /// Batches that were received again and not stored again, since the aggregator started.
     pub duplicates: u64,
     /// Batches quarantined because they could not be stored.
@@ -212,12 +213,12 @@ impl Stored {
             nodes,
             gaps,
             missing,
-            missing_before,
+            in_other_database,
             duplicates,
             quarantined,
         } = stored;
         let Arrivals { deferred, damaged } = arrivals;
-        Self { events, nodes, gaps, missing, missing_before, duplicates, quarantined, deferred, damaged }
+        Self { events, nodes, gaps, missing, in_other_database, duplicates, quarantined, deferred, damaged }
     }
 }
 

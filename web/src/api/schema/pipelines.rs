@@ -87,7 +87,8 @@ pub(crate) struct Window {
     /// Iterations of any outcome per second.
     pub rate_hz: f64,
     /// Share of failed iterations (outcome `failed`, `lost` or `timeout`), 0 to 1; null without iterations.
-    pub lost_fraction: Option<f64>,
+    #[serde(rename = "lost_fraction")]
+    pub failed_fraction: Option<f64>,
     /// Share of iterations that took longer than the pipeline's deadline or failed, 0 to 1; null without a deadline or without
     /// iterations.
     pub miss_rate: Option<f64>,
@@ -198,7 +199,7 @@ impl Pipeline {
             covered_s: window.covered_s,
             counts: window.counts.into(),
             rate_hz: window.rate_hz,
-            lost_fraction: window.lost_fraction,
+            failed_fraction: window.failed_fraction,
             miss_rate: window.miss_rate,
             values: NodeFigures::from_values(&window.values),
             transfers: TransferRates::new(window),

@@ -219,7 +219,7 @@ fn silent_pipeline_empties_windows_and_disconnects_host() {
     let snapshot = testbed.snapshot(5.0);
     let windows = &snapshot.pipelines[0].windows;
     assert_eq!(windows.each_ref().map(|window| window.counts.ok), [0, 100, 100]);
-    assert!(windows[0].lost_fraction.is_none() && windows[0].rate_hz == 0.0);
+    assert!(windows[0].failed_fraction.is_none() && windows[0].rate_hz == 0.0);
     assert!(!snapshot.hosts[0].connected);
     assert_eq!(snapshot.pipelines[0].state, PipelineState::Away, "its activity is unknown");
     assert_eq!(snapshot.hosts[0].last_seen, wall(0.5));

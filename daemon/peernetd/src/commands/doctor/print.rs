@@ -114,7 +114,7 @@ fn print_database(report: &Report, now: WallTime) {
             format_age(run.last_seen_ns, now),
         ]
     });
-    print_table(&["run without end", "pipeline", "host heard of"], rows);
+    print_table(&["unfinished run", "pipeline", "host last seen"], rows);
 }
 
 fn print_spool(report: &SpoolReport, now: WallTime) {
