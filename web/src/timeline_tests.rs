@@ -90,7 +90,7 @@ fn bound_of_upload_shifts_whole_visit() {
     let visit = timeline.visit().expect("one other host");
     assert!(close(visit.arrival, 0.022));
     assert!(close(visit.shift.0, -0.000_65) && close(visit.shift.1, 0.000_63));
-    assert!(close(visit.network.expect("the sum is free of clocks"), 0.021));
+    assert!(close(visit.network.expect("the sum is independent of the clock offset"), 0.021));
 }
 
 #[test]

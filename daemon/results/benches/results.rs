@@ -5,7 +5,7 @@
 use std::hint::black_box;
 use std::sync::Arc;
 
-use peernet_analysis::compare::{Comparison, Differences, is_compared};
+use peernet_analysis::compare::{Comparison, Differences, needs_column};
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{Row, Rows};
@@ -47,7 +47,7 @@ fn main() {
         time_step("read back", &mut || drop(ResultFolder::open(temporary.path()).expect("readable")));
         let mut loaded = Vec::new();
         time_step("two for a table read back", &mut || {
-            let open = || ResultFolder::open_columns(temporary.path(), &is_compared).expect("readable");
+            let open = || ResultFolder::open_columns(temporary.path(), &needs_column).expect("readable");
             loaded = vec![open(), Loaded { folder: "another".into(), ..open() }];
         });
         time_step("table of two, ties", &mut || drop(black_box(Comparison::new(&loaded))));

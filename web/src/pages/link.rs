@@ -279,7 +279,7 @@ fn facts(subject: &Subject<'_>, snapshot: &LiveState) -> Vec<String> {
             facts.push(format!("reported {ago} ago"));
         }
     }
-    facts.extend(basis::facts(subject));
+    facts.extend(basis::trust_remarks(subject));
     facts.push(format!("times of {}'s clock", subject.edge));
     facts
 }

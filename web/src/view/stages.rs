@@ -97,7 +97,8 @@ impl StageRow {
 
     /// Returns the row of the sum of both directions.
     fn network(column: DurationFormat, part: &StagePart, share: Option<f64>) -> Self {
-        let title = "free of any clock: the round trip minus the time on the other host";
+        let title =
+            "independent of the clock offset: the round trip on this host minus the time on the other host";
         Self {
             mean: column.duration(part.seconds),
             bound: BoundCell { text: "exact".to_owned(), sign: None, title },
@@ -107,7 +108,7 @@ impl StageRow {
 
     /// Returns the rows of a stored run: the stages, the unattributed time, the total.
     pub(crate) fn of_run(stages: &[StageStatistics], bounds: &[DelayAccuracy]) -> Vec<Self> {
-        let has_own_row = |stage: &&StageStatistics| {
+        let is_listed_first = |stage: &&StageStatistics| {
             stage.unit == "s"
                 && stage.stage != "stages-total"
                 && stage.stage != "total"
@@ -118,7 +119,7 @@ impl StageRow {
         let column = stack.duration_format();
         let mut rows: Vec<Self> = stages
             .iter()
-            .filter(has_own_row)
+            .filter(is_listed_first)
             .map(|stage| {
                 Self::new(column, &stage.stage, Some(&stage.statistics), stage.bound.as_ref(), stage.share)
             })

@@ -117,7 +117,7 @@ fn is_missing(row: RowRef<'_>, name: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::super::tests::paper;
-    use crate::compare::{Comparison, is_compared};
+    use crate::compare::{Comparison, needs_column};
     use crate::loaded::Loaded;
     use crate::trust::{Publish, Report, TrustInput};
 
@@ -176,6 +176,6 @@ mod tests {
         let text = Comparison::new(&runs).text();
         assert!(text.contains(" of the configured rate: cuda:0, lan: 101 of 202 starts (50 %)."), "{text}");
         assert!(!Comparison::new(&paper()).text().contains("skipped"));
-        assert!(is_compared("skipped-starts"), "else it is not read");
+        assert!(needs_column("skipped-starts"), "else it is not read");
     }
 }

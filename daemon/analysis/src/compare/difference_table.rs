@@ -10,13 +10,13 @@ use crate::table::{CaptionedTable, Table, csv_text, interval};
 /// more precisely.
 pub(super) const MAX_MS_DECIMALS: usize = 3;
 /// Explanation of the intervals of means and medians.
-const INTERVAL_MEANING: &str = "The interval says how far the difference would vary if the same minutes were measured again \
-     (of means: Welch, from batch means; of medians: stationary bootstrap).";
+const INTERVAL_MEANING: &str = "The interval says how far the difference would vary if the runs were \
+     repeated immediately, under the same conditions (of means: Welch, from batch means; of medians: stationary bootstrap).";
 /// Explanation of an interval of means.
-pub(super) const MEAN_INTERVAL_MEANING: &str = "The interval says how far the difference would vary if the same minutes were \
-     measured again (Welch, from batch means).";
+pub(super) const MEAN_INTERVAL_MEANING: &str = "The interval says how far the difference would vary if the runs were \
+     repeated immediately, under the same conditions (Welch, from batch means).";
 pub(super) const INTERVAL_LIMITATION: &str =
-    "Changes from day to day are not part of it; only repeats show them.";
+    "Changes from day to day are not part of it; only repeats on several days show them.";
 
 impl Differences {
     /// Returns the table for people, with a caption.
@@ -109,7 +109,7 @@ impl Differences {
 
     fn notes(&self) -> String {
         let clocks = if self.stages.iter().any(|stage| stage.clocks.is_some_and(|clocks| clocks > 0.0)) {
-            " The column clocks adds the uncertainty of the clock offset, which the interval does not contain."
+            " The interval does not contain the uncertainty of the clock offset, which is in the last column."
         } else {
             ""
         };

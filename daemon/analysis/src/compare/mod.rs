@@ -293,7 +293,7 @@ fn values(rows: &Rows, column: &str) -> Vec<f64> {
 }
 
 /// Returns whether a comparison needs a column. `peernet_results::ResultFolder::open_columns` reads only such columns.
-pub fn is_compared(column: &str) -> bool {
+pub fn needs_column(column: &str) -> bool {
     let bounds = ["upload-lo", "upload-hi", "download-lo", "download-hi"];
     let columns = differences::STAGES.iter().chain(&LATENCIES).chain(&ACCURACIES).chain(&bounds);
     let columns = columns.chain(&[UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED, SUPERSEDED, FIRST_TOKEN]);

@@ -13,7 +13,7 @@ use crate::output::{print_to_stderr, print_to_stdout};
 use anyhow::anyhow;
 use clap::ValueEnum;
 use peernet_analysis::compare::{
-    Comparison, Differences, Line, Repeats, SEED, differences_to_best, is_compared,
+    Comparison, Differences, Line, Repeats, SEED, differences_to_best, needs_column,
 };
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::table::CaptionedTable;
@@ -68,7 +68,7 @@ enum Format {
 /// (73).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let CollectedResults { runs, baseline, notes, unreadable } =
-        collect(&arguments.runs, arguments.baseline.as_deref(), &is_compared)?;
+        collect(&arguments.runs, arguments.baseline.as_deref(), &needs_column)?;
     let repeats = match (arguments.apart, baseline.as_slice()) {
         (true, _) => Repeats::Separate,
         (false, []) => Repeats::Pooled,

@@ -66,7 +66,8 @@ fn histogram(record: &RunRecord, rows: &Rows, column: &str, title: &str) -> Hist
 fn negative_delays_note(column: &str, values: &SortedValues) -> Option<String> {
     let count = values.values().partition_point(|value| *value < 0.0) as u64;
     let is_delay = ["upload", "download"].contains(&column);
-    (is_delay && count > 0).then(|| format!("below zero, by the clocks' error: {}", fixed(count as f64, 0)))
+    (is_delay && count > 0)
+        .then(|| format!("below zero because of the clocks' error: {}", fixed(count as f64, 0)))
 }
 
 /// Returns a note on the bounds of the true median. The true median lies between the median of the lower clock bounds

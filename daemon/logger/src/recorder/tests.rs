@@ -116,7 +116,7 @@ fn tree_stays_within_limits_and_counts_missing_nodes() {
 }
 
 #[test]
-fn nodes_below_depth_limit_are_discarded() {
+fn nodes_deeper_than_limit_are_discarded() {
     fn descend(log: &mut Recorder, levels: usize) {
         if levels > 0 {
             let mut deeper = log.time("step".into());

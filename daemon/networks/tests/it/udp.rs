@@ -304,7 +304,7 @@ async fn small_socket_buffers_lose_messages_but_no_count() {
 }
 
 #[tokio::test]
-async fn configured_rate_is_kept() {
+async fn configured_rate_is_not_exceeded() {
     let cloud = Cloud::on_network(TestNetwork::ZmqUdp).await;
     let address = cloud.address();
     let _echo = echo_all(cloud);

@@ -375,7 +375,10 @@ async fn delay_with_wide_interval_is_drawn_as_band() {
     let html = page_of_stage(&two, "upload").await.expect("there");
     let drawn = panel(&html, "distributions");
     assert_eq!(drawn.matches("class=\"band\"").count(), 2, "{drawn}");
-    assert!(drawn.contains("ms, by the clocks 5.") && drawn.contains("median by the clocks 2."), "{drawn}");
+    assert!(
+        drawn.contains("ms, clock bounds 5.") && drawn.contains("median within the clock bounds 2."),
+        "{drawn}"
+    );
     assert_eq!(drawn.matches("chip warn").count(), 1, "only the second is limited: {drawn}");
     let html = page_of_stage(&two, "upload-throughput").await.expect("there");
     assert_eq!(

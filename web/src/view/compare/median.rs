@@ -1,4 +1,4 @@
-//! The median of a quantity in one run, with its uncertainty by the hosts' clocks.
+//! The median of a quantity in one run, with the bounds that follow from the uncertainty of the hosts' clocks.
 
 use peernet_analysis::delays::{ClockInterval, ClockedSummaries};
 use peernet_analysis::summary::Scale;
@@ -49,11 +49,11 @@ impl Median {
                 let value =
                     if unit == "s" { within_ms(value, interval.ends()) } else { without_unit(unit, value) };
                 let value = with_unit(&value, &symbol);
-                format!("median {value}, by the clocks {}{remark}", format_interval(unit, interval))
+                format!("median {value}, clock bounds {}{remark}", format_interval(unit, interval))
             }
             (Some(interval), Some(_)) => {
                 format!(
-                    "median by the clocks {}{remark}",
+                    "median within the clock bounds {}{remark}",
                     with_unit(&format_interval(unit, interval), &symbol)
                 )
             }
@@ -132,10 +132,10 @@ mod tests {
         let statistics = mergeable(0.5, Verdict::Ok, true);
         assert_eq!(
             median_text(&statistics, &stage::UPLOAD, "s"),
-            ("median 6.00 ms, by the clocks 5.50 – 6.50".to_owned(), false)
+            ("median 6.00 ms, clock bounds 5.50 – 6.50".to_owned(), false)
         );
         let (text, _) = median_text(&statistics, &stage::UPLOAD_THROUGHPUT, "bit/s");
-        assert_eq!(text, "median 25.0 MB/s, by the clocks 23.1 – 27.3");
+        assert_eq!(text, "median 25.0 MB/s, clock bounds 23.1 – 27.3");
         assert_eq!(median_text(&statistics, &stage::SENSING, "s"), ("median 0.126 ms".to_owned(), false));
         assert_eq!(Median::of(&statistics, "queue", "s"), None);
         let exact = mergeable(0.0, Verdict::Ok, true);
@@ -148,13 +148,13 @@ mod tests {
         let statistics = mergeable(0.5, Verdict::Ok, false);
         assert_eq!(
             median_text(&statistics, &stage::UPLOAD, "s").0,
-            "median 6.00 ms, by the clocks 5.50 – 6.50 (from half widths)"
+            "median 6.00 ms, clock bounds 5.50 – 6.50 (from half widths)"
         );
         let (text, _) = median_text(&statistics, &stage::UPLOAD_THROUGHPUT, "bit/s");
-        assert_eq!(text, "median 25.0 MB/s, by the clocks 23.1 – 27.3 (from half widths)");
+        assert_eq!(text, "median 25.0 MB/s, clock bounds 23.1 – 27.3 (from half widths)");
         let wide = mergeable(8.0, Verdict::Limited, false);
         let (text, _) = median_text(&wide, &stage::UPLOAD, "s");
-        assert_eq!(text, "median by the clocks 0.0 – 14.0 ms (from half widths)");
+        assert_eq!(text, "median within the clock bounds 0.0 – 14.0 ms (from half widths)");
     }
 
     #[test]
@@ -162,7 +162,7 @@ mod tests {
         let wide = mergeable(8.0, Verdict::Limited, true);
         assert_eq!(
             median_text(&wide, &stage::UPLOAD, "s"),
-            ("median by the clocks 0.0 – 14.0 ms".to_owned(), true)
+            ("median within the clock bounds 0.0 – 14.0 ms".to_owned(), true)
         );
         let median = Median::of(&wide, &stage::UPLOAD_THROUGHPUT, "bit/s").expect("samples");
         assert!(median.text.ends_with("≥ 10.7\u{202f}MB/s") && median.doubt.is_some(), "{median:?}");

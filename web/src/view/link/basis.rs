@@ -55,20 +55,20 @@ pub(crate) const fn source_words(source: DelaySource) -> &'static str {
     }
 }
 
-/// Returns the facts that limit the trust in the bounds: claims that narrow them, and probes without authentication.
-pub(crate) fn facts(subject: &Subject<'_>) -> Vec<String> {
-    let mut facts = Vec::new();
+/// Returns remarks that limit the trust in the bounds: claims that narrow them, and probes without authentication.
+pub(crate) fn trust_remarks(subject: &Subject<'_>) -> Vec<String> {
+    let mut remarks = Vec::new();
     let uses_claims = |offset: &Offset| {
         matches!(offset.source, DelaySource::Kernel | DelaySource::Chrony | DelaySource::Intersection)
     };
     if let Some(offset) = subject.offset().filter(|offset| uses_claims(offset)) {
         let has_chrony = offset.sources.iter().any(|(source, _)| *source == DelaySource::Chrony);
-        facts.push(format!("bounds as claimed by {}", if has_chrony { "chrony" } else { "the kernels" }));
+        remarks.push(format!("bounds as claimed by {}", if has_chrony { "chrony" } else { "the kernels" }));
     }
     if subject.assumptions.is_some_and(|assumptions| assumptions.probes_authenticated == Some(false)) {
-        facts.push("probes not authenticated".to_owned());
+        remarks.push("probes not authenticated".to_owned());
     }
-    facts
+    remarks
 }
 
 /// Returns the assumptions in a few words, for the row of a delay: `by free-running clocks, ρ 200 ppm, κ 1 ppm/s,
@@ -118,8 +118,11 @@ pub(crate) fn pairs(subject: &Subject<'_>, time_series: &LinkTimeSeries) -> Pair
     pairs.push(("Window", window_text(newest.grown_window)));
     let claims = match assumptions.claims_trusted {
         Some(true) => {
-            let source = subject.offset().map_or("not used now", |offset| source_words(offset.source));
-            format!("trusted, they may narrow the bound: {source}")
+            let source = subject.offset().map_or_else(
+                || "no offset is known now".to_owned(),
+                |offset| format!("source of the offset now: {}", source_words(offset.source)),
+            );
+            format!("trusted: they may narrow the bound; {source}")
         }
         Some(false) => "shown for comparison only".to_owned(),
         None => "not reported".to_owned(),

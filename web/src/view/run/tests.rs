@@ -130,7 +130,7 @@ fn stage_of_some_iterations_has_their_number() {
 }
 
 #[test]
-fn tables_of_short_run_have_digits_of_its_total() {
+fn tables_of_fast_iterations_have_digits_of_header() {
     let (mut run, mut series) = run_of_an_hour();
     let total = 18.31e-6;
     run.summary.total = Some(crate::tests::samples::figures(total, 895));

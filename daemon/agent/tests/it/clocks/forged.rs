@@ -77,8 +77,8 @@ async fn relay_probes(near: UdpSocket, reflector: SocketAddr, forged: Arc<Atomic
 /// in the stamps of its free-running clock.
 fn forge(answer: &mut [u8]) {
     let ntp = (ADDED.nanos() << 32) / 1_000_000_000;
-    let is_open = answer[4..12] != [0; 8];
-    for at in if is_open { [4, 16] } else { [16, 32] } {
+    let is_unauthenticated = answer[4..12] != [0; 8];
+    for at in if is_unauthenticated { [4, 16] } else { [16, 32] } {
         let stamp: [u8; 8] = answer[at..at + 8].try_into().expect("eight bytes");
         answer[at..at + 8].copy_from_slice(&u64::from_be_bytes(stamp).wrapping_add_signed(ntp).to_be_bytes());
     }

@@ -72,7 +72,7 @@ impl Cloud {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn probes_at_another_process_are_refused_and_reported() {
+async fn answers_of_another_process_are_refused_and_reported() {
     let listen = "127.0.0.1:0".parse().expect("an address");
     let reflector_config = ReflectorConfig {
         listen,
@@ -98,10 +98,11 @@ async fn probes_at_another_process_are_refused_and_reported() {
         reason.contains("another process")
     };
     let live = edge.until(|live| live.links.iter().any(|link| is_refused(&link.probing))).await;
-    assert!(answers.read().answered > 0, "they were answered");
+    assert!(answers.read().answered > 0, "the other process answered probes");
     // This session has no key, as with clouds of earlier releases.
-    let is_open = |basis: EstimateBasis| basis.probes_authenticated == Some(false);
-    edge.until(|live| live.links.iter().any(|link| link.latest_sample.basis.is_some_and(is_open))).await;
+    let is_unauthenticated = |basis: EstimateBasis| basis.probes_authenticated == Some(false);
+    edge.until(|live| live.links.iter().any(|link| link.latest_sample.basis.is_some_and(is_unauthenticated)))
+        .await;
     let sample = &live.links[0].latest_sample;
     assert_eq!(
         (sample.probes.answered, sample.exchanges.accepted, &sample.offset),

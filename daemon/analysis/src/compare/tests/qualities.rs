@@ -102,7 +102,7 @@ fn success_and_return_are_shown_beside_latency() {
     let without = Comparison::new(&paper()).text();
     assert!(!without.contains("success (%)") && !without.contains("superseded"), "{without}");
     for name in ["superseded", "episode-success", "episode-return"] {
-        assert!(is_compared(name), "else {name} is not read");
+        assert!(needs_column(name), "else {name} is not read");
     }
 }
 

@@ -66,7 +66,7 @@ fn negative_delays_are_noted() {
         let AnyFigure::Histogram(figure) = &drawings[0].figure else { panic!("bars") };
         figure.notes[1..].to_vec()
     };
-    assert_eq!(notes("upload"), ["below zero, by the clocks' error: 5"]);
+    assert_eq!(notes("upload"), ["below zero because of the clocks' error: 5"]);
     assert_eq!(notes("sensing"), [""; 0], "one clock");
 }
 

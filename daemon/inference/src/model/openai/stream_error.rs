@@ -23,7 +23,7 @@ pub(super) enum StreamError {
     #[error("its answer has text only in a choice with the index {0}, and the answer has the index 0")]
     OtherChoice(String),
     /// The answer ended without text, reasoning or a finish reason.
-    #[error("its server ended its answer without text")]
+    #[error("its server ended the answer without text")]
     WithoutText,
     /// The bytes are no stream of events.
     #[error("its answer of {0} bytes is no event stream")]

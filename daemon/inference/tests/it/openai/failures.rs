@@ -130,7 +130,7 @@ fn refusal_is_reported_with_text_of_server() {
             "200 OK",
             "Content-Type: text/event-stream\r\n",
             "data: [DONE]\n\n",
-            "its server ended its answer without text; the server's log says why",
+            "its server ended the answer without text; the server's log says why",
         ),
         (
             "200 OK",

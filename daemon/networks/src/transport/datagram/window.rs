@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn configured_rate_is_kept() {
+    fn configured_rate_is_reached_and_not_exceeded() {
         let mut window = SendWindow::new(TERMS, Some(8_000_000), at(0));
         let mut sent = 0;
         for millis in 0..1_000 {

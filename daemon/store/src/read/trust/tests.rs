@@ -123,7 +123,7 @@ fn restarted_process_is_reported() {
 }
 
 #[test]
-fn replayed_latencies_and_overrun_are_collected() {
+fn drawn_latencies_and_overrun_are_collected() {
     let mut run = detail("", "finished");
     run.facts.push(("Replayed".to_owned(), "inference is drawn from x".to_owned()));
     let stages = vec![node("drawn-latency", 300, 0.01), node("overrun", 300, 0.002)];

@@ -113,7 +113,7 @@ fn basis_of_bounds_lists_assumptions_and_proven_skew() {
     assert!(value_of("Probes").starts_with("not authenticated"), "{pairs:?}");
     assert_eq!(stats::all(&subject, &time_series(&link))[2].name, "Offset of the free-running clocks");
     // The offset of this link is narrowed by a claim.
-    assert_eq!(basis::facts(&subject), ["bounds as claimed by chrony", "probes not authenticated"]);
+    assert_eq!(basis::trust_remarks(&subject), ["bounds as claimed by chrony", "probes not authenticated"]);
 
     // Two hosts with one clock have no offset to show.
     link.live.same_clock = true;

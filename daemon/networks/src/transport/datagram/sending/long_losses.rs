@@ -80,7 +80,10 @@ mod tests {
     fn enough_lost_messages_for_long_enough_are_noticed() {
         assert!(after_losses(16).loses_all(16, at(1_000)));
         assert!(!after_losses(16).loses_all(16, at(999)), "not for long enough");
-        assert!(!after_losses(16).loses_all(15, at(1_000)), "given up for another reason");
+        assert!(
+            !after_losses(16).loses_all(15, at(1_000)),
+            "too few lost datagrams: the other end gave up messages for another reason"
+        );
         assert!(!after_losses(15).loses_all(16, at(1_000)), "too few messages");
     }
 
