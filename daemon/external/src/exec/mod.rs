@@ -81,7 +81,7 @@ impl Role {
         }
     }
 
-    /// Returns the role's name as it begins the names of a run's facts, such as `Sensor program`.
+    /// Returns the role's name as it begins the names of a run's facts, such as `Sensor arguments`.
     const fn fact_prefix(self) -> &'static str {
         match self {
             Self::Sensor => "Sensor",
