@@ -1,6 +1,7 @@
 #!/bin/sh
-# Installs the tools that building, testing and benchmarking need, by name, and says which and why. Touches nothing
-# that is there already; takes a moment then. Debian and Ubuntu; elsewhere it lists what to install.
+# Installs the sets of tools that the arguments name, such as the tools for tests or benchmarks, and prints each missing
+# tool with its purpose. Leaves present tools as they are; if nothing is missing, it ends within a moment. Installs on
+# Debian and Ubuntu; on other systems it lists what to install.
 # Usage: install-tools.sh build|deb|test|interop|bench…      (each includes build)
 set -eu
 
@@ -65,7 +66,7 @@ rosnode       python3-rosnode         its tools see our nodes
 /usr/lib/python3/dist-packages/sensor_msgs  python3-sensor-msgs  pictures as messages of ROS 1
 /usr/lib/python3/dist-packages/std_msgs     python3-std-msgs     texts as messages of ROS 1
 /usr/include/fastdds/dds/domain/DomainParticipant.hpp  libfastrtps-dev  Fast DDS, a middleware of ROS 2
-/usr/include/openssl/ssl.h  libssl-dev    roslibrust, beside which networks are measured
+/usr/include/openssl/ssl.h  libssl-dev    builds roslibrust, with which our ROS network is compared
 g++           build-essential   compiles programs for Fast DDS and libzmq
 ip            iproute2          network namespaces as hosts
 unshare       util-linux        network namespaces as hosts
@@ -160,7 +161,7 @@ cargo_tool() {
         || fail "$1 $2 is installed, but PATH has another version first: $(command -v "$1" || echo none)"
 }
 
-# --- schemathesis for the tests -------------------------------------------------------------------------------------
+# --- Python packages of the tests and of interop --------------------------------------------------------------------
 
 # python_environment NAME PACKAGES PURPOSE: installs deploy/NAME-requirements.txt into a virtual environment.
 python_environment() {

@@ -122,10 +122,10 @@ def build(name: str, weights: Any, seed: int, size: int) -> torch.nn.Module:
 def settle(model: torch.nn.Module, size: int) -> None:
     """Makes a random model as well-behaved as a trained one.
 
-    Its batch normalisations get the statistics that they would learn first, from random pictures of the usual kind (the
-    coarser, the stronger); without them each layer passes on less, or more, than it was given, until all answers are the
-    same. Its residual branches begin weak, as is usual in training (Goyal et al. 2017, section 5.1): otherwise a change of
-    one in a pixel would change the whole answer.
+    Its batch normalisations get mean and variance from random pictures whose coarse details are stronger than their fine
+    details, as in photographs. Without these statistics each layer passes on less, or more, than it was given, until all
+    answers are the same. Its residual branches begin weak, as is usual in training (Goyal et al. 2017, section 5.1).
+    Otherwise one pixel whose value changes by 1 would change the whole answer.
     """
     norms = [module for module in model.modules() if isinstance(module, torch.nn.modules.batchnorm._BatchNorm)]
     if not norms:
@@ -202,9 +202,9 @@ def single(length: list[int] | int) -> int:
 
 def write_onnx(model: torch.nn.Module, size: int, opset: int, file: Path) -> None:
     """The graph with its weights in one file, checked by onnx."""
-    # From torch 2.9 on the other exporter, with weights in a file of their own, is the default.
+    # Since torch 2.9 the default is the other exporter, which writes the weights to a separate file.
     choice = {"dynamo": False} if "dynamo" in inspect.signature(torch.onnx.export).parameters else {}
-    # With gradients: without them torch takes its own fused attention, which ONNX has no operator for.
+    # Not under `torch.no_grad()`: there torch uses its fused attention, for which ONNX has no operator.
     try:
         torch.onnx.export(model, torch.zeros(1, 3, size, size), str(file), input_names=["image"],
                           output_names=["logits"], opset_version=opset, **choice)
@@ -224,7 +224,7 @@ def arguments() -> argparse.ArgumentParser:
                         help="default, none (random ones, without a download), or a name such as IMAGENET1K_V1")
     parser.add_argument("--seed", type=int, default=0, help="of random weights (default: 0)")
     parser.add_argument("--batch", type=int, choices=[1], default=1,
-                        help="length of the graph's first dimension; a model of this length cannot compute batches (default: 1)")
+                        help="length of the graph's first dimension; only 1 is possible, and such a model computes no batches (default: 1)")
     parser.add_argument("--opset", type=int, default=13, help="version of ONNX's operators (default: 13)")
     parser.add_argument("--overwrite", action="store_true", help="replace folders that exist")
     return parser

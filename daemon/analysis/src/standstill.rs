@@ -22,8 +22,8 @@ pub struct RunExtent {
     pub slowest_s: f64,
 }
 
-/// Returns the length of the standstill of a run, seconds. `busy` lists the time ranges in which iterations
-/// started. The standstill is the longest pause between these ranges, or between the last range and the end of the run. `None`
+/// Returns the length of the standstill of a run, seconds. `busy` lists the time ranges in which iterations started.
+/// The standstill is the longest pause between these ranges, or between the last range and the end of the run. `None`
 /// unless this pause is longer than each of these: half of the run, ten minutes, and the slowest iteration. The time
 /// before the first range does not count, because it may be the warm-up.
 pub fn standstill(run: &RunExtent, busy: impl IntoIterator<Item = (WallTime, WallTime)>) -> Option<f64> {

@@ -21,7 +21,8 @@ const MATCHING: u8 = 8;
 const PROGRAM_STAMPS: u8 = 16;
 const RAW_CLOCKS: u8 = 32;
 
-/// Handles a packet as the prober and as the reflector. The bits of the first byte select the options above; the other bytes are the packet.
+/// Handles a packet as the prober and as the reflector. The bits of the first byte select the options above; the other
+/// bytes are the packet.
 ///
 /// # Panics
 /// If an answer has another length than its request, if two reflectors could form a loop, or if an answer is accepted

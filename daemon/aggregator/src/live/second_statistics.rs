@@ -90,9 +90,9 @@ impl SecondStatistics {
         };
         let mut values: Vec<(Name, QuantityStatistics)> = self.values.iter().filter_map(statistics).collect();
         values.sort_by(|(a, _), (b, _)| rank(a).cmp(&rank(b)));
-        // A pipeline with a deadline lists the name `DEADLINE_MISSED`, without samples in a second without any answer: then
-        // all iterations failed and missed the deadline. A sample is 1 if the answer was late and 0 otherwise, so that the
-        // sum of the samples is the number of late answers.
+        // A pipeline with a deadline lists the name `DEADLINE_MISSED`, without samples in a second without any answer:
+        // then all iterations failed and missed the deadline. A sample is 1 if the answer was late and 0 otherwise, so
+        // that the sum of the samples is the number of late answers.
         let deadline_missed = self.values.iter().find(|(name, _)| *name == *DEADLINE_MISSED);
         let late_answers = deadline_missed
             .map(|(_, summary)| (summary.moments.mean * summary.count() as f64).round() as u64);

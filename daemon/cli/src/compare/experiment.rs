@@ -13,8 +13,8 @@ use serde::Deserialize;
 use crate::experiment::{FORMAT, MAX_RECORD_BYTES, RECORD, RUNS, RunStatus};
 
 /// Number of parent folders of results that are searched for the record of their experiment. Between the results and
-/// the experiment's folder are `runs`, the run's folder if several edges send at the same time, and possibly a folder that the
-/// user made.
+/// the experiment's folder are `runs`, the run's folder if several edges send at the same time, and possibly a folder
+/// that the user made.
 const MAX_ANCESTORS: usize = 4;
 
 /// Experiments by their folders, or the error of reading their records. Runs without a readable record are compared

@@ -2,8 +2,8 @@
 //!
 //! With an upper bound U_a and a later lower bound L_b, the offset grew by at least L_b − U_a: at some time in between
 //! its rate was (L_b − U_a) / (b − a) or more. With L_a and U_b it was (U_b − L_a) / (b − a) or less. The window of the
-//! band is too short for this: over a path of 40 ms, an excess of 50 ppm shows after a quarter of an hour. The
-//! lowest point of every sixteen seconds is therefore kept for half an hour. These points serve only these bounds, not the
+//! band is too short for this: over a path of 40 ms, an excess of 50 ppm shows after a quarter of an hour. The lowest
+//! point of every sixteen seconds is therefore kept for half an hour. These points serve only these bounds, not the
 //! bounds of delays.
 
 use super::best_points::{BestPoints, InsertResult};

@@ -1,14 +1,14 @@
 //! The point estimate of the offset within the band, and its rate.
 //!
-//! The estimate keeps the lowest upper and the highest lower point of each second, after the skew is removed. It uses the points of about twenty
-//! seconds around the time of the query. The skew is the mean slope of two lines, one below all upper points and the
-//! other above all lower points. After the skew is removed, the remaining drift is a wander that is much slower than
-//! the limit of drift, so that the band of these points is much narrower. The estimate is the middle of this narrow
-//! band. The estimate is right only if the shortest delays of both directions are equal. This cannot be verified, and
-//! the bounds do not rely on it.
+//! The estimate keeps the lowest upper and the highest lower point of each second, after the skew is removed. It uses
+//! the points of about twenty seconds around the time of the query. The skew is the mean slope of two lines, one below
+//! all upper points and the other above all lower points. After the skew is removed, the remaining drift is a wander
+//! that is much slower than the limit of drift, so that the band of these points is much narrower. The estimate is the
+//! middle of this narrow band. The estimate is right only if the shortest delays of both directions are equal. This
+//! cannot be verified, and the bounds do not rely on it.
 //!
-//! The points that `slots` keeps are unsuitable for the estimate. A slot keeps the point that bounds later times best. If
-//! the clocks drift apart at the limit, this is the first or the last point of the slot, whatever its delay.
+//! The points that `slots` keeps are unsuitable for the estimate. A slot keeps the point that bounds later times best.
+//! If the clocks drift apart at the limit, this is the first or the last point of the slot, whatever its delay.
 
 use std::sync::OnceLock;
 

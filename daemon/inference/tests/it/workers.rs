@@ -6,7 +6,8 @@ use peernet_logger::{HostId, Recorder};
 
 use super::{Answer, answer, bank, clock, jpeg, loaded, pictures, quality_control, run};
 
-/// Returns the answers of a model with this configuration to all pictures of the demo, which are submitted at the same time.
+/// Returns the answers of a model with this configuration to all pictures of the demo, which are submitted at the same
+/// time.
 fn answers(more: &str) -> Vec<Answer> {
     let bank = bank(&[&quality_control(more)]);
     let pool = loaded(&bank, "qc");

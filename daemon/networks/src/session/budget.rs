@@ -10,7 +10,8 @@ use crate::transport::Frames;
 /// Counts the bytes of requests from their arrival until their last owner drops them. The last owner is the model, or
 /// the network while it sends the bytes back.
 ///
-/// If many large requests arrive at the same time, some are answered with "overloaded", so that they do not fill the memory.
+/// If many large requests arrive at the same time, some are answered with "overloaded", so that they do not fill the
+/// memory.
 #[derive(Debug)]
 pub(super) struct RequestBudget {
     max_bytes: u64,

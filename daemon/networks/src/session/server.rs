@@ -214,7 +214,8 @@ impl Server {
                 "the cloud has {open_sessions} sessions already; close some or raise max_sessions there"
             ));
         }
-        // Sessions that are not accepted yet count, too; otherwise a host could ask for any number of sessions at the same time.
+        // Sessions that are not accepted yet count, too; otherwise a host could ask for any number of sessions at the
+        // same time.
         let host_sessions = self.sessions.values().filter(|entry| entry.host == host).count();
         let free = max - (open_sessions - host_sessions);
         // Rounded up, so that the last free session can be opened.

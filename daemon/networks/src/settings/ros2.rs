@@ -12,8 +12,8 @@ const DEPTH_RANGE: (u64, u64) = (1, QosProfile::MAX_DEPTH as u64);
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Ros2SessionSettings {
-    /// Reliability of payloads: whether lost payloads are sent again. The *companion* of a payload, the message with its
-    /// header and tree, is always reliable.
+    /// Reliability of payloads: whether lost payloads are sent again. The *companion* of a payload, the message with
+    /// its header and tree, is always reliable.
     pub reliability: Reliability,
     /// Number of payloads that a topic keeps until they are taken.
     pub depth: u32,

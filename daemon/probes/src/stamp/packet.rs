@@ -1,5 +1,5 @@
-//! The base packets of session-sender and session-reflector in both modes (RFC 8762, sections 4.2 and 4.3, with the session identifier of RFC
-//! 8972, section 3). All numbers are big-endian.
+//! The base packets of session-sender and session-reflector in both modes (RFC 8762, sections 4.2 and 4.3, with the
+//! session identifier of RFC 8972, section 3). All numbers are big-endian.
 
 use super::auth::{CODE_BYTES, Key};
 use super::timestamp::ErrorEstimate;
@@ -53,7 +53,8 @@ impl Mode {
         if key.is_some() { Self::Authenticated } else { Self::Unauthenticated }
     }
 
-    /// Returns the length of the base packet, which is the same for session-sender and session-reflector. TLVs follow it.
+    /// Returns the length of the base packet, which is the same for session-sender and session-reflector. TLVs follow
+    /// it.
     pub const fn base_bytes(self) -> usize {
         match self {
             Self::Unauthenticated => 44,

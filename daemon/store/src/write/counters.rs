@@ -164,7 +164,8 @@ impl Counters {
                 Entry::Occupied(entry) => entry.into_mut(),
                 Entry::Vacant(entry) => {
                     let mut stored = read_total(connection, counts.id).await?;
-                    // `in_other_database` is a sum over the table of gaps, which already has the gaps of this transaction.
+                    // `in_other_database` is a sum over the table of gaps, which already has the gaps of this
+                    // transaction.
                     stored.in_other_database =
                         stored.in_other_database.saturating_sub(counts.added.in_other_database);
                     entry.insert(stored)
@@ -202,8 +203,8 @@ impl HostCounts {
 }
 
 impl StoredCounts {
-    /// Makes the counts from columns of `host` and the number of its missing events that are in another database: events,
-    /// nodes, gaps, missing, quarantined, in another database.
+    /// Makes the counts from columns of `host` and the number of its missing events that are in another database:
+    /// events, nodes, gaps, missing, quarantined, in another database.
     pub(super) fn from_columns(
         (events, nodes, gaps, missing, quarantined, in_other_database): (i64, i64, i64, i64, i64, i64),
     ) -> Self {

@@ -37,8 +37,8 @@ const MIN_HELLO_INTERVAL: Duration = Duration::from_millis(10);
 /// Longest interval between two hellos of an edge.
 const MAX_HELLO_INTERVAL: Duration = Duration::from_millis(500);
 
-/// Number of messages of the largest length that may be incomplete at the same time: messages that are being received, and
-/// messages of which only the companion or the payload has arrived.
+/// Number of messages of the largest length that may be incomplete at the same time: messages that are being received,
+/// and messages of which only the companion or the payload has arrived.
 const MAX_INCOMPLETE_MESSAGES: u64 = 6;
 
 /// Maximum number of deliveries that wait to be received.
