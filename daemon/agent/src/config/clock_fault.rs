@@ -33,7 +33,7 @@ pub struct ClockFaultStepConfig {
     pub clock: SteppedClock,
 }
 
-/// Claim of a host with clock faults about its clock.
+/// Claim that a host with clock faults makes about its clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ClaimPolicy {
