@@ -22,7 +22,10 @@ async fn runs_with_episodes_are_drawn_over_time() {
     assert_eq!(panel.matches("<figure>").count(), 2, "{panel}");
     assert!(panel.contains(&format!("<a href=\"/runs/{first}#course\">#{first}</a>")), "{panel}");
     // Four iterations failed, one of them during the warm-up.
-    assert!(panel.contains("4 episodes of 100 steps, 4 failed, points of "), "{panel}");
+    assert!(
+        panel.contains("4 episodes of 100 steps, 3 failed, 1 in the warm-up failed, points of "),
+        "{panel}"
+    );
     assert_eq!(path(panel, "border").matches('M').count(), 3, "{panel}");
     assert_eq!(path(panel, "lost").matches('M').count(), 4, "{panel}");
     assert!(!path(panel, "median").is_empty() && panel.contains("class=\"f-inference\""), "{panel}");
@@ -30,7 +33,11 @@ async fn runs_with_episodes_are_drawn_over_time() {
 
     let run = dashboard.get(&format!("/runs/{first}")).await;
     assert!(run.text().contains("id=\"course\""), "{}", run.text());
-    assert!(run.text().contains("<span class=\"sub\">4 episodes of 100 steps, 4 failed</span>"));
+    assert!(
+        run.text().contains(
+            "<span class=\"sub\">4 episodes of 100 steps, 3 failed, 1 in the warm-up failed</span>"
+        )
+    );
     let data = run.text().split("id=\"data\">").nth(1).and_then(|rest| rest.split('<').next()).expect("data");
     let data: serde_json::Value = serde_json::from_str(data).expect("JSON");
     let length = |name: &str| data[name].as_array().map(Vec::len);
