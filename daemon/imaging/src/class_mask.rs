@@ -1,4 +1,4 @@
-//! Masks of segmentations: PNG files whose samples are the numbers of classes.
+//! Masks of segmentations: PNG files whose pixel values are class numbers.
 
 use std::io::Cursor;
 
@@ -8,15 +8,16 @@ use png::{BitDepth, ColorType, DecodingError};
 use crate::size::check_size;
 use crate::{ImageError, Picture};
 
-/// Decodes a mask: the samples of an indexed or grey PNG file of 1 to 8 bits, as they are, one byte per pixel. The colours of the
-/// palette have no meaning.
+/// Decodes a mask: an indexed or grey PNG file of 1 to 8 bits per pixel. Each byte of the result is the class number of a
+/// pixel. In an indexed file the palette indices are the class numbers; the colours of the palette have no meaning.
 ///
 /// # Errors
-/// If the file is no such PNG file, is damaged or truncated, or is too large.
+/// If the file is not such a PNG file, is damaged or truncated, or is too large.
 pub fn decode_class_mask(file: &[u8]) -> Result<Picture, ImageError> {
-    let damaged = |error: DecodingError| wrong(printable_line(&error.to_string()).trim_end_matches('.'));
-    // Not with the crate `image`, which replaces the numbers of a palette by its colours.
-    let mut reader = png::Decoder::new(Cursor::new(file)).read_info().map_err(damaged)?;
+    let decoding_error =
+        |error: DecodingError| damaged_png(printable_line(&error.to_string()).trim_end_matches('.'));
+    // The crate `image` cannot decode masks, because it replaces palette indices by colours.
+    let mut reader = png::Decoder::new(Cursor::new(file)).read_info().map_err(decoding_error)?;
     let (width, height) = (reader.info().width, reader.info().height);
     check_size(u64::from(width), u64::from(height))?;
     let bits = match reader.output_color_type() {
@@ -24,27 +25,30 @@ pub fn decode_class_mask(file: &[u8]) -> Result<Picture, ImageError> {
         (ColorType::Indexed | ColorType::Grayscale, BitDepth::Two) => 2,
         (ColorType::Indexed | ColorType::Grayscale, BitDepth::Four) => 4,
         (ColorType::Indexed | ColorType::Grayscale, BitDepth::Eight) => 8,
-        _ => return Err(wrong("a mask has a palette or is grey, with at most 8 bits per pixel")),
+        _ => return Err(damaged_png("a mask has a palette or is grey, with at most 8 bits per pixel")),
     };
-    let line_bytes = reader.output_line_size(width).ok_or_else(|| wrong("its rows are too long"))?;
-    let size = reader.output_buffer_size().ok_or_else(|| wrong("it is too large"))?;
-    let mut packed = vec![0; size];
-    reader.next_frame(&mut packed).map_err(damaged)?;
+    let row_bytes = reader.output_line_size(width).ok_or_else(|| damaged_png("its rows are too long"))?;
+    let size = reader.output_buffer_size().ok_or_else(|| damaged_png("it is too large"))?;
+    let mut packed_rows = vec![0; size];
+    reader.next_frame(&mut packed_rows).map_err(decoding_error)?;
     let pixels = if bits == 8 {
-        packed
+        packed_rows
     } else {
-        packed.chunks_exact(line_bytes).flat_map(|line| unpack(line, bits).take(width as usize)).collect()
+        packed_rows.chunks_exact(row_bytes).flat_map(|row| unpack(row, bits).take(width as usize)).collect()
     };
     Picture::new(PixelFormat::Grey8, width, height, pixels)
 }
 
-/// Returns the samples of a row, of which each byte has several; the first is in the highest bits.
-fn unpack(line: &[u8], bits: u32) -> impl Iterator<Item = u8> {
-    let samples = (0..8 / bits).rev();
-    line.iter().flat_map(move |byte| samples.clone().map(move |at| (byte >> (at * bits)) & ((1 << bits) - 1)))
+/// Returns the pixel values of a row in which each byte has several values of `bits` bits; the first value is in the
+/// highest bits.
+fn unpack(row: &[u8], bits: u32) -> impl Iterator<Item = u8> {
+    let positions = (0..8 / bits).rev();
+    row.iter().flat_map(move |byte| {
+        positions.clone().map(move |position| (byte >> (position * bits)) & ((1 << bits) - 1))
+    })
 }
 
-fn wrong(reason: &str) -> ImageError {
+fn damaged_png(reason: &str) -> ImageError {
     ImageError::Damaged { format: "png", reason: reason.to_owned() }
 }
 
@@ -52,7 +56,7 @@ fn wrong(reason: &str) -> ImageError {
 mod tests {
     use super::*;
 
-    /// Returns a PNG file of packed rows.
+    /// Returns a PNG file with the given packed rows.
     fn png(color: ColorType, depth: BitDepth, (width, height): (u32, u32), rows: &[u8]) -> Vec<u8> {
         let mut file = Vec::new();
         let mut encoder = png::Encoder::new(&mut file, width, height);
@@ -69,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn samples_are_numbers_of_classes() {
+    fn pixel_values_are_class_numbers() {
         for (color, depth, rows, expected) in [
             (ColorType::Indexed, BitDepth::Eight, &[0, 3, 255, 1, 2, 0][..], [0, 3, 255, 1, 2, 0]),
             (ColorType::Grayscale, BitDepth::Eight, &[0, 3, 255, 1, 2, 0], [0, 3, 255, 1, 2, 0]),
@@ -83,10 +87,10 @@ mod tests {
     }
 
     #[test]
-    fn other_files_are_refused_with_reason() {
+    fn file_that_is_no_mask_is_refused_with_reason() {
         let colours = png(ColorType::Rgb, BitDepth::Eight, (1, 1), &[1, 2, 3]);
-        let deep = png(ColorType::Grayscale, BitDepth::Sixteen, (1, 1), &[1, 2]);
-        for file in [&colours, &deep] {
+        let sixteen_bits = png(ColorType::Grayscale, BitDepth::Sixteen, (1, 1), &[1, 2]);
+        for file in [&colours, &sixteen_bits] {
             let error = decode_class_mask(file).expect_err("is no mask").to_string();
             assert!(error.contains("a mask has a palette or is grey"), "{error}");
         }

@@ -27,7 +27,8 @@ pub fn crop(picture: &Picture, crop: Crop, target: &mut Picture) -> Result<(), I
     let (picture_width, picture_height) = (picture.width(), picture.height());
     let x = x.unwrap_or_else(|| picture_width.saturating_sub(width) / 2);
     let y = y.unwrap_or_else(|| picture_height.saturating_sub(height) / 2);
-    let is_inside = |start: u32, length: u32, of: u32| start.checked_add(length).is_some_and(|end| end <= of);
+    let is_inside =
+        |start: u32, length: u32, limit: u32| start.checked_add(length).is_some_and(|end| end <= limit);
     if !is_inside(x, width, picture_width) || !is_inside(y, height, picture_height) {
         return Err(ImageError::Outside {
             width,
@@ -39,13 +40,13 @@ pub fn crop(picture: &Picture, crop: Crop, target: &mut Picture) -> Result<(), I
         });
     }
     let channels = picture.format().channels() as usize;
-    let (row, cut) = (picture_width as usize * channels, width as usize * channels);
-    let rows = picture.pixels().chunks_exact(row).skip(y as usize);
+    let (row_bytes, crop_bytes) = (picture_width as usize * channels, width as usize * channels);
+    let rows = picture.pixels().chunks_exact(row_bytes).skip(y as usize);
     let pixels = target.reshape(picture.format(), width, height);
     // The pixels of a row are contiguous, so each row is one copy.
-    for (to, from) in pixels.chunks_exact_mut(cut).zip(rows) {
+    for (to, from) in pixels.chunks_exact_mut(crop_bytes).zip(rows) {
         let start = x as usize * channels;
-        to.copy_from_slice(&from[start..start + cut]);
+        to.copy_from_slice(&from[start..start + crop_bytes]);
     }
     Ok(())
 }

@@ -1,10 +1,10 @@
 //! Decoding of files to pixels.
 //!
-//! JPEG is decoded at full size, by a SIMD decoder. Decoding at a half, a quarter or an eighth of the size, which the
-//! format allows, was measured and is not used: entropy decoding takes most of the time and stays the same, the pixels
-//! change, and the one decoder in Rust that offers it is at half the size not faster than this one at full size (for
-//! four pictures of 1 to 2 megapixels 4.0, 5.5, 7.8 and 15.3 ms against 3.3, 4.4, 7.1 and 15.5 ms). The pictures of a
-//! batch are decoded at the same time instead, by the caller.
+//! JPEG is decoded at full size, by a SIMD decoder. The format also allows decoding at a half, a quarter or an eighth of
+//! the size, which does not pay off: it changes the pixels, and it does not shorten the entropy decoding, which takes
+//! most of the time. The only Rust decoder that has this feature takes 4.0, 5.5, 7.8 and 15.3 ms at half the size for four
+//! pictures of 1 to 2 megapixels; the decoder used here takes 3.3, 4.4, 7.1 and 15.5 ms at full size. The caller decodes
+//! the pictures of a batch in parallel instead.
 
 use std::io::Cursor;
 
@@ -21,14 +21,16 @@ use crate::limits::MAX_SIDE;
 use crate::size::{check_size, pixels_size};
 use crate::{ImageError, Picture};
 
-const JPEG: &[u8] = &[0xff, 0xd8, 0xff];
-const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
+/// First bytes of a JPEG file.
+const JPEG_SIGNATURE: &[u8] = &[0xff, 0xd8, 0xff];
+/// First bytes of a PNG file.
+const PNG_SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
 
 /// Returns the format of a file by its first bytes, regardless of its name and description.
 pub(crate) fn detect_format(file: &[u8]) -> Result<MediaType, ImageError> {
     match file {
-        file if file.starts_with(JPEG) => Ok(MediaType::Jpeg),
-        file if file.starts_with(PNG) => Ok(MediaType::Png),
+        file if file.starts_with(JPEG_SIGNATURE) => Ok(MediaType::Jpeg),
+        file if file.starts_with(PNG_SIGNATURE) => Ok(MediaType::Png),
         _ => Err(ImageError::UnknownFormat),
     }
 }
@@ -39,8 +41,8 @@ pub(crate) fn detect_format(file: &[u8]) -> Result<MediaType, ImageError> {
 /// [`turn_upright`](crate::turn_upright).
 ///
 /// # Errors
-/// If the file has another format, is damaged or truncated, or is too large. The contents of `picture` are undefined
-/// then.
+/// If the file has another format, is damaged or truncated, or is too large. After an error the contents of `picture`
+/// are undefined.
 pub fn decode(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result<(), ImageError> {
     if detect_format(file)? == MediaType::Jpeg {
         decode_jpeg(file, format, picture)
@@ -52,7 +54,7 @@ pub fn decode(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result
 /// Reads the picture in a payload part into `picture`: a file is decoded, pixels are copied.
 ///
 /// # Errors
-/// As [`decode`], and if the part is not a picture.
+/// Those of [`decode`], and if the part is not a picture.
 pub fn read_part(part: &Part, format: PixelFormat, picture: &mut Picture) -> Result<(), ImageError> {
     match &part.description.media {
         MediaType::Jpeg | MediaType::Png => decode(&part.bytes, format, picture),
@@ -74,7 +76,7 @@ fn decode_jpeg(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Resul
     decoder.decode_into(target).map_err(|error| jpeg_error(&error))
 }
 
-/// Decoder that has read the header, with the size from the header after its check.
+/// Decoder that has read the header, and the size in the header, which is within the limits.
 pub(crate) struct OpenedImage<D> {
     pub(crate) decoder: D,
     pub(crate) width: u32,
@@ -93,7 +95,7 @@ pub(crate) fn open_jpeg(
     Ok(OpenedImage { decoder, width, height })
 }
 
-/// Returns the options of the JPEG decoder.
+/// Returns the options with which the JPEG decoder yields pixels of the given format and refuses damaged files.
 fn jpeg_options(format: PixelFormat) -> DecoderOptions {
     let colours = match format {
         PixelFormat::Rgb8 => ColorSpace::RGB,

@@ -12,8 +12,8 @@ use crate::{ImageError, Picture};
 pub enum Encoding {
     /// Baseline JPEG.
     Jpeg {
-        /// Quality on libjpeg's scale, 1 (small) to 100 (good); values outside are clamped. Colour has full
-        /// resolution from 90 on, and half of it in both directions below, as is usual.
+        /// Quality on libjpeg's scale, 1 (small) to 100 (good); values outside are clamped. From 90 on, colour has full
+        /// resolution; below 90 it has half the resolution in both directions, as in most encoders.
         quality: u8,
     },
     /// PNG, lossless, with fast compression.
@@ -25,7 +25,7 @@ pub enum Encoding {
 /// # Errors
 /// If the picture is empty, or larger than the format allows.
 pub fn encode(picture: &Picture, encoding: Encoding) -> Result<Part, ImageError> {
-    // This is an estimate of the file's size, so that the buffer rarely grows.
+    // The capacity is an estimate of the file's size, so that the buffer rarely grows.
     let mut file = Vec::with_capacity(picture.pixels().len() / 8 + 1024);
     let media = match encoding {
         Encoding::Jpeg { quality } => {
@@ -49,7 +49,7 @@ fn write_jpeg(picture: &Picture, quality: u8, file: &mut Vec<u8>) -> Result<(), 
         PixelFormat::Grey8 => jpeg_encoder::ColorType::Luma,
     };
     let mut encoder = jpeg_encoder::Encoder::new(file, quality);
-    // As libjpeg does, which compressed the pictures that most models were trained on.
+    // libjpeg averages, too, and most models were trained on pictures that libjpeg compressed.
     encoder.set_chroma_subsampling_method(jpeg_encoder::ChromaSubsamplingMethod::Average);
     encoder
         .encode(picture.pixels(), side(picture.width())?, side(picture.height())?, colours)

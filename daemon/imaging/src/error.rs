@@ -21,7 +21,7 @@ pub enum ImageError {
         /// Message of the decoder.
         reason: String,
     },
-    /// The picture has no pixels, or more than this program accepts.
+    /// The picture has no pixels, too many pixels or too long a side.
     #[error(
         "a size of {width} × {height} pixels is not supported: each side has 1 to {MAX_SIDE} pixels, \
          and a picture has at most {MAX_PIXELS} pixels"
@@ -46,7 +46,7 @@ pub enum ImageError {
         /// Number of bytes in the payload.
         actual: u64,
     },
-    /// The description of decoded pixels does not have the three numbers height, width, channels.
+    /// The shape in the description of decoded pixels is not height, width and the number of channels.
     #[error("its description gives the shape {0:?} instead of height, width and channels")]
     Shape(Vec<u32>),
     /// The rectangle reaches beyond the picture.

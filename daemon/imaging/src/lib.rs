@@ -1,8 +1,8 @@
 //! Pictures: reading their size, decoding, resizing, cropping, padding, encoding.
 //!
 //! Pictures are JPEG and PNG files, and decoded pixels of one byte per channel, as [`peernet_sample`] describes them.
-//! All functions write into a [`Picture`] that the caller keeps, so that a stream of pictures of one size allocates
-//! memory once. Input is untrusted: all bytes give a picture or an [`ImageError`], and a picture beyond [`MAX_PIXELS`] is
+//! Functions write into a [`Picture`] that the caller keeps, so that a stream of pictures of one size allocates memory
+//! once. Input is untrusted: any bytes lead to a picture or an [`ImageError`], and a picture beyond [`MAX_PIXELS`] is
 //! refused before memory is allocated for it.
 //!
 //! The crate is separate, because the transforms of sensors and the preprocessing of models both need it and must not

@@ -1,7 +1,7 @@
-//! Limits of the size of a picture.
+//! Limits on the size of a picture.
 
 /// Maximum number of pixels of a picture: 8192 × 8192, which is 192 MiB in colour.
-// A file of a few bytes can announce any size.
+// Without a limit, a file of a few bytes could make the decoder allocate any amount of memory.
 pub const MAX_PIXELS: u64 = 1 << 26;
 
 /// Longest side of a picture, pixels.

@@ -20,13 +20,14 @@ pub enum Orientation {
 }
 
 impl Orientation {
-    /// Returns whether this is the default.
+    /// Returns whether the pixels stay as they are stored, which is the default.
     pub fn is_stored(&self) -> bool {
         *self == Self::Stored
     }
 }
 
-/// Turns the picture that was read from a part upright. Without a valid EXIF tag, it stays as it is.
+/// Turns `picture`, which was read from `part`, upright as the EXIF tag in the file states. Without a valid tag the
+/// picture stays unchanged.
 ///
 /// # Errors
 /// If the header of the file cannot be read.
@@ -54,6 +55,7 @@ fn turn_picture(picture: &Picture, tag: Tag) -> Picture {
     let pixels = target.reshape(picture.format(), columns as u32, rows as u32);
     for (row, line) in pixels.chunks_exact_mut(columns * channels).enumerate() {
         for (column, pixel) in line.chunks_exact_mut(channels).enumerate() {
+            // Position in `picture` of the pixel that belongs at this row and column of `target`.
             let (x, y) = match tag {
                 Tag::NoTransforms => (column, row),
                 Tag::FlipHorizontal => (width - 1 - column, row),
@@ -79,7 +81,7 @@ mod tests {
     use super::*;
     use crate::{decode, read_part};
 
-    /// EXIF data of one entry, the orientation.
+    /// Returns EXIF data whose only entry is the orientation.
     fn exif(orientation: u8) -> Vec<u8> {
         let mut exif = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0".to_vec();
         exif.extend([orientation, 0, 0, 0, 0, 0, 0, 0]);
@@ -96,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn each_orientation_is_turned_like_by_image_crate() {
+    fn orientations_agree_with_image_crate() {
         for number in 1..=8 {
             let part = jpeg(&exif(number));
             let mut picture = Picture::default();

@@ -3,7 +3,7 @@
 use crate::size::check_size;
 use crate::{ImageError, Picture};
 
-/// Place of a picture in a larger one, and what surrounds it.
+/// Position of a picture in a larger one, and the value of the bytes around it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Padding {
     /// Width of the larger picture, pixels.
@@ -14,20 +14,21 @@ pub struct Padding {
     pub x: u32,
     /// Upper edge of the picture in the larger one, pixels.
     pub y: u32,
-    /// Value of each byte beside the picture.
+    /// Value of each byte of the larger picture outside the smaller one.
     pub fill: u8,
 }
 
 /// Copies `picture` into a larger picture, `target`.
 ///
 /// # Errors
-/// If the larger size is not permitted, or if the picture reaches beyond it.
+/// If one of the sizes is not permitted, or if the picture at its position reaches beyond the larger size.
 pub fn pad(picture: &Picture, padding: Padding, target: &mut Picture) -> Result<(), ImageError> {
     let Padding { width, height, x, y, fill } = padding;
     check_size(u64::from(width), u64::from(height))?;
     // An empty picture would make `chunks_exact` panic.
     check_size(u64::from(picture.width()), u64::from(picture.height()))?;
-    let is_inside = |start: u32, length: u32, of: u32| start.checked_add(length).is_some_and(|end| end <= of);
+    let is_inside =
+        |start: u32, length: u32, limit: u32| start.checked_add(length).is_some_and(|end| end <= limit);
     if !is_inside(x, picture.width(), width) || !is_inside(y, picture.height(), height) {
         return Err(ImageError::Outside {
             width: picture.width(),
@@ -39,17 +40,19 @@ pub fn pad(picture: &Picture, padding: Padding, target: &mut Picture) -> Result<
         });
     }
     let channels = picture.format().channels() as usize;
-    let (row, pasted) = (width as usize * channels, picture.width() as usize * channels);
+    let (row_bytes, picture_row_bytes) = (width as usize * channels, picture.width() as usize * channels);
     let pixels = target.reshape(picture.format(), width, height);
-    let (above, rest) = pixels.split_at_mut(y as usize * row);
-    let (beside, below) = rest.split_at_mut(picture.height() as usize * row);
+    let (above, from_picture) = pixels.split_at_mut(y as usize * row_bytes);
+    let (picture_rows, below) = from_picture.split_at_mut(picture.height() as usize * row_bytes);
     above.fill(fill);
     below.fill(fill);
     let start = x as usize * channels;
-    for (to, from) in beside.chunks_exact_mut(row).zip(picture.pixels().chunks_exact(pasted)) {
+    for (to, from) in
+        picture_rows.chunks_exact_mut(row_bytes).zip(picture.pixels().chunks_exact(picture_row_bytes))
+    {
         to[..start].fill(fill);
-        to[start..start + pasted].copy_from_slice(from);
-        to[start + pasted..].fill(fill);
+        to[start..start + picture_row_bytes].copy_from_slice(from);
+        to[start + picture_row_bytes..].fill(fill);
     }
     Ok(())
 }
@@ -73,7 +76,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn padded_picture_can_be_cut_out_again(w in 1u32..6, h in 1u32..6, x in 0u32..4, y in 0u32..4, size in 1u32..9) {
+        fn cropping_undoes_padding(w in 1u32..6, h in 1u32..6, x in 0u32..4, y in 0u32..4, size in 1u32..9) {
             let pixels: Vec<u8> = (1..=w * h).map(|number| number as u8).collect();
             let picture = Picture::new(PixelFormat::Grey8, w, h, pixels).expect("fits");
             let (mut target, mut back) = (Picture::default(), Picture::default());

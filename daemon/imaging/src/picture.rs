@@ -8,7 +8,8 @@ use crate::size::{check_length, pixel_bytes};
 
 /// Decoded pixels, rows from top to bottom, without padding, one byte per channel.
 ///
-/// Also the buffer that decoding, resizing and cropping write into; the default is empty, 0 × 0.
+/// Decoding, resizing, cropping and padding use a picture as the buffer for their result. The default is an empty
+/// picture, 0 × 0.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Picture {
     format: PixelFormat,
@@ -24,10 +25,10 @@ impl Default for Picture {
 }
 
 impl Picture {
-    /// Creates a picture of given pixels.
+    /// Creates a picture from its pixels.
     ///
     /// # Errors
-    /// If the size is not permitted, or does not fit the number of bytes.
+    /// If the size is not permitted, or contradicts the number of bytes.
     pub fn new(format: PixelFormat, width: u32, height: u32, pixels: Vec<u8>) -> Result<Self, ImageError> {
         check_length(format, width, height, pixels.len())?;
         Ok(Self { format, width, height, pixels })
@@ -59,7 +60,8 @@ impl Picture {
         Part { description, bytes: Bytes::from(self.pixels) }
     }
 
-    /// Changes format and size, and returns the pixels to be written; their contents are undefined.
+    /// Changes format and size, and returns the bytes of the pixels. Their values are undefined until the caller
+    /// overwrites them.
     pub(crate) fn reshape(&mut self, format: PixelFormat, width: u32, height: u32) -> &mut [u8] {
         (self.format, self.width, self.height) = (format, width, height);
         // The allocation is reused, so that a stream of pictures of one size allocates memory once.
@@ -67,7 +69,7 @@ impl Picture {
         &mut self.pixels
     }
 
-    /// Copies `pixels` into this picture, converted to another order of channels.
+    /// Copies `pixels` of the format `from` into this picture, converted to the format `to`.
     pub(crate) fn assign(
         &mut self,
         from: PixelFormat,
@@ -95,7 +97,7 @@ impl Picture {
     }
 }
 
-/// Returns the brightness by ITU-R BT.601, the weights of JPEG, in 16-bit fixed point.
+/// Returns the brightness of a colour, with the weights of ITU-R BT.601, which JPEG uses, in 16-bit fixed point.
 fn luma([r, g, b]: [u8; 3]) -> u8 {
     let sum = 19_595 * u32::from(r) + 38_470 * u32::from(g) + 7_471 * u32::from(b);
     ((sum + 0x8000) >> 16) as u8

@@ -16,24 +16,24 @@ use crate::{ImageError, Picture};
 pub enum Filter {
     /// The nearest pixel: fast and coarse.
     Nearest,
-    /// The mean of a box.
+    /// The mean of the pixels in a box.
     Box,
-    /// Linear in both directions.
+    /// Linear interpolation in both directions.
     #[default]
     Bilinear,
-    /// Cubic (Catmull-Rom, a = −0.5): sharper.
+    /// Cubic interpolation (Catmull-Rom, a = −0.5): sharper.
     Bicubic,
     /// Lanczos with three lobes: sharpest and slowest.
     Lanczos,
 }
 
-/// Filter, and whether it widens when a picture becomes smaller.
+/// Filter, and whether it averages over all source pixels when a picture becomes smaller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Scaling {
     /// Filter that combines pixels.
     pub filter: Filter,
-    /// `true` to average over all source pixels when the picture becomes smaller. Otherwise only the nearest pixels
-    /// count, the same number as when the picture becomes larger; some models were trained with such pictures.
+    /// `true` to average over all source pixels when the picture becomes smaller. `false` to combine only the nearest
+    /// pixels, as many as when the picture becomes larger; some models were trained with such pictures.
     pub antialias: bool,
 }
 
@@ -60,7 +60,7 @@ impl Scaling {
     }
 }
 
-/// Scales pictures; its working memory is reused for the next picture.
+/// Scales pictures, and keeps its working memory for the next picture.
 #[derive(Default)]
 pub struct Resizer(fir::Resizer);
 
@@ -86,7 +86,7 @@ impl Resizer {
         check_size(u64::from(width), u64::from(height))?;
         let format = picture.format();
         let pixels = target.reshape(format, width, height);
-        // The library's call for any type of pixel would put its code for sixteen types into the program: 6 MB.
+        // The library's untyped function would link code for sixteen pixel types into the program, which is 6 MB.
         let resized = match format {
             PixelFormat::Rgb8 => {
                 self.resize_pixels::<fir::pixels::U8x3>(picture, width, height, scaling.into(), pixels)
@@ -136,34 +136,34 @@ mod tests {
         let mut target = Picture::default();
         for filter in [Filter::Box, Filter::Bilinear, Filter::Bicubic, Filter::Lanczos] {
             Resizer::new().resize(&checkerboard(64), 8, 8, filter, &mut target).expect("fits");
-            let far = target.pixels().iter().filter(|grey| grey.abs_diff(128) > 12).count();
-            assert_eq!(far, 0, "{filter:?}: {:?}", target.pixels());
+            let deviating = target.pixels().iter().filter(|grey| grey.abs_diff(128) > 12).count();
+            assert_eq!(deviating, 0, "{filter:?}: {:?}", target.pixels());
         }
     }
 
     #[test]
     fn without_antialias_only_nearest_pixels_count() {
-        // Pixel 0 of 8 in a row of 64 is at 3.5: halfway between a white and a black pixel, regardless of the pixels
-        // beside them.
-        let mut lone = vec![0; 64];
-        lone[3] = 200;
-        let row = Picture::new(PixelFormat::Grey8, 64, 1, lone).expect("fits");
+        // A row of 64 pixels shrinks to 8. The centre of the new first pixel is halfway between pixel 3 (200) and
+        // pixel 4 (0).
+        let mut pixels = vec![0; 64];
+        pixels[3] = 200;
+        let row = Picture::new(PixelFormat::Grey8, 64, 1, pixels).expect("fits");
         let mut target = Picture::default();
-        let mut first = |antialias| {
+        let mut first_pixel = |antialias| {
             let scaling = Scaling { filter: Filter::Bilinear, antialias };
             Resizer::new().resize(&row, 8, 1, scaling, &mut target).expect("fits");
             target.pixels()[0]
         };
-        assert_eq!(first(false), 100);
-        assert!(first(true) < 30, "the mean of about sixteen");
+        assert_eq!(first_pixel(false), 100);
+        assert!(first_pixel(true) < 30, "the filter covers about sixteen pixels");
     }
 
     #[test]
     fn uniform_picture_stays_uniform_when_resized() {
-        let plain = Picture::new(PixelFormat::Rgb8, 7, 5, [10, 200, 30].repeat(35)).expect("fits");
+        let uniform = Picture::new(PixelFormat::Rgb8, 7, 5, [10, 200, 30].repeat(35)).expect("fits");
         let (mut resizer, mut target) = (Resizer::new(), Picture::default());
         for (width, height) in [(1, 1), (3, 9), (20, 2), (7, 5)] {
-            resizer.resize(&plain, width, height, Filter::Bilinear, &mut target).expect("fits");
+            resizer.resize(&uniform, width, height, Filter::Bilinear, &mut target).expect("fits");
             assert_eq!(target.pixels(), [10, 200, 30].repeat((width * height) as usize));
         }
     }

@@ -11,7 +11,7 @@ pub(crate) fn pixel_bytes(format: PixelFormat, width: u32, height: u32) -> u64 {
     u64::from(width) * u64::from(height) * u64::from(format.channels())
 }
 
-/// Checks that a description of decoded pixels is permitted and fits their bytes.
+/// Checks that a size of decoded pixels is permitted, and that `actual` is the number of bytes of such pixels.
 pub(crate) fn check_length(
     format: PixelFormat,
     width: u32,
@@ -26,7 +26,7 @@ pub(crate) fn check_length(
     Ok(())
 }
 
-/// Returns width and height of decoded pixels, after a check against their bytes.
+/// Returns width and height of decoded pixels, after the check that the part has as many bytes.
 pub(crate) fn pixels_size(part: &Part, format: PixelFormat) -> Result<(u32, u32), ImageError> {
     let shape = &part.description.shape;
     let &[height, width, channels] = shape.as_slice() else {
@@ -39,7 +39,7 @@ pub(crate) fn pixels_size(part: &Part, format: PixelFormat) -> Result<(u32, u32)
     Ok((width, height))
 }
 
-/// Refuses sizes that are empty or would take too much memory.
+/// Returns an error if a side is zero or too long, or if there would be too many pixels.
 pub(crate) fn check_size(width: u64, height: u64) -> Result<(), ImageError> {
     // The sides are checked first, so that their product cannot overflow.
     let sides = 1..=MAX_SIDE;

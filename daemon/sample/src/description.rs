@@ -32,9 +32,9 @@ pub enum MediaType {
     Tensor,
     /// UTF-8 text.
     Text,
-    /// A JSON document: the answer of a model (`peernet-inference` defines its keys).
+    /// A JSON document, such as the answer of a model; `peernet-inference` defines the keys of answers.
     Json,
-    /// Any other media type, by its IANA name.
+    /// Any other media type, with its IANA name.
     Other(String),
 }
 
@@ -70,7 +70,7 @@ pub enum ElementType {
     F64,
     /// 64-bit signed integer.
     I64,
-    /// Truth value, one byte: 0 or 1.
+    /// Boolean, one byte: 0 or 1.
     Bool,
     /// Signed byte.
     I8,
@@ -116,7 +116,8 @@ impl Description {
         Self::unshaped(MediaType::Bytes)
     }
 
-    /// Returns the number of bytes of a part with this shape; `None` if it has no shape, or if the number overflows.
+    /// Returns the number of bytes of a part with this description; `None` if the description has no shape, or if the
+    /// number overflows.
     pub fn shaped_bytes(&self) -> Option<u64> {
         let mut dimensions = self.shape.iter().map(|length| u64::from(*length));
         self.element.and_then(|element| dimensions.try_fold(element.bytes(), u64::checked_mul))
@@ -139,11 +140,12 @@ mod tests {
     #[test]
     fn shape_determines_number_of_bytes() {
         assert_eq!(Description::pixels(PixelFormat::Rgb8, 4, 3).shaped_bytes(), Some(36));
-        let of = |shape: &[u32]| {
+        let tensor_bytes = |shape: &[u32]| {
             let (shape, element) = (shape.to_vec(), Some(ElementType::F64));
             Description { media: MediaType::Tensor, shape, element }.shaped_bytes()
         };
-        assert_eq!((of(&[]), of(&[2, 0]), of(&[u32::MAX; 3])), (Some(8), Some(0), None));
+        let lengths = (tensor_bytes(&[]), tensor_bytes(&[2, 0]), tensor_bytes(&[u32::MAX; 3]));
+        assert_eq!(lengths, (Some(8), Some(0), None));
         assert_eq!(Description::bytes().shaped_bytes(), None);
     }
 

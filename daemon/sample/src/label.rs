@@ -1,4 +1,4 @@
-//! Labels: expected answers as words, as data sets and models write them.
+//! Class labels as text: comparison regardless of the spelling, and lists of labels for messages.
 
 use crate::printable::printable_line;
 
@@ -7,14 +7,14 @@ const MAX_EXAMPLES: usize = 5;
 /// Longest word that is shown in full, characters.
 const MAX_SHOWN_CHARS: usize = 40;
 
-/// Returns the normal form of a label; labels with equal forms name one class. Case is ignored, and hyphens and
-/// underscores count as spaces.
+/// Returns the normal form of a label: in lower case, with spaces instead of hyphens and underscores. Labels with the
+/// same normal form name the same class.
 // Folders are often named `Golden_Retriever` for the class `golden retriever`.
 pub fn normalized_label(label: &str) -> String {
     label.trim().chars().map(|c| if matches!(c, '_' | '-') { ' ' } else { c.to_ascii_lowercase() }).collect()
 }
 
-/// Returns the first words as a list for people: `tench, goldfish, …`.
+/// Returns the first words as a list for messages: `tench, goldfish, …`.
 pub fn list_examples<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
     let mut words = words.into_iter();
     let mut shown: Vec<String> = words.by_ref().take(MAX_EXAMPLES).map(shorten).collect();
@@ -22,6 +22,7 @@ pub fn list_examples<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
     shown.join(", ")
 }
 
+/// Returns a word as printable text of at most [`MAX_SHOWN_CHARS`] characters.
 fn shorten(word: &str) -> String {
     let word = printable_line(word);
     if word.chars().count() <= MAX_SHOWN_CHARS {

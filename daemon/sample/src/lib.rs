@@ -1,7 +1,7 @@
 //! Samples: typed payload parts, each with a short description.
 //!
-//! Payloads are [`Bytes`]: cloning a sample copies no payload. `description` describes the bytes; `media` has the
-//! IANA names of media types, for other programs.
+//! Payloads are [`Bytes`]: cloning a sample copies no payload. `description` has the types that describe
+//! the bytes; `media` has the IANA names of media types, for other programs.
 
 mod description;
 mod label;
@@ -21,7 +21,7 @@ use bytes::Bytes;
 /// Sample of a sensor, or answer of a model, with its payload.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sample {
-    /// The payload, in one or several parts (two cameras, an image and its depth).
+    /// The payload in one or several parts, such as the images of two cameras, or an image and its depth.
     pub parts: Vec<Part>,
     /// Origin of the sample, such as a file name; may be empty.
     pub source: String,
@@ -29,7 +29,7 @@ pub struct Sample {
     pub label: Option<String>,
 }
 
-/// One part of a sample.
+/// One part of a sample or answer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Part {
     /// Description of the bytes.

@@ -1,4 +1,4 @@
-//! Label of a picture with classes of pixels: the expected answer of a segmentation.
+//! Label with the class of each pixel of a picture: the expected answer of a segmentation.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,19 +7,19 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MaskLabel {
-    /// Path of the mask on the host of the sensor: an indexed or grey PNG file, whose samples are the numbers of classes.
+    /// Path of the mask on the host of the sensor: an indexed or grey PNG file whose pixel values are class numbers.
     pub mask: String,
 }
 
 impl MaskLabel {
-    /// Reads the label of a sample. Returns `None` if it is another label, such as the name of a class.
+    /// Reads the label of a sample. Returns `None` if the label has another form, such as the name of a class.
     pub fn parse(label: &str) -> Option<Self> {
         label.starts_with('{').then(|| serde_json::from_str(label).ok())?
     }
 
     /// Returns the text of the label.
     pub fn format(&self) -> String {
-        // Texts always have a form in JSON.
+        // Writing a string as JSON cannot fail.
         serde_json::to_string(self).unwrap_or_default()
     }
 }

@@ -9,7 +9,7 @@ const GREY8: &str = "image/x-grey8";
 const TENSOR: &str = "application/x-tensor";
 
 impl MediaType {
-    /// Returns the name: a registered one (`image/jpeg`), or one with `x-` if none is registered.
+    /// Returns the IANA name, such as `image/jpeg`; a name with `x-` if IANA has registered none.
     pub fn iana(&self) -> Cow<'_, str> {
         Cow::Borrowed(match self {
             Self::Bytes => "application/octet-stream",
@@ -24,7 +24,7 @@ impl MediaType {
         })
     }
 
-    /// Returns the media type with that name; case is ignored.
+    /// Returns the media type with an IANA name; case is ignored.
     pub fn from_iana(name: &str) -> Self {
         // Names of media types are not case-sensitive (RFC 2045, section 5.1).
         let lower = name.to_ascii_lowercase();

@@ -1,4 +1,4 @@
-//! Labels of a picture with objects: the expected answer of a detector.
+//! Label with the objects in a picture: the expected answer of a detector.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,13 +8,14 @@ use serde::{Deserialize, Serialize};
 pub struct ObjectsLabel {
     /// The objects in the picture; may be empty.
     pub objects: Vec<LabelledObject>,
-    /// Width of the picture in which the boxes are, pixels. The sample's picture may have another size, in the same proportions.
+    /// Width of the picture that the boxes refer to, pixels. The sample's picture may have another size with the same
+    /// proportions.
     pub width: u32,
-    /// Height of that picture, pixels.
+    /// Height of the picture that the boxes refer to, pixels.
     pub height: u32,
 }
 
-/// An object in a picture, with its class and its place.
+/// An object in a picture, with its class and its position.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LabelledObject {
     /// Class of the object.
@@ -25,7 +26,7 @@ pub struct LabelledObject {
 }
 
 impl ObjectsLabel {
-    /// Reads the label of a sample. Returns `None` if it is another label, such as the name of a class.
+    /// Reads the label of a sample. Returns `None` if the label has another form, such as the name of a class.
     pub fn parse(label: &str) -> Option<Self> {
         let label: Self = label.starts_with('{').then(|| serde_json::from_str(label).ok())??;
         let is_valid =
@@ -35,13 +36,14 @@ impl ObjectsLabel {
 
     /// Returns the text of the label.
     pub fn format(&self) -> String {
-        // Texts and numbers always have a form in JSON.
+        // Writing strings and numbers as JSON cannot fail.
         serde_json::to_string(self).unwrap_or_default()
     }
 }
 
 impl LabelledObject {
-    /// Returns whether the edges are finite numbers in their order.
+    /// Returns whether the edges are finite, the left edge is not right of the right edge, and the top edge is not below
+    /// the bottom edge.
     pub fn is_valid(&self) -> bool {
         let [left, top, right, bottom] = self.edges;
         self.edges.iter().all(|edge| edge.is_finite()) && left <= right && top <= bottom
@@ -62,9 +64,9 @@ mod tests {
     }
 
     #[test]
-    fn other_labels_are_no_objects() {
-        let with = |objects: &str| format!(r#"{{"objects": [{objects}], "width": 4, "height": 3}}"#);
-        assert!(ObjectsLabel::parse(&with(r#"{"label": "a", "box": [0, 0, 1, 1]}"#)).is_some());
+    fn label_of_other_form_is_not_parsed() {
+        let label_with = |objects: &str| format!(r#"{{"objects": [{objects}], "width": 4, "height": 3}}"#);
+        assert!(ObjectsLabel::parse(&label_with(r#"{"label": "a", "box": [0, 0, 1, 1]}"#)).is_some());
         for label in [
             "good".to_owned(),
             String::new(),
@@ -73,9 +75,9 @@ mod tests {
             r#"[{"label": "a", "box": [0, 0, 1, 1]}]"#.to_owned(),
             r#"{"objects": []}"#.to_owned(),
             r#"{"objects": [], "width": 0, "height": 3}"#.to_owned(),
-            with(r#"{"label": "a", "box": [0, 0, 1]}"#),
-            with(r#"{"label": "a", "box": [2, 0, 1, 1]}"#),
-            with(r#"{"label": "a"}"#),
+            label_with(r#"{"label": "a", "box": [0, 0, 1]}"#),
+            label_with(r#"{"label": "a", "box": [2, 0, 1, 1]}"#),
+            label_with(r#"{"label": "a"}"#),
         ] {
             assert_eq!(ObjectsLabel::parse(&label), None, "{label}");
         }

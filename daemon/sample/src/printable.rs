@@ -8,13 +8,13 @@ pub fn printable_line(text: &str) -> Cow<'_, str> {
     replace_chars(text, is_unprintable)
 }
 
-/// Returns the text as [`printable_line`] does, but keeps line feeds: for texts of several lines such as tracebacks.
+/// Returns the text as [`printable_line`] does, but keeps line feeds; for texts of several lines, such as tracebacks.
 pub fn printable_lines(text: &str) -> Cow<'_, str> {
     replace_chars(text, |char| char != '\n' && is_unprintable(char))
 }
 
-/// Returns bytes as one line of text: each control character, each byte that is no UTF-8, and each character that [`printable_line`]
-/// replaces is shown as an escape such as `\u{1b}` or `\xff`, so that a reader sees what was written.
+/// Returns bytes as one line of text. An escape such as `\u{1b}` or `\xff` stands for each byte that is not valid UTF-8
+/// and for each character that [`printable_line`] replaces, so that a reader sees which bytes were written.
 pub fn escaped_line(bytes: &[u8]) -> String {
     let mut line = String::with_capacity(bytes.len());
     for chunk in bytes.utf8_chunks() {

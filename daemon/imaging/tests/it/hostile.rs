@@ -26,9 +26,13 @@ fn checksum(bytes: &[u8]) -> u32 {
 fn truncated_file_is_an_error() {
     for encoding in [Encoding::Png, Encoding::Jpeg { quality: 85 }] {
         let file = file(encoding);
-        // Only the end marker may be missing: the picture is complete without it.
+        // The last bytes are excluded: without its end marker, a file still has the complete picture.
         for length in 0..file.len() - 24 {
-            assert!(try_decode(&file[..length]).is_err(), "{encoding:?} cut to {length} of {}", file.len());
+            assert!(
+                try_decode(&file[..length]).is_err(),
+                "{encoding:?} truncated to {length} of {}",
+                file.len()
+            );
         }
     }
 }
@@ -91,7 +95,7 @@ proptest! {
         png: bool,
         quality in 1u8..=100,
         damage in proptest::collection::vec((any::<proptest::sample::Index>(), any::<u8>()), 1..12),
-        cut in any::<proptest::sample::Index>(),
+        length in any::<proptest::sample::Index>(),
     ) {
         let mut bytes = file(if png { Encoding::Png } else { Encoding::Jpeg { quality } });
         for (at, byte) in damage {
@@ -99,14 +103,14 @@ proptest! {
             bytes[at] = byte;
         }
         let _ = (probe(&bytes), try_decode(&bytes));
-        bytes.truncate(cut.index(bytes.len()));
+        bytes.truncate(length.index(bytes.len()));
         let _ = (probe(&bytes), try_decode(&bytes));
     }
 
     #[test]
-    fn bytes_after_valid_start_never_panic(png: bool, rest in proptest::collection::vec(any::<u8>(), 0..300)) {
+    fn bytes_after_valid_start_never_panic(png: bool, tail in proptest::collection::vec(any::<u8>(), 0..300)) {
         let mut bytes = if png { b"\x89PNG\r\n\x1a\n".to_vec() } else { vec![0xff, 0xd8, 0xff] };
-        bytes.extend(rest);
+        bytes.extend(tail);
         let _ = (probe(&bytes), try_decode(&bytes));
     }
 }

@@ -24,7 +24,7 @@ proptest! {
     }
 
     #[test]
-    fn pixels_travel_as_they_are(picture in picture()) {
+    fn pixels_round_trip_as_part(picture in picture()) {
         let part = picture.clone().into_part();
         let mut back = Picture::default();
         read_part(&part, picture.format(), &mut back).expect("fits");
@@ -46,7 +46,7 @@ proptest! {
 }
 
 #[test]
-fn jpeg_is_near_and_nearer_at_higher_quality() {
+fn jpeg_error_falls_with_quality() {
     for format in [PixelFormat::Rgb8, PixelFormat::Grey8] {
         let original = scene(format, 161, 83);
         let mut last = (f64::MAX, 0);
@@ -61,7 +61,7 @@ fn jpeg_is_near_and_nearer_at_higher_quality() {
             assert!(error < last.0 && part.bytes.len() > last.1, "{format:?} {quality}: {error}");
             last = (error, part.bytes.len());
         }
-        assert!(last.0 < 2.0, "{format:?}: {} of 255 apart at quality 97", last.0);
+        assert!(last.0 < 2.0, "{format:?}: mean error of {} at quality 97", last.0);
     }
 }
 
@@ -81,7 +81,7 @@ fn file_is_decoded_to_requested_channels() {
 }
 
 #[test]
-fn buffer_serves_pictures_of_any_size_in_turn() {
+fn buffer_is_reused_for_pictures_of_other_sizes() {
     let mut buffer = Picture::default();
     for (width, height) in [(64, 48), (8, 8), (100, 3)] {
         let original = scene(PixelFormat::Rgb8, width, height);
