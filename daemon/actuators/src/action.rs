@@ -2,7 +2,7 @@
 
 use peernet_sample::Sample;
 
-/// Answer to act on, with the sample that it belongs to.
+/// Answer to act on, with the position of its sample in the run.
 #[derive(Clone, Copy, Debug)]
 pub struct Action<'a> {
     /// The answer.

@@ -12,7 +12,7 @@ pub enum ActuatorError {
     /// The command of a program cannot be run.
     #[error("cannot run the program of an exec actuator: {0}")]
     Command(CommandError),
-    /// The program did not act.
+    /// The program did not start or did not act.
     #[error("the program {command}: {error}")]
     Program {
         /// The program without its arguments, which may be secret.
@@ -42,17 +42,19 @@ pub enum ActuatorError {
     /// The answer cannot be published on the topic.
     #[error(transparent)]
     Topic(#[from] TopicError),
-    /// Answers would not be published on the topic at present.
+    /// At present, answers cannot be published on the topic.
     #[error("{0}")]
     NotPublished(String),
     /// The answer is not text, and the topic carries only text.
-    #[error("cannot publish an answer of the type {media} as text on topic {topic}; set type = \"{bytes}\"")]
+    #[error(
+        "cannot publish an answer of the type {media} as text on topic {topic}; set type = \"{bytes_type}\""
+    )]
     NotText {
         /// Media type of the answer.
         media: String,
         /// The topic.
         topic: String,
-        /// Message type that carries any answer.
-        bytes: &'static str,
+        /// Message type for answers of any type.
+        bytes_type: &'static str,
     },
 }

@@ -9,8 +9,8 @@ use peernet_logger::{Name, Recorder, Unit, stage};
 
 use crate::{Action, Actuator, ActuatorError, ActuatorKind, Feedback};
 
-/// Program that receives each answer and replies after it has acted.
-struct Exec {
+/// Actuator that passes each answer to a program, which replies after it has acted.
+struct ExecActuator {
     command: String,
     program: Program,
     resets: bool,
@@ -20,12 +20,12 @@ impl ActuatorKind for ExecConfig {
     fn build(&self, clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError> {
         let command = self.command.to_string();
         match Program::start(self, Role::Actuator, &format!("actuator {command}"), clock) {
-            Ok(program) => Ok(Box::new(Exec { command, program, resets: self.resets })),
+            Ok(program) => Ok(Box::new(ExecActuator { command, program, resets: self.resets })),
             Err(error) => Err(ActuatorError::Program { command, error }),
         }
     }
 
-    // Any reply of the program may end the episode; the configuration does not say whether one will.
+    // Any reply may end the episode, and the configuration does not say whether the program ever sends such a reply.
     fn ends_episodes(&self) -> bool {
         true
     }
@@ -52,17 +52,17 @@ impl ActuatorKind for ExecConfig {
     }
 }
 
-impl Exec {
-    fn failed(&self, error: ProgramCallError) -> ActuatorError {
+impl ExecActuator {
+    fn program_error(&self, error: ProgramCallError) -> ActuatorError {
         ActuatorError::Program { command: self.command.clone(), error }
     }
 }
 
-impl Actuator for Exec {
+impl Actuator for ExecActuator {
     fn act(&mut self, action: Action<'_>, recorder: &mut Recorder) -> Result<Feedback, ActuatorError> {
         let request = Request::Answer { answer: action.answer, source: action.source };
-        let program_call = self.program.call(request).map_err(|error| self.failed(error))?;
-        program_call.check_stages_of_action().map_err(|error| self.failed(error))?;
+        let program_call = self.program.call(request).map_err(|error| self.program_error(error))?;
+        program_call.check_stages_of_action().map_err(|error| self.program_error(error))?;
         if let Some((from, to)) = program_call.restart_interval() {
             recorder.record_timer(stage::ACTUATION_RESTART, from, to);
         }
@@ -85,7 +85,7 @@ impl Actuator for Exec {
     }
 
     fn reset(&mut self) -> Result<(), ActuatorError> {
-        self.program.reset().map_err(|error| self.failed(error))
+        self.program.reset().map_err(|error| self.program_error(error))
     }
 
     fn blocks(&self) -> bool {
@@ -124,8 +124,10 @@ mod tests {
         let answer = Sample::from_part(Description::unshaped(MediaType::Text), "left".into());
         actuator.act(Action::first(&answer, "door"), &mut recorder).expect("acts");
         assert_eq!(recorder.tree().find(&["force"]).and_then(|(_, node)| node.measure.value()), Some(2.5));
-        let error =
-            actuator.act(Action::first(&answer, "wall"), &mut recorder).expect_err("says so").to_string();
+        let error = actuator
+            .act(Action::first(&answer, "wall"), &mut recorder)
+            .expect_err("the program reports an error")
+            .to_string();
         assert!(error.contains("too close"), "{error}");
         let written = std::fs::read_to_string(&file).expect("was written");
         assert_eq!(written, "answer text/plain door: left\nanswer text/plain wall: left\n");
@@ -144,9 +146,13 @@ mod tests {
             let mut recorder = Recorder::new(SharedClock::clone(&clock), HostId::random());
             let answer = Sample::from_part(Description::unshaped(MediaType::Text), answer.into());
             assert_eq!(actuator.act(Action::first(&answer, "door"), &mut recorder).is_ok(), acts);
-            let waited =
+            let restart_seconds =
                 recorder.tree().find(&["actuation-restart"]).and_then(|(_, node)| node.measure.value());
-            assert_eq!(waited.is_some_and(|seconds| seconds >= 0.3), restarted, "{waited:?}");
+            assert_eq!(
+                restart_seconds.is_some_and(|seconds| seconds >= 0.3),
+                restarted,
+                "{restart_seconds:?}"
+            );
         }
     }
 
@@ -221,6 +227,10 @@ mod tests {
         let config = ActuatorConfig::Exec(config);
         let error = config.check(&clock).expect_err("is not there").to_string();
         assert!(error.contains("no-such-program-anywhere"), "{error}");
-        assert_eq!(config.try_build(&clock).expect_err("is not there").to_string(), error, "in a trial, too");
+        assert_eq!(
+            config.try_build(&clock).expect_err("is not there").to_string(),
+            error,
+            "try_build() finds the same error"
+        );
     }
 }

@@ -31,8 +31,8 @@ use serde::{Deserialize, Serialize};
 
 /// Acts on the answers of a model.
 pub trait Actuator: Send {
-    /// Acts on an answer, and returns what the controlled system reports about the action. Values and stages beside the
-    /// duration are recorded in `recorder`.
+    /// Acts on an answer, and returns what the controlled system reports about the action. Records stages and values of
+    /// the action in `recorder`; the caller records the duration.
     ///
     /// # Errors
     /// If the action fails; the iteration is recorded as failed.
@@ -56,7 +56,7 @@ pub trait Actuator: Send {
         Vec::new()
     }
 
-    /// Returns whether `act` may block, so it must not run on an I/O thread.
+    /// Returns whether `act` may block. If so, it must not run on an I/O thread.
     fn blocks(&self) -> bool {
         false
     }
@@ -68,11 +68,11 @@ pub trait ActuatorKind {
     /// Builds the actuator; `clock` is the clock of its deadlines.
     ///
     /// # Errors
-    /// If its program cannot be started.
+    /// If the custom code cannot be started, or if the configuration is not valid.
     fn build(&self, clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError>;
 
-    /// Finds what would prevent actions now, as far as that is possible without acting: creates the custom object,
-    /// connects to the controller, or asks the ROS master, and ends again. May block for some seconds.
+    /// Finds conditions that would make an action fail now, without acting: creates the custom object, connects to the
+    /// controller or asks the ROS master, and then closes what it opened. May block for some seconds.
     ///
     /// # Errors
     /// Those of [`check`](Self::check), and everything that would make each action fail now.
@@ -91,7 +91,7 @@ pub trait ActuatorKind {
     }
 
     /// Returns facts for the run's page that are known without building the actuator; none if answers are not acted
-    /// on. Reads its files.
+    /// on. Reads the files that the configuration names.
     fn facts(&self) -> Vec<(String, String)>;
 
     /// Returns whether this kind runs a custom program, whose arguments are published as a fingerprint only.
@@ -99,7 +99,8 @@ pub trait ActuatorKind {
         false
     }
 
-    /// Returns the fact that distinguishes programs with different arguments; the arguments themselves may be secret.
+    /// Returns a fact with a fingerprint of the program's arguments: different arguments have different fingerprints. The
+    /// arguments themselves may be secret.
     fn arguments_fact(&self, _key: &FingerprintKey) -> Option<(String, String)> {
         None
     }
@@ -123,8 +124,8 @@ pub trait ActuatorKind {
         Ok(())
     }
 
-    /// Returns conditions that prevent actions now although [`check`](Self::check) finds no error, as texts. May ask
-    /// other hosts for some seconds. Runs no custom code.
+    /// Returns texts about conditions that prevent actions now although [`check`](Self::check) finds no error. May wait
+    /// some seconds for other hosts. Runs no custom code.
     fn remarks(&self, clock: &SharedClock) -> Vec<String> {
         self.try_build(clock).err().map(|error| error.to_string()).into_iter().collect()
     }

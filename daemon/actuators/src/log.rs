@@ -14,7 +14,7 @@ pub struct LogActuatorConfig {}
 
 impl ActuatorKind for LogActuatorConfig {
     fn build(&self, _clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError> {
-        Ok(Box::new(Log))
+        Ok(Box::new(LogActuator))
     }
 
     fn facts(&self) -> Vec<(String, String)> {
@@ -22,18 +22,18 @@ impl ActuatorKind for LogActuatorConfig {
     }
 }
 
-/// Actuator that writes one line per answer: label and score of a classification, otherwise the size.
-struct Log;
+/// Actuator that logs one line per answer: label and score of a classification, and the size of any other answer.
+struct LogActuator;
 
-/// Part of a classifier's answer that is logged.
+/// Keys of a classifier's answer that are logged.
 #[derive(Debug, PartialEq, Deserialize)]
 struct Classification {
     label: String,
     score: f64,
 }
 
-impl Actuator for Log {
-    fn act(&mut self, action: Action<'_>, _log: &mut Recorder) -> Result<Feedback, ActuatorError> {
+impl Actuator for LogActuator {
+    fn act(&mut self, action: Action<'_>, _recorder: &mut Recorder) -> Result<Feedback, ActuatorError> {
         let Action { answer, source, .. } = action;
         match classification(answer) {
             Some(Classification { label, score }) => tracing::info!(source, label, score, "answer"),
@@ -63,10 +63,11 @@ mod tests {
 
     use super::*;
 
+    /// Log output that the test can read.
     #[derive(Clone, Default)]
-    struct Lines(Arc<Mutex<Vec<u8>>>);
+    struct LogBuffer(Arc<Mutex<Vec<u8>>>);
 
-    impl Write for Lines {
+    impl Write for LogBuffer {
         fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
             self.0.lock().expect("no test panics while writing").extend_from_slice(bytes);
             Ok(bytes.len())
@@ -77,34 +78,34 @@ mod tests {
         }
     }
 
-    fn logged(answer: &Sample) -> String {
+    fn log_output(answer: &Sample) -> String {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("b", "c"));
         let clock: SharedClock = Arc::new(clock);
         let mut actuator = LogActuatorConfig {}.build(&clock).expect("needs nothing");
-        let mut log = Recorder::new(clock, HostId::random());
-        let lines = Lines::default();
-        let writer = lines.clone();
+        let mut recorder = Recorder::new(clock, HostId::random());
+        let buffer = LogBuffer::default();
+        let writer = buffer.clone();
         let subscriber =
             tracing_subscriber::fmt().with_ansi(false).with_writer(move || writer.clone()).finish();
         tracing::subscriber::with_default(subscriber, || {
-            actuator.act(Action::first(answer, "part-1.jpg"), &mut log).expect("only logs");
+            actuator.act(Action::first(answer, "part-1.jpg"), &mut recorder).expect("only logs");
         });
-        let text = lines.0.lock().expect("no test panics while writing").clone();
+        let text = buffer.0.lock().expect("no test panics while writing").clone();
         String::from_utf8(text).expect("is text")
     }
 
     #[test]
-    fn classification_logs_label_and_other_answers_size() {
+    fn log_shows_label_or_size_of_answer() {
         let json = |text: &'static str| {
             Sample::from_part(Description::unshaped(MediaType::Json), text.as_bytes().into())
         };
         let line =
-            logged(&json(r#"{"label":"dented","score":0.98,"top":[{"label":"dented","score":0.98}]}"#));
+            log_output(&json(r#"{"label":"dented","score":0.98,"top":[{"label":"dented","score":0.98}]}"#));
         for part in ["INFO", "part-1.jpg", "dented", "0.98"] {
             assert!(line.contains(part), "{line}");
         }
-        assert!(logged(&json(r#"{"boxes":[]}"#)).contains("bytes=12"));
-        assert!(logged(&json("{")).contains("bytes=1"));
-        assert!(logged(&Sample::from_part(Description::bytes(), vec![0; 5].into())).contains("bytes=5"));
+        assert!(log_output(&json(r#"{"boxes":[]}"#)).contains("bytes=12"));
+        assert!(log_output(&json("{")).contains("bytes=1"));
+        assert!(log_output(&Sample::from_part(Description::bytes(), vec![0; 5].into())).contains("bytes=5"));
     }
 }

@@ -35,7 +35,7 @@ impl ActuatorKind for NoneConfig {
 struct NoActuator;
 
 impl Actuator for NoActuator {
-    fn act(&mut self, _action: Action<'_>, _log: &mut Recorder) -> Result<Feedback, ActuatorError> {
+    fn act(&mut self, _action: Action<'_>, _recorder: &mut Recorder) -> Result<Feedback, ActuatorError> {
         Ok(Feedback::default())
     }
 }

@@ -9,18 +9,18 @@ use peernet_logger::{Recorder, stage};
 
 use crate::{Action, Actuator, ActuatorError, ActuatorKind, Feedback};
 
-/// Python object that receives each answer.
-struct Python {
+/// Actuator that passes each answer to a Python object.
+struct PythonActuator {
     name: String,
     object: PythonObject,
 }
 
 impl ActuatorKind for PythonConfig {
-    /// Starts its process and creates the object.
+    /// Starts the Python process and creates the object in it.
     fn build(&self, clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError> {
         let name = format!("actuator {}", self.object);
         let object = PythonObject::start(self, Role::Actuator, &name, None, clock)?;
-        Ok(Box::new(Python { name: self.object.clone(), object }))
+        Ok(Box::new(PythonActuator { name: self.object.clone(), object }))
     }
 
     fn try_build(&self, clock: &SharedClock) -> Result<(), ActuatorError> {
@@ -36,7 +36,7 @@ impl ActuatorKind for PythonConfig {
         true
     }
 
-    // The object itself states its facts, so that they are known only after it is created.
+    // Only the created object can state its facts; see `Actuator::facts()`.
     fn facts(&self) -> Vec<(String, String)> {
         Vec::new()
     }
@@ -50,15 +50,15 @@ impl ActuatorKind for PythonConfig {
     }
 }
 
-impl Actuator for Python {
+impl Actuator for PythonActuator {
     fn act(&mut self, action: Action<'_>, recorder: &mut Recorder) -> Result<Feedback, ActuatorError> {
-        let called = self.object.call(&action.answer.parts);
-        let started_at = called.times.started_at;
-        if let Some(from) = called.times.restarted_at {
+        let call = self.object.call(&action.answer.parts);
+        let started_at = call.times.started_at;
+        if let Some(from) = call.times.restarted_at {
             recorder.record_timer(stage::ACTUATION_RESTART, from, started_at);
         }
-        recorder.record_timer(stage::ACTUATION_IPC, started_at, started_at + called.times.overhead());
-        let parts = called.result?.unwrap_or_default();
+        recorder.record_timer(stage::ACTUATION_IPC, started_at, started_at + call.times.overhead());
+        let parts = call.result?.unwrap_or_default();
         let Some(part) = parts.first() else { return Ok(Feedback::default()) };
         Feedback::from_json(&part.bytes)
             .map_err(|reason| ActuatorError::Feedback { actuator: self.name.clone(), reason })

@@ -12,7 +12,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Action, Actuator, ActuatorError, ActuatorKind, Feedback};
 
-/// Number of subscribers that did not get the answer, because they are too slow and their queues are full.
+/// Number of messages of the answer that subscribers did not get, because the subscribers are too slow and their queues
+/// are full.
 const DROPPED_ANSWERS: Name = Name::from_static("dropped-answers");
 
 /// Configuration of the actuator: `{ kind = "ros", … }`. Each part of an answer is published as a message.
@@ -68,11 +69,12 @@ impl RosActuatorConfig {
 }
 
 impl ActuatorKind for RosActuatorConfig {
-    /// Publishes the topic now, so that subscribers are connected before the first answer. If the master does not answer,
-    /// each answer tries again.
+    /// Announces the topic now, so that subscribers are connected before the first answer is published. If the ROS master
+    /// does not answer, each action tries again.
     fn build(&self, clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError> {
         let (version, _) = self.check_topic_and_type()?;
-        let mut ros = Ros { config: self.clone(), version, clock: SharedClock::clone(clock), writer: None };
+        let mut ros =
+            RosActuator { config: self.clone(), version, clock: SharedClock::clone(clock), writer: None };
         if let Err(error) = ros.writer() {
             tracing::warn!(topic = self.topic, %error, "cannot publish answers on a topic yet; each answer tries again");
         }
@@ -99,28 +101,28 @@ impl ActuatorKind for RosActuatorConfig {
     }
 }
 
-/// Topic on which answers are published.
-struct Ros {
+/// Actuator that publishes answers on a topic.
+struct RosActuator {
     config: RosActuatorConfig,
     version: RosVersion,
     clock: SharedClock,
-    /// The publisher; `None` while no master answers, and after its node has ended.
+    /// The publisher; `None` while no master answers, and after the node of the publisher has ended.
     writer: Option<TopicWriter>,
 }
 
-impl Ros {
+impl RosActuator {
     fn writer(&mut self) -> Result<&TopicWriter, TopicError> {
         let RosActuatorConfig { topic, message_type, .. } = &self.config;
         Ok(match &mut self.writer {
             Some(writer) => writer,
-            none => none.insert(message_type.open(self.version, topic, &self.clock)?),
+            empty => empty.insert(message_type.open(self.version, topic, &self.clock)?),
         })
     }
 
     fn publish(&mut self, part: &Part) -> Result<WriteOutcome, ActuatorError> {
-        let written = match self.config.message_type {
+        let outcome = match self.config.message_type {
             AnswerType::Text => {
-                let data = String::from_utf8(part.bytes.to_vec()).map_err(|_| self.not_text(part))?;
+                let data = String::from_utf8(part.bytes.to_vec()).map_err(|_| self.not_text_error(part))?;
                 self.writer().and_then(|writer| writer.write(&StringMessage { data }))
             }
             AnswerType::Bytes => {
@@ -128,22 +130,22 @@ impl Ros {
                 self.writer().and_then(|writer| writer.write(&message))
             }
         };
-        if written.as_ref().is_err_and(TopicError::needs_reopening) {
+        if outcome.as_ref().is_err_and(TopicError::needs_reopening) {
             self.writer = None;
         }
-        Ok(written?)
+        Ok(outcome?)
     }
 
-    fn not_text(&self, part: &Part) -> ActuatorError {
+    fn not_text_error(&self, part: &Part) -> ActuatorError {
         ActuatorError::NotText {
             media: part.description.media.iana().to_string(),
             topic: self.config.topic.clone(),
-            bytes: AnswerType::Bytes.name(),
+            bytes_type: AnswerType::Bytes.name(),
         }
     }
 }
 
-impl Actuator for Ros {
+impl Actuator for RosActuator {
     fn act(&mut self, action: Action<'_>, recorder: &mut Recorder) -> Result<Feedback, ActuatorError> {
         let mut dropped = 0;
         for part in &action.answer.parts {
@@ -183,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn topic_that_ros_does_not_allow_is_found() {
+    fn topic_name_with_hyphen_is_refused() {
         use crate::ActuatorKind;
         let config = read("kind = 'ros'\ntopic = '/a-b'\nros_version = 1").expect("is well formed");
         let error = config.check(&clock()).expect_err("has a hyphen").to_string();

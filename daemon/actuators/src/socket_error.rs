@@ -14,7 +14,7 @@ pub enum SocketError {
         /// The configured timeout, milliseconds.
         timeout_ms: NonZeroU64,
     },
-    /// The host of the controller has no known address.
+    /// The name of the controller's host cannot be resolved.
     #[error(
         "cannot resolve the host of the controller at {address}: {error}; correct the name in address, or write the IP address"
     )]
@@ -24,7 +24,7 @@ pub enum SocketError {
         /// Error of the resolver.
         error: io::Error,
     },
-    /// The controller cannot be connected to.
+    /// No connection to the controller can be opened.
     #[error("cannot connect to the controller at {address}: {error}; is it running?")]
     Connect {
         /// Address of the controller.
@@ -34,11 +34,11 @@ pub enum SocketError {
     },
     /// Sending or receiving failed.
     #[error(
-        "cannot {doing} the controller at {address}: {error}; the connection is opened again for the next answer"
+        "cannot {operation} the controller at {address}: {error}; the connection is opened again for the next answer"
     )]
     Io {
         /// `send an answer to` or `receive feedback from`.
-        doing: &'static str,
+        operation: &'static str,
         /// Address of the controller.
         address: String,
         /// Error of the operating system.
@@ -61,10 +61,11 @@ pub enum SocketError {
         /// The configured timeout, milliseconds.
         timeout_ms: NonZeroU64,
     },
-    /// No feedback on the action arrived in time, but feedback on another iteration.
+    /// The feedback that arrived in time is on another iteration.
     #[error(
         "the controller at {address} sent feedback on iteration {other} and none on iteration {iteration} within {timeout_ms} ms \
-         (timeout_ms); it sends back the iteration of the line that it answers; the next answer connects again"
+         (timeout_ms); a controller must send back the iteration of the line that it answers; the connection is opened again \
+         for the next answer"
     )]
     OtherIteration {
         /// Address of the controller.
@@ -86,7 +87,7 @@ pub enum SocketError {
         "the model's answer contains {0}, which JSON does not have; nothing was sent to the robot's controller"
     )]
     NotFinite(f64),
-    /// The answer claims to be JSON and is not, or an array does not match its shape.
+    /// The answer has the type JSON or text and is not valid, or an array does not match its shape.
     #[error("the model's answer is not valid: {0}; nothing was sent to the robot's controller")]
     InvalidAnswer(String),
     /// The line is longer than allowed.
@@ -107,7 +108,7 @@ pub enum SocketError {
         /// The limit, bytes.
         limit: usize,
     },
-    /// The controller sent something before it got an answer.
+    /// The controller sent bytes without an answer to act on.
     #[error(
         "the controller at {address} sent {line:?} without an answer to act on; it must send one line for each answer; the \
          connection is opened again for the next answer"

@@ -13,7 +13,7 @@ pub struct SocketAddress {
     pub(super) host_and_port: String,
 }
 
-/// Protocol below the lines.
+/// Transport protocol of the lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Protocol {
     Udp,
@@ -52,7 +52,7 @@ impl TryFrom<String> for SocketAddress {
             let is_port = port.parse::<u16>().is_ok_and(|port| port > 0);
             let is_bracketed = host.starts_with('[') && host.ends_with(']');
             let is_host = !host.is_empty() && (is_bracketed || !host.contains(':'));
-            // A path, a query or a user belongs to a URL of another kind and would be ignored.
+            // A path, a query or a user name would have no effect.
             let is_plain = !host.chars().any(|c| c.is_whitespace() || c.is_control() || "/?#@".contains(c));
             (is_port && is_host && is_plain)
                 .then(|| Self { protocol, host_and_port: host_and_port.to_owned() })

@@ -1,4 +1,4 @@
-//! Connection to a controller. All calls block until their deadline at most, except for the resolution of a host's name.
+//! Connection to a controller. No call blocks beyond its deadline, except while the system resolves the name of a host.
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, TcpStream, ToSocketAddrs, UdpSocket};
@@ -12,23 +12,27 @@ use super::address::Protocol;
 use super::line::{self, MAX_LINE_BYTES};
 use crate::{Feedback, SocketError};
 
-/// Maximum number of bytes that are read and discarded before an answer is sent.
-// A controller that sends without pause would otherwise delay the action for ever.
+/// Maximum number of bytes that are discarded before an answer is sent.
+// Without a maximum, a controller that sends without pause would delay the action for ever.
 const MAX_DISCARDED_BYTES: usize = 1 << 20;
 
 /// Deadline of an action.
 pub(super) struct Deadline {
     pub(super) clock: SharedClock,
+    /// Time at which the action must have ended.
     pub(super) until: MonoTime,
-    /// The configured timeout, for messages.
+    /// The configured timeout, for error texts.
     pub(super) timeout_ms: NonZeroU64,
 }
 
 impl Deadline {
     /// Returns the remaining time.
+    ///
+    /// # Errors
+    /// If the deadline has passed.
     fn remaining(&self) -> io::Result<Duration> {
         let remaining = self.until - self.clock.mono();
-        // The system rounds a timeout below a microsecond to zero, which means to wait for ever.
+        // The system rounds a timeout below a microsecond down to zero, which would mean no timeout.
         if remaining >= Span::from_micros(1) {
             Ok(remaining.to_duration())
         } else {
@@ -37,6 +41,7 @@ impl Deadline {
     }
 }
 
+/// Socket of a connection.
 enum Channel {
     Udp(UdpSocket),
     Tcp(TcpStream),
@@ -46,7 +51,7 @@ enum Channel {
 pub(super) struct Connection {
     address: String,
     channel: Channel,
-    /// Received bytes that are not read yet; over TCP they may be part of a line.
+    /// Bytes received over TCP that no call has returned yet; they may end within a line.
     received: Vec<u8>,
 }
 
@@ -54,9 +59,9 @@ impl Connection {
     /// Connects to a controller.
     ///
     /// # Errors
-    /// If no address of the host can be connected to.
+    /// If no connection to any address of the host can be opened before the deadline.
     pub(super) fn open(address: &SocketAddress, deadline: &Deadline) -> Result<Self, SocketError> {
-        let failed = |error: io::Error| match error.kind() {
+        let connect_error = |error: io::Error| match error.kind() {
             ErrorKind::TimedOut | ErrorKind::WouldBlock => SocketError::TimedOut {
                 address: address.to_string(),
                 waited_for: "accept the connection",
@@ -64,24 +69,25 @@ impl Connection {
             },
             _ => SocketError::Connect { address: address.to_string(), error },
         };
-        let mut last = io::Error::new(ErrorKind::NotFound, "the host has no address");
-        let resolving = |error: io::Error| SocketError::Resolve { address: address.to_string(), error };
-        for resolved in address.host_and_port.to_socket_addrs().map_err(resolving)? {
+        let mut last_error = io::Error::new(ErrorKind::NotFound, "the host has no address");
+        let resolve_error = |error: io::Error| SocketError::Resolve { address: address.to_string(), error };
+        for resolved in address.host_and_port.to_socket_addrs().map_err(resolve_error)? {
             match open_channel(address.protocol, resolved, deadline) {
                 Ok(channel) => {
                     return Ok(Self { address: address.to_string(), channel, received: Vec::new() });
                 }
-                Err(error) => last = error,
+                Err(error) => last_error = error,
             }
         }
-        Err(failed(last))
+        Err(connect_error(last_error))
     }
 
-    /// Returns whether the controller has not closed the connection, and discards what it sent without being asked.
+    /// Discards the bytes that the controller sent without an answer to act on. Returns `false` if the controller has
+    /// closed the connection.
     ///
     /// # Errors
-    /// If a controller that gives feedback sent a line over TCP without an answer to act on: every later line would be
-    /// taken for the feedback on another action. A datagram may be a duplicate that the network made.
+    /// If a controller that gives feedback sent such bytes over TCP: every later line would be taken for the feedback on
+    /// another action. Datagrams are always discarded, because the network may have duplicated them.
     pub(super) fn is_open(&mut self, has_feedback: bool) -> Result<bool, SocketError> {
         let mut buffer = [0; 4096];
         let mut discarded = self.received.len();
@@ -92,7 +98,7 @@ impl Connection {
                     self.received.extend_from_slice(&buffer[..read]);
                     break;
                 }
-                // Empty datagrams count as well, so that a stream of them ends the loop.
+                // An empty datagram counts as one byte, so that a stream of empty datagrams ends the loop, too.
                 Ok(read) => discarded += read.max(1),
                 Err(error) if error.kind() == ErrorKind::WouldBlock => break,
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
@@ -110,11 +116,11 @@ impl Connection {
     /// # Errors
     /// If the line cannot be sent before the deadline.
     pub(super) fn send(&mut self, line: &[u8], deadline: &Deadline) -> Result<(), SocketError> {
-        let mut rest = line;
-        while !rest.is_empty() {
-            match self.channel.write(rest, deadline) {
+        let mut unsent = line;
+        while !unsent.is_empty() {
+            match self.channel.write(unsent, deadline) {
                 Ok(0) => return Err(self.io_error(SENDING, ErrorKind::WriteZero.into(), deadline)),
-                Ok(written) => rest = &rest[written..],
+                Ok(written) => unsent = &unsent[written..],
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
                 Err(error) => return Err(self.io_error(SENDING, error, deadline)),
             }
@@ -122,8 +128,8 @@ impl Connection {
         Ok(())
     }
 
-    /// Receives the feedback on the action of an iteration. A line with the number of another iteration is ignored: it is
-    /// a copy of an earlier datagram.
+    /// Receives the feedback on the action of an iteration. Ignores a line with the number of another iteration, because it
+    /// may be a copy of an earlier datagram.
     ///
     /// # Errors
     /// If no line arrives before the deadline, or if the line is too long or is not feedback.
@@ -153,17 +159,17 @@ impl Connection {
 
     /// Receives a line, without its line feed. Each datagram is one line and may end with a line feed.
     fn receive_line(&mut self, deadline: &Deadline) -> Result<Vec<u8>, SocketError> {
-        // The buffer has one byte more than the longest line, so that a longer datagram is not cut to a valid one.
+        // The buffer has one byte more than the longest line, so that a longer datagram is not truncated to a valid line.
         let mut buffer = vec![0; MAX_LINE_BYTES + 1];
         loop {
             if let Some(end) = self.received.iter().position(|byte| *byte == b'\n') {
-                let rest = self.received.split_off(end + 1);
-                let mut line = std::mem::replace(&mut self.received, rest);
+                let after_line = self.received.split_off(end + 1);
+                let mut line = std::mem::replace(&mut self.received, after_line);
                 line.truncate(end);
                 return Ok(line);
             }
             if self.received.len() >= MAX_LINE_BYTES {
-                return Err(self.too_long());
+                return Err(self.too_long_error());
             }
             match self.channel.read(&mut buffer, deadline) {
                 Ok(0) if matches!(self.channel, Channel::Tcp(_)) => {
@@ -171,7 +177,7 @@ impl Connection {
                 }
                 Ok(read) if matches!(self.channel, Channel::Udp(_)) => {
                     if read > MAX_LINE_BYTES {
-                        return Err(self.too_long());
+                        return Err(self.too_long_error());
                     }
                     return Ok(buffer[..read].trim_ascii_end().to_vec());
                 }
@@ -182,13 +188,13 @@ impl Connection {
         }
     }
 
-    fn too_long(&self) -> SocketError {
+    fn too_long_error(&self) -> SocketError {
         SocketError::FeedbackLength { address: self.address.clone(), limit: MAX_LINE_BYTES }
     }
 
     fn io_error(
         &self,
-        (doing, waited_for): (&'static str, &'static str),
+        (operation, waited_for): (&'static str, &'static str),
         error: io::Error,
         deadline: &Deadline,
     ) -> SocketError {
@@ -197,31 +203,31 @@ impl Connection {
             ErrorKind::TimedOut | ErrorKind::WouldBlock => {
                 SocketError::TimedOut { address, waited_for, timeout_ms: deadline.timeout_ms }
             }
-            _ => SocketError::Io { doing, address, error },
+            _ => SocketError::Io { operation, address, error },
         }
     }
 }
 
-/// Operation during which an error occurred, with what the controller has to do.
+/// For the error texts of an operation: what PEERNet does with the controller, and what the controller should do.
 const SENDING: (&str, &str) = ("send an answer to", "accept the answer");
+/// See [`SENDING`].
 const RECEIVING: (&str, &str) = ("receive feedback from", "send feedback");
 
 fn open_channel(protocol: Protocol, address: SocketAddr, deadline: &Deadline) -> io::Result<Channel> {
     match protocol {
         Protocol::Udp => {
-            let any: SocketAddr = match address {
+            let unspecified: SocketAddr = match address {
                 SocketAddr::V4(_) => (Ipv4Addr::UNSPECIFIED, 0).into(),
                 SocketAddr::V6(_) => (Ipv6Addr::UNSPECIFIED, 0).into(),
             };
-            let socket = UdpSocket::bind(any)?;
+            let socket = UdpSocket::bind(unspecified)?;
             // A connected socket receives datagrams of the controller only.
             socket.connect(address)?;
             Ok(Channel::Udp(socket))
         }
         Protocol::Tcp => {
             let stream = TcpStream::connect_timeout(&address, deadline.remaining()?)?;
-            // Nagle's algorithm (RFC 896) would hold a short line back until the previous one is
-            // acknowledged.
+            // Nagle's algorithm (RFC 896) would delay a short line until the previous line is acknowledged.
             stream.set_nodelay(true)?;
             Ok(Channel::Tcp(stream))
         }
@@ -229,7 +235,7 @@ fn open_channel(protocol: Protocol, address: SocketAddr, deadline: &Deadline) ->
 }
 
 impl Channel {
-    /// Reads what has arrived; an error of the kind `WouldBlock` if there is nothing.
+    /// Reads bytes that have arrived. Fails with an error of the kind `WouldBlock` if no bytes have arrived.
     fn try_read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         match self {
             Self::Udp(socket) => {

@@ -1,4 +1,4 @@
-//! Lines to a controller. No I/O.
+//! Lines that are exchanged with a controller: actions are encoded, feedback is decoded. No I/O.
 
 use peernet_external::python::TREE;
 use peernet_sample::{ElementType, MediaType, Part, Sample, escaped_line};
@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use crate::{Action, Feedback, SocketError};
 
-/// Longest line in both directions with its line feed, bytes: the largest payload of a UDP datagram over IPv4.
+/// Longest line in either direction, with its line feed, bytes: the largest payload of a UDP datagram over IPv4.
 pub(super) const MAX_LINE_BYTES: usize = 65_507;
 /// Longest part of a line that an error quotes, bytes.
 const MAX_QUOTED_BYTES: usize = 120;
@@ -23,8 +23,8 @@ struct ActionLine<'a> {
     answer: Value,
 }
 
-/// A line of feedback. A key that is missing or `null` is not reported.
-// Read into a struct, so that a key that occurs twice is refused.
+/// A line of feedback. The controller did not report a value whose key is missing or `null`.
+// The line is not read as a `Value`, which would accept a key that occurs twice.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct FeedbackLine {
@@ -37,13 +37,14 @@ struct FeedbackLine {
 /// Returns the line for an action, with its line feed.
 pub(super) fn encode(action: &Action<'_>) -> Result<Vec<u8>, SocketError> {
     let Action { answer, source, iteration, episode, step } = *action;
-    // The JSON form has at least one byte for each element, and an element has at most eight bytes. So memory is bounded.
+    // In JSON each array element has at least one byte, and in the answer at most eight. A longer answer cannot fit, so
+    // that no memory is spent on its JSON form.
     if answer.payload_bytes() > 8 * MAX_LINE_BYTES as u64 {
         return Err(SocketError::AnswerLength { limit: MAX_LINE_BYTES });
     }
-    let line = ActionLine { iteration, episode, step, source, answer: answer_value(answer)? };
+    let action_line = ActionLine { iteration, episode, step, source, answer: answer_value(answer)? };
     let mut line =
-        serde_json::to_vec(&line).map_err(|error| SocketError::InvalidAnswer(error.to_string()))?;
+        serde_json::to_vec(&action_line).map_err(|error| SocketError::InvalidAnswer(error.to_string()))?;
     line.push(b'\n');
     if line.len() > MAX_LINE_BYTES {
         Err(SocketError::AnswerLength { limit: MAX_LINE_BYTES })
@@ -67,7 +68,7 @@ pub(super) fn quote(line: &[u8]) -> String {
     escaped_line(&line[..line.len().min(MAX_QUOTED_BYTES)])
 }
 
-/// Returns an answer as JSON: the value of its part, or a list of several.
+/// Returns an answer as JSON: the value of its only part, or a list of the values of its parts.
 fn answer_value(answer: &Sample) -> Result<Value, SocketError> {
     match answer.parts.as_slice() {
         [part] => part_value(part),
@@ -98,17 +99,20 @@ fn part_value(part: &Part) -> Result<Value, SocketError> {
     }
 }
 
-/// Returns a number that JSON lacks in a tree. Python writes it as `NaN`, `Infinity` or `-Infinity`.
+/// Returns the first non-finite number in a tree, which JSON does not have. Python writes such a number as `NaN`,
+/// `Infinity` or `-Infinity`.
 fn non_finite_number(tree: &[u8]) -> Option<f64> {
-    let (mut is_text, mut is_escaped, mut is_negative) = (false, false, false);
+    let (mut is_in_string, mut is_escaped, mut is_negative) = (false, false, false);
     for byte in tree {
         match byte {
             _ if std::mem::take(&mut is_escaped) => {}
-            b'\\' => is_escaped = is_text,
-            b'"' => is_text = !is_text,
-            // Outside of texts, JSON has letters in lower case only.
-            b'N' if !is_text => return Some(f64::NAN),
-            b'I' if !is_text => return Some(if is_negative { f64::NEG_INFINITY } else { f64::INFINITY }),
+            b'\\' => is_escaped = is_in_string,
+            b'"' => is_in_string = !is_in_string,
+            // Outside of strings, all letters in JSON are lower case.
+            b'N' if !is_in_string => return Some(f64::NAN),
+            b'I' if !is_in_string => {
+                return Some(if is_negative { f64::NEG_INFINITY } else { f64::INFINITY });
+            }
             _ => {}
         }
         is_negative = *byte == b'-';
@@ -116,11 +120,11 @@ fn non_finite_number(tree: &[u8]) -> Option<f64> {
     None
 }
 
-/// Returns an array as nested lists.
+/// Returns an array of numbers as nested lists.
 fn array(element: ElementType, shape: &[usize], bytes: &[u8]) -> Result<Value, SocketError> {
     let Some((length, inner)) = shape.split_first() else { return number(element, bytes) };
     let row_bytes = bytes.len().checked_div(*length).unwrap_or(0);
-    // An array without elements is an empty list, whatever its other lengths are: they may be huge.
+    // An array without elements becomes an empty list: its other lengths may be huge.
     if row_bytes == 0 {
         return Ok(Value::Array(Vec::new()));
     }
@@ -128,14 +132,14 @@ fn array(element: ElementType, shape: &[usize], bytes: &[u8]) -> Result<Value, S
     Ok(Value::Array(rows.map(|row| array(element, inner, row)).collect::<Result<_, _>>()?))
 }
 
-/// Returns a number, which is stored little-endian.
+/// Returns the number that is stored in `bytes`, little-endian.
 fn number(element: ElementType, bytes: &[u8]) -> Result<Value, SocketError> {
-    let mut eight = [0; 8];
-    for (to, from) in eight.iter_mut().zip(bytes) {
+    let mut padded = [0; 8];
+    for (to, from) in padded.iter_mut().zip(bytes) {
         *to = *from;
     }
-    let bits = u64::from_le_bytes(eight);
-    let [low, ..] = eight;
+    let bits = u64::from_le_bytes(padded);
+    let [low, ..] = padded;
     let float = |value: f64| {
         if value.is_finite() { Ok(Value::from(value)) } else { Err(SocketError::NotFinite(value)) }
     };
@@ -160,7 +164,7 @@ mod tests {
 
     use super::*;
 
-    fn sent(answer: &Sample) -> Result<String, String> {
+    fn encoded(answer: &Sample) -> Result<String, String> {
         let action = Action { iteration: 7, episode: 2, step: 3, ..Action::first(answer, "left \"eye\"") };
         let line = encode(&action).map_err(|error| error.to_string())?;
         Ok(String::from_utf8(line).expect("is JSON"))
@@ -181,8 +185,8 @@ mod tests {
         let answer = unshaped(MediaType::Json, r#"{"label": "go", "x": [1, 2.5]}"#);
         let expected = "{\"iteration\":7,\"episode\":2,\"step\":3,\"source\":\"left \\\"eye\\\"\",\
                         \"answer\":{\"label\":\"go\",\"x\":[1,2.5]}}\n";
-        assert_eq!(sent(&answer).as_deref(), Ok(expected));
-        let text = sent(&unshaped(MediaType::Text, "stop\n")).expect("is text");
+        assert_eq!(encoded(&answer).as_deref(), Ok(expected));
+        let text = encoded(&unshaped(MediaType::Text, "stop\n")).expect("is text");
         assert!(text.ends_with("\"answer\":\"stop\\n\"}\n"), "{text}");
     }
 
@@ -190,19 +194,19 @@ mod tests {
     fn arrays_are_nested_lists_of_numbers() {
         let floats: Vec<u8> =
             [0.5_f32, -1.0, 2.0, 3.0].iter().flat_map(|value| value.to_le_bytes()).collect();
-        let ends = |answer: &Sample, end: &str| {
-            let line = sent(answer).expect("is sent");
+        let expect_answer = |answer: &Sample, end: &str| {
+            let line = encoded(answer).expect("is encoded");
             assert!(line.ends_with(&format!("\"answer\":{end}}}\n")), "{line}");
         };
-        ends(&tensor(ElementType::F32, &[2, 2], floats.clone()), "[[0.5,-1.0],[2.0,3.0]]");
-        ends(&tensor(ElementType::F32, &[4, 1], floats), "[[0.5],[-1.0],[2.0],[3.0]]");
-        ends(&tensor(ElementType::I16, &[2], vec![255, 255, 1, 0]), "[-1,1]");
-        ends(&tensor(ElementType::U8, &[], vec![200]), "200");
-        ends(&tensor(ElementType::Bool, &[2], vec![1, 0]), "[true,false]");
-        ends(&tensor(ElementType::F64, &[2, 0], Vec::new()), "[]");
-        let mut two = tensor(ElementType::U8, &[1], vec![1]);
-        two.parts.extend(unshaped(MediaType::Text, "b").parts);
-        ends(&two, "[[1],\"b\"]");
+        expect_answer(&tensor(ElementType::F32, &[2, 2], floats.clone()), "[[0.5,-1.0],[2.0,3.0]]");
+        expect_answer(&tensor(ElementType::F32, &[4, 1], floats), "[[0.5],[-1.0],[2.0],[3.0]]");
+        expect_answer(&tensor(ElementType::I16, &[2], vec![255, 255, 1, 0]), "[-1,1]");
+        expect_answer(&tensor(ElementType::U8, &[], vec![200]), "200");
+        expect_answer(&tensor(ElementType::Bool, &[2], vec![1, 0]), "[true,false]");
+        expect_answer(&tensor(ElementType::F64, &[2, 0], Vec::new()), "[]");
+        let mut two_parts = tensor(ElementType::U8, &[1], vec![1]);
+        two_parts.parts.extend(unshaped(MediaType::Text, "b").parts);
+        expect_answer(&two_parts, "[[1],\"b\"]");
     }
 
     #[test]
@@ -223,23 +227,23 @@ mod tests {
 
     #[test]
     fn answers_without_json_form_are_refused() {
-        let refused = |answer: &Sample, part: &str| {
-            let error = sent(answer).expect_err(part);
+        let expect_error = |answer: &Sample, part: &str| {
+            let error = encoded(answer).expect_err(part);
             assert!(error.contains(part), "{error}");
         };
-        refused(&tensor(ElementType::F32, &[1], f32::NAN.to_le_bytes().to_vec()), "contains NaN");
+        expect_error(&tensor(ElementType::F32, &[1], f32::NAN.to_le_bytes().to_vec()), "contains NaN");
         let tree = |json: &str| unshaped(MediaType::from_iana(TREE), json);
-        refused(
+        expect_error(
             &tree(r#"{"dict":[["x",NaN]]}"#),
             "the model's answer contains NaN, which JSON does not have",
         );
-        refused(&tree("[1.5,-Infinity]"), "the model's answer contains -inf, which JSON does not have");
-        refused(&tree(r#"{"dict":[[1,"NaN \"N"]]}"#), "type application/x-python-tree");
-        refused(&tensor(ElementType::F16, &[1], vec![0, 0]), "type array of F16");
-        refused(&tensor(ElementType::F32, &[3], vec![0; 4]), "does not match its shape");
-        refused(&unshaped(MediaType::Jpeg, "abc"), "type image/jpeg");
-        refused(&unshaped(MediaType::Json, "{"), "is not valid");
-        refused(&unshaped(MediaType::Text, &"x".repeat(MAX_LINE_BYTES)), "more than 65507 bytes");
-        refused(&tensor(ElementType::U8, &[600_000], vec![0; 600_000]), "more than 65507 bytes");
+        expect_error(&tree("[1.5,-Infinity]"), "the model's answer contains -inf, which JSON does not have");
+        expect_error(&tree(r#"{"dict":[[1,"NaN \"N"]]}"#), "type application/x-python-tree");
+        expect_error(&tensor(ElementType::F16, &[1], vec![0, 0]), "type array of F16");
+        expect_error(&tensor(ElementType::F32, &[3], vec![0; 4]), "does not match its shape");
+        expect_error(&unshaped(MediaType::Jpeg, "abc"), "type image/jpeg");
+        expect_error(&unshaped(MediaType::Json, "{"), "is not valid");
+        expect_error(&unshaped(MediaType::Text, &"x".repeat(MAX_LINE_BYTES)), "more than 65507 bytes");
+        expect_error(&tensor(ElementType::U8, &[600_000], vec![0; 600_000]), "more than 65507 bytes");
     }
 }

@@ -24,10 +24,10 @@ use connection::{Connection, Deadline};
 pub struct SocketConfig {
     /// Address of the controller: `udp://host:port` or `tcp://host:port`.
     pub address: SocketAddress,
-    /// `true` if the controller answers each line with a line of feedback. Default: no.
+    /// `true` if the controller replies to each line with a line of feedback. Default: `false`.
     #[serde(default)]
     pub feedback: bool,
-    /// Longest time for one action, with connecting and feedback; milliseconds, up to one day. Default: 1000.
+    /// Maximum duration of an action, which includes connecting and feedback; milliseconds, up to one day. Default: 1000.
     #[serde(default = "one_second")]
     pub timeout_ms: NonZeroU64,
 }
@@ -37,16 +37,17 @@ const fn one_second() -> NonZeroU64 {
 }
 
 impl SocketConfig {
-    fn unconnected(&self, clock: &SharedClock) -> Socket {
-        Socket { config: self.clone(), clock: SharedClock::clone(clock), connection: None }
+    fn unconnected_actuator(&self, clock: &SharedClock) -> SocketActuator {
+        SocketActuator { config: self.clone(), clock: SharedClock::clone(clock), connection: None }
     }
 }
 
 impl ActuatorKind for SocketConfig {
-    /// Connects now, so that the first action does not wait for it. If that fails, each action tries again.
+    /// Connects now, so that the first action does not wait for the connection. If connecting fails, each action tries
+    /// again.
     fn build(&self, clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError> {
         self.check(clock)?;
-        let mut socket = self.unconnected(clock);
+        let mut socket = self.unconnected_actuator(clock);
         match Connection::open(&self.address, &socket.deadline()) {
             Ok(connection) => socket.connection = Some(connection),
             Err(error) => {
@@ -56,10 +57,10 @@ impl ActuatorKind for SocketConfig {
         Ok(Box::new(socket))
     }
 
-    /// Resolves the controller's host; over TCP it also connects, without a line, and closes the connection.
+    /// Resolves the controller's host. Over TCP also connects, and closes the connection without sending a line.
     fn try_build(&self, clock: &SharedClock) -> Result<(), ActuatorError> {
         self.check(clock)?;
-        Ok(Connection::open(&self.address, &self.unconnected(clock).deadline()).map(drop)?)
+        Ok(Connection::open(&self.address, &self.unconnected_actuator(clock).deadline()).map(drop)?)
     }
 
     fn ends_episodes(&self) -> bool {
@@ -79,16 +80,16 @@ impl ActuatorKind for SocketConfig {
     }
 }
 
-/// Connection to a controller, which is opened again after a failure.
-struct Socket {
+/// Actuator that sends lines to a controller. It opens a new connection after a failure.
+struct SocketActuator {
     config: SocketConfig,
     clock: SharedClock,
-    /// `None` after a failure: a late feedback line on an old connection cannot be taken for the answer to a later
+    /// `None` after a failure, so that late feedback on the old connection is not taken for the feedback on a later
     /// action.
     connection: Option<Connection>,
 }
 
-impl Socket {
+impl SocketActuator {
     /// Returns the deadline of an action that begins now.
     fn deadline(&self) -> Deadline {
         let timeout_ms = self.config.timeout_ms;
@@ -99,12 +100,12 @@ impl Socket {
     fn send(&mut self, action: &Action<'_>) -> Result<Feedback, SocketError> {
         let line = line::encode(action)?;
         let deadline = self.deadline();
-        // Taken, so that each error below leaves no connection.
-        let idle = match self.connection.take() {
+        // `take()` removes the connection, so that each failure below leaves none.
+        let open_connection = match self.connection.take() {
             Some(mut connection) => connection.is_open(self.config.feedback)?.then_some(connection),
             None => None,
         };
-        let mut connection = match idle {
+        let mut connection = match open_connection {
             Some(connection) => connection,
             None => Connection::open(&self.config.address, &deadline)?,
         };
@@ -119,7 +120,7 @@ impl Socket {
     }
 }
 
-impl Actuator for Socket {
+impl Actuator for SocketActuator {
     fn act(&mut self, action: Action<'_>, _recorder: &mut Recorder) -> Result<Feedback, ActuatorError> {
         Ok(self.send(&action)?)
     }

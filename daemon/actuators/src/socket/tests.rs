@@ -28,7 +28,7 @@ fn act(actuator: &mut dyn Actuator, answer: &str) -> Result<Feedback, String> {
     actuator.act(Action::first(&answer, "eye"), &mut recorder).map_err(|error| error.to_string())
 }
 
-/// Returns a controller's address, and the thread that serves one connection after the other.
+/// Starts a controller that serves connections one after the other. Returns its address and its thread.
 fn tcp_controller(
     connections: usize,
     mut serve: impl FnMut(usize, BufReader<TcpStream>) + Send + 'static,
@@ -73,8 +73,8 @@ fn tcp_controller_gets_lines_and_answers_each() {
     let mut actuator = actuator(&address, "feedback = true");
     assert!(actuator.blocks() && !actuator.resets());
     assert_eq!(act(&mut *actuator, "left"), Ok(Feedback { reward: Some(0.5), ..Feedback::default() }));
-    let last = Feedback { episode_ended: true, success: Some(true), reward: Some(1.0) };
-    assert_eq!(act(&mut *actuator, "right"), Ok(last));
+    let final_feedback = Feedback { episode_ended: true, success: Some(true), reward: Some(1.0) };
+    assert_eq!(act(&mut *actuator, "right"), Ok(final_feedback));
     serving.join().expect("got what it expected");
 }
 
@@ -85,7 +85,8 @@ fn connection_is_replaced_after_controller_closed_it() {
     });
     let mut actuator = actuator(&address, "");
     act(&mut *actuator, "one").expect("is sent");
-    // What is sent before the end of the connection has arrived is lost: TCP reports no receipt.
+    // The controller has closed the first connection. A line that is sent before the actuator notices is lost. The
+    // loop therefore sends the line again until the controller has read it.
     while !serving.is_finished() {
         let _ = act(&mut *actuator, "two");
         thread::yield_now();
@@ -95,12 +96,12 @@ fn connection_is_replaced_after_controller_closed_it() {
 
 #[test]
 fn late_feedback_is_not_taken_for_next_action() {
-    let (go, late) = std::sync::mpsc::sync_channel::<()>(1);
+    let (release, released) = std::sync::mpsc::sync_channel::<()>(1);
     let (address, _serving) = tcp_controller(usize::MAX, move |number, mut stream| {
         read_line(&mut stream);
         if number == 0 {
-            // Answers only after the actuator has given up.
-            late.recv().expect("the test continues");
+            // The controller replies only after the actuator has given up.
+            released.recv().expect("the test continues");
             let _ = stream.get_mut().write_all(b"{\"reward\": 666}\n");
         } else {
             // The actuator may have given up on this connection as well.
@@ -110,7 +111,7 @@ fn late_feedback_is_not_taken_for_next_action() {
     let mut actuator = actuator(&address, "feedback = true\ntimeout_ms = 50");
     let error = act(&mut *actuator, "one").expect_err("no feedback comes");
     assert!(error.contains("did not send feedback within 50 ms"), "{error}");
-    go.send(()).expect("it waits");
+    release.send(()).expect("the controller waits");
     let second = loop {
         match act(&mut *actuator, "two") {
             Ok(feedback) => break feedback,
@@ -121,7 +122,7 @@ fn late_feedback_is_not_taken_for_next_action() {
 }
 
 #[test]
-fn wrong_feedback_fails_with_reason() {
+fn error_gives_reason_why_feedback_is_wrong() {
     let replies: [&'static [u8]; 4] = [b"{\"rewrad\": 1}\n", b"hello\n", b"", &[b'x'; 70_000]];
     let (address, serving) = tcp_controller(replies.len(), move |number, mut stream| {
         read_line(&mut stream);
@@ -138,13 +139,13 @@ fn wrong_feedback_fails_with_reason() {
 }
 
 #[test]
-fn line_without_action_is_refused() {
+fn line_before_answer_is_refused() {
     let (address, serving) = tcp_controller(1, |_, mut stream| {
         stream.get_mut().write_all(b"welcome\n").expect("is read");
         let _ = stream.read(&mut [0; 1]);
     });
     let mut actuator = actuator(&address, "feedback = true\ntimeout_ms = 5000");
-    // The greeting may arrive after the first answer was sent, and is then read as its feedback.
+    // If the greeting arrives after the first answer was sent, it is read as feedback on that answer.
     let error = act(&mut *actuator, "go").expect_err("a greeting is no feedback");
     assert!(error.contains("welcome"), "{error}");
     serving.join().expect("ends");
@@ -160,7 +161,7 @@ fn udp_controller_gets_datagrams_and_answers() {
             let (read, from) = controller.recv_from(&mut buffer).expect("is sent");
             let line: serde_json::Value = serde_json::from_slice(&buffer[..read]).expect("is JSON");
             assert_eq!(line["answer"], answer);
-            // The second copy is what a network may duplicate.
+            // The second datagram is a duplicate, which a network may make.
             for _ in 0..2 {
                 let reply = format!("{{\"iteration\": {}, \"reward\": {reward}}}", line["iteration"]);
                 controller.send_to(reply.as_bytes(), from).expect("is sent");
@@ -178,7 +179,7 @@ fn udp_controller_gets_datagrams_and_answers() {
 }
 
 #[test]
-fn feedback_on_other_iteration_is_named() {
+fn error_names_iteration_of_wrong_feedback() {
     let (address, serving) = tcp_controller(1, |_, mut stream| {
         read_line(&mut stream);
         stream.get_mut().write_all(b"{\"iteration\": 7, \"reward\": 1}\n").expect("is read");
@@ -202,22 +203,22 @@ fn missing_controller_fails_each_action() {
 }
 
 #[test]
-fn trial_connects_without_acting() {
+fn try_build_connects_without_acting() {
     let (address, serving) = tcp_controller(1, |_, mut stream| {
         let mut sent = Vec::new();
         stream.read_to_end(&mut sent).expect("is closed");
-        assert_eq!(sent, b"", "no action");
+        assert_eq!(sent, b"", "no line is sent");
     });
     let config = |address: &str| -> ActuatorConfig {
         toml::from_str(&format!("kind = 'socket'\naddress = '{address}'")).expect("reads")
     };
     config(&address).try_build(&clock()).expect("the controller listens");
     serving.join().expect("was connected to");
-    let closed = config(&address);
-    let error = closed.try_build(&clock()).expect_err("the port is closed").to_string();
+    let closed_port = config(&address);
+    let error = closed_port.try_build(&clock()).expect_err("the port is closed").to_string();
     assert!(error.starts_with(&format!("cannot connect to the controller at {address}: ")), "{error}");
-    assert_eq!(closed.remarks(&clock()), [error], "a check and a trial say the same");
-    closed.check(&clock()).expect("nothing contradicts itself");
+    assert_eq!(closed_port.remarks(&clock()), [error], "remarks() and try_build() report the same error");
+    closed_port.check(&clock()).expect("the configuration is valid");
 
     let port = UdpSocket::bind("127.0.0.1:0").expect("there is a port").local_addr().expect("it has one");
     config(&format!("udp://{port}")).try_build(&clock()).expect("a datagram could be sent");
