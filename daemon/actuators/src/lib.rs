@@ -99,8 +99,8 @@ pub trait ActuatorKind {
         false
     }
 
-    /// Returns a fact with a fingerprint of the program's arguments: different arguments have different fingerprints. The
-    /// arguments themselves may be secret.
+    /// Returns a fact with a fingerprint of the program's arguments: different arguments have different fingerprints.
+    /// The arguments themselves may be secret.
     fn arguments_fact(&self, _key: &FingerprintKey) -> Option<(String, String)> {
         None
     }

@@ -69,8 +69,8 @@ impl RosActuatorConfig {
 }
 
 impl ActuatorKind for RosActuatorConfig {
-    /// Announces the topic now, so that subscribers are connected before the first answer is published. If the ROS master
-    /// does not answer, each action tries again.
+    /// Announces the topic now, so that subscribers are connected before the first answer is published. If the ROS
+    /// master does not answer, each action tries again.
     fn build(&self, clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError> {
         let (version, _) = self.check_topic_and_type()?;
         let mut ros =

@@ -8,8 +8,8 @@ use png::{BitDepth, ColorType, DecodingError};
 use crate::size::check_size;
 use crate::{ImageError, Picture};
 
-/// Decodes a mask: an indexed or grey PNG file of 1 to 8 bits per pixel. Each byte of the result is the class number of a
-/// pixel. In an indexed file the palette indices are the class numbers; the colours of the palette have no meaning.
+/// Decodes a mask: an indexed or grey PNG file of 1 to 8 bits per pixel. Each byte of the result is the class number of
+/// a pixel. In an indexed file the palette indices are the class numbers; the colours of the palette have no meaning.
 ///
 /// # Errors
 /// If the file is not such a PNG file, is damaged or truncated, or is too large.

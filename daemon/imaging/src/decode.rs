@@ -1,10 +1,10 @@
 //! Decoding of files to pixels.
 //!
-//! JPEG is decoded at full size, by a SIMD decoder. The format also allows decoding at a half, a quarter or an eighth of
-//! the size, which does not pay off: it changes the pixels, and it does not shorten the entropy decoding, which takes
-//! most of the time. The only Rust decoder that has this feature takes 4.0, 5.5, 7.8 and 15.3 ms at half the size for four
-//! pictures of 1 to 2 megapixels; the decoder used here takes 3.3, 4.4, 7.1 and 15.5 ms at full size. The caller decodes
-//! the pictures of a batch in parallel instead.
+//! JPEG is decoded at full size, by a SIMD decoder. The format also allows decoding at a half, a quarter or an eighth
+//! of the size, which does not pay off: it changes the pixels, and it does not shorten the entropy decoding, which
+//! takes most of the time. The only Rust decoder that has this feature takes 4.0, 5.5, 7.8 and 15.3 ms at half the size
+//! for four pictures of 1 to 2 megapixels; the decoder used here takes 3.3, 4.4, 7.1 and 15.5 ms at full size. The
+//! caller decodes the pictures of a batch in parallel instead.
 
 use std::io::Cursor;
 

@@ -42,8 +42,8 @@ impl ObjectsLabel {
 }
 
 impl LabelledObject {
-    /// Returns whether the edges are finite, the left edge is not right of the right edge, and the top edge is not below
-    /// the bottom edge.
+    /// Returns whether the edges are finite, the left edge is not right of the right edge, and the top edge is not
+    /// below the bottom edge.
     pub fn is_valid(&self) -> bool {
         let [left, top, right, bottom] = self.edges;
         self.edges.iter().all(|edge| edge.is_finite()) && left <= right && top <= bottom

@@ -8,7 +8,7 @@ use peernet_external::python::PythonError;
 use peernet_imaging::ImageError;
 use peernet_ros::topics::TopicError;
 
-/// Reason why a sensor cannot be opened, or that a sample cannot be captured or transformed.
+/// Reason why a sensor cannot be opened, or why a sample cannot be captured or transformed.
 #[derive(Debug, thiserror::Error)]
 pub enum SensorError {
     /// The file or folder cannot be read.
@@ -22,7 +22,7 @@ pub enum SensorError {
     /// The folder contains no picture.
     #[error("{} contains no picture; put .jpg, .jpeg or .png files into it or into folders named after their label", .0.display())]
     Empty(PathBuf),
-    /// The file does not have the name of a picture.
+    /// The file is not a regular file, or its name does not end like the name of a picture.
     #[error("{} is neither a folder nor a .jpg, .jpeg or .png file", .0.display())]
     NotAPicture(PathBuf),
     /// The labels cannot be used.
@@ -33,7 +33,7 @@ pub enum SensorError {
         /// Defect of the file.
         reason: String,
     },
-    /// The program gave no sample.
+    /// The program cannot be started or gave no sample.
     #[error("the program {command}: {error}")]
     Program {
         /// The program without its arguments, which may be secret.
@@ -57,7 +57,7 @@ pub enum SensorError {
         /// Defect of the message.
         reason: String,
     },
-    /// The configuration contradicts itself.
+    /// The configuration is not valid.
     #[error("{0}")]
     Config(String),
     /// The transform cannot change the sample.
@@ -73,7 +73,7 @@ pub enum SensorError {
 }
 
 impl SensorError {
-    /// Returns whether `object` in the configuration is not a valid name of a Python object.
+    /// Returns whether the error is an invalid name of a Python object, the key `object` of the configuration.
     pub const fn is_misnamed(&self) -> bool {
         matches!(self, Self::Python(PythonError::Name(_)))
     }

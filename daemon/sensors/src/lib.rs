@@ -20,7 +20,7 @@ use peernet_sample::Sample;
 /// Produces samples.
 pub trait Sensor: Send {
     /// Returns the next sample; `None` if there are no more. May block if [`blocks`](Self::blocks) returns `true`.
-    /// Values and stages beside its duration are recorded in `recorder`.
+    /// Records stages and values of the capture in `recorder`; the caller records the duration.
     ///
     /// # Errors
     /// If this sample cannot be captured. The next sample may succeed.
@@ -31,8 +31,8 @@ pub trait Sensor: Send {
         false
     }
 
-    /// Prepares the sensor, or the system that it observes, for an episode. Called only if [`blocks`](Self::blocks) returns
-    /// `true`.
+    /// Prepares the sensor, or the system that it observes, for an episode. Called only if [`blocks`](Self::blocks)
+    /// returns `true`.
     ///
     /// # Errors
     /// If the reset fails; a later reset may succeed.
@@ -55,13 +55,13 @@ pub trait Sensor: Send {
         Ok(())
     }
 
-    /// Returns whether `sample` may block or compute for long, so it must not run on an I/O thread.
+    /// Returns whether `sample` may block or compute for long. If so, it must not run on an I/O thread.
     fn blocks(&self) -> bool {
         true
     }
 
-    /// Returns facts for the run's page: pairs such as (`Sensor`, `30 images of models/…`). May read files, so that
-    /// it is called before a run and not on an I/O thread.
+    /// Returns facts for the run's page: pairs such as (`Sensor`, `30 images of models/…`). May read files, so it must
+    /// be called before a run and not on an I/O thread.
     fn facts(&self) -> Vec<(String, String)>;
 }
 

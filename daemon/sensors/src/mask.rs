@@ -7,10 +7,10 @@ use peernet_imaging::{Picture, decode_class_mask};
 
 use crate::{SensorError, file};
 
-/// Reads the mask of a labelled picture: the numbers of the classes of its pixels, as grey pixels.
+/// Reads the mask of a labelled picture: grey pixels whose values are class numbers.
 ///
 /// # Errors
-/// If the file cannot be read, or is no indexed or grey PNG file of at most 8 bits.
+/// If the file cannot be read, or is not an indexed or grey PNG file of at most 8 bits per pixel.
 pub fn read_mask(path: &Path) -> Result<Picture, SensorError> {
     let bytes = file::read(path)?;
     decode_class_mask(&bytes)

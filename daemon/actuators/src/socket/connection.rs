@@ -86,8 +86,8 @@ impl Connection {
     /// closed the connection.
     ///
     /// # Errors
-    /// If a controller that gives feedback sent such bytes over TCP: every later line would be taken for the feedback on
-    /// another action. Datagrams are always discarded, because the network may have duplicated them.
+    /// If a controller that gives feedback sent such bytes over TCP: every later line would be taken for the feedback
+    /// on another action. Datagrams are always discarded, because the network may have duplicated them.
     pub(super) fn is_open(&mut self, has_feedback: bool) -> Result<bool, SocketError> {
         let mut buffer = [0; 4096];
         let mut discarded = self.received.len();
@@ -128,8 +128,8 @@ impl Connection {
         Ok(())
     }
 
-    /// Receives the feedback on the action of an iteration. Ignores a line with the number of another iteration, because it
-    /// may be a copy of an earlier datagram.
+    /// Receives the feedback on the action of an iteration. Ignores a line with the number of another iteration,
+    /// because it may be a copy of an earlier datagram.
     ///
     /// # Errors
     /// If no line arrives before the deadline, or if the line is too long or is not feedback.
@@ -159,7 +159,8 @@ impl Connection {
 
     /// Receives a line, without its line feed. Each datagram is one line and may end with a line feed.
     fn receive_line(&mut self, deadline: &Deadline) -> Result<Vec<u8>, SocketError> {
-        // The buffer has one byte more than the longest line, so that a longer datagram is not truncated to a valid line.
+        // The buffer has one byte more than the longest line, so that a longer datagram is not truncated to a valid
+        // line.
         let mut buffer = vec![0; MAX_LINE_BYTES + 1];
         loop {
             if let Some(end) = self.received.iter().position(|byte| *byte == b'\n') {

@@ -27,7 +27,8 @@ pub struct SocketConfig {
     /// `true` if the controller replies to each line with a line of feedback. Default: `false`.
     #[serde(default)]
     pub feedback: bool,
-    /// Maximum duration of an action, which includes connecting and feedback; milliseconds, up to one day. Default: 1000.
+    /// Maximum duration of an action, which includes connecting and feedback; milliseconds, up to one day. Default:
+    /// 1000.
     #[serde(default = "one_second")]
     pub timeout_ms: NonZeroU64,
 }

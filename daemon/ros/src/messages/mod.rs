@@ -33,8 +33,8 @@ use bytes::Bytes;
 pub enum WireForm {
     /// Serialization of ROS 1: little-endian, without alignment, texts without a final NUL, headers with `seq`.
     Ros1,
-    /// Plain CDR of version 1 (XCDR1) with its encapsulation header, as ROS 2 uses it. Written little-endian, read in both
-    /// byte orders.
+    /// Plain CDR of version 1 (XCDR1) with its encapsulation header, as ROS 2 uses it. Written little-endian, read in
+    /// both byte orders.
     Cdr,
 }
 

@@ -34,7 +34,8 @@ impl Message for SessionHello {
 /// `<payload topic>_info`.
 ///
 /// If [`has_payload`](Self::has_payload) is set, the payload message with the same `header.stamp` and `header.frame_id`
-/// belongs to the companion. In `std_msgs/UInt8MultiArray`, which has no header, the label of the first dimension contains both.
+/// belongs to the companion. In `std_msgs/UInt8MultiArray`, which has no header, the label of the first dimension
+/// contains both.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct MessageInfo {
     /// Header whose `frame_id` is the connection's identifier. Its `stamp` is the departure by the sender's wall clock
@@ -44,13 +45,14 @@ pub struct MessageInfo {
     pub kind: u8,
     /// Number of the companion on this topic and connection, from 0.
     pub sequence: u64,
-    /// Number of the request that the message belongs to; [`NO_REQUEST`](Self::NO_REQUEST) if the message belongs to no request.
+    /// Number of the request that the message belongs to; [`NO_REQUEST`](Self::NO_REQUEST) if the message belongs to no
+    /// request.
     pub request: u64,
     /// `true` if frame 2 is the data of the payload message and not a part of [`frames`](Self::frames).
     pub has_payload: bool,
     /// Length of each frame of the message in bytes: header, tree, and the parts of the sample. In a
-    /// [`HELLO`](Self::HELLO) and a [`WELCOME`](Self::WELCOME) of ROS 2 this list has one number: the size of the sender's
-    /// socket buffers, which no payload message may exceed.
+    /// [`HELLO`](Self::HELLO) and a [`WELCOME`](Self::WELCOME) of ROS 2 this list has one number: the size of the
+    /// sender's socket buffers, which no payload message may exceed.
     pub frame_lengths: Vec<u32>,
     /// Concatenated frames.
     pub frames: Bytes,

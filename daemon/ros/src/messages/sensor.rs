@@ -68,8 +68,8 @@ impl Message for CompressedImage {
     const DDS_TYPE: &'static str = "sensor_msgs::msg::dds_::CompressedImage_";
 }
 
-/// `sensor_msgs/Imu`: readings of an inertial measurement unit. A covariance matrix is 3 × 3, row by row; −1 in its first
-/// element means that the unit has no such reading.
+/// `sensor_msgs/Imu`: readings of an inertial measurement unit. A covariance matrix is 3 × 3, row by row; −1 in its
+/// first element means that the unit has no such reading.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Imu {
     /// Capture time and coordinate frame.

@@ -27,7 +27,8 @@ impl QueueLimits {
 /// Maximum number of TCPROS connections that others open to a node. Further connections are closed at once.
 pub(super) const MAX_INCOMING_CONNECTIONS: usize = 256;
 
-/// Maximum number of publishers of one topic that a subscriber connects to. Further publishers are ignored with a warning.
+/// Maximum number of publishers of one topic that a subscriber connects to. Further publishers are ignored with a
+/// warning.
 pub(super) const MAX_PUBLISHERS: usize = 256;
 
 /// Time limit for connecting and exchanging headers.

@@ -12,8 +12,8 @@
 //! not answer. After a restart of the master all topics are registered again within five seconds. Connections do not
 //! depend on the master.
 //!
-//! ROS 1 has no authentication: every host that reaches the ports may call. Headers, frames, calls, connections and publishers
-//! of a topic are bounded, and memory is reserved as bytes arrive.
+//! ROS 1 has no authentication: every host that reaches the ports may call. Headers, frames, calls, connections and
+//! publishers of a topic are bounded, and memory is reserved as bytes arrive.
 //!
 //! `xmlrpc` and `tcpros` have the texts and headers of the protocols, `registration` decides which calls of the master
 //! are due, and `slave` reads calls from other nodes; these do no I/O. `registrar`, `rpc`, `acceptor`, `publisher_link`

@@ -139,8 +139,8 @@ impl PublisherLink {
             // A reason is logged once while it stays the same, because the attempts repeat.
             if reason != last_reason {
                 let (topic, publisher) = (&*topic.subscription.topic, &*self.uri);
-                // When a publisher ends, it closes the connection before the master reports the end, and then refuses the
-                // topic when it is asked again. Neither deserves a warning.
+                // When a publisher ends, it closes the connection before the master reports the end, and then refuses
+                // the topic when it is asked again. Neither deserves a warning.
                 let is_closed = matches!(error, LinkError::Closed);
                 if is_closed || was_closed && matches!(error, LinkError::NoEndpoint { .. }) {
                     tracing::debug!(topic, publisher, "a publisher of a ROS topic closed the connection");
@@ -161,7 +161,8 @@ impl PublisherLink {
             self.set_state(topic, PublisherState::Failed(reason));
             tokio::select! {
                 () = sleep(delay) => delay = (delay * 2).min(MAX_RETRY_DELAY),
-                // The master listed the publishers anew: this one may have restarted or ended, so the retry is not delayed.
+                // The master listed the publishers anew: this one may have restarted or ended, so the retry is not
+                // delayed.
                 () = self.listing_changed.notified() => {}
                 () = topic.stop.cancelled() => {}
             }

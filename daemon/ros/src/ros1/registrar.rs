@@ -64,8 +64,8 @@ impl Registrar {
     /// # Errors
     /// If the master does not answer or refuses.
     pub(super) async fn register(&self, registration: &Registration) -> Result<Vec<String>, NodeError> {
-        // A restarted master knows the node again once this topic is registered. After that, the loss of the other topics
-        // cannot be detected.
+        // A restarted master knows the node again once this topic is registered. After that, the loss of the other
+        // topics cannot be detected.
         self.check_registered().await;
         let uris = self.call_register(registration).await?;
         self.registrations().add(registration.clone());
@@ -75,7 +75,8 @@ impl Registrar {
     /// Removes a topic from the node, and unregisters the topic in the background.
     pub(super) fn remove(&self, registration: Registration) {
         self.topics.remove(registration.role, &registration.topic);
-        // The topic is unregistered even if its registration failed, because the master may know the topic nevertheless.
+        // The topic is unregistered even if its registration failed, because the master may know the topic
+        // nevertheless.
         self.registrations().remove(registration);
         self.wake.notify_one();
     }

@@ -78,8 +78,8 @@ enum RegistrationStatus {
 #[derive(Debug, Default)]
 pub(super) struct Registrations {
     entries: BTreeMap<Registration, RegistrationStatus>,
-    /// `true` after a call that did not reach the master, or that the master refused. Calls are then repeated at the retry
-    /// interval.
+    /// `true` after a call that did not reach the master, or that the master refused. Calls are then repeated at the
+    /// retry interval.
     is_unreachable: bool,
     /// `true` if the master is to be asked whether it still knows the node.
     is_check_due: bool,
@@ -109,7 +109,8 @@ impl Registrations {
     /// Returns the call that is due now.
     pub(super) fn next_call(&self) -> Option<MasterCall> {
         let with_status = |wanted_status| self.entries.iter().find(|(_, status)| **status == wanted_status);
-        // After the master was unreachable, another master may run. Therefore it is first asked whether it knows the node.
+        // After the master was unreachable, another master may run. Therefore it is first asked whether it knows the
+        // node.
         if self.is_check_due && !self.entries.is_empty() {
             return Some(MasterCall::LookUpNode);
         }

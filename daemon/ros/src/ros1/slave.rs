@@ -172,7 +172,8 @@ fn count_value(count: u64) -> Value {
     Value::Int(i64::try_from(count).unwrap_or(i64::MAX))
 }
 
-/// Returns the statistics for `getBusStats`: of publishers, of subscribers, and of services, which this node does not have.
+/// Returns the statistics for `getBusStats`: of publishers, of subscribers, and of services, which this node does not
+/// have.
 fn bus_statistics(node: &NodeState) -> Value {
     let (published, subscribed) = (node.topics.published(), node.topics.subscribed());
     let publishers = published.iter().map(|topic| {

@@ -12,8 +12,8 @@ use super::memory::MessageMemory;
 use super::subscriber::SubscribedTopic;
 use super::tcpros::{FrameBuffer, FrameError};
 
-/// Sets TCP_NODELAY, so that a small message does not wait for the acknowledgement of the message before it. Sets keepalive
-/// and a timeout of the kernel, so that a vanished peer is noticed whether or not something is being sent.
+/// Sets TCP_NODELAY, so that a small message does not wait for the acknowledgement of the message before it. Sets
+/// keepalive and a timeout of the kernel, so that a vanished peer is noticed whether or not something is being sent.
 pub(super) fn configure(stream: &TcpStream) -> io::Result<()> {
     stream.set_nodelay(true)?;
     let keepalive = TcpKeepalive::new()
@@ -25,8 +25,8 @@ pub(super) fn configure(stream: &TcpStream) -> io::Result<()> {
     socket.set_tcp_user_timeout(Some(USER_TIMEOUT))
 }
 
-/// Reads until a frame is complete. Returns the frame with its memory; `None` if the peer has closed the connection between
-/// two frames.
+/// Reads until a frame is complete. Returns the frame with its memory; `None` if the peer has closed the connection
+/// between two frames.
 ///
 /// The limits of a topic are read again whenever bytes have arrived, because they may change while the next frame is
 /// awaited.

@@ -27,11 +27,11 @@ pub struct SubscriberOptions {
     pub when_full: WhenFull,
     /// Largest accepted message in bytes. A publisher of a larger message is disconnected.
     pub max_message_bytes: usize,
-    /// Name of the only node whose messages are accepted; other publishers are disconnected before they send a message. By
-    /// default messages of all nodes are accepted.
+    /// Name of the only node whose messages are accepted; other publishers are disconnected before they send a message.
+    /// By default messages of all nodes are accepted.
     pub publisher: Option<Arc<str>>,
-    /// Limit on the memory of messages, from their first bytes until they are dropped; several subscribers may share it. A
-    /// publisher whose message exceeds the limit is disconnected. By default there is no such limit.
+    /// Limit on the memory of messages, from their first bytes until they are dropped; several subscribers may share
+    /// it. A publisher whose message exceeds the limit is disconnected. By default there is no such limit.
     pub memory: Option<Arc<dyn MemoryLimit>>,
 }
 
@@ -292,8 +292,8 @@ impl SubscribedTopic {
         self.add_links(&mut state, uris);
     }
 
-    /// Adds publishers to the known publishers. No publisher is removed, because the answer to a registration may be older than a
-    /// list that has arrived since.
+    /// Adds publishers to the known publishers. No publisher is removed, because the answer to a registration may be
+    /// older than a list that has arrived since.
     pub(super) fn add_publishers(self: &Arc<Self>, uris: &[String]) {
         self.add_links(&mut self.state(), uris);
     }
@@ -320,8 +320,8 @@ impl SubscribedTopic {
         self.changed.notify_waiters();
     }
 
-    /// Removes a publisher if the master does not list it any more or the subscriber stops. Returns whether the publisher
-    /// was removed.
+    /// Removes a publisher if the master does not list it any more or the subscriber stops. Returns whether the
+    /// publisher was removed.
     pub(super) fn remove_if_ended(&self, link: &PublisherLink) -> bool {
         // Locked before the check, so that the master's list cannot add the publisher again before it is removed.
         let mut state = self.state();

@@ -1,4 +1,5 @@
-//! State machine of discovery without I/O: the participants and endpoints of the domain, and the peers of our endpoints.
+//! State machine of discovery without I/O: the participants and endpoints of the domain, and the peers of our
+//! endpoints.
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -1,8 +1,8 @@
 //! Blocking readers and writers of topics of either version of ROS, for callers such as sensors and actuators.
 //!
 //! [`TopicReader`] and [`TopicWriter`] receive and send the messages of one topic. All readers and writers of a process
-//! share one node for each master or domain. One thread serves the sockets of these nodes, so that the threads of sensors
-//! and actuators do no work for ROS.
+//! share one node for each master or domain. One thread serves the sockets of these nodes, so that the threads of
+//! sensors and actuators do no work for ROS.
 
 mod error;
 mod message_type;

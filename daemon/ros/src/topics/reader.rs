@@ -67,8 +67,8 @@ enum VersionedSubscriber {
 }
 
 impl TopicReader {
-    /// Subscribes to a topic. `message_type` is the type of its messages. Without a type, a reader of ROS 1 accepts every
-    /// type. Blocks while the subscription is registered.
+    /// Subscribes to a topic. `message_type` is the type of its messages. Without a type, a reader of ROS 1 accepts
+    /// every type. Blocks while the subscription is registered.
     ///
     /// # Errors
     /// If the environment or the name cannot be used, no master answers, the type is missing in ROS 2, or this build
@@ -92,8 +92,8 @@ impl TopicReader {
     /// Waits for the next message. Blocks.
     ///
     /// # Errors
-    /// If no message arrives within `time_limit`: [`TopicError::NoMessage`], or [`NoPeer`](crate::ros2::NoPeer) in ROS 2,
-    /// with the state of the publishers. Another error if the node has ended ([`TopicError::needs_reopening`]).
+    /// If no message arrives within `time_limit`: [`TopicError::NoMessage`], or [`NoPeer`](crate::ros2::NoPeer) in ROS
+    /// 2, with the state of the publishers. Another error if the node has ended ([`TopicError::needs_reopening`]).
     pub fn read(&mut self, time_limit: Duration) -> Result<TopicMessage, TopicError> {
         runtime()?.block_on(self.read_within(time_limit))
     }

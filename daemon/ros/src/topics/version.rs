@@ -53,8 +53,8 @@ pub enum VersionError {
 }
 
 impl RosVersion {
-    /// Returns the version: the configured version, else `ROS_VERSION`, else the version of the distribution `ROS_DISTRO`.
-    /// `variable` looks up an environment variable; an empty value counts as unset.
+    /// Returns the version: the configured version, else `ROS_VERSION`, else the version of the distribution
+    /// `ROS_DISTRO`. `variable` looks up an environment variable; an empty value counts as unset.
     ///
     /// # Errors
     /// If nothing states the version, or `ROS_VERSION` has an invalid value.

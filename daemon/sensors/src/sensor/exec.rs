@@ -13,8 +13,8 @@ use peernet_sample::Sample;
 use super::{DROPPED_SAMPLES, SensorConfig, SensorKind};
 use crate::{Sensor, SensorError};
 
-/// Program that is asked for each sample.
-struct Exec {
+/// Sensor that requests each sample from a program.
+struct ExecSensor {
     command: String,
     facts: Vec<(String, String)>,
     program: Program,
@@ -29,7 +29,7 @@ impl SensorKind for ExecConfig {
         let facts = self.facts_for(Role::Sensor);
         let program = Program::start(self, Role::Sensor, &format!("sensor {command}"), clock)
             .map_err(|error| SensorError::Program { command: command.clone(), error })?;
-        Ok(Box::new(Exec { command, facts, program, resets: self.resets, last_sequence: None }))
+        Ok(Box::new(ExecSensor { command, facts, program, resets: self.resets, last_sequence: None }))
     }
 
     fn check(&self, _clock: &SharedClock) -> Result<(), SensorError> {
@@ -59,8 +59,8 @@ impl SensorConfig {
     }
 }
 
-impl Exec {
-    fn failed(&self, error: ProgramCallError) -> SensorError {
+impl ExecSensor {
+    fn program_error(&self, error: ProgramCallError) -> SensorError {
         SensorError::Program { command: self.command.clone(), error }
     }
 
@@ -73,8 +73,9 @@ impl Exec {
             recorder.record_value(Name::from(name.as_str()), *value, Unit::new(unit));
         }
         if let Some(sequence) = notes.sequence {
-            // Samples that the program captured and did not pass on leave gaps in its numbers. A smaller number than
-            // expected means that the program was restarted; then the number of missed samples is unknown.
+            // Samples that the program captured and did not pass on leave gaps in its numbers. A number below the
+            // expected number means that the program was restarted. How many samples it dropped is then unknown, and
+            // zero is recorded.
             let next = self.last_sequence.and_then(|last| last.checked_add(1));
             let dropped = next.and_then(|next| sequence.checked_sub(next)).unwrap_or(0);
             recorder.record_value(DROPPED_SAMPLES, dropped as f64, Unit::NONE);
@@ -83,9 +84,9 @@ impl Exec {
     }
 }
 
-impl Sensor for Exec {
+impl Sensor for ExecSensor {
     fn sample(&mut self, recorder: &mut Recorder) -> Result<Option<Sample>, SensorError> {
-        let program_call = self.program.call(Request::Next).map_err(|error| self.failed(error))?;
+        let program_call = self.program.call(Request::Next).map_err(|error| self.program_error(error))?;
         let restart = program_call.restart_interval();
         let ReplyOutcome::Parts(parts) = program_call.outcome else { return Ok(None) };
         if let Some((from, to)) = restart {
@@ -101,7 +102,7 @@ impl Sensor for Exec {
     }
 
     fn reset(&mut self) -> Result<(), SensorError> {
-        self.program.reset().map_err(|error| self.failed(error))
+        self.program.reset().map_err(|error| self.program_error(error))
     }
 
     fn facts(&self) -> Vec<(String, String)> {

@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Sensor, SensorError};
 
-/// Number of samples that were lost since the previous sample, because the pipeline was busy or the transport lost them.
+/// Number of samples that were lost since the previous sample, in the transport or because the pipeline was busy.
 const DROPPED_SAMPLES: Name = Name::from_static("dropped-samples");
 
 /// Kind of sensor, implemented by its configuration.
@@ -38,8 +38,8 @@ pub trait SensorKind {
         self.open(clock).map(drop)
     }
 
-    /// Returns conditions that are not errors but prevent samples now, as texts. May ask other hosts for some
-    /// seconds.
+    /// Returns texts about conditions that prevent samples now but are not errors. May wait some seconds for other
+    /// hosts.
     fn remarks(&self) -> Vec<String> {
         Vec::new()
     }
@@ -49,7 +49,8 @@ pub trait SensorKind {
         false
     }
 
-    /// Returns the fact that distinguishes programs with different arguments; the arguments themselves may be secret.
+    /// Returns a fact with a fingerprint of the program's arguments: different arguments have different fingerprints.
+    /// The arguments themselves may be secret.
     fn arguments_fact(&self, _key: &FingerprintKey) -> Option<(String, String)> {
         None
     }
@@ -95,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn unknown_key_is_refused_by_name() {
+    fn error_names_unknown_key() {
         for text in [
             "kind = 'images'\npath = 'p'\nzz = 1",
             "kind = 'text'\nlength = 3\nzz = 1",

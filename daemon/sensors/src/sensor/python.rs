@@ -11,18 +11,18 @@ use peernet_sample::Sample;
 use super::{SensorConfig, SensorKind};
 use crate::{Sensor, SensorError};
 
-/// Python object that is asked for each sample.
-struct Python {
+/// Sensor that requests each sample from a Python object.
+struct PythonSensor {
     name: String,
     object: PythonObject,
 }
 
 impl SensorKind for PythonConfig {
-    /// Starts its process and creates the object.
+    /// Starts the Python process and creates the object in it.
     fn open(&self, clock: &SharedClock) -> Result<Box<dyn Sensor>, SensorError> {
         let name = format!("sensor {}", self.object);
         let object = PythonObject::start(self, Role::Sensor, &name, None, clock)?;
-        Ok(Box::new(Python { name: self.object.clone(), object }))
+        Ok(Box::new(PythonSensor { name: self.object.clone(), object }))
     }
 
     fn check(&self, clock: &SharedClock) -> Result<(), SensorError> {
@@ -35,22 +35,22 @@ impl SensorKind for PythonConfig {
 }
 
 impl SensorConfig {
-    /// Returns the configuration of a Python object; `pickle` as in [`PythonConfig`].
+    /// Returns the configuration of a Python object; [`PythonConfig`] describes `pickle`.
     pub fn python_object(object: &str, pickle: bool) -> Self {
         PythonConfig { pickle, ..PythonConfig::new(object) }.into()
     }
 }
 
-impl Sensor for Python {
+impl Sensor for PythonSensor {
     fn sample(&mut self, recorder: &mut Recorder) -> Result<Option<Sample>, SensorError> {
-        let called = self.object.call(&[]);
-        let started_at = called.times.started_at;
-        if let Some(from) = called.times.restarted_at {
+        let call = self.object.call(&[]);
+        let started_at = call.times.started_at;
+        if let Some(from) = call.times.restarted_at {
             recorder.record_timer(stage::CAPTURE_RESTART, from, started_at);
         }
-        // Statistics group nodes by name, so this stage must not have the name of the model's `ipc`.
-        recorder.record_timer(stage::CAPTURE_IPC, started_at, started_at + called.times.overhead());
-        let Some(parts) = called.result? else { return Ok(None) };
+        // Statistics group nodes by name, so the name must differ from `ipc`, the stage of a model.
+        recorder.record_timer(stage::CAPTURE_IPC, started_at, started_at + call.times.overhead());
+        let Some(parts) = call.result? else { return Ok(None) };
         Ok(Some(Sample { parts, source: self.name.clone(), label: None }))
     }
 

@@ -12,18 +12,18 @@ use serde::{Deserialize, Serialize};
 use super::{SensorConfig, SensorKind, default_seed};
 use crate::{Sensor, SensorError};
 
-/// Configuration of the sensor: `{ kind = "synthetic", … }`. Payloads are created when the sensor is opened, so that
-/// a sample takes no time.
+/// Configuration of the sensor: `{ kind = "synthetic", … }`. The sensor creates the payloads when it is opened, so that
+/// capturing a sample takes almost no time.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SyntheticConfig {
-    /// Payload of every sample, bytes. Either this or `sizes_bytes` must be given.
+    /// Payload size of every sample, bytes. Either `size_bytes` or `sizes_bytes` must be given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub size_bytes: Option<usize>,
-    /// Payloads of successive samples, bytes, repeated: a sweep over sizes.
+    /// Payload sizes of successive samples, bytes. After the last size the list begins again.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sizes_bytes: Vec<usize>,
-    /// Seed of the bytes. Default: 1.
+    /// Seed of the random bytes. Default: 1.
     #[serde(default = "default_seed")]
     pub seed: u64,
 }
@@ -43,12 +43,12 @@ impl SensorKind for SyntheticConfig {
             Some(_) => return config_error("produces at most 1073741824 bytes per sample; lower its size"),
             None => return config_error("needs size_bytes or sizes_bytes"),
         };
-        // All payloads are slices of one buffer, so that many sizes take no more memory than the largest.
+        // All payloads are slices of one buffer, so that many sizes take no more memory than the largest size.
         let mut buffer = vec![0; largest];
         StdRng::seed_from_u64(self.seed).fill_bytes(&mut buffer);
         let buffer = Bytes::from(buffer);
         let payloads = sizes.iter().map(|size| buffer.slice(..*size)).collect();
-        Ok(Box::new(Synthetic { payloads, next: 0 }))
+        Ok(Box::new(SyntheticSensor { payloads, next: 0 }))
     }
 }
 
@@ -58,20 +58,20 @@ impl SensorConfig {
         SyntheticConfig { size_bytes: Some(size), sizes_bytes: Vec::new(), seed: default_seed() }.into()
     }
 
-    /// Returns the configuration of random payloads of these sizes, bytes, one after the other and repeated.
+    /// Returns the configuration of random payloads whose sizes follow this list again and again, bytes.
     pub fn size_sweep(sizes_bytes: Vec<usize>) -> Self {
         SyntheticConfig { size_bytes: None, sizes_bytes, seed: default_seed() }.into()
     }
 }
 
-/// Payloads of the given sizes, one after the other. Each is the first part of one random buffer.
-struct Synthetic {
+/// Sensor with one payload for each size. All payloads are the beginning of the same random bytes.
+struct SyntheticSensor {
     payloads: Vec<Bytes>,
     next: usize,
 }
 
-impl Sensor for Synthetic {
-    fn sample(&mut self, _log: &mut Recorder) -> Result<Option<Sample>, SensorError> {
+impl Sensor for SyntheticSensor {
+    fn sample(&mut self, _recorder: &mut Recorder) -> Result<Option<Sample>, SensorError> {
         let payload = self.payloads[self.next].clone();
         self.next = (self.next + 1) % self.payloads.len();
         Ok(Some(Sample::from_part(Description::bytes(), payload)))

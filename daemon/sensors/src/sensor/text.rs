@@ -11,18 +11,18 @@ use serde::{Deserialize, Serialize};
 use super::{SensorConfig, SensorKind, default_seed};
 use crate::{Sensor, SensorError};
 
-/// Longest text, bytes (64 MiB). The limit is lower than the limit of `synthetic`, because each text is generated for its
-/// sample.
+/// Longest text, bytes (64 MiB).
+// The limit is lower than that of `synthetic`, because this sensor generates a new text for each sample.
 const MAX_LENGTH: usize = 64 << 20;
 
-/// Configuration of the sensor: `{ kind = "text", … }`. Each sample is another text; the paper's program calls this
-/// "random string".
+/// Configuration of the sensor: `{ kind = "text", … }`. Each sample is a new random text; the paper's program calls
+/// it "random string".
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TextConfig {
     /// Number of characters of every sample, one byte each.
     pub length: usize,
-    /// Seed of the text. Default: 1.
+    /// Seed of the random texts. Default: 1.
     #[serde(default = "default_seed")]
     pub seed: u64,
 }
@@ -34,30 +34,30 @@ impl SensorKind for TextConfig {
                 "a text sensor produces at most {MAX_LENGTH} characters per sample; lower its length"
             )));
         }
-        Ok(Box::new(Text { length: self.length, random: StdRng::seed_from_u64(self.seed) }))
+        Ok(Box::new(TextSensor { length: self.length, random: StdRng::seed_from_u64(self.seed) }))
     }
 }
 
 impl SensorConfig {
-    /// Returns the configuration of random texts of this number of characters.
+    /// Returns the configuration of random texts of `length` characters.
     pub fn random_text(length: usize) -> Self {
         TextConfig { length, seed: default_seed() }.into()
     }
 }
 
-/// Letters and digits of the configured number, another text each time.
-struct Text {
+/// Sensor that generates a new text of letters and digits for each sample.
+struct TextSensor {
     length: usize,
     random: StdRng,
 }
 
-impl Sensor for Text {
-    fn sample(&mut self, _log: &mut Recorder) -> Result<Option<Sample>, SensorError> {
+impl Sensor for TextSensor {
+    fn sample(&mut self, _recorder: &mut Recorder) -> Result<Option<Sample>, SensorError> {
         let text = Alphanumeric.sample_string(&mut self.random, self.length);
         Ok(Some(Sample::from_part(Description::unshaped(MediaType::Text), text.into())))
     }
 
-    // A long text is generated on another thread, because generating it takes longer than waking that thread.
+    // Generating a long text takes longer than waking another thread, which then generates it.
     fn blocks(&self) -> bool {
         self.length > 4096
     }

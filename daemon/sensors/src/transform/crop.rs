@@ -34,16 +34,17 @@ impl TransformKind for CropConfig {
 
 struct CropTransform {
     crop: Crop,
+    /// Buffer for the decoded picture.
     picture: Picture,
 }
 
 impl Transform for CropTransform {
-    fn apply(&mut self, sample: Sample, _log: &mut Recorder) -> Result<Sample, SensorError> {
+    fn apply(&mut self, sample: Sample, _recorder: &mut Recorder) -> Result<Sample, SensorError> {
         let Self { crop: rectangle, picture } = self;
         transform_pictures(sample, "crop", |part| {
             read_part(part, working_format(part), picture)?;
-            // Each sample gets a new buffer, because it becomes the part. The buffer of the decoded picture is used
-            // again.
+            // The cropped pixels become the payload of the part, so that each sample needs a new buffer. The buffer of
+            // the decoded picture is reused.
             let mut cropped = Picture::default();
             crop(picture, *rectangle, &mut cropped)?;
             Ok(cropped.into_part())
@@ -52,13 +53,13 @@ impl Transform for CropTransform {
 
     fn describe(&self) -> String {
         let Crop { width, height, x, y } = self.crop;
-        let at = match (x, y) {
+        let position = match (x, y) {
             (None, None) => "the centre".to_owned(),
             (x, y) => {
                 let edge_text = |edge: Option<u32>| edge.map_or("centre".to_owned(), |edge| edge.to_string());
                 format!("{}, {}", edge_text(x), edge_text(y))
             }
         };
-        format!("crop {width} × {height} at {at}")
+        format!("crop {width} × {height} at {position}")
     }
 }

@@ -12,14 +12,15 @@ use crate::{SensorError, Transform};
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DecodeConfig {
-    /// Orientation of the result: `stored` (default), as the pixels are stored, or `exif`, upright by the EXIF tag of the file.
+    /// Orientation of the result: `stored` (default) as the pixels are stored, or `exif` to turn the picture upright by
+    /// the EXIF tag of the file.
     #[serde(default, skip_serializing_if = "Orientation::is_stored")]
     pub orientation: Orientation,
 }
 
 impl TransformKind for DecodeConfig {
     fn build(&self) -> Result<Box<dyn Transform>, SensorError> {
-        Ok(Box::new(Decode { orientation: self.orientation }))
+        Ok(Box::new(DecodeTransform { orientation: self.orientation }))
     }
 }
 
@@ -30,14 +31,14 @@ impl TransformConfig {
     }
 }
 
-struct Decode {
+struct DecodeTransform {
     orientation: Orientation,
 }
 
-impl Transform for Decode {
-    fn apply(&mut self, sample: Sample, _log: &mut Recorder) -> Result<Sample, SensorError> {
+impl Transform for DecodeTransform {
+    fn apply(&mut self, sample: Sample, _recorder: &mut Recorder) -> Result<Sample, SensorError> {
         transform_pictures(sample, "decode", |part| {
-            // Pixels have no EXIF tag, so that they are never turned.
+            // Decoded pixels have no EXIF tag, so that they are never turned.
             if let MediaType::Pixels(_) = part.description.media {
                 return Ok(part.clone());
             }

@@ -31,15 +31,15 @@ pub enum Format {
 
 impl TransformKind for EncodeConfig {
     fn build(&self) -> Result<Box<dyn Transform>, SensorError> {
-        let wrong = |reason: &str| Err(SensorError::Config(reason.to_owned()));
+        let config_error = |reason: &str| Err(SensorError::Config(reason.to_owned()));
         let encoding = match (self.format, self.quality) {
             (Format::Jpeg, None) => Encoding::Jpeg { quality: 85 },
             (Format::Jpeg, Some(quality @ 1..=100)) => Encoding::Jpeg { quality },
-            (Format::Jpeg, Some(_)) => return wrong("the quality of a jpeg goes from 1 to 100"),
+            (Format::Jpeg, Some(_)) => return config_error("the quality of a jpeg goes from 1 to 100"),
             (Format::Png, None) => Encoding::Png,
-            (Format::Png, Some(_)) => return wrong("a png is lossless and takes no quality"),
+            (Format::Png, Some(_)) => return config_error("a png is lossless and takes no quality"),
         };
-        Ok(Box::new(Encode { encoding, picture: Picture::default() }))
+        Ok(Box::new(EncodeTransform { encoding, picture: Picture::default() }))
     }
 }
 
@@ -50,13 +50,14 @@ impl TransformConfig {
     }
 }
 
-struct Encode {
+struct EncodeTransform {
     encoding: Encoding,
+    /// Buffer for the decoded picture.
     picture: Picture,
 }
 
-impl Transform for Encode {
-    fn apply(&mut self, sample: Sample, _log: &mut Recorder) -> Result<Sample, SensorError> {
+impl Transform for EncodeTransform {
+    fn apply(&mut self, sample: Sample, _recorder: &mut Recorder) -> Result<Sample, SensorError> {
         let Self { encoding, picture } = self;
         transform_pictures(sample, "encode", |part| {
             read_part(part, working_format(part), picture)?;

@@ -22,11 +22,12 @@ pub trait TransformKind {
     fn build(&self) -> Result<Box<dyn Transform>, SensorError>;
 }
 
-/// An element of `transforms` in the configuration of a pipeline; they are applied in their order. New kinds are
-/// registered here.
+/// An element of the list `transforms` in the configuration of a pipeline, which applies them in their order. New kinds
+/// are registered here.
 ///
-/// `resize`, `crop` and `decode` yield decoded pixels (in colour, if the picture was a file). An `encode` after them
-/// makes a small file again. Each transform changes every picture of the sample and leaves its other parts unchanged.
+/// `resize`, `crop` and `decode` yield decoded pixels (in colour, if the picture was a file). A later `encode`
+/// compresses the pixels again. Each transform changes every picture of the sample and leaves the other parts of the
+/// sample unchanged.
 #[enum_dispatch(TransformKind)]
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
@@ -41,33 +42,36 @@ pub enum TransformConfig {
     Decode(decode::DecodeConfig),
 }
 
-/// Checks that a picture of this size has a pixel.
-fn check_size(width: u32, height: u32, what: &str) -> Result<(), SensorError> {
+/// Checks that neither side of the configured size is zero.
+fn check_size(width: u32, height: u32, transform: &str) -> Result<(), SensorError> {
     if width == 0 || height == 0 {
-        let reason = format!("{what} needs a width and a height of at least 1, not {width} × {height}");
+        let reason = format!("{transform} needs a width and a height of at least 1, not {width} × {height}");
         return Err(SensorError::Config(reason));
     }
     Ok(())
 }
 
-/// Changes every picture of a sample and leaves its other parts unchanged. A sample without a picture is an error.
+/// Changes every picture of a sample and leaves the other parts unchanged.
+///
+/// # Errors
+/// If a picture cannot be changed, or if the sample has no picture.
 fn transform_pictures(
     mut sample: Sample,
     action: &'static str,
-    mut transform_pictures: impl FnMut(&Part) -> Result<Part, ImageError>,
+    mut transform_part: impl FnMut(&Part) -> Result<Part, ImageError>,
 ) -> Result<Sample, SensorError> {
-    let mut changed = false;
+    let mut has_picture = false;
     for part in &mut sample.parts {
         if matches!(part.description.media, MediaType::Jpeg | MediaType::Png | MediaType::Pixels(_)) {
-            match transform_pictures(part) {
+            match transform_part(part) {
                 Ok(new) => *part = new,
                 Err(error) => return Err(SensorError::Picture { action, sample: sample.source, error }),
             }
-            changed = true;
+            has_picture = true;
         }
     }
-    // A transform without a picture to work on shows a mistake in the configuration.
-    if !changed {
+    // A transform of samples without pictures is a mistake in the configuration.
+    if !has_picture {
         let media = sample.parts.first().map_or(MediaType::Bytes, |part| part.description.media.clone());
         let error = ImageError::NotAPicture(media);
         return Err(SensorError::Picture { action, sample: sample.source, error });
@@ -75,7 +79,8 @@ fn transform_pictures(
     Ok(sample)
 }
 
-/// Returns the format in which a part is processed: the format of the part for pixels, colour for files.
+/// Returns the pixel format in which a part is processed: decoded pixels keep their format, files are decoded to
+/// colour.
 fn working_format(part: &Part) -> PixelFormat {
     match part.description.media {
         MediaType::Pixels(format) => format,
@@ -88,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn unknown_key_is_refused_by_name() {
+    fn error_names_unknown_key() {
         for text in [
             "kind = 'resize'\nwidth = 1\nheight = 1\nzz = 1",
             "kind = 'crop'\nwidth = 1\nheight = 1\nzz = 1",

@@ -24,30 +24,31 @@ pub struct ResizeConfig {
 impl TransformKind for ResizeConfig {
     fn build(&self) -> Result<Box<dyn Transform>, SensorError> {
         check_size(self.width, self.height, "resize")?;
-        Ok(Box::new(Resize { to: *self, resizer: Resizer::new(), picture: Picture::default() }))
+        Ok(Box::new(ResizeTransform { config: *self, resizer: Resizer::new(), picture: Picture::default() }))
     }
 }
 
-struct Resize {
-    to: ResizeConfig,
+struct ResizeTransform {
+    config: ResizeConfig,
     resizer: Resizer,
+    /// Buffer for the decoded picture.
     picture: Picture,
 }
 
-impl Transform for Resize {
-    fn apply(&mut self, sample: Sample, _log: &mut Recorder) -> Result<Sample, SensorError> {
-        let Self { to: ResizeConfig { width, height, filter }, resizer, picture } = self;
+impl Transform for ResizeTransform {
+    fn apply(&mut self, sample: Sample, _recorder: &mut Recorder) -> Result<Sample, SensorError> {
+        let Self { config: ResizeConfig { width, height, filter }, resizer, picture } = self;
         transform_pictures(sample, "resize", |part| {
             read_part(part, working_format(part), picture)?;
-            // Each sample gets a new buffer, because it becomes the part. The buffer of the decoded picture is used
-            // again.
-            let mut small = Picture::default();
-            resizer.resize(picture, *width, *height, *filter, &mut small)?;
-            Ok(small.into_part())
+            // The scaled pixels become the payload of the part, so that each sample needs a new buffer. The buffer of
+            // the decoded picture is reused.
+            let mut scaled = Picture::default();
+            resizer.resize(picture, *width, *height, *filter, &mut scaled)?;
+            Ok(scaled.into_part())
         })
     }
 
     fn describe(&self) -> String {
-        format!("resize to {} × {}", self.to.width, self.to.height)
+        format!("resize to {} × {}", self.config.width, self.config.height)
     }
 }

@@ -8,8 +8,8 @@ fn config(command: &str) -> SensorConfig {
 }
 
 #[test]
-fn samples_labels_and_drops_come_from_the_program() {
-    // The program's own numbers: 5, 6, 9, then 1 as after a restart.
+fn program_provides_samples_labels_and_dropped_samples() {
+    // The program numbers its samples 5, 6, 9 and, as after a restart, 1.
     let script = "for n in 5 6 9 1; do read -r next; \
                   printf 'sequence %d\\nlabel cat %d\\nsource n%d\\nvalue gain 2 dB\\nanswer 2 text/plain\\n%02d' $n $n $n $n; \
                   done; read -r next; echo end; cat";
@@ -27,7 +27,10 @@ fn samples_labels_and_drops_come_from_the_program() {
         assert_eq!(value("capture-restart"), None);
     }
     let mut recorder = recorder();
-    assert!(sensor.sample(&mut recorder).expect("says so").is_none(), "there are no more");
+    assert!(
+        sensor.sample(&mut recorder).expect("the program ends without an error").is_none(),
+        "there are no more samples"
+    );
 }
 
 #[test]
@@ -49,23 +52,23 @@ fn program_is_reset_before_each_episode() {
 #[test]
 fn failure_names_program_and_next_sample_retries() {
     let folder = tempfile::tempdir().expect("can be made");
-    let mark = folder.path().join("mark");
+    let marker = folder.path().join("mark");
     let script =
-        format!("if [ -e {0} ]; then read -r x; echo answer 0; cat; fi; touch {0}; exit 7", mark.display());
+        format!("if [ -e {0} ]; then read -r x; echo answer 0; cat; fi; touch {0}; exit 7", marker.display());
     let mut sensor = config(&script).open(&real_clock()).expect("sh is there");
     let mut recorder = recorder();
     let error = sensor.sample(&mut recorder).expect_err("it ends").to_string();
     assert!(error.contains("exit status 7") && error.contains("the program sh:"), "{error}");
-    assert!(sensor.sample(&mut recorder).expect("the second one stays").is_some());
-    assert!(recorder.tree().find(&["capture-restart"]).is_some(), "which had to come up");
+    assert!(sensor.sample(&mut recorder).expect("the second process answers").is_some());
+    assert!(recorder.tree().find(&["capture-restart"]).is_some(), "the restart is recorded");
 }
 
 #[test]
-fn check_runs_nothing() {
+fn check_does_not_run_program() {
     let folder = tempfile::tempdir().expect("can be made");
-    let mark = folder.path().join("mark");
-    config(&format!("touch {}", mark.display())).check(&real_clock()).expect("is well formed");
-    assert!(!mark.exists());
+    let marker = folder.path().join("mark");
+    config(&format!("touch {}", marker.display())).check(&real_clock()).expect("is well formed");
+    assert!(!marker.exists());
     let missing = ExecConfig::new(CommandLine::Words(vec!["./no-such-program".to_owned()]));
     let error = SensorConfig::Exec(missing).check(&real_clock()).expect_err("is not there").to_string();
     assert!(error.contains("./no-such-program"), "{error}");

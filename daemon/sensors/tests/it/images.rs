@@ -21,7 +21,7 @@ fn images(path: &Path, order: Order, seed: u64, repeat: bool) -> Result<Box<dyn 
     ImagesConfig { path: path.to_owned(), order, seed, repeat, labels: None }.open(&clock())
 }
 
-fn refused(path: &Path) -> String {
+fn open_error(path: &Path) -> String {
     images(path, Order::Name, 1, true).err().expect("is refused").to_string()
 }
 
@@ -38,9 +38,9 @@ fn files_are_sent_unchanged_in_order_of_names() {
     assert!(next(once.as_mut()).expect("ends").is_none());
     assert!(next(once.as_mut()).expect("stays at its end").is_none());
 
-    let mut again = images(folder.path(), Order::Name, 1, true).expect("opens");
-    assert_eq!(sources(again.as_mut(), 5), ["a.PNG", "b.jpg", "a.PNG", "b.jpg", "a.PNG"]);
-    let facts = again.facts();
+    let mut repeating = images(folder.path(), Order::Name, 1, true).expect("opens");
+    assert_eq!(sources(repeating.as_mut(), 5), ["a.PNG", "b.jpg", "a.PNG", "b.jpg", "a.PNG"]);
+    let facts = repeating.facts();
     assert!(facts[0].1.starts_with("2 images of "), "{facts:?}");
     // sha256sum a.PNG b.jpg | sha256sum
     let expected_hash = "826c0a54f7c2d8bb84fc726a774bca6b068d982bc07be25b818b44d7bb260970";
@@ -52,10 +52,10 @@ fn files_are_sent_unchanged_in_order_of_names() {
 }
 
 #[test]
-fn too_large_picture_fails_alone() {
+fn too_large_picture_fails_only_its_sample() {
     let folder = folder(&[("a.jpg", ""), ("b.jpg", "bytes of b")]);
     let largest = 1 << 30;
-    // A sparse file, which takes no space.
+    // The file is sparse and takes no space on the disk.
     fs::File::create(folder.path().join("a.jpg"))
         .and_then(|file| file.set_len(largest + 1))
         .expect("is made");
@@ -68,22 +68,23 @@ fn too_large_picture_fails_alone() {
 
 #[test]
 fn labels_come_from_file_or_folders() {
-    let listed = folder(&[
+    let with_labels_file = folder(&[
         ("a.jpg", ""),
         ("sub/b.jpg", ""),
         ("labels.csv", "file,label\na.jpg, good\nsub/b.jpg,dented\n"),
     ]);
-    let mut sensor = images(listed.path(), Order::Name, 1, false).expect("opens");
+    let mut sensor = images(with_labels_file.path(), Order::Name, 1, false).expect("opens");
     let labels = [(); 2].map(|()| next(sensor.as_mut()).expect("reads").expect("there").label);
     assert_eq!(labels, [Some("good".to_owned()), Some("dented".to_owned())]);
 
-    let half = folder(&[("a.jpg", ""), ("b.jpg", ""), ("labels.csv", "file,label\na.jpg,\nb.jpg,good\n")]);
-    let mut sensor = images(half.path(), Order::Name, 1, false).expect("opens");
+    let partly_labelled =
+        folder(&[("a.jpg", ""), ("b.jpg", ""), ("labels.csv", "file,label\na.jpg,\nb.jpg,good\n")]);
+    let mut sensor = images(partly_labelled.path(), Order::Name, 1, false).expect("opens");
     let labels = [(); 2].map(|()| next(sensor.as_mut()).expect("reads").expect("there").label);
-    assert_eq!(labels, [None, Some("good".to_owned())], "an empty one is none");
+    assert_eq!(labels, [None, Some("good".to_owned())], "an empty label is no label");
 
-    let sorted = folder(&[("good/a.jpg", ""), ("dented/b.jpg", ""), ("c.jpg", "")]);
-    let mut sensor = images(sorted.path(), Order::Name, 1, false).expect("opens");
+    let with_folders = folder(&[("good/a.jpg", ""), ("dented/b.jpg", ""), ("c.jpg", "")]);
+    let mut sensor = images(with_folders.path(), Order::Name, 1, false).expect("opens");
     let found: Vec<_> = (0..3)
         .map(|_| next(sensor.as_mut()).expect("reads").expect("there"))
         .map(|sample| (sample.source, sample.label))
@@ -95,9 +96,9 @@ fn labels_come_from_file_or_folders() {
     assert!(sensor.facts().contains(&fact), "{:?}", sensor.facts());
     assert!(sensor.facts().iter().all(|(name, _)| name != "Labels file"), "{:?}", sensor.facts());
 
-    let mut single = images(&listed.path().join("a.jpg"), Order::Name, 1, false).expect("opens");
+    let mut single = images(&with_labels_file.path().join("a.jpg"), Order::Name, 1, false).expect("opens");
     assert_eq!(next(single.as_mut()).expect("reads").expect("there").label.as_deref(), Some("good"));
-    let file = listed.path().join("labels.csv");
+    let file = with_labels_file.path().join("labels.csv");
     let bytes = std::fs::read(&file).expect("is there");
     let hash = peernet_external::sha256(bytes.as_slice()).expect("is read");
     let fact = ("Labels file".to_owned(), format!("{} SHA-256 {hash}", file.display()));
@@ -105,7 +106,7 @@ fn labels_come_from_file_or_folders() {
 }
 
 #[test]
-fn boxes_become_label_with_size_of_picture() {
+fn label_has_boxes_and_size_of_picture() {
     let folder = folder(&[(
         "labels.csv",
         "file,label,left,top,right,bottom\na.png,cat,1,2,3.5,4\nb.png,,,,,\na.png,dog,0,0,9,9\n",
@@ -132,7 +133,7 @@ fn boxes_become_label_with_size_of_picture() {
 }
 
 #[test]
-fn masks_become_labels_and_are_no_pictures() {
+fn masks_are_labels_and_not_samples() {
     let folder = folder(&[
         ("a.jpg", "bytes of a"),
         ("b.jpg", "bytes of b"),
@@ -142,9 +143,13 @@ fn masks_become_labels_and_are_no_pictures() {
     let mask = folder.path().join("masks/a.png");
     let refused_mask = |bytes: &[u8]| {
         fs::write(&mask, bytes).expect("written");
-        refused(folder.path())
+        open_error(folder.path())
     };
-    assert!(refused(folder.path()).contains("masks/a.png of a.jpg is no file"), "{}", refused(folder.path()));
+    assert!(
+        open_error(folder.path()).contains("masks/a.png of a.jpg is no file"),
+        "{}",
+        open_error(folder.path())
+    );
     assert!(refused_mask(b"no picture").contains("masks/a.png: the png file cannot be read"));
 
     let pixels = peernet_sample::Description::pixels(peernet_sample::PixelFormat::Grey8, 2, 1);
@@ -159,7 +164,11 @@ fn masks_become_labels_and_are_no_pictures() {
     assert_eq!(Path::new(&label.mask), mask);
     let read = peernet_sensors::read_mask(&mask).expect("is a mask");
     assert_eq!((read.width(), read.height(), read.pixels()), (2, 1, &[3, 255][..]));
-    assert_eq!(next(sensor.as_mut()).expect("reads").expect("there").label, None, "an empty one is none");
+    assert_eq!(
+        next(sensor.as_mut()).expect("reads").expect("there").label,
+        None,
+        "a row without a mask gives no label"
+    );
     assert!(next(sensor.as_mut()).expect("reads").is_none(), "the mask is no picture");
     let hash = peernet_external::sha256(&png.bytes[..]).expect("is read");
     let list = format!("{hash}  masks/a.png\n");
@@ -189,12 +198,12 @@ fn seed_determines_new_order_of_each_round() {
 }
 
 #[test]
-fn errors_name_the_wrong_file_or_label() {
+fn error_names_wrong_file_or_label() {
     let empty = folder(&[("readme.txt", "")]);
-    assert!(refused(empty.path()).contains("contains no picture"));
-    assert!(refused(&empty.path().join("missing")).contains("missing"));
-    assert!(refused(&empty.path().join("readme.txt")).contains("neither a folder nor"));
-    for (labels, named) in [
+    assert!(open_error(empty.path()).contains("contains no picture"));
+    assert!(open_error(&empty.path().join("missing")).contains("missing"));
+    assert!(open_error(&empty.path().join("readme.txt")).contains("neither a folder nor"));
+    for (labels, expected) in [
         ("file,label\nb.jpg,good\n", "b.jpg"),
         ("name,class\na.jpg,good\n", "file,label"),
         ("file,label\na.jpg,good\na.jpg,dented\n", "both good and dented"),
@@ -205,8 +214,8 @@ fn errors_name_the_wrong_file_or_label() {
         ("file,label,left,top,right,bottom\na.jpg,cat,3,2,1,4\n", "left < right"),
     ] {
         let folder = folder(&[("a.jpg", ""), ("labels.csv", labels)]);
-        let error = refused(folder.path());
-        assert!(error.contains(named) && error.contains("labels.csv"), "{error}");
+        let error = open_error(folder.path());
+        assert!(error.contains(expected) && error.contains("labels.csv"), "{error}");
     }
 }
 
@@ -218,11 +227,11 @@ fn only_files_and_links_to_files_are_pictures() {
     std::os::unix::fs::symlink("b.jpg", folder.path().join("d.jpg")).expect("made");
     let mut sensor = images(folder.path(), Order::Name, 1, true).expect("opens");
     assert_eq!(sources(sensor.as_mut(), 3), ["a.jpg", "c.jpg", "a.jpg"]);
-    assert!(refused(&folder.path().join("b.jpg")).contains("neither"));
+    assert!(open_error(&folder.path().join("b.jpg")).contains("neither"));
 }
 
 #[test]
-fn picture_that_vanished_fails_alone() {
+fn deleted_picture_fails_only_its_sample() {
     let folder = folder(&[("a.jpg", ""), ("b.jpg", ""), ("c.jpg", "")]);
     let mut sensor = images(folder.path(), Order::Name, 1, false).expect("opens");
     fs::remove_file(folder.path().join("b.jpg")).expect("is there");
@@ -233,7 +242,7 @@ fn picture_that_vanished_fails_alone() {
 }
 
 #[test]
-fn labels_may_lie_in_a_file_anywhere() {
+fn labels_file_may_be_in_another_folder() {
     let pictures = folder(&[("x/a.jpg", ""), ("b.jpg", "")]);
     let elsewhere = folder(&[
         ("of-all.csv", "file,label\nx/a.jpg,cat\nb.jpg,dog\nz.jpg,bird\n"),

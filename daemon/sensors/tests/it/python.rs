@@ -16,18 +16,18 @@ class Own:
 ";
 
 #[test]
-fn samples_come_from_the_object_until_it_stops() {
+fn samples_end_when_object_raises_stop_iteration() {
     let folder = tempfile::tempdir().expect("can be made");
     fs::write(folder.path().join("own.py"), SENSOR).expect("can be written");
-    let of = |object: &str| {
+    let config_of = |object: &str| {
         let folder = Some(folder.path().to_owned());
         SensorConfig::Python(PythonConfig { folder, ..PythonConfig::new(object) })
     };
-    of("own::Own").check(&real_clock()).expect("is there");
-    let missing = of("nowhere::Own").check(&real_clock()).expect_err("is not there").to_string();
+    config_of("own::Own").check(&real_clock()).expect("is there");
+    let missing = config_of("nowhere::Own").check(&real_clock()).expect_err("is not there").to_string();
     assert!(missing.contains("nowhere.py"), "{missing}");
 
-    let mut sensor = of("own::Own").open(&real_clock()).expect("is there");
+    let mut sensor = config_of("own::Own").open(&real_clock()).expect("is there");
     assert!(sensor.blocks() && sensor.facts()[0].1.starts_with("the Python class own::Own"));
     let (name, file) = &sensor.facts()[2];
     assert!(name == "Sensor files" && file.contains("/own.py SHA-256 "), "{file}");
@@ -37,7 +37,10 @@ fn samples_come_from_the_object_until_it_stops() {
     assert!(first_recorder.tree().find(&["capture-ipc"]).is_some());
     let error = sensor.sample(&mut recorder()).expect_err("raises").to_string();
     assert!(error.contains("no signal") && error.contains("own.py"), "{error}");
-    assert!(sensor.sample(&mut recorder()).expect("says so").is_none(), "there are no more");
+    assert!(
+        sensor.sample(&mut recorder()).expect("StopIteration is no error").is_none(),
+        "there are no more samples"
+    );
 }
 
 #[test]
@@ -56,17 +59,18 @@ class Own:
     let folder = Some(folder.path().to_owned());
     let config = SensorConfig::Python(PythonConfig { folder, ..PythonConfig::new("own::Own") });
     let mut sensor = config.open(&real_clock()).expect("is there");
-    // Each process gives two samples and dies.
+    // Each process gives two samples and exits at the third call.
     for (restarted, gives) in [(false, true), (false, true), (false, false), (true, true), (false, true)] {
         let mut recorder = recorder();
         assert_eq!(sensor.sample(&mut recorder).is_ok(), gives);
-        let waited = recorder.tree().find(&["capture-restart"]).and_then(|(_, node)| node.measure.value());
-        assert_eq!(waited.is_some_and(|seconds| seconds >= 0.3), restarted, "{waited:?}");
+        let restart_seconds =
+            recorder.tree().find(&["capture-restart"]).and_then(|(_, node)| node.measure.value());
+        assert_eq!(restart_seconds.is_some_and(|seconds| seconds >= 0.3), restarted, "{restart_seconds:?}");
     }
 }
 
 #[test]
-fn sensor_with_reset_is_reset() {
+fn object_with_reset_method_is_reset() {
     let source = "
 class Own:
     def __init__(self): self.episode = 0

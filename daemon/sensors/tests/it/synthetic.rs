@@ -16,7 +16,7 @@ fn payload(sensor: &mut dyn Sensor) -> Bytes {
 }
 
 #[test]
-fn sizes_alternate_and_payloads_are_reused() {
+fn sizes_repeat_and_payloads_are_reused() {
     let mut sensor = synthetic(None, &[1000, 0, 70_000], 1).expect("opens");
     assert!(!sensor.blocks());
     let first: Vec<_> = (0..3).map(|_| payload(sensor.as_mut())).collect();
@@ -27,18 +27,18 @@ fn sizes_alternate_and_payloads_are_reused() {
 
 #[test]
 fn bytes_follow_from_seed_and_are_incompressible() {
-    let of = |seed| payload(synthetic(Some(4096), &[], seed).expect("opens").as_mut());
-    assert_eq!(of(1), of(1));
-    assert_ne!(of(1), of(2));
+    let payload_of = |seed| payload(synthetic(Some(4096), &[], seed).expect("opens").as_mut());
+    assert_eq!(payload_of(1), payload_of(1));
+    assert_ne!(payload_of(1), payload_of(2));
     let mut counts = [0u32; 256];
-    of(1).iter().for_each(|byte| counts[usize::from(*byte)] += 1);
+    payload_of(1).iter().for_each(|byte| counts[usize::from(*byte)] += 1);
     assert!(counts.iter().all(|count| *count < 50), "{counts:?}");
 }
 
 #[test]
 fn size_must_be_given_once() {
-    let refused = |size, sizes: &[usize]| synthetic(size, sizes, 1).err().expect("is refused").to_string();
-    assert!(refused(None, &[]).contains("needs size_bytes"));
-    assert!(refused(Some(1), &[1]).contains("not both"));
-    assert!(refused(Some(usize::MAX), &[]).contains("at most"));
+    let open_error = |size, sizes: &[usize]| synthetic(size, sizes, 1).err().expect("is refused").to_string();
+    assert!(open_error(None, &[]).contains("needs size_bytes"));
+    assert!(open_error(Some(1), &[1]).contains("not both"));
+    assert!(open_error(Some(usize::MAX), &[]).contains("at most"));
 }

@@ -15,16 +15,16 @@ fn sample(sensor: &mut dyn Sensor) -> String {
 }
 
 #[test]
-fn texts_and_lengths_follow_from_the_seed() {
-    let of = |seed| {
+fn seed_determines_texts_of_configured_length() {
+    let texts_of = |seed| {
         let mut sensor = text(1000, seed).expect("opens");
         (sample(sensor.as_mut()), sample(sensor.as_mut()))
     };
-    let (first, second) = of(1);
+    let (first, second) = texts_of(1);
     assert!(first.len() == 1000 && first.bytes().all(|byte| byte.is_ascii_alphanumeric()));
     assert_ne!(first, second);
-    assert_eq!(of(1), (first.clone(), second));
-    assert_ne!(of(2).0, first);
+    assert_eq!(texts_of(1), (first.clone(), second));
+    assert_ne!(texts_of(2).0, first);
 }
 
 #[test]

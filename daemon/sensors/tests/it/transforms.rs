@@ -30,10 +30,10 @@ const ENCODE: TransformConfig =
 
 #[test]
 fn resized_pictures_stay_pixels_until_they_are_encoded() {
-    let small = apply(photograph(320, 240), &[RESIZE]).expect("resizes");
+    let resized = apply(photograph(320, 240), &[RESIZE]).expect("resizes");
     let pixels = MediaType::Pixels(PixelFormat::Rgb8);
-    assert_eq!(header(&small), Header { media: pixels, width: 32, height: 24 });
-    assert_eq!((small.source.as_str(), small.label.as_deref()), ("photograph.jpg", Some("good")));
+    assert_eq!(header(&resized), Header { media: pixels, width: 32, height: 24 });
+    assert_eq!((resized.source.as_str(), resized.label.as_deref()), ("photograph.jpg", Some("good")));
 
     let original = photograph(320, 240);
     let before = original.payload_bytes();
@@ -56,29 +56,30 @@ fn crop_uses_configured_rectangle() {
 }
 
 #[test]
-fn every_picture_is_changed_and_nothing_else() {
+fn every_picture_is_changed_and_other_parts_stay() {
     let mut pair = photograph(64, 48);
-    let note = Part { description: Description::unshaped(MediaType::Text), bytes: "a note".into() };
-    pair.parts.push(note.clone());
+    let text_part = Part { description: Description::unshaped(MediaType::Text), bytes: "a note".into() };
+    pair.parts.push(text_part.clone());
     pair.parts.push(photograph(20, 20).parts.remove(0));
     let changed = apply(pair, &[RESIZE]).expect("resizes");
-    assert_eq!(changed.parts[1], note);
+    assert_eq!(changed.parts[1], text_part);
     let second = probe_part(&changed.parts[2]).expect("is a picture");
     assert_eq!((header(&changed).width, second.width), (32, 32));
 }
 
 #[test]
-fn non_picture_fails_one_sample() {
-    let error = apply(Sample::from_part(Description::bytes(), "abc".into()), &[RESIZE]).expect_err("is none");
+fn sample_without_readable_picture_is_refused() {
+    let error =
+        apply(Sample::from_part(Description::bytes(), "abc".into()), &[RESIZE]).expect_err("is no picture");
     assert!(error.to_string().contains("plain bytes, not a picture"), "{error}");
     let mut broken = photograph(64, 48);
     broken.parts[0].bytes.truncate(700);
-    let error = apply(broken, &[TransformConfig::to_pixels()]).expect_err("is cut off").to_string();
+    let error = apply(broken, &[TransformConfig::to_pixels()]).expect_err("is truncated").to_string();
     assert!(error.contains("cannot decode sample \"photograph.jpg\""), "{error}");
 }
 
 #[test]
-fn impossible_settings_are_refused_when_built() {
+fn invalid_configuration_is_refused_when_built() {
     let encode = |format, quality| TransformConfig::from(EncodeConfig { format, quality });
     for wrong in [
         ResizeConfig { width: 0, height: 5, filter: Filter::Bilinear }.into(),

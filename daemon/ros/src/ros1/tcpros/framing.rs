@@ -14,8 +14,8 @@ const PREFIX_BYTES: usize = 4;
 /// Size of the read buffer while no long frame is expected. Bytes.
 const READ_BYTES: usize = 64 * 1024;
 
-/// Largest buffer for a frame, as a multiple of the bytes that have arrived. The multiple is large, because the unwritten
-/// part of a buffer takes no memory, while each growth may copy the buffer.
+/// Largest buffer for a frame, as a multiple of the bytes that have arrived. The multiple is large, because the
+/// unwritten part of a buffer takes no memory, while each growth may copy the buffer.
 const MAX_GROWTH: usize = 16;
 
 /// Error: a frame cannot be received.
@@ -82,7 +82,8 @@ impl FrameBuffer {
         }
         let mut room = self.bytes.capacity() - arrived_bytes;
         if frame_bytes > READ_BYTES {
-            // The buffer is at most twice as long as the bytes that have arrived, so a claimed length takes no memory from others.
+            // The buffer is at most twice as long as the bytes that have arrived, so a claimed length takes no memory
+            // from others.
             let max_bytes = frame_bytes.min((2 * arrived_bytes).max(READ_BYTES));
             if !self.memory.grow(max_bytes, self.limits.memory.as_ref()) {
                 return Err(FrameError::NoMemory { length });

@@ -6,8 +6,8 @@ use thiserror::Error;
 
 use super::{Call, Response, Value};
 
-/// Largest nesting depth of values. ROS needs five: the system state is an answer with lists of pairs of a name and a list of
-/// names.
+/// Largest nesting depth of values. ROS needs five: the system state is an answer with lists of pairs of a name and a
+/// list of names.
 const MAX_DEPTH: usize = 16;
 
 /// Maximum number of values in a document. The largest answer is the system state of a large robot, a few thousand
@@ -243,7 +243,8 @@ impl<'a> Parser<'a> {
         if self.depth > MAX_DEPTH {
             return Err(ParseError::TooDeep);
         }
-        // A value without a type is a string. If there is a type, only white space may surround the element of the type.
+        // A value without a type is a string. If there is a type, only white space may surround the element of the
+        // type.
         let mut text = String::new();
         let value = loop {
             match self.next()? {

@@ -33,8 +33,8 @@ pub(super) fn qos_policies(role: EndpointRole, qos: &QosProfile) -> QosPolicies 
         Durability::Volatile => policy::Durability::Volatile,
         Durability::TransientLocal => policy::Durability::TransientLocal,
     };
-    // Without limits rustdds keeps 64 received messages and up to 8,192 unacknowledged messages. At 1 MB each, this is far
-    // more memory than the depth suggests.
+    // Without limits rustdds keeps 64 received messages and up to 8,192 unacknowledged messages. At 1 MB each, this is
+    // far more memory than the depth suggests.
     let sample_limit = match role {
         EndpointRole::Publisher => depth.max(MIN_UNACKNOWLEDGED),
         EndpointRole::Subscription => depth.max(MIN_UNREAD),

@@ -5,7 +5,8 @@
 //! here, and a code generator for typed messages, which is not needed. Limitations of `rustdds` 0.15, and how they are
 //! handled:
 //!
-//! - It compares the names of topics, but not the types. Publishers of another type are refused, and their messages are dropped.
+//! - It compares the names of topics, but not the types. Publishers of another type are refused, and their messages are
+//! dropped.
 //! - It drops unread messages of a publisher that leaves, including acknowledged ones. Messages must be taken as they
 //!   arrive.
 //! - It does not report which messages were lost. Gaps between the sequence numbers of each publisher are counted.

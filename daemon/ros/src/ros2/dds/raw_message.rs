@@ -61,8 +61,8 @@ impl DefaultDecoder<RawMessage> for RawAdapter {
 impl Decode<'_, RawMessage> for RawDecoder {
     type Error = Infallible;
 
-    // This is the only copy of a received message. rustdds only provides a slice, and keeps its bytes until the cache is
-    // full.
+    // This is the only copy of a received message. rustdds only provides a slice, and keeps its bytes until the cache
+    // is full.
     fn decode_bytes(
         self,
         bytes: &[u8],

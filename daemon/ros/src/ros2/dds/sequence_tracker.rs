@@ -17,7 +17,8 @@ impl SequenceTracker {
 
     /// Records a message. Returns how many messages are missing directly before it.
     ///
-    /// No message is missing before the first message of a publisher, because a volatile subscription does not get earlier messages.
+    /// No message is missing before the first message of a publisher, because a volatile subscription does not get
+    /// earlier messages.
     pub(super) fn record(&mut self, writer: EndpointId, sequence: i64, counts: &mut ReceiveCounts) -> u64 {
         let Some(highest) = self.highest.get_mut(&writer) else {
             if self.highest.len() >= Self::MAX_WRITERS {

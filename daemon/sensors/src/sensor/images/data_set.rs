@@ -1,4 +1,4 @@
-//! Description of a data set by which another copy of it is recognised.
+//! Description of a data set; copies of a data set have the same description.
 
 use std::ffi::OsStr;
 use std::fs::{self, File};
@@ -7,13 +7,15 @@ use std::path::Path;
 
 use peernet_external::sha256;
 
-/// Largest data set whose contents are hashed, bytes. Hashing 256 MiB takes a second at most; a larger data set would delay the run.
+/// Largest data set whose contents are hashed, bytes. Hashing 256 MiB takes at most a second; hashing a larger data set
+/// would delay the run.
 const MAX_HASHED_BYTES: u64 = 256 << 20;
 
-/// Describes files with their names in the data set: number, bytes and hash.
+/// Returns the number of files, their number of bytes and their hash, as text. Each file is given with its name in the
+/// data set.
 ///
-/// The hash is computed over the list that `sha256sum` prints of the files, in the order of their names as bytes; of a data set
-/// of more than [`MAX_HASHED_BYTES`] bytes, of the list of sizes and names (`stat -c '%s  %n'`).
+/// The hash is the SHA-256 of the list that `sha256sum` prints for the files, sorted by name as bytes. For a data set
+/// of more than [`MAX_HASHED_BYTES`] bytes, it is the SHA-256 of the list of sizes and names (`stat -c '%s  %n'`).
 pub(super) fn describe_files<'a>(files: impl Iterator<Item = (&'a OsStr, &'a Path)>) -> String {
     let mut files: Vec<_> = files.collect();
     // File systems list the files of a folder in any order, but copies of a data set must have equal hashes.
@@ -21,18 +23,18 @@ pub(super) fn describe_files<'a>(files: impl Iterator<Item = (&'a OsStr, &'a Pat
     let count = files.len();
     let count = if count == 1 { "1 file".to_owned() } else { format!("{count} files") };
     hash_files(&files, MAX_HASHED_BYTES).map_or_else(
-        // A fact never stops a run: a file that cannot be read fails its own sample, with the same error.
+        // A fact never stops a run. A file that cannot be read fails its own sample later, with the same error.
         |error| format!("{count}, no SHA-256: {error}"),
-        |(bytes, words)| format!("{count}, {bytes} bytes, {words}"),
+        |(bytes, hash)| format!("{count}, {bytes} bytes, {hash}"),
     )
 }
 
-/// Returns the bytes of all files, and their hash in words.
-fn hash_files(files: &[(&OsStr, &Path)], largest: u64) -> io::Result<(u64, String)> {
+/// Returns the number of bytes of all files, and their hash with the name of what was hashed.
+fn hash_files(files: &[(&OsStr, &Path)], max_hashed_bytes: u64) -> io::Result<(u64, String)> {
     let size = |(_, file): &(&OsStr, &Path)| Ok(fs::metadata(file)?.len());
     let sizes = files.iter().map(size).collect::<io::Result<Vec<u64>>>()?;
     let bytes = sizes.iter().sum();
-    let (is_small, mut list) = (bytes <= largest, Vec::new());
+    let (is_small, mut list) = (bytes <= max_hashed_bytes, Vec::new());
     for ((name, file), size) in files.iter().zip(sizes) {
         // No more than the size is read, so that a file that grows at the same time does not delay the run.
         let hash_or_size = if is_small { sha256(File::open(file)?.take(size))? } else { size.to_string() };
@@ -48,16 +50,19 @@ mod tests {
 
     use super::*;
 
-    /// Hashes files with these names and contents.
-    fn hash_of(files: &[(&str, &str)], largest: u64) -> io::Result<(u64, String)> {
+    /// Writes files with these names and contents, and hashes them.
+    fn hash_of(files: &[(&str, &str)], max_hashed_bytes: u64) -> io::Result<(u64, String)> {
         let folder = tempfile::tempdir().expect("a folder");
-        let made = files.iter().map(|(name, content)| {
+        let files_on_disk = files.iter().map(|(name, content)| {
             let path = folder.path().join(name);
             fs::write(&path, content).expect("writable");
             (OsStr::new(*name), path)
         });
-        let made: Vec<(&OsStr, PathBuf)> = made.collect();
-        hash_files(&made.iter().map(|(name, path)| (*name, path.as_path())).collect::<Vec<_>>(), largest)
+        let files_on_disk: Vec<(&OsStr, PathBuf)> = files_on_disk.collect();
+        hash_files(
+            &files_on_disk.iter().map(|(name, path)| (*name, path.as_path())).collect::<Vec<_>>(),
+            max_hashed_bytes,
+        )
     }
 
     #[test]
@@ -90,7 +95,7 @@ mod tests {
         write("b", "twi");
         assert_ne!(description(&[("a", &a), ("b", &b)]), first);
         fs::remove_file(&b).expect("removed");
-        let gone = description(&[("b", &b)]);
-        assert!(gone.starts_with("1 file, no SHA-256: No such file"), "{gone}");
+        let missing = description(&[("b", &b)]);
+        assert!(missing.starts_with("1 file, no SHA-256: No such file"), "{missing}");
     }
 }

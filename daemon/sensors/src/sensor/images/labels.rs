@@ -1,4 +1,4 @@
-//! Labels of a folder of pictures: the expected answers.
+//! Labels of the pictures in a folder: the expected answers.
 
 use std::collections::HashMap;
 use std::io;
@@ -10,8 +10,8 @@ use serde::Deserialize;
 use super::folder::is_file;
 use crate::SensorError;
 
-/// Name of the file of labels in a folder of pictures: comma-separated, with the columns `file` and `label`, and for the boxes of objects
-/// `left`, `top`, `right` and `bottom`; or with the columns `file` and `mask`.
+/// Name of the file with labels in a folder of pictures. It is comma-separated and has the columns `file` and `label`,
+/// and for boxes of objects also `left`, `top`, `right` and `bottom`; or it has the columns `file` and `mask`.
 pub(super) const LABELS_FILE: &str = "labels.csv";
 
 /// Defect of a file without any label.
@@ -25,15 +25,16 @@ pub(super) enum Label {
     Class(String),
     /// Objects in the picture, with their boxes in pixels of the file; may be empty.
     Objects(Vec<LabelledObject>),
-    /// Path of the mask with the numbers of the pixels' classes.
+    /// Path of the mask, a picture whose pixel values are class numbers.
     Mask(String),
 }
 
-/// Labels by the path of the picture below the folder.
+/// Labels of pictures. The key is the path of the picture below the folder.
 pub(super) type Labels = HashMap<String, Label>;
 
+/// Row of a file with classes, or with boxes of objects.
 #[derive(Deserialize)]
-struct Row {
+struct LabelRow {
     file: String,
     label: String,
     #[serde(default)]
@@ -46,6 +47,7 @@ struct Row {
     bottom: Option<f32>,
 }
 
+/// Row of a file with masks.
 #[derive(Deserialize)]
 struct MaskRow {
     file: String,
@@ -53,8 +55,8 @@ struct MaskRow {
     mask: String,
 }
 
-/// Returns the labels of a file whose rows name masks. A row without a mask is ignored.
-fn masks<R: io::Read>(folder: &Path, mut reader: csv::Reader<R>) -> Result<Labels, String> {
+/// Returns the labels of a file with masks. A row without a mask is ignored.
+fn read_masks<R: io::Read>(folder: &Path, mut reader: csv::Reader<R>) -> Result<Labels, String> {
     let mut labels = Labels::new();
     for row in reader.deserialize() {
         let MaskRow { file, mask } = row.map_err(|error: csv::Error| {
@@ -76,8 +78,9 @@ fn masks<R: io::Read>(folder: &Path, mut reader: csv::Reader<R>) -> Result<Label
     Ok(labels)
 }
 
-impl Row {
-    /// Returns the object that the row describes; `None` if it has no label, which says that the picture has no objects.
+impl LabelRow {
+    /// Returns the object that the row describes; `None` if the row has no label, which means that the picture has no
+    /// objects.
     fn object(self) -> Result<Option<LabelledObject>, String> {
         let Self { file, label, left, top, right, bottom } = self;
         if label.is_empty() {
@@ -96,34 +99,39 @@ impl Row {
     }
 }
 
-/// Reads the labels of `folder`, from the `given` file or from the file in the folder, and returns them with the path
-/// of that file. Returns `None` if no file is given and the folder has none. A row without a label is ignored; in a file with
-/// boxes it says that the picture has no objects.
+/// Reads the labels of the pictures in `folder` from `configured_file`, or else from [`LABELS_FILE`] in the folder.
+/// Returns the labels with the path of the file; `None` if no file is configured and the folder has none. A row without
+/// a label is ignored; in a file with boxes it means that the picture has no objects.
 ///
 /// # Errors
-/// If the file cannot be used or contains no label, or if the given file does not exist.
-pub(super) fn read(folder: &Path, given: Option<&Path>) -> Result<Option<(Labels, PathBuf)>, SensorError> {
-    let file = given.map_or_else(|| folder.join(LABELS_FILE), Path::to_owned);
-    // Nobody asked for this file, so that its reading must not block, as that of a named pipe would. A file that the
-    // user names may be a pipe.
-    if given.is_none() && file.exists() && !is_file(&file) {
+/// If the file cannot be used or contains no label, or if the configured file does not exist.
+pub(super) fn read(
+    folder: &Path,
+    configured_file: Option<&Path>,
+) -> Result<Option<(Labels, PathBuf)>, SensorError> {
+    let file = configured_file.map_or_else(|| folder.join(LABELS_FILE), Path::to_owned);
+    // A file that the user did not configure must not block the start, as reading from a named pipe would. A configured
+    // file may be a pipe.
+    if configured_file.is_none() && file.exists() && !is_file(&file) {
         return Err(SensorError::Read { path: file, error: io::Error::other("it is not a regular file") });
     }
     let text = match std::fs::read_to_string(&file) {
         Ok(text) => text,
-        Err(error) if given.is_none() && error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        Err(error) if configured_file.is_none() && error.kind() == std::io::ErrorKind::NotFound => {
+            return Ok(None);
+        }
         Err(error) => return Err(SensorError::Read { path: file, error }),
     };
     let invalid = |reason: String| SensorError::Labels { file: file.clone(), reason };
     let mut labels = Labels::new();
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_bytes());
     if reader.headers().is_ok_and(|columns| columns.iter().any(|column| column == "mask")) {
-        let labels = masks(folder, reader).map_err(&invalid)?;
+        let labels = read_masks(folder, reader).map_err(&invalid)?;
         return if labels.is_empty() { Err(invalid(NO_LABEL.to_owned())) } else { Ok(Some((labels, file))) };
     }
     let has_boxes = reader.headers().is_ok_and(|columns| columns.iter().any(|column| column == "left"));
     for row in reader.deserialize() {
-        let row: Row = row.map_err(|error| {
+        let row: LabelRow = row.map_err(|error| {
             invalid(format!("{error}; expected a first line `file,label` and one line per picture"))
         })?;
         if has_boxes {
@@ -134,7 +142,7 @@ pub(super) fn read(folder: &Path, given: Option<&Path>) -> Result<Option<(Labels
             }
             continue;
         }
-        let Row { file, label, .. } = row;
+        let LabelRow { file, label, .. } = row;
         if label.is_empty() {
             continue;
         }

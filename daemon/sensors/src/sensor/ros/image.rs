@@ -4,7 +4,7 @@ use bytes::Bytes;
 use peernet_ros::messages::Image;
 use peernet_sample::{Description, ElementType, MediaType, Part, PixelFormat};
 
-/// Defect of a picture's own description.
+/// Defect of a message with a picture or a point cloud.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(super) enum PictureError {
     /// The encoding is not known.
@@ -17,8 +17,8 @@ pub(super) enum PictureError {
     Rows { height: u32, row_bytes: u64, step: u32, available: usize },
 }
 
-/// Channels and elements of an encoding.
-struct Pixel {
+/// Number of channels of a pixel, and their type.
+struct PixelLayout {
     channels: u32,
     element: ElementType,
 }
@@ -51,42 +51,43 @@ impl Rows {
         if (count > 1 && stride < row) || required.is_none_or(|required| required > data.len()) {
             return Err(error);
         }
-        // Without padding the bytes are shared with the message and not copied.
+        // Rows without padding share the bytes of the message.
         if stride == row || count == 1 {
             return Ok(data.slice(..row * count));
         }
         let mut without_padding = Vec::with_capacity(row * count);
-        for at in 0..count {
-            without_padding.extend_from_slice(&data[at * stride..at * stride + row]);
+        for index in 0..count {
+            without_padding.extend_from_slice(&data[index * stride..index * stride + row]);
         }
         Ok(without_padding.into())
     }
 }
 
-/// Converts a picture to a part: `rgb8`, `bgr8` and `mono8` to decoded pixels, every other encoding to a tensor of
-/// height, width and channels with little-endian elements.
+/// Converts a picture to a part: the encodings `rgb8`, `bgr8` and `mono8` to decoded pixels, every other encoding to a
+/// tensor of height, width and channels with little-endian elements.
 ///
 /// # Errors
 /// If the encoding is not known, or if there are fewer bytes than the description requires.
-pub(super) fn part(image: Image) -> Result<Part, PictureError> {
+pub(super) fn picture_part(image: Image) -> Result<Part, PictureError> {
     let Image { height, width, encoding, is_bigendian, step, data, .. } = image;
-    let (pixels, description) = match encoding.as_str() {
+    let (layout, description) = match encoding.as_str() {
         "rgb8" | "bgr8" => (
-            Pixel { channels: 3, element: ElementType::U8 },
+            PixelLayout { channels: 3, element: ElementType::U8 },
             Description::pixels(PixelFormat::Rgb8, width, height),
         ),
         "mono8" => (
-            Pixel { channels: 1, element: ElementType::U8 },
+            PixelLayout { channels: 1, element: ElementType::U8 },
             Description::pixels(PixelFormat::Grey8, width, height),
         ),
         _ => {
-            let pixel = Pixel::from_encoding(&encoding).ok_or(PictureError::Encoding(encoding.clone()))?;
-            let (shape, element) = (vec![height, width, pixel.channels], Some(pixel.element));
-            (pixel, Description { media: MediaType::Tensor, shape, element })
+            let layout =
+                PixelLayout::from_encoding(&encoding).ok_or(PictureError::Encoding(encoding.clone()))?;
+            let (shape, element) = (vec![height, width, layout.channels], Some(layout.element));
+            (layout, Description { media: MediaType::Tensor, shape, element })
         }
     };
-    let element_bytes = pixels.element.bytes();
-    let row_bytes = u64::from(width).saturating_mul(u64::from(pixels.channels)).saturating_mul(element_bytes);
+    let element_bytes = layout.element.bytes();
+    let row_bytes = u64::from(width).saturating_mul(u64::from(layout.channels)).saturating_mul(element_bytes);
     let mut bytes = Rows { height, row_bytes, step }.without_padding(&data)?;
     // Decoded pixels are always in the order red, green, blue.
     if encoding == "bgr8" {
@@ -97,27 +98,29 @@ pub(super) fn part(image: Image) -> Result<Part, PictureError> {
     Ok(Part { description, bytes })
 }
 
-/// Reverses the order of bytes within groups of this size.
+/// Reverses the order of the bytes within each group of `size` bytes.
 fn reverse_groups(bytes: &Bytes, size: usize) -> Bytes {
     let mut copy = bytes.to_vec();
     copy.chunks_exact_mut(size).for_each(<[u8]>::reverse);
     copy.into()
 }
 
-impl Pixel {
-    /// Parses the name of an encoding of `sensor_msgs/image_encodings.h`.
+impl PixelLayout {
+    /// Parses the name of an encoding, as `sensor_msgs/image_encodings.h` defines it.
     fn from_encoding(encoding: &str) -> Option<Self> {
-        let pixel = |channels, element| Some(Self { channels, element });
+        let layout = |channels, element| Some(Self { channels, element });
         match encoding {
-            "rgba8" | "bgra8" => return pixel(4, ElementType::U8),
-            "rgb16" | "bgr16" => return pixel(3, ElementType::U16),
-            "rgba16" | "bgra16" => return pixel(4, ElementType::U16),
-            "mono16" => return pixel(1, ElementType::U16),
-            "yuv422" | "yuv422_yuy2" | "uyvy" | "yuyv" => return pixel(2, ElementType::U8),
+            "rgba8" | "bgra8" => return layout(4, ElementType::U8),
+            "rgb16" | "bgr16" => return layout(3, ElementType::U16),
+            "rgba16" | "bgra16" => return layout(4, ElementType::U16),
+            "mono16" => return layout(1, ElementType::U16),
+            "yuv422" | "yuv422_yuy2" | "uyvy" | "yuyv" => return layout(2, ElementType::U8),
             bayer if bayer.starts_with("bayer_") && bayer.ends_with("16") => {
-                return pixel(1, ElementType::U16);
+                return layout(1, ElementType::U16);
             }
-            bayer if bayer.starts_with("bayer_") && bayer.ends_with('8') => return pixel(1, ElementType::U8),
+            bayer if bayer.starts_with("bayer_") && bayer.ends_with('8') => {
+                return layout(1, ElementType::U8);
+            }
             _ => {}
         }
         // OpenCV's types, such as 32FC1; the number of channels may be missing.
@@ -149,27 +152,27 @@ mod tests {
 
     #[test]
     fn colour_channels_are_in_rgb_order() {
-        let rgb = part(image("rgb8", 1, 3, b"RGBrgb")).expect("fits");
-        let bgr = part(image("bgr8", 1, 3, b"BGRbgr")).expect("fits");
+        let rgb = picture_part(image("rgb8", 1, 3, b"RGBrgb")).expect("fits");
+        let bgr = picture_part(image("bgr8", 1, 3, b"BGRbgr")).expect("fits");
         assert_eq!((&rgb.bytes, &rgb.description), (&bgr.bytes, &bgr.description));
         assert_eq!(rgb.description, Description::pixels(PixelFormat::Rgb8, 1, 2));
         assert_eq!(rgb.bytes, "RGBrgb");
     }
 
     #[test]
-    fn padding_of_rows_is_left_out() {
-        let grey = part(image("mono8", 2, 4, b"ab..cd")).expect("the last row may lack its padding");
+    fn padding_between_rows_is_removed() {
+        let grey = picture_part(image("mono8", 2, 4, b"ab..cd")).expect("the last row may lack its padding");
         assert_eq!(grey.bytes, "abcd");
         let unpadded = image("mono8", 2, 2, b"abcd");
         let data = unpadded.data.clone();
-        assert_eq!(part(unpadded).expect("fits").bytes.as_ptr(), data.as_ptr(), "nothing is copied");
+        assert_eq!(picture_part(unpadded).expect("fits").bytes.as_ptr(), data.as_ptr(), "nothing is copied");
     }
 
     #[test]
     fn depth_is_a_little_endian_tensor() {
         let mut depth = image("16UC1", 1, 2, &[1, 2, 3, 4]);
         depth.is_bigendian = 1;
-        let part = part(depth).expect("fits");
+        let part = picture_part(depth).expect("fits");
         assert_eq!(part.bytes.as_ref(), [2, 1, 4, 3]);
         assert_eq!(
             (part.description.shape.as_slice(), part.description.element),
@@ -178,14 +181,14 @@ mod tests {
     }
 
     #[test]
-    fn impossible_pictures_are_errors() {
+    fn picture_with_wrong_size_or_encoding_is_refused() {
         for (width, step) in [(2, 1), (3, 3), (u32::MAX, u32::MAX)] {
-            let error = part(image("mono8", width, step, b"abcd")).expect_err("does not fit");
+            let error = picture_part(image("mono8", width, step, b"abcd")).expect_err("does not fit");
             assert!(matches!(error, PictureError::Rows { .. }), "{error}");
         }
-        let error = part(image("jpeg", 1, 1, b"ab")).expect_err("is no encoding").to_string();
+        let error = picture_part(image("jpeg", 1, 1, b"ab")).expect_err("is no encoding").to_string();
         assert!(error.contains("\"jpeg\""), "{error}");
-        assert!(part(image("64FC99999999999", 1, 1, b"ab")).is_err());
-        assert_eq!(part(image("mono8", 0, 0, b"")).expect("is empty").bytes, "");
+        assert!(picture_part(image("64FC99999999999", 1, 1, b"ab")).is_err());
+        assert_eq!(picture_part(image("mono8", 0, 0, b"")).expect("is empty").bytes, "");
     }
 }

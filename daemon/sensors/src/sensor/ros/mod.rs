@@ -20,8 +20,8 @@ use self::payload::Payload;
 use super::{DROPPED_SAMPLES, SensorKind};
 use crate::{Sensor, SensorError};
 
-/// Transit from `header.stamp` of the message to its arrival at this host, with both stamps. It has no clock
-/// relation, because ROS does not say which clock made a stamp.
+/// Transit from `header.stamp` of a message to the arrival of the message at this host, with both stamps. There is no
+/// clock relation for the transit, because ROS does not say which clock made a stamp.
 const CAPTURE_DELAY: Name = Name::from_static("capture-delay");
 
 /// Configuration of the sensor: `{ kind = "ros", … }`. Each sample is a message of the topic.
@@ -38,14 +38,14 @@ pub struct RosSensorConfig {
     /// ROS version, 1 or 2. Default: the value of `ROS_VERSION`, else the version of `ROS_DISTRO`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ros_version: Option<RosVersion>,
-    /// Maximum number of messages that wait while the pipeline is busy, 1 to 8192. If more arrive, the oldest is
-    /// dropped and counted, because a robot needs the newest. Default: 1.
+    /// Maximum number of messages that wait while the pipeline is busy, 1 to 8192. If more messages arrive, the oldest
+    /// message is dropped and counted, because a robot needs the newest message. Default: 1.
     #[serde(default = "one_message")]
     pub queue: NonZeroU32,
     /// Longest wait for a message, milliseconds. Default: 5000.
     #[serde(default = "five_seconds")]
     pub timeout_ms: NonZeroU64,
-    /// QoS policy of a ROS 2 subscription for lost messages. Default: `reliable`.
+    /// Reliability policy of the ROS 2 subscription: whether lost messages are sent again. Default: `reliable`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reliability: Option<Reliability>,
     /// Clock of `header.stamp`. Default: `unknown`.
@@ -73,6 +73,7 @@ fn five_seconds() -> NonZeroU64 {
 }
 
 impl RosSensorConfig {
+    /// Checks the configuration, and returns the ROS version that it selects.
     fn validated_version(&self) -> Result<RosVersion, SensorError> {
         let version = check_topic(self.ros_version, &self.topic, self.message_type.as_ref())?;
         let config_error = |reason: &str| Err(SensorError::Config(format!("a ros sensor {reason}")));
@@ -90,17 +91,17 @@ impl RosSensorConfig {
 
 impl SensorKind for RosSensorConfig {
     /// Opens the sensor. The first sample subscribes to the topic.
-    // Therefore only iterations fail while the master is missing, and not the whole pipeline.
+    // If `open` subscribed, a missing master would fail the whole pipeline instead of single iterations.
     fn open(&self, clock: &SharedClock) -> Result<Box<dyn Sensor>, SensorError> {
         let version = self.validated_version()?;
         let options =
             ReaderOptions { queue: self.queue.get(), reliability: self.reliability.unwrap_or_default() };
         let (config, clock) = (self.clone(), SharedClock::clone(clock));
-        Ok(Box::new(Ros { config, version, options, clock, reader: None }))
+        Ok(Box::new(RosSensor { config, version, options, clock, reader: None }))
     }
 
-    // These conditions are not errors, because they may change without an action: an agent that is started at boot, before
-    // the master, must not be refused.
+    // These conditions are not errors, because they may end by themselves: an agent that the host starts before the
+    // master must not fail.
     fn remarks(&self) -> Vec<String> {
         let Ok(version) = self.validated_version() else { return Vec::new() };
         match check_topic_at_master(version, &self.topic, self.message_type.as_ref(), TopicAccess::Read) {
@@ -110,22 +111,22 @@ impl SensorKind for RosSensorConfig {
     }
 }
 
-/// Topic to which the first call of `sample` subscribes.
-struct Ros {
+/// Sensor that reads messages of a topic. The first call of `sample` subscribes to the topic.
+struct RosSensor {
     config: RosSensorConfig,
     version: RosVersion,
     options: ReaderOptions,
     clock: SharedClock,
-    /// The subscriber; `None` before the first sample, and after its node has ended.
+    /// The subscriber; `None` before the first sample, and after the node of the subscriber has ended.
     reader: Option<TopicReader>,
 }
 
-impl Ros {
+impl RosSensor {
     fn read(&mut self) -> Result<TopicMessage, TopicError> {
         let config = &self.config;
         let reader = match &mut self.reader {
             Some(reader) => reader,
-            none => none.insert(TopicReader::open(
+            empty => empty.insert(TopicReader::open(
                 self.version,
                 &config.topic,
                 config.message_type.as_ref(),
@@ -143,15 +144,15 @@ impl Ros {
         read
     }
 
-    /// Records capture time and arrival, and the delay between them if one clock made both stamps.
+    /// Records the capture time and the arrival. The delay between them is known only if one clock made both stamps.
     fn record_stamp(&self, stamp: WallTime, received: WallTime, recorder: &mut Recorder) {
-        let raw = received - stamp;
+        let difference = received - stamp;
         let delay = match self.config.stamp_clock {
-            StampClock::Host => OneWayDelay::same_clock(raw),
-            StampClock::Unknown => OneWayDelay::unsynchronised(raw),
+            StampClock::Host => OneWayDelay::same_clock(difference),
+            StampClock::Unknown => OneWayDelay::unsynchronised(difference),
         };
-        // The node's start is on the monotonic clock of this host. The capture time is not known on it, so the node starts
-        // now.
+        // The start of a node is a time of this host's monotonic clock. The capture time is not known on that clock, so
+        // the node starts now.
         let sent = Stamp { wall: stamp, mono: recorder.clock().mono(), ..Stamp::default() };
         let node = recorder.start_transit(CAPTURE_DELAY, sent);
         recorder.end_transit(node, received);
@@ -161,10 +162,10 @@ impl Ros {
     }
 }
 
-impl Sensor for Ros {
+impl Sensor for RosSensor {
     fn sample(&mut self, recorder: &mut Recorder) -> Result<Option<Sample>, SensorError> {
         let message = self.read()?;
-        // Logged before the message is decoded, so that the number is not lost with an undecodable message.
+        // The value is recorded before decoding, so that an undecodable message does not lose it.
         recorder.record_value(DROPPED_SAMPLES, message.dropped as f64, Unit::NONE);
         let payload = Payload::decode(&message).map_err(|error| SensorError::Message {
             topic: self.config.topic.clone(),

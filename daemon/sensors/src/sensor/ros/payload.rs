@@ -14,12 +14,12 @@ use super::image::{self, PictureError};
 #[derive(Debug)]
 pub(super) struct Payload {
     pub(super) parts: Vec<Part>,
-    /// The stamp `header.stamp`. `None` if the type is not decoded here, the type has no header, or the publisher set no
-    /// time.
+    /// The time `header.stamp`. `None` if this module does not decode the type, the type has no header, or the
+    /// publisher set no time.
     pub(super) stamp: Option<WallTime>,
 }
 
-/// Reason that a message cannot be converted to a sample.
+/// Reason why a message cannot be converted to a sample.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum PayloadError {
     #[error(transparent)]
@@ -29,14 +29,14 @@ pub(super) enum PayloadError {
 }
 
 impl Payload {
-    /// Reads a message by the type that its publisher names. A message of an unknown type becomes its serialised
-    /// bytes.
+    /// Converts a message of the type that its publisher announces. The payload of a message of any other type is its
+    /// serialised bytes.
     pub(super) fn decode(message: &TopicMessage) -> Result<Self, PayloadError> {
         let type_name = &*message.type_name;
         if type_name == Image::DEFINITION.name {
             let image: Image = read(message)?;
             let stamp = stamp(image.header.stamp);
-            return Ok(Self { parts: vec![image::part(image)?], stamp });
+            return Ok(Self { parts: vec![image::picture_part(image)?], stamp });
         }
         if type_name == CompressedImage::DEFINITION.name {
             let image: CompressedImage = read(message)?;
@@ -70,7 +70,7 @@ fn read<M: Message>(message: &TopicMessage) -> Result<M, DecodeError> {
     M::decode(message.form, message.bytes.clone())
 }
 
-/// Converts a stamp; zero means in ROS that no time was set.
+/// Converts a stamp. In ROS, zero means that the publisher set no time.
 fn stamp(time: Time) -> Option<WallTime> {
     (time != Time::default()).then(|| WallTime::from_unix_nanos(time.as_nanos()))
 }
@@ -79,7 +79,7 @@ fn stamp(time: Time) -> Option<WallTime> {
 /// `rgb8; jpeg compressed bgr8`.
 fn media_type_of_format(format: &str) -> MediaType {
     let format = format.to_ascii_lowercase();
-    // The text may name the encoding of the pixels before and after the word.
+    // The text may name pixel encodings before and after the word `jpeg` or `png`.
     if format.contains("jpeg") || format.contains("jpg") {
         MediaType::Jpeg
     } else if format.contains("png") {
@@ -89,8 +89,8 @@ fn media_type_of_format(format: &str) -> MediaType {
     }
 }
 
-/// Returns the points, `height × width × point_step` bytes without padding, and a JSON document that describes the
-/// bytes.
+/// Returns two parts: the points (`height × width × point_step` bytes without padding), and a JSON document that
+/// describes the bytes of a point.
 fn point_cloud_parts(cloud: &PointCloud2) -> Result<Vec<Part>, PictureError> {
     let shape = vec![cloud.height, cloud.width, cloud.point_step];
     let rows = image::Rows {
@@ -98,7 +98,7 @@ fn point_cloud_parts(cloud: &PointCloud2) -> Result<Vec<Part>, PictureError> {
         row_bytes: u64::from(cloud.width) * u64::from(cloud.point_step),
         step: cloud.row_step,
     };
-    let fields: Vec<_> = cloud.fields.iter().map(field).collect();
+    let fields: Vec<_> = cloud.fields.iter().map(describe_field).collect();
     let layout = json!({ "fields": fields, "big_endian": cloud.is_bigendian, "dense": cloud.is_dense });
     let description = Description { media: MediaType::Tensor, shape, element: Some(ElementType::U8) };
     Ok(vec![
@@ -107,14 +107,15 @@ fn point_cloud_parts(cloud: &PointCloud2) -> Result<Vec<Part>, PictureError> {
     ])
 }
 
-fn field(field: &PointField) -> serde_json::Value {
+/// Describes a field of the points as JSON.
+fn describe_field(field: &PointField) -> serde_json::Value {
     const TYPES: [&str; 8] = ["int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64"];
-    // The numbers of the types begin with 1.
-    let type_name = usize::from(field.datatype).checked_sub(1).and_then(|at| TYPES.get(at)).copied();
+    // `PointField` numbers the types from 1.
+    let type_name = usize::from(field.datatype).checked_sub(1).and_then(|index| TYPES.get(index)).copied();
     json!({ "name": field.name, "offset": field.offset, "type": type_name, "count": field.count })
 }
 
-/// Returns all 37 numbers in the order of the message: orientation (x, y, z, w) and its covariance, angular velocity
+/// Returns the 37 numbers of the message in its order: orientation (x, y, z, w) and its covariance, angular velocity
 /// and its covariance, linear acceleration and its covariance.
 fn imu_part(imu: &Imu) -> Part {
     let (q, v, a) = (imu.orientation, imu.angular_velocity, imu.linear_acceleration);
@@ -140,7 +141,8 @@ mod tests {
 
     use super::*;
 
-    fn pass<M: Message>(message: &M, form: WireForm) -> Payload {
+    /// Encodes a message and converts it to a payload.
+    fn convert<M: Message>(message: &M, form: WireForm) -> Payload {
         let bytes = message.encode(form).expect("can be encoded").into_bytes();
         let received = WallTime::from_unix_nanos(0);
         let type_name: Arc<str> = M::DEFINITION.name.into();
@@ -159,17 +161,17 @@ mod tests {
                 format: "rgb8; jpeg compressed bgr8".into(),
                 data: "file".into(),
             };
-            let payload = pass(&file, form);
+            let payload = convert(&file, form);
             assert_eq!(payload.parts[0].description.media, MediaType::Jpeg);
             assert_eq!(payload.parts[0].bytes, "file");
             assert_eq!(payload.stamp, Some(WallTime::from_unix_nanos(12_000_000_034)));
 
-            let text = pass(&StringMessage { data: "left".into() }, form);
+            let text = convert(&StringMessage { data: "left".into() }, form);
             assert_eq!((text.parts[0].bytes.as_ref(), text.stamp), (&b"left"[..], None));
 
             let mut imu = Imu { header: header(), ..Imu::default() };
             imu.linear_acceleration_covariance[8] = 2.5;
-            let part = pass(&imu, form).parts.remove(0);
+            let part = convert(&imu, form).parts.remove(0);
             assert_eq!(part.description.shaped_bytes(), Some(part.bytes.len() as u64));
             assert_eq!(part.bytes[36 * 8..], 2.5_f64.to_le_bytes());
         }
@@ -188,17 +190,17 @@ mod tests {
             data,
             ..PointCloud2::default()
         };
-        let payload = pass(&cloud, WireForm::Ros1);
+        let payload = convert(&cloud, WireForm::Ros1);
         assert_eq!(payload.parts[0].bytes, "aaaabbbbccccdddd");
         assert_eq!(payload.parts[0].description.shape, [2, 2, 4]);
-        let about: serde_json::Value = serde_json::from_slice(&payload.parts[1].bytes).expect("is JSON");
-        assert_eq!((&about["fields"][0]["type"], &about["big_endian"]), (&"float32".into(), &false.into()));
+        let layout: serde_json::Value = serde_json::from_slice(&payload.parts[1].bytes).expect("is JSON");
+        assert_eq!((&layout["fields"][0]["type"], &layout["big_endian"]), (&"float32".into(), &false.into()));
         // The publisher set no time.
         assert_eq!(payload.stamp, None);
     }
 
     #[test]
-    fn message_of_other_type_is_passed_as_bytes() {
+    fn message_of_other_type_becomes_bytes() {
         let (form, bytes) = (WireForm::Ros1, Bytes::from_static(&[1, 2, 3]));
         let type_name: Arc<str> = "nav_msgs/Odometry".into();
         let received = WallTime::from_unix_nanos(0);
