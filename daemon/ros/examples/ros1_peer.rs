@@ -10,7 +10,8 @@
 //! ros1_peer echo NAME IN OUT                    publishes what arrives, until its input ends
 //! ros1_peer ping NAME OUT IN COUNT BYTES        round trips: prints the median and the 99th percentile in microseconds
 //! ```
-//! Pictures are `sensor_msgs/CompressedImage` unless said otherwise; byte i of picture n is i + n (mod 251).
+//! Messages are pictures (`sensor_msgs/CompressedImage`) unless stated otherwise. Byte i of picture n is (i + n) mod
+//! 251.
 #![expect(clippy::print_stdout, reason = "the tests read its output")]
 
 use std::io::Read;
@@ -44,7 +45,7 @@ async fn wait_for_end_of_input() {
     let (end_sender, end_receiver) = tokio::sync::oneshot::channel();
     // A thread outside the runtime does not keep the process alive.
     std::thread::spawn(move || {
-        // An error counts as the end as well.
+        // An error is treated as the end of the input.
         let _ = std::io::stdin().read_to_end(&mut Vec::new());
         end_sender.send(())
     });
@@ -162,8 +163,8 @@ async fn ping(
     publisher.wait_for_subscribers(1).await?;
     subscriber.wait_for_publishers(1).await?;
     let image = picture(0, length);
-    // A rospy node may count as connected before it sends. The message is repeated until an answer arrives, and until
-    // the last answer has arrived.
+    // A rospy node may be listed as connected before it sends messages, so the message is repeated until an answer
+    // arrives. The answers to the repeated messages are then read until no more arrive.
     let retry_interval = std::time::Duration::from_millis(300);
     let mut has_answer = false;
     loop {
@@ -184,7 +185,7 @@ async fn ping(
         micros.push((clock.mono() - start).nanos() / 1000);
         anyhow::ensure!(
             CompressedImage::decode(WireForm::Ros1, bytes)?.data == image.data,
-            "another picture"
+            "the answer has another picture"
         );
     }
     micros.sort_unstable();

@@ -14,7 +14,7 @@ use peernet_ros::ros2::{QosProfile, Ros2Node, Ros2Settings};
 
 type PeerResult = Result<(), Box<dyn Error + Send + Sync>>;
 
-/// Size of messages that are acknowledged one by one.
+/// Size from which on messages are acknowledged one by one. Bytes.
 const LARGE_BYTES: usize = 500_000;
 
 /// Longest wait for a peer, a message or an acknowledgement.
@@ -68,13 +68,13 @@ struct Plan {
 async fn main() -> PeerResult {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let usage = "ros2_peer publish|receive|echo TOPIC string|image COUNT [BYTES]";
-    let [mode, topic, kind, count, rest @ ..] = &arguments[..] else { return Err(usage.into()) };
+    let [mode, topic, kind, count, size @ ..] = &arguments[..] else { return Err(usage.into()) };
     let kind = match kind.as_str() {
         "string" => Kind::String,
         "image" => Kind::Image,
         _ => return Err(usage.into()),
     };
-    let size = rest.first().map_or(Ok(0), |size| size.parse())?;
+    let size = size.first().map_or(Ok(0), |size| size.parse())?;
     let plan = Plan { topic: topic.clone(), kind, count: count.parse()?, size };
     let node = Ros2Node::new(Ros2Settings::default()).await?;
     for warning in node.socket_buffer_warnings() {
@@ -103,8 +103,8 @@ async fn publish(node: &Ros2Node, plan: &Plan) -> PeerResult {
     let clock = clock()?;
     let publisher = node.create_publisher(&plan.topic, plan.kind.type_name(), &keep_all_qos())?;
     publisher.wait_for_peer(TIME_LIMIT).await?;
-    // Perhaps the subscription has not discovered this publisher yet, which DDS does not report. It would miss earlier
-    // messages.
+    // The subscription may not have discovered this publisher yet, and would then miss messages. DDS does not report
+    // when the subscription has discovered the publisher.
     tokio::time::sleep(Duration::from_secs(1)).await;
     for number in 0..plan.count {
         publisher.publish(plan.kind.message(plan.size, number), clock.wall()).await?;
@@ -133,7 +133,7 @@ async fn receive(node: &Ros2Node, plan: &Plan) -> PeerResult {
     for (number, payload) in payloads.iter().enumerate() {
         let expected = plan.kind.message(plan.size, number);
         if !payload.starts_with(&expected) || payload.len() >= expected.len() + 4 {
-            return Err(format!("message {number} differs from the published one").into());
+            return Err(format!("message {number} differs from the published message").into());
         }
     }
     // The publisher continues until all messages are acknowledged.

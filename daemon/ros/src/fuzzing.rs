@@ -1,4 +1,4 @@
-//! Arbitrary bytes for the parsers of data from ROS networks, for the fuzz targets in `fuzz/` and for a test.
+//! Functions that pass arbitrary bytes to the parsers of network data, for the fuzz targets in `fuzz/` and for a test.
 
 use bytes::{BufMut, Bytes};
 
@@ -26,8 +26,8 @@ pub fn any_xml_rpc(data: &[u8]) {
     }
 }
 
-/// Feeds the bytes to a TCPROS connection. The first byte is one less than the number of bytes that arrive at a time.
-/// Each frame is parsed as a subscriber's header and as a publisher's header.
+/// Feeds the bytes to a TCPROS connection. The value of the first byte, plus one, is the number of bytes that arrive at
+/// a time. Each frame is parsed as a subscriber's header and as a publisher's header.
 ///
 /// # Panics
 /// If more than four times the limit of a frame is reserved, or a header that was read cannot be sent.
@@ -45,12 +45,12 @@ pub fn any_connection(data: &[u8]) {
         kind: TopicType::from_message::<StringMessage>(),
     };
     let mut buffer = FrameBuffer::new(MAX_FRAME_BYTES);
-    let mut rest = data;
-    while !rest.is_empty() {
+    let mut remaining = data;
+    while !remaining.is_empty() {
         let mut input = buffer.input().expect("there is no limit");
-        let count = rest.len().min(usize::from(step) + 1).min(input.remaining_mut());
-        input.put_slice(&rest[..count]);
-        rest = &rest[count..];
+        let count = remaining.len().min(usize::from(step) + 1).min(input.remaining_mut());
+        input.put_slice(&remaining[..count]);
+        remaining = &remaining[count..];
         let capacity = input.get_ref().capacity();
         assert!(capacity <= 4 * MAX_FRAME_BYTES, "{capacity} bytes");
         loop {
@@ -80,9 +80,9 @@ pub fn any_connection(data: &[u8]) {
 pub fn any_message(data: &[u8]) {
     fn read<M: Message>(form: WireForm, data: &Bytes) {
         let Ok(message) = M::decode(form, data.clone()) else { return };
-        // CDR may contain texts with a NUL inside, which are not written.
+        // A text in CDR may have a NUL before its end. The message is then read but cannot be encoded.
         if let Ok(encoded) = message.encode(form) {
-            // CDR allows an empty text without its NUL, and each text may take three bytes of padding.
+            // In CDR the lengths may differ: an empty text may lack its NUL, and padding may follow each text.
             assert!(form == WireForm::Cdr || encoded.len() == data.len());
         }
     }

@@ -5,7 +5,7 @@ use std::fmt::Write;
 /// Type name, MD5 sum and text of a ROS 1 message type.
 ///
 /// Peers compare the sums. `rosbag record` stores the text, so that others can read the bag without the package. The
-/// sums are constants, which a test computes like genmsg.
+/// sums are constants; a test computes them as genmsg does.
 #[derive(Debug)]
 pub struct MessageDefinition {
     /// Package and name, such as `sensor_msgs/Image`.

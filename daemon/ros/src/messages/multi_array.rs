@@ -12,7 +12,7 @@ pub struct MultiArrayDimension {
     pub label: String,
     /// Number of elements.
     pub size: u32,
-    /// Number of elements of this and all inner dimensions together.
+    /// Product of the sizes of this dimension and of all inner dimensions.
     pub stride: u32,
 }
 

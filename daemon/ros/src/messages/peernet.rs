@@ -34,12 +34,12 @@ impl Message for SessionHello {
 /// `<payload topic>_info`.
 ///
 /// If [`has_payload`](Self::has_payload) is set, the payload message with the same `header.stamp` and `header.frame_id`
-/// belongs to the companion. In `std_msgs/UInt8MultiArray`, which has no header, the label of the first dimension
-/// contains both.
+/// belongs to the companion. `std_msgs/UInt8MultiArray` has no header, so the label of its first dimension
+/// contains the stamp and the identifier.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct MessageInfo {
-    /// Header whose `frame_id` is the connection's identifier. Its `stamp` is the departure by the sender's wall clock
-    /// and increases.
+    /// Header whose `frame_id` is the connection's identifier. Its `stamp` is the departure by the sender's wall clock;
+    /// the `stamp` increases from message to message.
     pub header: Header,
     /// Kind of the message: one of the constants.
     pub kind: u8,
@@ -74,7 +74,7 @@ struct_field!(MessageInfo {
 impl MessageInfo {
     /// Kind of a message with frames.
     pub const DATA: u8 = 0;
-    /// Kind of an edge's hello, which it repeats until it gets [`WELCOME`](Self::WELCOME).
+    /// Kind of a hello. The edge repeats its hello until it gets [`WELCOME`](Self::WELCOME).
     pub const HELLO: u8 = 1;
     /// Kind of the cloud's answer to a hello.
     pub const WELCOME: u8 = 2;
@@ -89,7 +89,7 @@ impl MessageInfo {
     /// Kind of a companion with a fragment of the frames of a message. The companion with the remaining bytes follows
     /// and has the same stamp (ROS 2 only).
     pub const PART: u8 = 7;
-    /// Value of [`request`](Self::request) without a request.
+    /// Value of [`request`](Self::request) in a message that belongs to no request.
     pub const NO_REQUEST: u64 = u64::MAX;
 }
 

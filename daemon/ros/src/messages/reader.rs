@@ -103,7 +103,7 @@ impl Reader {
         self.bytes.len() - self.offset
     }
 
-    /// Returns the position in the message.
+    /// Returns the position of the next byte in the message.
     pub fn offset(&self) -> usize {
         self.offset
     }
@@ -188,7 +188,7 @@ impl Reader {
         }
     }
 
-    /// Ends reading.
+    /// Checks that the whole message has been read.
     ///
     /// # Errors
     /// If bytes remain that are not padding.

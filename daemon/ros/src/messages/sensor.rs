@@ -14,7 +14,7 @@ pub struct Image {
     pub height: u32,
     /// Number of columns.
     pub width: u32,
-    /// Channels with their order and size, such as `rgb8`.
+    /// Order and size of the channels, such as `rgb8`.
     pub encoding: String,
     /// 1 if elements of several bytes are big-endian.
     pub is_bigendian: u8,
@@ -68,8 +68,8 @@ impl Message for CompressedImage {
     const DDS_TYPE: &'static str = "sensor_msgs::msg::dds_::CompressedImage_";
 }
 
-/// `sensor_msgs/Imu`: readings of an inertial measurement unit. A covariance matrix is 3 × 3, row by row; −1 in its
-/// first element means that the unit has no such reading.
+/// `sensor_msgs/Imu`: measurements of an inertial measurement unit. A covariance matrix is 3 × 3, row by row; −1 in its
+/// first element means that the unit does not measure the quantity.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Imu {
     /// Capture time and coordinate frame.
@@ -115,7 +115,7 @@ impl Message for Imu {
 pub struct PointField {
     /// Name, such as `x`.
     pub name: String,
-    /// Offset in the point. Bytes.
+    /// Position of the value in the bytes of a point.
     pub offset: u32,
     /// Type of the value: 1 to 8 for int8, uint8, int16, uint16, int32, uint32, float32, float64.
     pub datatype: u8,

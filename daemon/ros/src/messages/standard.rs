@@ -10,7 +10,7 @@ use super::{DecodeError, EncodeError, Field, Message, MessageDefinition, Reader,
 pub struct Time {
     /// Seconds since the clock's epoch. The range is 0 to 2³² − 1 in ROS 1 and −2³¹ to 2³¹ − 1 in ROS 2.
     pub sec: i64,
-    /// Nanoseconds to add.
+    /// Nanoseconds after `sec`.
     pub nanosec: u32,
 }
 
@@ -69,7 +69,7 @@ impl Header {
 }
 
 impl Field for Header {
-    // Without `seq`, which ROS 2 does not have.
+    // `seq` is not included, because ROS 2 does not have it.
     const MIN_BYTES: usize = Time::MIN_BYTES + String::MIN_BYTES;
 
     fn write(&self, writer: &mut Writer) -> Result<(), EncodeError> {

@@ -7,8 +7,8 @@ use thiserror::Error;
 
 use super::WireForm;
 
-/// Smallest sequence of bytes that becomes a separate segment and is not copied. Copying a shorter sequence is cheaper
-/// than one more entry of a vectored write. Bytes.
+/// Length from which on a sequence of bytes becomes a separate segment and is not copied. Copying a shorter sequence is
+/// cheaper than one more entry of a vectored write. Bytes.
 const MIN_SEGMENT_BYTES: usize = 4096;
 
 /// Encapsulation header of little-endian plain CDR, version 1, without options.
@@ -42,7 +42,7 @@ pub enum EncodeError {
 /// Bytes of one encoded message, in consecutive segments.
 #[derive(Clone, Debug)]
 pub struct EncodedMessage {
-    // Shared, because the queue of each subscriber has the message.
+    // The segments are shared, because the message is in the queue of each subscriber.
     segments: Arc<[Bytes]>,
     length: usize,
 }
@@ -146,9 +146,9 @@ impl Writer {
             // The length in CDR includes the closing NUL.
             WireForm::Cdr => self.put_length(text.len() + 1)?,
         }
-        self.put_raw(text.as_bytes());
+        self.put_octets(text.as_bytes());
         if self.form == WireForm::Cdr {
-            self.put_raw(&[0]);
+            self.put_octets(&[0]);
         }
         Ok(())
     }
@@ -160,7 +160,7 @@ impl Writer {
     pub fn put_bytes(&mut self, bytes: &Bytes) -> Result<(), EncodeError> {
         self.put_length(bytes.len())?;
         if bytes.len() < MIN_SEGMENT_BYTES {
-            self.put_raw(bytes);
+            self.put_octets(bytes);
         } else {
             self.end_segment();
             self.segments.push(bytes.clone());
@@ -169,7 +169,8 @@ impl Writer {
         Ok(())
     }
 
-    fn put_raw(&mut self, bytes: &[u8]) {
+    /// Writes bytes without alignment.
+    fn put_octets(&mut self, bytes: &[u8]) {
         self.current_segment.put_slice(bytes);
         self.position += bytes.len();
     }

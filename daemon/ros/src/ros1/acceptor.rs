@@ -49,7 +49,7 @@ pub(super) async fn accept_connections(node: Arc<NodeState>, listener: TcpListen
                 continue;
             }
         };
-        // The connection is closed at once, because it would hold a descriptor while it waits for a permit.
+        // A connection without a permit is closed at once: waiting for a permit would occupy a file descriptor.
         let Ok(permit) = Arc::clone(&permits).try_acquire_owned() else {
             acceptor.warn_not_established(peer, "too many connections of ROS subscribers");
             continue;
@@ -83,7 +83,7 @@ impl Acceptor {
         }
     }
 
-    /// Logs at most once a minute for each address that a connection was closed.
+    /// Logs that a connection was closed, at most once a minute for each address.
     fn warn_not_established(&self, peer: SocketAddr, reason: &str) {
         let now = self.node.clock.mono();
         let mut throttle = self.log_throttle.lock().unwrap_or_else(PoisonError::into_inner);
@@ -94,8 +94,10 @@ impl Acceptor {
         }
     }
 
-    /// Reads the subscriber's header. Returns the topic, the subscriber's name and the answer. If the error is
-    /// [`AcceptError::Handshake`], the refusal has been sent.
+    /// Reads the subscriber's header. Returns the topic, the subscriber's name and the answer.
+    ///
+    /// # Errors
+    /// If the header does not arrive or is refused. After [`AcceptError::Handshake`] the subscriber has been informed.
     async fn exchange_headers(
         &self,
         stream: &mut TcpStream,
@@ -112,6 +114,7 @@ impl Acceptor {
         }
     }
 
+    /// Finds the topic that a header requests. Returns the topic, the subscriber's name and the answer.
     fn answer_request(
         &self,
         frame: &[u8],

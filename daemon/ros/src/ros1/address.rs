@@ -69,9 +69,10 @@ fn port(listener: &TcpListener) -> Result<u16, NodeError> {
 
 /// Returns the host that a node gives to others if no environment variable sets it.
 ///
-/// - Usually the address from which the master is reached, because a program that reaches the master usually reaches this
+/// - Usually the address from which this host reaches the master. Other hosts that reach the master usually reach this
+///   address as well.
+/// - If the master is on this host or cannot be resolved: the name of this host, if none of its addresses is a loopback
 ///   address.
-/// - If the master is on this host or cannot be resolved: the host's name, if none of its addresses is a loopback address.
 /// - Otherwise the loopback address.
 pub(super) async fn advertised_host(master: &RpcUri) -> String {
     let local = address_towards(master).await.unwrap_or_else(|_| Ipv4Addr::LOCALHOST.into());
@@ -86,7 +87,8 @@ pub(super) async fn advertised_host(master: &RpcUri) -> String {
     if is_reachable { name } else { local.to_string() }
 }
 
-/// Returns the source address of packets to the master. Connecting a datagram socket sends nothing.
+/// Returns the source address of packets to the master.
+// Connecting a datagram socket selects the source address and sends nothing.
 async fn address_towards(master: &RpcUri) -> std::io::Result<IpAddr> {
     let mut last_error = std::io::ErrorKind::NotFound.into();
     let mut addresses: Vec<SocketAddr> = lookup_host((master.host(), master.port())).await?.collect();
@@ -116,7 +118,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn master_on_this_host_gives_an_ipv4_address_of_this_host() {
+    async fn host_has_ipv4_address_if_master_is_local() {
         for uri in ["http://localhost:11311", "http://127.0.0.1:11311"] {
             let host = advertised_host(&RpcUri::parse(uri).unwrap()).await;
             let addresses: Vec<SocketAddr> = lookup_host((host.as_str(), 0)).await.unwrap().collect();
@@ -126,7 +128,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn unknown_master_gives_a_host() {
+    async fn host_is_found_if_master_cannot_be_resolved() {
         assert!(!advertised_host(&RpcUri::parse("http://no-such-host.invalid").unwrap()).await.is_empty());
     }
 }

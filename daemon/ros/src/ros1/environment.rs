@@ -100,7 +100,7 @@ impl Environment {
         Self::from_variables(|name| std::env::var_os(name))
     }
 
-    /// Reads environment variables with a function that looks one up.
+    /// Reads the environment variables that `look_up` returns.
     ///
     /// # Errors
     /// If a variable has a value that cannot be used.
@@ -120,8 +120,8 @@ impl Environment {
     }
 }
 
-/// Returns the address to listen on for peers that connect to `advertised`. It is a loopback address if `advertised` is
-/// one, as in the clients of ROS.
+/// Returns the address to listen on for peers that connect to `advertised`. For a loopback address it is this address,
+/// as in the clients of ROS.
 pub(super) fn listen_address(advertised: &str) -> IpAddr {
     match advertised.parse::<IpAddr>() {
         Ok(address) if address.is_loopback() => address,
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn uris_are_split() {
+    fn uri_is_split_into_host_port_and_path() {
         let uri = RpcUri::parse("http://robot:1234/RPC2").unwrap();
         assert_eq!((uri.host(), uri.port(), uri.path()), ("robot", 1234, "/RPC2"));
         let uri = RpcUri::parse("http://[::1]").unwrap();

@@ -20,7 +20,8 @@ pub struct ReceivedMessage {
     pub publisher: Arc<PublisherInfo>,
     /// Time at which the last byte of the message was read.
     pub received: Stamp,
-    /// Share of the subscriber's [`memory`](crate::ros1::SubscriberOptions::memory) that the message holds.
+    /// Memory that is reserved for the message within the subscriber's limit
+    /// [`memory`](crate::ros1::SubscriberOptions::memory).
     pub memory: MessageMemory,
 }
 
@@ -31,11 +32,11 @@ pub enum WhenFull {
     /// queue loses no message.
     #[default]
     Wait,
-    /// The message is dropped and counted. The publisher does not notice it. Suitable for observers, because a
+    /// The new message is dropped and counted, which the publisher does not notice. Suitable for observers, because a
     /// subscriber that stops reading can stall a robot's node.
     Drop,
-    /// The oldest messages in the queue are dropped and counted until the new one fits. Suitable for consumers of the
-    /// newest message.
+    /// The oldest messages in the queue are dropped and counted until the new message fits. Suitable for consumers
+    /// of the newest message.
     DropOldest,
 }
 
@@ -74,7 +75,7 @@ impl IncomingQueue {
     pub(super) async fn push(&self, mut message: ReceivedMessage) -> u64 {
         let mut dropped = 0;
         loop {
-            // Created before the queue is checked, so that no change in between is missed.
+            // The future is created before the queue is checked, so that no change in between is missed.
             let space_freed = self.space_freed.notified();
             match self.try_push(message) {
                 None => return dropped,
@@ -121,7 +122,7 @@ impl IncomingQueue {
         let message = queue.messages.pop_front()?;
         queue.bytes -= message.bytes.len();
         drop(queue);
-        // All waiting tasks: the space of one long message may be enough for several.
+        // All waiting tasks are woken, because several messages may fit in the space of a long message.
         self.space_freed.notify_waiters();
         Some(message)
     }

@@ -39,7 +39,7 @@ impl NodeLifetime {
 
     /// Ends the node. The first reason is kept.
     pub(super) fn end(&self, reason: String) {
-        // Fails if there is already a reason.
+        // `set` fails if there is already a reason, which is then kept.
         let _ = self.end_reason.set(reason);
         self.stop.cancel();
     }
@@ -55,11 +55,11 @@ impl NodeLifetime {
     /// # Errors
     /// If the node has ended.
     pub(super) fn check_open(&self) -> Result<(), NodeError> {
-        if self.stop.is_cancelled() { Err(self.closed()) } else { Ok(()) }
+        if self.stop.is_cancelled() { Err(self.closed_error()) } else { Ok(()) }
     }
 
     /// Returns the error for calls after the end.
-    pub(super) fn closed(&self) -> NodeError {
+    pub(super) fn closed_error(&self) -> NodeError {
         let reason = self.end_reason.get().cloned().unwrap_or_else(|| "it was shut down".to_owned());
         NodeError::Closed { node: self.node.to_string(), reason }
     }

@@ -34,7 +34,7 @@ pub(super) const MAX_PUBLISHERS: usize = 256;
 /// Time limit for connecting and exchanging headers.
 pub(super) const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Time limit for a publisher that ends to write its queues.
+/// Time limit within which a publisher that ends must have written its queues.
 pub(super) const DRAIN_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Time after which the kernel ends a TCP connection whose sent bytes are not acknowledged, because the other end is

@@ -1,4 +1,4 @@
-//! Client of the master's API, as far as a node with topics needs it.
+//! Client of the master's API, with the calls that a node with topics needs.
 
 use super::environment::{Environment, RpcUri};
 use super::error::NodeError;
@@ -153,6 +153,7 @@ pub(super) fn split_answer(answer: Value) -> Option<(i64, String, Value)> {
     Some((code.as_int()?, text.as_text()?.to_owned(), value))
 }
 
+/// Returns the elements of an array of texts.
 fn texts(value: &Value) -> Option<Vec<String>> {
     value.as_array()?.iter().map(|text| text.as_text().map(str::to_owned)).collect()
 }

@@ -15,11 +15,11 @@ pub trait MemoryLimit: fmt::Debug + Send + Sync {
 pub(super) struct MessageLimits {
     /// Largest message. Bytes.
     pub(super) max_bytes: usize,
-    /// Limit that messages share.
+    /// Limit on the memory of all messages together.
     pub(super) memory: Option<Arc<dyn MemoryLimit>>,
 }
 
-/// Memory of one message, returned when it is dropped.
+/// Memory that is reserved for one message. Dropping the value returns the memory.
 #[derive(Default)]
 pub struct MessageMemory {
     bytes: usize,
@@ -27,7 +27,7 @@ pub struct MessageMemory {
 }
 
 impl MessageMemory {
-    /// Reserves the missing memory for a message of `bytes` bytes. Returns whether the limit allowed it.
+    /// Increases the reservation to `bytes` bytes. Returns `false` if the limit does not allow it.
     pub(super) fn grow(&mut self, bytes: usize, limit: Option<&Arc<dyn MemoryLimit>>) -> bool {
         let (Some(limit), Some(missing @ 1..)) = (limit, bytes.checked_sub(self.bytes)) else { return true };
         let Some(reservation) = limit.reserve(missing) else { return false };

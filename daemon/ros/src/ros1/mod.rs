@@ -3,7 +3,7 @@
 //! [`Node::new`] checks that the master answers; [`Node::publish`] and [`Node::subscribe`] register topics. Every
 //! message for a connected subscriber is counted as sent, dropped, lost or waiting ([`SendCounts`]).
 //!
-//! This is our own client, because no crate had what measuring needs (in November 2026): `roslibrust` 0.26 needs
+//! This client was written because no crate met the needs of measurements (in November 2026): `roslibrust` 0.26 needs
 //! OpenSSL by default, never sets TCP_NODELAY, and drops messages without notice when its channel lags; `rosrust` 0.9
 //! does not set TCP_NODELAY either. A node needs little: XML-RPC with the master and other nodes, a header of texts on
 //! each connection, and frames with a length.

@@ -145,7 +145,7 @@ impl Node {
 
     /// Returns the nodes among `nodes` that are running and publish a topic, except this node. The master also lists
     /// nodes that ended without unregistering. Another node with this node's name is included until this node has
-    /// registered something, because the master then knows only this node by the name.
+    /// registered a topic; from then on the master knows only this node by the name.
     ///
     /// # Errors
     /// If the master does not answer.
@@ -181,11 +181,11 @@ impl Node {
         Ok(running)
     }
 
-    /// Waits until the node has ended by itself. Returns the reason: another node has taken its name, or it was asked
-    /// to shut down (`rosnode kill`).
+    /// Waits until the node has ended. Returns the reason, such as that another node has taken its name, or that it was
+    /// asked to shut down (`rosnode kill`).
     pub async fn ended(&self) -> NodeError {
         self.state.lifetime.stop().cancelled().await;
-        self.state.lifetime.closed()
+        self.state.lifetime.closed_error()
     }
 
     /// Ends the node at once. Its registrations stay with the master.

@@ -19,8 +19,7 @@ use crate::messages::EncodedMessage;
 /// Maximum number of slices that one system call writes.
 const MAX_SLICES: usize = 64;
 
-/// Numbers of the messages for one subscriber by their outcome. `offered = sent + dropped + lost + waiting` at all
-/// times.
+/// Numbers of messages for one subscriber, by outcome. At all times, `offered = sent + dropped + lost + waiting`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SendCounts {
     /// Messages that were published while the subscriber was connected.
@@ -94,14 +93,14 @@ impl QueuedMessage {
         self.prefix.len() + self.message.len()
     }
 
-    /// Returns the parts of the message that are not written yet.
+    /// Returns the bytes of the message that are not written yet.
     fn unwritten_slices(&self) -> impl Iterator<Item = &[u8]> {
         let mut skip = self.written;
         let segments = self.message.segments().iter().map(|segment| &segment[..]);
         std::iter::once(&self.prefix[..]).chain(segments).filter_map(move |piece| {
             let skipped = skip.min(piece.len());
             skip -= skipped;
-            Some(&piece[skipped..]).filter(|rest| !rest.is_empty())
+            Some(&piece[skipped..]).filter(|slice| !slice.is_empty())
         })
     }
 }
@@ -147,7 +146,7 @@ impl OutgoingConnection {
         queue.counts.offered += 1;
         queue.bytes += message.len();
         queue.messages.push_back(message);
-        // If an earlier message waits for the kernel, the task writes both.
+        // If earlier messages wait in the queue, the task writes them and then this message.
         if queue.is_header_written && queue.messages.len() == 1 {
             self.write_queue(&mut queue);
             if !queue.messages.is_empty() {
@@ -157,10 +156,10 @@ impl OutgoingConnection {
         OfferOutcome::Accepted
     }
 
-    /// Waits until the queue has accepted a message. Returns whether the connection still exists.
+    /// Waits until the queue has accepted a message. Returns `false` if the connection has ended instead.
     pub(super) async fn offer_until_accepted(&self, message: &EncodedMessage, prefix: [u8; 4]) -> bool {
         loop {
-            // Created before the queue is checked, so that no change in between is missed.
+            // The future is created before the queue is checked, so that no change in between is missed.
             let space_freed = self.space_freed.notified();
             match self.offer(message, prefix, false) {
                 OfferOutcome::Accepted => return true,
@@ -260,7 +259,7 @@ impl OutgoingConnection {
                         Err(_) => break,
                     }
                 }
-                // The socket is awaited only if something is unsent, because it is writable nearly all the time.
+                // Without unsent messages this branch is off, because a socket is writable nearly all the time.
                 _ = self.stream.writable(), if has_unsent => self.write_unsent(),
                 () = self.write_needed.notified() => {}
             }
@@ -275,17 +274,17 @@ impl OutgoingConnection {
 }
 
 impl Queue {
-    /// Removes a number of written bytes from the front.
+    /// Removes `written` bytes from the front, and counts the messages that are written completely.
     fn advance(&mut self, mut written: usize) {
         self.counts.sent_bytes += written as u64;
         while written > 0 {
             let Some(first) = self.messages.front_mut() else { return };
-            let rest = first.len() - first.written;
-            if written < rest {
+            let unwritten = first.len() - first.written;
+            if written < unwritten {
                 first.written += written;
                 return;
             }
-            written -= rest;
+            written -= unwritten;
             self.bytes -= first.len();
             self.messages.pop_front();
             self.counts.sent += 1;

@@ -69,8 +69,8 @@ impl Publisher {
         &self.topic.publication.topic
     }
 
-    /// Publishes a message. Never waits. A subscriber whose queue is full does not get the message, which is counted
-    /// and returned.
+    /// Publishes a message. Never waits. A subscriber whose queue is full does not get the message; the outcome and the
+    /// counts have the number of these subscribers.
     ///
     /// # Errors
     /// If the node has ended, or the message has more than 2³² − 1 bytes.
@@ -91,7 +91,7 @@ impl Publisher {
     /// Publishes a message as [`publish`](Self::publish) does. Returns the outcome for the subscriber of one node.
     ///
     /// # Errors
-    /// As for `publish`.
+    /// Those of `publish`.
     pub fn publish_to(&self, node: &str, message: impl Into<EncodedMessage>) -> Result<Delivery, NodeError> {
         let (message, prefix) = self.check_message(message.into())?;
         let mut delivery = Delivery::NotConnected;
@@ -133,7 +133,7 @@ impl Publisher {
     /// If the node has ended.
     pub async fn wait_for_subscribers(&self, count: usize) -> Result<(), NodeError> {
         loop {
-            // Created before the connections are checked, so that no change in between is missed.
+            // The future is created before the connections are checked, so that no change in between is missed.
             let connection_added = self.topic.connection_added.notified();
             self.guard.check_open()?;
             if self.topic.state().connections.len() >= count {
@@ -189,7 +189,7 @@ struct TopicState {
     connections: Vec<Arc<OutgoingConnection>>,
     /// Last message of a latching topic, and its length prefix.
     latched_message: Option<(EncodedMessage, [u8; 4])>,
-    /// Counts of the connections that are gone.
+    /// Counts of the connections that have ended.
     ended_counts: SendCounts,
 }
 
@@ -202,7 +202,7 @@ impl PublishedTopic {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Keeps a message if the topic is latching. Returns the connections that it goes to.
+    /// Stores the message if the topic is latching. Returns the connections on which the message must be sent.
     fn latch_message(&self, message: &EncodedMessage, prefix: [u8; 4]) -> Vec<Arc<OutgoingConnection>> {
         let mut state = self.state();
         if self.publication.is_latching {
@@ -225,13 +225,13 @@ impl PublishedTopic {
 
     pub(super) fn counts(&self) -> SendCounts {
         let state = self.state();
-        // This is done under the lock, so that a connection that ends meanwhile is counted exactly once.
+        // The lock is held during the sum, so that a connection that ends meanwhile is counted exactly once.
         let mut sum = state.ended_counts;
         state.connections.iter().for_each(|connection| sum.add(&connection.counts()));
         sum
     }
 
-    /// Runs the connection to a subscriber, to which `answer` is sent first.
+    /// Sends `answer` to a subscriber, and then messages until the connection ends.
     pub(super) async fn run_connection(
         &self,
         stream: TcpStream,

@@ -60,7 +60,7 @@ enum LinkError {
 pub(super) struct PublisherLink {
     uri: Arc<str>,
     state: Mutex<LinkState>,
-    /// Notified when the master has added or removed the publisher.
+    /// Notified when the master has sent a new list of publishers.
     listing_changed: Notify,
 }
 
@@ -109,7 +109,7 @@ impl PublisherLink {
 
     pub(super) fn set_listed(&self, is_listed: bool) {
         self.state().is_listed = is_listed;
-        // Leaves a permit during an attempt, so that the delay after the attempt ends at once.
+        // During an attempt, the notification is kept and ends the delay after the attempt at once.
         self.listing_changed.notify_one();
     }
 
@@ -131,12 +131,12 @@ impl PublisherLink {
             if topic.remove_if_ended(self) {
                 return;
             }
-            // A connection worked in between, so the next failure starts with the shortest delay again.
+            // A connection was open since the last failure, so the shortest delay follows.
             if self.state().counts.connections > connections {
                 delay = MIN_RETRY_DELAY;
             }
             let reason = error.to_string();
-            // A reason is logged once while it stays the same, because the attempts repeat.
+            // Attempts repeat, so the same reason is logged only once.
             if reason != last_reason {
                 let (topic, publisher) = (&*topic.subscription.topic, &*self.uri);
                 // When a publisher ends, it closes the connection before the master reports the end, and then refuses
@@ -161,7 +161,7 @@ impl PublisherLink {
             self.set_state(topic, PublisherState::Failed(reason));
             tokio::select! {
                 () = sleep(delay) => delay = (delay * 2).min(MAX_RETRY_DELAY),
-                // The master listed the publishers anew: this one may have restarted or ended, so the retry is not
+                // The master has sent a new list: the publisher may have restarted or ended, so the retry is not
                 // delayed.
                 () = self.listing_changed.notified() => {}
                 () = topic.stop.cancelled() => {}
@@ -185,7 +185,7 @@ impl PublisherLink {
         &self,
         topic: &SubscribedTopic,
     ) -> Result<(TcpStream, FrameBuffer, Arc<PublisherInfo>), LinkError> {
-        // Asked again for each connection, because a publisher that was restarted has another port.
+        // The port is requested for each connection, because a restarted publisher has another port.
         let (host, port) = self.request_topic(topic).await?;
         let result = timeout(HANDSHAKE_TIMEOUT, TcpStream::connect((host.as_str(), port))).await;
         let result = result.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()));
@@ -250,10 +250,10 @@ impl PublisherLink {
                 Ok(None) => return LinkError::Closed,
                 Err(error) => return LinkError::Broken(error),
             };
-            // Stamped before the message is queued, because it may have to wait for space in the queue.
+            // The arrival is stamped first, because the message may have to wait for space in the queue.
             let received = topic.clock.stamp();
             {
-                // This is a block, so that the lock is released before the queue is awaited.
+                // The block releases the lock before the queue is awaited.
                 let counts = &mut self.state().counts;
                 counts.messages += 1;
                 counts.bytes += bytes.len() as u64;
@@ -267,7 +267,7 @@ impl PublisherLink {
     }
 }
 
-/// Reads the protocol's parameters: its name, the host and the port.
+/// Reads the host and the port from the parameters of a protocol, whose first parameter is the name of the protocol.
 fn read_endpoint(params: &Value) -> Option<(String, u16)> {
     match params.as_array()? {
         [protocol, host, port, ..] if protocol.as_text() == Some("TCPROS") => {

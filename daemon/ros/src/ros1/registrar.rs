@@ -64,8 +64,8 @@ impl Registrar {
     /// # Errors
     /// If the master does not answer or refuses.
     pub(super) async fn register(&self, registration: &Registration) -> Result<Vec<String>, NodeError> {
-        // A restarted master knows the node again once this topic is registered. After that, the loss of the other
-        // topics cannot be detected.
+        // Once this topic is registered, a restarted master knows the node again, and the loss of the other topics can
+        // no longer be detected. They are therefore checked first.
         self.check_registered().await;
         let uris = self.call_register(registration).await?;
         self.registrations().add(registration.clone());
@@ -100,7 +100,7 @@ impl Registrar {
         timeout(CALL_TIMEOUT, unregister).await.unwrap_or_else(timed_out)
     }
 
-    /// Makes the task ask the master which node has the name.
+    /// Makes the task ask the master which node has this node's name.
     pub(super) fn request_check(&self) {
         self.registrations().request_check();
         self.wake.notify_one();
@@ -146,7 +146,7 @@ impl Registrar {
             MasterCall::LookUpNode => match self.master.look_up_node(self.lifetime.node()).await {
                 Ok(None) => return CallOutcome::NodeUnknown,
                 Ok(Some(uri)) if uri != self.uri => {
-                    // A node that has ended did not replace this one; its registration has reached the master late.
+                    // A node that has ended has not replaced this node: its registration reached the master late.
                     let is_running = self.is_running(&uri).await;
                     return if is_running {
                         CallOutcome::NodeReplaced { uri }

@@ -1,4 +1,4 @@
-//! Registrations that the master should have, and the next call that achieves it, without I/O.
+//! Registrations that the master should have, and the calls of the master that are needed. No I/O.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -26,7 +26,7 @@ pub(super) struct Registration {
     pub(super) kind: Arc<str>,
 }
 
-/// A call of the master that brings its registrations closer to the wanted registrations.
+/// A call of the master that adds, removes or checks registrations.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum MasterCall {
     Register(Registration),
@@ -53,7 +53,7 @@ pub(super) enum CallOutcome {
     },
 }
 
-/// Event for the owner of the registrations.
+/// Change that the owner of the registrations has to log or handle.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Notice {
     MasterUnreachable { reason: String },
@@ -80,7 +80,7 @@ pub(super) struct Registrations {
     entries: BTreeMap<Registration, RegistrationStatus>,
     /// `true` after a call that did not reach the master, or that the master refused. Calls are then repeated at the
     /// retry interval.
-    is_unreachable: bool,
+    is_retrying: bool,
     /// `true` if the master is to be asked whether it still knows the node.
     is_check_due: bool,
 }
@@ -96,44 +96,44 @@ impl Registrations {
         self.entries.insert(registration, RegistrationStatus::Unregistering);
     }
 
-    /// Notes that [`CHECK_INTERVAL`] or [`RETRY_INTERVAL`] has passed.
+    /// Makes it due to ask the master whether it still knows the node.
     pub(super) fn request_check(&mut self) {
         self.is_check_due = true;
     }
 
-    /// Returns the time to wait while no call is due, or after a call that did not reach the master.
+    /// Returns the time to wait while no call is due.
     pub(super) fn wait_interval(&self) -> Duration {
-        if self.is_unreachable { RETRY_INTERVAL } else { CHECK_INTERVAL }
+        if self.is_retrying { RETRY_INTERVAL } else { CHECK_INTERVAL }
     }
 
     /// Returns the call that is due now.
     pub(super) fn next_call(&self) -> Option<MasterCall> {
-        let with_status = |wanted_status| self.entries.iter().find(|(_, status)| **status == wanted_status);
-        // After the master was unreachable, another master may run. Therefore it is first asked whether it knows the
-        // node.
+        let find_with_status =
+            |status| self.entries.iter().find(|(_, entry_status)| **entry_status == status);
+        // After the master was unreachable, another master may run, so the check comes first.
         if self.is_check_due && !self.entries.is_empty() {
             return Some(MasterCall::LookUpNode);
         }
-        if self.is_unreachable {
+        if self.is_retrying {
             return None;
         }
-        if let Some((registration, _)) = with_status(RegistrationStatus::Unregistering) {
+        if let Some((registration, _)) = find_with_status(RegistrationStatus::Unregistering) {
             return Some(MasterCall::Unregister(registration.clone()));
         }
-        with_status(RegistrationStatus::Missing)
+        find_with_status(RegistrationStatus::Missing)
             .map(|(registration, _)| MasterCall::Register(registration.clone()))
     }
 
-    /// Handles the outcome of a call. Returns the event that the outcome causes, if any.
+    /// Handles the outcome of a call. Returns the change that the owner has to log or handle, if any.
     pub(super) fn handle_outcome(&mut self, call: &MasterCall, outcome: CallOutcome) -> Option<Notice> {
         if *call == MasterCall::LookUpNode {
             self.is_check_due = false;
         }
         if let CallOutcome::Unreachable { reason } = outcome {
-            let was_unreachable = std::mem::replace(&mut self.is_unreachable, true);
-            return (!was_unreachable).then_some(Notice::MasterUnreachable { reason });
+            let was_retrying = std::mem::replace(&mut self.is_retrying, true);
+            return (!was_retrying).then_some(Notice::MasterUnreachable { reason });
         }
-        let was_unreachable = std::mem::take(&mut self.is_unreachable);
+        let was_retrying = std::mem::take(&mut self.is_retrying);
         match (call, outcome) {
             (_, CallOutcome::NodeUnknown) => {
                 let had_registered = self.mark_all_missing();
@@ -156,12 +156,12 @@ impl Registrations {
             }
             (MasterCall::Register(_) | MasterCall::LookUpNode, CallOutcome::Refused { reason }) => {
                 // The call is repeated after the retry interval, and reported once.
-                self.is_unreachable = true;
-                return (!was_unreachable).then_some(Notice::Refused { reason });
+                self.is_retrying = true;
+                return (!was_retrying).then_some(Notice::Refused { reason });
             }
             (MasterCall::LookUpNode, CallOutcome::Success) | (_, CallOutcome::Unreachable { .. }) => {}
         }
-        was_unreachable.then_some(Notice::MasterReachable)
+        was_retrying.then_some(Notice::MasterReachable)
     }
 
     /// Returns whether the master should know a registration of the node.
@@ -218,8 +218,8 @@ mod tests {
         state.request_check();
         let check = state.next_call().unwrap();
         assert_eq!(check, MasterCall::LookUpNode);
-        let lost = Notice::MasterUnreachable { reason: "refused".into() };
-        assert_eq!(state.handle_outcome(&check, unreachable()), Some(lost));
+        let notice = Notice::MasterUnreachable { reason: "refused".into() };
+        assert_eq!(state.handle_outcome(&check, unreachable()), Some(notice));
         assert_eq!(state.next_call(), None);
         assert_eq!(state.wait_interval(), RETRY_INTERVAL);
         state.request_check();
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn master_that_kept_running_gets_no_calls() {
+    fn reachable_master_that_knows_node_gets_no_calls() {
         let mut state = Registrations::default();
         state.add(registration("/a"));
         state.handle_outcome(&MasterCall::LookUpNode, unreachable());

@@ -22,7 +22,8 @@ impl RegistrationGuard {
         registrar: &Arc<Registrar>,
         registration: Registration,
     ) -> Result<(Self, Vec<String>), NodeError> {
-        // Created first, because the master may know the topic even if the call fails.
+        // The guard is created first: if the call fails, dropping the guard unregisters the topic, which the master may
+        // know nevertheless.
         let guard = Self { registrar: Arc::clone(registrar), registration };
         let uris = registrar.register(&guard.registration).await?;
         Ok((guard, uris))
@@ -37,8 +38,8 @@ impl RegistrationGuard {
     }
 
     /// Returns the error of a node that has ended.
-    pub(super) fn closed(&self) -> NodeError {
-        self.registrar.lifetime().closed()
+    pub(super) fn closed_error(&self) -> NodeError {
+        self.registrar.lifetime().closed_error()
     }
 }
 

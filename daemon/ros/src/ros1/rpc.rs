@@ -83,7 +83,7 @@ impl RpcError {
 /// If the peer is not reachable, does not answer in time, or answers with a fault.
 pub(super) async fn call(uri: &RpcUri, method: &str, params: Vec<Value>) -> Result<Value, RpcError> {
     let xml = write_call(&Call { method: method.to_owned(), params });
-    let body = timeout(CALL_TIMEOUT, exchange(uri, xml.into())).await.map_err(|_| RpcError::TimedOut)??;
+    let body = timeout(CALL_TIMEOUT, post_call(uri, xml.into())).await.map_err(|_| RpcError::TimedOut)??;
     match parse_response(&body)? {
         Response::Success(value) => Ok(value),
         Response::Fault { code, text } => Err(RpcError::Fault { code, text }),
@@ -91,7 +91,7 @@ pub(super) async fn call(uri: &RpcUri, method: &str, params: Vec<Value>) -> Resu
 }
 
 /// Sends a call over a new connection. Returns the body of the answer.
-async fn exchange(uri: &RpcUri, xml: Bytes) -> Result<Bytes, RpcError> {
+async fn post_call(uri: &RpcUri, xml: Bytes) -> Result<Bytes, RpcError> {
     let stream = TcpStream::connect((uri.host(), uri.port())).await.map_err(RpcError::connection)?;
     stream.set_nodelay(true).map_err(RpcError::connection)?;
     let (mut sender, connection) =
@@ -99,13 +99,13 @@ async fn exchange(uri: &RpcUri, xml: Bytes) -> Result<Bytes, RpcError> {
     let request = Request::builder()
         .method(Method::POST)
         .uri(uri.path())
-        // HTTP/1.1 requires it (RFC 9112, section 3.2), and a bare connection of hyper does not add it.
+        // HTTP/1.1 requires this header (RFC 9112, section 3.2), and hyper's low-level client does not add it.
         .header(HOST, format!("{}:{}", uri_host(uri.host()), uri.port()))
         .header(USER_AGENT, concat!("peernet/", env!("CARGO_PKG_VERSION")))
         .header(CONTENT_TYPE, "text/xml")
         .body(Full::new(xml))
         .map_err(RpcError::connection)?;
-    let exchange = async move {
+    let receive_body = async move {
         let response = sender.send_request(request).await.map_err(RpcError::connection)?;
         let status = response.status();
         if status != StatusCode::OK {
@@ -114,11 +114,11 @@ async fn exchange(uri: &RpcUri, xml: Bytes) -> Result<Bytes, RpcError> {
         let body = Limited::new(response.into_body(), MAX_RESPONSE_BYTES).collect().await;
         Ok(body.map_err(RpcError::connection)?.to_bytes())
     };
-    tokio::pin!(exchange, connection);
+    tokio::pin!(receive_body, connection);
     tokio::select! {
-        result = &mut exchange => result,
-        // The peer closes the connection after its answer, which perhaps has not been read yet.
-        _ = &mut connection => exchange.await,
+        result = &mut receive_body => result,
+        // The peer may close the connection before its answer has been read.
+        _ = &mut connection => receive_body.await,
     }
 }
 
@@ -148,7 +148,7 @@ pub(super) async fn serve(
         let (answer, stop) = (Arc::clone(&answer), stop.clone());
         tokio::spawn(async move {
             let _permit = permit;
-            // A failure only increases the latency.
+            // If this fails, only the latency increases.
             let _ = stream.set_nodelay(true);
             let service = service_fn(|request| respond(request, &*answer));
             let connection = hyper::server::conn::http1::Builder::new()

@@ -54,8 +54,8 @@ impl SlaveCall {
             ("getSubscriptions", [_]) => Some(Self::Subscriptions),
             ("getPublications", [_]) => Some(Self::Publications),
             ("paramUpdate", [_, _, _]) => Some(Self::ParamUpdate),
-            ("shutdown", [caller, rest @ ..]) if rest.len() <= 1 => caller.as_text().map(|caller| {
-                let reason = rest.first().and_then(Value::as_text).unwrap_or_default();
+            ("shutdown", [caller, reason @ ..]) if reason.len() <= 1 => caller.as_text().map(|caller| {
+                let reason = reason.first().and_then(Value::as_text).unwrap_or_default();
                 Self::Shutdown { caller: caller.to_owned(), reason: reason.to_owned() }
             }),
             ("publisherUpdate", [_, topic, publishers]) => topic
@@ -123,7 +123,7 @@ fn execute(node: &NodeState, call: SlaveCall) -> Value {
             };
             success(topics.iter().map(name_and_type).collect::<Vec<Value>>())
         }
-        // Parameters are not cached here.
+        // The node caches no parameters, so there is nothing to update.
         SlaveCall::ParamUpdate => success(0),
         // The call may be meant for a node that ended and whose port this node has now, or the registration of a node
         // that ended may have reached the master late. Therefore the registrar asks the master which node has the name.
@@ -205,8 +205,8 @@ fn bus_statistics(node: &NodeState) -> Value {
     [publishers.collect::<Vec<Value>>().into(), subscribers.collect::<Vec<Value>>().into(), services].into()
 }
 
-/// Returns the connections for `getBusInfo`: number, other end, direction, transport, topic, whether connected, and a
-/// description.
+/// Returns the connections for `getBusInfo`. Each has a number, the other end, the direction, the transport, the topic,
+/// whether it is connected, and a description.
 fn bus_info(node: &NodeState) -> Value {
     let mut connections: Vec<Value> = Vec::new();
     let mut add_connection =

@@ -65,12 +65,12 @@ pub struct PublisherInfo {
 /// Counts of the messages from one publisher.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ReceiveCounts {
-    /// Messages that arrived completely, including dropped ones.
+    /// Messages that arrived completely, including dropped messages.
     pub messages: u64,
-    /// Bytes of these messages, without the length before each.
+    /// Bytes of these messages, without the length prefixes.
     pub bytes: u64,
     /// Messages that were dropped because the subscriber's queue was full. With several publishers and
-    /// [`WhenFull::DropOldest`], a message counts for the publisher of the message that replaced it.
+    /// [`WhenFull::DropOldest`], a dropped message is counted for the publisher of the message that replaced it.
     pub dropped: u64,
     /// Connections that were opened.
     pub connections: u64,
@@ -134,7 +134,7 @@ impl Subscriber {
             biased;
             message = self.topic.queue.pop() => Ok(message),
             () = self.topic.stop.cancelled() => {
-                self.topic.queue.try_pop().ok_or_else(|| self.guard.closed())
+                self.topic.queue.try_pop().ok_or_else(|| self.guard.closed_error())
             }
         }
     }
@@ -155,8 +155,8 @@ impl Subscriber {
         self.topic.counts()
     }
 
-    /// Changes the largest message in bytes and the limit that messages share. The new limits
-    /// apply from the next bytes on.
+    /// Changes the limits [`max_message_bytes`](SubscriberOptions::max_message_bytes) and
+    /// [`memory`](SubscriberOptions::memory). The new limits apply to the next bytes that arrive.
     pub fn set_message_limits(&self, max_message_bytes: usize, memory: Option<Arc<dyn MemoryLimit>>) {
         *self.topic.message_limits() = MessageLimits { max_bytes: max_message_bytes, memory };
     }
@@ -167,7 +167,7 @@ impl Subscriber {
     /// If the node has ended.
     pub async fn wait_for_publishers(&self, count: usize) -> Result<(), NodeError> {
         loop {
-            // Created before the publishers are checked, so that no change in between is missed.
+            // The future is created before the publishers are checked, so that no change in between is missed.
             let changed = self.topic.changed.notified();
             self.guard.check_open()?;
             let is_connected =
@@ -225,7 +225,7 @@ pub(super) struct SubscribedTopic {
     pub(super) queue: IncomingQueue,
     pub(super) clock: SharedClock,
     pub(super) stop: CancellationToken,
-    /// Signals that the state of a connection has changed.
+    /// Notified when the state of a connection has changed.
     pub(super) changed: Notify,
     tasks: TaskTracker,
     state: Mutex<TopicState>,
@@ -235,7 +235,7 @@ pub(super) struct SubscribedTopic {
 struct TopicState {
     /// Connections to publishers, by the URIs of the publishers' nodes.
     links: BTreeMap<Arc<str>, Arc<PublisherLink>>,
-    /// Counts of publishers that are gone.
+    /// Counts of publishers that have been removed.
     ended_counts: ReceiveCounts,
 }
 
@@ -276,7 +276,7 @@ impl SubscribedTopic {
 
     pub(super) fn counts(&self) -> ReceiveCounts {
         let state = self.state();
-        // This is done under the lock, so that a publisher that leaves meanwhile is counted exactly once.
+        // The lock is held during the sum, so that a publisher that is removed meanwhile is counted exactly once.
         let mut sum = state.ended_counts;
         state.links.values().for_each(|link| sum.add(&link.status().counts));
         sum
@@ -323,7 +323,8 @@ impl SubscribedTopic {
     /// Removes a publisher if the master does not list it any more or the subscriber stops. Returns whether the
     /// publisher was removed.
     pub(super) fn remove_if_ended(&self, link: &PublisherLink) -> bool {
-        // Locked before the check, so that the master's list cannot add the publisher again before it is removed.
+        // The lock is taken before the check, so that a new list of the master cannot mark the publisher as listed
+        // before it is removed.
         let mut state = self.state();
         if link.is_listed() && !self.stop.is_cancelled() {
             return false;

@@ -11,9 +11,9 @@ pub struct DiscoveredPublisher {
     pub id: EndpointId,
     /// Message type, such as `std_msgs/msg/String`.
     pub type_name: String,
-    /// Address of its host; `None` for this host.
+    /// Address of the publisher's host; `None` for this host.
     pub host: Option<IpAddr>,
-    /// Absolute name of its node, such as `/robot1/camera`, if its participant has listed it.
+    /// Absolute name of the publisher's node, such as `/robot1/camera`, if the participant has listed the node.
     pub node: Option<String>,
 }
 
@@ -26,26 +26,26 @@ pub struct DiscoveredEndpoint {
     pub role: EndpointRole,
     /// Message type, such as `std_msgs/msg/String`.
     pub type_name: String,
-    /// Absolute name of its node, if its participant has listed it.
+    /// Absolute name of the endpoint's node, if the participant has listed the node.
     pub node: Option<String>,
 }
 
 impl DiscoveredPublisher {
-    /// Returns the name of its node, or its identity if the name is unknown.
+    /// Returns the name of the publisher's node, or the identity of the publisher if the name is unknown.
     pub fn name(&self) -> String {
         self.node.clone().unwrap_or_else(|| format!("publisher {}", self.id))
     }
 }
 
-/// Returns an address of the host that announces `addresses`, unless it is the host with the addresses `own_addresses`.
+/// Returns an address of the host that announces `addresses`; `None` for the host whose addresses are `own_addresses`.
 ///
 /// A program only announces addresses of the host that it runs on. Another host may announce some addresses that this
 /// host has as well, such as the address of a bridge of containers, but never only such addresses.
 #[cfg(any(feature = "ros2", test))]
 pub(super) fn other_host(addresses: &[IpAddr], own_addresses: &[IpAddr]) -> Option<IpAddr> {
-    let is_of_host =
+    let is_host_address =
         |address: &&IpAddr| !address.is_unspecified() && !address.is_multicast() && !address.is_loopback();
-    addresses.iter().filter(is_of_host).find(|address| !own_addresses.contains(address)).copied()
+    addresses.iter().filter(is_host_address).find(|address| !own_addresses.contains(address)).copied()
 }
 
 #[cfg(test)]

@@ -33,10 +33,10 @@ pub(super) struct DiscoveryState {
     /// Nodes of other participants, as these list them.
     nodes: BTreeMap<ParticipantId, Vec<ListedNode>>,
     /// Number of discovered objects that were not remembered because a limit was reached.
-    ignored: u64,
+    ignored_count: u64,
     /// Our endpoints.
     local: BTreeMap<EndpointId, LocalEndpoint>,
-    /// Number of events so far.
+    /// Sender of the number of events so far.
     changes: watch::Sender<u64>,
     bounds: DiscoveryBounds,
 }
@@ -46,7 +46,7 @@ pub(super) struct DiscoveryState {
 struct DiscoveryBounds {
     /// Other participants.
     participants: usize,
-    /// Endpoints of other participants.
+    /// Endpoints in the domain.
     endpoints: usize,
     /// Nodes in the node list, and their endpoints.
     listed: usize,
@@ -62,6 +62,7 @@ impl Default for DiscoveryBounds {
     }
 }
 
+/// One of our endpoints.
 #[derive(Debug)]
 struct LocalEndpoint {
     role: EndpointRole,
@@ -81,7 +82,7 @@ impl DiscoveryState {
             participants: BTreeSet::new(),
             endpoints: BTreeMap::new(),
             nodes: BTreeMap::new(),
-            ignored: 0,
+            ignored_count: 0,
             local: BTreeMap::new(),
             changes: watch::Sender::default(),
             bounds: DiscoveryBounds::default(),
@@ -89,8 +90,8 @@ impl DiscoveryState {
     }
 
     /// Returns the number of discovered objects that were not remembered because a limit was reached.
-    pub(super) fn ignored(&self) -> u64 {
-        self.ignored
+    pub(super) fn ignored_count(&self) -> u64 {
+        self.ignored_count
     }
 
     /// Returns the absolute name of the node that has an endpoint, if its participant has listed it.
@@ -161,8 +162,8 @@ impl DiscoveryState {
         endpoints.collect()
     }
 
-    /// Returns whether a remote endpoint gives the topic of one of our endpoints another type. This must be checked
-    /// because `rustdds` matches by the name of the topic alone.
+    /// Returns whether a remote endpoint has another type than one of our endpoints of the same topic. This must be
+    /// checked because `rustdds` matches by the name of the topic alone.
     pub(super) fn has_other_type(&self, local: EndpointId, remote: EndpointId) -> bool {
         self.other_type(local, remote).is_some()
     }
@@ -186,7 +187,7 @@ impl DiscoveryState {
                 } else if self.participants.len() < self.bounds.participants {
                     self.participants.insert(id);
                 } else {
-                    self.ignored += 1;
+                    self.ignored_count += 1;
                 }
             }
             DiscoveryEvent::ParticipantLost(id) => {
@@ -201,7 +202,7 @@ impl DiscoveryState {
                 if has_space && topic.len().max(type_name.len()) <= Self::MAX_NAME_BYTES {
                     self.endpoints.insert(id, (topic, type_name));
                 } else {
-                    self.ignored += 1;
+                    self.ignored_count += 1;
                 }
             }
             DiscoveryEvent::NodesListed(entry) => self.replace_nodes(entry),
@@ -227,7 +228,7 @@ impl DiscoveryState {
             has_space = peers.matched.len() < limit || peers.matched.contains(&remote);
             has_space && peers.add(remote)
         });
-        self.ignored += u64::from(!has_space);
+        self.ignored_count += u64::from(!has_space);
     }
 
     fn refuse(&mut self, local: EndpointId, remote: EndpointId, refusal: Refusal) {
@@ -240,7 +241,7 @@ impl DiscoveryState {
             }
             true
         });
-        self.ignored += u64::from(!has_space);
+        self.ignored_count += u64::from(!has_space);
     }
 
     /// Replaces the listed nodes of a participant.
@@ -252,14 +253,14 @@ impl DiscoveryState {
         let size =
             |nodes: &[ListedNode]| nodes.iter().map(|node| 1 + node.endpoints.len()).sum::<usize>().max(1);
         self.nodes.remove(&participant);
-        let listed =
+        let listed_count =
             |lists: &BTreeMap<_, Vec<ListedNode>>| lists.values().map(|nodes| size(nodes)).sum::<usize>();
-        if listed(&self.nodes) + size(&nodes) > self.bounds.listed {
+        if listed_count(&self.nodes) + size(&nodes) > self.bounds.listed {
             // Lists of participants that discovery does not know may be forged, so they are dropped first.
             self.nodes.retain(|participant, _| self.participants.contains(participant));
         }
-        if listed(&self.nodes) + size(&nodes) > self.bounds.listed {
-            self.ignored += 1;
+        if listed_count(&self.nodes) + size(&nodes) > self.bounds.listed {
+            self.ignored_count += 1;
         } else {
             self.nodes.insert(participant, nodes);
         }

@@ -118,7 +118,7 @@ pub enum Ros2Error {
         /// Reason.
         reason: String,
     },
-    /// Leaving the domain failed; peers only notice it when the lease of the node expires.
+    /// Leaving the domain failed. Peers notice the end of the node only when its lease expires.
     #[error("cannot leave the ROS 2 domain {domain_id} cleanly: {reason}")]
     Leave {
         /// The domain.
@@ -184,7 +184,8 @@ impl NoPeer {
     }
 }
 
-/// Returns advice for a peer that was not found, from what discovery has seen of the domain.
+/// Returns advice for the case that no peer was found. It depends on the number of discovered participants and on their
+/// topics.
 pub(super) fn advise(domain_id: u16, interfaces: &str, participants: usize, topics: &[String]) -> String {
     /// Maximum number of listed topics.
     const MAX_LISTED_TOPICS: usize = 8;

@@ -30,14 +30,14 @@ pub(super) fn find_interfaces(
     existing: &[(String, Ipv4Addr)],
 ) -> Result<Vec<(String, Ipv4Addr)>, UnknownInterface> {
     let mut chosen: Vec<(String, Ipv4Addr)> = Vec::new();
-    for wanted_name in names {
-        let is_wanted = |(name, address): &&(String, Ipv4Addr)| {
-            name == wanted_name || address.to_string() == *wanted_name
+    for requested_name in names {
+        let is_requested = |(name, address): &&(String, Ipv4Addr)| {
+            name == requested_name || address.to_string() == *requested_name
         };
         let count_before = chosen.len();
-        chosen.extend(existing.iter().filter(is_wanted).cloned());
+        chosen.extend(existing.iter().filter(is_requested).cloned());
         if chosen.len() == count_before {
-            return Err(UnknownInterface { name: wanted_name.clone(), known: existing.to_vec() });
+            return Err(UnknownInterface { name: requested_name.clone(), known: existing.to_vec() });
         }
     }
     Ok(chosen)

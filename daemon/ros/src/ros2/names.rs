@@ -20,7 +20,7 @@ pub fn absolute_topic(namespace: &str, node: &str, topic: &str) -> Result<String
     } else {
         format!("{namespace}/{topic}")
     };
-    if absolute.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_token)) {
+    if absolute.strip_prefix('/').is_some_and(|path| path.split('/').all(is_token)) {
         Ok(absolute)
     } else {
         Err(Ros2Error::InvalidName { name: topic.to_owned(), kind: "topic", example: "/camera/image" })
@@ -74,7 +74,7 @@ pub(super) fn check_node(namespace: &str, name: &str) -> Result<(), Ros2Error> {
         return Err(Ros2Error::InvalidName { name: name.to_owned(), kind: "node", example: "peernet" });
     }
     let below_root = namespace.strip_prefix('/');
-    if below_root.is_some_and(|rest| rest.is_empty() || rest.split('/').all(is_token)) {
+    if below_root.is_some_and(|path| path.is_empty() || path.split('/').all(is_token)) {
         Ok(())
     } else {
         Err(Ros2Error::InvalidName { name: namespace.to_owned(), kind: "namespace", example: "/robot1" })

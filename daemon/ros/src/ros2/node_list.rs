@@ -50,12 +50,12 @@ pub(crate) enum NodeListError {
     #[error(transparent)]
     Decode(#[from] DecodeError),
     /// The entry has more elements than any real entry.
-    #[error("it lists more than {max} {what}")]
+    #[error("it lists more than {max} {elements}")]
     TooMany {
         /// Largest allowed number.
         max: usize,
         /// Kind of the elements.
-        what: &'static str,
+        elements: &'static str,
     },
     /// ROS 2 does not allow the name of a node.
     #[error("it has a node name that ROS 2 does not allow")]
@@ -66,7 +66,7 @@ pub(crate) enum NodeListError {
 }
 
 impl ListEntry {
-    /// Decodes an entry, whichever of the two lengths its identifiers have.
+    /// Decodes an entry with identifiers of either length.
     ///
     /// # Errors
     /// [`NodeListError`].
@@ -79,10 +79,10 @@ impl ListEntry {
     fn decode_with_length(payload: &Bytes, identifier_length: usize) -> Result<Self, NodeListError> {
         let mut reader = Reader::new(WireForm::Cdr, payload.clone())?;
         let participant = read_identifier(&mut reader, identifier_length)?.participant();
-        // Size of a node: at least two empty texts and two empty sequences.
+        // A node has at least two empty texts and two empty sequences, each of 4 bytes.
         let count = reader.take_length(16)?;
         if count > MAX_NODES {
-            return Err(NodeListError::TooMany { max: MAX_NODES, what: "nodes" });
+            return Err(NodeListError::TooMany { max: MAX_NODES, elements: "nodes" });
         }
         let (mut nodes, mut endpoint_count) = (Vec::new(), 0);
         for _ in 0..count {
@@ -95,7 +95,7 @@ impl ListEntry {
                 if endpoint_count > MAX_ENDPOINTS {
                     return Err(NodeListError::TooMany {
                         max: MAX_ENDPOINTS,
-                        what: "publishers and subscriptions",
+                        elements: "publishers and subscriptions",
                     });
                 }
                 for _ in 0..count {

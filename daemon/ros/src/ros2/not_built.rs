@@ -150,12 +150,12 @@ impl Ros2Publisher {
         match *self {}
     }
 
-    /// Counts all messages so far as acknowledged.
+    /// Treats all messages so far as acknowledged.
     pub fn forget_unacknowledged(&self) {
         match *self {}
     }
 
-    /// Waits until all matched reliable subscriptions have all published messages.
+    /// Waits until all matched reliable subscriptions have acknowledged all published messages.
     ///
     /// # Errors
     ///

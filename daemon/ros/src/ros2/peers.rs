@@ -40,7 +40,7 @@ pub enum Refusal {
     },
 }
 
-/// Present endpoints at the other end of a topic.
+/// Endpoints that exist at the other end of a topic.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct PeerTable {
     /// Endpoints with which messages are exchanged.
@@ -49,7 +49,7 @@ pub struct PeerTable {
     pub refused: BTreeMap<EndpointId, Refusal>,
     /// Number of peers that were matched since the endpoint was created.
     pub matched_total: u64,
-    /// Number of matched peers that have gone.
+    /// Number of matched peers that have left or do not match any more.
     pub unmatched_total: u64,
 }
 
@@ -165,7 +165,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn participant_is_read_as_written() {
+    fn participant_id_round_trips_as_text() {
         let id = ParticipantId([0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 0xab, 0xff]);
         assert_eq!(id.to_string().parse(), Ok(id));
         for other in ["", "00", "0001020304050607080900zz", "+001020304050607080900ab", "äääääääääääää"]

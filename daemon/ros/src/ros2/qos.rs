@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 /// Quality of service of one publisher or subscription. The defaults are the default profile of ROS 2.
 ///
-/// A subscription only gets messages of a publisher that offers at least what the subscription requests:
-/// reliable or better, transient-local or better, a deadline that is not longer.
+/// A subscription only gets messages of a publisher that offers at least what the subscription requests: `reliable` and
+/// `transient-local` if they are requested, and a deadline that is not longer.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct QosProfile {
@@ -18,7 +18,8 @@ pub struct QosProfile {
     pub depth: u32,
     /// Durability of messages. Default: `volatile`.
     pub durability: Durability,
-    /// Longest time between two messages that is promised or requested; none by default. Milliseconds.
+    /// Longest time between two messages that the publisher promises or the subscription requests; none by default.
+    /// Milliseconds.
     pub deadline_ms: Option<f64>,
     /// Time limit for publishing if subscriptions do not keep up. Default: 5,000. Milliseconds.
     pub max_blocking_ms: u32,
@@ -42,7 +43,7 @@ pub enum Durability {
     /// Only messages that are published after both ends have found each other arrive.
     #[default]
     Volatile,
-    /// The last [`depth`](QosProfile::depth) messages arrive as well.
+    /// The last [`depth`](QosProfile::depth) messages from before that time arrive as well.
     TransientLocal,
 }
 
@@ -118,17 +119,17 @@ mod tests {
 
     #[test]
     fn values_out_of_range_are_refused() {
-        let with = |change: fn(&mut QosProfile)| {
+        let check_with = |change: fn(&mut QosProfile)| {
             let mut qos = QosProfile::default();
             change(&mut qos);
             qos.check()
         };
-        assert_eq!(with(|_| ()), Ok(()));
-        assert_eq!(with(|qos| qos.depth = 0), Err(InvalidQos::Depth(0)));
-        assert_eq!(with(|qos| qos.depth = 8_193), Err(InvalidQos::Depth(8_193)));
-        assert_eq!(with(|qos| qos.deadline_ms = Some(33.3)), Ok(()));
-        assert_eq!(with(|qos| qos.deadline_ms = Some(0.0)), Err(InvalidQos::Deadline(0.0)));
-        assert!(with(|qos| qos.deadline_ms = Some(f64::NAN)).is_err());
+        assert_eq!(check_with(|_| ()), Ok(()));
+        assert_eq!(check_with(|qos| qos.depth = 0), Err(InvalidQos::Depth(0)));
+        assert_eq!(check_with(|qos| qos.depth = 8_193), Err(InvalidQos::Depth(8_193)));
+        assert_eq!(check_with(|qos| qos.deadline_ms = Some(33.3)), Ok(()));
+        assert_eq!(check_with(|qos| qos.deadline_ms = Some(0.0)), Err(InvalidQos::Deadline(0.0)));
+        assert!(check_with(|qos| qos.deadline_ms = Some(f64::NAN)).is_err());
     }
 
     #[test]

@@ -13,7 +13,7 @@ use crate::ros1::{Environment, Node, NodeError};
 use crate::ros2::{Ros2Node, Ros2Settings};
 
 /// Runtime that serves the sockets of all nodes. It has one thread, which exists as long as the process.
-// Not `new_current_thread`, whose tasks run only while a caller blocks in it.
+// A `new_current_thread` runtime would run its tasks only while a caller blocks in it.
 static RUNTIME: LazyLock<io::Result<Runtime>> =
     LazyLock::new(|| Builder::new_multi_thread().worker_threads(1).thread_name("ros").enable_all().build());
 
@@ -31,8 +31,8 @@ pub(super) fn runtime() -> Result<&'static Runtime, TopicError> {
     RUNTIME.as_ref().map_err(|error| TopicError::Thread(error.to_string()))
 }
 
-/// A ROS 1 node with a master. It unregisters when its last user is gone. The end of the process does not wait for
-/// the unregistration, because a sensor may be waiting for a message then.
+/// A ROS 1 node. It unregisters when the last reader or writer that uses it is dropped. The end of the process does not
+/// wait for the unregistration, because a sensor may be waiting for a message at that time.
 #[derive(Debug)]
 pub(super) struct SharedNode {
     environment: Environment,
@@ -54,14 +54,14 @@ impl Drop for SharedNode {
     }
 }
 
-/// Opens a reader or writer on the node of this process for a master. Another node is used if that node has ended or
-/// already has the topic, because ROS 1 allows a node one subscription of a topic.
+/// Opens a reader or writer on the node that this process has for a master. If that node has ended or already has the
+/// topic, another node is used, because a ROS 1 node can have only one publisher and one subscriber of a topic.
 pub(super) async fn open_on_ros1<T>(
     environment: &Environment,
     clock: &SharedClock,
     open: impl AsyncFn(&Node) -> Result<T, NodeError>,
 ) -> Result<(T, Arc<SharedNode>), TopicError> {
-    // Locked until the node is open, so that two callers at the same time share one.
+    // The lock is held until the node is open, so that concurrent callers share one node.
     let mut nodes = ROS1_NODES.lock().await;
     nodes.retain(|node| node.strong_count() > 0);
     for shared_node in
@@ -87,7 +87,7 @@ pub(super) async fn open_on_ros1<T>(
 
 /// Returns the ROS 2 node. It joins the domain of the environment at the first call.
 pub(super) async fn ros2_node() -> Result<Arc<Ros2Node>, TopicError> {
-    // Locked until the node has joined, so that two callers at the same time share one.
+    // The lock is held until the node has joined the domain, so that concurrent callers share one node.
     let mut shared = ROS2_NODE.lock().await;
     if let Some(node) = shared.upgrade() {
         return Ok(node);
@@ -102,7 +102,7 @@ pub(super) async fn ros2_node() -> Result<Arc<Ros2Node>, TopicError> {
 }
 
 /// Returns the ROS 2 node that the readers and writers of this process share, for callers that open topics themselves.
-/// It leaves the domain with its last user.
+/// The node leaves the domain when its last user drops it.
 ///
 /// # Errors
 /// If the environment cannot be used, the domain cannot be joined, or this build has no ROS 2.
@@ -120,7 +120,7 @@ fn node_name() -> String {
     }
 }
 
-/// Returns a name made of `peernet`, the host and the process, which no other program has.
+/// Returns a name that no other program has. It consists of `peernet`, the host's name and the process's number.
 fn base_name() -> String {
     let system = rustix::system::uname();
     let host = system.nodename().to_string_lossy();

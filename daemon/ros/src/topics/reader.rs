@@ -20,8 +20,8 @@ use crate::ros2::{QosProfile, Reliability, Ros2Node, Ros2Subscription};
 /// Options of a reader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ReaderOptions {
-    /// Maximum number of messages that wait to be read. If more arrive, the oldest is dropped and counted, because a
-    /// robot needs the newest.
+    /// Maximum number of messages that wait to be read. If more messages arrive, the oldest message is dropped and
+    /// counted, because a robot needs the newest message.
     pub queue: u32,
     /// Reliability in ROS 2. A reliable reader gets no messages of a best-effort publisher.
     pub reliability: Reliability,
@@ -32,14 +32,14 @@ pub struct ReaderOptions {
 pub struct TopicMessage {
     /// Serialization of `bytes`.
     pub form: WireForm,
-    /// Type of the message, as its publisher names it.
+    /// Type of the message, as its publisher announces it in ROS 1, or as the reader requested it in ROS 2.
     pub type_name: Arc<str>,
     /// Bytes of the message.
     pub bytes: Bytes,
     /// Time at which this host had received the whole message, by its wall clock.
     pub received: WallTime,
-    /// Number of messages between the previously read message and this message that were not read. Newer messages
-    /// replaced them in the queue or, in ROS 2, they were lost or had an unsupported encoding.
+    /// Number of messages that came after the previously read message and were not read. Newer messages replaced them
+    /// in the queue or, in ROS 2, they were lost or had an unsupported encoding.
     pub dropped: u64,
 }
 
@@ -127,13 +127,14 @@ impl TopicReader {
                 };
                 let sample = sample?;
                 let undecodable = subscription.counts().undecodable;
-                let unread = undecodable - std::mem::replace(&mut self.reported_drops, undecodable);
+                let newly_undecodable =
+                    undecodable - std::mem::replace(&mut self.reported_drops, undecodable);
                 Ok(TopicMessage {
                     form: WireForm::Cdr,
                     type_name: Arc::clone(type_name),
                     bytes: sample.payload,
                     received: sample.received_time,
-                    dropped: sample.missing_before.saturating_add(unread),
+                    dropped: sample.missing_before.saturating_add(newly_undecodable),
                 })
             }
         }
@@ -147,7 +148,7 @@ async fn open_ros1(
     clock: &SharedClock,
 ) -> Result<VersionedSubscriber, TopicError> {
     let environment = Environment::from_process()?;
-    // The MD5 sum of the type is a wildcard: publishers state it, and messages of unknown types are read as bytes.
+    // The MD5 sum is a wildcard, because the sums of types that this program does not decode are unknown.
     let kind = match message_type {
         Some(message_type) => TopicType { name: message_type.as_str().into(), ..TopicType::any() },
         None => TopicType::any(),
@@ -179,7 +180,7 @@ async fn open_ros2(
     })
 }
 
-/// Returns the reason why no message arrives, from the connections to publishers.
+/// Returns the reason why no message arrives, according to the connections to publishers and the master.
 async fn describe_missing_publisher(subscriber: &Subscriber, environment: &Environment) -> String {
     let publishers = subscriber.publishers();
     let failures = publishers.iter().filter_map(|publisher| match &publisher.state {

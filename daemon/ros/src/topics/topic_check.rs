@@ -20,7 +20,7 @@ pub enum TopicAccess {
 /// network. Returns the version.
 ///
 /// # Errors
-/// The first problem.
+/// The first problem that is found.
 pub fn check_topic(
     configured: Option<RosVersion>,
     topic: &str,
@@ -38,7 +38,7 @@ pub fn check_topic(
 /// use the network. Returns the absolute name.
 ///
 /// # Errors
-/// The first problem.
+/// The first problem that is found.
 pub fn check_name(version: RosVersion, topic: &str) -> Result<String, TopicError> {
     match version {
         RosVersion::Ros1 => {
@@ -56,8 +56,8 @@ pub fn check_name(version: RosVersion, topic: &str) -> Result<String, TopicError
     }
 }
 
-/// Asks the ROS 1 master about a topic. Returns the reason why no messages would be exchanged at present, if there is
-/// one. ROS 2 has no master, so nothing is checked. Blocks for a few seconds at most.
+/// Asks the ROS 1 master about a topic. Returns the reason why no messages can be exchanged at present; `None` if there
+/// is no such reason. ROS 2 has no master, so nothing is checked. Blocks for a few seconds at most.
 ///
 /// # Errors
 /// If the environment cannot be used, or no master answers.

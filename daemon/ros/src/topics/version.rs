@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn unknown_version_error_names_the_key() {
+    fn error_about_unknown_version_names_key() {
         assert!(resolve(None, &[]).unwrap_err().to_string().contains("set ros_version = 1 or 2"));
         let error = resolve(None, &[("ROS_VERSION", "3")]).unwrap_err();
         assert_eq!(error, VersionError::Variable { value: "3".into() });

@@ -1,4 +1,4 @@
-//! Tests of MD5 sums, which are computed from the definitions' texts like in genmsg.
+//! Tests of MD5 sums, which are computed from the texts of the definitions as genmsg does.
 
 use md5::{Digest, Md5};
 
@@ -7,8 +7,8 @@ use crate::messages::{
     StringMessage, UInt8MultiArray,
 };
 
-/// Returns the MD5 sum of a definition. The text has constants first and then fields, each in order. In place of the
-/// name of another message type, the text has the sum of that type, without the brackets of an array.
+/// Returns the MD5 sum of a definition. The hashed text has the constants and then the fields, each in their order. It
+/// has the MD5 sum of a message type in place of the name of the type and the brackets of an array.
 fn md5_sum(definition: &MessageDefinition) -> String {
     let (constants, fields): (Vec<&str>, Vec<&str>) =
         definition.text.lines().partition(|line| line.contains('='));

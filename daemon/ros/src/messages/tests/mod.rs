@@ -15,7 +15,7 @@ prop_compose! {
     }
 }
 
-/// Returns short byte strings, and byte strings with lengths around the limit from which on bytes are not copied.
+/// Returns short byte strings, and byte strings whose lengths are near the limit above which bytes are not copied.
 fn byte_strings() -> impl Strategy<Value = bytes::Bytes> {
     prop_oneof![0_usize..40, 4090_usize..4100]
         .prop_flat_map(|length| proptest::collection::vec(any::<u8>(), length))

@@ -1,4 +1,4 @@
-//! Tests with damaged messages. A damaged message is refused or read as another message, without further effects.
+//! Tests with damaged messages. A damaged message is refused or read as another message, and never causes a panic.
 
 use bytes::Bytes;
 use proptest::prelude::*;
@@ -13,7 +13,7 @@ use crate::messages::{
 fn decode_all(form: WireForm, bytes: &Bytes) {
     fn decode<M: Message>(form: WireForm, bytes: &Bytes) {
         if let Ok(message) = M::decode(form, bytes.clone()) {
-            // A text of CDR may have a NUL before its end, which is not written again.
+            // A text of CDR may have a NUL before its end. The message is then read but cannot be encoded.
             let _ = message.encode(form);
         }
     }

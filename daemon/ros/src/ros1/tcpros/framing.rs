@@ -60,7 +60,7 @@ impl FrameBuffer {
         self.limits.clone_from(limits);
     }
 
-    /// Returns the length of the frame that has begun.
+    /// Returns the length of the frame that has begun, without its prefix.
     fn frame_length(&self) -> Option<usize> {
         let prefix = self.bytes.get(..PREFIX_BYTES)?;
         let length = u32::from_le_bytes(prefix.try_into().unwrap_or_default());
@@ -82,13 +82,13 @@ impl FrameBuffer {
         }
         let mut room = self.bytes.capacity() - arrived_bytes;
         if frame_bytes > READ_BYTES {
-            // The buffer is at most twice as long as the bytes that have arrived, so a claimed length takes no memory
-            // from others.
-            let max_bytes = frame_bytes.min((2 * arrived_bytes).max(READ_BYTES));
-            if !self.memory.grow(max_bytes, self.limits.memory.as_ref()) {
+            // At most twice the arrived bytes are reserved, so a long claimed length takes no memory from other
+            // connections.
+            let reserved_bytes = frame_bytes.min((2 * arrived_bytes).max(READ_BYTES));
+            if !self.memory.grow(reserved_bytes, self.limits.memory.as_ref()) {
                 return Err(FrameError::NoMemory { length });
             }
-            room = room.min(max_bytes - arrived_bytes);
+            room = room.min(reserved_bytes - arrived_bytes);
         }
         Ok((&mut self.bytes).limit(room))
     }

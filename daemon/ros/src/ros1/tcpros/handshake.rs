@@ -1,4 +1,4 @@
-//! Checks of publisher and subscriber when they connect.
+//! Checks by which publisher and subscriber decide whether they can exchange messages.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use thiserror::Error;
 use super::{ConnectionHeader, HeaderError};
 use crate::messages::Message;
 
-/// Wildcard for any type or sum.
+/// Wildcard for any type or MD5 sum.
 const ANY: &str = "*";
 
 /// A message type as named in connection headers.
@@ -37,7 +37,7 @@ impl TopicType {
         Self { name: ANY.into(), md5: ANY.into(), definition: "".into() }
     }
 
-    /// Returns whether this is [`TopicType::any`].
+    /// Returns whether the MD5 sum is the wildcard, as in [`TopicType::any`].
     pub fn is_any(&self) -> bool {
         &*self.md5 == ANY
     }

@@ -64,7 +64,7 @@ impl ConnectionHeader {
         self.get(name).ok_or(HeaderError::Missing { name })
     }
 
-    /// Reads the fields of a frame. Of two fields with the same name the last is used.
+    /// Reads the fields of a frame. If two fields have the same name, the last field is used.
     ///
     /// # Errors
     /// If the bytes are not a header.
@@ -76,14 +76,14 @@ impl ConnectionHeader {
             if count > MAX_FIELDS {
                 return Err(HeaderError::TooManyFields);
             }
-            let (prefix, rest) = frame.split_first_chunk::<4>().ok_or(HeaderError::TooShort)?;
+            let (prefix, after_prefix) = frame.split_first_chunk::<4>().ok_or(HeaderError::TooShort)?;
             let length = usize::try_from(u32::from_le_bytes(*prefix)).map_err(|_| HeaderError::TooShort)?;
-            let (field, rest) = rest.split_at_checked(length).ok_or(HeaderError::TooShort)?;
+            let (field, after_field) = after_prefix.split_at_checked(length).ok_or(HeaderError::TooShort)?;
             let field = std::str::from_utf8(field).map_err(|_| HeaderError::NotUtf8)?;
-            // The first `=` separates: a value may contain more, such as the constants of a definition.
+            // The first `=` separates name and value; a value may contain `=`, as in the constants of a definition.
             let (name, value) = field.split_once('=').ok_or(HeaderError::NoSeparator)?;
             fields.insert(name.to_owned(), value.to_owned());
-            frame = rest;
+            frame = after_field;
         }
         Ok(Self { fields })
     }

@@ -182,15 +182,15 @@ proptest! {
         }
         let mut buffer = FrameBuffer::new(1_000_000);
         let mut received = Vec::new();
-        let (mut rest, mut reads) = (&stream[..], reads.iter().cycle());
-        while !rest.is_empty() {
-            // It takes at most as many bytes as fit, like a socket.
+        let (mut remaining, mut reads) = (&stream[..], reads.iter().cycle());
+        while !remaining.is_empty() {
+            // Like a read from a socket, the input takes at most as many bytes as fit.
             let mut input = buffer.input().unwrap();
             let capacity = input.remaining_mut();
             prop_assert!(capacity > 0);
-            let count = rest.len().min(*reads.next().unwrap()).min(capacity);
-            input.put_slice(&rest[..count]);
-            rest = &rest[count..];
+            let count = remaining.len().min(*reads.next().unwrap()).min(capacity);
+            input.put_slice(&remaining[..count]);
+            remaining = &remaining[count..];
             while let Some((frame, _)) = buffer.next_frame().unwrap() {
                 received.push(frame);
             }

@@ -1,4 +1,4 @@
-//! Tests with peers that are missing, slow, restarted or wrong.
+//! Tests with peers that are missing, slow or restarted, or that send invalid data.
 
 use bytes::Bytes;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -17,7 +17,7 @@ fn message(length: usize) -> Bytes {
 }
 
 #[tokio::test]
-async fn missing_master_is_named() {
+async fn error_names_missing_master() {
     // The socket is bound and does not listen, so connections are refused.
     let socket = tokio::net::TcpSocket::new_v4().unwrap();
     socket.bind("127.0.0.1:0".parse().unwrap()).unwrap();
@@ -98,7 +98,7 @@ async fn silent_subscriber(publisher_node: &Node, master: &TestMaster) -> TcpStr
 }
 
 #[tokio::test]
-async fn full_queue_drops_and_counts() {
+async fn publisher_with_full_queue_drops_and_counts() {
     let master = TestMaster::start().await;
     let a = node(&master, "a").await;
     let queue = QueueLimits { messages: 4, bytes: 100_000_000 };
@@ -125,7 +125,7 @@ async fn full_queue_drops_and_counts() {
 }
 
 #[tokio::test]
-async fn watching_subscriber_drops_and_counts() {
+async fn subscriber_with_full_queue_drops_and_counts() {
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
     let kind = TopicType::from_message::<StringMessage>();
@@ -255,7 +255,7 @@ async fn node_with_taken_name_ends() {
 }
 
 #[tokio::test]
-async fn topic_is_published_once_and_again_after_its_end() {
+async fn topic_can_be_published_again_after_its_end() {
     let master = TestMaster::start().await;
     let a = node(&master, "a").await;
     let publish = || a.publish("t", TopicType::from_message::<StringMessage>(), PublisherOptions::default());

@@ -107,10 +107,10 @@ async fn claimed_lengths_take_no_memory_of_other_publishers() {
         within(publisher.publish_waiting(message.clone())).await.unwrap();
         assert_eq!(within(subscriber.recv()).await.unwrap().bytes, message);
     }
-    assert_eq!(subscriber.counts().connections, 17, "nobody was disconnected");
+    assert_eq!(subscriber.counts().connections, 17, "no publisher was disconnected");
     // One of the claiming publishers sends the claimed bytes, until the memory is exhausted and it is disconnected.
-    let [first, ..] = &mut claiming_streams[..] else { unreachable!() };
-    within(async { while first.write_all(&[0; 100_000]).await.is_ok() {} }).await;
+    let [claiming_stream, ..] = &mut claiming_streams[..] else { unreachable!() };
+    within(async { while claiming_stream.write_all(&[0; 100_000]).await.is_ok() {} }).await;
     within(publisher.publish_waiting(message.clone())).await.unwrap();
     assert_eq!(within(subscriber.recv()).await.unwrap().bytes, message);
     drop(claiming_streams);

@@ -15,7 +15,7 @@ use self::master::TestMaster;
 pub(in crate::ros1) use self::memory::TestLimit;
 use super::{Environment, Node, RpcUri};
 
-/// Longest wait for anything that must happen.
+/// Longest wait for an event that a test expects.
 const TIME_LIMIT: Duration = Duration::from_secs(30);
 
 fn clock() -> SharedClock {
@@ -34,7 +34,7 @@ async fn node(master: &TestMaster, name: &str) -> Node {
     Node::new(&environment(&master.uri()), name, clock()).await.unwrap()
 }
 
-/// Awaits something that must happen.
+/// Awaits a future that must end within [`TIME_LIMIT`].
 async fn within<T>(future: impl Future<Output = T>) -> T {
     tokio::time::timeout(TIME_LIMIT, future).await.expect("it happens in time")
 }

@@ -10,6 +10,7 @@ async fn call_method(node: &Node, method: &str, params: Vec<Value>) -> Result<Va
     within(rpc::call(&RpcUri::parse(node.uri()).unwrap(), method, params)).await
 }
 
+/// Calls a method without further parameters. Returns the value of the successful answer.
 async fn value(node: &Node, method: &str) -> Value {
     let Value::Array(parts) = call_method(node, method, vec!["/tool".into()]).await.unwrap() else {
         panic!("an array")

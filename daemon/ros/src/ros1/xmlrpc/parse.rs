@@ -140,6 +140,7 @@ impl Token {
     }
 }
 
+/// Parser of a document.
 struct Parser<'a> {
     reader: Reader<&'a [u8]>,
     /// Number of values that are open.
@@ -155,7 +156,7 @@ impl<'a> Parser<'a> {
         Self { reader, depth: 0, value_count: 0 }
     }
 
-    /// Returns the next token. A text may come in several pieces.
+    /// Returns the next token. A text may consist of several tokens.
     fn next(&mut self) -> Result<Token, ParseError> {
         loop {
             let event = self.reader.read_event().map_err(malformed)?;
@@ -183,6 +184,7 @@ impl<'a> Parser<'a> {
         }
     }
 
+    /// Reads the start of the expected element.
     fn open(&mut self, expected: &'static str) -> Result<(), ParseError> {
         if self.open_or_close(expected)? { Ok(()) } else { Err(Token::Close.unexpected_error(expected)) }
     }
@@ -196,6 +198,7 @@ impl<'a> Parser<'a> {
         }
     }
 
+    /// Reads the end of an element.
     fn close(&mut self) -> Result<(), ParseError> {
         match self.next_markup()? {
             Token::Close => Ok(()),
@@ -214,6 +217,7 @@ impl<'a> Parser<'a> {
         }
     }
 
+    /// Reads the text of an element and the end of the element.
     fn text_until_close(&mut self) -> Result<String, ParseError> {
         let mut content = String::new();
         loop {

@@ -9,11 +9,11 @@ use crate::ros2::{Durability, EndpointId, EndpointRole, QosProfile, Refusal, Rel
 
 const NANOS_PER_SECOND: i64 = 1_000_000_000;
 
-/// Smallest limit of unacknowledged messages, whatever the depth. With few messages, a fast publisher would wait for
-/// acknowledgments all the time. The publisher limits their bytes.
+/// Smallest limit on the number of unacknowledged messages, regardless of the depth. With a lower limit, a fast
+/// publisher would often wait for acknowledgments. `Ros2Publisher` limits the bytes of these messages.
 const MIN_UNACKNOWLEDGED: i32 = 1_024;
 
-/// Smallest limit of received and unread messages, whatever the depth.
+/// Smallest limit on the number of received and unread messages, regardless of the depth.
 const MIN_UNREAD: i32 = 8;
 
 pub(super) fn endpoint_id(guid: GUID) -> EndpointId {
@@ -102,7 +102,7 @@ pub(super) fn wall_time(timestamp: Timestamp) -> Option<WallTime> {
     }
     let ticks = timestamp.to_ticks();
     let fraction = ticks & u64::from(u32::MAX);
-    // Rounded to the nearest nanosecond, which inverts `timestamp`.
+    // Rounding to the nearest nanosecond makes this function the inverse of `timestamp`.
     let nanos = (fraction * NANOS_PER_SECOND.unsigned_abs() + (1 << 31)) >> 32;
     let seconds = i64::try_from(ticks >> 32).unwrap_or(0);
     Some(WallTime::from_unix_nanos(seconds * NANOS_PER_SECOND + i64::try_from(nanos).unwrap_or(0)))
@@ -121,7 +121,11 @@ mod tests {
             assert_eq!(wall_time(timestamp(time)), Some(time), "{nanos}");
         }
         assert_eq!(wall_time(Timestamp::INVALID), None);
-        assert_eq!(wall_time(timestamp(WallTime::from_unix_nanos(-5))), None, "before 1970 there is no time");
+        assert_eq!(
+            wall_time(timestamp(WallTime::from_unix_nanos(-5))),
+            None,
+            "a time before 1970 becomes zero, which means no time"
+        );
         assert!(wall_time(timestamp(WallTime::from_unix_nanos(i64::MAX))).is_some());
     }
 

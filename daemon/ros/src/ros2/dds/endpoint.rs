@@ -1,4 +1,4 @@
-//! Common parts of publishers and subscriptions.
+//! State and functions that publishers and subscriptions have in common.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -45,9 +45,14 @@ impl Endpoint {
 
     fn no_peer_error(&self, waited: Duration) -> NoPeer {
         let discovery = self.node.discovery();
-        let name = |id| discovery.node_of(id).map(str::to_owned);
-        let refused =
-            self.peers.borrow().refused.iter().map(|(id, refusal)| (name(*id), refusal.clone())).collect();
+        let node_name = |id| discovery.node_of(id).map(str::to_owned);
+        let refused = self
+            .peers
+            .borrow()
+            .refused
+            .iter()
+            .map(|(id, refusal)| (node_name(*id), refusal.clone()))
+            .collect();
         NoPeer {
             role: self.role,
             topic: self.topic.clone(),

@@ -58,7 +58,7 @@ pub(super) fn own_addresses() -> io::Result<Vec<IpAddr>> {
     Ok(getifaddrs()?.filter_map(address).collect())
 }
 
-/// Compares the sizes of socket buffers that the kernel grants with the requested size.
+/// Returns a warning for each kind of socket buffer for which the kernel grants less than the requested size.
 ///
 /// The sizes are read from a socket and not from `/proc/sys/net/core`, which network namespaces of older kernels do not
 /// show.
@@ -86,7 +86,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn chosen_interfaces_decide_on_the_loopback() {
+    fn loopback_is_included_if_interfaces_include_it() {
         let existing =
             [("lo".to_owned(), Ipv4Addr::LOCALHOST), ("eth0".to_owned(), Ipv4Addr::new(10, 0, 0, 1))];
         let find = |name: &str| Interfaces::find_interfaces(&[name.to_owned()], &existing);

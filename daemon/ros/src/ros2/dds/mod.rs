@@ -5,22 +5,23 @@
 //! here, and a code generator for typed messages, which is not needed. Limitations of `rustdds` 0.15, and how they are
 //! handled:
 //!
-//! - It compares the names of topics, but not the types. Publishers of another type are refused, and their messages are
-//! dropped.
-//! - It drops unread messages of a publisher that leaves, including acknowledged ones. Messages must be taken as they
-//!   arrive.
-//! - It does not report which messages were lost. Gaps between the sequence numbers of each publisher are counted.
-//! - It repairs 8 lost fragments of 256 bytes per round of 10 ms. At most 1 MiB is unacknowledged, or half of the
-//!   receive buffer. There is a warning if the kernel limits the socket buffers.
-//! - It does not know whether the peer has found us as well. On a volatile topic the first messages after a match may
-//!   be lost; sessions repeat their hello and confirm payloads.
-//! - It keeps the cache of a topic, with its last messages, until the participant ends. `depth` is small; a task takes
-//!   messages out at once.
-//! - It takes the publisher's time from the last datagram of a message, in which Cyclone DDS does not repeat it.
-//!   `source_time` is `None`.
-//! - It allocates the size that the first fragment of a message claims, up to 4 GiB. Not handled: a host that may join
-//!   the domain can exhaust the memory.
-//! - It has no static peers, and cannot switch discovery off. `ROS_STATIC_PEERS` is ignored,
+//! - It compares the names of topics, but not the types. Therefore this client refuses publishers of another type, and
+//!   drops their messages.
+//! - It drops unread messages of a publisher that leaves, including acknowledged messages. Therefore callers must take
+//!   messages as they arrive.
+//! - It does not report which messages were lost. Therefore gaps between the sequence numbers of each publisher are
+//!   counted.
+//! - It repairs 8 lost fragments of 256 bytes per round of 10 ms. Therefore at most 1 MiB, or half of the receive
+//!   buffer, is unacknowledged, and a warning appears if the kernel limits the socket buffers.
+//! - It does not know whether the peer has discovered us as well, so on a volatile topic the first messages after a
+//!   match may be lost. Therefore sessions repeat their hello and confirm payloads.
+//! - It keeps the cache of a topic, with its last messages, until the participant ends. Therefore `depth` is small, and
+//!   a task takes messages out of the cache at once.
+//! - It takes the publisher's time from the last datagram of a message, in which Cyclone DDS does not repeat the time.
+//!   `source_time` is then `None`.
+//! - It allocates the size that the first fragment of a message claims, up to 4 GiB. This is not handled: a host that
+//!   may join the domain can exhaust the memory.
+//! - It has no static peers, and cannot switch discovery off. Therefore `ROS_STATIC_PEERS` is ignored, and
 //!   `ROS_AUTOMATIC_DISCOVERY_RANGE=OFF` is an error.
 //! - It logs through the crate `log`. Its log is not shown.
 //!

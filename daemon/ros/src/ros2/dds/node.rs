@@ -30,7 +30,7 @@ use crate::ros2::{
 
 /// A node of ROS 2.
 ///
-/// It has four threads of `rustdds`. Its publishers and subscriptions end with it.
+/// A node has four threads of `rustdds`. When the node ends, its publishers and subscriptions end, too.
 pub struct Ros2Node {
     settings: Ros2Settings,
     socket_buffer_warnings: Vec<SocketBufferWarning>,
@@ -140,8 +140,8 @@ impl Ros2Node {
         &self.socket_buffer_warnings
     }
 
-    /// Returns the size of a receive buffer of this host's sockets. Subscriptions on this host lose parts of messages
-    /// that are longer than this.
+    /// Returns the size of the receive buffer of a socket on this host. Subscriptions on this host lose parts of
+    /// messages that are larger than the buffer.
     pub fn receive_buffer_bytes(&self) -> usize {
         let warning = self.socket_buffer_warnings.iter().find(|warning| warning.limits_receive_buffer());
         warning.map_or(self.settings.socket_buffer_bytes, |warning| warning.granted)
@@ -176,7 +176,8 @@ impl Ros2Node {
             .create_datawriter_no_key(&dds_topic, Some(qos_policies(role, qos)))
             .map_err(|error| names.create_error(role, &error))?;
         let id = endpoint_id(writer.guid());
-        // The lock of `discovery` is held until the endpoint is added, so that no event about it is handled before.
+        // The lock of `discovery` is held until the endpoint is added, so that no event about the endpoint is handled
+        // before.
         let peers = discovery.add_local(id, role, &names.dds_type);
         drop(discovery);
         self.state.publish_node_list();
@@ -223,9 +224,9 @@ impl Ros2Node {
         topic: &str,
         type_name: &str,
         qos: &QosProfile,
-    ) -> Result<(&DdsEntities, Names, Topic), Ros2Error> {
+    ) -> Result<(&DdsEntities, TopicNames, Topic), Ros2Error> {
         let topic = absolute_topic(&self.settings.namespace, &self.settings.node_name, topic)?;
-        let names = Names { topic, dds_type: dds_type(type_name)? };
+        let names = TopicNames { topic, dds_type: dds_type(type_name)? };
         qos.check().map_err(|source| Ros2Error::InvalidQos { topic: names.topic.clone(), source })?;
         let Some(entities) = &self.entities else {
             return Err(Ros2Error::ShutDown { topic: names.topic });
@@ -280,13 +281,13 @@ impl Drop for Ros2Node {
 }
 
 /// Names of a topic and its type.
-struct Names {
+struct TopicNames {
     /// Absolute name.
     topic: String,
     dds_type: String,
 }
 
-impl Names {
+impl TopicNames {
     fn create_error(&self, role: EndpointRole, error: &rustdds::dds::CreateError) -> Ros2Error {
         Ros2Error::Create { role, topic: self.topic.clone(), reason: error.to_string() }
     }
@@ -370,10 +371,11 @@ async fn follow_discovery(listener: DomainParticipantStatusListener, state: Arc<
         if let Some(event) = discovery_event(event) {
             tracing::debug!(?event, "discovery of ROS 2");
             let mut discovery = state.discovery();
-            let ignored_before = discovery.ignored();
+            let ignored_before = discovery.ignored_count();
             discovery.apply(event);
-            let ignored = discovery.ignored();
-            // A line whenever the number has doubled: every host on the network can announce objects.
+            let ignored = discovery.ignored_count();
+            // The warning appears only when the number has doubled, because every host on the network can announce
+            // objects.
             if ignored > ignored_before && ignored.is_power_of_two() {
                 tracing::warn!(
                     ignored,
@@ -454,7 +456,7 @@ fn discovery_event(event: DomainParticipantStatusEvent) -> Option<DiscoveryEvent
                 refusal: incompatibility(&offered_qos, &requested_qos),
             }
         }
-        // The other events are summaries of these events, or concern security, which is off.
+        // The remaining events are summaries of these events, or concern security, which is off.
         _ => return None,
     })
 }

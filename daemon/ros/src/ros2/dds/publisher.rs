@@ -22,14 +22,15 @@ pub struct Ros2Publisher {
     pub(super) writer: DataWriter<RawMessage, RawAdapter>,
     pub(super) endpoint: Endpoint,
     pub(super) qos: QosProfile,
-    /// Bytes published since all messages were acknowledged; approximate if several tasks publish at the same time.
+    /// Number of bytes that were published since the last time when all messages were acknowledged. It is approximate
+    /// if several tasks publish at once.
     pub(super) unacknowledged_bytes: AtomicUsize,
     /// Largest value of `unacknowledged_bytes`.
     pub(super) max_unacknowledged_bytes: usize,
 }
 
 impl Ros2Publisher {
-    /// Maximum number of unacknowledged bytes, unless half of the receive buffer is less. A single message may be
+    /// Maximum number of unacknowledged bytes, unless half of the receive buffer is smaller. A single message may be
     /// larger. Bytes that do not fit into the receive buffer of a peer are lost, and repairing several large messages
     /// between `rustdds` and Fast DDS fails. Cyclone DDS requests a receive buffer of this size.
     pub(super) const MAX_UNACKNOWLEDGED_BYTES: usize = 1 << 20;
@@ -99,7 +100,7 @@ impl Ros2Publisher {
     ///
     /// # Errors
     ///
-    /// As for `publish`, without `PublishTimeout`.
+    /// Those of `publish`, except `PublishTimeout`.
     pub fn try_publish(&self, payload: Bytes, source_time: WallTime) -> Result<Option<i64>, Ros2Error> {
         let topic = || self.endpoint.topic.clone();
         if self.endpoint.node.closed.is_cancelled() {
@@ -117,8 +118,8 @@ impl Ros2Publisher {
         }
     }
 
-    /// Counts all messages so far as acknowledged, so that a slow subscription does not delay later messages. The
-    /// messages that the subscription has not received are still kept for it.
+    /// Treats all messages so far as acknowledged, so that a slow subscription does not delay later messages. `rustdds`
+    /// still keeps the messages that the subscription has not received.
     pub fn forget_unacknowledged(&self) {
         self.unacknowledged_bytes.store(0, Ordering::Relaxed);
     }
@@ -133,7 +134,7 @@ impl Ros2Publisher {
             > self.max_unacknowledged_bytes
             && self.unacknowledged_bytes.load(Ordering::Relaxed) > 0
         {
-            // The error is ignored: whatever makes the wait fail makes the write below fail as well.
+            // The error is ignored, because the write below then fails as well.
             let _acknowledged = self.writer.async_wait_for_acknowledgments().await;
             self.unacknowledged_bytes.store(0, Ordering::Relaxed);
         }
@@ -142,7 +143,7 @@ impl Ros2Publisher {
         Ok(identity)
     }
 
-    /// Waits until all matched reliable subscriptions have all published messages.
+    /// Waits until all matched reliable subscriptions have acknowledged all published messages.
     ///
     /// # Errors
     ///

@@ -22,7 +22,7 @@ impl RawMessage {
 
     /// Wraps a payload; `None` if it does not have the header of little-endian CDR.
     pub(super) fn from_payload(payload: Bytes) -> Option<Self> {
-        // On the wire the header is always that of `output_encoding`, so that another one would be false there.
+        // On the wire, rustdds always writes the header of `output_encoding`, so the payload must have this header.
         payload.starts_with(&[0, 1, 0, 0]).then_some(Self(payload))
     }
 }

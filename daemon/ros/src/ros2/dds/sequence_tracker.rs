@@ -12,8 +12,8 @@ pub(super) struct SequenceTracker {
 }
 
 impl SequenceTracker {
-    /// Maximum number of publishers that are remembered. Each host on the network can create new publishers.
-    const MAX_WRITERS: usize = 1_024;
+    /// Maximum number of publishers whose numbers are stored. Every host on the network can create new publishers.
+    const MAX_PUBLISHERS: usize = 1_024;
 
     /// Records a message. Returns how many messages are missing directly before it.
     ///
@@ -21,8 +21,9 @@ impl SequenceTracker {
     /// earlier messages.
     pub(super) fn record(&mut self, writer: EndpointId, sequence: i64, counts: &mut ReceiveCounts) -> u64 {
         let Some(highest) = self.highest.get_mut(&writer) else {
-            if self.highest.len() >= Self::MAX_WRITERS {
-                // Whichever it is, its publisher counts as new from now on, and no message is counted wrongly.
+            if self.highest.len() >= Self::MAX_PUBLISHERS {
+                // Any publisher may be removed: it is then treated as a new publisher, and no message is counted
+                // wrongly.
                 self.highest.pop_first();
             }
             self.highest.insert(writer, sequence);
@@ -50,7 +51,7 @@ mod tests {
         let (a, b) = (EndpointId([1; 16]), EndpointId([2; 16]));
         let (mut tracker, mut counts) = (SequenceTracker::default(), ReceiveCounts::default());
         let mut record = |writer, sequence| tracker.record(writer, sequence, &mut counts);
-        assert_eq!(record(a, 7), 0, "nothing is known of what came before the first message");
+        assert_eq!(record(a, 7), 0, "no message is missing before the first message");
         assert_eq!(record(b, 1), 0);
         assert_eq!(record(a, 8), 0);
         assert_eq!(record(a, 12), 3);
@@ -72,6 +73,6 @@ mod tests {
                 tracker.record(EndpointId(id), 1, &mut counts);
             }
         }
-        assert!(tracker.highest.len() <= SequenceTracker::MAX_WRITERS);
+        assert!(tracker.highest.len() <= SequenceTracker::MAX_PUBLISHERS);
     }
 }

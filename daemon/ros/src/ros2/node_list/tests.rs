@@ -24,7 +24,7 @@ fn entry(identifier_length: usize) -> OwnEntry {
 }
 
 #[test]
-fn entry_is_read_as_written_with_both_lengths() {
+fn entry_round_trips_with_identifiers_of_both_lengths() {
     for length in IDENTIFIER_LENGTHS {
         let written = entry(length);
         let decoded = ListEntry::decode(&written.to_payload()).unwrap();
@@ -143,7 +143,7 @@ proptest! {
         if let Ok(entry) = ListEntry::decode(&bytes.into()) {
             prop_assert!(entry.nodes.len() <= MAX_NODES);
             let endpoints: Vec<EndpointId> = entry.nodes.iter().flat_map(|node| node.endpoints.clone()).collect();
-            prop_assert!(endpoints.len() * IDENTIFIER_LENGTHS[0] <= length, "no more than arrived");
+            prop_assert!(endpoints.len() * IDENTIFIER_LENGTHS[0] <= length, "the identifiers fit in the bytes");
             prop_assert!(endpoints.iter().all(|id| id.participant() == entry.participant));
             for node in &entry.nodes {
                 prop_assert!(node.name.starts_with('/') && node.name.len() <= MAX_NAME_BYTES && node.name.is_ascii());
