@@ -14,7 +14,7 @@ use peernet_ros::ros2::{QosProfile, Ros2Node, Ros2Settings};
 
 type PeerResult = Result<(), Box<dyn Error + Send + Sync>>;
 
-/// Size from which on messages are acknowledged one by one. Bytes.
+/// Size from which on messages are acknowledged one by one, bytes.
 const LARGE_BYTES: usize = 500_000;
 
 /// Longest wait for a peer, a message or an acknowledgement.

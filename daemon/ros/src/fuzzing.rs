@@ -10,7 +10,7 @@ use crate::ros1::TopicType;
 use crate::ros1::tcpros::{ConnectionHeader, FrameBuffer, Publication, Subscription};
 use crate::ros1::xmlrpc::{parse_call, parse_response, write_call, write_response};
 
-/// Longest frame in [`any_connection`]. Bytes.
+/// Longest frame in [`any_connection`], bytes.
 const MAX_FRAME_BYTES: usize = 64 * 1024;
 
 /// Parses the bytes as a call and as a response of XML-RPC.

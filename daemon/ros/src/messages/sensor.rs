@@ -18,7 +18,7 @@ pub struct Image {
     pub encoding: String,
     /// 1 if elements of several bytes are big-endian.
     pub is_bigendian: u8,
-    /// Length of a row. Bytes.
+    /// Length of a row, bytes.
     pub step: u32,
     /// The rows, `step × height` bytes.
     pub data: Bytes,
@@ -148,9 +148,9 @@ pub struct PointCloud2 {
     pub fields: Vec<PointField>,
     /// `true` if values are big-endian.
     pub is_bigendian: bool,
-    /// Length of a point. Bytes.
+    /// Length of a point, bytes.
     pub point_step: u32,
-    /// Length of a row. Bytes.
+    /// Length of a row, bytes.
     pub row_step: u32,
     /// The rows, `row_step × height` bytes.
     pub data: Bytes,

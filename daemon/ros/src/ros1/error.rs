@@ -80,7 +80,7 @@ pub enum NodeError {
     MessageTooLong {
         /// Global name of the topic.
         topic: String,
-        /// Length of the message. Bytes.
+        /// Length of the message, bytes.
         length: usize,
     },
 }

@@ -13,7 +13,7 @@ pub trait MemoryLimit: fmt::Debug + Send + Sync {
 /// Limits of each message of a topic.
 #[derive(Clone, Debug, Default)]
 pub(super) struct MessageLimits {
-    /// Largest message. Bytes.
+    /// Largest message, bytes.
     pub(super) max_bytes: usize,
     /// Limit on the memory of all messages together.
     pub(super) memory: Option<Arc<dyn MemoryLimit>>,

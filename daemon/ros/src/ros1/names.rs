@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-/// Longest accepted name. Bytes.
+/// Longest accepted name, bytes.
 const MAX_NAME_BYTES: usize = 1024;
 
 /// Error: the name is not allowed in ROS 1.
@@ -16,7 +16,7 @@ pub enum NameError {
     /// The name is too long.
     #[error("a ROS name, with its namespace, has {length} bytes; the limit is {MAX_NAME_BYTES}")]
     TooLong {
-        /// Length of the name with its namespace. Bytes.
+        /// Length of the name with its namespace, bytes.
         length: usize,
     },
     /// The name, or its part after `~`, begins with something other than a letter or `/`.

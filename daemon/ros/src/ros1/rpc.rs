@@ -25,10 +25,10 @@ use super::xmlrpc::{
 /// Time limit for a call, including connecting.
 pub(super) const CALL_TIMEOUT: Duration = Duration::from_secs(3);
 
-/// Longest accepted answer. The system state of a large robot is some hundred kilobytes. Bytes.
+/// Longest accepted answer, bytes. The system state of a large robot has some hundred kilobytes.
 const MAX_RESPONSE_BYTES: usize = 16 * 1024 * 1024;
 
-/// Longest accepted call. The longest call contains the list of a topic's publishers. Bytes.
+/// Longest accepted call, bytes. The longest call contains the list of a topic's publishers.
 const MAX_CALL_BYTES: usize = 256 * 1024;
 
 /// Maximum number of connections to the server. Further connections wait to be accepted.

@@ -73,7 +73,7 @@ struct LocalEndpoint {
 }
 
 impl DiscoveryState {
-    /// Longest name of a topic or type that is remembered. Names in DDS have at most 255 bytes. Bytes.
+    /// Longest name of a topic or type that is stored, bytes. Names in DDS have at most 255 bytes.
     const MAX_NAME_BYTES: usize = 1_024;
 
     pub(super) fn new(own_id: ParticipantId) -> Self {

@@ -18,10 +18,10 @@ pub struct QosProfile {
     pub depth: u32,
     /// Durability of messages. Default: `volatile`.
     pub durability: Durability,
-    /// Longest time between two messages that the publisher promises or the subscription requests; none by default.
-    /// Milliseconds.
+    /// Longest time between two messages that the publisher promises or the subscription requests, milliseconds;
+    /// none by default.
     pub deadline_ms: Option<f64>,
-    /// Time limit for publishing if subscriptions do not keep up. Default: 5,000. Milliseconds.
+    /// Time limit for publishing if subscriptions do not keep up, milliseconds. Default: 5,000.
     pub max_blocking_ms: u32,
 }
 
@@ -74,7 +74,7 @@ impl QosProfile {
     /// Maximum number of messages that an endpoint keeps.
     pub const MAX_DEPTH: u32 = 8_192;
 
-    /// Longest deadline: a day. Milliseconds.
+    /// Longest deadline, milliseconds: a day.
     const MAX_DEADLINE_MS: f64 = 24.0 * 3_600_000.0;
 
     /// Checks the ranges of the values.

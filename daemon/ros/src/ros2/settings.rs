@@ -20,7 +20,7 @@ pub struct Ros2Settings {
     pub node_name: String,
     /// Namespace of the node, which is the prefix of relative topic names.
     pub namespace: String,
-    /// Requested size of the kernel's receive and send buffers. Bytes.
+    /// Requested size of the kernel's receive and send buffers, bytes.
     pub socket_buffer_bytes: usize,
     /// Distribution of ROS 2 that the peers use, such as `humble`. The default is `ROS_DISTRO`. Only the node list
     /// depends on the distribution, because the form of its identifiers changed with Iron.
@@ -78,7 +78,7 @@ impl Ros2Settings {
         Ok(self)
     }
 
-    /// Returns the length of an identifier in the node list. Bytes.
+    /// Returns the length of an identifier in the node list, bytes.
     #[cfg(any(feature = "ros2", test))]
     pub(super) fn identifier_length(&self) -> usize {
         match self.distribution.as_deref() {
@@ -110,9 +110,9 @@ fn is_localhost_only(read_variable: &impl Fn(&str) -> Option<String>) -> Result<
 pub struct SocketBufferWarning {
     /// Setting of the kernel that limits the size.
     pub sysctl: &'static str,
-    /// Granted size. Bytes.
+    /// Granted size, bytes.
     pub granted: usize,
-    /// Requested size. Bytes.
+    /// Requested size, bytes.
     pub requested: usize,
 }
 

@@ -102,7 +102,7 @@ pub(super) async fn ros2_node() -> Result<Arc<Ros2Node>, TopicError> {
 }
 
 /// Returns the ROS 2 node that the readers and writers of this process share, for callers that open topics themselves.
-/// The node leaves the domain when its last user drops it.
+/// The node leaves the domain when the last caller has dropped it.
 ///
 /// # Errors
 /// If the environment cannot be used, the domain cannot be joined, or this build has no ROS 2.

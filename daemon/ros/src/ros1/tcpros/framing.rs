@@ -8,10 +8,10 @@ use thiserror::Error;
 
 use crate::ros1::memory::{MessageLimits, MessageMemory};
 
-/// Length of the prefix of each frame. Bytes.
+/// Length of the prefix of each frame, bytes.
 const PREFIX_BYTES: usize = 4;
 
-/// Size of the read buffer while no long frame is expected. Bytes.
+/// Size of the read buffer while no long frame is expected, bytes.
 const READ_BYTES: usize = 64 * 1024;
 
 /// Largest buffer for a frame, as a multiple of the bytes that have arrived. The multiple is large, because the
@@ -24,15 +24,15 @@ pub enum FrameError {
     /// The frame is longer than allowed.
     #[error("the peer announces a frame of {length} bytes; the limit is {max}")]
     TooLong {
-        /// Announced length. Bytes.
+        /// Announced length, bytes.
         length: usize,
-        /// Longest allowed length. Bytes.
+        /// Longest allowed length, bytes.
         max: usize,
     },
     /// The frame and other frames that arrive at the same time exceed the shared limit.
     #[error("no memory for a frame of {length} bytes: all frames that arrive at the same time share a limit")]
     NoMemory {
-        /// Announced length. Bytes.
+        /// Announced length, bytes.
         length: usize,
     },
 }

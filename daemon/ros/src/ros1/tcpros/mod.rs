@@ -10,5 +10,5 @@ pub use framing::{FrameBuffer, FrameError};
 pub use handshake::{HandshakeError, Publication, Subscription, TopicType};
 pub use header::{ConnectionHeader, HeaderError};
 
-/// Longest accepted connection header. Its longest part is the definition of the message type. Bytes.
+/// Longest accepted connection header, bytes. The longest field is the definition of the message type.
 pub const MAX_HEADER_BYTES: usize = 256 * 1024;

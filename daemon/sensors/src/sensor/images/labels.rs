@@ -110,8 +110,8 @@ pub(super) fn read(
     configured_file: Option<&Path>,
 ) -> Result<Option<(Labels, PathBuf)>, SensorError> {
     let file = configured_file.map_or_else(|| folder.join(LABELS_FILE), Path::to_owned);
-    // A file that the user did not configure must not block the start, as reading from a named pipe would. A configured
-    // file may be a pipe.
+    // A file that is not configured must not block the start, as reading from a named pipe would. A configured file may
+    // be a pipe.
     if configured_file.is_none() && file.exists() && !is_file(&file) {
         return Err(SensorError::Read { path: file, error: io::Error::other("it is not a regular file") });
     }
