@@ -1,4 +1,4 @@
-//! Reading of files that become samples or labels.
+//! Reading of pictures and masks from files.
 
 use std::fs::File;
 use std::io::{self, Read};

@@ -7,8 +7,8 @@ use thiserror::Error;
 
 use super::WireForm;
 
-/// Length from which on a sequence of bytes becomes a separate segment and is not copied. Copying a shorter sequence is
-/// cheaper than one more entry of a vectored write, bytes.
+/// Length from which on a sequence of bytes becomes a separate segment and is not copied, bytes. Copying a shorter
+/// sequence is cheaper than one more entry of a vectored write.
 const MIN_SEGMENT_BYTES: usize = 4096;
 
 /// Encapsulation header of little-endian plain CDR, version 1, without options.

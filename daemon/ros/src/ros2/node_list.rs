@@ -22,7 +22,7 @@ const MAX_ENDPOINTS: usize = 8_192;
 /// Longest name of a node with its namespace, bytes.
 const MAX_NAME_BYTES: usize = 512;
 
-/// Lengths of an identifier: since ROS 2 Iron, and before, bytes.
+/// Lengths of an identifier since ROS 2 Iron and before Iron, bytes.
 const IDENTIFIER_LENGTHS: [usize; 2] = [16, 24];
 
 /// A node of another participant, as that participant lists it.
@@ -137,7 +137,7 @@ pub(super) struct OwnEntry {
     pub(super) participant: EndpointId,
     pub(super) namespace: String,
     pub(super) name: String,
-    /// Length of an identifier: 16, and 24 before ROS 2 Iron, bytes.
+    /// Length of an identifier, bytes: 16 since ROS 2 Iron, 24 before Iron.
     pub(super) identifier_length: usize,
     pub(super) endpoints: Vec<(EndpointRole, EndpointId)>,
 }

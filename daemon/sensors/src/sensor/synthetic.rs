@@ -58,7 +58,8 @@ impl SensorConfig {
         SyntheticConfig { size_bytes: Some(size), sizes_bytes: Vec::new(), seed: default_seed() }.into()
     }
 
-    /// Returns the configuration of random payloads whose sizes follow this list again and again, bytes.
+    /// Returns the configuration of random payloads with the sizes in this list, bytes. After the last size the list
+    /// begins again.
     pub fn size_sweep(sizes_bytes: Vec<usize>) -> Self {
         SyntheticConfig { size_bytes: None, sizes_bytes, seed: default_seed() }.into()
     }

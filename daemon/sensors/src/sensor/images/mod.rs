@@ -240,8 +240,8 @@ impl Sensor for ImagesSensor {
 /// Pictures, and the file from which their labels were read.
 type LabelledPictures = (Vec<Picture>, Option<PathBuf>);
 
-/// Returns the pictures in a folder, with the labels from the configured file, from the folder's own file of
-/// labels, or from the names of the folders.
+/// Returns the pictures in a folder, with the labels from the configured file, from `labels.csv` in the folder, or from
+/// the names of the folders.
 fn read_folder(path: &Path, configured_file: Option<&Path>) -> Result<LabelledPictures, SensorError> {
     let mut files = folder::pictures(path)?;
     let (mut labels, origin) = labels::read(path, configured_file)?.unzip();

@@ -73,7 +73,7 @@ fn five_seconds() -> NonZeroU64 {
 }
 
 impl RosSensorConfig {
-    /// Checks the configuration, and returns the ROS version that it selects.
+    /// Checks the configuration, and returns the version of ROS.
     fn validated_version(&self) -> Result<RosVersion, SensorError> {
         let version = check_topic(self.ros_version, &self.topic, self.message_type.as_ref())?;
         let config_error = |reason: &str| Err(SensorError::Config(format!("a ros sensor {reason}")));

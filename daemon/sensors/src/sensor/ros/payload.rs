@@ -29,8 +29,8 @@ pub(super) enum PayloadError {
 }
 
 impl Payload {
-    /// Converts a message of the type that its publisher announces. The payload of a message of any other type is its
-    /// serialised bytes.
+    /// Converts a message according to the type that its publisher announces. A message of a type that this module does
+    /// not decode becomes one part with its serialised bytes.
     pub(super) fn decode(message: &TopicMessage) -> Result<Self, PayloadError> {
         let type_name = &*message.type_name;
         if type_name == Image::DEFINITION.name {
