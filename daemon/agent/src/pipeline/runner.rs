@@ -115,9 +115,16 @@ impl Runner {
         }
         let Some(resources) = self.stop.run_until_cancelled(self.assemble()).await else { return Ok(()) };
         let mut resources = resources?;
+        let result = self.run_assembled(&mut resources).await;
+        resources.sensor.close(&self.config.name).await;
+        result
+    }
+
+    /// Runs the pipeline with these resources to its end.
+    async fn run_assembled(&self, resources: &mut PipelineResources) -> Result<(), PipelineError> {
         let mut run: Option<Run> = None;
         loop {
-            let Some(placement) = self.connect(&mut resources, run.as_ref().map(Run::id)).await? else {
+            let Some(placement) = self.connect(resources, run.as_ref().map(Run::id)).await? else {
                 self.end_run(run.as_mut(), EndReason::Stopped);
                 return Ok(());
             };
@@ -134,7 +141,7 @@ impl Runner {
                     run.insert(new_run)
                 }
             };
-            let loop_end = self.measure(&mut resources, current_run, &placement).await;
+            let loop_end = self.measure(resources, current_run, &placement).await;
             let planned_iterations = current_run.planned_iterations(&loop_end);
             let (reason, result) = match loop_end {
                 LoopEnd::Disconnected(reason) => {

@@ -1,8 +1,10 @@
 //! Runs the sensor and the transforms of a pipeline, inline or on a thread.
 
+use std::convert::Infallible;
 use std::io;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread;
+use std::time::Duration;
 
 use peernet_logger::{Recorder, Slug, stage};
 use peernet_sample::Sample;
@@ -10,6 +12,9 @@ use peernet_sensors::{Sensor, SensorError, Transform};
 use tokio::sync::oneshot;
 
 use super::preparation::Preparation;
+
+/// Longest wait for the end of a sensor. A program of a user has a second to end, and is killed after it.
+const END_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Output of a sensor for one request.
 pub(super) struct SensorOutput {
@@ -30,7 +35,11 @@ pub(super) enum SensorExecutor {
     /// In the pipeline's task, for a sensor that neither blocks nor computes: a thread would add two wake-ups.
     Inline(SensorChain),
     /// On a separate thread, named after the pipeline.
-    Thread(SyncSender<SensorRequest>),
+    Thread {
+        requests: SyncSender<SensorRequest>,
+        /// Closed when the thread has ended and the sensor is dropped.
+        ended: oneshot::Receiver<Infallible>,
+    },
 }
 
 /// Response to a request for a sample.
@@ -97,17 +106,33 @@ impl SensorExecutor {
         }
         // With a capacity of 0, `try_send` would fail while the thread does not wait for a request yet.
         let (requests, request_receiver) = sync_channel(1);
-        thread::Builder::new()
-            .name(pipeline.to_string())
-            .spawn(move || serve_requests(chain, &request_receiver))?;
-        Ok(Self::Thread(requests))
+        let (end_signal, ended) = oneshot::channel();
+        thread::Builder::new().name(pipeline.to_string()).spawn(move || {
+            serve_requests(chain, &request_receiver);
+            drop(end_signal);
+        })?;
+        Ok(Self::Thread { requests, ended })
+    }
+
+    /// Ends the sensor, and waits until it has released its resources, at most for [`END_TIMEOUT`].
+    // The next start of the same sensor would otherwise find its port or its device in use.
+    pub(super) async fn close(self, pipeline: &Slug) {
+        let Self::Thread { requests, ended } = self else { return };
+        drop(requests);
+        if tokio::time::timeout(END_TIMEOUT, ended).await.is_err() {
+            tracing::warn!(
+                %pipeline,
+                "the sensor has not ended within {} s; it may still hold its port or its device",
+                END_TIMEOUT.as_secs()
+            );
+        }
     }
 
     /// Returns the sender of a request for a preparation; `None` for a sensor without a thread, which needs none.
     pub(super) fn preparation_sender(&self) -> Option<PreparationSender> {
         match self {
             Self::Inline(_) => None,
-            Self::Thread(requests) => Some(PreparationSender(requests.clone())),
+            Self::Thread { requests, .. } => Some(PreparationSender(requests.clone())),
         }
     }
 
@@ -115,7 +140,7 @@ impl SensorExecutor {
     pub(super) fn request_sample(&mut self, log: Recorder) -> SensorResponse {
         match self {
             Self::Inline(chain) => SensorResponse::Done(chain.run(log)),
-            Self::Thread(requests) => {
+            Self::Thread { requests, .. } => {
                 let (reply, output) = oneshot::channel();
                 // If the thread has ended, the request is dropped with `reply`, which closes the receiver.
                 let _ = requests.try_send(SensorRequest::Sample { log, reply });

@@ -1,5 +1,7 @@
 //! Tests of stopping: iterations in flight are completed, and their events are sent.
 
+use std::net::UdpSocket;
+
 use peernet_stream::{EndReason, Outcome};
 
 use crate::harness::{Aggregator, TestAgent, assert_contiguous};
@@ -65,4 +67,34 @@ async fn agent_without_aggregator_measures_and_stops() {
     let agent = TestAgent::start("edge", None, SLOW).await;
     agent.until_state(|state| *state == peernet_stream::PipelineState::Running).await;
     agent.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn port_of_sensor_is_free_after_stop() {
+    // The process needs some time to end, as a simulation with much memory does.
+    const SENSOR: &str = "\
+import atexit, os, socket, time
+class Sensor:
+    def __init__(self):
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(('127.0.0.1', int(os.environ['PORT'])))
+        atexit.register(time.sleep, 0.4)
+    def sample(self): return b'sample'
+";
+    let port =
+        UdpSocket::bind("127.0.0.1:0").and_then(|socket| socket.local_addr()).expect("a free port").port();
+    let folder = tempfile::tempdir().expect("a folder");
+    std::fs::write(folder.path().join("own.py"), SENSOR).expect("can be written");
+    let tables = format!(
+        "[[model]]\nname = 'echo'\nkind = 'echo'\n\
+         [[pipeline]]\nname = 'line'\nplacement = {{ kind = 'local', model = 'echo' }}\n\
+         sensor = {{ kind = 'python', object = 'own::Sensor', folder = '{}', env = {{ PORT = '{port}' }} }}\n",
+        folder.path().display()
+    );
+    let aggregator = Aggregator::start().await;
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
+    aggregator.until(|received_events| !received_events.iterations().is_empty()).await;
+    assert!(UdpSocket::bind(("127.0.0.1", port)).is_err(), "the sensor has the port");
+    agent.stop().await.expect("stops well");
+    UdpSocket::bind(("127.0.0.1", port)).expect("the sensor has released its port");
 }

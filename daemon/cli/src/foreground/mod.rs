@@ -85,6 +85,9 @@ pub(crate) struct AgentResult<OwnReason> {
     pub(crate) missed_events: u64,
 }
 
+/// Longest wait for threads that block, when the program ends.
+const BLOCKING_THREADS_TIMEOUT: Duration = Duration::from_secs(1);
+
 impl ReadyAgent {
     /// Checks everything that the configuration names.
     ///
@@ -121,8 +124,8 @@ impl ReadyAgent {
             .context("cannot start the threads of the runtime")
             .map_err(|error| Failure::new(Exit::Unavailable, error))?;
         let result = runtime.block_on(watch(self.config, &self.clock, observer));
-        // A thread that computes for minutes is not waited for.
-        runtime.shutdown_background();
+        // Programs of sensors and actuators end on these threads. A thread that computes for minutes is not waited for.
+        runtime.shutdown_timeout(BLOCKING_THREADS_TIMEOUT);
         result
     }
 }
