@@ -61,6 +61,19 @@ pub enum SocketError {
         /// The configured timeout, milliseconds.
         timeout_ms: NonZeroU64,
     },
+    /// A part of a line arrived in time, but no line feed.
+    #[error(
+        "the controller at {address} sent {line} and no line feed within {timeout_ms} ms (timeout_ms); a controller ends each line \
+         with a line feed (\\n); the connection is opened again for the next answer"
+    )]
+    Unterminated {
+        /// Address of the controller.
+        address: String,
+        /// Beginning of the line.
+        line: String,
+        /// The configured timeout, milliseconds.
+        timeout_ms: NonZeroU64,
+    },
     /// The feedback that arrived in time is on another iteration.
     #[error(
         "the controller at {address} sent feedback on iteration {other} and none on iteration {iteration} within {timeout_ms} ms \

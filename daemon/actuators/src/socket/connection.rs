@@ -184,8 +184,18 @@ impl Connection {
                 }
                 Ok(read) => self.received.extend_from_slice(&buffer[..read]),
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                Err(error) => return Err(self.io_error(RECEIVING, error, deadline)),
+                Err(error) => return Err(self.receive_error(error, deadline)),
             }
+        }
+    }
+
+    /// Returns the error of a failed read. If the controller sent a part of a line in time, the error quotes it.
+    fn receive_error(&self, error: io::Error, deadline: &Deadline) -> SocketError {
+        match self.io_error(RECEIVING, error, deadline) {
+            SocketError::TimedOut { address, timeout_ms, .. } if !self.received.is_empty() => {
+                SocketError::Unterminated { address, line: line::quote(&self.received), timeout_ms }
+            }
+            error => error,
         }
     }
 

@@ -122,6 +122,19 @@ fn late_feedback_is_not_taken_for_next_action() {
 }
 
 #[test]
+fn missing_line_feed_is_named() {
+    let (address, _serving) = tcp_controller(1, |_, mut stream| {
+        read_line(&mut stream);
+        stream.get_mut().write_all(b"{\"reward\": 1}").expect("is sent");
+        // The actuator closes the connection after its timeout.
+        let _ = stream.read(&mut [0]);
+    });
+    let mut actuator = actuator(&address, "feedback = true\ntimeout_ms = 300");
+    let error = act(&mut *actuator, "one").expect_err("no line comes");
+    assert!(error.contains("sent {\"reward\": 1} and no line feed within 300 ms"), "{error}");
+}
+
+#[test]
 fn error_gives_reason_why_feedback_is_wrong() {
     let replies: [&'static [u8]; 4] = [b"{\"rewrad\": 1}\n", b"hello\n", b"", &[b'x'; 70_000]];
     let (address, serving) = tcp_controller(replies.len(), move |number, mut stream| {

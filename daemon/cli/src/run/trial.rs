@@ -108,7 +108,12 @@ pub(super) async fn configurations(
         let loaded = ResultFolder::open(&results_dir).ok();
         let duration_s = (clock.mono() - began).seconds();
         match process_results.exits.pop() {
-            Some(exit) if exit.is_successful() => {
+            Some(exit) if exit.is_successful() || has_answer(&exit, loaded.as_ref()) => {
+                if let Some(reason) = exit.reason.filter(|_| !quiet) {
+                    progress.print_line(format_args!(
+                        "{state}: {reason}; runs count failed iterations and go on"
+                    ));
+                }
                 let no_rows = Rows::default();
                 let pace = pace(loaded.as_ref().map_or(&no_rows, |loaded| &loaded.rows), duration_s);
                 configurations.iter().for_each(|index| results.paces[*index] = pace);
@@ -221,6 +226,13 @@ fn trial_request(plan: &Plan, configuration: &Configuration) -> RunRequest {
         peer_timeout_s: Some(configuration.patience_s.unwrap_or(PEER_TIMEOUT_S)),
         tried_actuator,
     }
+}
+
+/// Returns whether a trial succeeded in part: some of its iterations have an answer and some failed. The configuration can
+/// be measured then, because failed iterations are part of a result.
+fn has_answer(exit: &ProcessResult, results: Option<&ResultFolder>) -> bool {
+    let is_incomplete = exit.code == Some(i32::from(Exit::Incomplete as u8));
+    is_incomplete && results.is_some_and(|results| results.rows.iter().any(|row| row.is_in_statistics()))
 }
 
 /// Calculates the pace from the iterations of a trial and the duration of its process.

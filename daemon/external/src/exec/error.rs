@@ -172,7 +172,7 @@ pub enum ProgramCallError {
     },
     /// The sum of the reported stages is longer than the whole call.
     #[error(
-        "the stages that it reported add up to {stages:?}, but it replied within {whole:?}; report seconds"
+        "the stages that it reported add up to {stages:?}, but it replied within {whole:?}; report seconds with at least six decimals"
     )]
     Stages {
         /// Sum of the stages.
@@ -182,7 +182,7 @@ pub enum ProgramCallError {
     },
     /// A reported stage is longer than the whole call.
     #[error(
-        "the stage {name} that it reported takes {stage:?}, but it replied within {whole:?}; report seconds"
+        "the stage {name} that it reported takes {stage:?}, but it replied within {whole:?}; report seconds with at least six decimals"
     )]
     LongStage {
         /// Name of the stage.

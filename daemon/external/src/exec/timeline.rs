@@ -10,8 +10,10 @@ const SUMMED_STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"
 const IPC: &str = "ipc";
 /// Node that takes the place of `ipc` in the first reply after a restart; it includes the start of the program.
 const RESTART: &str = "restart";
-/// Largest excess of the stages' sum over the whole that is attributed to rounding.
-const ROUNDING_TOLERANCE: Span = Span::from_millis(1);
+/// Largest excess of reported stages over the whole that is attributed to rounding, whatever the length of the whole.
+const MAX_ROUNDING: Span = Span::from_millis(1);
+/// Share of the whole, as a divisor, up to which an excess is attributed to rounding.
+const ROUNDING_DIVISOR: i64 = 10;
 
 /// Stage with its beginning and end.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -41,7 +43,7 @@ impl ProgramCall {
     /// # Errors
     /// [`ProgramCallError::LongStage`] if a stage is longer than the whole.
     pub fn check_stages_of_action(&self) -> Result<(), ProgramCallError> {
-        let limit = self.duration() + ROUNDING_TOLERANCE;
+        let limit = self.longest_plausible();
         match self.notes.stages.iter().find(|(_, span)| *span > limit) {
             Some((name, span)) => Err(ProgramCallError::LongStage {
                 name: name.clone(),
@@ -50,6 +52,12 @@ impl ProgramCall {
             }),
             None => Ok(()),
         }
+    }
+
+    /// Returns the largest sum of the stages that rounding can explain.
+    fn longest_plausible(&self) -> Span {
+        let whole = self.duration();
+        whole + Span::from_nanos(whole.nanos() / ROUNDING_DIVISOR).min(MAX_ROUNDING)
     }
 
     /// Returns the stages of a model.
@@ -68,7 +76,7 @@ impl ProgramCall {
         let is_stage = |name: &String| SUMMED_STAGES.contains(&name.as_str());
         let summed = self.notes.stages.iter().filter(|(name, _)| is_stage(name));
         let reported_sum: Span = summed.map(|(_, span)| *span).sum();
-        if reported_sum > self.duration() + ROUNDING_TOLERANCE {
+        if reported_sum > self.longest_plausible() {
             let (stages, whole) = (reported_sum.to_duration(), self.duration().to_duration());
             return Err(ProgramCallError::Stages { stages, whole });
         }

@@ -303,6 +303,12 @@ fn with_import_advice(text: &str) -> String {
         return text.to_owned();
     }
     let (exception, traceback) = text.split_once('\n').unwrap_or((text, ""));
+    // Python says so if the name before the last dot is a module and no package, as in `module.Class`.
+    if exception.ends_with(" is not a package") {
+        return format!("{exception}; write two colons between module and object: module::Name\n{traceback}")
+            .trim_end()
+            .to_owned();
+    }
     let advised = format!(
         "{exception}; install it for this interpreter, or name the interpreter that has it with the key python or the variable \
          PEERNET_PYTHON"

@@ -164,8 +164,7 @@ fn check_outlet(
     let dtype = outlet.dtype();
     let fits_any_shape = |actual: &[i64]| {
         // A model that does not declare a shape appears to have no dimension; the first inference then shows its shape.
-        let is_undeclared = actual.is_empty() && what == "output";
-        is_undeclared || shapes.iter().any(|shape| shape_fits(actual, shape))
+        actual.is_empty() || shapes.iter().any(|shape| shape_fits(actual, shape))
     };
     if dtype.tensor_type().is_some_and(|onnx| elements.contain(onnx))
         && dtype.tensor_shape().is_some_and(|shape| fits_any_shape(shape))
