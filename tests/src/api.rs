@@ -18,7 +18,7 @@ impl Api {
         Self { base: format!("http://127.0.0.1:{port}"), agent }
     }
 
-    /// Returns status and text of a page; `None` without an answer.
+    /// Requests a path. Returns the status and the text of the answer; `None` if there is no answer.
     pub fn get(&self, path: &str) -> Option<(u16, String)> {
         let mut response = self.agent.get(format!("{}{path}", self.base)).call().ok()?;
         let text = response.body_mut().read_to_string().ok()?;
@@ -64,7 +64,7 @@ impl Api {
     ///
     /// # Panics
     /// If the statistics cannot be read.
-    pub fn figures(&self, run: i64, name: &str) -> Option<Value> {
+    pub fn stage_statistics(&self, run: i64, name: &str) -> Option<Value> {
         let stages = self.json(&format!("/api/v1/runs/{run}/stages"));
         stages["stages"].as_array()?.iter().find(|stage| stage["name"] == name).cloned()
     }
@@ -74,8 +74,8 @@ impl Api {
     /// # Panics
     /// If the run has no node of that name.
     pub fn mean(&self, run: i64, name: &str) -> f64 {
-        let figures = self.figures(run, name);
-        let mean = figures.and_then(|figures| figures["mean"].as_f64());
+        let statistics = self.stage_statistics(run, name);
+        let mean = statistics.and_then(|statistics| statistics["mean"].as_f64());
         mean.unwrap_or_else(|| panic!("run {run} has no mean of {name}"))
     }
 

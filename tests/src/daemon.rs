@@ -44,7 +44,7 @@ impl Daemon {
     ///
     /// # Panics
     /// If it is already running.
-    pub fn start_idle(&mut self, deployment: &LoopbackDeployment) {
+    pub fn start_without_pipelines(&mut self, deployment: &LoopbackDeployment) {
         let (idle, _) = self.configuration.split_once("[[pipeline]]").unwrap_or((&self.configuration, ""));
         let file = format!("{}-idle.toml", self.name);
         deployment.write(&file, idle);
@@ -146,13 +146,13 @@ impl Daemon {
         self.spooled.extend(SpooledIterations::parse_log(&end.log));
     }
 
-    /// Returns the batches that ended processes logged as spooled.
-    pub fn spooled(&self) -> &[SpooledIterations] {
+    /// Returns what ended processes logged as spooled.
+    pub fn spooled_iterations(&self) -> &[SpooledIterations] {
         &self.spooled
     }
 
-    /// Returns the batches that all processes logged as spooled, including the running one.
-    pub fn all_spooled(&self) -> Vec<SpooledIterations> {
+    /// Returns what all processes logged as spooled, including the running process.
+    pub fn all_spooled_iterations(&self) -> Vec<SpooledIterations> {
         let current = self
             .process
             .as_ref()

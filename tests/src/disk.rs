@@ -88,9 +88,9 @@ impl ImageDisk {
     /// Detaches the disk from its folder at once. Open files keep it in use.
     ///
     /// # Panics
-    /// If it is not mounted.
+    /// If the disk is not mounted.
     pub fn unmount(&self) {
-        unmount(&self.folder, UnmountFlags::DETACH).expect("it is mounted");
+        unmount(&self.folder, UnmountFlags::DETACH).expect("the disk is mounted");
     }
 
     /// Fills the disk.
@@ -103,7 +103,7 @@ impl ImageDisk {
         free(&self.folder);
     }
 
-    /// Returns whether the file system on its device is still in use.
+    /// Returns whether a loop device still uses the image. After an unmount this lasts until the last open file is closed.
     pub fn is_in_use(&self) -> bool {
         !run("losetup", &["--associated", &text(&self.image)]).trim().is_empty()
     }
@@ -159,7 +159,7 @@ fn free(folder: &Path) {
 }
 
 fn filler_file(folder: &Path) -> PathBuf {
-    folder.join("ballast")
+    folder.join("filler")
 }
 
 /// Creates an empty folder as mount point.

@@ -10,7 +10,7 @@ use tempfile::TempDir;
 use crate::network::{DATA_INTERFACE, Host};
 use crate::{Document, Network, Process, program, root};
 
-/// Address of the cloud in the shipped files, which are for one machine, and its replacement here.
+/// Address of the cloud in the shipped files, which are for one machine, and the address that replaces it here.
 const CLOUD_ADDRESS_CHANGE: (&str, &str) = ("tcp://127.0.0.1:", "tcp://10.0.0.2:");
 
 /// Folders in which a package installs files. Here they are below a folder for each machine.
@@ -39,8 +39,8 @@ pub struct DocumentedCommands {
 
 impl DocumentedCommands {
     /// Address of the cloud, as in the documents.
-    pub const CLOUD: &str = "10.0.0.2";
-    const EDGE: &str = "10.0.0.1";
+    pub const CLOUD_ADDRESS: &str = "10.0.0.2";
+    const EDGE_ADDRESS: &str = "10.0.0.1";
 
     /// Creates the machines for a test that executes each of `commands`, which are from the documents.
     ///
@@ -60,8 +60,8 @@ impl DocumentedCommands {
     }
 
     fn with_network(network: Network, commands: &'static [&'static str]) -> Self {
-        network.edge().add_address(DATA_INTERFACE, Self::EDGE);
-        network.cloud().add_address(DATA_INTERFACE, Self::CLOUD);
+        network.edge().add_address(DATA_INTERFACE, Self::EDGE_ADDRESS);
+        network.cloud().add_address(DATA_INTERFACE, Self::CLOUD_ADDRESS);
         let folder = tempfile::tempdir().expect("the temporary folder is writable");
         let link = |name: &str, target: &Path| {
             let name = folder.path().join(name);
@@ -121,7 +121,10 @@ impl DocumentedCommands {
     /// # Panics
     /// If a change does not apply.
     pub fn install(&self, host: &Host, name: &str, text: &str, changes: &[(&str, &str)]) {
-        self.write(&self.machine_paths(host, name), &self.machine_paths(host, &apply_changes(text, changes)));
+        self.write(
+            &self.with_machine_paths(host, name),
+            &self.with_machine_paths(host, &apply_changes(text, changes)),
+        );
     }
 
     /// Returns the folder that stands for the root of a machine's files.
@@ -130,7 +133,7 @@ impl DocumentedCommands {
     }
 
     /// Replaces the folders of a package in a text by the folders of a machine.
-    fn machine_paths(&self, host: &Host, text: &str) -> String {
+    fn with_machine_paths(&self, host: &Host, text: &str) -> String {
         let root = self.root_of(host).display().to_string();
         PACKAGE_FOLDERS.iter().fold(text.to_owned(), |text, package_folder| {
             let mut parts = text.split(package_folder);
@@ -143,15 +146,15 @@ impl DocumentedCommands {
         })
     }
 
-    /// Executes a command on the edge, after these changes.
+    /// Executes a command on the edge, after these changes to its text.
     ///
     /// # Panics
-    /// If it is not one of this test's commands, or if a change does not apply.
+    /// If the command is not one of this test's commands, or if a change does not apply.
     pub fn on_edge(&self, command: &str, changes: &[(&str, &str)]) -> Process {
         self.execute_on(self.edge(), command, changes)
     }
 
-    /// Executes a command on the cloud, after these changes.
+    /// Executes a command on the cloud, after these changes to its text.
     ///
     /// # Panics
     /// As [`on_edge`](Self::on_edge).
@@ -159,14 +162,14 @@ impl DocumentedCommands {
         self.execute_on(self.cloud(), command, changes)
     }
 
-    /// Executes a command on a host, after these changes.
+    /// Executes a command on a host, after these changes to its text.
     ///
     /// # Panics
     /// As [`on_edge`](Self::on_edge).
     pub fn execute_on(&self, host: &Host, command: &str, changes: &[(&str, &str)]) -> Process {
         assert!(self.commands.contains(&command), "{command} is not one of this test's commands");
         self.executed.borrow_mut().insert(command.to_owned());
-        self.run_on(host, &self.machine_paths(host, &apply_changes(command, changes)))
+        self.run_on(host, &self.with_machine_paths(host, &apply_changes(command, changes)))
     }
 
     /// Executes a shell command that is not in the documents.

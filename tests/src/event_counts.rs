@@ -11,7 +11,7 @@ use crate::{Api, TEST_TIMEOUT};
 /// Event counts of a host: the counts that the agent reports, and the counts that the aggregator has stored.
 #[derive(Clone, Debug)]
 pub struct EventCounts {
-    /// `true` if the host reports now.
+    /// `true` if the host is connected to the aggregator.
     pub connected: bool,
     /// Time of its last report.
     pub last_seen: WallTime,
@@ -20,7 +20,7 @@ pub struct EventCounts {
     /// Number of produced events that are in the spool or stored.
     pub spooled: u64,
     /// Number of acknowledged events, according to the agent.
-    pub stored: u64,
+    pub acknowledged: u64,
     /// Number of events that wait on the agent.
     pub waiting: u64,
     /// Number of dropped events.
@@ -30,10 +30,10 @@ pub struct EventCounts {
     /// Reason why the spool fails; `None` while it works.
     pub trouble: Option<String>,
     /// Number of stored events, according to the aggregator.
-    pub events: u64,
+    pub stored: u64,
     /// Number of events that are missing in gaps, according to the aggregator.
     pub missing: u64,
-    /// Number of batches that were received again and not stored again, since the aggregator started.
+    /// Number of batches that were received a second time, and not stored again, since the aggregator started.
     pub duplicates: u64,
     /// Age of the newest live update, seconds, for a host that reads this machine's clock.
     pub live_lag_s: f64,
@@ -62,12 +62,12 @@ impl EventCounts {
             last_seen: WallTime::from_unix_nanos(last_seen.timestamp_nanos_opt()?),
             produced: count(events, "produced"),
             spooled: count(events, "spooled"),
-            stored: count(events, "acknowledged"),
+            acknowledged: count(events, "acknowledged"),
             waiting: count(events, "waiting"),
             dropped: count(events, "dropped"),
             gaps: count(events, "gaps"),
             trouble: events["trouble"].as_str().map(str::to_owned),
-            events: count(stored, "events"),
+            stored: count(stored, "events"),
             missing: count(stored, "missing"),
             duplicates: count(stored, "duplicates"),
             live_lag_s: age_s - ahead_s.min(0.0),
@@ -102,14 +102,14 @@ impl EventCounts {
     pub fn wait_until_at_rest(api: &Api, host: &str, since: WallTime) -> Self {
         let mut previous = None;
         loop {
-            let counts = Self::wait_until(api, host, "more is stored", |counts| {
+            let counts = Self::wait_until(api, host, "more events are stored", |counts| {
                 counts.last_seen > since
-                    && (counts.is_at_rest() || Some((counts.stored, counts.events)) != previous)
+                    && (counts.is_at_rest() || Some((counts.acknowledged, counts.stored)) != previous)
             });
             if counts.is_at_rest() {
                 return counts;
             }
-            previous = Some((counts.stored, counts.events));
+            previous = Some((counts.acknowledged, counts.stored));
         }
     }
 
@@ -117,7 +117,8 @@ impl EventCounts {
         // Events that the agent delivered to another database, or to this database before it was restored from a backup, are
         // missing here.
         let stored_elsewhere = self.missing.saturating_sub(self.dropped);
-        self.waiting == 0 && (self.events == self.stored || self.events + stored_elsewhere == self.stored)
+        self.waiting == 0
+            && (self.stored == self.acknowledged || self.stored + stored_elsewhere == self.acknowledged)
     }
 
     /// Asserts that every produced event is stored, waiting or dropped.
@@ -125,6 +126,6 @@ impl EventCounts {
     /// # Panics
     /// If the counts do not add up.
     pub fn assert_balanced(&self) {
-        assert_eq!(self.produced, self.stored + self.waiting + self.dropped, "{self:?}");
+        assert_eq!(self.produced, self.acknowledged + self.waiting + self.dropped, "{self:?}");
     }
 }

@@ -12,12 +12,12 @@ pub struct FalseTime {
 }
 
 impl FalseTime {
-    /// Creates a time that is ahead of the kernel's wall clock; a file in the folder holds the difference.
+    /// Creates a false time that is `ahead` of the kernel's wall clock. A file in `folder` holds the difference.
     ///
     /// # Panics
     /// If libfaketime is not installed.
     pub fn new(folder: &Path, ahead: Span) -> Self {
-        // Debian installs it in a folder per architecture.
+        // Debian installs the library in a folder per architecture.
         let folders = std::fs::read_dir("/usr/lib").expect("every Linux has /usr/lib").flatten();
         let mut libraries = folders
             .map(|folder| folder.path().join("faketime/libfaketimeMT.so.1"))
@@ -29,7 +29,7 @@ impl FalseTime {
         false_time
     }
 
-    /// Shows another time, which processes see within a second.
+    /// Changes the false time to `ahead` of the kernel's wall clock. Processes see the change within a second.
     ///
     /// # Panics
     /// If the file cannot be written.

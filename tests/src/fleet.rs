@@ -22,16 +22,16 @@ pub struct Fleet {
 }
 
 /// Default path of the database, as a template for [`LoopbackDeployment::write`].
-const DATABASE: &str = "{folder}/store/aggregator.sqlite";
+const DEFAULT_DATABASE: &str = "{folder}/store/aggregator.sqlite";
 
 /// Returns the configuration of an agent that logs its spooled batches, with additional keys of `[agent]` and
 /// additional tables.
-pub fn edge(keys: &str, tables: &str) -> String {
-    edge_in("{folder}/NAME", keys, tables)
+pub fn agent_configuration(keys: &str, tables: &str) -> String {
+    agent_configuration_in("{folder}/NAME", keys, tables)
 }
 
-/// Returns the configuration of [`edge`] with another state folder.
-pub fn edge_in(state: &str, keys: &str, tables: &str) -> String {
+/// Returns the configuration of [`agent_configuration`] with another state folder.
+pub fn agent_configuration_in(state: &str, keys: &str, tables: &str) -> String {
     format!(
         "[log]\nlevel = \"{SPOOL_LOG_LEVEL}\"\n\
          [agent]\nname = \"NAME\"\nstate_dir = \"{state}\"\naggregator = \"tcp://127.0.0.1:{{events}}\"\n{keys}\n\
@@ -41,7 +41,7 @@ pub fn edge_in(state: &str, keys: &str, tables: &str) -> String {
 
 /// Returns the table of a pipeline that echoes small payloads on its own host. `keys` are additional keys, such as the
 /// load; without a load the pipeline is a closed loop.
-pub fn echo(name: &str, keys: &str) -> String {
+pub fn echo_pipeline(name: &str, keys: &str) -> String {
     format!(
         "[[pipeline]]\nname = \"{name}\"\nsensor = {{ kind = \"synthetic\", size_bytes = 64 }}\n\
          placement = {{ kind = \"local\", model = \"echo\" }}\n{keys}\n"
@@ -49,14 +49,14 @@ pub fn echo(name: &str, keys: &str) -> String {
 }
 
 /// Returns the keys of a pipeline with this number of iterations per second.
-pub fn rate(hz: f64) -> String {
+pub fn rate_load(hz: f64) -> String {
     format!("load = {{ mode = \"rate\", hz = {hz:?} }}")
 }
 
 impl Fleet {
     /// Starts an aggregator, and writes the same configuration for all agents without starting them.
     pub fn new(agents: &[&str], configuration: &str) -> Self {
-        Self::with_database(DATABASE, agents, configuration)
+        Self::with_database(DEFAULT_DATABASE, agents, configuration)
     }
 
     /// Creates the fleet with the database at another path.
@@ -66,7 +66,7 @@ impl Fleet {
 
     /// Creates the fleet with additional keys of `[aggregator]`.
     pub fn with_aggregator_keys(keys: &str, agents: &[&str], configuration: &str) -> Self {
-        Self::with_options(DATABASE, keys, agents, configuration)
+        Self::with_options(DEFAULT_DATABASE, keys, agents, configuration)
     }
 
     fn with_options(database: &str, keys: &str, agents: &[&str], configuration: &str) -> Self {
@@ -79,7 +79,7 @@ impl Fleet {
         let agents = agents.iter().map(|name| Daemon::new(&deployment, name, configuration)).collect();
         let database = database.replace("{folder}", &deployment.folder().display().to_string());
         let fleet = Self {
-            api: Api::on_port(deployment.http),
+            api: Api::on_port(deployment.http_port),
             deployment,
             aggregator,
             agents,
@@ -123,7 +123,7 @@ impl Fleet {
     /// Starts an agent without its pipelines and waits until it is connected to the aggregator. Returns the time of the
     /// connection. Until then the live state may describe the previous process.
     pub fn start_without_pipelines(&mut self, agent: usize) -> WallTime {
-        self.agents[agent].start_idle(&self.deployment);
+        self.agents[agent].start_without_pipelines(&self.deployment);
         self.agents[agent].process().wait_for("connected to the aggregator");
         wall()
     }

@@ -11,11 +11,11 @@ use crate::{Api, Process, free_port, program};
 pub struct LoopbackDeployment {
     folder: TempDir,
     /// Port of the aggregator's event stream.
-    pub events: u16,
+    pub events_port: u16,
     /// Port of the dashboard and API.
-    pub http: u16,
+    pub http_port: u16,
     /// Port at which the cloud serves models.
-    pub data: u16,
+    pub data_port: u16,
 }
 
 impl Default for LoopbackDeployment {
@@ -28,7 +28,7 @@ impl LoopbackDeployment {
     /// Creates an empty deployment.
     pub fn new() -> Self {
         let folder = tempfile::tempdir().expect("the temporary folder is writable");
-        Self { folder, events: free_port(), http: free_port(), data: free_port() }
+        Self { folder, events_port: free_port(), http_port: free_port(), data_port: free_port() }
     }
 
     /// Returns the folder of the deployment.
@@ -39,9 +39,9 @@ impl LoopbackDeployment {
     /// Writes a file into the folder; `{events}`, `{http}`, `{data}`, `{folder}` and `{root}` are replaced.
     pub fn write(&self, name: &str, text: &str) -> PathBuf {
         let text = text
-            .replace("{events}", &self.events.to_string())
-            .replace("{http}", &self.http.to_string())
-            .replace("{data}", &self.data.to_string())
+            .replace("{events}", &self.events_port.to_string())
+            .replace("{http}", &self.http_port.to_string())
+            .replace("{data}", &self.data_port.to_string())
             .replace("{folder}", &self.folder().display().to_string())
             .replace("{root}", &crate::root().display().to_string());
         let path = self.folder().join(name);
@@ -87,10 +87,13 @@ impl LoopbackDeployment {
 
     /// Starts an aggregator for agents that reach it at this address.
     pub(crate) fn start_aggregator_for(&self, address: &str) -> (Process, Api) {
-        let events = "127.0.0.1:{events}";
-        self.write("aggregator.toml", &AGGREGATOR.replace(events, &events.replace("127.0.0.1", address)));
+        let local_address = "127.0.0.1:{events}";
+        self.write(
+            "aggregator.toml",
+            &AGGREGATOR.replace(local_address, &local_address.replace("127.0.0.1", address)),
+        );
         let process = self.start("aggregator.toml");
-        let api = Api::on_port(self.http);
+        let api = Api::on_port(self.http_port);
         crate::wait_until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
         (process, api)
     }

@@ -42,7 +42,7 @@ impl MisbehavingPeer {
     /// Connects to a port of this machine.
     ///
     /// # Panics
-    /// If that fails.
+    /// If the connection fails.
     pub fn connect(port: u16) -> Self {
         let socket = runtime().block_on(async {
             let socket = Socket::new(SocketType::Dealer, Options::default());
@@ -80,7 +80,7 @@ impl MisbehavingPeer {
         Some(codec::decode(message.part_slice(0).expect("a frame")).expect("a message of the aggregator"))
     }
 
-    /// Answers a challenge with the proof for `hello`. Returns whether `message` is a challenge.
+    /// Answers a challenge for the stream of `hello` with the proof of its host. Returns whether `message` is a challenge.
     pub fn answer_challenge(&self, hello: &Hello, secret: &HostSecret, message: &ToAgent) -> bool {
         let ToAgent::Challenge { aggregator, stream, nonce, enrol, .. } = message else { return false };
         if *stream == hello.stream {
@@ -92,14 +92,14 @@ impl MisbehavingPeer {
         true
     }
 
-    /// Sends a hello and its proof until an answer fulfils `condition`. The hello is repeated as agents do, because an
-    /// aggregator with full queues does not answer it.
+    /// Sends a hello and its proof until an answer fulfils `condition`. The hello is repeated, as
+    /// agents repeat it, because an aggregator with full queues does not answer.
     ///
     /// # Panics
-    /// If no answer does.
+    /// If no answer fulfils it within [`TEST_TIMEOUT`].
     pub fn send_hello_until(&self, host: &InventedHost, condition: impl Fn(&ToAgent) -> bool) {
         let hello = &host.hello;
-        let stopwatch = Stopwatch::now();
+        let stopwatch = Stopwatch::start();
         while stopwatch.elapsed() < TEST_TIMEOUT {
             self.send_message(&ToAggregator::Hello(hello.clone()));
             while let Some(message) = self.receive_within(HELLO_INTERVAL) {
@@ -144,7 +144,9 @@ pub struct InventedHost {
     pub hello: Hello,
     /// The secret with which it proves its id.
     pub secret: HostSecret,
+    /// Number and chain of the newest batch.
     newest: (u64, Chain),
+    /// Number of events in all batches up to the newest.
     events: u64,
 }
 
@@ -224,7 +226,7 @@ impl InventedHost {
         self.batch_of(events.len() as u32, &body, false)
     }
 
-    /// Returns the next batch of the stream with an arbitrary body, and a correct head.
+    /// Returns the next batch of the stream with an arbitrary body. The head is correct; `events` is its number of events.
     pub fn batch_of(&mut self, events: u32, body: &[u8], compress: bool) -> Vec<u8> {
         let (newest, previous_chain) = self.newest;
         let (number, chain) = (newest + 1, previous_chain.next(events, body));

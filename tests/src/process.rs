@@ -45,8 +45,8 @@ struct Log {
 }
 
 impl Process {
-    /// Starts a program in a folder with additional environment variables. It handles all signals, even if the tests
-    /// ignore them.
+    /// Starts a program in a folder with additional environment variables. The program does not
+    /// inherit signals that the tests ignore.
     ///
     /// # Panics
     /// If `env` cannot be started. A missing program is reported in the log.
@@ -178,7 +178,7 @@ impl Process {
             .expect("no reader panics");
         drop(guard);
         assert!(!timeout.timed_out(), "{} does not end; its log:\n{}", self.name, self.log());
-        let status = self.child.wait().expect("the child is ours");
+        let status = self.child.wait().expect("only this process waits for the child");
         ProcessEnd { status, log: self.log() }
     }
 

@@ -30,13 +30,13 @@ pub struct StoredRun {
     /// Number of successful iterations without warm-up, according to these counters.
     pub ok: u64,
     /// Number of successful iterations in the roll-up of the whole run, and in the roll-ups of seconds.
-    pub rolled_up: (u64, u64),
-    /// Numbers of the stored iterations.
+    pub rolled_up_iterations: (u64, u64),
+    /// Ranges of the numbers of the stored iterations.
     pub ranges: Vec<RangeInclusive<u64>>,
     /// Number of iterations that have nodes.
-    pub with_nodes: u64,
+    pub iterations_with_nodes: u64,
     /// Number of iterations whose nodes are not contiguous from 0.
-    pub incomplete: u64,
+    pub incomplete_iterations: u64,
     /// Number of nodes.
     pub nodes: u64,
     /// Number of events that are missing in the run's gaps.
@@ -58,7 +58,7 @@ pub struct StoredHost {
     pub gap_rows: (u64, u64),
     /// Number of quarantined batches.
     pub quarantined: u64,
-    /// Number of all its streams.
+    /// Number of streams.
     pub streams: u64,
 }
 
@@ -103,7 +103,7 @@ impl StoredEvents {
                     reason: row[2].clone(),
                     counted_iterations: number(&row[3]),
                     ok: number(&row[4]),
-                    rolled_up: (number(&row[5]), number(&row[6])),
+                    rolled_up_iterations: (number(&row[5]), number(&row[6])),
                     missing: number(&row[7]),
                     ..StoredRun::default()
                 };
@@ -116,7 +116,8 @@ impl StoredEvents {
         }
         for row in rows(database, NODES) {
             let run = runs.get_mut(&row[0]).expect("joined with its run");
-            (run.with_nodes, run.incomplete, run.nodes) = (number(&row[1]), number(&row[2]), number(&row[3]));
+            (run.iterations_with_nodes, run.incomplete_iterations, run.nodes) =
+                (number(&row[1]), number(&row[2]), number(&row[3]));
         }
         let hosts = rows(database, HOSTS).into_iter().map(|row| {
             let column = |index: usize| number(&row[index]);
@@ -151,19 +152,34 @@ impl StoredEvents {
     pub fn assert_consistent(&self) {
         for (id, run) in &self.runs {
             let iterations = run.iterations();
-            assert_eq!(run.counted_iterations, iterations, "counted against stored: run {id}: {run:?}");
-            assert_eq!(run.rolled_up, (run.ok, run.ok), "roll-ups against the counters: run {id}: {run:?}");
-            assert_eq!((run.with_nodes, run.incomplete), (iterations, 0), "nodes of run {id}: {run:?}");
+            assert_eq!(
+                run.counted_iterations, iterations,
+                "the counters of run {id} differ from its rows: {run:?}"
+            );
+            assert_eq!(
+                run.rolled_up_iterations,
+                (run.ok, run.ok),
+                "the roll-ups of run {id} differ from its counters: {run:?}"
+            );
+            assert_eq!(
+                (run.iterations_with_nodes, run.incomplete_iterations),
+                (iterations, 0),
+                "iterations of run {id} lack nodes: {run:?}"
+            );
         }
         for (name, host) in &self.hosts {
-            assert_eq!(host.gap_rows, (host.gaps, host.missing), "gaps of {name}: {host:?}");
+            assert_eq!(
+                host.gap_rows,
+                (host.gaps, host.missing),
+                "the gaps of {name} differ from its counters: {host:?}"
+            );
         }
         let nodes: u64 = self.hosts.values().map(|host| host.nodes).sum();
-        assert_eq!(nodes, self.nodes(), "nodes by the hosts' counters and in the table: {self:?}");
+        assert_eq!(nodes, self.nodes(), "the hosts' counters of nodes differ from the table: {self:?}");
     }
 
-    /// Returns the number of spooled iterations that are not stored; checks that no line's range contains more than
-    /// the line reports.
+    /// Returns the number of spooled iterations that are not stored; checks that no more
+    /// iterations are stored in the range of a line than the line reports.
     ///
     /// # Panics
     /// If a run is unknown or contains too many iterations.
@@ -232,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    #[should_panic(expected = "counted against stored")]
+    #[should_panic(expected = "differ from its rows")]
     fn counters_above_stored_rows_are_detected() {
         let run = StoredRun { ranges: vec![1..=10], counted_iterations: 11, ..StoredRun::default() };
         StoredEvents { runs: BTreeMap::from([("a".to_owned(), run)]), hosts: BTreeMap::new() }

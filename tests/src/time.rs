@@ -13,13 +13,13 @@ pub fn wall() -> WallTime {
     clock().wall()
 }
 
-/// Point in time from which durations are measured.
+/// Measures the time since its start.
 #[derive(Clone, Copy, Debug)]
 pub struct Stopwatch(MonoTime);
 
 impl Stopwatch {
     /// Starts a stopwatch.
-    pub fn now() -> Self {
+    pub fn start() -> Self {
         Self(clock().mono())
     }
 

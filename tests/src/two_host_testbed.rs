@@ -105,7 +105,7 @@ impl TwoHostTestbed {
         host.start(&program("peernetd"), &["run", &file], self.deployment.folder(), environment)
     }
 
-    /// Waits until all runs, and at least `n`, have ended by themselves.
+    /// Waits until there are at least `n` runs and all of them have finished.
     pub fn wait_for_runs(&self, n: usize) {
         self.api.wait_until("/api/v1/runs", |runs| {
             let runs = runs["runs"].as_array()?;
@@ -113,7 +113,7 @@ impl TwoHostTestbed {
         });
     }
 
-    /// Returns the injected clock faults of a host, as the host reports them.
+    /// Returns the clocks of a host, from the injected faults that the host reports.
     pub fn clock_of(&self, host: &str) -> HostClock {
         let path = format!("/api/v1/hosts/{host}");
         self.api.wait_until(&path, |host| {
@@ -121,8 +121,8 @@ impl TwoHostTestbed {
         })
     }
 
-    /// Converts a time of the kernel's wall clock since the start of this test to its free-running clock, by linear
-    /// interpolation: a time daemon may change the rate of the wall clock by parts per million.
+    /// Converts a time of the kernel's wall clock after the start of this test to the kernel's free-running clock. It is
+    /// interpolated linearly, because a time daemon may change the rate of the wall clock by parts per million.
     pub fn raw_at(&self, wall: WallTime) -> RawTime {
         let (start, now) = (self.start, stamp());
         let share = (wall - start.wall).nanos() as f64 / (now.wall - start.wall).nanos() as f64;

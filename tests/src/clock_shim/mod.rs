@@ -11,8 +11,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use peernet_clock::{Clock, ClockIdentity, RawTime, Span, SystemClock};
 
-/// Time from writing a change to its start. It is long enough that the change is written before a process reads a clock
-/// after the start.
+/// Time between scheduling a change and its start. It is long enough that the change is written to the file before a
+/// process reads a clock after the start.
 const CHANGE_LEAD_TIME: Span = Span::from_millis(200);
 
 /// Size of a segment in the file, bytes.
@@ -30,14 +30,16 @@ struct Segment {
     ahead: Span,
     /// Rate of the error, nanoseconds per nanosecond.
     rate: f64,
-    /// Change of the rate per nanosecond.
-    change: f64,
+    /// Change of the rate, per nanosecond.
+    rate_change: f64,
 }
 
 impl Segment {
+    /// Returns the error of the clocks at a true time.
     fn ahead_at(&self, truth: RawTime) -> Span {
         let elapsed = (truth - self.begin).nanos() as f64;
-        self.ahead + Span::from_nanos((elapsed * (self.rate + self.change * elapsed / 2.0)).round() as i64)
+        self.ahead
+            + Span::from_nanos((elapsed * (self.rate + self.rate_change * elapsed / 2.0)).round() as i64)
     }
 
     fn bytes(&self) -> [u8; SEGMENT_BYTES] {
@@ -45,7 +47,7 @@ impl Segment {
             self.begin.nanos().to_ne_bytes(),
             self.ahead.nanos().to_ne_bytes(),
             self.rate.to_ne_bytes(),
-            self.change.to_ne_bytes(),
+            self.rate_change.to_ne_bytes(),
         ];
         let mut bytes = [0; SEGMENT_BYTES];
         bytes.as_chunks_mut().0.copy_from_slice(&words);
@@ -66,8 +68,12 @@ impl ClockErrors {
     /// because a clock that was set back shows some times twice.
     pub fn truths(&self, shown: RawTime) -> Vec<RawTime> {
         let segments = self.segments();
-        let before_first_change =
-            Segment { begin: RawTime::from_nanos(i64::MIN / 2), ahead: Span::ZERO, rate: 0.0, change: 0.0 };
+        let before_first_change = Segment {
+            begin: RawTime::from_nanos(i64::MIN / 2),
+            ahead: Span::ZERO,
+            rate: 0.0,
+            rate_change: 0.0,
+        };
         let segments: Vec<Segment> = std::iter::once(before_first_change).chain(segments).collect();
         let ends = segments.iter().skip(1).map(|next| next.begin).chain([RawTime::from_nanos(i64::MAX)]);
         let truth = |(segment, end): (&Segment, RawTime)| {
@@ -161,7 +167,8 @@ impl ClockShim {
         let last = segments.last();
         assert!(last.is_none_or(|last| last.begin < begin), "a change must be later than the one before");
         let ahead = last.map_or(Span::ZERO, |last| last.ahead_at(begin));
-        let segment = Segment { begin, ahead: ahead + step, rate: ppm * 1e-6, change: ppm_per_s * 1e-15 };
+        let segment =
+            Segment { begin, ahead: ahead + step, rate: ppm * 1e-6, rate_change: ppm_per_s * 1e-15 };
         let number = segments.len();
         assert!(number < MAX_SEGMENTS, "a schedule has at most {MAX_SEGMENTS} changes");
         let offset = (COUNT_BYTES + number * SEGMENT_BYTES) as u64;
@@ -203,7 +210,7 @@ mod tests {
     #[test]
     fn inverse_of_shim_errors_returns_true_time() {
         let at = |seconds: i64| RawTime::from_nanos(seconds * 1_000_000_000);
-        let segment = |begin, ahead, rate, change| Segment { begin, ahead, rate, change };
+        let segment = |begin, ahead, rate, rate_change| Segment { begin, ahead, rate, rate_change };
         let segments = [
             segment(at(10), Span::from_millis(3), 200e-6, -2e-15),
             segment(at(20), Span::from_seconds(-2), 0.0, 0.0),

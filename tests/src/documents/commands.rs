@@ -11,29 +11,30 @@ impl Document {
     ///
     /// Comments, prompts and `sudo` are removed, continued lines joined, and words separated by single spaces.
     pub fn commands(&self) -> Vec<String> {
-        let fenced = ["sh", "console"].into_iter().flat_map(|language| self.fenced(language));
+        let fenced = ["sh", "console"].into_iter().flat_map(|language| self.fenced_blocks(language));
         let fenced = fenced.flat_map(|(_, block)| command_lines(&block));
         let indented: String =
-            self.prose().filter(|(_, line)| line.starts_with("    ")).map(end_line).collect();
+            self.prose().filter(|(_, line)| line.starts_with("    ")).map(with_line_end).collect();
         let indented = command_lines(&indented).into_iter().filter(|line| !is_setting(line));
-        let inline = self.spans().into_iter().filter(|span| is_complete_command(span));
+        let inline = self.inline_code().into_iter().filter(|span| is_complete_command(span));
         fenced.chain(indented).chain(inline).collect()
     }
 
     /// Returns the texts between back quotes, paragraph by paragraph, so that an unclosed quote affects its paragraph
     /// only. Headings are left out, because they contain only names of commands.
-    fn spans(&self) -> Vec<String> {
-        let prose: String = self.prose().filter(|(_, line)| !line.starts_with('#')).map(end_line).collect();
+    fn inline_code(&self) -> Vec<String> {
+        let prose: String =
+            self.prose().filter(|(_, line)| !line.starts_with('#')).map(with_line_end).collect();
         let paragraphs = prose.split("\n\n");
         paragraphs.flat_map(|text| text.split('`').skip(1).step_by(2)).map(single_spaced).collect()
     }
 }
 
-fn end_line((_, line): (usize, &str)) -> String {
+fn with_line_end((_, line): (usize, &str)) -> String {
     format!("{line}\n")
 }
 
-/// Returns the command lines of a block. If some lines begin with a prompt, only these count.
+/// Returns the command lines of a block. If some lines begin with a prompt, only these lines are commands.
 fn command_lines(block: &str) -> Vec<String> {
     let joined = block.replace("\\\n", " ");
     let has_prompts = joined.lines().any(|line| line.starts_with("$ "));
@@ -95,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn block_without_language_may_be_configuration() {
+    fn configuration_lines_are_not_commands() {
         let text = "Like this:\n\n    curl -N there\n    [agent]\n    name = \"it\"    # its name\n    A=/b:/c\n    A=b run\n";
         assert_eq!(commands(text), ["curl -N there", "A=b run"]);
     }

@@ -33,9 +33,10 @@ impl Document {
     /// If they do not exist.
     pub fn for_users() -> Vec<Self> {
         let files = |folder: &'static str| {
-            let entries = std::fs::read_dir(root().join(folder)).expect("the folder is there");
-            let paths = entries
-                .map(move |entry| Path::new(folder).join(entry.expect("it can be listed").file_name()));
+            let entries = std::fs::read_dir(root().join(folder)).expect("the folder exists");
+            let paths = entries.map(move |entry| {
+                Path::new(folder).join(entry.expect("the folder can be listed").file_name())
+            });
             paths.filter(|path| path.extension().is_some_and(|ending| ending == "md"))
         };
         let docs = files("docs").chain(files("docs/experiments"));
@@ -58,16 +59,16 @@ impl Document {
 
     /// Returns the lines outside of fenced blocks, numbered from 1.
     pub fn prose(&self) -> impl Iterator<Item = (usize, &str)> {
-        let mut is_inside = false;
+        let mut is_in_block = false;
         self.text.lines().enumerate().filter_map(move |(index, line)| {
             let is_fence = line.trim_start().starts_with("```");
-            is_inside ^= is_fence;
-            (!is_inside && !is_fence).then_some((index + 1, line))
+            is_in_block ^= is_fence;
+            (!is_in_block && !is_fence).then_some((index + 1, line))
         })
     }
 
     /// Returns the fenced blocks of a language, with the numbers of their first lines.
-    pub fn fenced(&self, language: &str) -> Vec<(usize, String)> {
+    pub fn fenced_blocks(&self, language: &str) -> Vec<(usize, String)> {
         let opening = format!("```{language}");
         let mut blocks = Vec::new();
         let mut lines = self.text.lines().enumerate();
@@ -86,13 +87,13 @@ impl Document {
     }
 
     /// Returns the blocks of a section that are indented by this number of spaces.
-    pub fn indented(&self, section: &str, spaces: usize) -> Vec<String> {
+    pub fn indented_blocks(&self, section: &str, spaces: usize) -> Vec<String> {
         let (indent, mut blocks, mut is_open) = (" ".repeat(spaces), Vec::<String>::new(), false);
         for line in self.section(section).lines() {
             match line.strip_prefix(&indent) {
-                Some(line) if is_open => blocks.last_mut().expect("one is open").extend([line, "\n"]),
+                Some(line) if is_open => blocks.last_mut().expect("a block is open").extend([line, "\n"]),
                 Some(line) => blocks.push(format!("{line}\n")),
-                None if line.is_empty() && is_open => blocks.last_mut().expect("one is open").push('\n'),
+                None if line.is_empty() && is_open => blocks.last_mut().expect("a block is open").push('\n'),
                 None => {}
             }
             is_open = line.starts_with(&indent) || (is_open && line.is_empty());
@@ -129,7 +130,7 @@ impl Document {
     }
 }
 
-/// Returns a heading's anchor as code hosts make it: lower case, without punctuation, with hyphens for spaces.
+/// Returns a heading's anchor as GitHub and GitLab form it: lower case, without punctuation, with hyphens for spaces.
 fn anchor(heading: &str) -> String {
     let text = heading.trim_start_matches('#').trim().to_lowercase();
     let chars = text.chars().filter(|char| char.is_alphanumeric() || " -_".contains(*char));
@@ -146,9 +147,9 @@ mod tests {
     #[test]
     fn blocks_are_found_in_their_sections() {
         let document = Document { path: PathBuf::new(), text: TEXT.to_owned() };
-        assert_eq!(document.fenced("toml"), [(3, "a = 1\n".to_owned())]);
-        assert_eq!(document.fenced("sh"), [(16, "# no heading\nls\n".to_owned())]);
-        assert_eq!(document.indented("one", 7), ["b = 2\n\nc = 3\n\n", "d = 4\n"]);
+        assert_eq!(document.fenced_blocks("toml"), [(3, "a = 1\n".to_owned())]);
+        assert_eq!(document.fenced_blocks("sh"), [(16, "# no heading\nls\n".to_owned())]);
+        assert_eq!(document.indented_blocks("one", 7), ["b = 2\n\nc = 3\n\n", "d = 4\n"]);
         assert_eq!(document.anchors(), ["one", "two-words"]);
     }
 }

@@ -1,7 +1,7 @@
 //! Time daemons for both hosts. They do not change the machine's clock.
 //!
-//! Their server runs in the namespace of the tests and is reached through the hosts' second interfaces, so that their
-//! claims do not depend on the measured path.
+//! Their server runs in the namespace of the tests and is reached through the hosts' second interfaces, so that the
+//! daemons' estimates do not depend on the measured path.
 
 use std::path::{Path, PathBuf};
 
@@ -35,7 +35,7 @@ impl TimeDaemons {
         let clients = hosts.map(|host| start_chronyd(host, port, folder));
         for host in hosts {
             // Right after its first measurement chrony reports an unknown rate of the clock. This waits until the
-            // rate is known to 100 ppm, in steps of a tenth of a second.
+            // rate is known to 100 ppm, and asks ten times a second.
             let waitsync = ["-h", "127.0.0.1", "-p", COMMAND_PORT, "waitsync", "600", "0", "100", "0.1"];
             host.run(&chrony("chronyc").display().to_string(), &waitsync);
         }

@@ -71,7 +71,8 @@ impl Host {
         ip(&["-n", &self.namespace, "address", "add", &format!("{address}/24"), "dev", interface]);
     }
 
-    pub(super) fn set_up(&self, interface: &str, address: Ipv4Addr, prefix: u8) {
+    /// Adds an address to an interface and activates the interface.
+    pub(super) fn configure_interface(&self, interface: &str, address: Ipv4Addr, prefix: u8) {
         let address = format!("{address}/{prefix}");
         ip(&["-n", &self.namespace, "address", "add", &address, "dev", interface]);
         ip(&["-n", &self.namespace, "link", "set", interface, "up"]);
@@ -117,9 +118,9 @@ impl Host {
         self.add_input_rule(&["drop"]);
     }
 
-    /// Drops longer packets that arrive on the measured path, without an ICMP message. Bytes, including the IP
-    /// header.
-    pub fn drop_longer(&self, bytes: u32) {
+    /// Drops packets of more than `bytes`, including the IP header, that arrive on the measured path. No ICMP message
+    /// reports the loss.
+    pub fn drop_longer_than(&self, bytes: u32) {
         self.add_input_rule(&["meta", "length", ">", &bytes.to_string(), "drop"]);
     }
 
@@ -149,7 +150,8 @@ impl Host {
         self.run("nft", &[&add_rule[..], rule].concat());
     }
 
-    /// Captures the packets on all interfaces of this host from now on; `filter` is tcpdump's.
+    /// Captures the packets on all interfaces of this host from now on; `filter` is an expression of
+    /// tcpdump.
     ///
     /// # Panics
     /// As [`Process::start`], and if tcpdump does not begin to listen.

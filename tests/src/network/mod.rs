@@ -34,7 +34,7 @@ pub const DATA_INTERFACE: &str = "data";
 /// Name of the interface to the namespace of the tests, on edge and cloud.
 pub const CONTROL_INTERFACE: &str = "home";
 
-/// Host part of the address of a host without an address on a link. It is the host part of the subnet's address, so no host has it.
+/// Last octet that means that a host has no address on a link. It belongs to the address of the subnet, so no host has it.
 const NO_ADDRESS: u8 = 0;
 
 /// Properties of one direction of a wire.
@@ -50,7 +50,7 @@ pub struct WireProperties {
 
 impl WireProperties {
     /// Returns the argument of `wirefilter` for a direction.
-    fn delay(self, direction: &str) -> String {
+    fn delay_argument(self, direction: &str) -> String {
         format!("{direction}{}+{}", self.delay_ms, self.jitter_ms)
     }
 }
@@ -76,8 +76,8 @@ impl Network {
         let network = Self::create_hosts(false);
         let (edge, cloud) = (&network.edge, &network.cloud);
         veth(edge, DATA_INTERFACE, cloud, DATA_INTERFACE);
-        edge.set_up(DATA_INTERFACE, edge.address, 28);
-        cloud.set_up(DATA_INTERFACE, cloud.address, 28);
+        edge.configure_interface(DATA_INTERFACE, edge.address, 28);
+        cloud.configure_interface(DATA_INTERFACE, cloud.address, 28);
         network
     }
 
@@ -92,8 +92,8 @@ impl Network {
         for (host, port, gateway) in [(&network.edge, "edge", 17), (&network.cloud, "cloud", 33)] {
             let gateway = network.slot.address(gateway);
             veth(router, port, host, DATA_INTERFACE);
-            router.set_up(port, gateway, 30);
-            host.set_up(DATA_INTERFACE, host.address, 30);
+            router.configure_interface(port, gateway, 30);
+            host.configure_interface(DATA_INTERFACE, host.address, 30);
             let subnet = format!("{}/24", network.slot.address(0));
             ip(&["-n", &host.namespace, "route", "add", &subnet, "via", &gateway.to_string()]);
         }
@@ -106,8 +106,8 @@ impl Network {
     /// # Panics
     /// As [`direct`](Self::direct).
     pub fn wire(folder: &Path, up: WireProperties, down: WireProperties) -> Self {
-        // With a FIFO, `wirefilter` makes packets of the fast direction wait for packets of the slow direction. So a FIFO is
-        // used only with jitter, which would reorder packets without it.
+        // With a FIFO, `wirefilter` makes packets of the fast direction wait for packets of the slow direction. A FIFO is used
+        // only with jitter, because jitter would reorder packets without a FIFO.
         Self::new_wire(folder, up, down, up.jitter_ms + down.jitter_ms > 0)
     }
 
@@ -129,12 +129,12 @@ impl Network {
             wait_until("a virtual switch", || {
                 try_run("ip", &device).ok().filter(|_| Path::new(&socket).join("ctl").exists())
             });
-            host.set_up(DATA_INTERFACE, host.address, 28);
+            host.configure_interface(DATA_INTERFACE, host.address, 28);
             socket
         };
         let switches = format!("{}:{}", start_switch(&network.edge), start_switch(&network.cloud));
         let loss = |name: &str, direction: WireProperties| format!("{name}{}", direction.loss_percent);
-        let (up_delay, down_delay) = (up.delay("LR"), down.delay("RL"));
+        let (up_delay, down_delay) = (up.delay_argument("LR"), down.delay_argument("RL"));
         let (up_loss, down_loss) = (loss("LR", up), loss("RL", down));
         let delays = ["-d", &up_delay, "-d", &down_delay, "-l", &up_loss, "-l", &down_loss];
         let fifo: &[&str] = if with_fifo { &[] } else { &["--nofifo"] };
@@ -152,7 +152,7 @@ impl Network {
     pub fn set_delays(&self, up: WireProperties, down: WireProperties) {
         let commands = self.wire.as_ref().expect("a wire");
         let mut stream = wait_until("the wire", || UnixStream::connect(commands).ok());
-        for delay in [up.delay("LR"), down.delay("RL")] {
+        for delay in [up.delay_argument("LR"), down.delay_argument("RL")] {
             // This is one write, because the wire takes the result of one `read` as a whole command.
             stream.write_all(format!("delay {delay}\n").as_bytes()).expect("the wire listens");
             let mut answer = Vec::new();
@@ -184,8 +184,8 @@ impl Network {
         network.add_control_interface(&third_host, "t");
         let (router, gateway) = (network.router(), network.slot.address(49));
         veth(router, "third", &third_host, DATA_INTERFACE);
-        router.set_up("third", gateway, 30);
-        third_host.set_up(DATA_INTERFACE, third_host.address, 30);
+        router.configure_interface("third", gateway, 30);
+        third_host.configure_interface(DATA_INTERFACE, third_host.address, 30);
         let subnet = format!("{}/24", network.slot.address(0));
         ip(&["-n", &third_host.namespace, "route", "add", &subnet, "via", &gateway.to_string()]);
         router.run("nft", &["add", "table", "ip", "translation"]);
@@ -207,8 +207,8 @@ impl Network {
         ip(&["netns", "add", &third_host.namespace]);
         ip(&["-n", &third_host.namespace, "link", "set", "lo", "up"]);
         veth(&self.cloud, "third", &third_host, DATA_INTERFACE);
-        self.cloud.set_up("third", self.cloud_address_for_third_host(), 30);
-        third_host.set_up(DATA_INTERFACE, third_host.address, 30);
+        self.cloud.configure_interface("third", self.cloud_address_for_third_host(), 30);
+        third_host.configure_interface(DATA_INTERFACE, third_host.address, 30);
         self.third_host = Some(third_host);
         self
     }
@@ -271,7 +271,7 @@ impl Network {
         ]);
         ip(&["address", "add", &format!("{}/30", host.test_address), "dev", &outside]);
         ip(&["link", "set", &outside, "up"]);
-        host.set_up(CONTROL_INTERFACE, Ipv4Addr::from_bits(host.test_address.to_bits() + 1), 30);
+        host.configure_interface(CONTROL_INTERFACE, Ipv4Addr::from_bits(host.test_address.to_bits() + 1), 30);
     }
 
     /// Returns the edge.

@@ -110,7 +110,7 @@ fn kill_and_await_exit(pid: Pid) -> io::Result<()> {
     }
 }
 
-#[expect(clippy::print_stderr, reason = "a drop must not panic, and this must be seen")]
+#[expect(clippy::print_stderr, reason = "a drop must not panic, and the problem must be visible")]
 fn print_problem(problem: &str) {
     eprintln!("{problem}");
 }

@@ -18,7 +18,7 @@ pub struct HostClock {
 enum RawError {
     /// No error: the kernel's clock.
     None,
-    /// The described fault; the time of the kernel's clock when it began.
+    /// The described fault, and the time of the kernel's free-running clock when the fault began.
     Faulty(ClockFaults, RawTime),
     /// The error that the shim shows.
     Shown(ClockErrors),
@@ -32,7 +32,7 @@ impl HostClock {
     }
 
     /// Creates clocks with the errors that the shim shows. Stamps of the wall clock cannot be converted.
-    pub fn shown(errors: ClockErrors) -> Self {
+    pub fn with_shim_errors(errors: ClockErrors) -> Self {
         Self { wall: Vec::new(), raw: RawError::Shown(errors) }
     }
 
@@ -87,9 +87,9 @@ impl HostClock {
     /// Returns the error of this wall clock when the kernel's wall clock shows `truth`.
     ///
     /// # Panics
-    /// If the error is one of several.
+    /// If the clock has one of several errors.
     pub fn ahead(&self, truth: WallTime) -> Span {
-        let [faults] = &self.wall[..] else { panic!("one of several: {:?}", self.wall) };
+        let [faults] = &self.wall[..] else { panic!("the error is one of several: {:?}", self.wall) };
         faults.wall_error_at(truth)
     }
 
@@ -99,7 +99,7 @@ impl HostClock {
     /// If this clock never showed that time, because a step skipped it, or showed it twice.
     pub fn truth(&self, shown: WallTime) -> WallTime {
         let truths = self.truths(shown);
-        assert_eq!(truths.len(), 1, "a time that was shown once: {shown:?} by {:?}", self.wall);
+        assert_eq!(truths.len(), 1, "{shown:?} was not shown exactly once by {:?}", self.wall);
         truths[0]
     }
 
@@ -128,15 +128,15 @@ impl HostClock {
     }
 }
 
-/// Inverse of `ClockFaults::shown`.
+/// Returns all times at which the faulty wall clock showed `shown`: the inverse of `ClockFaults::shown_wall`.
 fn truths(faults: &ClockFaults, shown: WallTime) -> impl Iterator<Item = WallTime> {
     let steps = &faults.steps;
     (0..=steps.len()).filter_map(move |passed_steps| {
         let stepped: Span = steps[..passed_steps].iter().map(|step| step.by).sum();
-        let ahead = shown - faults.offset - stepped;
-        let nanos = (ahead - faults.since).nanos() as f64;
-        let drifted = nanos - nanos / (1.0 + faults.drift_ppm * 1e-6);
-        let truth = ahead - Span::from_nanos(drifted.round() as i64);
+        let drifting = shown - faults.offset - stepped;
+        let nanos = (drifting - faults.since).nanos() as f64;
+        let drift = nanos - nanos / (1.0 + faults.drift_ppm * 1e-6);
+        let truth = drifting - Span::from_nanos(drift.round() as i64);
         let elapsed = truth - faults.since;
         let is_after_last_step = passed_steps == 0 || steps[passed_steps - 1].at <= elapsed;
         let is_before_next_step = passed_steps == steps.len() || elapsed < steps[passed_steps].at;

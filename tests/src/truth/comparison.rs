@@ -41,7 +41,7 @@ pub fn compare(iterations: &[Iteration], edge: &HostClock, cloud: &HostClock) ->
 
 impl Comparison {
     fn add(&mut self, iteration: &Iteration, delay: &Delay, sender: &HostClock, receiver: &HostClock) {
-        let truth = truth(delay, sender, receiver);
+        let truth = true_delay(delay, sender, receiver);
         self.truths.push(truth);
         let Iteration { run, number, .. } = iteration;
         *self.verdicts.entry(delay.verdict.clone()).or_default() += 1;
@@ -66,21 +66,21 @@ impl Comparison {
     }
 
     /// Returns a quantile of the absolute errors.
-    pub fn error(&self, share: f64) -> Span {
+    pub fn error_quantile(&self, share: f64) -> Span {
         quantile(&self.errors, share)
     }
 
     /// Returns a quantile of the intervals' widths.
-    pub fn width(&self, share: f64) -> Span {
+    pub fn width_quantile(&self, share: f64) -> Span {
         quantile(&self.widths, share)
     }
 
     /// Returns a quantile of the true delays.
-    pub fn truth(&self, share: f64) -> Span {
+    pub fn truth_quantile(&self, share: f64) -> Span {
         quantile(&self.truths, share)
     }
 
-    /// Formats all figures in one line.
+    /// Formats all statistics in one line.
     pub fn summary(&self) -> String {
         format!(
             "{} compared, {} without a value, {} outside; true delay p50 {} p99 {}; error mean {} p50 {} p99 {} max {}; \
@@ -88,14 +88,14 @@ impl Comparison {
             self.compared,
             self.without_value.len(),
             self.outside.len(),
-            self.truth(0.5),
-            self.truth(0.99),
+            self.truth_quantile(0.5),
+            self.truth_quantile(0.99),
             self.mean_error(),
-            self.error(0.5),
-            self.error(0.99),
-            self.error(1.0),
-            self.width(0.5),
-            self.width(0.99),
+            self.error_quantile(0.5),
+            self.error_quantile(0.99),
+            self.error_quantile(1.0),
+            self.width_quantile(0.5),
+            self.width_quantile(0.99),
             self.verdicts,
         )
     }
@@ -105,7 +105,7 @@ impl Comparison {
 ///
 /// # Panics
 /// If one of the clocks never showed its stamp, or if there are no such stamps.
-pub fn truth(delay: &Delay, sender: &HostClock, receiver: &HostClock) -> Span {
+pub fn true_delay(delay: &Delay, sender: &HostClock, receiver: &HostClock) -> Span {
     let (sent, received) = true_times(delay, sender, receiver);
     received - sent
 }
@@ -114,7 +114,7 @@ pub fn truth(delay: &Delay, sender: &HostClock, receiver: &HostClock) -> Span {
 /// shows some times twice; the pair with the shortest delay is the right one.
 ///
 /// # Panics
-/// As [`truth`].
+/// As [`true_delay`].
 pub fn true_times(delay: &Delay, sender: &HostClock, receiver: &HostClock) -> (RawTime, RawTime) {
     let (sent, received) = delay.raw.unwrap_or_else(|| panic!("no stamps of free-running clocks: {delay:?}"));
     let arrivals = receiver.raw_truths(received);
@@ -167,8 +167,11 @@ mod tests {
         let of_kernel = HostClock::of_kernel();
         let (up, down) = compare(&iterations, &of_kernel, &of_kernel);
         assert_eq!((up.compared, up.without_value.len(), up.outside.len()), (2, 1, 0));
-        assert_eq!((up.mean_error(), up.error(1.0)), (Span::from_nanos(20), Span::from_nanos(40)));
+        assert_eq!((up.mean_error(), up.error_quantile(1.0)), (Span::from_nanos(20), Span::from_nanos(40)));
         assert_eq!((down.compared, down.outside.len()), (3, 2));
-        assert_eq!((down.width(0.5), up.truth(1.0)), (Span::from_nanos(100), Span::from_nanos(150)));
+        assert_eq!(
+            (down.width_quantile(0.5), up.truth_quantile(1.0)),
+            (Span::from_nanos(100), Span::from_nanos(150))
+        );
     }
 }

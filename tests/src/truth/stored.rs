@@ -57,7 +57,7 @@ ORDER BY t.run, t.iteration, name.text DESC";
 pub fn iterations(database: &Path) -> Vec<Iteration> {
     let text = query_database(database, DELAYS);
     let rows: Vec<(u64, u64, &str, Delay)> =
-        text.lines().map(|line| row(line).expect("twelve columns")).collect();
+        text.lines().map(|line| parse_row(line).expect("twelve columns")).collect();
     let pairs = rows.windows(2).filter_map(|pair| {
         let [(run, number, "upload", up), (_, next_number, "download", down)] = pair else { return None };
         (number == next_number).then(|| Iteration {
@@ -82,10 +82,10 @@ pub fn query_database(database: &Path, sql: &str) -> String {
         .output()
         .expect("sqlite3 is installed: run `deploy/install-tools.sh test`");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout).expect("figures and names")
+    String::from_utf8(output.stdout).expect("sqlite3 prints UTF-8")
 }
 
-fn row(line: &str) -> Option<(u64, u64, &str, Delay)> {
+fn parse_row(line: &str) -> Option<(u64, u64, &str, Delay)> {
     let mut columns = line.split('|');
     let (run, number) = (columns.next()?.parse().ok()?, columns.next()?.parse().ok()?);
     let name = columns.next()?;

@@ -54,6 +54,7 @@ const FILES: [&str; 11] = [
     "throughput-caption.txt",
 ];
 
+/// Folder of the hosts' files, and the address of the cloud that is calibrated.
 struct CalibratedHosts {
     deployment: LoopbackDeployment,
     peer: String,
@@ -62,7 +63,7 @@ struct CalibratedHosts {
 impl CalibratedHosts {
     fn new() -> Self {
         let deployment = LoopbackDeployment::new();
-        let peer = format!("127.0.0.1:{}", deployment.data);
+        let peer = format!("127.0.0.1:{}", deployment.data_port);
         Self { deployment, peer }
     }
 
@@ -121,13 +122,13 @@ fn calibration_is_right_despite_clock_errors() {
         let (reported, raw) = (intercept("/samples/least_squares"), intercept("/raw"));
         assert!(
             (raw - ahead).abs() < 0.5,
-            "the published way sees the clocks' offset, {ahead} s, not {raw} s"
+            "the intercept of the raw delays is {raw} s, and not the clocks' offset, {ahead} s"
         );
         let (error, claimed) = ((reported - (raw - ahead)).abs(), &direction["claimed"]["bounds"]);
         let allowed = number(&claimed[1]) - number(&claimed[0]);
         assert!(
             error < 1e-3 && error <= allowed,
-            "the intercept is wrong by {error} s, claimed are {allowed} s"
+            "the intercept is wrong by {error} s, and the claimed interval is {allowed} s wide"
         );
     }
     // The verdict depends on the load of the machine; a verdict about the clocks would be wrong.
@@ -151,7 +152,8 @@ fn calibration_is_right_despite_clock_errors() {
     assert!(second.log.contains("--overwrite"), "{}", second.log);
 }
 
-/// Checks every answered iteration, warm-up included: the raw delay without the injected second is the truth.
+/// Checks that the interval of every answered iteration, warm-up included, contains the truth. The truth is the raw delay
+/// minus the injected second.
 fn assert_delays_within_bounds(samples: &str) {
     let mut rows = samples.lines().map(|line| line.split(',').collect::<Vec<_>>());
     let header = rows.next().expect("there is a header");
@@ -209,7 +211,7 @@ fn unsuitable_peer_is_refused_with_reason() {
     let refused = hosts.calibrate(&[]);
     assert_eq!(refused.code(), 69, "{}", refused.log);
     assert!(refused.log.contains("[serve] calibration = true"), "{}", refused.log);
-    assert!(!hosts.deployment.folder().join("results").exists(), "there is nothing to keep");
+    assert!(!hosts.deployment.folder().join("results").exists(), "a refused calibration creates no folder");
 
     let file = hosts.deployment.write("wrong.toml", "[agent]\n[clock]\nmax_drift = 3\n");
     let invalid = hosts.calibrate(&["--config", &file.display().to_string()]);
@@ -221,7 +223,7 @@ fn unsuitable_peer_is_refused_with_reason() {
 fn foreign_port_is_distinguished_from_slow_peer() {
     let hosts = CalibratedHosts::new();
     let (_aggregator, _) = hosts.deployment.start_aggregator();
-    let peer = format!("tcp://127.0.0.1:{}", hosts.deployment.events);
+    let peer = format!("tcp://127.0.0.1:{}", hosts.deployment.events_port);
     let calibration = hosts.peernet(&["calibrate", &peer, "--result-loc", "results"]).wait_for_end();
     assert_eq!(calibration.code(), 69, "{}", calibration.log);
     let message = format!("something listens at {peer} but does not answer like an agent's [serve]");
@@ -232,7 +234,7 @@ fn foreign_port_is_distinguished_from_slow_peer() {
     );
     assert!(
         !calibration.log.contains("open_timeout_ms"),
-        "there is nothing to set here: {}",
+        "the timeout is not the cause: {}",
         calibration.log
     );
 }
@@ -246,11 +248,11 @@ fn calibration_size_beyond_peer_limit_is_refused() {
     for part in ["payloads of 100 MB", "max_message_bytes", "67108864", "--sizes"] {
         assert!(calibration.log.contains(part), "{part} is missing in\n{}", calibration.log);
     }
-    assert!(!hosts.deployment.folder().join("results").exists(), "there is nothing to keep");
+    assert!(!hosts.deployment.folder().join("results").exists(), "a refused calibration creates no folder");
 }
 
 #[test]
-fn on_one_clock_bounds_are_exact() {
+fn bounds_are_exact_on_one_clock() {
     let hosts = CalibratedHosts::new();
     let _cloud = hosts.start("cloud.toml", &CLOUD.replace("[clock_fault]\noffset_ms = 1000\n", ""));
     let calibration = hosts.calibrate(&["--sizes", "100,1kB,10kB", "--repeats", "20"]);
@@ -279,7 +281,7 @@ fn peer_with_new_clock_ends_the_calibration() {
         (&study["setting"]["interrupted"], &study["setting"]["rehearsed"]),
         (&true.into(), &true.into())
     );
-    let reason = study["setting"]["ended"].as_str().expect("it says why");
+    let reason = study["setting"]["ended"].as_str().expect("the reason is stated");
     assert!(reason.contains("another clock"), "{reason}");
     assert_eq!(study["clocks"]["steps"], 0);
     // The study contains no data of the second clock.
@@ -293,7 +295,8 @@ fn peer_with_new_clock_ends_the_calibration() {
 #[test]
 fn calibration_reports_interruption_of_peer() {
     let hosts = CalibratedHosts::new();
-    // Another name for the system's clock, which is related by exchanges and is the same after a restart.
+    // The cloud calls the system's clock by another identity, so that exchanges relate the clock, and it keeps its identity
+    // after a restart.
     let configuration = CLOUD
         .replace("[clock_fault]\noffset_ms = 1000\n", "")
         .replace("[probes]", "clock_identity = \"cloud\"\n\n[probes]");
@@ -329,10 +332,10 @@ fn closed_output_causes_no_panic() {
     deployment.write("aggregator.toml", AGGREGATOR);
     let mut daemon = start("peernetd", &["run", "aggregator.toml"]);
     drop((daemon.stdout.take(), daemon.stderr.take()));
-    let api = Api::on_port(deployment.http);
+    let api = Api::on_port(deployment.http_port);
     wait_until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
 
-    let url = format!("http://127.0.0.1:{}", deployment.http);
+    let url = format!("http://127.0.0.1:{}", deployment.http_port);
     let mut status = start("peernet", &["status", "--url", &url]);
     drop(status.stdout.take());
     let status = status.wait_with_output().expect("it ends");
@@ -351,13 +354,13 @@ fn recompute_leaves_stored_run_unchanged() {
     let _cloud = hosts.start("cloud.toml", CLOUD);
     let edge = hosts.deployment.start_agent("edge", EDGE);
     let run = api.wait_for_finished_run();
-    let url = format!("http://127.0.0.1:{}", hosts.deployment.http);
+    let url = format!("http://127.0.0.1:{}", hosts.deployment.http_port);
     let status = hosts.peernet(&["status", "--url", &url]).wait_for_end();
     assert_eq!(status.code(), 0, "{}", status.log);
     for part in ["connected, clock fault", "CLOCK FAULT INJECTION: edge's clock", "offset -500 ms"] {
         assert!(status.log.contains(part), "{part} is missing in\n{}", status.log);
     }
-    // The stored relation contains what was learnt about the clocks after the run as well.
+    // When the edge has stopped, the stored clock relation also contains what was learnt after the run.
     assert_eq!(edge.stop().code(), 0);
     let before = api.json(&format!("/api/v1/runs/{run}/stages"));
 
@@ -376,7 +379,7 @@ fn recompute_leaves_stored_run_unchanged() {
         let half_width = |judgement: &Value| self::number(&judgement["half_width"]["mean"]);
         assert!(
             half_width(after) <= half_width(&stage["before"]) * 1.001,
-            "more is known afterwards: {stage:#}"
+            "later clock samples widen the interval: {stage:#}"
         );
     }
     assert_eq!(before, api.json(&format!("/api/v1/runs/{run}/stages")));

@@ -68,7 +68,7 @@ fn offloaded_picture_is_stored_with_all_stages() {
     // Both hosts share one clock, so every delay is exact, and the stages with the unattributed time add up to
     // the total.
     for name in STAGES {
-        let stage = api.figures(run, name).unwrap_or_else(|| panic!("{name} is missing"));
+        let stage = api.stage_statistics(run, name).unwrap_or_else(|| panic!("{name} is missing"));
         assert_eq!(stage["count"], 40, "{stage}");
         assert!(number(&stage, "min") >= 0.0, "{stage}");
     }
@@ -104,7 +104,7 @@ fn stop_of_combined_process_loses_nothing() {
         .replace("127.0.0.1:8040", "127.0.0.1:{http}")
         .replace("models/quality-control", "{root}/models/quality-control");
     deployment.write("all.toml", &configuration);
-    let api = peernet_tests::Api::on_port(deployment.http);
+    let api = peernet_tests::Api::on_port(deployment.http_port);
 
     let first = deployment.start("all.toml");
     api.wait_until("/api/v1/runs", |runs| {
@@ -112,7 +112,7 @@ fn stop_of_combined_process_loses_nothing() {
     });
     assert_eq!(first.stop().code(), 0);
 
-    // A second start finds the runs of the first one ended, with everything that was measured before it stopped.
+    // After the second start, the runs of the first process have ended and contain everything that was measured.
     let second = deployment.start("all.toml");
     let runs = api.wait_until("/api/v1/runs", |runs| {
         let runs: Vec<Value> =
@@ -128,7 +128,7 @@ fn stop_of_combined_process_loses_nothing() {
             .map(|number| number as usize)
             .collect();
         assert_eq!(numbers, (1..=numbers.len()).collect::<Vec<_>>(), "contiguous from the first to the last");
-        // On a busy machine the last iteration may be given up, which is counted as well.
+        // On a busy machine the last iteration may be given up; that outcome is counted, too.
         let iterations_by_outcome =
             ["ok", "failed", "lost", "timeout"].map(|outcome| number(&run["counts"], outcome));
         let counted = iterations_by_outcome.iter().sum::<f64>() + number(run, "warm_up");
@@ -140,7 +140,7 @@ fn stop_of_combined_process_loses_nothing() {
 #[test]
 fn status_lists_pipelines_and_exits_69_without_aggregator() {
     let deployment = LoopbackDeployment::new();
-    let url = format!("http://127.0.0.1:{}", deployment.http);
+    let url = format!("http://127.0.0.1:{}", deployment.http_port);
     let run_status = || {
         let arguments = ["status", "--url", url.as_str()];
         Process::start(&program("peernet"), &arguments, deployment.folder(), &[]).wait_for_end()

@@ -82,14 +82,14 @@ fn missing_or_empty_configuration_is_refused() {
 fn used_port_is_named_at_start() {
     let deployment = LoopbackDeployment::new();
     let listener =
-        TcpListener::bind(("127.0.0.1", deployment.events)).expect("the port was free a moment ago");
+        TcpListener::bind(("127.0.0.1", deployment.events_port)).expect("the port was free a moment ago");
     deployment.write(
         "it.toml",
         "[aggregator]\nlisten = \"tcp://127.0.0.1:{events}\"\ndatabase = \"{folder}/a.sqlite\"\n",
     );
     let end = deployment.start("it.toml").wait_for_end();
     assert_ne!(end.code(), 0);
-    assert!(end.log.contains(&format!("127.0.0.1:{}", deployment.events)), "{}", end.log);
+    assert!(end.log.contains(&format!("127.0.0.1:{}", deployment.events_port)), "{}", end.log);
     drop(listener);
 }
 
@@ -210,12 +210,12 @@ fn invalid_log_level_and_endless_file_are_refused() {
     assert!(end.log.contains("right file"), "{}", end.log);
 }
 
-/// ONNX Runtime's own telemetry would write an identifier there, and send what it finds to its makers.
+/// The telemetry of ONNX Runtime would write an identifier to the home folder, and send data to its developers.
 #[test]
 fn loaded_model_library_leaves_home_empty() {
     let home = tempfile::tempdir().expect("writable");
     let mut check = std::process::Command::new(program("peernetd"));
-    // The library looks for a machine of continuous integration, and sends nothing from there.
+    // In continuous integration the library sends nothing. The test removes the variables by which the library detects that.
     check.args(["check", "configs/cloud.toml"]).current_dir(root()).env("HOME", home.path());
     for variable in ["ORT_DISABLE_TELEMETRY", "CI", "GITHUB_ACTIONS", "XDG_CACHE_HOME"] {
         check.env_remove(variable);

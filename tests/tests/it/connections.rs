@@ -53,7 +53,7 @@ fn page_api_and_metrics_show_connection() {
     assert!(at_cloud["transport_round_trip"]["smoothed_s"].is_f64(), "{connection}");
     let interface = &connection["interface"];
     assert_eq!((&interface["name"], &interface["type"]), (&"lo".into(), &"loopback".into()));
-    let remote = format!("127.0.0.1:{}", deployment.data);
+    let remote = format!("127.0.0.1:{}", deployment.data_port);
     assert_eq!(connection["remote_address"], remote.as_str());
 
     let (status, page) = api.get("/links/edge~cloud").expect("the aggregator answers");
@@ -74,7 +74,7 @@ fn page_api_and_metrics_show_connection() {
     }
     // The totals of a connection are stored when it has ended.
     let database = deployment.folder().join("aggregator.sqlite");
-    let stored = wait_until("the account of the cloud in the database", || {
+    let stored = wait_until("the cloud's counts in the database", || {
         let sql = "SELECT sent_bytes, cloud_received_bytes, received_bytes, cloud_sent_bytes FROM connection_total \
                    WHERE edge = 'edge' AND cloud = 'cloud' AND pipeline = 'offload'";
         let row = query_database(&database, sql);

@@ -78,7 +78,7 @@ fn pipeline_recovers_from_link_and_restart_faults() {
     let edge = testbed.start_edge(&testbed.pipeline("line", 20_000, LOAD), &[]);
     wait_until_answered(&testbed, 20);
 
-    let (cloud_host, stopwatch) = (testbed.network.cloud(), Stopwatch::now());
+    let (cloud_host, stopwatch) = (testbed.network.cloud(), Stopwatch::start());
     cloud_host.drop_all();
     let output = edge.wait_for("lost the connection to cloud");
     assert!(
@@ -117,7 +117,7 @@ fn reduced_path_mtu_is_reported_and_session_continues() {
     let edge = testbed.start_edge(&pipeline, &[]);
     wait_until_answered(&testbed, 20);
 
-    testbed.network.cloud().drop_longer(1_300);
+    testbed.network.cloud().drop_longer_than(1_300);
     let output = edge.wait_for("lost the connection to cloud");
     assert!(
         output.contains("long datagrams do not arrive any more") && output.contains("datagram_bytes"),

@@ -31,7 +31,9 @@ fn experiments_in_the_documents_pass_the_check() {
     let deployment = LoopbackDeployment::new();
     let mut checked_documents = Vec::new();
     for document in Document::all() {
-        for (line, block) in document.fenced("toml").into_iter().filter(|(_, block)| is_experiment(block)) {
+        for (line, block) in
+            document.fenced_blocks("toml").into_iter().filter(|(_, block)| is_experiment(block))
+        {
             let file = deployment.write("experiment.toml", &block);
             let arguments = [Path::new("run"), Path::new("--check"), &file];
             let end = Process::start(&program("peernet"), &arguments, root(), &[]).wait_for_end();
@@ -55,7 +57,7 @@ fn complete_examples_pass_check_and_excerpts_parse() {
     build_example(deployment.folder());
     let mut problems = Vec::new();
     for document in Document::all() {
-        for (line, block) in document.fenced("toml") {
+        for (line, block) in document.fenced_blocks("toml") {
             let position = format!("{}:{line}", document.path.display());
             let Some(name) = name(&block).filter(|_| !is_experiment(&block)) else {
                 if let Err(error) = toml::from_str::<toml::Table>(&block) {
@@ -75,7 +77,7 @@ fn complete_examples_pass_check_and_excerpts_parse() {
     }
     assert!(problems.is_empty(), "{}", problems.join("\n"));
 
-    let reference = Document::read(REFERENCE).fenced("toml");
+    let reference = Document::read(REFERENCE).fenced_blocks("toml");
     assert!(!reference.is_empty(), "{REFERENCE} has no example");
     for (line, block) in reference {
         assert!(

@@ -24,7 +24,7 @@ fn two_addresses_are_served_concurrently() {
     let (deployment, second_port) = (LoopbackDeployment::new(), free_port().to_string());
     let (_aggregator, api) = deployment.start_aggregator();
     let cloud = deployment.start_agent("cloud", &CLOUD.replace("SECOND", &second_port));
-    for port in [deployment.data.to_string(), second_port.clone()] {
+    for port in [deployment.data_port.to_string(), second_port.clone()] {
         cloud.wait_for(&format!("tcp://127.0.0.1:{port}"));
     }
     let edges = [
@@ -43,7 +43,7 @@ fn two_addresses_are_served_concurrently() {
         assert_eq!(link_by_network["name"], link["name"], "the network may be named");
     }
     let hosts = api.json("/api/v1/hosts/cloud");
-    let serves = format!("tcp://127.0.0.1:{}, tcp://127.0.0.1:{second_port}", deployment.data);
+    let serves = format!("tcp://127.0.0.1:{}, tcp://127.0.0.1:{second_port}", deployment.data_port);
     assert_eq!(hosts["description"]["serves"], serves.as_str(), "{hosts}");
     for edge in edges {
         assert_eq!(edge.stop().code(), 0);

@@ -25,7 +25,7 @@ fn wait_for_finished_runs(api: &Api, pipelines: usize) -> Vec<(String, i64)> {
 
 /// Returns the median of a stage or value of a run, within 1 %.
 fn median(api: &Api, run: i64, name: &str) -> f64 {
-    let figures = api.figures(run, name).unwrap_or_else(|| panic!("run {run} has no {name}"));
+    let figures = api.stage_statistics(run, name).unwrap_or_else(|| panic!("run {run} has no {name}"));
     figures["p50"].as_f64().unwrap_or_else(|| panic!("{figures}"))
 }
 

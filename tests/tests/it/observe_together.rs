@@ -38,13 +38,13 @@ fn wait_for_finished_run(api: &Api) -> (i64, Value) {
 
 /// Returns the median of a stage of a run, within 1 %, seconds.
 fn median(api: &Api, run: i64, name: &str) -> f64 {
-    let figures = api.figures(run, name).unwrap_or_else(|| panic!("run {run} has no {name}"));
+    let figures = api.stage_statistics(run, name).unwrap_or_else(|| panic!("run {run} has no {name}"));
     figures["p50"].as_f64().unwrap_or_else(|| panic!("{figures}"))
 }
 
 /// Returns the number of iterations of a run with a value.
 fn count(api: &Api, run: i64, name: &str) -> u64 {
-    api.figures(run, name).and_then(|figures| figures["count"].as_u64()).unwrap_or_default()
+    api.stage_statistics(run, name).and_then(|figures| figures["count"].as_u64()).unwrap_or_default()
 }
 
 /// Returns the environment variables of ROS on a host.
@@ -128,10 +128,14 @@ impl RosOverWire {
             assert!(comparison.compared >= 250, "{direction}: {}", comparison.summary());
             // An asymmetric network cannot be distinguished from an offset: the estimate is wrong by half of the
             // difference.
-            assert!(comparison.error(0.5) < Span::from_millis(14), "{direction}: {}", comparison.summary());
+            assert!(
+                comparison.error_quantile(0.5) < Span::from_millis(14),
+                "{direction}: {}",
+                comparison.summary()
+            );
         }
         // True delays: the delay of the wire, and the time that programs on a busy machine add.
-        for (truth, wire_ms) in [(up.truth(0.5), 30), (down.truth(0.5), 5)] {
+        for (truth, wire_ms) in [(up.truth_quantile(0.5), 30), (down.truth_quantile(0.5), 5)] {
             let (min, max) = (Span::from_millis(wire_ms - 1), Span::from_millis(wire_ms + 15));
             assert!(min < truth && truth < max, "{truth} is not between {min} and {max}");
         }
@@ -146,7 +150,7 @@ impl RosOverWire {
         );
         // The stages cover the whole time.
         assert!(self.testbed.api.mean(run, "unattributed").abs() < 1e-4);
-        assert_eq!(self.testbed.api.figures(run, "upload-throughput"), None);
+        assert_eq!(self.testbed.api.stage_statistics(run, "upload-throughput"), None);
     }
 }
 
@@ -267,7 +271,7 @@ fn missing_peer_or_pipeline_is_named() {
         "robot",
         &robot_pipeline("tcp://127.0.0.1:{data}", "warm_up = { iterations = 0 }"),
     );
-    let address = format!("tcp://127.0.0.1:{}", deployment.data);
+    let address = format!("tcp://127.0.0.1:{}", deployment.data_port);
     wait_for_state(&["cannot reach a cloud at", &address]);
 
     let serve = "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\n";

@@ -41,7 +41,7 @@ fn clock() -> SystemClock {
 impl Robot {
     /// Starts the master on the deployment's data port, which no cloud uses here.
     fn start(deployment: &LoopbackDeployment) -> Self {
-        let port = deployment.data;
+        let port = deployment.data_port;
         let arguments = ["--core", "-p", &port.to_string()];
         let home = deployment.folder().display().to_string();
         let master =
@@ -82,7 +82,7 @@ fn start_agent(deployment: &LoopbackDeployment, tables: &str) -> Process {
     deployment.write("edge.toml", &(head.to_owned() + tables));
     deployment.start_with(
         "edge.toml",
-        &[("ROS_MASTER_URI", &uri(deployment.data)), ("ROS_IP", "127.0.0.1"), ("ROS_VERSION", "1")],
+        &[("ROS_MASTER_URI", &uri(deployment.data_port)), ("ROS_IP", "127.0.0.1"), ("ROS_VERSION", "1")],
     )
 }
 
@@ -159,7 +159,7 @@ fn busy_pipeline_counts_dropped_messages() {
     let sensed = api.json(&format!("/api/v1/runs/{run}"))["counts"]["ok"].as_f64().expect("a number");
     assert_eq!(sensed + sensed * api.mean(run, "dropped-samples"), 10.0);
     // Texts have no header, so there is no capture time.
-    assert!(api.figures(run, "capture-delay").is_none());
+    assert!(api.stage_statistics(run, "capture-delay").is_none());
     assert_eq!(edge.stop().code(), 0);
 }
 
@@ -196,7 +196,7 @@ fn check(deployment: &LoopbackDeployment, sensor: &str, actuator: &str) -> (i32,
          placement = {{ kind = \"local\", model = \"echo\" }}\n"
     );
     let file = deployment.write("check.toml", &text).display().to_string();
-    let uri = uri(deployment.data);
+    let uri = uri(deployment.data_port);
     let environment = [("ROS_MASTER_URI", uri.as_str()), ("ROS_IP", "127.0.0.1")];
     let program = peernet_tests::program("peernetd");
     let end = Process::start(&program, &["check", &file], deployment.folder(), &environment).wait_for_end();

@@ -10,7 +10,7 @@ use crate::experiments::{Results, json};
 
 const SECRET: &str = "hunter2-in-an-argument";
 
-/// Programs with a secret in each argument or variable that can have one.
+/// Custom programs, with a secret in each argument that can contain one.
 const TABLES: &str = r#"
 [[model]]
 name = "own"
@@ -56,22 +56,24 @@ fn arguments_are_published_as_fingerprints() {
     let runs = api.wait_until("/api/v1/runs", |runs| {
         let runs = runs["runs"].as_array()?;
         let have_ended = runs.len() == 4 && runs.iter().all(|run| !run["reason"].is_null());
-        have_ended
-            .then(|| runs.iter().map(|run| run["number"].as_i64().expect("has one")).collect::<Vec<_>>())
+        have_ended.then(|| {
+            runs.iter().map(|run| run["number"].as_i64().expect("a run has a number")).collect::<Vec<_>>()
+        })
     });
     // A run of this length may be stored before its pipeline has reported.
     api.wait_until("/api/v1/pipelines", |pipelines| {
         (pipelines["pipelines"].as_array()?.len() == 4).then_some(())
     });
     let run_details: Vec<Value> = runs.iter().map(|run| api.json(&format!("/api/v1/runs/{run}"))).collect();
-    let run_of =
-        |pipeline: &str| run_details.iter().find(|run| run["pipeline"] == pipeline).expect("is there");
+    let run_of = |pipeline: &str| {
+        run_details.iter().find(|run| run["pipeline"] == pipeline).expect("the pipeline has a run")
+    };
 
     let arguments =
         ["first", "second", "third"].map(|pipeline| fact_value(run_of(pipeline), "Sensor arguments"));
     assert!(arguments[0].is_some_and(|value| value.starts_with("2, fingerprint ")), "{arguments:?}");
-    assert_eq!(arguments[0], arguments[1], "equal commands");
-    assert_ne!(arguments[0], arguments[2], "different ones");
+    assert_eq!(arguments[0], arguments[1], "equal commands have equal fingerprints");
+    assert_ne!(arguments[0], arguments[2], "different commands have different fingerprints");
     let first_run = run_of("first");
     assert!(fact_value(first_run, "Sensor").is_some_and(|value| value.ends_with("/light.sh")), "{first_run}");
     assert!(
@@ -110,13 +112,13 @@ fn arguments_are_published_as_fingerprints() {
     for path in paths {
         let (status, text) = api.get(&path).expect("the dashboard answers");
         assert_eq!(status, 200, "{path}");
-        assert!(!text.contains(SECRET), "{path} tells an argument");
+        assert!(!text.contains(SECRET), "{path} shows the argument");
     }
     let end = edge.stop();
     assert!(!end.log.contains(SECRET), "{}", end.log);
     aggregator.stop();
     // The database does not contain the secret either.
-    for file in std::fs::read_dir(deployment.folder()).expect("is there") {
+    for file in std::fs::read_dir(deployment.folder()).expect("the folder exists") {
         let path = file.expect("is readable").path();
         if path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("aggregator.sqlite")) {
             let bytes = std::fs::read(&path).expect("is readable");
@@ -152,10 +154,10 @@ fn run_json_keeps_arguments_from_other_users() {
     let record = json(&file);
     assert_eq!(record["pipeline"]["sensor"]["command"][1], SECRET, "{record}");
     assert!(!record["facts"].to_string().contains(SECRET), "{record}");
-    let mode = std::fs::metadata(&file).expect("is there").permissions().mode();
+    let mode = std::fs::metadata(&file).expect("the file exists").permissions().mode();
     assert_eq!(mode & 0o007, 0, "{mode:o}");
     for table in ["summary.md", "summary.csv", "data.csv"] {
-        let text = std::fs::read_to_string(results.file(run, table)).expect("is there");
+        let text = std::fs::read_to_string(results.file(run, table)).expect("the file exists");
         assert!(!text.contains(SECRET), "{table}");
     }
 }

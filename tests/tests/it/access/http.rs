@@ -10,7 +10,7 @@ use rustix::net::{AddressFamily, SocketType, bind, connect, socket};
 fn connection(deployment: &LoopbackDeployment, from: [u8; 4]) -> TcpStream {
     let socket = socket(AddressFamily::INET, SocketType::STREAM, None).expect("a socket");
     bind(&socket, &SocketAddr::from((from, 0))).expect("an address of loopback");
-    connect(&socket, &SocketAddr::from(([127, 0, 0, 1], deployment.http))).expect("connects");
+    connect(&socket, &SocketAddr::from(([127, 0, 0, 1], deployment.http_port))).expect("connects");
     let stream = TcpStream::from(socket);
     stream.set_read_timeout(Some(TEST_TIMEOUT)).expect("sets");
     stream
@@ -52,7 +52,10 @@ fn foreign_host_header_is_refused_on_open_dashboard() {
             "{method} {path}: {}",
             answer_to("evil.example")
         );
-        assert!(!answer_to(&format!("127.0.0.1:{}", deployment.http)).contains(" 421 "), "{method} {path}");
+        assert!(
+            !answer_to(&format!("127.0.0.1:{}", deployment.http_port)).contains(" 421 "),
+            "{method} {path}"
+        );
     }
     let foreign_origin = "PUT /api/v1/runs/1/pin HTTP/1.1\r\nHost: 127.0.0.1\r\nOrigin: http://evil.example\r\nConnection: close\r\n\r\n";
     assert!(

@@ -17,7 +17,7 @@ load = { mode = "rate", hz = 20.0 }
 /// Returns the files of the daemons: databases, spools, ids, locks, and the folders that they created.
 fn state_files(deployment: &LoopbackDeployment) -> Vec<PathBuf> {
     let entries = |folder: &Path| -> Vec<PathBuf> {
-        let entries = fs::read_dir(folder).expect("is there");
+        let entries = fs::read_dir(folder).expect("the folder exists");
         entries.map(|entry| entry.expect("is readable").path()).collect()
     };
     let is_configuration = |path: &Path| path.extension().is_some_and(|extension| extension == "toml");
@@ -32,7 +32,7 @@ fn state_files(deployment: &LoopbackDeployment) -> Vec<PathBuf> {
 }
 
 fn mode(path: &Path) -> u32 {
-    fs::metadata(path).expect("is there").permissions().mode() & 0o777
+    fs::metadata(path).expect("the file exists").permissions().mode() & 0o777
 }
 
 fn start(deployment: &LoopbackDeployment) -> (Process, Process, Api) {
@@ -76,7 +76,7 @@ fn files_of_earlier_versions_are_restricted_at_start() {
     aggregator.stop();
     let set_mode = |name: &str, mode: u32| {
         let path = deployment.folder().join(name);
-        fs::set_permissions(&path, Permissions::from_mode(mode)).expect("own file");
+        fs::set_permissions(&path, Permissions::from_mode(mode)).expect("the file belongs to this user");
         path
     };
     let expected_modes = [

@@ -37,10 +37,10 @@ fn edges_behind_one_address_have_separate_clock_relations() {
 
     let iterations = testbed.iterations();
     let runs = testbed.api.json("/api/v1/runs");
-    let clocks = shims.each_ref().map(|shim| HostClock::shown(shim.errors()));
+    let clocks = shims.each_ref().map(|shim| HostClock::with_shim_errors(shim.errors()));
     for (host, clock) in ["edge", "third"].into_iter().zip(clocks) {
         let run = runs["runs"].as_array().expect("a list").iter().find(|run| run["host"] == host);
-        let number = run.and_then(|run| run["number"].as_u64()).expect("it ran");
+        let number = run.and_then(|run| run["number"].as_u64()).expect("the host has a run");
         let run_iterations: Vec<Iteration> =
             iterations.iter().filter(|iteration| iteration.run == number).cloned().collect();
         let case = format!("{host} behind one address");
@@ -50,6 +50,6 @@ fn edges_behind_one_address_have_separate_clock_relations() {
             "SELECT sum(probes_answered) > 20 FROM clock_sample JOIN link ON link.id = clock_sample.link \
              JOIN host ON host.id = link.edge WHERE host.name = '{host}'"
         );
-        assert_eq!(testbed.query_database(&probes).trim(), "1", "{case}: its probes are answered");
+        assert_eq!(testbed.query_database(&probes).trim(), "1", "{case}: too few probes are answered");
     }
 }

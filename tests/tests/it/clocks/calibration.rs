@@ -16,7 +16,7 @@ const MAX_ERROR: Span = Span::from_micros(100);
 
 /// Similar sizes, so the intercept is the delay of an empty message even if the link is not linear in size.
 const SIZES: &str = "100,500,1kB,2kB,5kB,10kB";
-/// Number of repeats: in some seconds the drift exceeds the largest error.
+/// Number of repeats. They take some seconds, in which the drift exceeds [`MAX_ERROR`].
 const REPEATS: &str = "1001";
 
 /// One direction of one iteration.
@@ -26,8 +26,10 @@ struct SampleDelay {
     /// Reported delay.
     value: Option<Span>,
     bounds: (Span, Span),
-    /// True delay, and its largest error: the table contains the edge's time of the whole iteration only.
+    /// True delay.
     truth: Span,
+    /// Largest error of `truth`. The offset between the clocks at the time of the message is known only as the mean over the
+    /// whole iteration.
     truth_error: Span,
 }
 
@@ -53,8 +55,8 @@ fn sample_delays(samples: &Path, stage: &str, ahead: impl Fn(WallTime) -> Span) 
             value: nanos(cell(stage)),
             bounds: (column("lo"), column("hi")),
             truth: column("raw") - middle,
-            // The truth is derived from stamps of the wall clocks, which are read up to 3 µs after those that delays
-            // are judged by.
+            // The truth is derived from stamps of the wall clocks, which are read up to 3 µs after the
+            // free-running clocks by which delays are judged.
             truth_error: (last - first).abs() + Span::from_nanos(3_002),
         }
     };
@@ -98,12 +100,12 @@ fn median(mut spans: Vec<Span>) -> f64 {
 
 /// Repeats the study's fit over the medians, with its weights, for other delays.
 fn refitted_intercept(direction: &Value, delays: &BTreeMap<u64, Vec<Span>>) -> f64 {
-    /// Smallest error of a median that counts, seconds.
-    const CLOCK_READ: f64 = 1e-7;
+    /// Smallest error of a median in the weights, seconds.
+    const MIN_MEDIAN_ERROR: f64 = 1e-7;
     let sizes = direction["sizes"].as_array().expect("a list").iter();
     let point = |size: &Value| {
         let payload = size["payload_bytes"].as_u64().expect("a number");
-        let weight = number(&size["median_error"]).max(CLOCK_READ).powi(-2);
+        let weight = number(&size["median_error"]).max(MIN_MEDIAN_ERROR).powi(-2);
         (number(&size["wire_bytes"]), median(delays[&payload].clone()), weight)
     };
     intercept(&sizes.map(point).collect::<Vec<_>>())
@@ -146,12 +148,12 @@ fn assert_intercept_is_right(stage: &str, direction: &Value, sample_delays: &[Sa
     ));
     assert!(
         (reported_intercept - refitted).abs() < 1e-9,
-        "{stage}: the fit is another one than is told, {reported_intercept} and {refitted}"
+        "{stage}: the reported intercept is {reported_intercept}, that of the same fit over the table {refitted}"
     );
     assert!(error.abs() <= MAX_ERROR, "{stage}: the intercept is wrong by {error}");
     assert!(
         (claimed.0..=claimed.1).contains(&reported_intercept),
-        "{stage}: {reported_intercept} lies outside of what is claimed, {claimed:?}"
+        "{stage}: {reported_intercept} lies outside of the claimed interval {claimed:?}"
     );
 }
 

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use peernet_clock::Span;
 use peernet_tests::network::{Network, TimeDaemons, WireProperties};
-use peernet_tests::truth::{Delay, HostClock, Iteration, compare, truth};
+use peernet_tests::truth::{Delay, HostClock, Iteration, compare, true_delay};
 use peernet_tests::{Process, TwoHostTestbed, wait_until};
 use serde_json::Value;
 
@@ -25,7 +25,8 @@ struct TimeDaemonTestbed {
 }
 
 impl TimeDaemonTestbed {
-    /// Starts the hosts. `identity` and `faults` are the edge's; `trusts` is whether it trusts the daemons.
+    /// Starts the hosts. `identity` and `faults` are the edge's; `trusts` says whether the edge trusts the
+    /// daemons.
     fn new(network: impl FnOnce(&Path) -> Network, identity: &str, faults: &str, trusts: bool) -> Self {
         let hosts = TwoHostTestbed::new(network);
         let daemons = TimeDaemons::start(&hosts.network, hosts.folder());
@@ -56,8 +57,9 @@ impl TimeDaemonTestbed {
         });
     }
 
-    /// Returns all iterations after enough additional delays are stored that fulfil an SQL expression.
-    fn iterations(self, condition: &str) -> Vec<Iteration> {
+    /// Waits until [`MIN_DELAYS`] more delays that fulfil an SQL condition are stored, and stops the edge. Returns all
+    /// iterations.
+    fn stop_with_iterations(self, condition: &str) -> Vec<Iteration> {
         let sql = format!(
             "SELECT count(*) FROM transit AS t LEFT JOIN verdict ON verdict.id = t.verdict \
              LEFT JOIN source ON source.id = t.source WHERE {condition}"
@@ -77,7 +79,7 @@ impl TimeDaemonTestbed {
 fn bounds_of_source(offset: &Value, source: &str) -> (Span, Span) {
     let sources = offset["sources"].as_array().expect("a list");
     let source_bounds =
-        sources.iter().find(|candidate| candidate["source"] == source).expect("it was waited for");
+        sources.iter().find(|candidate| candidate["source"] == source).expect("the offset has this source");
     let bound = |name: &str| Span::from_seconds_f64(source_bounds[name].as_f64().expect("a number"));
     let bounds = (bound("lo_s"), bound("hi_s"));
     print_line(&format!("  {source} alone: {} to {}", bounds.0, bounds.1));
@@ -98,7 +100,7 @@ fn check_correct_clocks(case: &str, network: impl FnOnce(&Path) -> Network, cond
     for host in ["edge", "cloud"] {
         testbed.wait_for_daemon(host, "chrony, stratum 11, to 10.");
     }
-    let iterations = testbed.iterations(condition);
+    let iterations = testbed.stop_with_iterations(condition);
     let of_kernel = HostClock::of_kernel();
     let (up, down) = assert_contains_truth(case, &iterations, &of_kernel, &of_kernel);
     for comparison in [&up, &down] {
@@ -131,10 +133,13 @@ fn wrong_clock_with_confident_daemon_is_detected() {
     assert!(contains(in_band, -AHEAD) && !contains(in_band, Span::ZERO), "{offset}");
     assert!(contains(chrony, Span::ZERO) && !contains(chrony, -AHEAD), "{offset}");
 
-    let iterations = testbed.iterations("verdict.text = 'inconsistent'");
+    let iterations = testbed.stop_with_iterations("verdict.text = 'inconsistent'");
     let delays = iterations.iter().flat_map(|iteration| [&iteration.up, &iteration.down]);
     let contradictory = delays.filter(|delay| is_contradictory(delay)).count() as u64;
-    print_line(&format!("unaware by {AHEAD}: {contradictory} of {} delays exposed", 2 * iterations.len()));
+    print_line(&format!(
+        "unaware by {AHEAD}: {contradictory} of {} delays are contradictory",
+        2 * iterations.len()
+    ));
     assert!(contradictory >= MIN_DELAYS);
 }
 
@@ -161,7 +166,7 @@ fn wrong_claim_affects_delays_only_if_trusted() {
         (offset["verdict"] == "ok").then(|| offset["sources"].as_array().cloned())?
     });
     assert!(sources.iter().all(|source| source["source"] == "in-band"), "{sources:?}");
-    let iterations = testbed.iterations("verdict.text IN ('ok', 'limited')");
+    let iterations = testbed.stop_with_iterations("verdict.text IN ('ok', 'limited')");
     assert_contains_truth("a wrong claim, not trusted", &iterations, &edge, &HostClock::of_kernel());
 }
 
@@ -187,7 +192,8 @@ fn wrong_claims_within_round_trip_affect_nothing() {
     let testbed = start_with_irrefutable_wrong_claims(false);
     let edge = testbed.hosts.clock_of("edge");
     wait_for_page(&testbed, "as claimed by chrony on both hosts, of the wall clocks, not used");
-    let iterations = testbed.iterations("source.text = 'in-band' AND verdict.text IN ('ok', 'limited')");
+    let iterations =
+        testbed.stop_with_iterations("source.text = 'in-band' AND verdict.text IN ('ok', 'limited')");
     let case = "claims wrong by 10 ms, 5/40 ms, not trusted";
     let (up, down) = assert_contains_truth(case, &iterations, &edge, &HostClock::of_kernel());
     assert!(up.without_value.is_empty() && down.without_value.is_empty(), "{:?}", up.without_value);
@@ -203,16 +209,19 @@ fn delays_by_trusted_claims_are_marked() {
     let testbed = start_with_irrefutable_wrong_claims(true);
     let edge = testbed.hosts.clock_of("edge");
     wait_for_page(&testbed, "bounds as claimed by chrony");
-    let iterations = testbed.iterations("source.text = 'chrony'");
+    let iterations = testbed.stop_with_iterations("source.text = 'chrony'");
     let of_kernel = HostClock::of_kernel();
     let (up, down) = compare(&iterations, &edge, &of_kernel);
     print_line(&format!("claims wrong by 10 ms, 5/40 ms, trusted, upload: {}", up.summary()));
     print_line(&format!("claims wrong by 10 ms, 5/40 ms, trusted, download: {}", down.summary()));
-    assert!(up.outside.len() + down.outside.len() >= MIN_DELAYS as usize / 2, "the claims are wrong");
+    assert!(
+        up.outside.len() + down.outside.len() >= MIN_DELAYS as usize / 2,
+        "too few intervals miss the truth, although the claims are wrong"
+    );
     for iteration in &iterations {
         for (delay, clocks) in [(&iteration.up, [&edge, &of_kernel]), (&iteration.down, [&of_kernel, &edge])]
         {
-            let truth = truth(delay, clocks[0], clocks[1]);
+            let truth = true_delay(delay, clocks[0], clocks[1]);
             let contains_truth = delay.bounds.is_none_or(|bounds| contains(bounds, truth));
             assert!(
                 contains_truth || ["chrony", "intersection"].contains(&delay.source.as_str()),

@@ -20,7 +20,7 @@ const REFLECTOR_PORT: u16 = 8620;
 const FORGER_PORT: u16 = 9620;
 const FORWARDER_PORT: u16 = 9621;
 
-/// Error that is added to the cloud's stamps: less than the round trip of 40 ms leaves open.
+/// Error that is added to the cloud's stamps. It is smaller than the uncertainty of the offset after a round trip of 40 ms.
 const ADDED_ERROR: Span = Span::from_millis(13);
 
 /// Attacker between the edge and the path.
@@ -58,7 +58,7 @@ impl Forger {
         Self { is_over, forged, thread: Some(thread) }
     }
 
-    fn forged(&self) -> usize {
+    fn forged_answers(&self) -> usize {
         self.forged.load(Ordering::Relaxed)
     }
 }
@@ -93,7 +93,7 @@ impl Relay {
             if let Some((length, _)) = receive(&self.far, &mut buffer) {
                 forge(&mut buffer[..length]);
                 forged.fetch_add(1, Ordering::Relaxed);
-                let edge = self.edge.expect("it was asked");
+                let edge = self.edge.expect("a probe came first");
                 self.near.send_to(&buffer[..length], edge).expect("there is a route");
             }
         }
@@ -116,8 +116,8 @@ fn receive(socket: &UdpSocket, buffer: &mut [u8]) -> Option<(usize, SocketAddr)>
 /// clock.
 fn forge(answer: &mut [u8]) {
     let ntp = (ADDED_ERROR.nanos() << 32) / 1_000_000_000;
-    let is_open = answer[4..12] != [0; 8];
-    for offset in if is_open { [4, 16] } else { [16, 32] } {
+    let is_unauthenticated = answer[4..12] != [0; 8];
+    for offset in if is_unauthenticated { [4, 16] } else { [16, 32] } {
         let stamp: [u8; 8] = answer[offset..offset + 8].try_into().expect("eight bytes");
         answer[offset..offset + 8]
             .copy_from_slice(&u64::from_be_bytes(stamp).wrapping_add_signed(ntp).to_be_bytes());
@@ -131,8 +131,8 @@ fn forge(answer: &mut [u8]) {
     }
 }
 
-/// Runs a case with this number of forged answers.
-fn check_forged_answers(probes: u64) {
+/// Runs a case with at least this number of forged answers.
+fn check_forged_answers(min_forged_answers: u64) {
     let wire_direction = WireProperties { delay_ms: 20, jitter_ms: 0, loss_percent: 0 };
     let testbed = TwoHostTestbed::new(|folder| Network::wire(folder, wire_direction, wire_direction));
     let shim = ClockShim::new(&testbed.folder().join("edge-clocks"));
@@ -143,14 +143,14 @@ fn check_forged_answers(probes: u64) {
     let load = "load = { mode = \"rate\", hz = 50.0 }\nmax_in_flight = 64";
     let edge = testbed
         .start_edge(&format!("{clock}{}", testbed.pipeline("watched", 1000, load)), &shim.environment());
-    wait_until_grown("forged answers", probes, || Some(forger.forged() as u64));
+    wait_until_grown("forged answers", min_forged_answers, || Some(forger.forged_answers() as u64));
     testbed.api.wait_until("/api/v1/links/edge~cloud", |link| {
         link.to_string().contains("not authenticated by the key").then_some(())
     });
     assert_eq!(edge.stop().code(), 0);
     testbed.api.wait_until("/api/v1/runs", |runs| (runs["runs"][0]["reason"] == "stopped").then_some(()));
 
-    let (edge_clock, cloud_clock) = (HostClock::shown(shim.errors()), HostClock::of_kernel());
+    let (edge_clock, cloud_clock) = (HostClock::with_shim_errors(shim.errors()), HostClock::of_kernel());
     let case = "all answers to probes forged by 13 ms, 20/20 ms";
     let (up, down) = assert_contains_truth(case, &testbed.iterations(), &edge_clock, &cloud_clock);
     for comparison in [&up, &down] {

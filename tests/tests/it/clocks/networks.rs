@@ -9,7 +9,7 @@ use std::time::Duration;
 use peernet_clock::{Clock, ClockIdentity, Span, SystemClock};
 use peernet_tests::network::{Host, Network, WireProperties};
 
-fn udp(host: &Host, port: u16) -> UdpSocket {
+fn udp_socket(host: &Host, port: u16) -> UdpSocket {
     let address = host.address;
     host.run_in_namespace(move || {
         let socket = UdpSocket::bind((address, port)).expect("a namespace has all ports for itself");
@@ -50,7 +50,7 @@ fn capture_shows_rate_of_limited_link() {
         (upload[0].at, upload[upload.len() - 1].at)
     };
     let ((first, _), (_, last)) = (passage_times(false), passage_times(true));
-    // At 20 Mbit/s 250 kB take 100 ms, less what one burst may contain.
+    // At 20 Mbit/s 250 kB take 100 ms, minus the time of one burst.
     assert!(last - first > Span::from_millis(85), "{}", last - first);
 }
 
@@ -59,7 +59,8 @@ fn blocked_port_and_losses_affect_only_matching_packets() {
     let network = Network::direct();
     let cloud = network.cloud();
     cloud.block_udp(7001);
-    let (from, blocked, open) = (udp(network.edge(), 7000), udp(cloud, 7001), udp(cloud, 7002));
+    let (from, blocked, open) =
+        (udp_socket(network.edge(), 7000), udp_socket(cloud, 7001), udp_socket(cloud, 7002));
     let address = cloud.address;
     for port in [7001, 7002] {
         from.send_to(b"probe", (address, port)).expect("there is a route");
@@ -85,7 +86,7 @@ fn wire_delays_directions_separately() {
     let folder = tempfile::tempdir().expect("the temporary folder is writable");
     let wire_direction = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
     let network = Network::wire(folder.path(), wire_direction(40), wire_direction(5));
-    let (edge, cloud) = (udp(network.edge(), 7000), udp(network.cloud(), 7000));
+    let (edge, cloud) = (udp_socket(network.edge(), 7000), udp_socket(network.cloud(), 7000));
     let clock = SystemClock::new(ClockIdentity::new("boot", "system"));
     let mut buffer = [0; 16];
     let mut delay = |from: &UdpSocket, to: &UdpSocket, address: Ipv4Addr| {
@@ -104,12 +105,12 @@ fn wire_delays_directions_separately() {
 
 /// Returns the kernel's number of the interface that has an address.
 fn index_of_interface(address: Ipv4Addr) -> u32 {
-    let printed = printed_by_ip(&["-oneline", "address", "show", "to", &address.to_string()]);
+    let printed = output_of_ip(&["-oneline", "address", "show", "to", &address.to_string()]);
     let (index, _) = printed.split_once(':').expect("one line that begins with the index");
     index.parse().expect("an index is a number")
 }
 
-fn printed_by_ip(arguments: &[&str]) -> String {
+fn output_of_ip(arguments: &[&str]) -> String {
     let output = Command::new("ip").args(arguments).output().expect("ip is installed");
     assert!(output.status.success(), "ip {arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).expect("ip prints UTF-8")
@@ -128,14 +129,14 @@ fn panicking_test_removes_its_network() {
         std::mem::forget(process);
         panic!("a test fails here, on purpose");
     });
-    let (inode, pid, interface) = receiver.recv().expect("told before the panic");
+    let (inode, pid, interface) = receiver.recv().expect("the test sends before it panics");
     test.join().expect_err("it panics");
     let is_in_namespace =
         |path: String| std::fs::read_link(path).is_ok_and(|link| link.display().to_string() == inode.trim());
     // The killed process remains as a zombie of this process, but is in no namespace.
     assert!(!is_in_namespace(format!("/proc/{pid}/ns/net")));
     // A test that runs beside this one may already have the same address, but never the same index.
-    let links = printed_by_ip(&["-oneline", "link", "show"]);
+    let links = output_of_ip(&["-oneline", "link", "show"]);
     assert!(
         !links.lines().any(|line| line.starts_with(&format!("{interface}:"))),
         "interface {interface} is still there"

@@ -51,7 +51,7 @@ impl Hosts {
         Self { deployment, api, _aggregator: aggregator, _cloud: cloud }
     }
 
-    /// Returns the link as soon as probes were answered on it.
+    /// Waits until probes on the link are answered, and returns the live state of the link.
     fn wait_for_link(&self) -> Value {
         self.api.wait_until("/api/v1/links", |links| {
             let now = &links["links"][0]["now"];
@@ -66,7 +66,7 @@ impl Hosts {
     }
 }
 
-/// Compares the delays of a pair with two clocks with the truth; none may claim that there is one clock.
+/// Compares delays between hosts with two clocks with the truth. Every delay must come from exchanges.
 fn assert_measured(case: &str, iterations: &[Iteration], edge: &HostClock) {
     let (up, down) = assert_contains_truth(case, iterations, edge, &HostClock::of_kernel());
     let count = usize::try_from(ITERATIONS + WARM_UP).expect("a few hundred");
@@ -143,7 +143,7 @@ fn clock_error_introduced_later_is_measured_afterwards() {
         });
     };
     wait_until_same_clock_is(true);
-    let stopwatch = Stopwatch::now();
+    let stopwatch = Stopwatch::start();
     false_time.show(AHEAD);
     wait_until_same_clock_is(false);
     print_line(&format!("libfaketime begins to show +20 ms: noticed within {:?}", stopwatch.elapsed()));
@@ -164,24 +164,24 @@ fn clock_error_introduced_later_is_measured_afterwards() {
     wait_until_same_clock_is(true);
 }
 
-/// The process asks late because of its own pause, which does not indicate another clock.
+/// The process asks late because it was paused. This does not indicate another clock.
 #[test]
 fn paused_process_keeps_one_clock_proof() {
     let hosts = Hosts::new("[clock]\ndiscipline = []\n", true);
     let edge = hosts.deployment.start("edge.toml");
-    let uploaded_iterations =
+    let successful_iterations =
         || hosts.api.wait_until("/api/v1/runs", |runs| runs["runs"][0]["counts"]["ok"].as_u64());
     for _ in 0..3 {
-        let before = uploaded_iterations();
-        wait_until_grown("iterations", before + 100, || Some(uploaded_iterations()));
+        let before = successful_iterations();
+        wait_until_grown("iterations", before + 100, || Some(successful_iterations()));
         edge.signal(Signal::STOP);
         // Longer than a proof is valid after the last question before the pause, and shorter than a session's
         // timeout.
         std::thread::sleep(Duration::from_millis(4_500));
         edge.signal(Signal::CONT);
     }
-    let before = uploaded_iterations();
-    wait_until_grown("iterations", before + 100, || Some(uploaded_iterations()));
+    let before = successful_iterations();
+    wait_until_grown("iterations", before + 100, || Some(successful_iterations()));
     assert_eq!(hosts.wait_for_link()["same_clock"], true);
     assert_eq!(edge.stop().code(), 0);
     let incidents = hosts.api.json("/api/v1/incidents").to_string();

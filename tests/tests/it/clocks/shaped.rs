@@ -1,4 +1,4 @@
-//! Test of large payloads over a slow link: reported delays are compared with a capture in the middle.
+//! Test of large payloads over a slow link: reported delays are compared with a capture at the router.
 
 use peernet_clock::{Span, WallTime};
 use peernet_tests::TwoHostTestbed;
@@ -15,10 +15,16 @@ fn router_transit_time(packets: &[Packet], from: &Host, sent: WallTime, received
     let is_of_message = |packet: &&Packet| {
         packet.source == from.address && packet.payload > 0 && (sent..=received).contains(&packet.at)
     };
-    let first =
-        packets.iter().filter(is_of_message).find(|packet| !packet.is_outgoing).expect("something went in");
-    let last =
-        packets.iter().filter(is_of_message).rfind(|packet| packet.is_outgoing).expect("something came out");
+    let first = packets
+        .iter()
+        .filter(is_of_message)
+        .find(|packet| !packet.is_outgoing)
+        .expect("a packet entered the router");
+    let last = packets
+        .iter()
+        .filter(is_of_message)
+        .rfind(|packet| packet.is_outgoing)
+        .expect("a packet left the router");
     last.at - first.at
 }
 
@@ -58,7 +64,7 @@ fn large_transfer_time_matches_capture() {
 }
 
 /// Checks that reported delays match captured ones, message by message. A busy machine can delay a program after the last
-/// byte has passed; the median of the ratios is robust against a few of these.
+/// byte has passed; the median of the ratios is robust against a few such pauses.
 fn assert_delays_match_capture<'a>(
     direction: &str,
     delays: impl Iterator<Item = &'a Delay>,
@@ -79,7 +85,7 @@ fn assert_delays_match_capture<'a>(
     let median = ratios[ratios.len() / 2];
     let (reported, captured) = (mean(|pair| pair.0), mean(|pair| pair.1));
     print_line(&format!(
-        "{direction}: mean reported {reported:.3} ms, seen in the middle {captured:.3} ms, ratio {:.4}, median {median:.4}",
+        "{direction}: mean reported {reported:.3} ms, captured at the router {captured:.3} ms, ratio {:.4}, median {median:.4}",
         reported / captured
     ));
     assert!((median - 1.0).abs() <= 0.02, "{direction}: {median}");

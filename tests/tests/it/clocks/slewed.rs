@@ -17,12 +17,12 @@ struct Slew {
 
 impl Slew {
     /// Steps per second.
-    const HZ: f64 = 10.0;
+    const STEP_HZ: f64 = 10.0;
 
     fn steps(&self) -> impl Iterator<Item = ClockFaultStep> {
-        let period = Span::from_seconds_f64(1.0 / Self::HZ);
-        let by = Span::from_seconds_f64(self.ppm * 1e-6 / Self::HZ);
-        let (begin, count) = (Span::from_seconds_f64(self.at_s), (self.duration_s * Self::HZ) as i64);
+        let period = Span::from_seconds_f64(1.0 / Self::STEP_HZ);
+        let by = Span::from_seconds_f64(self.ppm * 1e-6 / Self::STEP_HZ);
+        let (begin, count) = (Span::from_seconds_f64(self.at_s), (self.duration_s * Self::STEP_HZ) as i64);
         (0..count).map(move |number| {
             ClockFaultStep::wall_step(begin + Span::from_nanos(period.nanos() * number), by)
         })
@@ -30,7 +30,7 @@ impl Slew {
 }
 
 /// Returns a clock that is ahead and is slewed; its fault begins at the epoch.
-fn slewed(offset_ms: i64, slews: &[Slew]) -> ClockFaults {
+fn slewed_clock(offset_ms: i64, slews: &[Slew]) -> ClockFaults {
     let steps = slews.iter().flat_map(Slew::steps).collect();
     ClockFaults { offset: Span::from_millis(offset_ms), drift_ppm: 0.0, steps, since: WallTime::default() }
 }
@@ -40,13 +40,13 @@ fn table(description: &ClockFaults) -> String {
     let millis = |span: Span| span.nanos() as f64 * 1e-6;
     let steps = description.steps.iter().fold(String::new(), |mut steps, step| {
         let (at_s, by_ms) = (step.at.seconds(), millis(step.by));
-        write!(steps, "{{ at_s = {at_s:?}, by_ms = {by_ms:?} }}, ").expect("a string takes all");
+        write!(steps, "{{ at_s = {at_s:?}, by_ms = {by_ms:?} }}, ").expect("a string takes any text");
         steps
     });
     faults(millis(description.offset), 0.0, &format!("steps = [{steps}]"))
 }
 
-/// Returns the clock of a running host. The API lists only the first steps.
+/// Returns the clocks of a running host with all steps of `description`, because the API lists only the first steps.
 fn clock_of(testbed: &TwoHostTestbed, host: &str, description: ClockFaults) -> HostClock {
     let reported = testbed.clock_of(host);
     let (since, raw_since) = reported.since().zip(reported.raw_since()).expect("it has faults");
@@ -61,7 +61,7 @@ fn slewed_wall_clock_affects_no_delay() {
         Slew { at_s: 10.0, duration_s: 1.0, ppm: 40_000.0 },
     ];
     let cloud_slews = [Slew { at_s: 6.0, duration_s: 6.0, ppm: 500.0 }];
-    let (edge, cloud) = (slewed(-250, &edge_slews), slewed(250, &cloud_slews));
+    let (edge, cloud) = (slewed_clock(-250, &edge_slews), slewed_clock(250, &cloud_slews));
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     let _cloud = testbed.start_cloud(&table(&cloud));
     let load = "load = { mode = \"rate\", hz = 100.0 }\nlimit = { duration_s = 16.0 }";

@@ -82,7 +82,7 @@ fn with_policy(text: &str) -> String {
 /// Installs the document's agent for the server, with the models of the teleoperation; processors replace GPUs.
 fn install_server(machines: &DocumentedCommands) {
     let document = Document::read("docs/experiments/classification.md");
-    let agents = document.fenced("toml").into_iter().map(|(_, text)| text);
+    let agents = document.fenced_blocks("toml").into_iter().map(|(_, text)| text);
     let agent = agents.into_iter().find(|text| text.contains("[bank]")).expect("it has an agent with a bank");
     let teleoperation = Document::read("configs/teleoperation-cloud.toml").text;
     let (_, models) = teleoperation.split_once("\n[[model]]").expect("it has models");
@@ -115,7 +115,7 @@ fn measure_detection(machines: &DocumentedCommands) {
         machines.write(file, &replacements.iter().fold(text, |text, (from, to)| text.replace(from, to)));
     };
     write("configs/detection-cloud.toml", &[("tcp://127.0.0.1:5551", "tcp://0.0.0.0:5551")]);
-    let cloud_address = format!("tcp://{}:5551", DocumentedCommands::CLOUD);
+    let cloud_address = format!("tcp://{}:5551", DocumentedCommands::CLOUD_ADDRESS);
     write(
         "configs/experiments/detection-line.toml",
         &[
@@ -147,7 +147,8 @@ fn measure_efficientnet(machines: &DocumentedCommands) {
     let file = "configs/experiments/efficientnet.toml";
     machines.write(file, &Document::read(file).text);
     let devices = Document::read("configs/experiments/networks/net_config.yaml").text;
-    machines.write("net_config.yaml", &devices.replace("cluster.example.org", DocumentedCommands::CLOUD));
+    machines
+        .write("net_config.yaml", &devices.replace("cluster.example.org", DocumentedCommands::CLOUD_ADDRESS));
     let experiment =
         machines.on_edge("peernet run configs/experiments/efficientnet.toml", &[("run", TEST_OPTIONS)]);
     let end = wait_for_runs(experiment, 6);
@@ -162,7 +163,7 @@ fn measure_efficientnet(machines: &DocumentedCommands) {
         let sent = column(&results.file(folder, "data.csv"), "upload-bytes");
         assert!(sent.len() == 8 && sent.iter().all(|bytes| *bytes == picture_bytes), "{folder}: {sent:?}");
     }
-    let address = [("127.0.0.1", DocumentedCommands::CLOUD)];
+    let address = [("127.0.0.1", DocumentedCommands::CLOUD_ADDRESS)];
     let end = machines.on_edge(SHORT, &address).wait_for_end();
     assert_eq!(end.code(), 0, "{}", end.log);
     let short = column(&machines.folder().join("results/short/compare.csv"), "Where");
@@ -181,7 +182,7 @@ fn measure_teleoperation(machines: &DocumentedCommands) {
         ("can", ["10.20.0.30", "10.20.0.40"]),
         ("5g", ["10.8.0.30", "10.8.0.40"]),
     ] {
-        let addresses = addresses.map(|address| (address, DocumentedCommands::CLOUD));
+        let addresses = addresses.map(|address| (address, DocumentedCommands::CLOUD_ADDRESS));
         machines.copy(&format!("configs/experiments/networks/{network}.yaml"), &addresses);
     }
     machines.write("configs/teleoperation/robot.py", ROBOT);

@@ -30,7 +30,7 @@ const DEVICES: &str = "devices:\n  jetson-orin: 10.0.0.1\n  cluster: CLUSTER\nse
 #[test]
 fn published_commands_run_objects_programs_and_results() {
     let machines = DocumentedCommands::new(&COMMANDS);
-    machines.write("net_config.yaml", &DEVICES.replace("CLUSTER", DocumentedCommands::CLOUD));
+    machines.write("net_config.yaml", &DEVICES.replace("CLUSTER", DocumentedCommands::CLOUD_ADDRESS));
     machines.write("local.yaml", &DEVICES.replace("CLUSTER", "127.0.0.1"));
     run_readme_commands(&machines);
     run_agent_with_programs(&machines);
@@ -62,7 +62,7 @@ fn run_readme_commands(machines: &DocumentedCommands) {
 fn run_agent_with_programs(machines: &DocumentedCommands) {
     assert_eq!(machines.on_edge(COMPILER, &[]).wait_for_end().code(), 0);
     let document = Document::read("docs/external-programs.md");
-    let (_, agent) = document.fenced("toml").remove(0);
+    let (_, agent) = document.fenced_blocks("toml").remove(0);
     machines.write("own-programs.toml", &agent);
     let agent = machines.run_on(machines.edge(), "peernetd run own-programs.toml");
     wait_until("answers", || {

@@ -43,7 +43,7 @@ const SHORT_CALIBRATION: &str = "calibrate --sizes 100,1kB,10kB --repeats 20 --q
 /// Installs the three files of docs/two-machines.md on the machines that it names, which share one clock here.
 pub(crate) fn install(machines: &DocumentedCommands) {
     let document = Document::read("docs/two-machines.md");
-    let files = document.indented("put-it-on-two-machines", 7);
+    let files = document.indented_blocks("put-it-on-two-machines", 7);
     let [aggregator, cloud, robot, ..] = &*files else { panic!("it has three files: {files:#?}") };
     let agent = |clock: &str| {
         format!("[agent]\nstate_dir = \"/var/lib/peernet/agent\"\nclock_identity = \"{clock}\"")

@@ -1,10 +1,10 @@
 //! Test of an aggregator whose wall clock jumps by a month: nothing is deleted, and each jump is an incident.
 
 use peernet_clock::Span;
-use peernet_tests::fleet::echo;
+use peernet_tests::fleet::echo_pipeline;
 use peernet_tests::truth::query_database;
 use peernet_tests::{
-    AGGREGATOR, Api, FalseTime, LoopbackDeployment, Process, program, record_figures, wait_until,
+    AGGREGATOR, Api, FalseTime, LoopbackDeployment, Process, program, record_measurements, wait_until,
 };
 
 /// Number of iterations of each run.
@@ -16,7 +16,7 @@ const MONTH: Span = Span::from_seconds(30 * 86_400);
 /// Runs a pipeline to its end, on a separate host.
 fn run_to_the_end(deployment: &LoopbackDeployment, api: &Api, host: &str) {
     let limit = format!("load = {{ mode = \"rate\", hz = 200.0 }}\nlimit = {{ iterations = {ITERATIONS} }}");
-    let tables = format!("[[model]]\nname = \"echo\"\nkind = \"echo\"\n{}", echo("loop", &limit));
+    let tables = format!("[[model]]\nname = \"echo\"\nkind = \"echo\"\n{}", echo_pipeline("loop", &limit));
     let agent = deployment.start_agent(host, &tables);
     api.wait_until("/api/v1/runs", |runs| {
         let is_finished = |run: &&serde_json::Value| run["host"] == host && run["reason"] == "finished";
@@ -51,7 +51,7 @@ fn aggregator_clock_jumps_delete_nothing() {
             deployment.folder(),
             &false_time.environment(),
         );
-        let api = Api::on_port(deployment.http);
+        let api = Api::on_port(deployment.http_port);
         wait_until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
         (process, api)
     };
@@ -103,7 +103,7 @@ fn aggregator_clock_jumps_delete_nothing() {
         "0"
     );
     assert_eq!(aggregator.stop().code(), 0);
-    record_figures(
+    record_measurements(
         "clock jumps of the aggregator",
         &[("incidents", messages.join("; ")), ("iterations stored", (5 * STORED_ITERATIONS).to_string())],
     );

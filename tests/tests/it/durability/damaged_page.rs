@@ -3,9 +3,9 @@
 use std::os::unix::fs::FileExt;
 use std::path::Path;
 
-use peernet_tests::fleet::{echo, edge, rate};
+use peernet_tests::fleet::{agent_configuration, echo_pipeline, rate_load};
 use peernet_tests::truth::query_database;
-use peernet_tests::{Fleet, ProcessEnd, StoredEvents, record_figures, thousands, wait_until};
+use peernet_tests::{Fleet, ProcessEnd, StoredEvents, record_measurements, thousands, wait_until};
 
 /// Returns reproducible noise, such as a disk, a wild pointer or `dd` may leave.
 fn noise(seed: u64) -> Vec<u8> {
@@ -51,9 +51,10 @@ fn wait_for_failure_reason(fleet: &Fleet) -> String {
 /// Stores this number of events in the database file itself: pages that are only in the log would hide a damaged
 /// page.
 fn start_with_events_in_file(events: u64) -> Fleet {
-    let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(400.0))));
+    let mut fleet =
+        Fleet::new(&["edge"], &agent_configuration("", &echo_pipeline("loop", &rate_load(400.0))));
     fleet.start(0);
-    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > events);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.stored > events);
     fleet.aggregator.stop();
     fleet.restart_aggregator();
     fleet
@@ -68,10 +69,15 @@ fn damaged_page_stops_storing_until_repaired() {
     let reason = wait_for_failure_reason(&fleet);
     assert!(reason.contains("damaged") && reason.contains("peernetd doctor --repair"), "{reason}");
     // The agent reports the last acknowledgement a moment later.
-    let first = fleet
-        .wait_for_counts(0, "events wait", |counts| counts.waiting > 100 && counts.stored == counts.events);
+    let first = fleet.wait_for_counts(0, "events wait", |counts| {
+        counts.waiting > 100 && counts.acknowledged == counts.stored
+    });
     let later = fleet.wait_for_counts(0, "more events wait", |counts| counts.waiting > first.waiting + 400);
-    assert_eq!((later.events, later.stored), (first.events, first.stored), "nothing more is acknowledged");
+    assert_eq!(
+        (later.stored, later.acknowledged),
+        (first.stored, first.acknowledged),
+        "nothing more is acknowledged"
+    );
     let (status, page) = fleet.api.get("/").expect("the dashboard answers");
     assert!(status == 200 && page.contains("damaged"), "the page says so: {page}");
     let refused = doctor(&fleet, &["--repair"]);
@@ -86,7 +92,7 @@ fn damaged_page_stops_storing_until_repaired() {
     // restart.
     let first = fleet.wait_for_counts(0, "more wait than before", |counts| counts.waiting > later.waiting);
     let second = fleet.wait_for_counts(0, "even more wait", |counts| counts.waiting > first.waiting + 400);
-    assert_eq!(second.events, first.events, "nothing more is stored");
+    assert_eq!(second.stored, first.stored, "nothing more is stored");
     fleet.aggregator.stop();
 
     let diagnosis = doctor(&fleet, &[]);
@@ -123,9 +129,9 @@ fn assert_continues_after_repair(mut fleet: Fleet, title: &str) {
     fleet.agents[0].stop();
     fleet.start_without_pipelines(0);
     let counts = fleet.wait_for_counts(0, "everything is delivered", |counts| {
-        counts.waiting == 0 && counts.events + counts.missing == counts.produced
+        counts.waiting == 0 && counts.stored + counts.missing == counts.produced
     });
-    assert_eq!((counts.dropped, counts.stored), (0, counts.produced), "{counts:?}");
+    assert_eq!((counts.dropped, counts.acknowledged), (0, counts.produced), "{counts:?}");
     assert!(counts.missing > 0, "{counts:?}");
     fleet.agents[0].stop();
     fleet.aggregator.stop();
@@ -135,12 +141,12 @@ fn assert_continues_after_repair(mut fleet: Fleet, title: &str) {
         panic!("one run: {stored_events:?}")
     };
     assert_eq!(run.counted_iterations, run.iterations(), "{run:?}");
-    assert_eq!((run.with_nodes, run.incomplete), (run.iterations(), 0), "{run:?}");
+    assert_eq!((run.iterations_with_nodes, run.incomplete_iterations), (run.iterations(), 0), "{run:?}");
     assert_eq!(run.missing_iterations(), run.missing, "produced = stored + gaps: {run:?}");
     let host = &stored_events.hosts["edge"];
     assert_eq!(host.gap_rows, (host.gaps, host.missing), "{host:?}");
     assert_eq!(host.nodes, stored_events.nodes(), "{host:?}");
-    record_figures(
+    record_measurements(
         title,
         &[
             ("iterations stored", thousands(run.iterations() as f64)),

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use peernet_tests::fleet::{echo, edge, rate};
+use peernet_tests::fleet::{agent_configuration, echo_pipeline, rate_load};
 use peernet_tests::truth::query_database;
 use peernet_tests::{Fleet, ImageDisk, StoredEvents, wait_until};
 
@@ -17,10 +17,10 @@ fn start_fleet_on(disk: &ImageDisk) -> Fleet {
 }
 
 fn start_fleet_with_database(database: &Path) -> Fleet {
-    let configuration = edge("", &echo("loop", &rate(200.0)));
+    let configuration = agent_configuration("", &echo_pipeline("loop", &rate_load(200.0)));
     let mut fleet = Fleet::with_database(&database.display().to_string(), &["edge"], &configuration);
     fleet.start(0);
-    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 100);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.stored > 100);
     fleet
 }
 
@@ -34,7 +34,7 @@ fn wait_until_not_ready(fleet: &Fleet, text: &str) {
 /// Waits until the aggregator is ready and has stored the events that waited on its agent.
 fn wait_until_storing(fleet: &Fleet) {
     wait_until("ready", || fleet.api.get("/readyz").filter(|(status, _)| *status == 200));
-    fleet.wait_for_counts(0, "what waited is stored", |counts| counts.waiting < 100 && counts.events > 0);
+    fleet.wait_for_counts(0, "what waited is stored", |counts| counts.waiting < 100 && counts.stored > 0);
 }
 
 /// Stops everything; checks that each produced event is stored or counted as dropped.
@@ -47,7 +47,7 @@ fn assert_all_accounted_for(fleet: &mut Fleet) -> StoredEvents {
 /// Stops everything; checks that no event is missing.
 fn assert_nothing_is_missing(fleet: &mut Fleet) {
     let stored_events = assert_all_accounted_for(fleet);
-    assert_eq!(stored_events.count_missing(fleet.agents[0].spooled()), 0, "{stored_events:?}");
+    assert_eq!(stored_events.count_missing(fleet.agents[0].spooled_iterations()), 0, "{stored_events:?}");
     assert_eq!(stored_events.hosts["edge"].gaps, 0, "{stored_events:?}");
     assert!(stored_events.runs.values().all(|run| run.is_contiguous()), "{stored_events:?}");
 }
@@ -117,9 +117,10 @@ fn moved_database_is_closed_and_reopened() {
 
 #[test]
 fn database_replaced_by_backup_is_compared_with_spools() {
-    let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(200.0))));
+    let mut fleet =
+        Fleet::new(&["edge"], &agent_configuration("", &echo_pipeline("loop", &rate_load(200.0))));
     fleet.start(0);
-    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 200);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.stored > 200);
     let database = fleet.database().to_owned();
     let backup = fleet.deployment.folder().join("backup.sqlite");
     let backup_end = fleet
@@ -129,7 +130,7 @@ fn database_replaced_by_backup_is_compared_with_spools() {
     assert_eq!(backup_end.code(), 0, "{}", backup_end.log);
     let backup_events = StoredEvents::read(&backup);
     let before = fleet.wait_for_counts(0, "it reports", |_| true);
-    fleet.wait_for_counts(0, "more is stored", |counts| counts.stored > before.stored + 200);
+    fleet.wait_for_counts(0, "more is stored", |counts| counts.acknowledged > before.acknowledged + 200);
 
     let [main, log, shared] = files(&database);
     for file in [&main, &log, &shared] {
@@ -141,7 +142,7 @@ fn database_replaced_by_backup_is_compared_with_spools() {
     std::fs::rename(&backup, &main).expect("restores");
     wait_until_storing(&fleet);
     fleet.wait_for_counts(0, "newer events are stored", |counts| {
-        counts.events > backup_events.iterations() + 200
+        counts.stored > backup_events.iterations() + 200
     });
     let stored_events = assert_all_accounted_for(&mut fleet);
     let (host, run) = (&stored_events.hosts["edge"], stored_events.runs.values().next().expect("one run"));

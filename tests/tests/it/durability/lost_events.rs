@@ -3,9 +3,11 @@
 use std::path::Path;
 use std::time::Duration;
 
-use peernet_tests::fleet::{echo, edge, rate};
+use peernet_tests::fleet::{agent_configuration, echo_pipeline, rate_load};
 use peernet_tests::truth::query_database;
-use peernet_tests::{EventCounts, Fleet, SpooledIterations, StoredHost, TestRng, record_figures, thousands};
+use peernet_tests::{
+    EventCounts, Fleet, SpooledIterations, StoredHost, TestRng, record_measurements, thousands,
+};
 
 use super::wait_for_turn;
 
@@ -38,8 +40,8 @@ fn empty_folder(folder: &Path) {
 fn killed_agent_reports_every_event_it_lost() {
     let _turn = wait_for_turn();
     let mut rng = TestRng::new("lost events");
-    let pipeline = echo("loop", &format!("{}\nactuator = {{ kind = \"log\" }}", rate(500.0)));
-    let mut fleet = Fleet::new(&["edge"], &edge("", &pipeline));
+    let pipeline = echo_pipeline("loop", &format!("{}\nactuator = {{ kind = \"log\" }}", rate_load(500.0)));
+    let mut fleet = Fleet::new(&["edge"], &agent_configuration("", &pipeline));
     let mut killed_runs = Vec::new();
     while killed_runs.len() < KILLS {
         fleet.start(0);
@@ -80,7 +82,7 @@ fn killed_agent_reports_every_event_it_lost() {
         lost += stored.missing;
     }
     assert!(lost > 0, "every kill hit an agent that had nothing in memory: {stored_events:?}");
-    record_figures(
+    record_measurements(
         "killed agent",
         &[
             ("kills", thousands(killed_runs.len() as f64 + 1.0)),
@@ -97,14 +99,15 @@ fn killed_agent_reports_every_event_it_lost() {
 #[test]
 fn deleted_database_reports_number_of_missing_events() {
     let _turn = wait_for_turn();
-    let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(500.0))));
+    let mut fleet =
+        Fleet::new(&["edge"], &agent_configuration("", &echo_pipeline("loop", &rate_load(500.0))));
     fleet.start(0);
-    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 500);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.stored > 500);
     fleet.aggregator.stop();
     let deleted_events = fleet.stored_events().hosts["edge"].events;
     empty_folder(fleet.database().parent().expect("a folder of its own"));
     fleet.restart_aggregator();
-    fleet.wait_for_counts(0, "more is stored", |counts| counts.events > 500);
+    fleet.wait_for_counts(0, "more is stored", |counts| counts.stored > 500);
     fleet.agents[0].stop();
     let counts = fleet.deliver_spool(0);
     let stored_events = fleet.stop();
@@ -125,15 +128,16 @@ fn deleted_database_reports_number_of_missing_events() {
 #[test]
 fn restored_database_reports_number_of_missing_events() {
     let _turn = wait_for_turn();
-    let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(500.0))));
+    let mut fleet =
+        Fleet::new(&["edge"], &agent_configuration("", &echo_pipeline("loop", &rate_load(500.0))));
     fleet.start(0);
-    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 500);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.stored > 500);
     fleet.aggregator.stop();
     let (database, backup) = (fleet.database().to_owned(), fleet.deployment.folder().join("backup.sqlite"));
     std::fs::copy(&database, &backup).expect("copied");
     fleet.restart_aggregator();
     let before = fleet.wait_for_counts(0, "it is back", |_| true);
-    fleet.wait_for_counts(0, "more is stored", |counts| counts.stored > before.stored + 500);
+    fleet.wait_for_counts(0, "more is stored", |counts| counts.acknowledged > before.acknowledged + 500);
     fleet.aggregator.stop();
     empty_folder(database.parent().expect("a folder of its own"));
     std::fs::copy(&backup, &database).expect("restored");

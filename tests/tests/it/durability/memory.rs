@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use peernet_tests::fleet::{echo, edge, rate};
-use peernet_tests::{Fleet, Stopwatch, record_figures};
+use peernet_tests::fleet::{agent_configuration, echo_pipeline, rate_load};
+use peernet_tests::{Fleet, Stopwatch, record_measurements};
 
 use super::setting;
 
@@ -23,10 +23,11 @@ fn memory_mib(pid: u32) -> f64 {
 #[ignore = "takes as long as PEERNET_MEMORY_S says; for make soak"]
 fn memory_stays_below_its_bound() {
     let seconds = setting("PEERNET_MEMORY_S", 600);
-    let pipelines: String = (0..8).map(|number| echo(&format!("loop-{number}"), &rate(200.0))).collect();
-    let mut fleet = Fleet::new(&["edge"], &edge("", &pipelines));
+    let pipelines: String =
+        (0..8).map(|number| echo_pipeline(&format!("loop-{number}"), &rate_load(200.0))).collect();
+    let mut fleet = Fleet::new(&["edge"], &agent_configuration("", &pipelines));
     fleet.start(0);
-    let (pid, stopwatch) = (fleet.aggregator.process().pid(), Stopwatch::now());
+    let (pid, stopwatch) = (fleet.aggregator.process().pid(), Stopwatch::start());
     let mut samples = Vec::new();
     while stopwatch.elapsed() < Duration::from_secs(seconds) {
         // Pages are part of the load.
@@ -39,7 +40,7 @@ fn memory_stays_below_its_bound() {
     let halfway = samples[samples.len() / 2];
     let last = samples.last().copied().expect("some");
     let mib = |value: f64| format!("{value:.1} MiB");
-    record_figures(
+    record_measurements(
         "aggregator's memory, 8 pipelines at 200 Hz",
         &[("halfway", mib(halfway)), ("at the end", mib(last)), ("at the most", mib(maximum))],
     );

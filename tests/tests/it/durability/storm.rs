@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use peernet_clock::Span;
-use peernet_tests::fleet::{echo, edge_in, rate};
-use peernet_tests::{Fleet, ImageDisk, Stopwatch, TestRng, record_figures, thousands, wait_until};
+use peernet_tests::fleet::{agent_configuration_in, echo_pipeline, rate_load};
+use peernet_tests::{Fleet, ImageDisk, Stopwatch, TestRng, record_measurements, thousands, wait_until};
 
 use super::{setting, wait_for_turn};
 
@@ -54,9 +54,10 @@ impl Storm {
     fn new() -> Self {
         let (store, spools) = (ImageDisk::new(512 << 20), ImageDisk::new(128 << 20));
         let state = spools.folder().join("NAME").display().to_string();
-        let pipeline = echo("loop", &format!("{}\nactuator = {{ kind = \"log\" }}", rate(HZ)));
+        let pipeline = echo_pipeline("loop", &format!("{}\nactuator = {{ kind = \"log\" }}", rate_load(HZ)));
         let database = store.folder().join("aggregator.sqlite").display().to_string();
-        let mut fleet = Fleet::with_database(&database, &AGENTS, &edge_in(&state, "", &pipeline));
+        let mut fleet =
+            Fleet::with_database(&database, &AGENTS, &agent_configuration_in(&state, "", &pipeline));
         fleet.aggregator.stop();
         let Fleet { deployment, aggregator, agents, .. } = &mut fleet;
         for daemon in agents.iter_mut().chain([aggregator]) {
@@ -176,7 +177,7 @@ fn answers(log: &str) -> u64 {
 #[ignore = "takes minutes with PEERNET_KILLS=200; for make soak"]
 fn kills_disk_and_clock_faults_lose_nothing_uncounted() {
     let _turn = wait_for_turn();
-    let (mut rng, stopwatch) = (TestRng::new("storm"), Stopwatch::now());
+    let (mut rng, stopwatch) = (TestRng::new("storm"), Stopwatch::start());
     let mut storm = Storm::new();
     let kills = setting("PEERNET_KILLS", 6);
     while storm.kills.iter().sum::<u64>() < kills {
@@ -197,7 +198,7 @@ fn kills_disk_and_clock_faults_lose_nothing_uncounted() {
         counts.assert_balanced();
         let host = &stored_events.hosts[&agent.name];
         assert_eq!(
-            stored_events.count_missing(agent.spooled()),
+            stored_events.count_missing(agent.spooled_iterations()),
             0,
             "what was spooled is stored: {counts:?}, {host:?}"
         );
@@ -211,7 +212,7 @@ fn kills_disk_and_clock_faults_lose_nothing_uncounted() {
     let accounted = stored_events.iterations() + missing;
     assert!(accounted + kills[0] >= answers, "{answers} answers, {accounted} accounted for");
     let number = |count: u64| thousands(count as f64);
-    record_figures(
+    record_measurements(
         "kills amid failing disks and jumping clocks",
         &[
             ("kills of agents", number(kills[0])),

@@ -21,7 +21,7 @@ fn run(folder: &Path, objects: &str, experiment: &str) -> ProcessEnd {
 fn documented() -> (String, String) {
     let document = Document::read("docs/actuators.md");
     let block = |language: &str, part: &str| {
-        let blocks = document.fenced(language).into_iter().map(|(_, text)| text);
+        let blocks = document.fenced_blocks(language).into_iter().map(|(_, text)| text);
         blocks.into_iter().find(|text| text.contains(part)).expect("the document has it")
     };
     let port = free_port().to_string();

@@ -30,11 +30,11 @@ fn run_without_model_is_shown_on_all_pages() {
     });
     assert_eq!(kind, "none");
     for name in ["sensing", "capture", "total"] {
-        assert!(api.figures(run, name).is_some(), "{name} is missing");
+        assert!(api.stage_statistics(run, name).is_some(), "{name} is missing");
     }
     assert_eq!(api.mean(run, "dropped-samples"), 0.0);
     for absent in ["inference", "upload", "top-1"] {
-        assert!(api.figures(run, absent).is_none(), "{absent}");
+        assert!(api.stage_statistics(run, absent).is_none(), "{absent}");
     }
     for page in ["/", "/runs", "/pipelines", "/pipelines/edge/study", &format!("/runs/{run}"), "/hosts"] {
         let (status, text) = api.get(page).expect("the dashboard answers");

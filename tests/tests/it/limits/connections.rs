@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use peernet_tests::fleet::{echo, edge, rate};
+use peernet_tests::fleet::{agent_configuration, echo_pipeline, rate_load};
 use peernet_tests::{AGGREGATOR, Api, LoopbackDeployment, Process, program, wait_until};
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
@@ -20,11 +20,13 @@ fn silent_connections_stop_neither_storing_nor_dashboard() {
     let peernetd = program("peernetd").display().to_string();
     let arguments = ["--nofile=1024:1024", &peernetd, "run", "aggregator.toml"];
     let aggregator = Process::start(Path::new("prlimit"), &arguments, deployment.folder(), &[]);
-    let api = Api::on_port(deployment.http);
+    let api = Api::on_port(deployment.http_port);
     wait_until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
     let agent = |name: &str| {
-        deployment
-            .write(&format!("{name}.toml"), &edge("", &echo("loop", &rate(50.0))).replace("NAME", name));
+        deployment.write(
+            &format!("{name}.toml"),
+            &agent_configuration("", &echo_pipeline("loop", &rate_load(50.0))).replace("NAME", name),
+        );
         deployment.start(&format!("{name}.toml"))
     };
     let early = agent("early");
@@ -42,9 +44,9 @@ fn silent_connections_stop_neither_storing_nor_dashboard() {
     // Half of the peers complete the greeting of the protocol and send nothing more.
     let open_silent_connection = |number: usize| {
         if number.is_multiple_of(2) {
-            Peer::connect(deployment.events)
+            Peer::connect(deployment.events_port)
         } else {
-            Peer::connect_with_handshake(deployment.events)
+            Peer::connect_with_handshake(deployment.events_port)
         }
     };
     let connections: Vec<Peer> = (0..SILENT_CONNECTIONS).map(open_silent_connection).collect();
@@ -72,7 +74,7 @@ fn connections_without_hello_are_closed_in_time() {
     let cloud = deployment.start_agent("cloud", tables);
     aggregator.wait_for("ready");
     cloud.wait_for("ready");
-    let mut connections: Vec<Peer> = [deployment.events, deployment.data]
+    let mut connections: Vec<Peer> = [deployment.events_port, deployment.data_port]
         .iter()
         .flat_map(|port| (0..50).map(|_| Peer::connect_with_handshake(*port)))
         .collect();

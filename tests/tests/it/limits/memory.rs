@@ -1,6 +1,6 @@
 //! Tests of unfinished frames from peers without a session.
 
-use peernet_tests::{LoopbackDeployment, record_figures, wait_until};
+use peernet_tests::{LoopbackDeployment, record_measurements, wait_until};
 
 use super::{Peer, peak_memory};
 
@@ -16,11 +16,11 @@ fn unfinished_samples_without_session_take_bounded_memory() {
     let cloud = deployment.start_agent("cloud", tables);
     cloud.wait_for("ready");
     let before = peak_memory(&cloud);
-    let mut peers: Vec<Peer> = (0..30).map(|_| Peer::connect_with_handshake(deployment.data)).collect();
+    let mut peers: Vec<Peer> = (0..30).map(|_| Peer::connect_with_handshake(deployment.data_port)).collect();
     let sent: usize = peers.iter_mut().map(|peer| peer.send_unfinished(60_000_000)).sum();
     wait_until("all are closed", || peers.iter_mut().all(Peer::is_closed).then_some(()));
     let peak = peak_memory(&cloud);
-    record_figures(
+    record_measurements(
         "30 unfinished frames of 60 MB",
         &[("bytes sent", sent.to_string()), ("peak before", before.to_string()), ("peak", peak.to_string())],
     );
@@ -34,11 +34,12 @@ fn unfinished_batches_without_hello_take_bounded_memory() {
     let deployment = LoopbackDeployment::new();
     let (aggregator, api) = deployment.start_aggregator();
     let before = peak_memory(&aggregator);
-    let mut peers: Vec<Peer> = (0..450).map(|_| Peer::connect_with_handshake(deployment.events)).collect();
+    let mut peers: Vec<Peer> =
+        (0..450).map(|_| Peer::connect_with_handshake(deployment.events_port)).collect();
     let sent: usize = peers.iter_mut().map(|peer| peer.send_unfinished(3_900_000)).sum();
     wait_until("all are closed", || peers.iter_mut().all(Peer::is_closed).then_some(()));
     let peak = peak_memory(&aggregator);
-    record_figures(
+    record_measurements(
         "450 unfinished frames of 3.9 MB",
         &[("bytes sent", sent.to_string()), ("peak before", before.to_string()), ("peak", peak.to_string())],
     );

@@ -21,7 +21,9 @@ fn send_request(deployment: &LoopbackDeployment, host: u8, path: &str) -> TcpStr
     socket
         .bind(&SocketAddr::from(([127, 0, 0, host], 0)).into())
         .expect("all of 127.0.0.0/8 is this machine");
-    socket.connect(&SocketAddr::from(([127, 0, 0, 1], deployment.http)).into()).expect("the port is open");
+    socket
+        .connect(&SocketAddr::from(([127, 0, 0, 1], deployment.http_port)).into())
+        .expect("the port is open");
     let mut stream = TcpStream::from(socket);
     stream.set_read_timeout(Some(TEST_TIMEOUT)).expect("a socket takes a timeout");
     let request = format!("GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n");
@@ -37,7 +39,7 @@ fn slow_readers_do_not_block_dashboard() {
     let peernetd = program("peernetd").display().to_string();
     let arguments = [DESCRIPTORS, &peernetd, "run", "aggregator.toml"];
     let aggregator = Process::start(Path::new("prlimit"), &arguments, deployment.folder(), &[]);
-    let api = Api::on_port(deployment.http);
+    let api = Api::on_port(deployment.http_port);
     wait_until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
 
     for path in ["/api/v1/live?topics=picture", "/api/openapi.json"] {

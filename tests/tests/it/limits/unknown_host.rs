@@ -51,7 +51,7 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
     });
 
     let attack = start_attack(&machines);
-    let (stopwatch, mut latest) = (Stopwatch::now(), before);
+    let (stopwatch, mut latest) = (Stopwatch::start(), before);
     // The last query is made during the attack.
     while stopwatch.elapsed().as_secs() < SECONDS - 5 {
         latest = wait_until("more is stored, and the dashboard says so", || {
@@ -146,7 +146,7 @@ fn start_attack(machines: &DocumentedCommands) -> Process {
 }
 
 fn curl_command(path: &str) -> String {
-    format!("curl --silent --fail --max-time 10 http://{}:8040{path}", DocumentedCommands::CLOUD)
+    format!("curl --silent --fail --max-time 10 http://{}:8040{path}", DocumentedCommands::CLOUD_ADDRESS)
 }
 
 /// Requests a document from the robot's host.

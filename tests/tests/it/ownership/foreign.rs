@@ -11,7 +11,7 @@ use peernet_stream::{
 };
 use peernet_tests::truth::query_database;
 use peernet_tests::{
-    Fleet, InventedHost, MisbehavingPeer, StoredEvents, TestRng, record_figures, wait_until, wall,
+    Fleet, InventedHost, MisbehavingPeer, StoredEvents, TestRng, record_measurements, wait_until, wall,
 };
 
 use super::start_fleet;
@@ -93,7 +93,7 @@ fn foreign_reports_leave_run_unchanged() {
     let missing = |fleet: &peernet_tests::Fleet| fleet.api.json("/api/v1/runs/1")["gaps"].clone();
     let before = (missing(&fleet), fleet.api.json("/api/v1/runs/1")["reason"].clone());
 
-    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
+    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events_port);
     let mut host = InventedHost::new("stranger", &mut rng);
     host.open_session(&misbehaving_peer);
     let own_id = host.hello.host.id;
@@ -136,7 +136,7 @@ fn foreign_reports_leave_run_unchanged() {
     assert!(incidents.iter().filter(is_from_stranger).all(|incident| incident["run"] != 1), "{incidents:?}");
 
     let before = fleet.wait_for_counts(0, "it is there", |_| true);
-    fleet.wait_for_counts(0, "the robot goes on", |counts| counts.events > before.events + 20);
+    fleet.wait_for_counts(0, "the robot goes on", |counts| counts.stored > before.stored + 20);
     fleet.agents[0].stop();
     fleet.deliver_spool(0).assert_balanced();
     let mut stored_events = stop(&mut fleet);
@@ -148,7 +148,7 @@ fn foreign_reports_leave_run_unchanged() {
         ("edge", "loop", "stopped")
     );
     assert!(stored.is_contiguous() && stored.missing == 0, "{stored:?}");
-    record_figures(
+    record_measurements(
         "foreign reports",
         &[("kinds of events", events.len().to_string()), ("that changed the run", "0".into())],
     );
@@ -159,8 +159,8 @@ fn run_id_claimed_early_still_belongs_to_host() {
     let mut rng = TestRng::new("claimed runs");
     let mut fleet = peernet_tests::Fleet::new(&[], "");
     let (first_peer, second_peer) = (
-        MisbehavingPeer::connect(fleet.deployment.events),
-        MisbehavingPeer::connect(fleet.deployment.events),
+        MisbehavingPeer::connect(fleet.deployment.events_port),
+        MisbehavingPeer::connect(fleet.deployment.events_port),
     );
     let (mut thief, mut robot) = (InventedHost::new("thief", &mut rng), InventedHost::new("robot", &mut rng));
     let run = RunId::random();

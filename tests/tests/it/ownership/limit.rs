@@ -2,7 +2,7 @@
 
 use peernet_stream::ToAggregator;
 use peernet_tests::truth::query_database;
-use peernet_tests::{InventedHost, MisbehavingPeer, TestRng, record_figures, thousands, wait_until};
+use peernet_tests::{InventedHost, MisbehavingPeer, TestRng, record_measurements, thousands, wait_until};
 
 use super::start_fleet;
 
@@ -17,7 +17,7 @@ fn invented_hosts_leave_pages_and_metrics_bounded() {
     let before = (bytes("/metrics"), bytes("/api/v1/hosts"));
     // Some hosts only say hello, on many connections, and some prove their id.
     let peers: Vec<MisbehavingPeer> =
-        (0..320).map(|_| MisbehavingPeer::connect(fleet.deployment.events)).collect();
+        (0..320).map(|_| MisbehavingPeer::connect(fleet.deployment.events_port)).collect();
     for misbehaving_peer in &peers {
         for _ in 0..62 {
             let name = format!("invented-{}", rng.below(1 << 30));
@@ -52,9 +52,9 @@ fn invented_hosts_leave_pages_and_metrics_bounded() {
         (hosts["hosts"].as_array()?.len() == 1).then_some(())
     });
     let before_counts = fleet.wait_for_counts(0, "it is there", |_| true);
-    fleet.wait_for_counts(0, "the robot goes on", |counts| counts.events > before_counts.events + 20);
+    fleet.wait_for_counts(0, "the robot goes on", |counts| counts.stored > before_counts.stored + 20);
     fleet.stop();
-    record_figures(
+    record_measurements(
         "invented hosts",
         &[
             ("that said hello", thousands(320.0 * 62.0)),
@@ -69,7 +69,7 @@ fn invented_hosts_leave_pages_and_metrics_bounded() {
 fn host_limit_refuses_new_hosts_only() {
     let mut rng = TestRng::new("too many hosts");
     let mut fleet = start_fleet("max_hosts = 2");
-    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
+    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events_port);
     let mut second = InventedHost::new("second", &mut rng);
     second.open_session(&misbehaving_peer);
     misbehaving_peer.send(&second.batch(1));

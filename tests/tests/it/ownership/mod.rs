@@ -5,12 +5,16 @@ mod limit;
 mod secret;
 
 use peernet_tests::Fleet;
-use peernet_tests::fleet::{echo, edge, rate};
+use peernet_tests::fleet::{agent_configuration, echo_pipeline, rate_load};
 
 /// Starts a fleet with one agent that measures.
 fn start_fleet(keys: &str) -> Fleet {
-    let mut fleet = Fleet::with_aggregator_keys(keys, &["edge"], &edge("", &echo("loop", &rate(100.0))));
+    let mut fleet = Fleet::with_aggregator_keys(
+        keys,
+        &["edge"],
+        &agent_configuration("", &echo_pipeline("loop", &rate_load(100.0))),
+    );
     fleet.start(0);
-    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 20);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.stored > 20);
     fleet
 }

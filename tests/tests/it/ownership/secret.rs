@@ -49,7 +49,7 @@ fn impostor_does_not_exclude_known_host() {
     fleet.agents[0].kill();
     fleet.restart_aggregator();
 
-    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
+    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events_port);
     let mut impostor = host_without_secret(&fleet, &mut rng);
     let reason = impostor.expect_refusal(&misbehaving_peer);
     assert!(reason.contains("clear-host-secret") && reason.contains("spool"), "{reason}");
@@ -69,12 +69,12 @@ fn impostor_does_not_exclude_known_host() {
     assert!(reason.contains("clear-host-secret"), "{reason}");
     let before = fleet.wait_for_counts(0, "it is there", |_| true);
     fleet.wait_for_counts(0, "it goes on", |counts| {
-        counts.events > before.events + 50 && counts.waiting < 100
+        counts.stored > before.stored + 50 && counts.waiting < 100
     });
     fleet.agents[0].stop();
     fleet.deliver_spool(0).assert_balanced();
     let stored_events = fleet.stop();
-    assert_eq!(stored_events.count_missing(fleet.agents[0].spooled()), 0, "{stored_events:?}");
+    assert_eq!(stored_events.count_missing(fleet.agents[0].spooled_iterations()), 0, "{stored_events:?}");
     // Events that were not spooled when it was killed may be missing, and are in a gap then.
     assert_eq!(stored_events.hosts["edge"].streams, 1, "{stored_events:?}");
 }
@@ -109,7 +109,7 @@ fn host_secret_survives_loss_of_spool_or_database() {
     std::fs::remove_dir_all(fleet.database().parent().expect("a folder of its own")).expect("it has stopped");
     fleet.restart_aggregator();
     fleet.start(0);
-    fleet.wait_for_counts(0, "it is stored again", |counts| counts.events > 20);
+    fleet.wait_for_counts(0, "it is stored again", |counts| counts.stored > 20);
     assert_eq!(query_database(fleet.database(), "SELECT lower(hex(secret)) FROM host_secret").trim(), before);
     fleet.stop();
 }
@@ -136,7 +136,7 @@ fn cleared_secret_permits_a_new_one() {
     fleet.agents[0].stop();
     fleet.deliver_spool(0).assert_balanced();
     let stored_events = fleet.stop();
-    assert_eq!(stored_events.count_missing(fleet.agents[0].spooled()), 0, "{stored_events:?}");
+    assert_eq!(stored_events.count_missing(fleet.agents[0].spooled_iterations()), 0, "{stored_events:?}");
 }
 
 #[test]
@@ -144,7 +144,7 @@ fn robot_takes_its_name_back_from_newcomer() {
     let mut rng = TestRng::new("namesake");
     let mut fleet = start_fleet("");
     fleet.agents[0].stop();
-    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
+    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events_port);
     let namesake = InventedHost::new("edge", &mut rng);
     namesake.open_session(&misbehaving_peer);
     fleet.start(0);

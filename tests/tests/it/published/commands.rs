@@ -177,7 +177,7 @@ fn streamed_run_is_on_dashboard_with_same_host() {
         let client = lab.start_client(&format!(
             "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic \
              --iterations 20 --result-loc {results} --aggregator tcp://127.0.0.1:{}",
-            deployment.events
+            deployment.events_port
         ));
         let (client, server) = (client.wait_for_end(), server.wait_for_end());
         assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);

@@ -12,7 +12,7 @@ fn measure_and_stream(lab: &Lab, deployment: &LoopbackDeployment) -> String {
     let client = lab.start_client(&format!(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic \
          --iterations 20 --result-loc results --overwrite --aggregator tcp://127.0.0.1:{}",
-        deployment.events
+        deployment.events_port
     ));
     let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
@@ -82,7 +82,7 @@ fn second_concurrent_stream_of_device_is_refused() {
     let command = format!(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic \
          --iterations 20 --aggregator tcp://127.0.0.1:{}",
-        deployment.events
+        deployment.events_port
     );
     let first = lab.start_client(&command);
     first.wait_for("is away");
@@ -125,7 +125,7 @@ fn experiment_prints_no_link_to_unused_dashboard() {
 #[test]
 fn same_command_delivers_events_that_wait() {
     let (lab, deployment) = (Lab::on_one_machine(), LoopbackDeployment::new());
-    let address = format!("tcp://127.0.0.1:{}", deployment.events);
+    let address = format!("tcp://127.0.0.1:{}", deployment.events_port);
     let file = format!(
         "[experiment]\nname = \"late\"\niterations = 20\nusers = 2\naggregator = \"{address}\"\n\
          [pipeline]\nsensor = {{ kind = \"synthetic\", size_bytes = 100 }}\nplacement = {{ kind = \"local\", model = \"echo\" }}\n\

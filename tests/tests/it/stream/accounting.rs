@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use peernet_tests::fleet::{echo, edge};
-use peernet_tests::{EventCounts, Fleet, record_figures, thousands, wait_until};
+use peernet_tests::fleet::{agent_configuration, echo_pipeline};
+use peernet_tests::{EventCounts, Fleet, record_measurements, thousands, wait_until};
 
 use super::wait_for_turn;
 
@@ -11,11 +11,11 @@ use super::wait_for_turn;
 fn produced_events_are_stored_or_counted_as_dropped() {
     let _turn = wait_for_turn();
     // The spool is too small for what is measured without an aggregator, and hardly large enough with one.
-    let configuration = edge("queue_events = 2000", "[spool]\nlimit_bytes = 1048576\n");
-    let mut fleet = Fleet::new(&["edge-1", "edge-2"], &(configuration + &echo("loop", "")));
+    let configuration = agent_configuration("queue_events = 2000", "[spool]\nlimit_bytes = 1048576\n");
+    let mut fleet = Fleet::new(&["edge-1", "edge-2"], &(configuration + &echo_pipeline("loop", "")));
     fleet.start_all();
     for agent in 0..2 {
-        fleet.wait_for_counts(agent, "something is stored", |counts| counts.events > 100);
+        fleet.wait_for_counts(agent, "something is stored", |counts| counts.stored > 100);
     }
     fleet.aggregator.stop();
     fleet.restart_aggregator();
@@ -33,10 +33,10 @@ fn produced_events_are_stored_or_counted_as_dropped() {
         assert_eq!((counts.waiting, counts.missing), (0, counts.dropped), "{counts:?}");
         let expected = [
             ("peernet_host_produced_events_total", counts.produced),
-            ("peernet_host_acknowledged_events_total", counts.stored),
+            ("peernet_host_acknowledged_events_total", counts.acknowledged),
             ("peernet_host_waiting_events", counts.waiting),
             ("peernet_host_dropped_events_total", counts.dropped),
-            ("peernet_host_stored_events_total", counts.events),
+            ("peernet_host_stored_events_total", counts.stored),
             ("peernet_host_missing_events_total", counts.missing),
         ];
         wait_until("the metrics agree", || {
@@ -49,13 +49,13 @@ fn produced_events_are_stored_or_counted_as_dropped() {
     for (agent, counts) in fleet.agents.iter().zip(&counts_of_agents) {
         let host = &stored_events.hosts[&agent.name];
         assert_eq!(host.missing, counts.dropped, "{host:?}, {counts:?}");
-        assert!(host.events >= counts.stored && host.quarantined == 0, "{host:?}, {counts:?}");
-        assert_eq!(stored_events.count_missing(agent.spooled()), 0);
-        record_figures(
+        assert!(host.events >= counts.acknowledged && host.quarantined == 0, "{host:?}, {counts:?}");
+        assert_eq!(stored_events.count_missing(agent.spooled_iterations()), 0);
+        record_measurements(
             &format!("accounting, {}", agent.name),
             &[
                 ("produced", thousands(counts.produced as f64)),
-                ("stored", thousands(counts.stored as f64)),
+                ("stored", thousands(counts.acknowledged as f64)),
                 ("dropped", thousands(counts.dropped as f64)),
                 ("gaps", thousands(counts.gaps as f64)),
             ],

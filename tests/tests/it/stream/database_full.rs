@@ -1,7 +1,7 @@
 //! Test of a full disk under the database.
 
-use peernet_tests::fleet::{echo, edge, rate};
-use peernet_tests::{Fleet, SmallDisk, record_figures, thousands, wait_until};
+use peernet_tests::fleet::{agent_configuration, echo_pipeline, rate_load};
+use peernet_tests::{Fleet, SmallDisk, record_measurements, thousands, wait_until};
 
 use super::{assert_nothing_lost, wait_for_turn};
 
@@ -10,9 +10,13 @@ fn full_database_disk_stops_storing_without_loss() {
     let _turn = wait_for_turn();
     let disk = SmallDisk::new(48 << 20);
     let database = disk.folder().join("aggregator.sqlite").display().to_string();
-    let mut fleet = Fleet::with_database(&database, &["edge"], &edge("", &echo("loop", &rate(500.0))));
+    let mut fleet = Fleet::with_database(
+        &database,
+        &["edge"],
+        &agent_configuration("", &echo_pipeline("loop", &rate_load(500.0))),
+    );
     fleet.start(0);
-    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 100);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.stored > 100);
 
     disk.fill();
     let reason = wait_until("not ready", || {
@@ -38,7 +42,7 @@ fn full_database_disk_stops_storing_without_loss() {
     disk.free();
     wait_until("ready", || fleet.api.get("/readyz").filter(|(status, _)| *status == 200));
     fleet.wait_for_counts(0, "what waited is stored", |counts| {
-        counts.events > waiting.events + waiting.waiting
+        counts.stored > waiting.stored + waiting.waiting
     });
     let outage = fleet.api.wait_until("/api/v1/incidents", |list| {
         let storage = list["incidents"].as_array()?.iter().find(|incident| incident["kind"] == "storage")?;
@@ -51,7 +55,7 @@ fn full_database_disk_stops_storing_without_loss() {
     let stored_events = fleet.stop();
     let spooled = assert_nothing_lost(&fleet, &stored_events);
     let number = |count: u64| thousands(count as f64);
-    record_figures(
+    record_measurements(
         "full disk, database",
         &[
             ("events that waited, at least", number(waiting.waiting)),

@@ -1,23 +1,26 @@
 //! Tests of peers that send invalid messages to a real aggregator, while a normal agent is connected.
 
 use peernet_stream::{ToAgent, ToAggregator, codec};
-use peernet_tests::fleet::{echo, edge, rate};
-use peernet_tests::{Fleet, InventedHost, MisbehavingPeer, TestRng, record_figures, thousands, wait_until};
+use peernet_tests::fleet::{agent_configuration, echo_pipeline, rate_load};
+use peernet_tests::{
+    Fleet, InventedHost, MisbehavingPeer, TestRng, record_measurements, thousands, wait_until,
+};
 
 use super::{assert_nothing_lost, wait_for_turn};
 
 /// Starts a fleet whose agent measures meanwhile.
 fn start_fleet() -> Fleet {
-    let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(200.0))));
+    let mut fleet =
+        Fleet::new(&["edge"], &agent_configuration("", &echo_pipeline("loop", &rate_load(200.0))));
     fleet.start(0);
-    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 0);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.stored > 0);
     fleet
 }
 
 /// Checks that the normal agent lost nothing and that the aggregator exits with 0.
 fn assert_agent_lost_nothing(mut fleet: Fleet) -> u64 {
     let before = fleet.wait_for_counts(0, "it is there", |_| true);
-    fleet.wait_for_counts(0, "more is stored", |counts| counts.events > before.events + 100);
+    fleet.wait_for_counts(0, "more is stored", |counts| counts.stored > before.stored + 100);
     fleet.agents[0].stop();
     fleet.deliver_spool(0).assert_balanced();
     let mut stored_events = fleet.stop();
@@ -39,7 +42,7 @@ fn damaged_frames_are_refused_and_counted() {
     let _turn = wait_for_turn();
     let mut rng = TestRng::new("damaged frames");
     let fleet = start_fleet();
-    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
+    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events_port);
     let mut host = InventedHost::new("stranger", &mut rng);
     host.open_session(&misbehaving_peer);
     misbehaving_peer.send(&host.batch(10));
@@ -80,7 +83,7 @@ fn damaged_frames_are_refused_and_counted() {
     assert!(line.contains("unreadable="), "{line}");
     misbehaving_peer.send_message(&ToAggregator::Goodbye(host.hello.host.id));
     let spooled = assert_agent_lost_nothing(fleet);
-    record_figures(
+    record_measurements(
         "damaged frames",
         &[
             ("sent", thousands(f64::from(sent))),
@@ -95,7 +98,7 @@ fn invalid_batch_is_quarantined_and_stream_continues() {
     let _turn = wait_for_turn();
     let mut rng = TestRng::new("wrong batches");
     let fleet = start_fleet();
-    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
+    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events_port);
     let mut host = InventedHost::new("stranger", &mut rng);
     host.open_session(&misbehaving_peer);
 
@@ -139,8 +142,8 @@ fn foreign_batches_are_refused_and_repeated_ones_ignored() {
     let mut rng = TestRng::new("replayed batches");
     let fleet = start_fleet();
     let (own_peer, other_peer) = (
-        MisbehavingPeer::connect(fleet.deployment.events),
-        MisbehavingPeer::connect(fleet.deployment.events),
+        MisbehavingPeer::connect(fleet.deployment.events_port),
+        MisbehavingPeer::connect(fleet.deployment.events_port),
     );
     let mut host = InventedHost::new("victim", &mut rng);
     host.open_session(&own_peer);
@@ -186,7 +189,7 @@ fn hello_flood_excludes_no_agent() {
     let _turn = wait_for_turn();
     let mut rng = TestRng::new("hello storm");
     let fleet = start_fleet();
-    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
+    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events_port);
     // More hosts than one connection may represent.
     for number in 0..200 {
         let host = InventedHost::new(&format!("crowd-{number}"), &mut rng);
@@ -198,7 +201,7 @@ fn hello_flood_excludes_no_agent() {
     assert!(reason.contains("connection"), "{reason}");
     // Many connections, many with the normal agent's name, wrong versions, and long texts.
     let peers: Vec<MisbehavingPeer> =
-        (0..60).map(|_| MisbehavingPeer::connect(fleet.deployment.events)).collect();
+        (0..60).map(|_| MisbehavingPeer::connect(fleet.deployment.events_port)).collect();
     for (number, misbehaving_peer) in peers.iter().enumerate() {
         let name = if number % 2 == 0 { "edge" } else { "somebody" };
         let mut hello = InventedHost::new(name, &mut rng).hello;

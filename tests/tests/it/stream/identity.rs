@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use peernet_tests::fleet::{echo, edge, edge_in, rate};
+use peernet_tests::fleet::{agent_configuration, agent_configuration_in, echo_pipeline, rate_load};
 use peernet_tests::truth::query_database;
-use peernet_tests::{Daemon, Fleet, record_figures, thousands};
+use peernet_tests::{Daemon, Fleet, record_measurements, thousands};
 
 use super::{assert_nothing_lost, wait_for_turn};
 
@@ -37,9 +37,10 @@ fn kill_with_batches(fleet: &mut Fleet) {
 #[test]
 fn restored_database_records_gap_and_continues() {
     let _turn = wait_for_turn();
-    let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(500.0))));
+    let mut fleet =
+        Fleet::new(&["edge"], &agent_configuration("", &echo_pipeline("loop", &rate_load(500.0))));
     fleet.start(0);
-    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 500);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.stored > 500);
     let store = fleet.database().parent().expect("a folder of its own").to_owned();
     let backup = fleet.deployment.folder().join("backup");
     fleet.aggregator.stop();
@@ -48,7 +49,7 @@ fn restored_database_records_gap_and_continues() {
 
     fleet.restart_aggregator();
     let before = fleet.wait_for_counts(0, "it is back", |_| true);
-    fleet.wait_for_counts(0, "more is stored", |counts| counts.stored > before.stored + 1_000);
+    fleet.wait_for_counts(0, "more is stored", |counts| counts.acknowledged > before.acknowledged + 1_000);
     fleet.aggregator.stop();
     let later_events = fleet.stored_events();
     std::fs::remove_dir_all(&store).expect("the aggregator has stopped");
@@ -56,7 +57,7 @@ fn restored_database_records_gap_and_continues() {
 
     fleet.restart_aggregator();
     fleet.wait_for_counts(0, "newer batches are stored", |counts| {
-        counts.events > backup_events.iterations() + 1_000
+        counts.stored > backup_events.iterations() + 1_000
     });
     stop_measuring_and_deliver(&mut fleet, 0);
     let stored_events = fleet.stop();
@@ -70,7 +71,7 @@ fn restored_database_records_gap_and_continues() {
     let reason = query_database(fleet.database(), "SELECT reason FROM gap");
     assert!(!reason.trim().is_empty());
     let (first, last) = (run.ranges[0].end() + 1, run.ranges[1].start() - 1);
-    record_figures(
+    record_measurements(
         "restored database",
         &[
             ("iterations missing in the gap", thousands((last - first + 1) as f64)),
@@ -83,10 +84,10 @@ fn restored_database_records_gap_and_continues() {
 #[test]
 fn copied_state_folder_starts_new_stream_after_refusal() {
     let _turn = wait_for_turn();
-    let configuration = edge("", &echo("loop", &rate(200.0)));
+    let configuration = agent_configuration("", &echo_pipeline("loop", &rate_load(200.0)));
     let mut fleet = Fleet::new(&["edge"], &configuration);
     fleet.start(0);
-    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 100);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.stored > 100);
     // The copied spool contains batches that the first agent delivers before the copy connects.
     kill_with_batches(&mut fleet);
     let folder = fleet.deployment.folder();
@@ -95,7 +96,9 @@ fn copied_state_folder_starts_new_stream_after_refusal() {
     fleet.start(0);
     fleet.wait_for_counts(0, "it delivers", |counts| counts.waiting < 100);
 
-    let configuration = edge_in("{folder}/copy", "", &echo("loop", &rate(200.0))).replace("NAME", "copy");
+    let configuration =
+        agent_configuration_in("{folder}/copy", "", &echo_pipeline("loop", &rate_load(200.0)))
+            .replace("NAME", "copy");
     let mut copy = Daemon::start_new(&fleet.deployment, "copy", &configuration);
     let line = copy.process().wait_for("refused");
     assert!(line.contains("another agent with the host id"), "{line}");
@@ -109,12 +112,12 @@ fn copied_state_folder_starts_new_stream_after_refusal() {
     copy.process().wait_for("new stream");
     fleet.agents.push(copy);
     fleet.wait_for_counts(1, "what the copy measures is stored", |counts| {
-        counts.waiting < 100 && counts.stored > 500
+        counts.waiting < 100 && counts.acknowledged > 500
     });
     stop_measuring_and_deliver(&mut fleet, 1);
     let stored_events = fleet.stop();
-    assert_eq!(stored_events.count_missing(fleet.agents[0].spooled()), 0, "{stored_events:?}");
-    assert_eq!(stored_events.count_missing(fleet.agents[1].spooled()), 0, "{stored_events:?}");
+    assert_eq!(stored_events.count_missing(fleet.agents[0].spooled_iterations()), 0, "{stored_events:?}");
+    assert_eq!(stored_events.count_missing(fleet.agents[1].spooled_iterations()), 0, "{stored_events:?}");
     let streams = query_database(fleet.database(), "SELECT count(*) FROM stream");
     assert_eq!(streams.trim(), "2", "the copy goes on in a stream of its own: {stored_events:?}");
     for (id, run) in &stored_events.runs {
@@ -125,9 +128,10 @@ fn copied_state_folder_starts_new_stream_after_refusal() {
 #[test]
 fn deleted_spool_causes_new_stream_and_gap() {
     let _turn = wait_for_turn();
-    let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(200.0))));
+    let mut fleet =
+        Fleet::new(&["edge"], &agent_configuration("", &echo_pipeline("loop", &rate_load(200.0))));
     fleet.start(0);
-    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 100);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.stored > 100);
     kill_with_batches(&mut fleet);
     for entry in std::fs::read_dir(fleet.deployment.folder().join("edge")).expect("the state is there") {
         let path = entry.expect("readable").path();
@@ -137,7 +141,7 @@ fn deleted_spool_causes_new_stream_and_gap() {
     }
     fleet.restart_aggregator();
     fleet.start(0);
-    fleet.wait_for_counts(0, "a gap or 300 events", |counts| counts.missing > 0 || counts.events > 300);
+    fleet.wait_for_counts(0, "a gap or 300 events", |counts| counts.missing > 0 || counts.stored > 300);
     stop_measuring_and_deliver(&mut fleet, 0);
     let stored_events = fleet.stop();
     let host = &stored_events.hosts["edge"];
@@ -152,10 +156,11 @@ fn deleted_spool_causes_new_stream_and_gap() {
 #[test]
 fn second_agent_in_state_folder_is_refused() {
     let _turn = wait_for_turn();
-    let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(100.0))));
+    let mut fleet =
+        Fleet::new(&["edge"], &agent_configuration("", &echo_pipeline("loop", &rate_load(100.0))));
     fleet.start(0);
-    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 0);
-    let second = edge_in("{folder}/edge", "", "").replace("NAME", "second");
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.stored > 0);
+    let second = agent_configuration_in("{folder}/edge", "", "").replace("NAME", "second");
     fleet.deployment.write("second.toml", &second);
     let end = fleet.deployment.start("second.toml").wait_for_end();
     assert_eq!(end.code(), 69, "{}", end.log);

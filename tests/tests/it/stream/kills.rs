@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use peernet_tests::fleet::{echo, edge, rate};
-use peernet_tests::{EventCounts, Fleet, Stopwatch, TestRng, record_figures, thousands};
+use peernet_tests::fleet::{agent_configuration, echo_pipeline, rate_load};
+use peernet_tests::{EventCounts, Fleet, Stopwatch, TestRng, record_measurements, thousands};
 
 use super::{SMALL_SPOOL, assert_nothing_lost, setting, wait_for_turn};
 
@@ -27,9 +27,13 @@ struct KillCounts {
 #[test]
 fn random_kills_lose_and_duplicate_no_spooled_iteration() {
     let _turn = wait_for_turn();
-    let (mut rng, stopwatch) = (TestRng::new("kills"), Stopwatch::now());
-    let mut fleet = Fleet::new(&AGENTS, &edge("", &(SMALL_SPOOL.to_owned() + &echo("loop", ""))));
-    fleet.agents[1].configure(&fleet.deployment, &edge("", &echo("loop", &rate(STEADY_HZ))));
+    let (mut rng, stopwatch) = (TestRng::new("kills"), Stopwatch::start());
+    let mut fleet =
+        Fleet::new(&AGENTS, &agent_configuration("", &(SMALL_SPOOL.to_owned() + &echo_pipeline("loop", ""))));
+    fleet.agents[1].configure(
+        &fleet.deployment,
+        &agent_configuration("", &echo_pipeline("loop", &rate_load(STEADY_HZ))),
+    );
     fleet.start_all();
     let mut kill_counts = KillCounts::default();
     let kills = setting("PEERNET_KILLS", 10);
@@ -64,7 +68,7 @@ fn random_kills_lose_and_duplicate_no_spooled_iteration() {
         assert!(!run.reason.is_empty(), "nobody noticed that run {id} has ended: {run:?}");
     }
     let number = |count: u64| thousands(count as f64);
-    record_figures(
+    record_measurements(
         "kills",
         &[
             ("kills of agents", number(kill_counts.agents)),
@@ -99,7 +103,7 @@ fn kill(
             fleet.agents[agent].process().wait_for("spooled batch=");
         }
         if aggregator {
-            fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 0);
+            fleet.wait_for_counts(0, "something is stored", |counts| counts.stored > 0);
         }
     }
     rng.sleep_up_to(MAX_LIFETIME);

@@ -44,12 +44,12 @@ fn assert_nothing_lost(fleet: &Fleet, stored_events: &StoredEvents) -> u64 {
     let mut spooled = 0;
     for agent in &fleet.agents {
         assert_eq!(
-            stored_events.count_missing(agent.spooled()),
+            stored_events.count_missing(agent.spooled_iterations()),
             0,
             "lost of {}: {stored_events:?}",
             agent.name
         );
-        spooled += agent.spooled().iter().map(|line| line.count).sum::<u64>();
+        spooled += agent.spooled_iterations().iter().map(|line| line.count).sum::<u64>();
     }
     let gaps = stored_events.hosts.values().any(|host| host.gaps > 0);
     for (id, run) in &stored_events.runs {

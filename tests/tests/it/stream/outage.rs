@@ -2,9 +2,11 @@
 
 use std::time::Duration;
 
-use peernet_tests::fleet::{echo, edge, rate};
+use peernet_tests::fleet::{agent_configuration, echo_pipeline, rate_load};
 use peernet_tests::truth::query_database;
-use peernet_tests::{EventCounts, Fleet, Stopwatch, record_figures, thousands, wait_until, wait_until_grown};
+use peernet_tests::{
+    EventCounts, Fleet, Stopwatch, record_measurements, thousands, wait_until, wait_until_grown,
+};
 
 use super::{assert_nothing_lost, setting, wait_for_turn};
 
@@ -23,10 +25,10 @@ fn day_long_outage_is_delivered_in_order() {
     // The work of a day is measured as fast as possible; the other pipeline is observed meanwhile.
     let hz = setting("PEERNET_OUTAGE_HZ", 2_000) as f64;
     let flood =
-        format!("warm_up = {{ iterations = 0 }}\nlimit = {{ iterations = {iterations} }}\n{}", rate(hz));
-    let pipelines = echo("day", &flood) + &echo("steady", &rate(20.0));
+        format!("warm_up = {{ iterations = 0 }}\nlimit = {{ iterations = {iterations} }}\n{}", rate_load(hz));
+    let pipelines = echo_pipeline("day", &flood) + &echo_pipeline("steady", &rate_load(20.0));
     // At most half of the data fits into memory, which is enough for the seconds in which a busy machine's disk does not respond.
-    let mut fleet = Fleet::new(&["edge"], &edge("queue_events = 16000", &pipelines));
+    let mut fleet = Fleet::new(&["edge"], &agent_configuration("queue_events = 16000", &pipelines));
     // The host is known before the aggregator stops.
     fleet.start(0);
     fleet.wait_for_counts(0, "it is there", |_| true);
@@ -34,11 +36,11 @@ fn day_long_outage_is_delivered_in_order() {
     let agent = &fleet.agents[0];
     // The other pipeline never reaches that number.
     wait_until_grown("the day's iterations are in the spool", iterations, || {
-        agent.all_spooled().iter().map(|line| line.last).max()
+        agent.all_spooled_iterations().iter().map(|line| line.last).max()
     });
 
     fleet.restart_aggregator();
-    let (stopwatch, before) = (Stopwatch::now(), stored_iterations(&fleet));
+    let (stopwatch, before) = (Stopwatch::start(), stored_iterations(&fleet));
     let mut lags = Vec::new();
     let mut newest = before.unwrap_or_default();
     loop {
@@ -67,7 +69,7 @@ fn day_long_outage_is_delivered_in_order() {
     let delivered = (iterations - before.map_or(0, |(number, _)| number)) as f64;
     let per_second = delivered / seconds * (run.nodes as f64 / iterations as f64);
     let ms = |seconds: f64| format!("{:.0} ms", seconds * 1e3);
-    record_figures(
+    record_measurements(
         "outage",
         &[
             ("iterations while away", thousands(delivered)),

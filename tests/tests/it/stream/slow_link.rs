@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use peernet_tests::fleet::{echo, rate};
+use peernet_tests::fleet::{echo_pipeline, rate_load};
 use peernet_tests::network::CONTROL_INTERFACE;
 use peernet_tests::{EventCounts, Network, Stopwatch, StoredEvents, TwoHostTestbed, print_line, wall};
 
@@ -20,20 +20,20 @@ fn host_on_50_kbit_link_loses_nothing() {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     let host = testbed.network.edge();
     host.throttle(CONTROL_INTERFACE, KBIT);
-    let keys = format!("{}\nlimit = {{ total = {ITERATIONS} }}", rate(HZ));
+    let keys = format!("{}\nlimit = {{ total = {ITERATIONS} }}", rate_load(HZ));
     let model = "[[model]]\nname = \"echo\"\nkind = \"echo\"\n";
-    let edge = testbed.start_edge(&format!("{model}{}", echo("line", &keys)), &[]);
-    let stopwatch = Stopwatch::now();
+    let edge = testbed.start_edge(&format!("{model}{}", echo_pipeline("line", &keys)), &[]);
+    let stopwatch = Stopwatch::start();
     let first = EventCounts::wait_until(&testbed.api, "edge", "it is live", |counts| counts.produced > 0);
 
-    let (mut max_lag_s, mut stored, mut queries) = (0.0_f64, first.events, 0);
+    let (mut max_lag_s, mut stored, mut queries) = (0.0_f64, first.stored, 0);
     while stopwatch.elapsed() < Duration::from_secs(35) {
         let counts = EventCounts::read(&testbed.api, "edge").expect("the aggregator answers");
         assert!(counts.connected, "away after {:?}: {counts:?}", stopwatch.elapsed());
-        assert!(counts.events >= stored, "{counts:?}");
+        assert!(counts.stored >= stored, "{counts:?}");
         counts.assert_balanced();
         max_lag_s = max_lag_s.max(counts.live_lag_s);
-        (stored, queries) = (counts.events, queries + 1);
+        (stored, queries) = (counts.stored, queries + 1);
         std::thread::sleep(Duration::from_millis(250));
     }
     print_line(&format!(

@@ -1,7 +1,7 @@
 //! Tests of a full disk under an agent's spool.
 
-use peernet_tests::fleet::{echo, edge_in, rate};
-use peernet_tests::{Fleet, SmallDisk, record_figures, thousands};
+use peernet_tests::fleet::{agent_configuration_in, echo_pipeline, rate_load};
+use peernet_tests::{Fleet, SmallDisk, record_measurements, thousands};
 use serde_json::Value;
 
 use super::wait_for_turn;
@@ -13,15 +13,16 @@ fn full_spool_disk_is_reported_and_drops_counted() {
     let database = store.folder().join("aggregator.sqlite").display().to_string();
     let folder = state.folder().join("NAME").display().to_string();
     // Events that wait in memory meanwhile soon exceed the limit.
-    let agent = edge_in(&folder, "queue_events = 4000", &echo("loop", &rate(2_000.0)));
+    let agent =
+        agent_configuration_in(&folder, "queue_events = 4000", &echo_pipeline("loop", &rate_load(2_000.0)));
     let mut fleet = Fleet::with_database(&database, &["edge"], &agent);
     fleet.start(0);
-    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 100);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.stored > 100);
 
     // Only the spool's disk is full: events still reach the aggregator.
     state.fill();
     let before = fleet.wait_for_counts(0, "it is known", |_| true);
-    let after = fleet.wait_for_counts(0, "more is stored", |counts| counts.events > before.events + 4_000);
+    let after = fleet.wait_for_counts(0, "more is stored", |counts| counts.stored > before.stored + 4_000);
     assert_eq!(after.dropped, 0, "{after:?}");
 
     // The aggregator accepts no more events, so the spool would have to grow.
@@ -35,26 +36,26 @@ fn full_spool_disk_is_reported_and_drops_counted() {
     state.free();
     fleet.wait_for_counts(0, "the spool works again", |counts| counts.trouble.is_none());
     store.free();
-    fleet.wait_for_counts(0, "what waited is stored", |counts| counts.events > dropping.events + 5_000);
+    fleet.wait_for_counts(0, "what waited is stored", |counts| counts.stored > dropping.stored + 5_000);
     fleet.agents[0].stop();
     let counts = fleet.deliver_spool(0);
     counts.assert_balanced();
     let stored_events = fleet.stop();
     let host = &stored_events.hosts["edge"];
     assert_eq!(host.missing, counts.dropped, "{host:?}, {counts:?}");
-    assert_eq!(host.events, counts.stored, "{host:?}, {counts:?}");
+    assert_eq!(host.events, counts.acknowledged, "{host:?}, {counts:?}");
     assert_eq!((host.streams, host.quarantined), (1, 0), "{host:?}");
-    assert_eq!(stored_events.count_missing(fleet.agents[0].spooled()), 0);
+    assert_eq!(stored_events.count_missing(fleet.agents[0].spooled_iterations()), 0);
     // Each missing iteration is counted in a gap of its run.
     for run in stored_events.runs.values() {
         let last = run.ranges.last().map_or(0, |range| *range.end());
         assert!(last - run.iterations() <= run.missing, "{run:?}");
     }
-    record_figures(
+    record_measurements(
         "full disk, spool",
         &[
             ("events produced", thousands(counts.produced as f64)),
-            ("stored", thousands(counts.stored as f64)),
+            ("stored", thousands(counts.acknowledged as f64)),
             ("dropped and counted in gaps", thousands(counts.dropped as f64)),
         ],
     );
@@ -66,10 +67,10 @@ fn start_on_full_disk_counts_dropped_events() {
     let state = SmallDisk::new(16 << 20);
     let folder = state.folder().join("NAME").display().to_string();
     // Some events wait in memory until the end; the others are dropped before.
-    let agent = edge_in(
+    let agent = agent_configuration_in(
         &folder,
         "queue_events = 400",
-        &echo("loop", "actuator = { kind = \"log\" }\nload = { mode = \"rate\", hz = 500.0 }"),
+        &echo_pipeline("loop", "actuator = { kind = \"log\" }\nload = { mode = \"rate\", hz = 500.0 }"),
     );
     let mut fleet = Fleet::new(&["edge"], &agent);
     fleet.aggregator.stop();
@@ -96,17 +97,17 @@ fn start_on_full_disk_counts_dropped_events() {
     fleet.restart_aggregator();
     fleet.start_without_pipelines(0);
     let counts = fleet.wait_for_counts(0, "what was lost is told", |counts| {
-        counts.gaps > 0 && counts.waiting == 0 && counts.events == counts.stored
+        counts.gaps > 0 && counts.waiting == 0 && counts.stored == counts.acknowledged
     });
     counts.assert_balanced();
     let stored_events = fleet.stop();
     let host = &stored_events.hosts["edge"];
     assert_eq!(host.missing, counts.dropped, "{host:?}, {counts:?}");
-    assert_eq!(stored_events.count_missing(fleet.agents[0].spooled()), 0);
-    let first = &fleet.agents[0].spooled()[0].run;
+    assert_eq!(stored_events.count_missing(fleet.agents[0].spooled_iterations()), 0);
+    let first = &fleet.agents[0].spooled_iterations()[0].run;
     let second = stored_events.runs.iter().filter(|(id, _)| *id != first).map(|(_, run)| run.iterations());
     assert!(host.missing + second.sum::<u64>() >= answers, "{answers} answers: {host:?}");
-    record_figures(
+    record_measurements(
         "full disk at the start, spool",
         &[
             ("iterations measured", thousands(answers as f64)),

@@ -1,14 +1,17 @@
 //! Tests of SIGTERM while everything runs at full speed.
 
-use peernet_tests::fleet::{echo, edge};
-use peernet_tests::{Fleet, ProcessEnd, record_figures, thousands};
+use peernet_tests::fleet::{agent_configuration, echo_pipeline};
+use peernet_tests::{Fleet, ProcessEnd, record_measurements, thousands};
 
 use super::{SMALL_SPOOL, assert_nothing_lost, wait_for_turn};
 
 /// Returns an agent that logs each answer, so that the number of measured iterations is known independently of the
 /// spool.
 fn counting_agent() -> String {
-    edge("", &(SMALL_SPOOL.to_owned() + &echo("loop", "actuator = { kind = \"log\" }")))
+    agent_configuration(
+        "",
+        &(SMALL_SPOOL.to_owned() + &echo_pipeline("loop", "actuator = { kind = \"log\" }")),
+    )
 }
 
 /// Returns the number of answers in an agent's log.
@@ -25,7 +28,7 @@ fn assert_everything_is_stored(title: &str, mut fleet: Fleet, measured: u64) {
     assert_eq!((stored_events.runs.len(), run.reason.as_str()), (1, "stopped"), "{stored_events:?}");
     assert_eq!(run.iterations() + run.missing, measured, "{stored_events:?}");
     let number = |count: u64| thousands(count as f64);
-    record_figures(
+    record_measurements(
         title,
         &[
             ("iterations measured", number(measured)),
@@ -52,7 +55,7 @@ fn agent_stopped_under_load_spooled_or_stored_everything() {
     let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &counting_agent());
     fleet.start(0);
-    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 1_000);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.stored > 1_000);
     let end = fleet.agents[0].stop();
     assert_everything_is_stored("SIGTERM, agent", fleet, answers(&end));
 }
@@ -60,11 +63,13 @@ fn agent_stopped_under_load_spooled_or_stored_everything() {
 #[test]
 fn aggregator_stopped_under_load_stored_acknowledged_batches() {
     let _turn = wait_for_turn();
-    let mut fleet =
-        Fleet::new(&["edge-1", "edge-2"], &edge("", &(SMALL_SPOOL.to_owned() + &echo("loop", ""))));
+    let mut fleet = Fleet::new(
+        &["edge-1", "edge-2"],
+        &agent_configuration("", &(SMALL_SPOOL.to_owned() + &echo_pipeline("loop", ""))),
+    );
     fleet.start_all();
     for agent in 0..2 {
-        fleet.wait_for_counts(agent, "something is stored", |counts| counts.events > 1_000);
+        fleet.wait_for_counts(agent, "something is stored", |counts| counts.stored > 1_000);
     }
     fleet.aggregator.stop();
     let first = fleet.stored_events();
@@ -72,7 +77,7 @@ fn aggregator_stopped_under_load_stored_acknowledged_batches() {
     // Acknowledged batches are deleted in the spools: if they had not been stored, there would be a gap now.
     fleet.restart_aggregator();
     for (agent, before) in before.into_iter().enumerate() {
-        fleet.wait_for_counts(agent, "more is stored", |counts| counts.events > before);
+        fleet.wait_for_counts(agent, "more is stored", |counts| counts.stored > before);
         fleet.agents[agent].stop();
         fleet.deliver_spool(agent).assert_balanced();
     }
@@ -80,7 +85,7 @@ fn aggregator_stopped_under_load_stored_acknowledged_batches() {
     assert_nothing_lost(&fleet, &stored_events);
     assert!(stored_events.iterations() > first.iterations(), "{stored_events:?}");
     let number = |count: u64| thousands(count as f64);
-    record_figures(
+    record_measurements(
         "SIGTERM, aggregator",
         &[
             ("iterations stored when it ended", number(first.iterations())),

@@ -28,7 +28,7 @@ fn newer_agent_is_served_unknown_versions_refused() {
 
     let mut later_host = InventedHost::new("later", &mut rng);
     later_host.hello.extension = Some(HelloExtension { newest: Some(newest + 4), since });
-    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
+    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events_port);
     misbehaving_peer.send(&later_frame(&later_host.hello));
     let challenge = misbehaving_peer.receive();
     let ToAgent::Challenge { version, .. } = challenge else { panic!("{challenge:?}") };

@@ -33,7 +33,7 @@ fn wire_network(up: WireProperties, down: WireProperties) -> impl FnOnce(&Path) 
 }
 
 /// Table of a host whose clock readings the shim replaces. The agent uses neither the kernel's receive stamps nor its
-/// statements about the wall clock, because they are of the kernel's own clocks.
+/// statements about the wall clock, because both describe the kernel's own clocks.
 const CLOCK: &str = "[clock]\ntimestamps = \"user\"\ndiscipline = []\n";
 
 /// Load of a pipeline with a steady rate, which runs until its host is stopped.
@@ -78,20 +78,20 @@ impl ClockTestbed {
 
     /// Returns the cloud's process.
     fn cloud(&self) -> &Process {
-        self.cloud.as_ref().expect("it runs")
+        self.cloud.as_ref().expect("the cloud runs")
     }
 
     /// Kills the cloud and starts it again with other clock readings, as after a reboot.
     fn reboot_cloud(&mut self, step: Span, ppm: f64) {
         let [_, shim] = &self.shims;
-        self.cloud.take().expect("it runs").kill();
+        self.cloud.take().expect("the cloud runs").kill();
         let begin = shim.schedule_change(step, ppm, 0.0);
         wait_until("the cloud's clocks after its reboot", || (shim.now() > begin).then_some(()));
         self.cloud = Some(start_cloud(&self.hosts, shim));
     }
 
-    /// Returns the arrival of the newest stored upload by the kernel's clock; `None` before there is one.
-    fn stored_until(&self) -> Option<RawTime> {
+    /// Returns the arrival of the newest stored upload, by the kernel's clock; `None` if no upload is stored.
+    fn newest_stored_arrival(&self) -> Option<RawTime> {
         let sql = "SELECT t.received_raw_ns FROM transit AS t JOIN node USING (run, iteration, node) \
                    JOIN name ON name.id = node.name WHERE name.text = 'upload' AND t.received_raw_ns IS NOT NULL \
                    ORDER BY t.run DESC, t.iteration DESC LIMIT 1";
@@ -102,13 +102,14 @@ impl ClockTestbed {
     /// Waits until all uploads that arrived before a time are stored.
     fn wait_until_stored_to(&self, time: RawTime) {
         wait_until_grown(self.case, time.nanos().unsigned_abs(), || {
-            Some(self.stored_until()?.nanos().unsigned_abs())
+            Some(self.newest_stored_arrival()?.nanos().unsigned_abs())
         });
     }
 
     /// Waits until all uploads of eleven seconds are stored, so that the window is full. Returns the end of these seconds.
     fn wait_for_full_window(&self) -> RawTime {
-        let settled = wait_until("the first upload", || self.stored_until()) + WINDOW + Span::from_seconds(1);
+        let settled =
+            wait_until("the first upload", || self.newest_stored_arrival()) + WINDOW + Span::from_seconds(1);
         self.wait_until_stored_to(settled);
         settled
     }
@@ -121,7 +122,7 @@ impl ClockTestbed {
             runs.all(|run| run["reason"] == "stopped").then_some(())
         });
         let incidents = self.hosts.api.json("/api/v1/incidents").to_string();
-        let [edge, cloud] = self.shims.map(|shim| HostClock::shown(shim.errors()));
+        let [edge, cloud] = self.shims.map(|shim| HostClock::with_shim_errors(shim.errors()));
         Outcome::new(self.case, &self.hosts.iterations(), [&edge, &cloud], incidents)
     }
 }

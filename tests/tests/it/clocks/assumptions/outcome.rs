@@ -1,14 +1,14 @@
 //! Comparison of a case's reported delays with the truth.
 
 use peernet_clock::{RawTime, Span};
-use peernet_tests::record_figures;
+use peernet_tests::record_measurements;
 use peernet_tests::truth::{Delay, HostClock, Iteration, true_times};
 
 /// Largest error of the computed truth: the inverse of both clocks' drift is rounded, and so are stored values.
 const MAX_TRUTH_ERROR: Span = Span::from_nanos(3);
 
-/// Length of the time at the end of a case whose delays show its result.
-const END: Span = Span::from_seconds(3);
+/// Length of the period at the end of a case. Its delays show the result.
+const END_PERIOD: Span = Span::from_seconds(3);
 
 /// Delay with its judgement.
 #[derive(Debug)]
@@ -31,12 +31,12 @@ impl JudgedDelay {
         if delay.verdict == "inconsistent" {
             assert!(
                 delay.value.is_none() && delay.bounds.is_none(),
-                "what is inconsistent has no bounds: {delay:?}"
+                "an inconsistent delay has a value or bounds: {delay:?}"
             );
         }
         let error = match delay.bounds {
             Some((lo, hi)) if is_good => (lo - truth).max(truth - hi).max(Span::ZERO),
-            None if is_good => panic!("good, and no bounds: {delay:?}"),
+            None if is_good => panic!("a good delay has no bounds: {delay:?}"),
             _ => Span::ZERO,
         };
         Self { sent, received, verdict: delay.verdict.clone(), is_good, error }
@@ -66,8 +66,8 @@ impl Outcome {
         Self { case, delays, incidents }
     }
 
-    /// Prints how often and for how long intervals were wrong. None of a message that arrived before `violated`, or
-    /// was sent later than `allowed` after it, may be wrong.
+    /// Prints how often and for how long intervals were wrong. Checks that the messages with wrong intervals arrived after
+    /// the time `violated`, and were sent at most `allowed` after it.
     pub(super) fn assert_wrong_for_at_most(&self, allowed: Span, violated: RawTime) {
         let wrong: Vec<&JudgedDelay> =
             self.delays.iter().filter(|delay| delay.error > MAX_TRUTH_ERROR).collect();
@@ -77,14 +77,19 @@ impl Outcome {
         let good = self.delays.iter().filter(|delay| delay.is_good).count();
         let figures = [
             ("delays judged ok or limited", format!("{good} of {}", self.delays.len())),
-            ("of those without the truth", wrong.len().to_string()),
-            ("the last of those after the violation", last_wrong.to_string()),
-            ("truth missed by at most", max_error.to_string()),
+            ("intervals without the truth", wrong.len().to_string()),
+            ("time from the violation to the last of these", last_wrong.to_string()),
+            ("largest distance from interval to truth", max_error.to_string()),
         ];
-        record_figures(self.case, &figures);
+        record_measurements(self.case, &figures);
         for delay in wrong {
             let is_allowed = delay.received >= violated && since_violation(delay) <= allowed;
-            assert!(is_allowed, "{}: {} after the violation: {delay:?}", self.case, since_violation(delay));
+            assert!(
+                is_allowed,
+                "{}: wrong interval {} after the violation: {delay:?}",
+                self.case,
+                since_violation(delay)
+            );
         }
     }
 
@@ -95,7 +100,7 @@ impl Outcome {
 
     fn last_delays(&self) -> impl Iterator<Item = &JudgedDelay> {
         let end = self.delays[self.delays.len() - 1].sent;
-        self.delays.iter().filter(move |delay| end - delay.sent < END)
+        self.delays.iter().filter(move |delay| end - delay.sent < END_PERIOD)
     }
 
     /// Checks that all delays at the end are good.
@@ -103,7 +108,7 @@ impl Outcome {
         let not_good: Vec<&JudgedDelay> = self.last_delays().filter(|delay| !delay.is_good).collect();
         assert!(
             not_good.is_empty(),
-            "{}: {} of the last, the first of them {:?}; incidents: {}",
+            "{}: {} delays at the end are not good, such as {:?}; incidents: {}",
             self.case,
             not_good.len(),
             not_good[0],
@@ -114,7 +119,7 @@ impl Outcome {
     /// Checks that no delay at the end is good.
     pub(super) fn assert_no_good_delay_at_end(&self) {
         let good: Vec<&JudgedDelay> = self.last_delays().filter(|delay| delay.is_good).collect();
-        assert!(good.is_empty(), "{}: {good:?}", self.case);
+        assert!(good.is_empty(), "{}: delays at the end are good: {good:?}", self.case);
     }
 
     /// Checks that an incident contains this text.

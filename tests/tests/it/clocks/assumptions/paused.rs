@@ -25,7 +25,7 @@ fn pause_process(
     process_of(&testbed).signal(Signal::STOP);
     let stopped = testbed.shim().now();
     during_pause(&testbed);
-    // Nothing but time ends the pause.
+    // No event ends the pause, so the test sleeps.
     std::thread::sleep((stopped + length - testbed.shim().now()).to_duration());
     let resumed = testbed.shim().now();
     process_of(&testbed).signal(Signal::CONT);

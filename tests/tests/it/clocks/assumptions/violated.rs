@@ -7,7 +7,8 @@ use peernet_tests::network::{Network, WireProperties};
 
 use super::{ClockTestbed, Outcome, WINDOW, direct_network, wire_direction, wire_network};
 
-/// Runs a case whose clocks drift apart faster than the limit from the start on, on a path whose round trip hides it.
+/// Runs a case whose clocks drift apart faster than the limit from the start on, on a path whose round trip hides
+/// the drift.
 fn run_with_hidden_drift(
     case: &'static str,
     [up, down]: [WireProperties; 2],
@@ -87,13 +88,13 @@ fn jittered_rate_change_affects_one_window_at_most() {
 }
 
 #[test]
-fn common_time_gain_affects_one_window_at_most() {
+fn step_of_all_clocks_affects_one_window_at_most() {
     let path = wire_network(wire_direction(20, 2, 1), wire_direction(20, 2, 1));
     run_with_change("39 ms gained, 20/20 ms, 2 ms of jitter, 1 % lost", path, (39, 0.0), 15)
         .assert_good_at_end();
 }
 
-/// Exchanges of a short path would narrow those of a longer path for ever, if the window did not end.
+/// If the window did not end, exchanges on the short path would narrow the intervals on the longer path for ever.
 #[test]
 fn expired_exchange_bounds_no_delay() {
     let case = "1/1 ms becomes 40/40 ms while a drift of 1,000 ppm of 200 begins";

@@ -3,7 +3,7 @@
 use std::io::Write;
 
 /// Environment variable with the file to which values are appended as rows of a Markdown table.
-const FIGURES_FILE: &str = "PEERNET_FIGURES";
+const MEASUREMENTS_FILE: &str = "PEERNET_FIGURES";
 
 /// Writes a line to standard error, bypassing the test runner, which hides the output of passing tests.
 pub fn print_line(line: &str) {
@@ -15,10 +15,10 @@ pub fn print_line(line: &str) {
 ///
 /// # Panics
 /// If the file named by `PEERNET_FIGURES` cannot be written.
-pub fn record_figures(title: &str, figures: &[(&str, String)]) {
+pub fn record_measurements(title: &str, figures: &[(&str, String)]) {
     let list: Vec<String> = figures.iter().map(|(name, value)| format!("{name} {value}")).collect();
     print_line(&format!("{title}: {}", list.join(", ")));
-    let Some(path) = std::env::var_os(FIGURES_FILE) else { return };
+    let Some(path) = std::env::var_os(MEASUREMENTS_FILE) else { return };
     let rows: String =
         figures.iter().map(|(name, value)| format!("| {title} | {name} | {value} |\n")).collect();
     let file = std::fs::File::options().create(true).append(true).open(&path);
