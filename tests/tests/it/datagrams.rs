@@ -43,7 +43,7 @@ fn wait_until_page_contains(testbed: &TwoHostTestbed, text: &str) {
 fn session_survives_small_mtu_and_moved_hosts() {
     let testbed = TwoHostTestbed::with_scheme("udp", |_| Network::direct());
     let cloud = testbed.start_cloud("");
-    // More than any system permits by default.
+    // No system permits such a large socket buffer by default.
     let pipeline = testbed.pipeline("line", 20_000, LOAD);
     let large = "session = { socket_buffer_bytes = 1073741824 }, model =";
     let edge = testbed.start_edge(&pipeline.replace("model =", large), &[]);
@@ -85,7 +85,7 @@ fn pipeline_recovers_from_link_and_restart_faults() {
         output.contains("udp://") && output.contains("nothing was received from the peer for 5 s"),
         "{output}"
     );
-    // The session must survive a cut of ten seconds.
+    // The path is cut for ten seconds in all.
     std::thread::sleep(Duration::from_secs(10).saturating_sub(stopwatch.elapsed()));
     cloud_host.clear_rules();
     edge.wait_for_nth("connected to cloud", 2);
@@ -103,7 +103,7 @@ fn pipeline_recovers_from_link_and_restart_faults() {
     edge.wait_for_nth("connected to cloud", 4);
     wait_until_answered(&testbed, 20);
     let runs = testbed.api.json("/api/v1/runs");
-    assert_eq!(runs["runs"].as_array().map(Vec::len), Some(1), "the run goes on: {runs}");
+    assert_eq!(runs["runs"].as_array().map(Vec::len), Some(1), "the same run continues: {runs}");
 }
 
 #[test]

@@ -14,8 +14,8 @@ use crate::external::build_example;
 
 const REFERENCE: &str = "docs/configuration.md";
 
-/// Returns the name of a complete file.
-fn name(block: &str) -> Option<&str> {
+/// Returns the file name of a block that is a complete file.
+fn complete_file_name(block: &str) -> Option<&str> {
     let name = block.lines().next()?.strip_prefix("# ")?;
     (name.ends_with(".toml") && !name.contains([' ', '/'])).then_some(name)
 }
@@ -43,7 +43,7 @@ fn experiments_in_the_documents_pass_the_check() {
     }
     assert!(
         checked_documents.contains(&PathBuf::from("docs/experiments.md")),
-        "its example is a whole file: {checked_documents:?}"
+        "docs/experiments.md has no complete experiment: {checked_documents:?}"
     );
 }
 
@@ -59,7 +59,7 @@ fn complete_examples_pass_check_and_excerpts_parse() {
     for document in Document::all() {
         for (line, block) in document.fenced_blocks("toml") {
             let position = format!("{}:{line}", document.path.display());
-            let Some(name) = name(&block).filter(|_| !is_experiment(&block)) else {
+            let Some(name) = complete_file_name(&block).filter(|_| !is_experiment(&block)) else {
                 if let Err(error) = toml::from_str::<toml::Table>(&block) {
                     problems.push(format!("{position}: {error}"));
                 }
@@ -81,8 +81,8 @@ fn complete_examples_pass_check_and_excerpts_parse() {
     assert!(!reference.is_empty(), "{REFERENCE} has no example");
     for (line, block) in reference {
         assert!(
-            name(&block).is_some(),
-            "{REFERENCE}:{line}: it says that all its examples are complete files"
+            complete_file_name(&block).is_some(),
+            "{REFERENCE}:{line}: the example is not a complete file"
         );
     }
 }
@@ -183,11 +183,11 @@ fn check_experiment(deployment: &LoopbackDeployment, file: &str) -> String {
 fn offered_names(output: &str) -> Vec<String> {
     let messages = ["unknown field `zz`, ", "unknown variant `zz`, "];
     let known = messages.iter().find_map(|message| output.split_once(message));
-    let (_, known) = known.unwrap_or_else(|| panic!("nothing is said about zz but\n{output}"));
+    let (_, known) = known.unwrap_or_else(|| panic!("the check does not name zz:\n{output}"));
     known.lines().take(1).flat_map(|known| known.split('`').skip(1).step_by(2)).map(str::to_owned).collect()
 }
 
-/// Returns the words that are missing in a section.
+/// Returns the words that a section does not contain.
 fn undocumented_words(document: &Document, section: &str, words: &[String]) -> Vec<String> {
     let text = document.section(section);
     let is_described = |word: &str| {
@@ -217,5 +217,5 @@ fn reference_describes_every_key_and_kind() {
         missing.extend(undocumented_words(&reference, section, &kinds));
         missing.extend(kinds.iter().flat_map(|kind| undocumented_words(&reference, section, &keys_of(kind))));
     }
-    assert!(missing.is_empty(), "these are not described:\n{}", missing.join("\n"));
+    assert!(missing.is_empty(), "the documents do not describe:\n{}", missing.join("\n"));
 }

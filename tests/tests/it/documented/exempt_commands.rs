@@ -4,7 +4,7 @@ use std::process::Command;
 
 use peernet_tests::root;
 
-/// Commands, with the file that executes them and the words by which it does. Differences from the documents: fewer
+/// Commands, the file that executes them, and the text in the file that does. The execution differs from the documents: fewer
 /// iterations; random weights, which need no download; a package that is installed in a disposable copy of the
 /// machine.
 pub(super) const EXECUTED_ELSEWHERE: [(&[&str], &str, &str); 16] = [
@@ -81,14 +81,14 @@ pub(super) const EXECUTED_ELSEWHERE: [(&[&str], &str, &str); 16] = [
     ),
 ];
 
-/// Reasons that commands are never executed, and these commands.
+/// Commands that are never executed; each list follows its reason.
 pub(super) const NEVER_EXECUTED: [(&str, &[&str]); 6] = [
     (
-        "what it fetches is the checkout that the tests are in",
+        "git would clone the repository that the tests are in",
         &["git clone https://github.com/peernet/peernet && cd peernet"],
     ),
     (
-        "only a systemd that has started the machine obeys; deploy/systemd/verify.sh checks the units",
+        "systemctl needs a systemd that has started the machine; deploy/systemd/verify.sh checks the units",
         &[
             "systemctl enable --now peernet-aggregator",
             "systemctl daemon-reload",
@@ -142,7 +142,7 @@ pub(super) const NEVER_EXECUTED: [(&str, &[&str]); 6] = [
 fn commands_executed_elsewhere_are_in_their_files() {
     for (commands, file, excerpt) in EXECUTED_ELSEWHERE {
         let text = std::fs::read_to_string(root().join(file)).unwrap_or_default();
-        assert!(text.contains(excerpt), "{file} has no {excerpt:?}, which is to run {commands:?}");
+        assert!(text.contains(excerpt), "{file} has no {excerpt:?}, which would run {commands:?}");
     }
 }
 
@@ -151,7 +151,7 @@ fn commands_executed_elsewhere_are_in_their_files() {
 pub(super) fn is_known(command: &str) -> Option<bool> {
     if let Some(targets) = command.strip_prefix("make ") {
         let mut make = Command::new("make");
-        // This must not count as a part of the `make` that runs the tests.
+        // This `make` must not inherit options from the `make` that runs the tests.
         make.arg("--dry-run").args(targets.split(' ')).current_dir(root()).env_remove("MAKEFLAGS");
         return Some(make.output().is_ok_and(|end| end.status.success()));
     }

@@ -64,7 +64,7 @@ fn manual_installation_matches_paths_of_units() {
         let unit = machine_root.join(format!("etc/systemd/system/peernet-{role}.service"));
         let unit = std::fs::read_to_string(unit).expect("it was installed");
         let start =
-            unit.lines().find_map(|line| line.strip_prefix("ExecStart=")).expect("it starts something");
+            unit.lines().find_map(|line| line.strip_prefix("ExecStart=")).expect("the unit has ExecStart");
         for file in start.split(' ').filter_map(|word| word.strip_prefix('/')) {
             assert!(machine_root.join(file).is_file(), "{start}");
         }

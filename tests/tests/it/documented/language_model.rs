@@ -32,7 +32,7 @@ fn assert_success(end: &ProcessEnd) {
 }
 
 /// Returns a column of the iterations that are not warm-up.
-fn counted(data: &Path, name: &str) -> Vec<f64> {
+fn column_without_warm_up(data: &Path, name: &str) -> Vec<f64> {
     let is_warm_up = column(data, "warm-up");
     let values = column(data, name).into_iter().zip(is_warm_up).filter(|(_, is_warm_up)| is_warm_up == "0");
     values.map(|(value, _)| value.parse().unwrap_or(f64::NAN)).collect()
@@ -42,25 +42,30 @@ fn counted(data: &Path, name: &str) -> Vec<f64> {
 fn check_run(results: &Results, folder: &str) {
     let data = results.file(folder, "data.csv");
     let (is_remote, has_picture) = (folder.contains("cloud"), folder.contains("picture"));
-    let node = |name: &str| counted(&data, &format!("inference_{name}"));
+    let node = |name: &str| column_without_warm_up(&data, &format!("inference_{name}"));
     let lengths = node("output-tokens");
     assert_eq!(lengths.len(), ITERATIONS, "{folder}");
     let first_token = PREFILL + if has_picture { PICTURE } else { 0.0 };
     // The script never sends a token early, so its times are lower bounds on any machine.
-    let inference = counted(&data, "inference");
+    let inference = column_without_warm_up(&data, "inference");
     for (time, tokens) in inference.iter().zip(&lengths) {
         assert!(*time >= first_token + (tokens - 1.0) * TOKEN, "{folder}: {tokens} tokens in {time} s");
     }
     assert!(node("time-to-first-token").iter().all(|time| *time >= first_token), "{folder}");
     assert!(node("finish-reason-stop").iter().all(|stopped| *stopped == 1.0), "{folder}");
     assert!(node("input-tokens").iter().all(|tokens| (*tokens > PICTURE_TOKENS) == has_picture), "{folder}");
-    let uploads = counted(&data, "upload");
+    let uploads = column_without_warm_up(&data, "upload");
     assert!(uploads.iter().all(|time| time.is_nan() != is_remote), "{folder}: {uploads:?}");
     if is_remote {
         // Each token crossed the network as a partial answer.
-        assert_eq!(counted(&data, "parts"), lengths, "{folder}");
-        let first_parts = counted(&data, "first-part");
-        assert!(first_parts.iter().zip(counted(&data, "total")).all(|(first, total)| *first <= total));
+        assert_eq!(column_without_warm_up(&data, "parts"), lengths, "{folder}");
+        let first_parts = column_without_warm_up(&data, "first-part");
+        assert!(
+            first_parts
+                .iter()
+                .zip(column_without_warm_up(&data, "total"))
+                .all(|(first, total)| *first <= total)
+        );
     }
 }
 
@@ -88,7 +93,7 @@ fn language_model_answers_on_edge_and_cloud() {
     let mut lengths = Vec::new();
     for folder in results.folders() {
         check_run(&results, &folder);
-        lengths.extend(counted(&results.file(&folder, "data.csv"), "inference_output-tokens"));
+        lengths.extend(column_without_warm_up(&results.file(&folder, "data.csv"), "inference_output-tokens"));
     }
     assert!(lengths.iter().any(|tokens| *tokens < 120.0), "short answers: {lengths:?}");
     assert!(lengths.iter().any(|tokens| *tokens > 150.0), "long answers: {lengths:?}");

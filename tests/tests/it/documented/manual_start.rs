@@ -48,7 +48,7 @@ fn killed_aggregator_leaves_no_gap_on_dashboard() {
     });
     let aggregator = start_aggregator();
     let output = edge.wait_for_nth("connected to the aggregator", 2);
-    assert!(output.contains(" wait"), "how many events it brings: {output}");
+    assert!(output.contains(" wait"), "the log does not say how many events wait: {output}");
     wait_until_answered(machines.cloud(), "offload-resized", 20);
     for process in [edge, cloud, aggregator] {
         let end = process.stop();
@@ -84,7 +84,7 @@ fn killed_aggregator_leaves_no_gap_on_dashboard() {
             runs.filter(|run| run["reason"] == "finished").find_map(|run| run["success_rate"].as_f64())
         })
     });
-    assert_eq!(success_rate, 1.0, "every target is reached");
+    assert_eq!(success_rate, 1.0, "not every target is reached");
     let ended = closed_loop.stop();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     machines.finish();

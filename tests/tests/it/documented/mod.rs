@@ -38,7 +38,7 @@ fn every_documented_command_is_executed_by_a_test() {
     let unknown: Vec<_> = documented.iter().filter(|command| is_known(command) == Some(false)).collect();
     assert!(
         unknown.is_empty(),
-        "targets that the Makefile lacks, or packages that its tools lack: {unknown:#?}"
+        "targets that the Makefile lacks, or packages that deploy/install-tools.sh lacks: {unknown:#?}"
     );
 
     let documented: BTreeSet<&str> =

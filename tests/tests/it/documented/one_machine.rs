@@ -42,7 +42,7 @@ fn readme_commands_without_aggregator_work() {
         let study = std::fs::read_to_string(results.file(&folder, "sensor.txt")).expect("it was written");
         assert!(study.contains("samples per second"), "{study}");
         let data = results.file(&folder, "data.csv");
-        assert!(column(&data, "inference").iter().all(String::is_empty), "nobody computes");
+        assert!(column(&data, "inference").iter().all(String::is_empty), "no model computes");
     }
 
     machines.write("experiment.toml", EXPERIMENT_WITH_MISTAKE);

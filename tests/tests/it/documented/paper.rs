@@ -21,7 +21,7 @@ pub(crate) const COMMANDS: [&str; 13] = [
 ];
 
 const NO_NETWORK: &str = "peernet run --only Network=none configs/experiments/teleoperation.toml";
-/// Measures all networks without the option.
+/// Measures one network. The test removes the option, so that all networks are measured.
 const ALL_NETWORKS: &str = "peernet run --only Network=LAN configs/experiments/teleoperation.toml";
 
 /// Measures one model on one machine without a GPU.
@@ -76,7 +76,7 @@ pub(crate) fn add_small_model(machines: &DocumentedCommands, name: &str) {
 /// Returns a text in which the policy of the teleoperation is a folder of the checkout.
 fn with_policy(text: &str) -> String {
     let folder = peernet_tests::root().join("models/teleoperation-policy");
-    text.replace("models/teleoperation-policy", folder.to_str().expect("is text"))
+    text.replace("models/teleoperation-policy", folder.to_str().expect("the path is Unicode"))
 }
 
 /// Installs the document's agent for the server, with the models of the teleoperation; processors replace GPUs.
@@ -110,7 +110,7 @@ fn paper_experiments_are_measured_compared_and_drawn() {
 fn measure_detection(machines: &DocumentedCommands) {
     let detector = peernet_tests::root().join("models/defect-detector");
     let write = |file: &str, replacements: &[(&str, &str)]| {
-        let detector = detector.to_str().expect("is text");
+        let detector = detector.to_str().expect("the path is Unicode");
         let text = Document::read(file).text.replace("models/defect-detector", detector);
         machines.write(file, &replacements.iter().fold(text, |text, (from, to)| text.replace(from, to)));
     };
@@ -169,13 +169,13 @@ fn measure_efficientnet(machines: &DocumentedCommands) {
     let short = column(&machines.folder().join("results/short/compare.csv"), "Where");
     assert_eq!(short, ["local", "cloud"], "{}", end.log);
     let figure = results.folder.join("paired.png");
-    std::fs::remove_file(&figure).expect("it is among the figures of the whole");
+    std::fs::remove_file(&figure).expect("the experiment drew the figure");
     let end = machines.on_edge("peernet plot --kind paired results/efficientnet", &[]).wait_for_end();
     assert_eq!(end.code(), 0, "{}", end.log);
     assert!(figure.is_file(), "{}", end.log);
 }
 
-/// Measures nine combinations; one server stands for both of the paper's in all three networks.
+/// Measures nine combinations; one server stands for both servers of the paper in all three networks.
 fn measure_teleoperation(machines: &DocumentedCommands) {
     for (network, addresses) in [
         ("lan", ["192.168.1.30", "192.168.1.40"]),
@@ -202,7 +202,7 @@ fn measure_teleoperation(machines: &DocumentedCommands) {
     assert_eq!(results.states(), ["finished"; 9]);
     assert_eq!(column(&results.folder.join("compare.csv"), "success-rate"), ["1"; 9]);
     let end = machines.on_edge(NO_NETWORK, &[("peernet run", PYTHON_RUN)]).wait_for_end();
-    assert_eq!(end.code(), 0, "its run is finished: {}", end.log);
+    assert_eq!(end.code(), 0, "the run without a network is finished already: {}", end.log);
     std::os::unix::fs::symlink(&results.folder, machines.folder().join("teleoperation")).expect("writable");
 
     let table = "peernet compare teleoperation --format latex --out table.tex";

@@ -21,7 +21,7 @@ const CLIENT: &str = "peernet --client --name jetson-orin --network zmq-tcp --ne
 const CLIENT_WITH_OBJECT: &str = "peernet --client … --sensor-object sweep::Lidar";
 const COMPILER: &str = "cc -O2 -o brightness docs/examples/external/brightness.c";
 
-/// Number of iterations, reduced: enough for intervals.
+/// Replaces the number of iterations by a smaller number, which is enough for confidence intervals.
 const ITERATIONS: (&str, &str) = ("1005", "40");
 
 /// The published file of devices, with this test's addresses.
@@ -35,7 +35,7 @@ fn published_commands_run_objects_programs_and_results() {
     run_readme_commands(&machines);
     run_agent_with_programs(&machines);
     run_custom_objects(&machines);
-    use_results(&machines);
+    compare_and_plot_results(&machines);
     machines.finish();
 }
 
@@ -108,7 +108,7 @@ fn run_custom_objects(machines: &DocumentedCommands) {
     assert_eq!(column(&machines.folder().join("results-lan/data.csv"), "top-1"), ["1"; 40]);
 }
 
-fn use_results(machines: &DocumentedCommands) {
+fn compare_and_plot_results(machines: &DocumentedCommands) {
     let comparison = machines.on_edge("peernet compare results-local results-lan", &[]).wait_for_end();
     assert_eq!(comparison.code(), 0, "{}", comparison.log);
     assert!(comparison.log.contains("talker") && comparison.log.contains("brightness"), "{}", comparison.log);

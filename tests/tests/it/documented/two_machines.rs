@@ -1,4 +1,4 @@
-//! The two machines of docs/two-machines.md with its own files: queries, calibration, maintenance.
+//! The two machines of docs/two-machines.md with the files of this document: queries, calibration, maintenance.
 
 use peernet_tests::network::Host;
 use peernet_tests::truth::query_database;
@@ -103,7 +103,7 @@ fn readme_commands_work_on_two_machines() {
         let expected = ["robot", "inspection", "quality-control", "cloud"];
         (status.code() == 0 && expected.iter().all(|word| status.log.contains(word))).then_some(())
     });
-    request_everything(&machines);
+    request_documented_paths(&machines);
     calibrate(&machines);
 
     assert_success(
@@ -123,7 +123,7 @@ fn readme_commands_work_on_two_machines() {
 }
 
 /// Executes the README's section "Ask it".
-fn request_everything(machines: &DocumentedCommands) {
+fn request_documented_paths(machines: &DocumentedCommands) {
     let get = |path: &str| {
         json(machines.on_cloud(&format!("curl http://127.0.0.1:8040/api/{path}"), &[]).wait_for_end())
     };
@@ -141,7 +141,7 @@ fn request_everything(machines: &DocumentedCommands) {
     live.kill();
 }
 
-/// Calibrates the link with all documented options, while the pipeline uses it as well.
+/// Calibrates the link with each documented form of the peer, while the pipeline uses the link as well.
 fn calibrate(machines: &DocumentedCommands) {
     for (command, changes) in [
         ("peernet calibrate tcp://10.0.0.2:5551", ("tcp", "--result-loc first tcp")),
@@ -175,7 +175,7 @@ fn compare_placements(machines: &DocumentedCommands) {
 fn back_up_and_rebuild(machines: &DocumentedCommands, stop: impl FnOnce()) {
     std::fs::create_dir_all(machines.folder().join("cloud/backup")).expect("writable");
     assert_success(machines.on_cloud(BACKUP, &[]).wait_for_end());
-    let backups = std::fs::read_dir(machines.folder().join("cloud/backup")).expect("it was made");
+    let backups = std::fs::read_dir(machines.folder().join("cloud/backup")).expect("the backup was made");
     let backups: Vec<_> = backups.map(|entry| entry.expect("it can be listed").path()).collect();
     let [backup] = &*backups else { panic!("one copy under the day's name: {backups:?}") };
     assert_eq!(query_database(backup, "SELECT count(*) FROM run").trim(), "1");
@@ -184,7 +184,7 @@ fn back_up_and_rebuild(machines: &DocumentedCommands, stop: impl FnOnce()) {
     assert!(cleared.contains("deleted the secret of robot"), "{cleared}");
 
     let rebuild = |run: &str| machines.on_cloud(REBUILD, &[("[--run NUMBER]", run)]).wait_for_end();
-    assert_eq!(rebuild("").code(), 69, "the aggregator has it");
+    assert_eq!(rebuild("").code(), 69, "a rebuild beside a running aggregator is refused");
     stop();
     let database = machines.folder().join("cloud/var/lib/peernet/aggregator/peernet.sqlite");
     let stored_iterations =
@@ -194,5 +194,5 @@ fn back_up_and_rebuild(machines: &DocumentedCommands, stop: impl FnOnce()) {
     assert_success(rebuild("--run 1"));
     assert_eq!(stored_iterations(), before);
     assert_success(machines.on_cloud(REPAIR, &[]).wait_for_end());
-    assert_eq!(stored_iterations(), before, "nothing of it was damaged");
+    assert_eq!(stored_iterations(), before, "a repair changes an undamaged database");
 }

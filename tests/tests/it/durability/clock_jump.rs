@@ -25,7 +25,7 @@ fn run_to_the_end(deployment: &LoopbackDeployment, api: &Api, host: &str) {
     assert_eq!(agent.stop().code(), 0);
 }
 
-/// Waits until this number of the aggregator's incidents report a clock step; returns the newest text.
+/// Waits until `count` incidents of the aggregator report a clock step in a direction; returns the newest text.
 fn wait_for_jump_message(api: &Api, direction: &str, count: usize) -> String {
     api.wait_until("/api/v1/incidents", |list| {
         let incidents = list["incidents"].as_array()?.iter();
@@ -66,7 +66,7 @@ fn aggregator_clock_jumps_delete_nothing() {
         assert_eq!(
             query_database(&database, sql).trim(),
             (runs * 5).to_string(),
-            "all widths of statistics of {runs} runs"
+            "{runs} runs have roll-ups of five resolutions each"
         );
     };
     run_to_the_end(&deployment, &api, "before");
@@ -89,7 +89,7 @@ fn aggregator_clock_jumps_delete_nothing() {
     assert!(!log.contains("retention deleted"), "{log}");
     assert_eq!(aggregator.stop().code(), 0);
 
-    // It starts with a clock that is behind its last reading, and then with one that is far ahead.
+    // The aggregator starts with a clock that is behind its last stored time, and then with a clock that is far ahead.
     false_time.show(-MONTH - MONTH);
     let (aggregator, api) = start();
     messages.push(wait_for_jump_message(&api, "less than when it last stored something", 1));

@@ -7,7 +7,7 @@ use peernet_tests::fleet::{agent_configuration, echo_pipeline, rate_load};
 use peernet_tests::truth::query_database;
 use peernet_tests::{Fleet, ProcessEnd, StoredEvents, record_measurements, thousands, wait_until};
 
-/// Returns reproducible noise, such as a disk, a wild pointer or `dd` may leave.
+/// Returns reproducible noise, such as a faulty disk, a stray write or `dd` may leave.
 fn noise(seed: u64) -> Vec<u8> {
     let mut state = seed;
     let mut next = || {
@@ -17,7 +17,7 @@ fn noise(seed: u64) -> Vec<u8> {
     (0..4096).map(|_| next()).collect()
 }
 
-/// Overwrites 4 KiB in the middle of a table's pages, `offset` bytes after the beginning of one.
+/// Overwrites 4 KiB, from `offset` bytes after the beginning of a page in the middle of a table.
 fn overwrite(database: &Path, table: &str, offset: u64) {
     let pages = query_database(
         database,
@@ -26,7 +26,7 @@ fn overwrite(database: &Path, table: &str, offset: u64) {
     let pages: Vec<u64> = pages.lines().map(|page| page.parse().expect("a page's number")).collect();
     assert!(pages.len() > 4, "{table} has only the pages {pages:?}");
     let page = pages[pages.len() / 2];
-    let file = std::fs::File::options().write(true).open(database).expect("it is there");
+    let file = std::fs::File::options().write(true).open(database).expect("the database exists");
     file.write_all_at(&noise(page), (page - 1) * 4096 + offset).expect("it can be written");
 }
 
@@ -48,8 +48,8 @@ fn wait_for_failure_reason(fleet: &Fleet) -> String {
     })
 }
 
-/// Stores this number of events in the database file itself: pages that are only in the log would hide a damaged
-/// page.
+/// Stores this number of events in the database file itself: pages in the write-ahead log would hide a
+/// damaged page.
 fn start_with_events_in_file(events: u64) -> Fleet {
     let mut fleet =
         Fleet::new(&["edge"], &agent_configuration("", &echo_pipeline("loop", &rate_load(400.0))));
@@ -79,12 +79,12 @@ fn damaged_page_stops_storing_until_repaired() {
         "nothing more is acknowledged"
     );
     let (status, page) = fleet.api.get("/").expect("the dashboard answers");
-    assert!(status == 200 && page.contains("damaged"), "the page says so: {page}");
+    assert!(status == 200 && page.contains("damaged"), "the page does not report the damage: {page}");
     let refused = doctor(&fleet, &["--repair"]);
     assert_eq!(refused.code(), 69, "the aggregator runs: {}", refused.log);
 
     let log = fleet.aggregator.stop().log;
-    assert_eq!(log.matches("ERROR aggregator: the database").count(), 1, "said once: {log}");
+    assert_eq!(log.matches("ERROR aggregator: the database").count(), 1, "the error is logged once: {log}");
     fleet.restart_aggregator();
     let reason = wait_for_failure_reason(&fleet);
     assert!(reason.contains("damaged") && reason.contains("peernetd doctor --repair"), "{reason}");
@@ -109,7 +109,7 @@ fn damage_across_pages_of_several_tables_is_repaired() {
     }
     let reason = wait_for_failure_reason(&fleet);
     assert!(reason.contains("damaged"), "{reason}");
-    // The killed aggregator leaves its log beside the file.
+    // The killed aggregator leaves its write-ahead log beside the file.
     fleet.aggregator.kill();
     assert_continues_after_repair(fleet, "pages of three tables");
 }
@@ -150,7 +150,7 @@ fn assert_continues_after_repair(mut fleet: Fleet, title: &str) {
         title,
         &[
             ("iterations stored", thousands(run.iterations() as f64)),
-            ("iterations lost and told of", thousands(run.missing as f64)),
+            ("iterations lost and reported", thousands(run.missing as f64)),
         ],
     );
 }

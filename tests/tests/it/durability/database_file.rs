@@ -34,7 +34,9 @@ fn wait_until_not_ready(fleet: &Fleet, text: &str) {
 /// Waits until the aggregator is ready and has stored the events that waited on its agent.
 fn wait_until_storing(fleet: &Fleet) {
     wait_until("ready", || fleet.api.get("/readyz").filter(|(status, _)| *status == 200));
-    fleet.wait_for_counts(0, "what waited is stored", |counts| counts.waiting < 100 && counts.stored > 0);
+    fleet.wait_for_counts(0, "the waiting events are stored", |counts| {
+        counts.waiting < 100 && counts.stored > 0
+    });
 }
 
 /// Stops everything; checks that each produced event is stored or counted as dropped.
@@ -95,7 +97,7 @@ fn storing_recovers_after_unmount_and_mount() {
     // The file system must be released, so that it can be checked or mounted elsewhere.
     wait_until("the device is free", || (!disk.is_in_use()).then_some(()));
     let folder = std::fs::read_dir(disk.folder()).expect("the mount point is there");
-    assert_eq!(folder.count(), 0, "nothing is made where the disk was");
+    assert_eq!(folder.count(), 0, "nothing is created in the empty mount point");
     disk.mount();
     wait_until_storing(&fleet);
     assert_nothing_is_missing(&mut fleet);
@@ -129,13 +131,15 @@ fn database_replaced_by_backup_is_compared_with_spools() {
         .wait_for_end();
     assert_eq!(backup_end.code(), 0, "{}", backup_end.log);
     let backup_events = StoredEvents::read(&backup);
-    let before = fleet.wait_for_counts(0, "it reports", |_| true);
+    let before = fleet.wait_for_counts(0, "the agent reports", |_| true);
     fleet.wait_for_counts(0, "more is stored", |counts| counts.acknowledged > before.acknowledged + 200);
 
     let [main, log, shared] = files(&database);
     for file in [&main, &log, &shared] {
-        let moved =
-            file.with_extension(format!("{}-away", file.extension().expect("it has").to_string_lossy()));
+        let moved = file.with_extension(format!(
+            "{}-away",
+            file.extension().expect("the file has an extension").to_string_lossy()
+        ));
         std::fs::rename(file, moved).expect("moves");
     }
     wait_until_not_ready(&fleet, "cannot store events");
@@ -153,7 +157,7 @@ fn database_replaced_by_backup_is_compared_with_spools() {
     assert!(reason.contains("batches"), "{reason}");
 }
 
-/// Checks that a second aggregator does not start on a file that leads to the first one's database.
+/// Checks that a second aggregator is refused if its path leads to the database of the first.
 fn assert_second_is_refused(fleet: &Fleet, database: &Path) {
     let tables = format!(
         "[aggregator]\nname = \"second\"\nlisten = \"tcp://127.0.0.1:{}\"\ndatabase = \"{}\"\n\
@@ -168,7 +172,7 @@ fn assert_second_is_refused(fleet: &Fleet, database: &Path) {
     let holder = format!("pid {}", fleet.aggregator.process().pid());
     let names_file_and_holder =
         end.log.contains(&holder) && end.log.contains(&database.display().to_string());
-    assert!(names_file_and_holder, "it names the file and {holder}:\n{}", end.log);
+    assert!(names_file_and_holder, "the log does not name the file and {holder}:\n{}", end.log);
 }
 
 #[test]

@@ -14,7 +14,7 @@ use super::wait_for_turn;
 /// Number of kills of the agent while it measures.
 const KILLS: usize = 5;
 
-/// Longest time that it measures after its first batch.
+/// Longest time that the agent measures after its first batch.
 const MAX_LIFETIME: Duration = Duration::from_millis(600);
 
 /// Run of an agent that logs each answer before the iteration ends.
@@ -51,10 +51,10 @@ fn killed_agent_reports_every_event_it_lost() {
         // The log was written before the process was killed, and does not depend on its spool.
         let answers = log.matches(" answer ").count() as u64;
         let spooled = SpooledIterations::parse_log(&log);
-        let run = spooled.first().expect("it was waited for").run.clone();
+        let run = spooled.first().expect("the test waited for a spooled batch").run.clone();
         killed_runs.push(KilledRun { run, answers });
         if killed_runs.len() == 2 {
-            // It is killed again before it can report the loss.
+            // The agent is killed again before it can report the loss.
             fleet.start(0);
             fleet.agents[0].process().wait_for("the agent was killed before these events");
             fleet.agents[0].kill();
@@ -115,7 +115,7 @@ fn deleted_database_reports_number_of_missing_events() {
     // Events without an acknowledgement at the aggregator's stop are sent again.
     assert!(
         host.missing <= deleted_events && host.missing > deleted_events / 2,
-        "{deleted_events} were there: {host:?}"
+        "{deleted_events} events were deleted: {host:?}"
     );
     assert_eq!(host.gap_rows, (1, host.missing));
     assert_eq!(counts.produced, host.events + host.missing, "{counts:?}, {host:?}");
@@ -136,7 +136,7 @@ fn restored_database_reports_number_of_missing_events() {
     let (database, backup) = (fleet.database().to_owned(), fleet.deployment.folder().join("backup.sqlite"));
     std::fs::copy(&database, &backup).expect("copied");
     fleet.restart_aggregator();
-    let before = fleet.wait_for_counts(0, "it is back", |_| true);
+    let before = fleet.wait_for_counts(0, "the agent reports", |_| true);
     fleet.wait_for_counts(0, "more is stored", |counts| counts.acknowledged > before.acknowledged + 500);
     fleet.aggregator.stop();
     empty_folder(database.parent().expect("a folder of its own"));

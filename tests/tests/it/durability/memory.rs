@@ -7,21 +7,21 @@ use peernet_tests::{Fleet, Stopwatch, record_measurements};
 
 use super::setting;
 
-/// Bound in [operating.md](../../../../docs/operating.md) for a few pipelines and an open page: SQLite's page cache,
+/// Limit that [operating.md](../../../../docs/operating.md) states for a few pipelines and an open page: SQLite's page cache,
 /// an idle aggregator, readers, and batches in flight.
 const MAX_RESIDENT_MIB: f64 = 192.0;
 
 /// Returns the anonymous memory of a process, MiB.
 fn memory_mib(pid: u32) -> f64 {
-    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).expect("it runs");
-    let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:")).expect("Linux tells it");
+    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).expect("the process runs");
+    let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:")).expect("Linux reports RssAnon");
     let kib: f64 = line.trim().trim_end_matches(" kB").parse().expect("a number");
     kib / 1024.0
 }
 
 #[test]
 #[ignore = "takes as long as PEERNET_MEMORY_S says; for make soak"]
-fn memory_stays_below_its_bound() {
+fn memory_stays_below_documented_limit() {
     let seconds = setting("PEERNET_MEMORY_S", 600);
     let pipelines: String =
         (0..8).map(|number| echo_pipeline(&format!("loop-{number}"), &rate_load(200.0))).collect();

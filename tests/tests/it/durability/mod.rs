@@ -1,4 +1,4 @@
-//! Tests that stored data survives operations on machines.
+//! Tests that stored data survives faults of disks, clocks and processes.
 
 mod clock_jump;
 mod damaged_page;

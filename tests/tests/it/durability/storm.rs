@@ -13,7 +13,7 @@ use super::{setting, wait_for_turn};
 const AGENTS: [&str; 2] = ["left", "right"];
 const HZ: f64 = 200.0;
 
-/// Longest time between two events.
+/// Longest pause between two faults or kills.
 const MAX_PAUSE: Duration = Duration::from_millis(700);
 
 /// Largest jump of a clock.
@@ -31,7 +31,7 @@ enum Fault {
     /// The spool of an agent cannot be written.
     SpoolReadOnly(usize),
     /// The aggregator's disk is not mounted.
-    StoreAway,
+    StoreUnmounted,
     /// The clock of the aggregator jumps.
     AggregatorClock,
     /// The clock of an agent jumps.
@@ -45,8 +45,9 @@ struct Storm {
     faults: Vec<Fault>,
     /// Number of answers in the logs of ended processes.
     answers: u64,
+    /// Number of kills of agents, and of the aggregator.
     kills: [u64; 2],
-    /// Number of failed starts because of a fault.
+    /// Number of starts that failed because of a fault.
     failed_starts: u32,
 }
 
@@ -91,7 +92,7 @@ impl Storm {
             Fault::SpoolsFull => self.spools.fill(),
             Fault::StoreReadOnly => self.store.set_immutable(&self.files(fault), true),
             Fault::SpoolReadOnly(_) => self.spools.set_immutable(&self.files(fault), true),
-            Fault::StoreAway => self.store.unmount(),
+            Fault::StoreUnmounted => self.store.unmount(),
             Fault::AggregatorClock => self.fleet.aggregator.show_time(&self.fleet.deployment, jump),
             Fault::AgentClock(agent) => self.fleet.agents[agent].show_time(&self.fleet.deployment, jump),
         }
@@ -106,7 +107,7 @@ impl Storm {
                 Fault::SpoolsFull => self.spools.free(),
                 Fault::StoreReadOnly => self.store.set_immutable(&self.files(fault), false),
                 Fault::SpoolReadOnly(_) => self.spools.set_immutable(&self.files(fault), false),
-                Fault::StoreAway => {
+                Fault::StoreUnmounted => {
                     // Two mounts of one image would overwrite each other.
                     wait_until("the device is free", || (!self.store.is_in_use()).then_some(()));
                     self.store.mount();
@@ -119,7 +120,7 @@ impl Storm {
     /// Chooses faults that can exist at the same time.
     fn choose_faults(rng: &mut TestRng) -> Vec<Fault> {
         let agent = rng.below(AGENTS.len());
-        let store = [Fault::StoreFull, Fault::StoreReadOnly, Fault::StoreAway, Fault::AggregatorClock];
+        let store = [Fault::StoreFull, Fault::StoreReadOnly, Fault::StoreUnmounted, Fault::AggregatorClock];
         let spool = [Fault::SpoolsFull, Fault::SpoolReadOnly(agent), Fault::AgentClock(agent)];
         let (store, spool) = (store[rng.below(store.len())], spool[rng.below(spool.len())]);
         match rng.below(4) {
@@ -143,12 +144,12 @@ impl Storm {
             self.kills[1] += 1;
         }
         if kills_agent {
-            self.answers += answers(&self.fleet.agents[agent].kill().log);
+            self.answers += count_answers(&self.fleet.agents[agent].kill().log);
             self.kills[0] += 1;
         }
         rng.sleep_up_to(MAX_PAUSE);
         // An aggregator that is started without its disk creates a database in the mount point's folder.
-        let needs_disk = kills_aggregator && self.faults.contains(&Fault::StoreAway);
+        let needs_disk = kills_aggregator && self.faults.contains(&Fault::StoreUnmounted);
         if needs_disk || rng.once_in(2) {
             self.repair();
         }
@@ -169,7 +170,7 @@ impl Storm {
 }
 
 /// Returns the number of iterations whose answer was acted on.
-fn answers(log: &str) -> u64 {
+fn count_answers(log: &str) -> u64 {
     log.matches(" answer ").count() as u64
 }
 
@@ -190,7 +191,7 @@ fn kills_disk_and_clock_faults_lose_nothing_uncounted() {
     }
     let mut counts_of_agents = Vec::new();
     for agent in 0..AGENTS.len() {
-        answers += self::answers(&fleet.agents[agent].stop().log);
+        answers += count_answers(&fleet.agents[agent].stop().log);
         counts_of_agents.push(fleet.deliver_spool(agent));
     }
     let stored_events = fleet.stop();

@@ -41,7 +41,7 @@ fn missing_cloud_fails_runs_that_can_be_resumed() {
     assert_eq!(
         json(&lab.results.file(&lab.results.folders()[0], "run.json")),
         first,
-        "it was not done again"
+        "the first run was not repeated"
     );
 }
 
@@ -50,13 +50,13 @@ fn returning_cloud_loses_only_iterations_in_flight() {
     let mut lab = Lab::new();
     let process = lab.run(THREE_RUNS, &[]);
     let second = wait_for_second_run(&lab, &process);
-    // The cloud is stopped first, so that it certainly has an iteration in progress.
-    lab.stop_cloud();
+    // The cloud is suspended first, so that it certainly has an iteration in progress.
+    lab.suspend_cloud();
     process.wait_for("is away");
     lab.kill_cloud();
     lab.start_cloud();
     let end = process.wait_for_end();
-    assert_eq!(end.code(), 75, "failed iterations are told: {}", end.log);
+    assert_eq!(end.code(), 75, "failed iterations lead to exit code 75: {}", end.log);
     assert_eq!(lab.results.states(), ["finished"; 3], "{}", end.log);
     let outcomes = column(&lab.results.file(&second, "data.csv"), "outcome");
     let unanswered = outcomes.iter().filter(|outcome| *outcome != "ok").count();

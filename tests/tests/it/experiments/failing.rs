@@ -41,7 +41,7 @@ fn crashed_run_is_marked_and_others_continue() {
 }
 
 #[test]
-fn missing_parts_are_reported_before_first_run() {
+fn missing_model_and_peer_are_reported_before_first_run() {
     let lab = Lab::new();
     let file = "[experiment]\nname = 'e'\niterations = 5\npatience_s = 1\n[pipeline]\n\
                 sensor = { kind = 'synthetic', size_bytes = 10 }\nplacement = { kind = 'remote', peer = '{cloud}' }\n\

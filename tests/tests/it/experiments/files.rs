@@ -21,9 +21,9 @@ fn shipped_experiments_pass_check_with_their_run_counts() {
         assert_eq!(end.code(), 0, "{}", end.log);
         assert!(end.log.contains(runs), "{}", end.log);
     }
-    let entries = std::fs::read_dir(root().join("configs/experiments")).expect("it is there");
+    let entries = std::fs::read_dir(root().join("configs/experiments")).expect("the folder exists");
     let files = entries.filter(|entry| entry.as_ref().expect("is readable").path().is_file()).count();
-    assert_eq!(files, 7, "the list above has each file");
+    assert_eq!(files, 7, "the list above does not name each file");
 }
 
 #[test]
@@ -89,7 +89,7 @@ fn missing_or_invalid_file_is_named() {
     assert!(end.code() == 78 && end.log.contains(&message), "{}: {}", end.code(), end.log);
 }
 
-// The package and `make demo` have one program under two names.
+// The package and `make demo` install one program under two names.
 #[test]
 fn daemon_linked_as_peernet_measures_experiment() {
     let folder = tempfile::tempdir().expect("a folder");

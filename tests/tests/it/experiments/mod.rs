@@ -1,9 +1,9 @@
 //! Tests of experiments: a matrix of runs from one file on one machine, with a cloud on another.
 
 mod cloud_gone;
+mod custom_objects;
 mod failing;
 mod files;
-mod own_objects;
 mod printed;
 mod repeated;
 mod results;
@@ -97,8 +97,8 @@ impl Lab {
         self.cloud = Some(cloud);
     }
 
-    /// Stops the cloud's process, so that it hangs.
-    fn stop_cloud(&self) {
+    /// Suspends the cloud's process, so that it does not answer.
+    fn suspend_cloud(&self) {
         self.cloud.as_ref().expect("it runs").signal(Signal::STOP);
     }
 
@@ -122,7 +122,7 @@ fn run_command(command: &str, results: &Path) -> ProcessEnd {
     Process::start(&program("peernet"), &arguments, root(), &[]).wait_for_end()
 }
 
-/// Waits for the end of an experiment, which may take long if its single runs do not.
+/// Waits for the end of an experiment. The timeout starts anew with each run, so a long experiment does not exceed it.
 pub(crate) fn wait_for_runs(experiment: Process, runs: usize) -> ProcessEnd {
     for run in 1..=runs {
         experiment.wait_for(&format!("run {run} of {runs} ("));

@@ -35,8 +35,8 @@ fn program_output_is_printed_with_its_source() {
     let arguments = ["run", "experiment.toml", "--result-loc", "results"];
     let end = Process::start(&program("peernet"), &arguments, deployment.folder(), &[]).wait_for_end();
     assert_eq!(end.code(), 0, "{}", end.log);
-    let begin = end.log.find(": begins").expect("the run is told");
-    let finish = end.log.find(": finished after").expect("its end as well");
+    let begin = end.log.find(": begins").expect("the begin of the run is printed");
+    let finish = end.log.find(": finished after").expect("the end of the run is printed");
     let run = &end.log[begin..finish];
     for frame in 1..=4 {
         assert!(run.contains(&format!("\nsensor mine::camera: frame {frame}\n")), "{frame}: {}", end.log);

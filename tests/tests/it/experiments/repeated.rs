@@ -25,14 +25,14 @@ transforms = [{ kind = "resize", width = 96, height = 64 }, { kind = "encode", f
 placement = { kind = "remote", peer = "cluster", model = "echo" }
 "#;
 
-/// Keys of a run's pipeline that belong to `[experiment]`, and keys that are filled in.
+/// Keys of a run's pipeline that belong to `[experiment]`, and keys that `peernet run` fills in.
 const EXPERIMENT_KEYS: [&str; 6] = ["name", "limit", "warm_up", "episode_steps", "start", "experiment"];
 
 impl Lab {
     /// Runs `peernet run` in the lab's folder, with a folder there for the results.
     fn run_in_folder(&self, file: &str, results: &str) -> ProcessEnd {
         let arguments = ["run", file, "--result-loc", results];
-        let environment = [("OMP_NUM_THREADS", "3"), ("PEERNET_SECRET", "not to be told")];
+        let environment = [("OMP_NUM_THREADS", "3"), ("PEERNET_SECRET", "not to be recorded")];
         self.network
             .edge()
             .start(&program("peernet"), &arguments, self.deployment.folder(), &environment)
@@ -52,11 +52,11 @@ fn experiment_file_from_record(record: &Value) -> String {
     let mut file = record["agent"].as_object().expect("tables").clone();
     file.insert("experiment".to_owned(), experiment.into());
     file.insert("pipeline".to_owned(), pipeline.map(|(key, value)| (key.clone(), value.clone())).collect());
-    toml::to_string(&file).expect("what is not known is left out")
+    toml::to_string(&file).expect("unknown values are left out")
 }
 
 /// Returns the record without the values that differ in each run.
-fn configuration(record: &Value) -> Value {
+fn without_varying_values(record: &Value) -> Value {
     let mut pipeline = record["pipeline"].clone();
     for key in ["name", "experiment"] {
         pipeline.as_object_mut().expect("a table").remove(key);
@@ -90,19 +90,19 @@ fn run_is_repeated_from_its_record() {
     assert_eq!(record["network_config"]["file"], "net_config.yaml");
     assert_eq!(record["network_config"]["text"], devices.as_str());
     assert_eq!(record["environment"]["OMP_NUM_THREADS"], "3");
-    assert!(!record.to_string().contains("not to be told"));
+    assert!(!record.to_string().contains("not to be recorded"));
     assert_eq!(record["folder"].as_str().map(Path::new), folder.canonicalize().ok().as_deref());
 
     // Another device does not matter for the measured run, but the file has changed.
     write("net_config.yaml", &devices.replace("server:", "  spare: 10.0.0.99\nserver:"));
     let log = assert_finished(lab.run_in_folder("first.toml", "first"));
     assert!(log.contains("net_config.yaml has changed since some runs were measured"), "{log}");
-    assert_eq!(read_only_run("first").0, record, "it was not touched");
+    assert_eq!(read_only_run("first").0, record, "the record was not changed");
 
     fs::remove_file(folder.join("net_config.yaml")).expect("removable");
     write("again.toml", &experiment_file_from_record(&record));
     assert_finished(lab.run_in_folder("again.toml", "again"));
     let (other, other_sizes) = read_only_run("again");
-    assert_eq!(configuration(&other), configuration(&record));
+    assert_eq!(without_varying_values(&other), without_varying_values(&record));
     assert_eq!(other_sizes, sizes, "the same pictures in the same order");
 }

@@ -5,7 +5,7 @@ use rustix::process::{Signal, kill_process};
 
 use super::{Lab, THREE_RUNS, children, column, json, run_command};
 
-/// Waits until the second run is in progress.
+/// Waits until the second run is in progress; returns the folders of all runs.
 fn wait_for_second_run(lab: &Lab, process: &Process) -> Vec<String> {
     process.wait_for("run 2 of 3 (Size = 200): begins");
     let folders = lab.results.folders();
@@ -25,8 +25,8 @@ fn assert_complete(lab: &Lab, folders: &[String]) {
     }
 }
 
-/// Checks that the commands show only the first run, like the experiment itself.
-fn assert_rest_is_left_out(lab: &Lab, folders: &[String], stage: &str) {
+/// Checks that `compare` and `plot` show only the first run, as the experiment's own tables do, and name the other runs.
+fn assert_unfinished_runs_are_left_out(lab: &Lab, folders: &[String], stage: &str) {
     let results_folder = &lab.results.folder;
     let note = format!(
         "without the runs of experiment three that are not done: {} ({stage}), {} (to do)",
@@ -63,7 +63,7 @@ fn interrupted_runs_are_repeated_and_finished_ones_kept() {
     assert!(end.log.contains("1 of 3 runs finished, 1 interrupted, 1 to do"), "{}", end.log);
     assert_eq!(lab.results.states(), ["finished", "interrupted", "pending"]);
     assert_eq!(json(&lab.results.file(&folders[1], "run.json"))["reason"], "stopped");
-    assert_rest_is_left_out(&lab, &folders, "interrupted");
+    assert_unfinished_runs_are_left_out(&lab, &folders, "interrupted");
     let first = json(&lab.results.file(&folders[0], "run.json"));
     let id = lab.results.record()["id"].clone();
 
@@ -76,7 +76,7 @@ fn interrupted_runs_are_repeated_and_finished_ones_kept() {
     assert_eq!(end.code(), 0, "{}", end.log);
     assert!(!end.log.contains("run 1 of 3 (Size = 100): begins"), "{}", end.log);
     assert_complete(&lab, &folders);
-    assert_eq!(json(&lab.results.file(&folders[0], "run.json")), first, "it was not touched");
+    assert_eq!(json(&lab.results.file(&folders[0], "run.json")), first, "the record was not changed");
     assert_eq!(lab.results.record()["id"], id);
     assert_eq!(json(&lab.results.file(&folders[2], "run.json"))["experiment"]["id"], id);
 
@@ -91,7 +91,7 @@ fn suspended_run_is_killed_and_marked_interrupted() {
     let lab = Lab::new();
     let process = lab.run(THREE_RUNS, &[]);
     wait_for_second_run(&lab, &process);
-    let [child] = children(&process).try_into().expect("one run is under way");
+    let [child] = children(&process).try_into().expect("one run is in progress");
     kill_process(child, Signal::STOP).expect("it runs");
     process.signal(Signal::INT);
     process.wait_for("work in progress is killed after 60 s");
@@ -108,15 +108,15 @@ fn kill_leaves_no_process_and_no_partial_run() {
     let lab = Lab::new();
     let process = lab.run(THREE_RUNS, &[]);
     let folders = wait_for_second_run(&lab, &process);
-    let [child] = children(&process).try_into().expect("one run is under way");
+    let [child] = children(&process).try_into().expect("one run is in progress");
     process.kill();
     wait_until("the end of the run", || {
         let stat = std::fs::read_to_string(format!("/proc/{}/stat", child.as_raw_nonzero()));
-        // Only init collects it, which may take a while.
+        // Only init collects the child, which may take a while. Until then the child is a zombie.
         stat.map_or(true, |stat| stat.contains(") Z ")).then_some(())
     });
     assert_eq!(lab.results.states(), ["finished", "running", "pending"]);
-    assert_rest_is_left_out(&lab, &folders, "in progress or killed");
+    assert_unfinished_runs_are_left_out(&lab, &folders, "in progress or killed");
     let end = lab.run(THREE_RUNS, &["--yes"]).wait_for_end();
     assert_eq!(end.code(), 0, "{}", end.log);
     assert_complete(&lab, &folders);

@@ -76,7 +76,7 @@ fn demo_with_same_seed_repeats_order_and_payloads() {
     let counts = column(&results.folder.join("compare.csv"), "count");
     // Two repeats. In each, one of the two episodes is warm-up, and so is the first of the six steps of the other.
     assert!(counts.iter().all(|count| count == "10"), "{counts:?}");
-    let id = results.record()["id"].as_str().expect("it has one").to_owned();
+    let id = results.record()["id"].as_str().expect("an experiment has an id").to_owned();
     assert_eq!(wait_for_stored_runs(&machines, &id), 10);
 
     let repeated = measure("--restart").0;

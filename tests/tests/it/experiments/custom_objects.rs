@@ -18,7 +18,7 @@ fn run(folder: &Path, objects: &str, experiment: &str) -> ProcessEnd {
 }
 
 /// Returns the objects and the experiment that the document shows, with a port that no other test uses.
-fn documented() -> (String, String) {
+fn documented_files() -> (String, String) {
     let document = Document::read("docs/actuators.md");
     let block = |language: &str, part: &str| {
         let blocks = document.fenced_blocks(language).into_iter().map(|(_, text)| text);
@@ -31,7 +31,7 @@ fn documented() -> (String, String) {
 #[test]
 fn documented_arm_reaches_its_target() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (objects, experiment) = documented();
+    let (objects, experiment) = documented_files();
     let end = run(folder.path(), &objects, &experiment);
     assert_eq!(end.code(), 0, "{}", end.log);
     let table = fs::read_to_string(folder.path().join("results/arm/compare.csv")).expect("it was written");
@@ -47,8 +47,8 @@ fn documented_arm_reaches_its_target() {
 #[test]
 fn trial_finds_mistakes_of_python_objects() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (objects, experiment) = documented();
-    let wrong = |objects: &str, experiment: &str, expected: &[&str]| {
+    let (objects, experiment) = documented_files();
+    let assert_reported = |objects: &str, experiment: &str, expected: &[&str]| {
         let end = run(folder.path(), objects, experiment);
         assert!(matches!(end.code(), 69 | 75), "{}: {}", end.code(), end.log);
         for text in expected {
@@ -58,7 +58,7 @@ fn trial_finds_mistakes_of_python_objects() {
         assert!(end.log.contains("how long it takes is not known"), "{}", end.log);
         assert!(!end.log.contains("begins"), "nothing was measured: {}", end.log);
     };
-    wrong(
+    assert_reported(
         &format!("import no_such_package\n{objects}"),
         &experiment,
         &[
@@ -68,24 +68,24 @@ fn trial_finds_mistakes_of_python_objects() {
         ],
     );
     let without_actuator = "actuator = { kind = \"python\", object = \"arm::Motor\" }";
-    wrong(
+    assert_reported(
         &format!("import no_such_package\n{objects}"),
         &experiment.replace(without_actuator, ""),
         &["cannot start arm::Arm with /usr/bin/python3: ModuleNotFoundError", "PEERNET_PYTHON"],
     );
-    wrong(
+    assert_reported(
         &objects,
         &experiment.replace("arm::Motor", "arm::Moter"),
         &["the actuator cannot be created: ", "arm::Moter"],
     );
-    wrong(
+    assert_reported(
         &objects,
         &experiment
             .replace(without_actuator, "actuator = { kind = \"socket\", address = \"tcp://127.0.0.1:1\" }"),
         &["the actuator cannot be created: ", "cannot connect to the controller at tcp://127.0.0.1:1"],
     );
     let needs_action = "            return {\"position\": self.position}";
-    wrong(
+    assert_reported(
         &objects.replacen(needs_action, "            raise RuntimeError('no action yet')", 1),
         &experiment,
         &["the sensor failed: RuntimeError: no action yet", "a trial runs without the actuator"],
@@ -95,7 +95,7 @@ fn trial_finds_mistakes_of_python_objects() {
 #[test]
 fn failed_action_is_named_as_such() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (objects, experiment) = documented();
+    let (objects, experiment) = documented_files();
     let act = "        self.arm.sendto(json.dumps(answer).encode(), ARM)";
     let objects = objects.replacen(act, "        raise RuntimeError('the brake is on')", 1);
     // There is no limit of failures: the run ends at its limit of iterations, although every action fails.
@@ -107,10 +107,10 @@ fn failed_action_is_named_as_such() {
                 RuntimeError: the brake is on";
     assert!(end.log.contains(text), "{}", end.log);
     // The first reason is printed as soon as it is known, before the end of the run.
-    let early = "): iteration 1 failed: the actuator failed: RuntimeError: the brake is on";
-    assert_eq!(end.log.matches(early).count(), 1, "{}", end.log);
+    let first_reason = "): iteration 1 failed: the actuator failed: RuntimeError: the brake is on";
+    assert_eq!(end.log.matches(first_reason).count(), 1, "{}", end.log);
     assert!(end.log.contains("1 run with failed iterations"), "{}", end.log);
-    // The answers exist, so the report on the run does not deny them.
+    // The report calls the failures errors of custom code, and not missing answers.
     let report = "2 of 2 iterations failed (100\u{202f}%): 2 with an error of sensor, model or actuator.";
     let runs = fs::read_dir(folder.path().join("results/arm/runs")).expect("a folder of runs");
     let records: Vec<String> = runs
@@ -119,31 +119,31 @@ fn failed_action_is_named_as_such() {
     assert!(!records.is_empty() && records.iter().all(|record| record.contains(report)), "{records:?}");
 }
 
-/// Objects that write the variables of their process into the file `told`.
-const TOLD: &str = "
+/// Objects that append environment variables of their process to the file `variables`.
+const RECORDING_OBJECTS: &str = "
 import os
 
-def tell(role):
+def record(role):
     numbers = [os.environ['PEERNET_' + name] for name in ('REPEAT', 'USER', 'SEED')]
-    with open('told', 'a') as file:
+    with open('variables', 'a') as file:
         file.write(' '.join([role, *numbers]) + '\\n')
 
 class Sensor:
-    def __init__(self): tell('sensor')
+    def __init__(self): record('sensor')
     def sample(self): return 1
 
 class Model:
-    def __init__(self): tell('model')
+    def __init__(self): record('model')
     def infer(self, x): return x
 
 class Actuator:
-    def __init__(self): tell('actuator')
+    def __init__(self): record('actuator')
     def act(self, answer): pass
 ";
 
 const REPEATS_AND_USERS: &str = "
 [experiment]
-name = 'told'
+name = 'variables'
 repeats = 2
 users = 2
 iterations = 2
@@ -170,18 +170,18 @@ object = 'arm::Model'
 #[test]
 fn repeats_and_users_have_their_own_seeds() {
     let folder = tempfile::tempdir().expect("a folder");
-    let end = run(folder.path(), TOLD, REPEATS_AND_USERS);
+    let end = run(folder.path(), RECORDING_OBJECTS, REPEATS_AND_USERS);
     assert_eq!(end.code(), 0, "{}", end.log);
-    let told = fs::read_to_string(folder.path().join("told")).expect("it was written");
+    let variables = fs::read_to_string(folder.path().join("variables")).expect("it was written");
     let mut seeds = BTreeSet::new();
     for (run, repeat) in [("001-r1", "1"), ("002-r2", "2")] {
         for user in ["1", "2"] {
-            let path = folder.path().join(format!("results/told/runs/{run}/user-{user}/run.json"));
+            let path = folder.path().join(format!("results/variables/runs/{run}/user-{user}/run.json"));
             let record = json(&path);
             let seed = |name: &str| record["seeds"][name].as_u64().expect("is recorded");
             for (role, name) in [("sensor", "sensor"), ("model", "model.own"), ("actuator", "actuator")] {
                 let line = format!("{role} {repeat} {user} {}\n", seed(name));
-                assert!(told.contains(&line), "{line} is not in {told}");
+                assert!(variables.contains(&line), "{line} is not in {variables}");
                 seeds.insert(seed(name));
             }
             // The run can be repeated from its record.
@@ -192,7 +192,8 @@ fn repeats_and_users_have_their_own_seeds() {
             assert_eq!(seed("model.gpu"), seed("model.own"));
         }
     }
-    assert_eq!(seeds.len(), 12, "all are different: {told}");
-    let table = fs::read_to_string(folder.path().join("results/told/compare.txt")).expect("it was written");
+    assert_eq!(seeds.len(), 12, "the seeds are different: {variables}");
+    let table =
+        fs::read_to_string(folder.path().join("results/variables/compare.txt")).expect("it was written");
     assert!(table.contains("standard deviation 0.5 ms, a seed of its own for each run"), "{table}");
 }
