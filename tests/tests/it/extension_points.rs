@@ -1,5 +1,5 @@
 //! Tests that each kind of sensor, transform, model, actuator and network is named in its own file and where it is
-//! registered, and in no other program file.
+//! registered, and in no other source file.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -181,7 +181,7 @@ fn kind_is_named_in_its_file_and_registration() {
     }
     assert!(
         problems.is_empty(),
-        "kinds are named outside their own files; ask through the trait of the extension point:\n{}",
+        "kinds are named outside their own files; call the trait of the extension point instead:\n{}",
         problems.join("\n")
     );
     for exception in &EXCEPTIONS {

@@ -52,7 +52,10 @@ fn several_runs_get_own_and_joint_figures() {
         "{stacked}"
     );
     assert!(deployment.folder().join("figures/large/series.png").is_file(), "{}", end.log);
-    assert!(!deployment.folder().join("all/large/series.png").exists(), "elsewhere means elsewhere");
+    assert!(
+        !deployment.folder().join("all/large/series.png").exists(),
+        "--out leaves the result folders unchanged"
+    );
     assert!(!end.log.contains("payload"), "all messages have one size: {}", end.log);
 }
 
@@ -67,7 +70,12 @@ fn plot_names_runs_without_answers() {
     assert_eq!(end.code(), 0, "{}", end.log);
     let message = "figures/silent: cannot draw series: no successful iteration";
     assert!(end.log.contains(message), "{}", end.log);
-    assert_eq!(end.log.matches("cannot draw").count(), 1, "others never are: {}", end.log);
+    assert_eq!(
+        end.log.matches("cannot draw").count(),
+        1,
+        "only one figure is named as not drawn: {}",
+        end.log
+    );
 }
 
 #[test]

@@ -22,12 +22,12 @@ load = { mode = "rate", hz = 50.0 }
 "#;
 
 /// systemd's end of the notification socket.
-struct Manager {
+struct ServiceManager {
     socket: UnixDatagram,
     path: String,
 }
 
-impl Manager {
+impl ServiceManager {
     fn new(deployment: &LoopbackDeployment) -> Self {
         let path = deployment.folder().join("notify.sock");
         let socket = UnixDatagram::bind(&path).expect("the temporary folder is writable");
@@ -37,7 +37,7 @@ impl Manager {
 
     fn receive(&self) -> String {
         let mut message = [0; 4096];
-        let length = self.socket.recv(&mut message).expect("the daemon tells the service manager");
+        let length = self.socket.recv(&mut message).expect("the daemon notifies the service manager");
         String::from_utf8_lossy(&message[..length]).into_owned()
     }
 
@@ -49,7 +49,7 @@ impl Manager {
 #[test]
 fn service_manager_receives_ready_watchdog_and_stopping() {
     let deployment = LoopbackDeployment::new();
-    let manager = Manager::new(&deployment);
+    let manager = ServiceManager::new(&deployment);
     deployment.write("edge.toml", AGENT);
     let daemon = Process::start(
         &program("peernetd"),
@@ -67,7 +67,7 @@ fn service_manager_receives_ready_watchdog_and_stopping() {
 }
 
 #[test]
-fn ctrl_c_and_end_of_session_stop_daemon() {
+fn ctrl_c_and_closed_terminal_stop_daemon() {
     let deployment = LoopbackDeployment::new();
     deployment.write("edge.toml", AGENT);
     for (signal, name) in [(Signal::INT, "SIGINT"), (Signal::HUP, "SIGHUP")] {
@@ -110,7 +110,8 @@ fn second_signal_ends_daemon_immediately() {
     assert_eq!(daemon.wait_for_end().code(), 70);
 }
 
-/// Writes a model of 100,000 additions into a folder. ONNX Runtime opens it for half a minute, in a call that cannot be terminated.
+/// Script that writes a model of 100,000 additions into a folder. ONNX Runtime takes half a minute to open the model, in a call
+/// that cannot be terminated.
 const LONG_CHAIN: &str = r#"
 import sys
 import numpy, onnx
@@ -154,7 +155,7 @@ fn stop_while_a_model_opens_is_clean() {
     assert_eq!(end.code(), 0, "{}", end.log);
     let line = end.log.lines().find(|line| line.contains("its thread was abandoned")).expect("a warning");
     assert!(line.contains("model=echo"), "{line}");
-    assert!(is_empty(), "the temporary folder is removed");
+    assert!(is_empty(), "the temporary folder of the weights remains");
 }
 
 #[test]

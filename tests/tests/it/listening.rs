@@ -11,7 +11,7 @@ name = "echo"
 kind = "echo"
 "#;
 
-fn edge(port: &str) -> String {
+fn edge_tables(port: &str) -> String {
     format!(
         "[[pipeline]]\nname = \"line\"\nsensor = {{ kind = \"synthetic\", size_bytes = 1000 }}\n\
          placement = {{ kind = \"remote\", peer = \"tcp://127.0.0.1:{port}\", model = \"echo\" }}\n\
@@ -28,8 +28,8 @@ fn two_addresses_are_served_concurrently() {
         cloud.wait_for(&format!("tcp://127.0.0.1:{port}"));
     }
     let edges = [
-        deployment.start_agent("left", &edge("{data}")),
-        deployment.start_agent("right", &edge(&second_port)),
+        deployment.start_agent("left", &edge_tables("{data}")),
+        deployment.start_agent("right", &edge_tables(&second_port)),
     ];
 
     // Both pipelines still run when the answers of the second one are checked.
@@ -40,7 +40,7 @@ fn two_addresses_are_served_concurrently() {
         let link = api.json(&format!("/api/v1/links/{host}~cloud"));
         assert_eq!((&link["network"], &link["connected"]), (&"zmq-tcp".into(), &true.into()), "{link}");
         let link_by_network = api.json(&format!("/api/v1/links/{host}~cloud~zmq-tcp"));
-        assert_eq!(link_by_network["name"], link["name"], "the network may be named");
+        assert_eq!(link_by_network["name"], link["name"], "a path with the network leads to the same link");
     }
     let hosts = api.json("/api/v1/hosts/cloud");
     let serves = format!("tcp://127.0.0.1:{}, tcp://127.0.0.1:{second_port}", deployment.data_port);
@@ -56,7 +56,7 @@ fn network_and_address_must_agree() {
     let deployment = LoopbackDeployment::new();
     for tables in [
         "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\nnetwork = \"zmq-udp\"\n".to_owned(),
-        edge("{data}").replace("model =", "network = \"zmq-udp\", model ="),
+        edge_tables("{data}").replace("model =", "network = \"zmq-udp\", model ="),
     ] {
         deployment
             .write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{tables}"));
@@ -69,7 +69,7 @@ fn network_and_address_must_agree() {
 }
 
 #[test]
-fn wrong_lists_of_addresses_are_refused() {
+fn invalid_lists_of_addresses_are_refused() {
     let deployment = LoopbackDeployment::new();
     for (listen, output) in [
         ("[]", "the list is empty"),

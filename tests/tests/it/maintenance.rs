@@ -20,17 +20,17 @@ placement = { kind = "local", model = "echo" }
 load = { mode = "rate", hz = 200.0 }
 "#;
 
-/// Starts aggregator and agent of a deployment; returns when some iterations are stored.
+/// Starts aggregator and agent of a deployment; returns when more than 300 iterations have succeeded.
 fn start_measuring() -> (LoopbackDeployment, Process, Process, Api) {
     let deployment = LoopbackDeployment::new();
     let (aggregator, api) = deployment.start_aggregator();
     let edge = deployment.start_agent("edge", EDGE);
-    wait_until("stored iterations", || (stored_iterations(&api) > 300).then_some(()));
+    wait_until("stored iterations", || (successful_iterations(&api) > 300).then_some(()));
     (deployment, aggregator, edge, api)
 }
 
 /// Returns the number of successful iterations of the newest run.
-fn stored_iterations(api: &Api) -> u64 {
+fn successful_iterations(api: &Api) -> u64 {
     api.json("/api/v1/runs")["runs"][0]["counts"]["ok"].as_u64().unwrap_or_default()
 }
 
@@ -38,12 +38,12 @@ fn run(deployment: &LoopbackDeployment, arguments: &[&str]) -> ProcessEnd {
     deployment.peernetd(arguments).wait_for_end()
 }
 
-fn number(database: &Path, sql: &str) -> u64 {
+fn query_number(database: &Path, sql: &str) -> u64 {
     let text = query_database(database, sql);
     text.trim().parse().unwrap_or_else(|_| panic!("{sql}: {text}"))
 }
 
-fn database(deployment: &LoopbackDeployment) -> PathBuf {
+fn database_path(deployment: &LoopbackDeployment) -> PathBuf {
     deployment.folder().join("aggregator.sqlite")
 }
 
@@ -58,36 +58,39 @@ fn statistics(database: &Path) -> String {
 }
 
 /// Changes a database that no process uses.
-fn change(database: &Path, sql: &str) {
+fn change_database(database: &Path, sql: &str) {
     let result = Command::new("sqlite3").arg(database).arg(sql).status();
     assert!(result.is_ok_and(|status| status.success()), "{sql}");
 }
 
 /// Overwrites the beginning of a table's first page.
-fn damage(file: &Path, table: &str) {
-    let page = number(file, &format!("SELECT rootpage FROM sqlite_schema WHERE name = '{table}'"));
-    let size = number(file, "SELECT page_size FROM pragma_page_size");
-    let file = std::fs::File::options().write(true).open(file).expect("it is there");
+fn damage_table(file: &Path, table: &str) {
+    let page = query_number(file, &format!("SELECT rootpage FROM sqlite_schema WHERE name = '{table}'"));
+    let size = query_number(file, "SELECT page_size FROM pragma_page_size");
+    let file = std::fs::File::options().write(true).open(file).expect("the database exists");
     file.write_all_at(&[0xa5; 16], (page - 1) * size).expect("it can be written");
 }
 
 #[test]
 fn backup_of_busy_aggregator_is_consistent() {
     let (deployment, aggregator, edge, api) = start_measuring();
-    let before = stored_iterations(&api);
+    let before = successful_iterations(&api);
     let end = run(&deployment, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
     assert_eq!(end.code(), 0, "{}", end.log);
-    assert!(end.log.contains("copy.sqlite"), "it says where the copy is: {}", end.log);
+    assert!(end.log.contains("copy.sqlite"), "the output does not name the copy: {}", end.log);
     let after =
-        wait_until("more iterations", || Some(stored_iterations(&api)).filter(|now| *now > before + 100));
+        wait_until("more iterations", || Some(successful_iterations(&api)).filter(|now| *now > before + 100));
 
     // The counts in one table equal the rows of the others, so all tables are copied as they were at one time.
     let copy = deployment.folder().join("copy.sqlite");
-    let iterations = number(&copy, "SELECT ok + failed + lost + timeout + warm_up FROM run");
-    assert_eq!(number(&copy, "SELECT count(*) FROM iteration"), iterations);
-    assert_eq!(number(&copy, "SELECT max(number) FROM iteration"), iterations);
-    assert_eq!(number(&copy, "SELECT count(*) FROM node"), number(&copy, "SELECT sum(nodes) FROM host"));
-    let ok = number(&copy, "SELECT ok FROM run");
+    let iterations = query_number(&copy, "SELECT ok + failed + lost + timeout + warm_up FROM run");
+    assert_eq!(query_number(&copy, "SELECT count(*) FROM iteration"), iterations);
+    assert_eq!(query_number(&copy, "SELECT max(number) FROM iteration"), iterations);
+    assert_eq!(
+        query_number(&copy, "SELECT count(*) FROM node"),
+        query_number(&copy, "SELECT sum(nodes) FROM host")
+    );
+    let ok = query_number(&copy, "SELECT ok FROM run");
     assert!((before..after).contains(&ok), "{before} ≤ {ok} < {after}");
     assert!(!deployment.folder().join("copy.sqlite.partial").exists());
     let end = run(&deployment, &["doctor", "--full", "--database", "copy.sqlite"]);
@@ -112,23 +115,23 @@ fn aggregator_continues_from_backup_and_reports_gap() {
     let (deployment, aggregator, edge, api) = start_measuring();
     let end = run(&deployment, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
     assert_eq!(end.code(), 0, "{}", end.log);
-    let before = stored_iterations(&api);
-    wait_until("more iterations", || (stored_iterations(&api) > before + 300).then_some(()));
+    let before = successful_iterations(&api);
+    wait_until("more iterations", || (successful_iterations(&api) > before + 300).then_some(()));
     aggregator.kill();
     for file in ["aggregator.sqlite", "aggregator.sqlite-wal", "aggregator.sqlite-shm"] {
         // After a checkpoint the write-ahead log does not exist.
         let _result = std::fs::remove_file(deployment.folder().join(file));
     }
-    std::fs::rename(deployment.folder().join("copy.sqlite"), database(&deployment))
-        .expect("the copy is there");
+    std::fs::rename(deployment.folder().join("copy.sqlite"), database_path(&deployment))
+        .expect("the copy exists");
 
     // The agent has deleted the events that were acknowledged after the copy was made. They are reported as a gap.
     let (aggregator, api) = deployment.start_aggregator();
     api.wait_until("/api/v1/hosts/edge", |host| {
         host["stored"]["gaps"].as_u64().is_some_and(|gaps| gaps > 0).then_some(())
     });
-    let now = stored_iterations(&api);
-    wait_until("new iterations", || (stored_iterations(&api) > now + 100).then_some(()));
+    let now = successful_iterations(&api);
+    wait_until("new iterations", || (successful_iterations(&api) > now + 100).then_some(()));
     assert_eq!(edge.stop().code(), 0);
     assert_eq!(aggregator.stop().code(), 0);
     let end = run(&deployment, &["doctor", "--config", "aggregator.toml"]);
@@ -155,14 +158,14 @@ fn doctor_exit_code_reports_damage() {
     assert_eq!(aggregator.stop().code(), 0);
     assert_eq!(edge.stop().code(), 0);
 
-    // Undelivered batches wait in the agent's spool. `doctor` finds that the last byte of one was replaced.
+    // Undelivered batches wait in the agent's spool. `doctor` finds that the last byte of one batch was replaced.
     let file = deployment.folder().join("edge/spool.sqlite");
-    let waiting = number(&file, "SELECT count(*) FROM batch");
+    let waiting = query_number(&file, "SELECT count(*) FROM batch");
     assert!(waiting > 0);
     let end = run(&deployment, &["doctor", "--json", "--spool", "edge/spool.sqlite"]);
     let report: Value = serde_json::from_str(&end.log).unwrap_or_else(|error| panic!("{error}: {}", end.log));
     assert_eq!((end.code(), report["spool"]["batches"].as_u64()), (0, Some(waiting)));
-    change(
+    change_database(
         &file,
         "UPDATE batch SET body = CAST(substr(body, 1, length(body) - 1) || x'ff' AS BLOB) \
          WHERE number = (SELECT max(number) FROM batch)",
@@ -173,7 +176,7 @@ fn doctor_exit_code_reports_damage() {
 
     let end = run(&deployment, &["backup", "--database", "aggregator.sqlite", "damaged.sqlite"]);
     assert_eq!(end.code(), 0, "{}", end.log);
-    damage(&deployment.folder().join("damaged.sqlite"), "node");
+    damage_table(&deployment.folder().join("damaged.sqlite"), "node");
     let end = run(&deployment, &["doctor", "--database", "damaged.sqlite"]);
     assert_eq!(end.code(), 65, "{}", end.log);
     assert!(end.log.contains("damaged") && end.log.contains("restore"), "{}", end.log);
@@ -204,13 +207,13 @@ fn rebuilt_rollups_equal_original_statistics() {
     let (deployment, aggregator, edge, _api) = start_measuring();
     assert_eq!(edge.stop().code(), 0);
     assert_eq!(aggregator.stop().code(), 0);
-    let path = database(&deployment);
+    let path = database_path(&deployment);
     let before = statistics(&path);
     assert!(!before.is_empty());
     let end = run(&deployment, &["rebuild-rollups", "--database", "aggregator.sqlite"]);
     assert_eq!(end.code(), 0, "{}", end.log);
     assert_eq!(statistics(&path), before);
-    change(&path, "DELETE FROM rollup");
+    change_database(&path, "DELETE FROM rollup");
     let end = run(&deployment, &["rebuild-rollups", "--config", "aggregator.toml", "--run", "1"]);
     assert_eq!(end.code(), 0, "{}", end.log);
     assert_eq!(statistics(&path), before);

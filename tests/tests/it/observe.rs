@@ -4,7 +4,7 @@ use peernet_tests::{Api, LoopbackDeployment, Process, Ros1System, wait_until};
 use serde_json::Value;
 
 /// Returns a pipeline that observes the nodes between two topics.
-fn observer(name: &str, input: &str, output: &str, keys: &str) -> String {
+fn observing_pipeline(name: &str, input: &str, output: &str, keys: &str) -> String {
     format!(
         "[[pipeline]]\nname = \"{name}\"\ntimeout_ms = 500\n\
          placement = {{ kind = \"observe\", ros_version = 1, input = \"{input}\", output = \"{output}\" }}\n{keys}\n"
@@ -25,22 +25,22 @@ fn wait_for_finished_runs(api: &Api, pipelines: usize) -> Vec<(String, i64)> {
 
 /// Returns the median of a stage or value of a run, within 1 %.
 fn median(api: &Api, run: i64, name: &str) -> f64 {
-    let figures = api.stage_statistics(run, name).unwrap_or_else(|| panic!("run {run} has no {name}"));
-    figures["p50"].as_f64().unwrap_or_else(|| panic!("{figures}"))
+    let statistics = api.stage_statistics(run, name).unwrap_or_else(|| panic!("run {run} has no {name}"));
+    statistics["p50"].as_f64().unwrap_or_else(|| panic!("{statistics}"))
 }
 
-/// Number of messages of a median, as in a relay.
-const WINDOW: usize = 20;
+/// Number of messages whose median is computed. A relay computes its median over the same number.
+const MEDIAN_WINDOW: usize = 20;
 
 /// Returns the median latency of the newest iterations of a pipeline's only run, seconds.
 fn latency(api: &Api, pipeline: &str) -> Option<f64> {
     let runs = api.json("/api/v1/runs");
     let run = runs["runs"].as_array()?.iter().find(|run| run["pipeline"] == pipeline)?["number"].as_i64()?;
     let iterations = api.json(&format!("/api/v1/runs/{run}/iterations?limit=1000"));
-    let newest = iterations["iterations"].as_array()?.iter().rev().take(WINDOW);
+    let newest = iterations["iterations"].as_array()?.iter().rev().take(MEDIAN_WINDOW);
     let mut totals: Vec<f64> = newest.filter_map(|iteration| iteration["total"].as_f64()).collect();
     totals.sort_by(f64::total_cmp);
-    (totals.len() == WINDOW).then(|| totals[WINDOW / 2])
+    (totals.len() == MEDIAN_WINDOW).then(|| totals[MEDIAN_WINDOW / 2])
 }
 
 /// Returns the latest median of a relay's own delay, seconds.
@@ -67,13 +67,20 @@ fn chain_latencies_are_right_within_a_millisecond() {
         ros.start_node(&["relay", &format!("relay{delay}"), from, to, delay, "0"])
     };
     let relays: Vec<Process> = hops.iter().map(relay).collect();
-    let tables: String =
-        hops.iter().map(|(delay, from, to)| observer(&format!("hop{delay}"), from, to, "")).collect();
+    let tables: String = hops
+        .iter()
+        .map(|(delay, from, to)| observing_pipeline(&format!("hop{delay}"), from, to, ""))
+        .collect();
     let limit = "limit = { iterations = 40 }";
-    let agent = ros.start_agent(&deployment, "robot", &(tables + &observer("whole", "/camera", "/c", limit)));
+    let agent = ros.start_agent(
+        &deployment,
+        "robot",
+        &(tables + &observing_pipeline("whole", "/camera", "/c", limit)),
+    );
     let _camera = ros.start_node(&["camera", "camera", "/camera", "10"]);
 
-    // On a busy machine nodes and agent wait for a processor; this repeats until they did not for two seconds.
+    // On a busy machine nodes and agent wait for a processor; the comparison is
+    // repeated until they have not waited for two seconds.
     let mut sum = 0.0;
     for ((delay, ..), relay) in hops.iter().zip(&relays) {
         let seconds = wait_until(&format!("a median within a millisecond of {delay} ms"), || {
@@ -113,7 +120,7 @@ fn unanswered_input_messages_are_lost_iterations() {
     let _camera = ros.start_node(&["camera", "camera", "/camera", "20"]);
     let _relay = ros.start_node(&["relay", "relay", "/camera", "/out", "2", "4"]);
     let keys = "warm_up = { iterations = 0 }\nlimit = { iterations = 40 }";
-    let _agent = ros.start_agent(&deployment, "robot", &observer("lossy", "/camera", "/out", keys));
+    let _agent = ros.start_agent(&deployment, "robot", &observing_pipeline("lossy", "/camera", "/out", keys));
     let (_, run) = wait_for_finished_runs(&api, 1).remove(0);
     let detail = api.json(&format!("/api/v1/runs/{run}"));
     let count = |outcome: &str| detail["counts"][outcome].as_u64().expect("a count");
@@ -130,7 +137,7 @@ fn observation_continues_after_ros_restart() {
     let agent = ros.start_agent(
         &deployment,
         "robot",
-        &observer("chain", "/camera", "/out", "warm_up = { iterations = 0 }"),
+        &observing_pipeline("chain", "/camera", "/out", "warm_up = { iterations = 0 }"),
     );
     let wait_for_state = |text: &str| {
         api.wait_until("/api/v1/pipelines/robot/chain", |pipeline| {
@@ -148,7 +155,7 @@ fn observation_continues_after_ros_restart() {
     relay.kill();
     wait_for_state("no node publishes /out");
     let _relay = ros.start_node(&["relay", "relay", "/camera", "/out", "2", "0"]);
-    assert_eq!(wait_for_state("running"), run, "it is the same run");
+    assert_eq!(wait_for_state("running"), run, "the same run continues");
 
     ros.kill_master();
     agent.wait_for("the ROS master is not reachable");
@@ -170,9 +177,9 @@ fn topic_without_header_is_refused_with_advice() {
     let (deployment, ros) = (LoopbackDeployment::new(), Ros1System::new());
     let (_aggregator, api) = deployment.start_aggregator();
     let _nodes = [ros.start_node(&["talk", "one", "/one"]), ros.start_node(&["talk", "two", "/two"])];
-    let by_stamp = observer("stamped", "/one", "/two", "");
-    let by_order =
-        observer("ordered", "/one", "/two", "").replace("ros_version", "pair_by = \"order\", ros_version");
+    let by_stamp = observing_pipeline("stamped", "/one", "/two", "");
+    let by_order = observing_pipeline("ordered", "/one", "/two", "")
+        .replace("ros_version", "pair_by = \"order\", ros_version");
     let _agent = ros.start_agent(&deployment, "robot", &(by_stamp + &by_order));
     api.wait_until("/api/v1/pipelines/robot/stamped", |pipeline| {
         let text = pipeline.to_string();
@@ -186,7 +193,7 @@ fn agent_waits_for_a_master() {
     let (deployment, mut ros) = (LoopbackDeployment::new(), Ros1System::new());
     let (_aggregator, api) = deployment.start_aggregator();
     ros.kill_master();
-    let _agent = ros.start_agent(&deployment, "robot", &observer("chain", "/camera", "/out", ""));
+    let _agent = ros.start_agent(&deployment, "robot", &observing_pipeline("chain", "/camera", "/out", ""));
     api.wait_until("/api/v1/pipelines/robot/chain", |pipeline| {
         pipeline.to_string().contains("no ROS master answers at http://127.0.0.1").then_some(())
     });
@@ -200,7 +207,7 @@ fn agent_waits_for_a_master() {
 fn check_refuses_observation_of_ros_2() {
     let deployment = LoopbackDeployment::new();
     let check = |keys: &str| {
-        let pipeline = observer("two", "/in", "/out", "").replace("ros_version = 1", keys);
+        let pipeline = observing_pipeline("two", "/in", "/out", "").replace("ros_version = 1", keys);
         deployment
             .write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
         let end = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
@@ -226,7 +233,7 @@ fn check_refuses_observation_of_ros_2() {
 #[test]
 fn observed_pipeline_refuses_keys_of_active_one() {
     let deployment = LoopbackDeployment::new();
-    let pipeline = observer("wrong", "/a", "/a", "load = { mode = \"rate\", hz = 1.0 }")
+    let pipeline = observing_pipeline("wrong", "/a", "/a", "load = { mode = \"rate\", hz = 1.0 }")
         .replace("timeout_ms", "sensor = { kind = \"synthetic\", size_bytes = 1 }\ntimeout_ms");
     deployment.write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
     let end = deployment.peernetd(&["check", "it.toml"]).wait_for_end();

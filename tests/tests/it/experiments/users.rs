@@ -41,7 +41,7 @@ fn fairness_between_three_users_is_reported() {
     assert_eq!(names, ["robot-1", "robot-2", "robot-3"]);
     assert_eq!(users[1]["user"], serde_json::json!({ "number": 2, "of": 3 }));
     let seeds = users.each_ref().map(|user| user["seeds"]["sensor"].as_u64().expect("a number"));
-    assert!(seeds[0] != seeds[1] && seeds[1] != seeds[2], "each sends its own: {seeds:?}");
+    assert!(seeds[0] != seeds[1] && seeds[1] != seeds[2], "each user has a separate seed: {seeds:?}");
 
     let table = lab.results.folder.join("users.csv");
     assert_eq!(column(&table, "edges"), ["1", "3"]);
@@ -55,17 +55,21 @@ fn fairness_between_three_users_is_reported() {
     );
     // There is one worker, and a sample takes 40 ms: one user never waits; of three, one is served and two wait.
     assert!(latency[0] >= 0.04 && latency[1] > latency[0], "{latency:?}");
-    assert!(rate[1] <= 25.5, "one worker cannot do more: {rate:?}");
+    assert!(rate[1] <= 25.5, "one worker answers at most 25 requests per second: {rate:?}");
     // The users of one run are one line of the table, and one run.
     assert_eq!(column(&lab.results.folder.join("compare.csv"), "runs"), ["1", "1"]);
-    let trust_line =
-        end.log.lines().find(|line| line.starts_with("Can they be published?")).expect("it is told");
+    let trust_line = end
+        .log
+        .lines()
+        .find(|line| line.starts_with("Can they be published?"))
+        .expect("the verdict is printed");
     let numbers = trust_line.split_whitespace().filter_map(|word| word.parse::<u32>().ok());
     assert_eq!(numbers.sum::<u32>(), 2, "two runs, however many edges: {trust_line}");
     draw_again(&lab);
 }
 
-/// Sensor of which the second instance that gives a sample, the first edge's after the trial, is slow.
+/// Sensor whose instances number themselves at their first sample. Instance 0 belongs to the trial. Instance 1 belongs to one
+/// of the two edges, and is slow.
 const UNEQUAL_SENSOR: &str = r#"
 import os, time
 
@@ -130,10 +134,10 @@ fn no_edge_writes_results_while_another_measures() {
     }
 }
 
-/// Draws the curve over the number of users again, and compares it with the experiment's own figure.
+/// Deletes the figure over the number of users, and checks that the documented command draws it again.
 fn draw_again(lab: &Lab) {
     let figure = lab.results.folder.join("users.svg");
-    std::fs::remove_file(&figure).expect("it is among the figures of the whole");
+    std::fs::remove_file(&figure).expect("the experiment drew the figure");
     let [command] = COMMANDS;
     let options = command.split(' ').skip(1).map(Path::new);
     let arguments: Vec<&Path> = options.chain([lab.results.folder.as_path()]).collect();

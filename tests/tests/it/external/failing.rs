@@ -2,7 +2,7 @@
 
 use peernet_tests::LoopbackDeployment;
 
-/// Model that prints outside of its reply, dies and hangs, each once, and then works.
+/// Model that fails once in each of five ways, and answers all other requests.
 const MODEL: &str = r#"#!/bin/sh
 step=$(cat step 2> /dev/null || echo 0)
 while read -r word bytes media shape source; do

@@ -39,7 +39,10 @@ fn run_without_model_is_shown_on_all_pages() {
     for page in ["/", "/runs", "/pipelines", "/pipelines/edge/study", &format!("/runs/{run}"), "/hosts"] {
         let (status, text) = api.get(page).expect("the dashboard answers");
         assert_eq!(status, 200, "{page}");
-        assert!(text.contains("sensor alone") || page == "/hosts", "{page} says what it is");
+        assert!(
+            text.contains("sensor alone") || page == "/hosts",
+            "{page} does not say that the sensor is alone"
+        );
         assert!(!text.contains("none on board"), "{page}");
     }
     assert_eq!(edge.stop().code(), 0);

@@ -44,5 +44,5 @@ fn run_record_contains_variable_names_without_values() {
         let bytes = std::fs::read(&path).expect("is readable");
         assert!(!String::from_utf8_lossy(&bytes).contains(secret), "{}", path.display());
     }
-    assert!(results.record().to_string().contains(secret), "it is needed to go on");
+    assert!(results.record().to_string().contains(secret), "a resumed experiment needs the value");
 }

@@ -44,8 +44,12 @@ fn shell_sensor_c_model_shell_actuator_work_together() {
 
     // Every answer was right. The label is known on the edge and the answer was given on the cloud, so both
     // crossed the network.
-    let figures = api.stage_statistics(run, "top-1").expect("samples have labels");
-    assert_eq!((figures["count"].as_u64(), figures["mean"].as_f64()), (Some(40), Some(1.0)), "{figures}");
+    let statistics = api.stage_statistics(run, "top-1").expect("samples have labels");
+    assert_eq!(
+        (statistics["count"].as_u64(), statistics["mean"].as_f64()),
+        (Some(40), Some(1.0)),
+        "{statistics}"
+    );
     assert!(api.stage_statistics(run, "top-5").is_none(), "the program has two classes");
     // Stages that the program reported, and the time for sending the request and the reply.
     let edge_stages = ["sensing", "encode", "upload", "download", "actuation"];

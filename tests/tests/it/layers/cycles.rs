@@ -21,7 +21,7 @@ pub(super) fn cycles(uses: &Uses) -> Vec<BTreeSet<String>> {
     cycles
 }
 
-/// Returns the modules that are reachable from a module; itself only through a cycle.
+/// Returns the modules that are reachable from a module. The module itself is among them only if it is in a cycle.
 fn reachable<'a>(uses: &'a Uses, start: &String) -> BTreeSet<&'a String> {
     let mut modules = BTreeSet::new();
     let mut pending: Vec<&String> = uses[start].keys().collect();
@@ -33,7 +33,7 @@ fn reachable<'a>(uses: &'a Uses, start: &String) -> BTreeSet<&'a String> {
     modules
 }
 
-/// Lists the edges inside a cycle.
+/// Lists the references between the modules of a cycle.
 pub(super) fn explain(uses: &Uses, cycle: &BTreeSet<String>) -> String {
     let mut lines = String::new();
     for module in cycle {

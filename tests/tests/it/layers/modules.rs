@@ -7,7 +7,7 @@ use proc_macro2::{TokenStream, TokenTree};
 use syn::visit::Visit;
 use syn::{Attribute, Item, ItemImpl, ItemUse, Type, UseTree, Visibility};
 
-/// Modules that each top-level module names, each with the first file where it does.
+/// The other modules that each top-level module names, each with the first file that names it.
 pub(super) type Uses = BTreeMap<String, BTreeMap<String, PathBuf>>;
 
 /// Segments of a path, as written in a module: `["super", "time", "Span"]`.
@@ -22,7 +22,8 @@ struct SourceFile {
     names: Vec<Segments>,
 }
 
-/// Reads a crate from its root file on, without code that is compiled for tests only.
+/// Returns the references between the top-level modules of a crate, without code that is compiled for tests only. `root` is
+/// the crate's root file.
 pub(super) fn uses(root: &Path) -> Uses {
     let mut reader = Reader::default();
     reader.read(root, &[], root.parent().expect("in a folder"));
@@ -78,19 +79,19 @@ impl Reader {
         let text =
             std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
         let file = syn::parse_file(&text).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
-        self.items(&file.items, path, module, folder);
+        self.add_items(&file.items, path, module, folder);
     }
 
-    fn items(&mut self, items: &[Item], path: &Path, module: &[String], folder: &Path) {
+    fn add_items(&mut self, items: &[Item], path: &Path, module: &[String], folder: &Path) {
         let mut names = Names::default();
-        let is_inside = |path: &Segments| ["crate", "super", "self"].contains(&path[0].as_str());
+        let is_in_crate = |path: &Segments| ["crate", "super", "self"].contains(&path[0].as_str());
         for item in items.iter().filter(|item| !is_for_tests(attributes(item))) {
             match item {
                 Item::Mod(inner) => {
                     let name = inner.ident.to_string();
                     let module_path: Segments = module.iter().cloned().chain([name.clone()]).collect();
                     if let Some((_, items)) = &inner.content {
-                        self.items(items, path, &module_path, &folder.join(&name));
+                        self.add_items(items, path, &module_path, &folder.join(&name));
                     } else if let Some(file) = path_attribute(&inner.attrs) {
                         let file = path.parent().expect("in a folder").join(file);
                         self.read(&file, &module_path, file.parent().expect("in a folder"));
@@ -105,7 +106,7 @@ impl Reader {
                 item => names.visit_item(item),
             }
         }
-        let names = names.paths.into_iter().filter(is_inside).collect();
+        let names = names.paths.into_iter().filter(is_in_crate).collect();
         self.files.push(SourceFile { path: path.to_owned(), module: module.to_vec(), names });
     }
 
@@ -123,7 +124,7 @@ impl Reader {
     }
 }
 
-/// All paths of some items that have more than one name, without those in items for tests.
+/// Paths of more than one segment in some items, without paths in items for tests.
 #[derive(Default)]
 pub(crate) struct Names {
     pub(crate) paths: Vec<Segments>,
@@ -142,7 +143,7 @@ impl Names {
     }
 
     /// Reads paths in the arguments of a macro, whose syntax only the macro knows.
-    fn tokens(&mut self, tokens: TokenStream) {
+    fn add_paths_in_tokens(&mut self, tokens: TokenStream) {
         let mut path = Segments::new();
         let mut colons = 0;
         for token in tokens {
@@ -159,7 +160,7 @@ impl Names {
                     self.add(std::mem::take(&mut path));
                     colons = 0;
                     if let TokenTree::Group(group) = other {
-                        self.tokens(group.stream());
+                        self.add_paths_in_tokens(group.stream());
                     }
                 }
             }
@@ -198,7 +199,7 @@ impl<'ast> Visit<'ast> for Names {
 
     fn visit_macro(&mut self, macro_call: &'ast syn::Macro) {
         self.visit_path(&macro_call.path);
-        self.tokens(macro_call.tokens.clone());
+        self.add_paths_in_tokens(macro_call.tokens.clone());
     }
 
     fn visit_visibility(&mut self, _visibility: &'ast Visibility) {

@@ -1,6 +1,6 @@
-"""Probes from forged source addresses, for some seconds: forged_probes.py ADDRESS PORT PER_SECOND SECONDS.
+"""Sends probes from forged source addresses for some seconds: forged_probes.py ADDRESS PORT PER_SECOND SECONDS.
 
-Prints how many were sent.
+Prints the number of sent probes.
 """
 
 import random
@@ -17,7 +17,7 @@ sent = 0
 while (now := time.monotonic() - begin) < seconds:
     while sent < now * per_second:
         source = struct.pack("!I", 0x0B000000 + random.getrandbits(24))
-        # The kernel fills in what is zero: length, id and checksum of the IP header; UDP needs no checksum.
+        # The kernel fills in the fields that are zero: length, id and checksum of the IP header. UDP needs no checksum.
         ip = struct.pack("!BBHHHBBH4s4s", 0x45, 0, 0, 0, 0, 64, socket.IPPROTO_UDP, 0, source, target)
         udp = struct.pack("!HHHH", random.randrange(1024, 65536), port, 8 + 44, 0)
         out.sendto(ip + udp + bytes(44), (address, 0))

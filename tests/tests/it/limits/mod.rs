@@ -14,7 +14,7 @@ use std::time::Duration;
 
 use peernet_tests::{Process, TEST_TIMEOUT};
 
-/// Peer that completes the handshake of ZMTP 3.1 and then sends what a test determines.
+/// Peer that sends what a test determines, with or without the handshake of ZMTP 3.1.
 struct Peer(TcpStream);
 
 impl Peer {
@@ -40,7 +40,7 @@ impl Peer {
         peer
     }
 
-    /// Sends a frame that announces one byte more than it sends. Returns the number of bytes that were sent before
+    /// Sends a frame whose header announces one byte more than follows. Returns the number of bytes that were sent before
     /// the connection was closed.
     fn send_unfinished(&mut self, bytes: usize) -> usize {
         let header = [&[2][..], &(bytes as u64 + 1).to_be_bytes()].concat();
@@ -72,7 +72,7 @@ impl Peer {
 /// Returns the peak memory of a process, bytes.
 fn peak_memory(process: &Process) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{}/status", process.pid())).expect("it runs");
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).expect("the kernel tells");
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).expect("the kernel reports VmHWM");
     let kib: u64 = line.trim().trim_end_matches(" kB").parse().expect("a number");
     kib * 1024
 }

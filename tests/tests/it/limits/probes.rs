@@ -21,7 +21,7 @@ fn sent_packets(host: &Host) -> u64 {
     udp.split_whitespace().nth(4).and_then(|count| count.parse().ok()).expect("OutDatagrams")
 }
 
-/// Returns the number of the edge's probes that were sent and that were lost.
+/// Returns the number of sent probes and the number of lost probes of the edge.
 fn probe_counts(testbed: &TwoHostTestbed) -> (u64, u64) {
     let counts = testbed.query_database(
         "SELECT coalesce(sum(probes_sent), 0), coalesce(sum(probes_lost), 0) FROM clock_sample",
@@ -59,12 +59,15 @@ fn peers_probes_are_answered_during_forged_flood() {
     let answers = sent_packets(cloud) - answers_before;
     // A probe counts as lost after two seconds.
     let expected_probes = counts_before.0 + 50 * SECONDS;
-    wait_until("what became of the probes", || {
+    wait_until("the results of the probes", || {
         (probe_counts(&testbed).0 > expected_probes + 150).then_some(())
     });
     let lost_probes = probe_counts(&testbed).1 - counts_before.1;
 
-    assert!(forged_probes > ANSWERED_HZ * (SECONDS + 2) * 2, "too few to tell: {forged_probes}");
+    assert!(
+        forged_probes > ANSWERED_HZ * (SECONDS + 2) * 2,
+        "too few forged probes to reach the limit: {forged_probes}"
+    );
     // The answers to the edge's probes are included.
     let max_answers = ANSWERED_HZ * (SECONDS + 2) + 100 * SECONDS;
     assert!(answers <= max_answers, "{answers} answers to {forged_probes} forged probes");

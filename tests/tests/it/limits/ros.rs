@@ -5,7 +5,7 @@ use serde_json::Value;
 
 const ITERATIONS: u64 = 200;
 
-/// Returns a cloud whose memory limit permits one message of a robot, but not two at the same time.
+/// Returns the tables of a cloud whose memory limit permits one message of a robot, but not two at once.
 fn cloud_tables(system: &Ros1System) -> String {
     format!(
         "[serve]\nlisten = \"ros1://127.0.0.1:{}/cloud\"\n\
@@ -26,7 +26,7 @@ fn pipeline(system: &Ros1System, name: &str) -> String {
 }
 
 #[test]
-fn iterations_without_queue_space_are_lost() {
+fn iterations_without_memory_for_frame_are_lost() {
     let (deployment, system) = (LoopbackDeployment::new(), Ros1System::new());
     let (_aggregator, api) = deployment.start_aggregator();
     let cloud = system.start_agent(&deployment, "cloud", &cloud_tables(&system));

@@ -10,7 +10,8 @@ use socket2::{Domain, Socket, Type};
 /// Descriptors of the daemon; an eighth of them are for connections to the dashboard.
 const DESCRIPTORS: &str = "--nofile=1024:1024";
 
-/// More connections than the dashboard keeps, from hosts of which none has more than a quarter.
+/// Number of slow hosts. Together they open more connections than the 128 that the dashboard keeps, and no host opens more
+/// than a quarter of these 128.
 const SLOW_HOSTS: u8 = 6;
 const CONNECTIONS_PER_HOST: usize = 25;
 

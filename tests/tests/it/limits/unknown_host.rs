@@ -1,4 +1,4 @@
-//! Test of an unknown host beside the README's two machines, which sends garbage, silence, false sizes and unfinished
+//! Test of an unknown host beside the two machines of docs/two-machines.md. The host sends garbage, silence, false sizes and unfinished
 //! frames to every port.
 
 use std::net::TcpStream;
@@ -15,7 +15,7 @@ const SECONDS: u64 = 30;
 const BYTES_PER_SECOND: &str = "4000000";
 
 /// Peak memory that each of the two daemons on the cloud may have used; docs/operating.md states the bound.
-const PEAK_BYTES: u64 = 512 << 20;
+const MAX_PEAK_BYTES: u64 = 512 << 20;
 
 #[test]
 fn unknown_host_stops_neither_storing_nor_dashboard() {
@@ -54,7 +54,7 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
     let (stopwatch, mut latest) = (Stopwatch::start(), before);
     // The last query is made during the attack.
     while stopwatch.elapsed().as_secs() < SECONDS - 5 {
-        latest = wait_until("more is stored, and the dashboard says so", || {
+        latest = wait_until("more stored events on the dashboard", || {
             stored_events(&machines).filter(|events| *events > latest)
         });
         assert_eq!(
@@ -67,7 +67,7 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
     assert_eq!(end.code(), 0, "{}", end.log);
     for process in [&aggregator, &agent] {
         let peak = peak_memory(process);
-        assert!(peak < PEAK_BYTES, "{peak} bytes of memory at the peak: {}", end.log);
+        assert!(peak < MAX_PEAK_BYTES, "{peak} bytes of memory at the peak: {}", end.log);
     }
 
     assert_eq!(robot.stop().code(), 0);

@@ -27,7 +27,7 @@ fn json(output: &Output) -> Value {
 }
 
 #[test]
-fn all_folders_are_listed() {
+fn models_of_all_folders_are_listed() {
     let table = stdout_of_success(&run_models_command(&["list"]));
     let line_of = |name: &str| {
         table.lines().find(|line| line.starts_with(name)).unwrap_or_else(|| panic!("{table}")).to_owned()
@@ -52,7 +52,7 @@ fn model_list_shows_hash_of_file() {
 }
 
 #[test]
-fn model_check_uses_its_pictures_or_zeros() {
+fn check_uses_pictures_of_model_or_zeros() {
     let output = stdout_of_success(&run_models_command(&["check", "quality-control"]));
     assert!(output.contains("run on zeros") && output.contains("of 30 labels right"), "{output}");
     let output = stdout_of_success(&run_models_command(&["check", "defect-detector"]));
@@ -74,11 +74,11 @@ fn bench_prints_each_stage_of_a_model() {
         "--quiet",
     ]));
     for stage in ["preprocessing", "inference", "postprocessing", "all"] {
-        let figures = &measurement["seconds"][stage];
-        assert_eq!(figures["count"], 60, "{measurement}");
-        let [p50, p95] = ["p50", "p95"].map(|key| figures[key].as_f64().expect("enough samples"));
-        assert!(p50 > 0.0 && p95 >= p50, "{figures}");
-        assert!(figures["p99"].is_null(), "60 samples are too few for it");
+        let statistics = &measurement["seconds"][stage];
+        assert_eq!(statistics["count"], 60, "{measurement}");
+        let [p50, p95] = ["p50", "p95"].map(|key| statistics[key].as_f64().expect("enough samples"));
+        assert!(p50 > 0.0 && p95 >= p50, "{statistics}");
+        assert!(statistics["p99"].is_null(), "60 samples are too few for p99");
     }
     assert!(
         measurement["memory_bytes"]["with_model"].as_u64() > measurement["memory_bytes"]["before"].as_u64()

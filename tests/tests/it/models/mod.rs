@@ -43,7 +43,10 @@ fn exported_model() -> &'static ExportedModel {
         let errors = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.success(), "deploy/install-tools.sh installs what is missing: {errors}");
         let answers = std::fs::read(models.join("answers.json")).expect("the script wrote it");
-        ExportedModel { models, answers: serde_json::from_slice(&answers).expect("the promised keys") }
+        ExportedModel {
+            models,
+            answers: serde_json::from_slice(&answers).expect("the script writes these keys"),
+        }
     })
 }
 
@@ -57,10 +60,10 @@ fn python() -> PathBuf {
     std::env::var_os("PEERNET_PYTHON").map_or_else(|| "/usr/bin/python3".into(), PathBuf::from)
 }
 
-/// Returns a folder for this process, and removes those of ended processes.
+/// Creates a folder for this process, and removes the folders of ended processes.
 fn create_process_folder() -> PathBuf {
     let parent = Path::new(env!("CARGO_TARGET_TMPDIR"));
-    for entry in std::fs::read_dir(parent).expect("cargo makes it") {
+    for entry in std::fs::read_dir(parent).expect("cargo creates the folder") {
         let entry = entry.expect("is readable");
         let name = entry.file_name().to_string_lossy().into_owned();
         if let Some(process) = name.strip_prefix("torchvision-")

@@ -1,7 +1,7 @@
 """Exports a random model and writes down torchvision's own answers, for the test beside this file.
 
-Arguments: the folder for all of it, then pictures. Written: the model's folder, and answers.json with one object for each
-picture: file, width, height, the file of its decoded pixels, logits.
+Arguments: the folder for the output, then pictures. The output is the folder of the model, and answers.json with one object
+for each picture: file, width, height, the file of its decoded pixels, logits.
 """
 
 import json
