@@ -38,13 +38,13 @@ fn wait_for_finished_run(api: &Api) -> (i64, Value) {
 
 /// Returns the median of a stage of a run, within 1 %, seconds.
 fn median(api: &Api, run: i64, name: &str) -> f64 {
-    let figures = api.stage_statistics(run, name).unwrap_or_else(|| panic!("run {run} has no {name}"));
-    figures["p50"].as_f64().unwrap_or_else(|| panic!("{figures}"))
+    let statistics = api.stage_statistics(run, name).unwrap_or_else(|| panic!("run {run} has no {name}"));
+    statistics["p50"].as_f64().unwrap_or_else(|| panic!("{statistics}"))
 }
 
-/// Returns the number of iterations of a run with a value.
+/// Returns the number of iterations of a run that have a value.
 fn count(api: &Api, run: i64, name: &str) -> u64 {
-    api.stage_statistics(run, name).and_then(|figures| figures["count"].as_u64()).unwrap_or_default()
+    api.stage_statistics(run, name).and_then(|statistics| statistics["count"].as_u64()).unwrap_or_default()
 }
 
 /// Returns the environment variables of ROS on a host.
@@ -112,8 +112,8 @@ impl RosOverWire {
         self.testbed.start_edge(tables, &as_str_pairs(&self.variables[0]))
     }
 
-    /// Compares stored delays with the truth and with the delays of the wire, and the node's share with its own
-    /// measurement. `clocks` are the edge's and the cloud's.
+    /// Compares stored delays with the truth and with the delays of the wire, and the stage of the node with the
+    /// node's own measurement. `clocks` are the edge's and the cloud's.
     fn assert_delays_contain_truth(
         &self,
         case: &str,
@@ -159,18 +159,19 @@ const KEYS: &str = "warm_up = { iterations = 20 }\nlimit = { iterations = 300 }"
 
 #[test]
 fn observed_delays_contain_truth_despite_clock_errors() {
-    let scene = RosOverWire::new(&["relay", "model", "/camera", "/result", "20", "0"]);
-    let testbed = &scene.testbed;
+    let ros_system = RosOverWire::new(&["relay", "model", "/camera", "/result", "20", "0"]);
+    let testbed = &ros_system.testbed;
     let fault_table = |offset_ms: f64, drift_ppm: f64| {
         format!("[clock_fault]\noffset_ms = {offset_ms:?}\ndrift_ppm = {drift_ppm:?}\n")
     };
     // In the middle of the run the cloud's clock is stepped as well.
     let faults = fault_table(5_000.0, 20.0) + "steps = [{ at_s = 10.0, by_ms = 2000.0 }]\n";
-    let _cloud = scene.start_cloud(&(faults + &peer_pipeline("/camera", "/result")));
-    let agent = scene.start_edge(&(fault_table(-3_000.0, -20.0) + &robot_pipeline(&testbed.peer(), KEYS)));
+    let _cloud = ros_system.start_cloud(&(faults + &peer_pipeline("/camera", "/result")));
+    let agent =
+        ros_system.start_edge(&(fault_table(-3_000.0, -20.0) + &robot_pipeline(&testbed.peer(), KEYS)));
     let clocks = (testbed.clock_of("edge"), testbed.clock_of("cloud"));
     let (run, detail) = wait_for_finished_run(&testbed.api);
-    scene.assert_delays_contain_truth(
+    ros_system.assert_delays_contain_truth(
         "observed together",
         run,
         &testbed.iterations(),
@@ -199,16 +200,17 @@ fn observed_delays_contain_truth_despite_clock_errors() {
 /// The node stamps its answers again, so no answer has the stamp of its input message.
 #[test]
 fn equal_sequence_numbers_keep_delays_true() {
-    let scene = RosOverWire::new(&["restamp", "model", "/camera", "/result", "20"]);
-    let testbed = &scene.testbed;
+    let ros_system = RosOverWire::new(&["restamp", "model", "/camera", "/result", "20"]);
+    let testbed = &ros_system.testbed;
     let by_sequence =
         |pipeline: String| pipeline.replace("ros_version", "pair_by = \"sequence\", ros_version");
     let fault = "[clock_fault]\noffset_ms = 5000.0\ndrift_ppm = 20.0\n";
-    let _cloud = scene.start_cloud(&(fault.to_owned() + &by_sequence(peer_pipeline("/camera", "/result"))));
-    let agent = scene.start_edge(&by_sequence(robot_pipeline(&testbed.peer(), KEYS)));
+    let _cloud =
+        ros_system.start_cloud(&(fault.to_owned() + &by_sequence(peer_pipeline("/camera", "/result"))));
+    let agent = ros_system.start_edge(&by_sequence(robot_pipeline(&testbed.peer(), KEYS)));
     let cloud = testbed.clock_of("cloud");
     let (run, detail) = wait_for_finished_run(&testbed.api);
-    scene.assert_delays_contain_truth(
+    ros_system.assert_delays_contain_truth(
         "observed together by sequence",
         run,
         &testbed.iterations(),
@@ -216,8 +218,8 @@ fn equal_sequence_numbers_keep_delays_true() {
     );
     assert_eq!(detail["counts"]["lost"], 0, "{detail}");
     assert!(detail["facts"].to_string().contains("sequence number"), "{detail}");
-    // The answer is as old as its way back, and its input message as old as the whole iteration: the two stamps
-    // differ.
+    // The age since the answer's stamp is the time of the way back. Since the stamp of the input message, the whole iteration
+    // has passed.
     let (age, total) = (median(&testbed.api, run, "output-age"), median(&testbed.api, run, "total"));
     assert!(age < 0.025 && total > 0.05, "the answer is {age} s old after {total} s");
     assert_eq!(agent.stop().code(), 0);

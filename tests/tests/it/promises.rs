@@ -73,7 +73,7 @@ fn every_promise_names_tests_that_exist() {
     let mut promises = 0;
     for row in rows.filter(|line| line.starts_with('|')).skip(2) {
         promises += 1;
-        assert!(test_names(row).next().is_some(), "no test keeps {row}");
+        assert!(test_names(row).next().is_some(), "no test is named in {row}");
         for test in test_names(row) {
             assert!(functions.contains(test), "there is no test {test}: {row}");
         }
@@ -102,7 +102,7 @@ fn paths_in_documents_exist() {
 }
 
 #[test]
-fn functions_in_architecture_walks_exist() {
+fn functions_named_in_architecture_exist() {
     let functions = functions();
     let architecture = Document::read(ARCHITECTURE);
     let calls: Vec<&str> = quoted(&architecture.text).filter_map(|code| code.strip_suffix("()")).collect();

@@ -1,4 +1,5 @@
-//! Tests of results on a disk that fills up, and of `peernet compare` with results of either program.
+//! Tests of results on a disk that fills up, and of `peernet compare` with results of
+//! PEERNet and of the paper's program.
 
 use std::path::Path;
 
@@ -84,7 +85,7 @@ fn comparison_errors_are_named() {
     assert_eq!(invalid.code(), 65, "{}", invalid.log);
     assert!(invalid.log.contains("line 2, column sensing: \"fast\" is not a number"), "{}", invalid.log);
     assert!(invalid.log.contains("1 of 2 results cannot be read"), "{}", invalid.log);
-    assert!(invalid.log.contains("total (stages)"), "the other is shown: {}", invalid.log);
+    assert!(invalid.log.contains("total (stages)"), "the other result is not shown: {}", invalid.log);
     let unwritable = compare(&deployment, &["all/large", "--out", "nowhere/table.txt"]);
     assert_eq!(unwritable.code(), 73, "{}", unwritable.log);
 }
@@ -107,7 +108,7 @@ fn row(iteration: u64) -> Row {
 /// Returns the numbers of the rows in a file, all of which must be complete.
 fn numbers(path: &Path) -> Vec<u64> {
     let text = std::fs::read_to_string(path).expect("readable");
-    assert!(text.ends_with('\n'), "the last row is whole");
+    assert!(text.ends_with('\n'), "the last row is incomplete");
     let columns = text.lines().next().map(|header| header.split(',').count());
     let rows = text.lines().skip(1);
     rows.map(|row| {
@@ -127,10 +128,10 @@ fn full_disk_keeps_rows_that_fit() {
     let path = writer.path().to_owned();
     // All rows belong to one second, so they are written together.
     (1..=9000).for_each(|number| writer.write(&Row { at: 0.5, ..row(number) }));
-    assert!(writer.finish().is_err(), "there is no room for all");
+    assert!(writer.finish().is_err(), "the disk has no room for all rows");
     let written = numbers(&path);
     assert_eq!(written, (1..=written.len() as u64).collect::<Vec<_>>());
-    let bytes = std::fs::metadata(&path).expect("it is there").len();
+    let bytes = std::fs::metadata(&path).expect("the file exists").len();
     assert!(bytes > SIZE / 2, "{bytes} bytes in {} rows", written.len());
 }
 
@@ -145,7 +146,7 @@ fn full_disk_loses_no_row() {
     rows[..500].iter().for_each(|row| writer.write(row));
     disk.fill();
     rows[500..1500].iter().for_each(|row| writer.write(row));
-    let error = writer.write_error().expect("it is full").to_string();
+    let error = writer.write_error().expect("the disk is full").to_string();
     assert!(error.contains("No space left on device"), "{error}");
     let written = numbers(&path);
     assert!(
@@ -161,7 +162,7 @@ fn full_disk_loses_no_row() {
 
     disk.fill();
     rows[1501..].iter().for_each(|row| writer.write(row));
-    assert!(writer.finish().is_err(), "it is full at the end, too");
+    assert!(writer.finish().is_err(), "the disk is full at the end, too");
     assert_eq!(numbers(&path)[..1501], (1..=1501).collect::<Vec<_>>());
     let rows: Rows = rows.into_iter().collect();
     let finished = folder.finish(&RunRecord::default(), &rows).expect("the temporary folder has room");

@@ -53,7 +53,7 @@ impl Robot {
         Self { node: node.expect("the master answers"), runtime, _master: master }
     }
 
-    fn publish<M: Message>(&self, topic: &str) -> Publisher {
+    fn advertise<M: Message>(&self, topic: &str) -> Publisher {
         let registration =
             self.node.publish(topic, TopicType::from_message::<M>(), PublisherOptions::default());
         self.runtime.block_on(registration).expect("the master answers")
@@ -105,7 +105,7 @@ fn topic_is_sensed_and_answers_are_published() {
     let deployment = LoopbackDeployment::new();
     let (_aggregator, api) = deployment.start_aggregator();
     let robot = Robot::start(&deployment);
-    let camera = robot.publish::<CompressedImage>("/camera");
+    let camera = robot.advertise::<CompressedImage>("/camera");
     let mut answers = robot.subscribe::<UInt8MultiArray>("/seen");
     let edge = start_agent(&deployment, ECHO);
     robot.wait_for_subscriber(&camera);
@@ -116,13 +116,13 @@ fn topic_is_sensed_and_answers_are_published() {
         let data = vec![number; 1_000_000].into();
         robot.send(&camera, &CompressedImage { header, format: "jpeg".into(), data });
         let answer = robot.runtime.block_on(answers.recv()).expect("the node runs").bytes;
-        let answer = UInt8MultiArray::decode(WireForm::Ros1, answer).expect("is one");
+        let answer = UInt8MultiArray::decode(WireForm::Ros1, answer).expect("the answer has this type");
         assert_eq!((answer.data.len(), answer.data[999_999]), (1_000_000, number));
     }
     let run = api.wait_for_finished_run();
     assert_eq!(api.json(&format!("/api/v1/runs/{run}"))["counts"]["ok"].as_u64(), Some(10));
     assert_eq!((api.mean(run, "dropped-samples"), api.mean(run, "dropped-answers")), (0.0, 0.0));
-    // It was stamped 20 ms before it was published.
+    // Each message was stamped 20 ms before it was published.
     let delay = api.mean(run, "capture-delay");
     assert!((0.02..5.0).contains(&delay), "{delay}");
     assert_eq!(edge.stop().code(), 0);
@@ -147,7 +147,7 @@ fn busy_pipeline_counts_dropped_messages() {
     let deployment = LoopbackDeployment::new();
     let (_aggregator, api) = deployment.start_aggregator();
     let robot = Robot::start(&deployment);
-    let words = robot.publish::<StringMessage>("/words");
+    let words = robot.advertise::<StringMessage>("/words");
     let edge = start_agent(&deployment, BUSY_PIPELINE);
     robot.wait_for_subscriber(&words);
     for number in 0..10 {
@@ -181,7 +181,7 @@ fn pipeline_waits_for_late_master() {
     };
     wait_for_incident("start roscore there, or set ROS_MASTER_URI");
     let robot = Robot::start(&deployment);
-    let words = robot.publish::<StringMessage>("/words");
+    let words = robot.advertise::<StringMessage>("/words");
     robot.wait_for_subscriber(&words);
     robot.send(&words, &StringMessage { data: "at last".into() });
     api.wait_until("/api/v1/runs", |runs| (runs["runs"][0]["counts"]["ok"].as_u64()? > 0).then_some(()));
@@ -222,7 +222,7 @@ fn check_names_topic_errors() {
         assert_eq!(code, 78, "{output}");
         assert!(output.contains("pipeline[0].actuator: this build has no ROS 2"), "{output}");
     }
-    // A condition that may change in a moment is a note.
+    // A condition that may soon change leads to a note, not to an error.
     let (code, output) = check(&deployment, sensor, actuator);
     assert_eq!(code, 0, "{output}");
     assert!(
@@ -232,8 +232,8 @@ fn check_names_topic_errors() {
     let robot = Robot::start(&deployment);
     let (_, output) = check(&deployment, sensor, actuator);
     assert!(output.contains("does not know topic /words yet; it knows no topic at all"), "{output}");
-    let _words = robot.publish::<StringMessage>("/words");
-    let _answers = robot.publish::<CompressedImage>("/answers");
+    let _words = robot.advertise::<StringMessage>("/words");
+    let _answers = robot.advertise::<CompressedImage>("/answers");
     let (code, output) = check(&deployment, &format!("{sensor}, type = \"sensor_msgs/Image\""), actuator);
     assert_eq!(code, 0, "{output}");
     for part in [

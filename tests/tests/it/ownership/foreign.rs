@@ -97,7 +97,7 @@ fn foreign_reports_leave_run_unchanged() {
     let mut host = InventedHost::new("stranger", &mut rng);
     host.open_session(&misbehaving_peer);
     let own_id = host.hello.host.id;
-    // Each kind of event is sent alone, and then all together; afterwards the robot sends real events.
+    // Each kind of event is sent alone, then two of them in one batch. Afterwards the robot sends real events.
     let events = [
         gap(run),
         incident(run, robot),
@@ -135,13 +135,15 @@ fn foreign_reports_leave_run_unchanged() {
     );
     assert!(incidents.iter().filter(is_from_stranger).all(|incident| incident["run"] != 1), "{incidents:?}");
 
-    let before = fleet.wait_for_counts(0, "it is there", |_| true);
-    fleet.wait_for_counts(0, "the robot goes on", |counts| counts.stored > before.stored + 20);
+    let before = fleet.wait_for_counts(0, "the agent reports", |_| true);
+    fleet.wait_for_counts(0, "more events of the robot are stored", |counts| {
+        counts.stored > before.stored + 20
+    });
     fleet.agents[0].stop();
     fleet.deliver_spool(0).assert_balanced();
     let mut stored_events = stop(&mut fleet);
-    let misbehaving_peer = stored_events.hosts.remove("stranger").expect("stored");
-    assert_eq!((misbehaving_peer.quarantined, stored_events.hosts["edge"].gaps), (1, 0));
+    let stranger = stored_events.hosts.remove("stranger").expect("stored");
+    assert_eq!((stranger.quarantined, stored_events.hosts["edge"].gaps), (1, 0));
     let stored = &stored_events.runs[&run.to_string()];
     assert_eq!(
         (stored.host.as_str(), stored.pipeline.as_str(), stored.reason.as_str()),
@@ -150,7 +152,7 @@ fn foreign_reports_leave_run_unchanged() {
     assert!(stored.is_contiguous() && stored.missing == 0, "{stored:?}");
     record_measurements(
         "foreign reports",
-        &[("kinds of events", events.len().to_string()), ("that changed the run", "0".into())],
+        &[("kinds of events", events.len().to_string()), ("kinds that changed the run", "0".into())],
     );
 }
 
@@ -226,7 +228,8 @@ fn run_id_claimed_early_still_belongs_to_host() {
     assert!(stored_events.hosts.values().all(|host| host.quarantined == 0), "{stored_events:?}");
 }
 
-/// Stops all running processes. Data of invented hosts has no totals, so no statistics can agree with it.
+/// Stops all running processes and reads the stored data, without a check of its consistency: iterations of invented hosts
+/// have no totals, so roll-ups differ from counters.
 fn stop(fleet: &mut Fleet) -> StoredEvents {
     for agent in fleet.agents.iter_mut().filter(|agent| agent.is_running()) {
         agent.stop();

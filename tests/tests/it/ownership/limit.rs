@@ -32,7 +32,7 @@ fn invented_hosts_leave_pages_and_metrics_bounded() {
             proven += 1;
         }
     }
-    let after = wait_until("the newest of them is in the list", || {
+    let after = wait_until("the newest host is in the list", || {
         let hosts = fleet.api.json("/api/v1/hosts");
         let hosts = hosts["hosts"].as_array()?;
         let is_seen = hosts.iter().any(|host| host["name"] == newest.as_str());
@@ -47,20 +47,22 @@ fn invented_hosts_leave_pages_and_metrics_bounded() {
     );
     assert_eq!(query_database(fleet.database(), "SELECT count(*) FROM host_secret").trim(), "1");
     drop(peers);
-    wait_until("they are forgotten", || {
+    wait_until("the invented hosts are forgotten", || {
         let hosts = fleet.api.json("/api/v1/hosts");
         (hosts["hosts"].as_array()?.len() == 1).then_some(())
     });
-    let before_counts = fleet.wait_for_counts(0, "it is there", |_| true);
-    fleet.wait_for_counts(0, "the robot goes on", |counts| counts.stored > before_counts.stored + 20);
+    let before_counts = fleet.wait_for_counts(0, "the agent reports", |_| true);
+    fleet.wait_for_counts(0, "more events of the robot are stored", |counts| {
+        counts.stored > before_counts.stored + 20
+    });
     fleet.stop();
     record_measurements(
         "invented hosts",
         &[
             ("that said hello", thousands(320.0 * 62.0)),
-            ("that proved to be who they said", proven.to_string()),
-            ("hosts in the list then", after.0.to_string()),
-            ("bytes of /metrics before and then", format!("{} {}", before.0, after.1)),
+            ("that proved their id", proven.to_string()),
+            ("hosts in the list afterwards", after.0.to_string()),
+            ("bytes of /metrics before and afterwards", format!("{} {}", before.0, after.1)),
         ],
     );
 }

@@ -54,11 +54,11 @@ fn impostor_does_not_exclude_known_host() {
     let reason = impostor.expect_refusal(&misbehaving_peer);
     assert!(reason.contains("clear-host-secret") && reason.contains("spool"), "{reason}");
     assert!(!reason.contains("delete the"), "no advice destroys unsent data: {reason}");
-    // It gets no welcome, whatever it sends afterwards.
+    // The impostor gets no welcome, whatever it sends afterwards.
     misbehaving_peer.send(&impostor.batch(10));
     misbehaving_peer.receive_until(|message| (*message == ToAgent::Unknown).then_some(()));
     misbehaving_peer.send_message(&ToAggregator::Goodbye(impostor.hello.host.id));
-    // While it repeats its hello, the robot comes back with another process number.
+    // While the impostor repeats its hello, the robot comes back with another process number.
     for _ in 0..20 {
         misbehaving_peer.send_message(&ToAggregator::Hello(impostor.hello.clone()));
     }
@@ -67,15 +67,15 @@ fn impostor_does_not_exclude_known_host() {
     assert!(!fleet.agents[0].process().log().contains("refuses this agent"));
     let reason = impostor.expect_refusal(&misbehaving_peer);
     assert!(reason.contains("clear-host-secret"), "{reason}");
-    let before = fleet.wait_for_counts(0, "it is there", |_| true);
-    fleet.wait_for_counts(0, "it goes on", |counts| {
+    let before = fleet.wait_for_counts(0, "the agent reports", |_| true);
+    fleet.wait_for_counts(0, "more events of the robot are stored", |counts| {
         counts.stored > before.stored + 50 && counts.waiting < 100
     });
     fleet.agents[0].stop();
     fleet.deliver_spool(0).assert_balanced();
     let stored_events = fleet.stop();
     assert_eq!(stored_events.count_missing(fleet.agents[0].spooled_iterations()), 0, "{stored_events:?}");
-    // Events that were not spooled when it was killed may be missing, and are in a gap then.
+    // Events that were not spooled when the robot was killed may be missing in a gap. The robot continues its stream.
     assert_eq!(stored_events.hosts["edge"].streams, 1, "{stored_events:?}");
 }
 
@@ -85,7 +85,7 @@ fn host_secret_survives_loss_of_spool_or_database() {
     let before = read_secret(&fleet);
     assert_eq!(before.len(), 64);
     fleet.agents[0].stop();
-    for entry in std::fs::read_dir(state_folder(&fleet)).expect("the state is there") {
+    for entry in std::fs::read_dir(state_folder(&fleet)).expect("the folder exists") {
         let path = entry.expect("readable").path();
         if path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("spool.sqlite")) {
             std::fs::remove_file(path).expect("deleted");
@@ -106,20 +106,21 @@ fn host_secret_survives_loss_of_spool_or_database() {
 
     fleet.agents[0].stop();
     fleet.aggregator.stop();
-    std::fs::remove_dir_all(fleet.database().parent().expect("a folder of its own")).expect("it has stopped");
+    std::fs::remove_dir_all(fleet.database().parent().expect("a folder of its own"))
+        .expect("the aggregator has stopped");
     fleet.restart_aggregator();
     fleet.start(0);
-    fleet.wait_for_counts(0, "it is stored again", |counts| counts.stored > 20);
+    fleet.wait_for_counts(0, "events are stored again", |counts| counts.stored > 20);
     assert_eq!(query_database(fleet.database(), "SELECT lower(hex(secret)) FROM host_secret").trim(), before);
     fleet.stop();
 }
 
 #[test]
-fn cleared_secret_permits_a_new_one() {
+fn cleared_secret_permits_new_secret() {
     let mut fleet = start_fleet("");
     let before = read_secret(&fleet);
     fleet.agents[0].stop();
-    std::fs::remove_file(state_folder(&fleet).join("host-secret")).expect("it was there");
+    std::fs::remove_file(state_folder(&fleet).join("host-secret")).expect("the secret existed");
     fleet.start(0);
     let output = fleet.agents[0].process().wait_for("refuses this agent");
     assert!(output.contains("clear-host-secret"), "{output}");
@@ -128,11 +129,11 @@ fn cleared_secret_permits_a_new_one() {
     fleet.agents[0].process().wait_for("connected to the aggregator");
     let after = read_secret(&fleet);
     assert_ne!(after, before);
-    wait_until("the new one is stored", || {
+    wait_until("the new secret is stored", || {
         let stored = query_database(fleet.database(), "SELECT lower(hex(secret)) FROM host_secret");
         (stored.trim() == after).then_some(())
     });
-    fleet.wait_for_counts(0, "what waited is stored", |counts| counts.waiting < 100);
+    fleet.wait_for_counts(0, "the waiting events are stored", |counts| counts.waiting < 100);
     fleet.agents[0].stop();
     fleet.deliver_spool(0).assert_balanced();
     let stored_events = fleet.stop();

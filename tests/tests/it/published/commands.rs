@@ -74,7 +74,8 @@ fn published_commands_work_unchanged() {
         record["command"].as_str().is_some_and(|command| command.contains("--dataset-loc sample-image.JPEG"))
     );
     assert!(record["pipeline"].is_object() && record["edge"]["hardware"].is_object(), "{record:#}");
-    // Contents of the relative paths, the file of devices and the data set.
+    // The record contains the folder that relative paths begin at, the text of the file of devices, and the size of the data
+    // set.
     let folder = lab.folder().canonicalize().expect("is there");
     assert_eq!(record["folder"], folder.display().to_string());
     let network = &record["network_config"];
@@ -91,7 +92,10 @@ fn published_commands_work_unchanged() {
     for key in ["first_offset", "last_offset"] {
         let offset = &record["clocks"]["upload"][key];
         let bounds = offset["lo"].as_f64().zip(offset["hi"].as_f64());
-        assert!(bounds.is_some_and(|(lo, hi)| lo < 3e-6 && -3e-6 < hi), "one clock: {record:#}");
+        assert!(
+            bounds.is_some_and(|(lo, hi)| lo < 3e-6 && -3e-6 < hi),
+            "the offset of one clock is not zero: {record:#}"
+        );
     }
     let facts = record["facts"].as_array().expect("pairs");
     let data_set = facts.iter().find(|fact| fact[0] == "Data set").map(|fact| &fact[1]);

@@ -24,7 +24,7 @@ class Sensor:
 class Model:
     def infer(self, sent):
         if sent != payload(len(sent)):
-            raise ValueError('not what was sent')
+            raise ValueError('the payload was altered')
         return sent
 ";
 
@@ -47,8 +47,8 @@ fn payloads_of_all_sizes_cross_datagrams_whole() {
     let data = lab.data("results");
     let (answered, lost) = (data.count_outcome("ok"), data.count_outcome("lost"));
     assert_eq!((answered + lost, data.rows.len()), (ITERATIONS, ITERATIONS), "{}", client.log);
-    // A lost payload makes the client's run incomplete. For the server that is so only if the request was lost, not
-    // the answer.
+    // A lost payload makes the client's run incomplete. The server's run is incomplete only if the request was
+    // lost, not the answer.
     assert_eq!(client.code(), if lost == 0 { 0 } else { 75 }, "{}", client.log);
     assert!([0, client.code()].contains(&server.code()), "{}", server.log);
     let sizes = [0.0, 1.0, 1e3, 6e4, 1.2e6, 2e7];

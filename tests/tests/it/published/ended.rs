@@ -54,12 +54,12 @@ fn ctrl_c_ends_client_with_all_results() {
 }
 
 #[test]
-fn ended_session_ends_client_with_all_results() {
+fn closed_terminal_ends_client_with_all_results() {
     let lab = Lab::on_one_machine();
     let _server = start_server(&lab, 1_000_000);
     let client = start_endless_client(&lab, "--result-loc results");
     client.wait_for("of 1,000,000");
-    // The shell and the system both send it.
+    // SIGHUP is sent when the terminal is closed.
     client.signal(Signal::HUP);
     client.wait_for("Ctrl-C again");
     let end = client.wait_for_end();
@@ -120,7 +120,7 @@ fn results_replaced_by_killed_run_are_restored() {
     let killed = start_endless_client(&lab, "--result-loc results --overwrite");
     killed.wait_for("of 1,000,000");
     let _ = killed.kill();
-    assert!(!lab.folder().join("results/run.json").exists(), "they are aside");
+    assert!(!lab.folder().join("results/run.json").exists(), "the previous results are not moved away");
     assert!(
         compare_output(&lab, "results").contains("the previous results are in "),
         "{}",
@@ -164,7 +164,7 @@ fn killed_run_leaves_no_files_after_later_runs() {
     let _server = start_server(&lab, 1_000_000);
     let temporary = lab.folder().join("temporary");
     std::fs::create_dir(&temporary).expect("writable");
-    // A folder's name may be any bytes.
+    // The name of a folder can consist of any bytes.
     let results = OsStr::from_bytes(b"res\xff");
     let start = |line: &str| {
         let arguments = line.split(' ').map(OsString::from).chain([results.to_owned()]);
@@ -188,7 +188,7 @@ fn killed_run_leaves_no_files_after_later_runs() {
     let killed = client(1_000_000);
     killed.wait_for("of 1,000,000");
     let _ = killed.kill();
-    assert_eq!(names(&temporary).len(), 1, "nobody was there to remove it");
+    assert_eq!(names(&temporary).len(), 1, "the killed client leaves its temporary folder");
     let comparison = start("compare").wait_for_end();
     assert!(comparison.log.contains("a run is in progress there or was killed"), "{}", comparison.log);
 
@@ -283,9 +283,11 @@ fn full_result_disk_loses_no_rows() {
     assert_eq!(end.code(), 73, "{}", end.log);
     assert!(end.log.contains("Total (sum of stages)"), "{}", end.log);
     let output = end.log.lines().find(|line| line.contains("the measurements are in"));
-    let output = output.unwrap_or_else(|| panic!("it does not say where the results are: {}", end.log));
-    let (_, other_folder) = output.split_once("the measurements are in ").expect("it was found by this");
-    let (other_folder, note) = other_folder.split_once(" instead").expect("it says so");
+    let output =
+        output.unwrap_or_else(|| panic!("the output does not name the folder of the results: {}", end.log));
+    let (_, other_folder) =
+        output.split_once("the measurements are in ").expect("the line contains this text");
+    let (other_folder, note) = other_folder.split_once(" instead").expect("the line names another folder");
     assert_eq!(note, "; the previous results are restored");
     let results_path = results.display().to_string();
     assert_eq!(
@@ -294,7 +296,7 @@ fn full_result_disk_loses_no_rows() {
     );
     let rows = std::fs::read_to_string(format!("{other_folder}/data.csv")).expect("the results are there");
     assert_eq!(rows.lines().count(), 81);
-    std::fs::remove_dir_all(other_folder).expect("they are this test's");
+    std::fs::remove_dir_all(other_folder).expect("the results belong to this test");
 }
 
 #[test]
@@ -319,6 +321,6 @@ fn full_disks_keep_rows_that_fit() {
     let rows = lab.data(&results).rows;
     assert!(rows.len() > 100 && rows.len() < 1500, "{} rows", rows.len());
     let remaining = std::fs::read_dir(other.folder()).expect("it is a folder").count();
-    assert_eq!(remaining, 0, "nothing is left where nothing could be written");
+    assert_eq!(remaining, 0, "files remain in the full temporary folder");
     assert_eq!(std::fs::read_dir(&results).expect("it is a folder").count(), 1, "data.csv alone");
 }

@@ -33,7 +33,7 @@ fn measure(lab: &Lab, model: &str, server_options: &str, client_options: &str, r
 fn slow_model_is_measured_with_longer_timeout() {
     let lab = Lab::on_one_machine();
     std::fs::write(lab.folder().join("my_model.py"), MODEL).expect("writable");
-    let reasons = |results: &str, parts: &[&str]| {
+    let outcomes_with_reason = |results: &str, parts: &[&str]| {
         let data = lab.data(results);
         for reason in data.column("reason") {
             assert!(parts.iter().all(|part| reason.contains(part)), "{parts:?} in {reason:?}");
@@ -45,21 +45,21 @@ fn slow_model_is_measured_with_longer_timeout() {
     let end = measure(&lab, "my_model::Slow", "", "--timeout 0.5", "client");
     assert_eq!(end.code(), 75, "{}", end.log);
     let parts = ["no answer of cloud cluster", "within 500 ms", "timeout_ms", "--timeout"];
-    assert_eq!(reasons("client", &parts), ["timeout", "timeout"]);
+    assert_eq!(outcomes_with_reason("client", &parts), ["timeout", "timeout"]);
     assert!(parts.iter().all(|part| end.log.contains(part)), "{}", end.log);
 
     // The model's own limit is shorter, so its reason is seen first.
     let end = measure(&lab, "my_model::Slow", "--timeout 0.4", "", "server");
     assert_eq!(end.code(), 75, "{}", end.log);
     let parts = ["my_model::Slow did not answer within 0.4 s", "timeout_ms", "--timeout"];
-    assert_eq!(reasons("server", &parts), ["failed", "failed"]);
+    assert_eq!(outcomes_with_reason("server", &parts), ["failed", "failed"]);
 
     let end = measure(&lab, "my_model::Slow", "--timeout 20", "--timeout 30", "both");
     assert_eq!((end.code(), lab.data("both").count_outcome("ok")), (0, 2), "{}", end.log);
 }
 
 #[test]
-fn large_sample_names_option_that_lets_it_pass() {
+fn refusal_of_large_sample_names_option_for_it() {
     let lab = Lab::on_one_machine();
     let size_option = "--text-size 300000";
     let end = measure(&lab, "echo", "--max-message-bytes 100000", size_option, "refused");

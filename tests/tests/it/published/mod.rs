@@ -108,7 +108,7 @@ impl Lab {
         }
     }
 
-    /// Reads the rows of a results file, by column, as text.
+    /// Reads `data.csv` of a result folder as text.
     fn data(&self, results: &str) -> Data {
         let file = csv::Reader::from_path(self.folder().join(results).join("data.csv"));
         let mut file = file.expect("the results are there");

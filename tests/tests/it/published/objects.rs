@@ -32,7 +32,7 @@ class Brightness:
         return "bright" if float(y.mean()) > 0.5 else "dark"
 "#;
 
-const FAILING: &str = "
+const FAILING_CAMERA: &str = "
 class Camera:
     def __init__(self):
         self.taken = 0
@@ -44,7 +44,7 @@ class Camera:
         return b'x' * 100
 ";
 
-const REFUSING: &str = "
+const REFUSING_MODEL: &str = "
 class Odd:
     def __init__(self):
         self.asked = 0
@@ -56,7 +56,7 @@ class Odd:
         return 'well'
 ";
 
-const HANGING: &str = "
+const HANGING_SENSORS: &str = "
 import time
 
 class Slow:
@@ -74,7 +74,7 @@ class Stuck:
 #[test]
 fn hanging_sensor_is_named_in_progress() {
     let lab = Lab::on_one_machine();
-    std::fs::write(lab.folder().join("my_camera.py"), HANGING).expect("writable");
+    std::fs::write(lab.folder().join("my_camera.py"), HANGING_SENSORS).expect("writable");
     let _server = lab.start_server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name dummy --iterations 9",
     );
@@ -135,11 +135,11 @@ fn run_with_camera(camera: &str, iterations: u32, lab: &Lab) -> (ProcessEnd, Pro
 fn exception_gives_failed_iteration() {
     let lab = Lab::on_one_machine();
     // The server does not wait for answers that will never come.
-    let (client, server) = run_with_camera(FAILING, 20, &lab);
+    let (client, server) = run_with_camera(FAILING_CAMERA, 20, &lab);
     assert_eq!((client.code(), server.code()), (75, 75), "{}\n{}", client.log, server.log);
     let message = "1 of 5 warm-up iterations failed; iteration 3 failed: ";
     assert!(client.log.contains(message), "{}", client.log);
-    // As soon as it is seen, and in the last line.
+    // The reason is printed as soon as it is known, and in the last line.
     assert_eq!(client.log.matches("ValueError: the lens cap is on").count(), 2, "{}", client.log);
     assert!(server.log.contains("19 answers, 1 iteration did not arrive here"), "{}", server.log);
     assert!(
@@ -214,7 +214,7 @@ class {class}:
         let seconds = cells_of(column);
         assert!(seconds.len() == 1 && seconds[0] >= 0.3, "{column}: {seconds:?}");
     }
-    // It belongs neither to the model nor to the transfer.
+    // The time of the restart belongs neither to the model nor to the transfer.
     assert!(cells_of("unattributed").into_iter().fold(0.0, f64::max) >= cells_of("restart")[0]);
     drop(server);
 }
@@ -222,7 +222,7 @@ class {class}:
 #[test]
 fn server_prints_number_of_error_answers() {
     let lab = Lab::on_one_machine();
-    std::fs::write(lab.folder().join("my_model.py"), REFUSING).expect("writable");
+    std::fs::write(lab.folder().join("my_model.py"), REFUSING_MODEL).expect("writable");
     let server = lab.start_server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name my_model::Odd --iterations 10",
     );

@@ -116,7 +116,7 @@ fn used_port_and_existing_results_are_reported() {
     let lab = Lab::on_one_machine();
     let configuration = std::fs::read_to_string(lab.folder().join("net_config.yaml")).expect("is there");
     let port = configuration.lines().find_map(|line| line.strip_prefix("start_port: ")).expect("a port");
-    let _listener = TcpListener::bind(format!("0.0.0.0:{port}")).expect("it is free");
+    let _listener = TcpListener::bind(format!("0.0.0.0:{port}")).expect("the port is free");
     let server = "PEERNet --server --name cluster --network-config net_config.yaml --iterations 5";
     assert_refused(&lab, server, 69, &[port, "start_port", "another program"]);
 
@@ -133,9 +133,9 @@ fn used_port_and_existing_results_are_reported() {
 }
 
 #[test]
-fn unwritable_answer_is_a_failure() {
+fn unwritable_output_leads_to_exit_code() {
     for arguments in [["models", "list"], ["completions", "bash"], ["run", "--help"]] {
-        let full = std::fs::OpenOptions::new().write(true).open("/dev/full").expect("there is one");
+        let full = std::fs::OpenOptions::new().write(true).open("/dev/full").expect("Linux has /dev/full");
         let output = std::process::Command::new(program("peernet")).args(arguments).stdout(full).output();
         let output = output.expect("the program is there");
         let errors = String::from_utf8_lossy(&output.stderr);
@@ -153,7 +153,7 @@ fn client_gives_up_without_server() {
         picture().display()
     );
     assert_refused(&lab, &client, 69, &["is away", "gave up", "is it running"]);
-    assert!(!lab.folder().join("results").exists(), "nothing was measured: there is nothing to keep");
+    assert!(!lab.folder().join("results").exists(), "a result folder exists, although nothing was measured");
 }
 
 #[test]
@@ -170,5 +170,5 @@ fn failed_start_replaces_no_results() {
     for name in ["data.csv", "run.json", "notes.txt"] {
         assert_eq!(std::fs::read_to_string(results.join(name)).expect("is there"), "earlier\n");
     }
-    assert_eq!(std::fs::read_dir(&results).expect("a folder").count(), 3, "nothing else is left");
+    assert_eq!(std::fs::read_dir(&results).expect("a folder").count(), 3, "other files are left");
 }

@@ -47,7 +47,7 @@ fn run_continues_after_master_and_server_restart() {
     server.kill();
     let server = lab.start_server(&format!("{SERVER} --model-name dummy --iterations 1000"));
     let client = client.wait_for_end();
-    assert_eq!(client.code(), 75, "what was under way is lost: {}", client.log);
+    assert_eq!(client.code(), 75, "iterations in flight are lost: {}", client.log);
     let data = lab.data("results");
     assert_eq!(data.rows.len(), 150);
     assert!(

@@ -20,7 +20,7 @@ fn measure_and_stream(lab: &Lab, deployment: &LoopbackDeployment) -> String {
 }
 
 #[test]
-fn aggregators_store_their_stream_and_unsent_is_reported() {
+fn streams_are_stored_and_waiting_events_reported() {
     let lab = Lab::on_one_machine();
     let (first_deployment, absent_deployment) = (LoopbackDeployment::new(), LoopbackDeployment::new());
     let (_first, first) = first_deployment.start_aggregator();
@@ -30,11 +30,11 @@ fn aggregators_store_their_stream_and_unsent_is_reported() {
     let output = measure_and_stream(&lab, &first_deployment);
     assert!(
         output.contains(link_text) && !output.contains("wait for the aggregator"),
-        "all is taken: {output}"
+        "all events are stored: {output}"
     );
     for (deployment, title, expected, unexpected) in [
-        (&absent_deployment, "its own", later_text, link_text),
-        (&first_deployment, "another one's", link_text, later_text),
+        (&absent_deployment, "the absent aggregator", later_text, link_text),
+        (&first_deployment, "the first aggregator", link_text, later_text),
     ] {
         let output = measure_and_stream(&lab, deployment);
         assert!(output.contains(&waiting_note), "{title}: {output}");
@@ -42,7 +42,7 @@ fn aggregators_store_their_stream_and_unsent_is_reported() {
     }
     let (_second, second) = absent_deployment.start_aggregator();
     let output = measure_and_stream(&lab, &absent_deployment);
-    assert!(!output.contains(&waiting_note), "it was handed over: {output}");
+    assert!(!output.contains(&waiting_note), "the waiting events are delivered: {output}");
     for api in [first, second] {
         let host = api.wait_until("/api/v1/hosts/jetson-orin", |host| {
             let is_delivered = host["connected"] == false && host["now"]["events"]["waiting"] == 0;
@@ -89,7 +89,7 @@ fn second_concurrent_stream_of_device_is_refused() {
     let second = lab.start_client(&command).wait_for_end();
     assert_eq!(second.code(), 69, "{}", second.log);
     assert!(second.log.contains("runs as the host whose id is in"), "{}", second.log);
-    assert!(!second.log.contains("state_dir"), "there is nothing to set here: {}", second.log);
+    assert!(!second.log.contains("state_dir"), "the message suggests a key of an agent: {}", second.log);
     first.stop();
 }
 
@@ -144,7 +144,10 @@ fn same_command_delivers_events_that_wait() {
     assert!(output.contains(&format!("warning: the aggregator at {address} cannot be reached")), "{output}");
     assert_eq!(output.matches(&waiting).count(), 1, "{output}");
     let output = run();
-    assert!(output.contains("nothing to do") && output.contains(&waiting), "still away: {output}");
+    assert!(
+        output.contains("nothing to do") && output.contains(&waiting),
+        "the aggregator is still absent: {output}"
+    );
 
     let (_aggregator, api) = deployment.start_aggregator();
     let output = run();
@@ -155,5 +158,5 @@ fn same_command_delivers_events_that_wait() {
         (runs.len() == 2 && runs.iter().all(|run| run["ended"].is_string())).then_some(runs)
     });
     assert!(runs.iter().all(|run| run["ended"].is_string()), "{runs:#?}");
-    assert!(!run().contains("delivering"), "nothing is left");
+    assert!(!run().contains("delivering"), "all events are delivered already");
 }

@@ -73,11 +73,11 @@ fn write_modules(folder: &Path) {
 }
 
 /// Returns the table of the model, with an existing Python interpreter.
-fn model() -> String {
+fn model_table() -> String {
     MODEL.replace("{python}", &python().display().to_string())
 }
 
 /// Returns the table of a pipeline with this placement.
-fn drive(placement: &str) -> String {
+fn pipeline_table(placement: &str) -> String {
     DRIVE.replace("PLACEMENT", placement).replace("{python}", &python().display().to_string())
 }

@@ -2,16 +2,16 @@
 
 use peernet_tests::{Network, TwoHostTestbed};
 
-use super::{drive, model, write_modules};
+use super::{model_table, pipeline_table, write_modules};
 
 #[test]
 fn python_objects_exchange_arrays_with_one_stage_each() {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     write_modules(testbed.folder());
-    let cloud = testbed.start_cloud(&model());
+    let cloud = testbed.start_cloud(&model_table());
     let placement = format!("{{ kind = \"remote\", peer = \"{}\", model = \"follower\" }}", testbed.peer());
     let keys = "limit = { iterations = 30 }\nactuator = { kind = \"log\" }\n";
-    let edge = testbed.start_edge(&(drive(&placement) + keys), &[]);
+    let edge = testbed.start_edge(&(pipeline_table(&placement) + keys), &[]);
     edge.wait_for("the rig is up");
     let api = &testbed.api;
     let run = api.wait_for_finished_run();

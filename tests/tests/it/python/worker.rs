@@ -5,11 +5,11 @@ use std::path::PathBuf;
 
 use peernet_tests::{LoopbackDeployment, Process, wait_until};
 
-use super::{drive, model, write_modules};
+use super::{model_table, pipeline_table, write_modules};
 
 const CONFIGURATION: i32 = 78;
 
-/// Creates a deployment with both modules in its folder; `follower` replaces the model's.
+/// Creates a deployment with both modules in its folder; `follower` replaces the module of the model.
 fn create_deployment(follower: Option<&str>) -> LoopbackDeployment {
     let deployment = LoopbackDeployment::new();
     write_modules(deployment.folder());
@@ -22,14 +22,15 @@ fn create_deployment(follower: Option<&str>) -> LoopbackDeployment {
 /// Starts an agent that serves the model, and one that uses it, with additional keys of its pipeline.
 fn start(deployment: &LoopbackDeployment, keys: &str) -> (Process, Process) {
     let serve = "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\n";
-    let cloud = deployment.start_agent("cloud", &(serve.to_owned() + &model()));
-    let pipeline = drive("{ kind = \"remote\", peer = \"tcp://127.0.0.1:{data}\", model = \"follower\" }");
+    let cloud = deployment.start_agent("cloud", &(serve.to_owned() + &model_table()));
+    let pipeline =
+        pipeline_table("{ kind = \"remote\", peer = \"tcp://127.0.0.1:{data}\", model = \"follower\" }");
     (cloud, deployment.start_agent("edge", &(pipeline + keys)))
 }
 
 /// Returns the folder of the model's process in `/proc`, once the process exists.
 fn wait_for_worker(deployment: &LoopbackDeployment) -> PathBuf {
-    let number = wait_until("the model is there", || {
+    let number = wait_until("the process of the model", || {
         let text = fs::read_to_string(deployment.folder().join("pid")).ok()?;
         (!text.is_empty()).then_some(text)
     });
@@ -47,17 +48,17 @@ fn killed_agent_leaves_no_python_process() {
 }
 
 #[test]
-fn check_names_missing_parts_without_running_code() {
+fn check_names_missing_module_without_running_code() {
     let deployment = create_deployment(None);
-    let invalid_model = model().replace("follower::Follower", "folower::Follower");
-    let pipeline = drive("{ kind = \"local\", model = \"follower\" }");
+    let invalid_model = model_table().replace("follower::Follower", "folower::Follower");
+    let pipeline = pipeline_table("{ kind = \"local\", model = \"follower\" }");
     deployment
         .write("it.toml", &format!("[agent]\nstate_dir = \"{{folder}}/it\"\n{invalid_model}{pipeline}"));
     let end = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
     assert_eq!(end.code(), CONFIGURATION, "{}", end.log);
     assert!(end.log.contains("model[0]") && end.log.contains("no Python module folower"), "{}", end.log);
     assert!(!end.log.contains("the rig is up"), "{}", end.log);
-    assert!(!deployment.folder().join("pid").exists(), "no object was made");
+    assert!(!deployment.folder().join("pid").exists(), "an object was created");
 }
 
 #[test]
@@ -75,7 +76,7 @@ class Follower:
     let (_aggregator, api) = deployment.start_aggregator();
     let (cloud, edge) = start(&deployment, "limit = { total = 12 }\n");
     let run = api.wait_for_finished_run();
-    // Only the call in which it died has no answer.
+    // Only the call in which the process died has no answer.
     let counts = api.json(&format!("/api/v1/runs/{run}"))["counts"].clone();
     assert_eq!((counts["ok"].as_u64(), counts["failed"].as_u64()), (Some(11), Some(1)), "{counts}");
     cloud.wait_for("restarting a Python process");

@@ -21,7 +21,7 @@ fn produced_events_are_stored_or_counted_as_dropped() {
     fleet.restart_aggregator();
     let counts_of_agents: Vec<EventCounts> = (0..2)
         .map(|agent| {
-            fleet.wait_for_counts(agent, "drops are told", |counts| counts.dropped > 0);
+            fleet.wait_for_counts(agent, "dropped events are reported", |counts| counts.dropped > 0);
             fleet.agents[agent].stop();
             fleet.deliver_spool(agent)
         })
@@ -55,7 +55,7 @@ fn produced_events_are_stored_or_counted_as_dropped() {
             &format!("accounting, {}", agent.name),
             &[
                 ("produced", thousands(counts.produced as f64)),
-                ("stored", thousands(counts.acknowledged as f64)),
+                ("acknowledged", thousands(counts.acknowledged as f64)),
                 ("dropped", thousands(counts.dropped as f64)),
                 ("gaps", thousands(counts.gaps as f64)),
             ],

@@ -22,26 +22,26 @@ fn full_database_disk_stops_storing_without_loss() {
     let reason = wait_until("not ready", || {
         fleet.api.get("/readyz").filter(|(status, _)| *status == 503).map(|(_, text)| text)
     });
-    assert!(reason.contains("full"), "why: {reason}");
+    assert!(reason.contains("full"), "the reason does not say that the disk is full: {reason}");
     assert!(
         reason.contains(&database) && reason.contains("free some space"),
-        "where, and what to do: {reason}"
+        "the reason lacks the file or the remedy: {reason}"
     );
     let (status, page) = fleet.api.get("/").expect("the dashboard answers");
-    assert!(status == 200 && page.contains("full"), "the page says so: {page}");
+    assert!(status == 200 && page.contains("full"), "the page does not report the full disk: {page}");
     // The live state contains seconds that began after the disk was full.
     let newest_second = || {
         let pipeline = fleet.api.json("/api/v1/pipelines/edge/loop");
         pipeline["seconds"].as_array().and_then(|seconds| seconds.last()?["at"].as_i64())
     };
-    let before = newest_second().expect("it measures");
-    wait_until("newer figures", || newest_second().filter(|second| *second > before + 1));
+    let before = newest_second().expect("the pipeline measures");
+    wait_until("newer live statistics", || newest_second().filter(|second| *second > before + 1));
     let waiting = fleet.wait_for_counts(0, "events wait", |counts| counts.waiting > 400);
     assert_eq!(waiting.dropped, 0, "{waiting:?}");
 
     disk.free();
     wait_until("ready", || fleet.api.get("/readyz").filter(|(status, _)| *status == 200));
-    fleet.wait_for_counts(0, "what waited is stored", |counts| {
+    fleet.wait_for_counts(0, "the waiting events are stored", |counts| {
         counts.stored > waiting.stored + waiting.waiting
     });
     let outage = fleet.api.wait_until("/api/v1/incidents", |list| {

@@ -8,7 +8,7 @@ use peernet_tests::{
 
 use super::{assert_nothing_lost, wait_for_turn};
 
-/// Starts a fleet whose agent measures meanwhile.
+/// Starts a fleet whose agent measures during the test.
 fn start_fleet() -> Fleet {
     let mut fleet =
         Fleet::new(&["edge"], &agent_configuration("", &echo_pipeline("loop", &rate_load(200.0))));
@@ -19,7 +19,7 @@ fn start_fleet() -> Fleet {
 
 /// Checks that the normal agent lost nothing and that the aggregator exits with 0.
 fn assert_agent_lost_nothing(mut fleet: Fleet) -> u64 {
-    let before = fleet.wait_for_counts(0, "it is there", |_| true);
+    let before = fleet.wait_for_counts(0, "the agent reports", |_| true);
     fleet.wait_for_counts(0, "more is stored", |counts| counts.stored > before.stored + 100);
     fleet.agents[0].stop();
     fleet.deliver_spool(0).assert_balanced();
@@ -48,7 +48,7 @@ fn damaged_frames_are_refused_and_counted() {
     misbehaving_peer.send(&host.batch(10));
     misbehaving_peer.wait_for_ack(1);
 
-    // Neither parts of messages nor noise are valid messages.
+    // Neither beginnings of messages nor noise are valid messages.
     let hello = codec::encode(&ToAggregator::Hello(host.hello.clone()));
     let next = host.batch(10);
     let mut sent = 0;
@@ -66,7 +66,7 @@ fn damaged_frames_are_refused_and_counted() {
     misbehaving_peer.send(&next);
     misbehaving_peer.wait_for_ack(2);
 
-    // Each flipped bit of a batch is noticed, in any part of it.
+    // The aggregator notices a flipped bit in any part of a batch.
     for _ in 0..300 {
         let mut frame = next.clone();
         let index = rng.below(frame.len());
@@ -75,7 +75,7 @@ fn damaged_frames_are_refused_and_counted() {
         sent += 1;
     }
     misbehaving_peer.send_hello_until(&host, |message| matches!(message, ToAgent::Welcome { stored: 2, .. }));
-    wait_until("it is counted", || {
+    wait_until("damaged batches are counted", || {
         (counter(&fleet, "peernet_aggregator_damaged_batches_total") > 0).then_some(())
     });
     let damaged = counter(&fleet, "peernet_aggregator_damaged_batches_total");
@@ -88,7 +88,7 @@ fn damaged_frames_are_refused_and_counted() {
         &[
             ("sent", thousands(f64::from(sent))),
             ("recognised by their hash", thousands(damaged as f64)),
-            ("iterations of the agent beside, spooled and stored", thousands(spooled as f64)),
+            ("iterations of the normal agent, spooled and stored", thousands(spooled as f64)),
         ],
     );
 }
@@ -102,7 +102,7 @@ fn invalid_batch_is_quarantined_and_stream_continues() {
     let mut host = InventedHost::new("stranger", &mut rng);
     host.open_session(&misbehaving_peer);
 
-    // Correctly hashed, but noise, too few events, too many events, or longer than permitted.
+    // Batches with correct hashes, but with an invalid body or an invalid number of events.
     let noise: Vec<u8> = (0..10_000).map(|_| rng.bits() as u8).collect();
     let event = host.clone().batch(1).split_off(0);
     let invalid_batches =
@@ -125,13 +125,13 @@ fn invalid_batch_is_quarantined_and_stream_continues() {
     // Zeros whose unpacked size is four thousand times the packed one.
     misbehaving_peer.send(&host.batch_of(9, &vec![0; 64 << 20], true));
     misbehaving_peer.send(&host.batch(10));
-    let stored = wait_until("what is stored", || {
-        let misbehaving_peer = fleet.api.json("/api/v1/hosts/stranger");
-        let quarantined = misbehaving_peer["stored"]["quarantined"].as_u64()?;
-        (quarantined >= 4).then(|| misbehaving_peer["stored"].clone())
+    let stored = wait_until("quarantined batches", || {
+        let stranger = fleet.api.json("/api/v1/hosts/stranger");
+        let quarantined = stranger["stored"]["quarantined"].as_u64()?;
+        (quarantined >= 4).then(|| stranger["stored"].clone())
     });
     assert!(stored["gaps"].as_u64() >= Some(4), "{stored}");
-    // An impossible number of events in a batch is not believed.
+    // An impossible number of events in a batch is not counted as missing.
     assert!(stored["missing"].as_u64() < Some(1_000), "{stored}");
     assert_agent_lost_nothing(fleet);
 }
@@ -156,7 +156,7 @@ fn foreign_batches_are_refused_and_repeated_ones_ignored() {
         other_peer.send(batch);
         other_peer.receive_until(|message| (*message == ToAgent::Unknown).then_some(()));
     }
-    // A hello with its own name, with the victim's name, and with the victim's stream.
+    // Three hellos: one with the victim's stream, one with the victim's name, and one with neither.
     let mut thief = InventedHost::new("thief", &mut rng);
     thief.hello.stream = host.hello.stream;
     let reason = thief.expect_refusal(&other_peer);
