@@ -91,12 +91,12 @@ const CODE: [&str; 4] = ["daemon", "web", "tests", "fuzz"];
 /// Largest number of words in a paragraph of a document.
 const MAX_PARAGRAPH_WORDS: usize = 120;
 
-fn rust_files(folder: &Path, found: &mut Vec<PathBuf>) {
+fn add_rust_files(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).expect("the folder can be listed") {
         let path = entry.expect("the folder can be listed").path();
         let name = path.file_name().expect("an entry has a name");
         if path.is_dir() && !["target", "node_modules"].iter().any(|skipped| name == *skipped) {
-            rust_files(&path, found);
+            add_rust_files(&path, found);
         } else if path.extension().is_some_and(|extension| extension == "rs") {
             found.push(path);
         }
@@ -132,7 +132,7 @@ impl<'ast> Visit<'ast> for TypeNames {
 #[test]
 fn no_type_has_a_banned_name() {
     let mut files = Vec::new();
-    CODE.iter().for_each(|folder| rust_files(&root().join(folder), &mut files));
+    CODE.iter().for_each(|folder| add_rust_files(&root().join(folder), &mut files));
     let mut banned = Vec::new();
     for file in &files {
         let text = fs::read_to_string(file).expect("the file is text");
@@ -143,7 +143,7 @@ fn no_type_has_a_banned_name() {
         banned.extend(found.map(|name| format!("{}: {name}", file.display())));
     }
     assert!(files.len() > 500, "only {} files were read", files.len());
-    assert!(banned.is_empty(), "say what these types are: {banned:#?}");
+    assert!(banned.is_empty(), "names that do not say what these types are: {banned:#?}");
 }
 
 /// Returns the paragraphs of a document outside tables and blocks of code.

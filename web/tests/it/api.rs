@@ -51,7 +51,7 @@ async fn openapi_describes_every_route() {
         (described.difference(&listed).collect(), listed.difference(&described).collect());
     assert!(
         untested.is_empty() && undescribed.is_empty(),
-        "described and not in ROUTES: {untested:?}; in ROUTES and not described: {undescribed:?}"
+        "described but not in ROUTES: {untested:?}; in ROUTES but not described: {undescribed:?}"
     );
     let mut operations = HashSet::new();
     for &(route, address) in ROUTES {
@@ -208,15 +208,15 @@ async fn pipeline_query_selects_window_and_stages() {
                 .map(|one| one[key].as_str().expect("a name").to_owned())
                 .collect()
         };
-        let asked = HashSet::from(["total".to_owned(), "upload".to_owned()]);
-        assert_eq!(names(&windows[0]["values"], "name"), asked, "{pipeline}");
+        let selected = HashSet::from(["total".to_owned(), "upload".to_owned()]);
+        assert_eq!(names(&windows[0]["values"], "name"), selected, "{pipeline}");
         assert_eq!(names(&windows[0]["bounds"], "stage"), HashSet::from(["upload".to_owned()]), "{pipeline}");
         let seconds = pipeline["seconds"].as_array().expect("seconds");
         assert!((1..=10).contains(&seconds.len()), "{pipeline}");
         assert!(seconds.iter().all(|second| second["means"].get("inference").is_none()), "{pipeline}");
     }
-    let nobody = dashboard.get("/api/v1/pipelines?window=60&stage=no-such-stage").await.json();
-    assert_eq!(nobody["pipelines"][1]["windows"][0]["values"], json!([]), "{nobody}");
+    let unknown_stage = dashboard.get("/api/v1/pipelines?window=60&stage=no-such-stage").await.json();
+    assert_eq!(unknown_stage["pipelines"][1]["windows"][0]["values"], json!([]), "{unknown_stage}");
 }
 
 #[tokio::test]
@@ -296,23 +296,23 @@ async fn export_has_one_row_per_iteration() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("export.csv");
     std::fs::write(&file, &answer.body).expect("writable");
-    let loaded = peernet_results::ResultFolder::open(&file).expect("it is one");
+    let loaded = peernet_results::ResultFolder::open(&file).expect("a result file");
     let run = dashboard.get("/api/v1/runs/1").await.json();
     assert_eq!(serde_json::json!(loaded.record.counts.ok), run["counts"]["ok"]);
     assert_eq!(serde_json::json!(loaded.record.counts.warm_up), run["warm_up"], "{run}");
 }
 
 #[tokio::test]
-async fn direction_without_value_is_in_the_sum() {
+async fn stages_and_both_ways_add_up_to_total() {
     let (dashboard, _site) = TestDashboard::with_pipelines(vec![TestPipeline::unrelated()]).await;
     let iteration = dashboard.get("/api/v1/runs/1/iterations/100").await.json();
     let number = |value: &Value| value.as_f64().expect("a number");
     let stages = iteration["stages"].as_array().expect("stages");
-    let upload = stages.iter().find(|stage| stage["name"] == "upload").expect("it was judged");
+    let upload = stages.iter().find(|stage| stage["name"] == "upload").expect("the upload was judged");
     assert_eq!((&upload["seconds"], &upload["delay"]["lo_s"]), (&Value::Null, &Value::Null));
     assert_eq!(upload["delay"]["verdict"], "unsynchronised");
     assert!(number(&upload["delay"]["raw_s"]) > 1.0, "{upload}");
-    assert_eq!(stages[0]["delay"], Value::Null, "sensing crosses no clocks: {}", stages[0]);
+    assert_eq!(stages[0]["delay"], Value::Null, "sensing has no one-way delay: {}", stages[0]);
     let others: f64 = stages.iter().filter_map(|stage| stage["seconds"].as_f64()).sum();
     let all = others + number(&iteration["both_ways"]) + number(&iteration["unattributed"]);
     assert!((all - number(&iteration["total"])).abs() < 1e-9, "{iteration}");
@@ -341,7 +341,7 @@ async fn runs_with_clock_fault_are_marked_in_lists() {
     let row = |number: u32| {
         let begin = page.find(&format!("\"/runs/{number}\"")).expect("a row");
         let rest = &page[begin..];
-        rest[..rest.find("</tr>").expect("its end")].to_owned()
+        rest[..rest.find("</tr>").expect("an end tag")].to_owned()
     };
     assert!(row(2).contains("clock fault") && !row(1).contains("clock fault"), "{page}");
 }
@@ -434,14 +434,14 @@ async fn links_and_clocks_are_served() {
     assert_eq!(now["edge_clock"]["clocksource"], "kvm-clock");
     let slowest = dashboard.get("/api/v1/runs/2/iterations?order=slowest&limit=1").await.json();
     let stages = slowest["iterations"][0]["stages"].as_array().expect("stages").clone();
-    let upload = stages.iter().find(|stage| stage["name"] == "upload").expect("it travelled");
+    let upload = stages.iter().find(|stage| stage["name"] == "upload").expect("an upload");
     assert_eq!(
         (&upload["delay"]["assumptions"], &upload["delay"]["claims_used"]),
         (&assumptions, &json!(false))
     );
     let connection = &now["connections"][0];
     assert_eq!(connection["up"]["retransmitted_datagrams"], json!(17));
-    assert_eq!(connection["down"]["retransmitted_datagrams"], Value::Null, "only the cloud's kernel knows");
+    assert_eq!(connection["down"]["retransmitted_datagrams"], Value::Null, "only the cloud counts these");
     assert_eq!(connection["interface"], json!({ "name": "wlan0", "type": "wireless", "mtu_bytes": 1500 }));
     assert_eq!(connection["transport_round_trip"]["smoothed_s"], json!(0.00231));
     let cloud = &connection["cloud"];
@@ -466,15 +466,18 @@ async fn links_and_clocks_are_served() {
     );
     assert_eq!(host["clock"]["rehearsal"]["drift_ppm"], json!(50.0));
 
-    let again = dashboard.get("/api/v1/runs/2/recomputed").await.json();
-    assert_eq!(again["run"], 2);
+    let recomputed = dashboard.get("/api/v1/runs/2/recomputed").await.json();
+    assert_eq!(recomputed["run"], 2);
     let stages: Vec<&Value> =
-        again["stages"].as_array().expect("stages").iter().map(|one| &one["stage"]).collect();
+        recomputed["stages"].as_array().expect("stages").iter().map(|one| &one["stage"]).collect();
     assert_eq!(
-        (stages.len(), &stages[..1], &again["clocks"]),
+        (stages.len(), &stages[..1], &recomputed["clocks"]),
         (2, &[&json!("upload")][..], &json!(["wall"]))
     );
-    assert!(again["stages"][0]["before"]["delay"]["count"].as_u64().expect("a count") > 300, "{again}");
+    assert!(
+        recomputed["stages"][0]["before"]["delay"]["count"].as_u64().expect("a count") > 300,
+        "{recomputed}"
+    );
 
     for (address, status, word) in [
         ("/api/v1/links/cam-3", 404, "EDGE~CLOUD"),

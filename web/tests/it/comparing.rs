@@ -50,7 +50,8 @@ async fn skipped_starts_before_failed_iterations_are_shown() {
     assert_eq!(dashboard.get("/api/v1/runs/2").await.json()["skipped_starts"], 70);
     let trust = dashboard.get("/api/v1/runs/2/trust").await.json();
     let sentences = trust["sentences"].as_array().expect("sentences");
-    let finding = sentences.iter().find(|sentence| sentence["about"] == "skipped starts").expect("said");
+    let finding =
+        sentences.iter().find(|sentence| sentence["about"] == "skipped starts").expect("the finding exists");
     assert_eq!(finding["grade"], "bad", "{finding}");
     assert!(
         finding["text"].as_str().expect("text").starts_with("70 of 170 starts (41\u{202f}%)"),
@@ -60,10 +61,11 @@ async fn skipped_starts_before_failed_iterations_are_shown() {
     assert!(page.text().contains("<dt>Skipped starts</dt><dd>70</dd>"), "{}", page.text());
     // Of the first eight failed iterations, two belong to the warm-up, which no count includes.
     let panel = page.text().split("Failed iterations</h2>").nth(1).expect("a panel");
-    let panel = panel.split("</section>").next().expect("its end");
+    let panel = panel.split("</section>").next().expect("an end tag");
     let count_of = |cell: &str| panel.matches(&format!("<td>{cell}</td>")).count();
     assert_eq!((count_of("timeout, warm-up"), count_of("timeout")), (2, 6), "{panel}");
-    let finding = sentences.iter().find(|sentence| sentence["about"] == "losses").expect("said");
+    let finding =
+        sentences.iter().find(|sentence| sentence["about"] == "losses").expect("the finding exists");
     let text = "10 of 100 iterations failed (10\u{202f}%): 10 timed out.";
     assert_eq!(finding["text"], text);
     // The same sentence follows from the file of the run.
@@ -72,7 +74,8 @@ async fn skipped_starts_before_failed_iterations_are_shown() {
     std::fs::write(&file, dashboard.get("/api/v1/runs/2/export").await.text()).expect("writable");
     let rows = ResultFolder::open(&file).expect("a file of results").rows;
     let report = Report::new(&TrustInput::from_rows(&rows, &[]));
-    let of_file = report.findings.iter().find(|finding| finding.about == "losses").expect("said");
+    let of_file =
+        report.findings.iter().find(|finding| finding.about == "losses").expect("the finding exists");
     assert_eq!(of_file.text, text);
 
     let compared = dashboard.get("/api/v1/compare?runs=1,2").await.json();
@@ -101,18 +104,21 @@ async fn values_of_repeated_nodes_are_not_called_iterations() {
     for (address, title) in [(crop, ">values<"), (inference, ">iterations<")] {
         let page = dashboard.get(&address).await;
         let panel = page.text().split("id=\"distribution\"").nth(1).expect("a panel");
-        let panel = panel.split("</section>").next().expect("its end");
+        let panel = panel.split("</section>").next().expect("an end tag");
         assert!(panel.contains(title), "{panel}");
     }
     let exported = dashboard.get("/api/v1/runs/2/export").await;
     let header = exported.text().lines().next().expect("a header").to_owned();
-    assert!(header.split(',').any(|column| column == "crop_2"), "files have a column for each: {header}");
+    assert!(
+        header.split(',').any(|column| column == "crop_2"),
+        "a file has a column for each repeated node: {header}"
+    );
 }
 
 /// Returns the HTML of the panel of distributions.
 fn distributions(page: &str) -> &str {
     let panel = page.split("id=\"distributions\"").nth(1).expect("a panel");
-    panel.split("</section>").next().expect("its end")
+    panel.split("</section>").next().expect("an end tag")
 }
 
 #[tokio::test]
@@ -151,7 +157,7 @@ async fn repeats_of_an_experiment_are_combined() {
         let total = &dashboard.get(&format!("/api/v1/runs/{run}")).await.json()["total"];
         counts += total["count"].as_u64().expect("a count");
         medians.push(total["p50"].as_f64().expect("a median"));
-        assert_eq!(total["p99"], serde_json::Value::Null, "too few of one: {total}");
+        assert_eq!(total["p99"], serde_json::Value::Null, "one run has too few values for a p99: {total}");
     }
     let total = configurations[0]["stages"].as_array().expect("stages");
     let total = total.iter().find(|stage| stage["name"] == "total").expect("a total");
@@ -194,7 +200,11 @@ async fn repeats_of_an_experiment_are_combined() {
     let compared = dashboard.get(&format!("/api/v1/compare?experiment={id}")).await.json();
     let sizes: Vec<_> =
         compared["configurations"].as_array().expect("some").iter().map(|one| &one["values"][0]).collect();
-    assert_eq!(sizes, ["30 kB", "150 kB", "600 kB", "2000 kB"], "by value, not by when they ran: {compared}");
+    assert_eq!(
+        sizes,
+        ["30 kB", "150 kB", "600 kB", "2000 kB"],
+        "sorted by value, not by the time of the runs: {compared}"
+    );
     assert!(dashboard.get("/runs").await.text().contains("size = 2000 kB, repeat 1"));
 
     site.store_sizes(2, 100, &[(600e3, Some(1)), (30e3, Some(2)), (150e3, Some(0))]).await;
@@ -231,7 +241,7 @@ async fn many_users_count_as_one_configuration() {
         page.text()
     );
     assert_eq!(page.text().matches("<option value=").count(), 50, "{}", page.text());
-    assert!(!page.text().contains("number of users"), "each was alone");
+    assert!(!page.text().contains("number of users"), "no run has several users");
 }
 
 #[tokio::test]

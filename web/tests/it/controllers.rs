@@ -51,7 +51,7 @@ async fn documented_controller_decides_by_known_values() {
 
     let page = include_str!("../../../docs/controllers.md");
     let (_, rest) = page.split_once("```python\n").expect("an example");
-    let (example, _) = rest.split_once("```").expect("its end");
+    let (example, _) = rest.split_once("```").expect("the end of the example");
     let example = example.replace("__main__", "not run here");
     let mut python = Command::new("python3")
         .args(["-c", &format!("{example}{DRIVER}")])
@@ -59,13 +59,13 @@ async fn documented_controller_decides_by_known_values() {
         .stdout(Stdio::piped())
         .spawn()
         .expect("python3 starts");
-    let mut input = python.stdin.take().expect("its input");
+    let mut input = python.stdin.take().expect("the input is piped");
     for (answer, _) in &cases {
         writeln!(input, "{}", json!([answer, local, cloud])).expect("it reads");
     }
     drop(input);
     let output = python.wait_with_output().expect("it ends");
     let decided = String::from_utf8(output.stdout).expect("text");
-    let wanted: Vec<&str> = cases.iter().map(|(_, wanted)| *wanted).chain(["local"]).collect();
-    assert_eq!(decided.lines().collect::<Vec<_>>(), wanted, "the last one: nobody answers");
+    let expected: Vec<&str> = cases.iter().map(|(_, expected)| *expected).chain(["local"]).collect();
+    assert_eq!(decided.lines().collect::<Vec<_>>(), expected, "the last decision is made without an answer");
 }

@@ -13,8 +13,8 @@ fn lengths_and_latencies(csv: &str) -> Vec<(String, String)> {
     let (length, latency) = (place("download-bytes"), place("inference"));
     let (warm_up, outcome) = (place("warm-up"), place("outcome"));
     let rows = rows.records().map(|row| row.expect("a row"));
-    let counted = rows.filter(|row| &row[warm_up] == "0" && &row[outcome] == "ok");
-    counted.map(|row| (row[length].to_owned(), row[latency].to_owned())).collect()
+    let rows_in_statistics = rows.filter(|row| &row[warm_up] == "0" && &row[outcome] == "ok");
+    rows_in_statistics.map(|row| (row[length].to_owned(), row[latency].to_owned())).collect()
 }
 
 #[tokio::test]
@@ -30,14 +30,18 @@ async fn lengths_of_answers_match_data_file() {
 
     let page = dashboard.get("/compare?runs=1,2").await;
     let panel = page.text().split(HEADING).nth(1).expect("a panel");
-    let panel = panel.split("</section>").next().expect("its end");
+    let panel = panel.split("</section>").next().expect("an end tag");
     assert_eq!(
         panel.matches("class=\"joint\"").count(),
         1,
         "the answers of the other run have equal lengths: {panel}"
     );
     let dots = panel.split("class=\"dots d-inference\" d=\"").nth(1).and_then(|rest| rest.split('"').next());
-    assert_eq!(dots.map(|dots| dots.matches('M').count()), Some(rows.len()), "a dot for each: {panel}");
+    assert_eq!(
+        dots.map(|dots| dots.matches('M').count()),
+        Some(rows.len()),
+        "one dot per iteration: {panel}"
+    );
     assert!(panel.contains(&format!("All {} iterations.", rows.len())), "{panel}");
     assert!(!dashboard.get("/compare?runs=2").await.text().contains(HEADING));
 }
@@ -50,7 +54,7 @@ async fn long_run_is_drawn_as_sample() {
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let page = dashboard.get(&format!("/compare?experiment={id}")).await;
     let panel = page.text().split(HEADING).nth(1).expect("a panel");
-    let panel = panel.split("</section>").next().expect("its end");
+    let panel = panel.split("</section>").next().expect("an end tag");
     assert!(panel.contains(" iterations, evenly spread; histograms of all."), "{panel}");
     assert!(panel.contains("fill-opacity=") && !panel.contains("class=\"dots"), "{panel}");
     assert!(panel.len() < 30_000, "{}", panel.len());

@@ -48,16 +48,16 @@ fn label_names(text: &str) -> Vec<String> {
 
 /// Parses an answer into metrics by name. Panics at the first invalid line.
 fn parse_metrics(text: &str) -> BTreeMap<String, Family> {
-    let body = text.strip_suffix("# EOF\n").expect("the last line says that it is the last");
+    let body = text.strip_suffix("# EOF\n").expect("the answer ends with an end mark");
     let mut families: BTreeMap<String, Family> = BTreeMap::new();
     let mut current = String::new();
     for line in body.lines() {
         if let Some(about) = line.strip_prefix("# ") {
             let mut parts = about.splitn(3, ' ');
             let (what, name) = (parts.next().expect("a word"), parts.next().expect("a name"));
-            let text = parts.next().unwrap_or_else(|| panic!("nothing is said in {line:?}")).to_owned();
+            let text = parts.next().unwrap_or_else(|| panic!("no text in {line:?}")).to_owned();
             if name != current {
-                assert!(!families.contains_key(name), "{name} stands in two places");
+                assert!(!families.contains_key(name), "{name} is described twice");
                 current = name.to_owned();
             }
             let family = families.entry(current.clone()).or_default();
@@ -77,15 +77,15 @@ fn parse_metrics(text: &str) -> BTreeMap<String, Family> {
         };
         let family = families.get_mut(&current).expect("described before");
         let suffix = if family.kind == "counter" { "_total" } else { "" };
-        assert_eq!(name, format!("{current}{suffix}"), "{line:?} stands among others");
+        assert_eq!(name, format!("{current}{suffix}"), "{line:?} is not below its description");
         assert!(family.kind == "counter" || family.kind == "gauge", "{line:?}");
         assert!(value.is_finite() && (value >= 0.0 || family.kind == "gauge"), "{line:?}");
         let names = label_names(inner);
         let known: BTreeSet<String> = names.iter().cloned().collect();
-        assert_eq!(known.len(), names.len(), "a label stands twice: {line:?}");
+        assert_eq!(known.len(), names.len(), "a label occurs twice: {line:?}");
         assert!(family.samples.is_empty() || family.labels == known, "other labels than before: {line:?}");
         family.labels = known;
-        assert!(family.samples.insert(series.to_owned(), value).is_none(), "{series} stands twice");
+        assert!(family.samples.insert(series.to_owned(), value).is_none(), "{series} occurs twice");
     }
     for (name, family) in &families {
         assert!(
@@ -134,22 +134,22 @@ async fn metric_lines_are_valid_and_counters_grow() {
     let loss =
         value(&first, "peernet_link_probe_loss_ratio{edge=\"cam-2\",cloud=\"rack-a\",network=\"zmq-tcp\"}");
     assert!((0.0..=1.0).contains(&loss), "{loss}");
-    let again = "peernet_link_retransmitted_datagrams_total{edge=\"cam-2\",cloud=\"rack-a\",network=\"zmq-tcp\",\
+    let retransmitted = "peernet_link_retransmitted_datagrams_total{edge=\"cam-2\",cloud=\"rack-a\",network=\"zmq-tcp\",\
                  pipeline=\"offload-full\",direction=\"upload\"}";
-    assert_eq!(value(&first, again), 17.0);
-    assert!(first["peernet_link_lost_datagrams"].samples.is_empty(), "what is not known is no sample");
+    assert_eq!(value(&first, retransmitted), 17.0);
+    assert!(first["peernet_link_lost_datagrams"].samples.is_empty(), "an unknown count has a sample");
     // The cloud received what the edge sent, and cannot know how much was retransmitted.
     let upload = "transferred_bytes_total{edge=\"cam-2\",cloud=\"rack-a\",network=\"zmq-tcp\",\
                   pipeline=\"offload-full\",direction=\"upload\"}";
     let [by_edge, by_cloud] =
         ["peernet_link_", "peernet_link_cloud_"].map(|start| value(&first, &format!("{start}{upload}")));
     assert_eq!(by_edge, by_cloud);
-    let again = &first["peernet_link_cloud_retransmitted_datagrams"].samples;
-    assert!(!again.keys().any(|series| series.contains("\"upload\"")), "{again:?}");
+    let retransmitted = &first["peernet_link_cloud_retransmitted_datagrams"].samples;
+    assert!(!retransmitted.keys().any(|series| series.contains("\"upload\"")), "{retransmitted:?}");
     let unknown = &first["peernet_pipeline_stage_seconds"].samples;
     assert!(
         !unknown.keys().any(|series| series.contains("offload-unrelated") && series.contains("\"upload\"")),
-        "a delay that is not known is no figure"
+        "an unknown delay has a sample"
     );
 
     site.store_run_of_each_pipeline(50, true).await;
@@ -199,7 +199,7 @@ async fn documented_metrics_are_the_served_ones() {
             .map(|label| label.trim_matches('`').to_owned())
             .collect();
         assert!(known.samples.is_empty() || labels == known.labels, "{row}: {:?}", known.labels);
-        assert!(listed.insert(family), "{row} stands twice");
+        assert!(listed.insert(family), "{row} occurs twice");
     }
     assert_eq!(listed.len(), served.len(), "listed {listed:?}, served {:?}", served.keys());
 }

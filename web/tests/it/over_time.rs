@@ -18,7 +18,7 @@ async fn runs_with_episodes_are_drawn_over_time() {
     let (id, first) = (&listed["experiments"][0]["id"], &listed["experiments"][0]["oldest"]);
     let page = dashboard.get(&format!("/compare?experiment={}", id.as_str().expect("an id"))).await;
     let panel = page.text().split("id=\"cc-h\"").nth(1).expect("a panel");
-    let panel = panel.split("</section>").next().expect("its end");
+    let panel = panel.split("</section>").next().expect("an end tag");
     assert_eq!(panel.matches("<figure>").count(), 2, "{panel}");
     assert!(panel.contains(&format!("<a href=\"/runs/{first}#course\">#{first}</a>")), "{panel}");
     // Four iterations failed, one of them during the warm-up.
@@ -51,7 +51,7 @@ async fn run_without_episodes_mentions_none() {
         TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;
     let page = dashboard.get("/compare?runs=1,2").await;
     let panel = page.text().split("id=\"cc-h\"").nth(1).expect("a panel");
-    let panel = panel.split("</section>").next().expect("its end");
+    let panel = panel.split("</section>").next().expect("an end tag");
     assert!(!panel.contains("episode") && !panel.contains("failed"), "{panel}");
     assert_eq!(panel.matches("<figure>").count(), 2, "{panel}");
     assert!(!dashboard.get("/runs/1").await.text().contains("new episode"));

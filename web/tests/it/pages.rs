@@ -90,7 +90,7 @@ async fn unrelated_clocks_show_dashes_and_exact_sum() {
     assert!(iteration.text().contains("class=\"chip bad\""), "{}", iteration.text());
     assert!(iteration.text().contains("and so is upload + download = "), "{}", iteration.text());
     let delays = iteration.text().split("How the one-way delays were computed").nth(1).expect("a panel");
-    let delays = delays.split("</section>").next().expect("its end");
+    let delays = delays.split("</section>").next().expect("an end tag");
     assert_eq!(delays.matches("<b>—</b>").count(), 2, "no direction has a value: {delays}");
 }
 
@@ -123,8 +123,8 @@ async fn unrecorded_events_are_shown_with_reason() {
     assert!(!dashboard.get("/runs/1").await.text().contains("of this run were not recorded"));
     site.store_gaps(0, 3).await;
     let page = dashboard.get("/runs/1").await;
-    let said = "2,922 events of this run were not recorded: no room in the agent&#39;s spool (from ";
-    assert!(page.text().contains(said) && page.text().contains(", in 3 gaps)."), "{}", page.text());
+    let expected = "2,922 events of this run were not recorded: no room in the agent&#39;s spool (from ";
+    assert!(page.text().contains(expected) && page.text().contains(", in 3 gaps)."), "{}", page.text());
 }
 
 #[tokio::test]
@@ -146,13 +146,13 @@ async fn run_is_running_while_its_host_reports_it() {
 }
 
 #[tokio::test]
-async fn links_of_all_networks_are_listed() {
-    let lines = vec![
+async fn links_with_all_clock_relations_are_shown() {
+    let pipelines = vec![
         TestPipeline::with_clock_fault(),
         TestPipeline { host: "cam-4", ..TestPipeline::unrelated() },
         TestPipeline { host: "cam-5", ..TestPipeline::one_clock() },
     ];
-    let (dashboard, _site) = TestDashboard::with_pipelines(lines).await;
+    let (dashboard, _site) = TestDashboard::with_pipelines(pipelines).await;
     for (path, text) in [
         (
             "/links",

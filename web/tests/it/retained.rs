@@ -24,7 +24,7 @@ async fn deleted_data_is_named_and_remaining_data_shown() {
     site.store_run_of_each_pipeline(200, true).await;
     site.store_run_of_each_pipeline(100, true).await;
     let pinned = dashboard.aggregator.pin(2, true).await.expect("the database can be written");
-    assert!(pinned, "run 2 is there");
+    assert!(pinned, "run 2 does not exist");
 
     let run = async |number: i64| dashboard.get(&format!("/api/v1/runs/{number}")).await.json();
     assert_eq!(run(1).await["deleted_through"], json!(0));
@@ -60,7 +60,7 @@ async fn deleted_data_is_named_and_remaining_data_shown() {
     let page = dashboard.get("/runs/1").await;
     assert!(page.text().contains("Iterations 1 to 200"), "{}", page.text());
     assert!(page.text().contains("deleted after 7 days. The statistics remain."), "{}", page.text());
-    assert!(page.text().contains("Distribution of total"), "its statistics are shown");
+    assert!(page.text().contains("Distribution of total"), "the statistics of run 1 are not shown");
     let stages = dashboard.get("/api/v1/runs/1/stages").await.json();
     assert!(!stages["stages"].as_array().expect("stages").is_empty());
     let list = dashboard.get("/api/v1/runs/1/iterations").await.json();
@@ -73,10 +73,10 @@ async fn deleted_data_is_named_and_remaining_data_shown() {
     assert_eq!(
         dashboard.get("/runs/1/iterations/201").await.status,
         StatusCode::NOT_FOUND,
-        "that one never was"
+        "iteration 201 never existed"
     );
 
-    assert_eq!(run(2).await["deleted_through"], json!(0), "a run that is kept loses nothing");
+    assert_eq!(run(2).await["deleted_through"], json!(0), "a pinned run loses nothing");
     assert_eq!(dashboard.get("/runs/2/iterations/7").await.status, StatusCode::OK);
     assert!(!dashboard.get("/runs/2").await.text().contains("The statistics remain"));
 }

@@ -49,10 +49,10 @@ async fn send_request(server: std::net::SocketAddr, from: &str, head: &str) -> T
     stream
 }
 
-/// Reads chunks until the received text contains `sign`, and returns the text.
-async fn read_until(stream: &mut TcpStream, sign: &str) -> String {
+/// Reads chunks until the received text contains `marker`, and returns the text.
+async fn read_until(stream: &mut TcpStream, marker: &str) -> String {
     let mut received = String::new();
-    while !received.contains(sign) {
+    while !received.contains(marker) {
         let mut chunk = [0; 4096];
         let length = stream.read(&mut chunk).await.expect("reads");
         assert_ne!(length, 0, "closed early: {received}");
@@ -107,7 +107,7 @@ async fn streams_leave_connections_to_other_requests() {
 }
 
 #[tokio::test]
-async fn host_that_is_no_name_or_address_is_refused() {
+async fn invalid_host_header_is_refused() {
     let dashboard = TestDashboard::empty().await;
     let (config, aggregator, clock) =
         (dashboard.config.clone(), dashboard.aggregator.clone(), dashboard.clock.clone());
@@ -148,8 +148,8 @@ async fn port_in_use_is_named_in_the_error() {
     .expect_err("the port is taken");
     assert!(matches!(error, StartError::Listen { .. }));
     assert!(error.to_string().contains(&listen) && error.to_string().contains("`listen`"), "{error}");
-    // The operating system's message must appear in the chain of causes once, not in every error of it.
-    let cause = std::error::Error::source(&error).expect("the system's words").to_string();
+    // The operating system's message must appear once in the chain of causes, not in every error.
+    let cause = std::error::Error::source(&error).expect("the operating system's message").to_string();
     assert!(cause.contains("in use") && !error.to_string().contains(&cause), "{error}: {cause}");
 }
 
@@ -220,9 +220,9 @@ async fn static_files_are_cached_under_content_hash() {
         assert_eq!(gzipped, name != "inter.woff2", "{name}");
         assert!(answer.body.len() < 250_000, "{name} takes {} bytes", answer.body.len());
     }
-    let old = dashboard.get("/static/0123456789abcdef/app.css").await;
-    assert_eq!(old.status, StatusCode::TEMPORARY_REDIRECT);
-    assert_eq!(old.header("location"), format!("{folder}/app.css"));
+    let outdated = dashboard.get("/static/0123456789abcdef/app.css").await;
+    assert_eq!(outdated.status, StatusCode::TEMPORARY_REDIRECT);
+    assert_eq!(outdated.header("location"), format!("{folder}/app.css"));
     assert_eq!(dashboard.get(&format!("{folder}/secrets.txt")).await.status, StatusCode::NOT_FOUND);
 }
 

@@ -10,13 +10,13 @@ use crate::test_dashboard::TestDashboard;
 use crate::test_site::TestPipeline;
 
 /// Reads the events of a live stream one by one.
-struct Events {
+struct EventReader {
     body: BodyDataStream,
     /// Received text that was not returned yet.
     text: String,
 }
 
-impl Events {
+impl EventReader {
     async fn subscribe(dashboard: &TestDashboard, topics: &str) -> Self {
         let address = format!("/api/v1/live?topics={topics}");
         let response = dashboard.send(Request::get(address).body(Body::empty()).expect("a request")).await;
@@ -62,7 +62,7 @@ impl Events {
 async fn figures_arrive_as_they_are_reported() {
     let (dashboard, mut site) =
         TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;
-    let mut events = Events::subscribe(&dashboard, "picture,overview").await;
+    let mut events = EventReader::subscribe(&dashboard, "picture,overview").await;
     let status = events.wait_until("status").await;
     assert_eq!((&status["connected"], &status["hosts"]), (&Value::from(3), &Value::from(3)));
     let first = events.wait_until("picture").await;
@@ -84,7 +84,7 @@ async fn figures_arrive_as_they_are_reported() {
 #[tokio::test]
 async fn slow_listener_gets_newest_snapshot_only() {
     let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
-    let mut events = Events::subscribe(&dashboard, "picture").await;
+    let mut events = EventReader::subscribe(&dashboard, "picture").await;
     let first = events.wait_until("picture").await;
     // Many snapshots are made while the listener does not read.
     let mut live = dashboard.aggregator.live();
@@ -117,7 +117,7 @@ async fn pipeline_and_host_pages_are_updated_live() {
         ("links", "title"),
         ("link/cam-2~rack-a/10min/removed", "title"),
     ] {
-        let page = Events::subscribe(&dashboard, topic).await.wait_until("page").await;
+        let page = EventReader::subscribe(&dashboard, topic).await.wait_until("page").await;
         assert_eq!(page["parts"][0][0], part, "{topic}");
     }
 }
@@ -125,7 +125,7 @@ async fn pipeline_and_host_pages_are_updated_live() {
 #[tokio::test]
 async fn unchanged_part_is_not_sent_again() {
     let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::full()]).await;
-    let mut events = Events::subscribe(&dashboard, "link/cam-2~rack-a/10min/removed").await;
+    let mut events = EventReader::subscribe(&dashboard, "link/cam-2~rack-a/10min/removed").await;
     let ids = |page: &Value| -> Vec<String> {
         let parts = page["parts"].as_array().expect("parts").iter();
         parts.map(|part| part[0].as_str().expect("an id").to_owned()).collect()
@@ -146,7 +146,7 @@ async fn unchanged_part_is_not_sent_again() {
 #[tokio::test]
 async fn listener_without_topics_gets_status_events() {
     let dashboard = TestDashboard::empty().await;
-    let mut events = Events::subscribe(&dashboard, "").await;
+    let mut events = EventReader::subscribe(&dashboard, "").await;
     assert_eq!(events.wait_until("status").await["hosts"], 0);
     let (name, _) = events.next().await.expect("the stream goes on");
     assert_eq!(name, "heartbeat");
@@ -155,7 +155,7 @@ async fn listener_without_topics_gets_status_events() {
 #[tokio::test]
 async fn stream_ends_when_the_server_stops() {
     let dashboard = TestDashboard::empty().await;
-    let mut events = Events::subscribe(&dashboard, "picture").await;
+    let mut events = EventReader::subscribe(&dashboard, "picture").await;
     events.wait_until("status").await;
     dashboard.stop.cancel();
     while events.next().await.is_some() {}

@@ -17,6 +17,7 @@ use crate::test_site::{TestPipeline, TestSite};
 /// Iterations of each stored run.
 pub(crate) const ITERATIONS: u64 = 400;
 
+/// An aggregator with its pages and API, without a web port: tests call the router.
 pub(crate) struct TestDashboard {
     pub(crate) aggregator: Aggregator,
     pub(crate) clock: SharedClock,

@@ -11,7 +11,7 @@ use super::{assert_nothing_lost, wait_for_turn};
 /// Copies a folder with all its files.
 fn copy_folder(from: &Path, to: &Path) {
     std::fs::create_dir_all(to).expect("the temporary folder is writable");
-    for entry in std::fs::read_dir(from).expect("the folder is there") {
+    for entry in std::fs::read_dir(from).expect("the folder exists") {
         let entry = entry.expect("readable");
         std::fs::copy(entry.path(), to.join(entry.file_name())).expect("copied");
     }
@@ -48,7 +48,7 @@ fn restored_database_records_gap_and_continues() {
     let backup_events = fleet.stored_events();
 
     fleet.restart_aggregator();
-    let before = fleet.wait_for_counts(0, "it is back", |_| true);
+    let before = fleet.wait_for_counts(0, "the agent reports", |_| true);
     fleet.wait_for_counts(0, "more is stored", |counts| counts.acknowledged > before.acknowledged + 1_000);
     fleet.aggregator.stop();
     let later_events = fleet.stored_events();
@@ -65,7 +65,7 @@ fn restored_database_records_gap_and_continues() {
     assert_eq!((host.gaps, host.streams, host.quarantined), (1, 1, 0), "{host:?}");
     assert_eq!((stored_events.runs.len(), run.ranges.len()), (1, 2), "one gap: {run:?}");
     assert_eq!(run.reason, "stopped");
-    // The gap begins where the copy ended, and is not longer than the lost part of the database.
+    // The gap begins where the backup ended, and is not longer than the lost part of the database.
     assert_eq!(run.ranges[0], 1..=backup_events.iterations());
     assert!(*run.ranges[1].start() <= later_events.iterations() + 1, "{run:?}, {later_events:?}");
     let reason = query_database(fleet.database(), "SELECT reason FROM gap");
@@ -94,7 +94,7 @@ fn copied_state_folder_starts_new_stream_after_refusal() {
     copy_folder(&folder.join("edge"), &folder.join("copy"));
     fleet.restart_aggregator();
     fleet.start(0);
-    fleet.wait_for_counts(0, "it delivers", |counts| counts.waiting < 100);
+    fleet.wait_for_counts(0, "the waiting events are delivered", |counts| counts.waiting < 100);
 
     let configuration =
         agent_configuration_in("{folder}/copy", "", &echo_pipeline("loop", &rate_load(200.0)))
@@ -103,7 +103,7 @@ fn copied_state_folder_starts_new_stream_after_refusal() {
     let line = copy.process().wait_for("refused");
     assert!(line.contains("another agent with the host id"), "{line}");
     copy.stop();
-    fleet.wait_for_counts(0, "the first goes on", |counts| counts.waiting < 100);
+    fleet.wait_for_counts(0, "the first agent continues", |counts| counts.waiting < 100);
     fleet.agents[0].stop();
     fleet.deliver_spool(0).assert_balanced();
     fleet.agents[0].stop();
@@ -111,7 +111,7 @@ fn copied_state_folder_starts_new_stream_after_refusal() {
     copy.start(&fleet.deployment);
     copy.process().wait_for("new stream");
     fleet.agents.push(copy);
-    fleet.wait_for_counts(1, "what the copy measures is stored", |counts| {
+    fleet.wait_for_counts(1, "events of the copy are stored", |counts| {
         counts.waiting < 100 && counts.acknowledged > 500
     });
     stop_measuring_and_deliver(&mut fleet, 1);
@@ -119,7 +119,7 @@ fn copied_state_folder_starts_new_stream_after_refusal() {
     assert_eq!(stored_events.count_missing(fleet.agents[0].spooled_iterations()), 0, "{stored_events:?}");
     assert_eq!(stored_events.count_missing(fleet.agents[1].spooled_iterations()), 0, "{stored_events:?}");
     let streams = query_database(fleet.database(), "SELECT count(*) FROM stream");
-    assert_eq!(streams.trim(), "2", "the copy goes on in a stream of its own: {stored_events:?}");
+    assert_eq!(streams.trim(), "2", "the copy continues in a separate stream: {stored_events:?}");
     for (id, run) in &stored_events.runs {
         assert!(run.is_contiguous(), "run {id}: {run:?}");
     }
@@ -133,7 +133,7 @@ fn deleted_spool_causes_new_stream_and_gap() {
     fleet.start(0);
     fleet.wait_for_counts(0, "something is stored", |counts| counts.stored > 100);
     kill_with_batches(&mut fleet);
-    for entry in std::fs::read_dir(fleet.deployment.folder().join("edge")).expect("the state is there") {
+    for entry in std::fs::read_dir(fleet.deployment.folder().join("edge")).expect("the folder exists") {
         let path = entry.expect("readable").path();
         if path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("spool.sqlite")) {
             std::fs::remove_file(path).expect("deleted");

@@ -19,8 +19,11 @@ const MAX_DOWNTIME: Duration = Duration::from_millis(400);
 
 #[derive(Default)]
 struct KillCounts {
+    /// Number of kills of agents.
     agents: u64,
+    /// Number of kills of the aggregator.
     aggregator: u64,
+    /// Number of duplicate batches that killed aggregators had recognised.
     duplicates: u64,
 }
 
@@ -65,7 +68,7 @@ fn random_kills_lose_and_duplicate_no_spooled_iteration() {
     }
     for (id, run) in &stored_events.runs {
         assert!(run.host != "steady" || run.is_contiguous(), "gaps in run {id}: {run:?}");
-        assert!(!run.reason.is_empty(), "nobody noticed that run {id} has ended: {run:?}");
+        assert!(!run.reason.is_empty(), "the end of run {id} is not stored: {run:?}");
     }
     let number = |count: u64| thousands(count as f64);
     record_measurements(
@@ -77,8 +80,8 @@ fn random_kills_lose_and_duplicate_no_spooled_iteration() {
             ("iterations reported as spooled", number(spooled)),
             ("iterations stored", number(stored_events.iterations())),
             ("nodes stored", number(stored_events.nodes())),
-            ("lost", number(0)),
-            ("twice", number(0)),
+            ("iterations lost", number(0)),
+            ("iterations stored twice", number(0)),
             (
                 "dropped with a full spool, and counted",
                 number(counts_of_agents.iter().map(|counts| counts.dropped).sum()),
@@ -93,21 +96,21 @@ fn random_kills_lose_and_duplicate_no_spooled_iteration() {
 fn kill(
     fleet: &mut Fleet,
     agent: Option<usize>,
-    aggregator: bool,
+    kills_aggregator: bool,
     rng: &mut TestRng,
     kill_counts: &mut KillCounts,
 ) {
-    // Sometimes during the start, otherwise after some activity.
+    // One kill in four may hit a process during its start. The others follow some activity.
     if !rng.once_in(4) {
         if let Some(agent) = agent {
             fleet.agents[agent].process().wait_for("spooled batch=");
         }
-        if aggregator {
+        if kills_aggregator {
             fleet.wait_for_counts(0, "something is stored", |counts| counts.stored > 0);
         }
     }
     rng.sleep_up_to(MAX_LIFETIME);
-    if aggregator {
+    if kills_aggregator {
         let duplicates = |name| EventCounts::read(&fleet.api, name).map_or(0, |counts| counts.duplicates);
         kill_counts.duplicates += AGENTS.iter().map(|name| duplicates(name)).sum::<u64>();
         fleet.aggregator.kill();
@@ -121,7 +124,7 @@ fn kill(
     if let Some(agent) = agent {
         fleet.start(agent);
     }
-    if aggregator {
+    if kills_aggregator {
         fleet.aggregator.start(&fleet.deployment);
     }
 }

@@ -18,8 +18,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use peernet_tests::{Fleet, StoredEvents};
 
-/// Waits for the turn of a test. These tests keep all cores busy: in sequence, none is slowed down beyond its
-/// timeouts by the others.
+/// Waits until no other of these tests runs. Each of them keeps all cores busy, so concurrent tests would exceed their
+/// timeouts.
 pub(super) fn wait_for_turn() -> MutexGuard<'static, ()> {
     static TURN: Mutex<()> = Mutex::new(());
     // A failed test has cleaned up as well.
@@ -46,18 +46,21 @@ fn assert_nothing_lost(fleet: &Fleet, stored_events: &StoredEvents) -> u64 {
         assert_eq!(
             stored_events.count_missing(agent.spooled_iterations()),
             0,
-            "lost of {}: {stored_events:?}",
+            "spooled iterations of {} are lost: {stored_events:?}",
             agent.name
         );
         spooled += agent.spooled_iterations().iter().map(|line| line.count).sum::<u64>();
     }
-    let gaps = stored_events.hosts.values().any(|host| host.gaps > 0);
+    let has_gaps = stored_events.hosts.values().any(|host| host.gaps > 0);
     for (id, run) in &stored_events.runs {
-        if !gaps {
-            assert!(run.is_contiguous(), "holes in run {id}: {run:?}");
+        if !has_gaps {
+            assert!(run.is_contiguous(), "iterations of run {id} are missing, and there is no gap: {run:?}");
         } else if ["stopped", "finished"].contains(&run.reason.as_str()) {
             // An agent that was killed had no time to report its last losses.
-            assert!(run.missing_iterations() <= run.missing, "holes in run {id} are not gaps: {run:?}");
+            assert!(
+                run.missing_iterations() <= run.missing,
+                "missing iterations of run {id} are not in gaps: {run:?}"
+            );
         }
     }
     for (name, host) in &stored_events.hosts {

@@ -14,7 +14,7 @@ use super::{assert_nothing_lost, setting, wait_for_turn};
 const QUERY_INTERVAL: Duration = Duration::from_millis(100);
 const DAY_S: f64 = 86_400.0;
 
-/// Largest lag of the live state, in a debug build on a busy machine. `make bench` measures the relevant figure, and
+/// Largest lag of the live state, in a debug build on a busy machine. `make bench` measures the relevant value, and
 /// `make soak` sets a stricter limit.
 const DEFAULT_MAX_LAG_MS: u64 = 5_000;
 
@@ -22,7 +22,7 @@ const DEFAULT_MAX_LAG_MS: u64 = 5_000;
 fn day_long_outage_is_delivered_in_order() {
     let _turn = wait_for_turn();
     let iterations = setting("PEERNET_OUTAGE_ITERATIONS", 30_000);
-    // The work of a day is measured as fast as possible; the other pipeline is observed meanwhile.
+    // The pipeline `day` runs as many iterations as a slow pipeline in a day. The pipeline `steady` runs meanwhile.
     let hz = setting("PEERNET_OUTAGE_HZ", 2_000) as f64;
     let flood =
         format!("warm_up = {{ iterations = 0 }}\nlimit = {{ iterations = {iterations} }}\n{}", rate_load(hz));
@@ -31,7 +31,7 @@ fn day_long_outage_is_delivered_in_order() {
     let mut fleet = Fleet::new(&["edge"], &agent_configuration("queue_events = 16000", &pipelines));
     // The host is known before the aggregator stops.
     fleet.start(0);
-    fleet.wait_for_counts(0, "it is there", |_| true);
+    fleet.wait_for_counts(0, "the agent reports", |_| true);
     fleet.aggregator.kill();
     let agent = &fleet.agents[0];
     // The other pipeline never reaches that number.
@@ -44,7 +44,7 @@ fn day_long_outage_is_delivered_in_order() {
     let mut lags = Vec::new();
     let mut newest = before.unwrap_or_default();
     loop {
-        let (number, has_ended) = wait_until("more of the day is stored", || {
+        let (number, has_ended) = wait_until("more iterations are stored", || {
             let counts = EventCounts::read(&fleet.api, "edge").filter(|counts| counts.connected)?;
             lags.push(counts.live_lag_s);
             std::thread::sleep(QUERY_INTERVAL);
@@ -61,7 +61,7 @@ fn day_long_outage_is_delivered_in_order() {
     let stored_events = fleet.stop();
     assert_nothing_lost(&fleet, &stored_events);
     counts.assert_balanced();
-    let run = stored_events.runs.values().find(|run| run.pipeline == "day").expect("it was measured");
+    let run = stored_events.runs.values().find(|run| run.pipeline == "day").expect("the pipeline has a run");
     assert_eq!((run.iterations(), run.reason.as_str()), (iterations, "finished"));
 
     lags.sort_by(f64::total_cmp);
@@ -73,25 +73,25 @@ fn day_long_outage_is_delivered_in_order() {
         "outage",
         &[
             ("iterations while away", thousands(delivered)),
-            ("which is a day at", format!("{:.2} Hz", iterations as f64 / DAY_S)),
+            ("mean rate, if they took a day", format!("{:.2} Hz", iterations as f64 / DAY_S)),
             ("nodes", thousands(run.nodes as f64)),
             ("caught up in", format!("{seconds:.1} s")),
             ("nodes per second", thousands(per_second)),
-            ("live picture behind meanwhile, p50", ms(lag(0.5))),
-            ("live picture behind meanwhile, p99", ms(lag(0.99))),
+            ("lag of the live state meanwhile, p50", ms(lag(0.5))),
+            ("lag of the live state meanwhile, p99", ms(lag(0.99))),
             ("lost", thousands(0.0)),
         ],
     );
     assert!(
         lag(0.99) * 1e3 <= setting("PEERNET_LAG_MS", DEFAULT_MAX_LAG_MS) as f64,
-        "the picture was not live: {}",
+        "the live state lagged by {}",
         ms(lag(0.99))
     );
     assert!(per_second >= setting("PEERNET_CATCH_UP", 1) as f64, "{per_second} nodes/s");
 }
 
-/// Returns the newest stored iteration of the day and whether its run has ended; checks that none before it is
-/// missing.
+/// Returns the newest stored iteration of the pipeline `day`, and whether its run has ended. Checks that no iteration before
+/// it is missing.
 fn stored_iterations(fleet: &Fleet) -> Option<(u64, bool)> {
     let sql = "SELECT r.ok + r.warm_up + r.failed, coalesce((SELECT max(number) FROM iteration WHERE run = r.number), 0),
                       r.end_reason IS NOT NULL
@@ -102,6 +102,6 @@ fn stored_iterations(fleet: &Fleet) -> Option<(u64, bool)> {
     }
     let mut columns = row.trim().split('|').map(|column| column.parse::<u64>().expect("a count"));
     let (count, newest, end) = (columns.next()?, columns.next()?, columns.next()?);
-    assert_eq!(count, newest, "stored in order, so what is there has no hole");
+    assert_eq!(count, newest, "iterations before the newest are missing");
     Some((newest, end == 1))
 }

@@ -24,7 +24,8 @@ fn host_on_50_kbit_link_loses_nothing() {
     let model = "[[model]]\nname = \"echo\"\nkind = \"echo\"\n";
     let edge = testbed.start_edge(&format!("{model}{}", echo_pipeline("line", &keys)), &[]);
     let stopwatch = Stopwatch::start();
-    let first = EventCounts::wait_until(&testbed.api, "edge", "it is live", |counts| counts.produced > 0);
+    let first =
+        EventCounts::wait_until(&testbed.api, "edge", "the agent reports", |counts| counts.produced > 0);
 
     let (mut max_lag_s, mut stored, mut queries) = (0.0_f64, first.stored, 0);
     while stopwatch.elapsed() < Duration::from_secs(35) {
@@ -39,7 +40,7 @@ fn host_on_50_kbit_link_loses_nothing() {
     print_line(&format!(
         "{KBIT} kbit/s: {max_lag_s:.2} s behind at most, {stored} events stored, asked {queries} times"
     ));
-    assert!(max_lag_s <= MAX_LAG_S, "the live picture was {max_lag_s} s behind");
+    assert!(max_lag_s <= MAX_LAG_S, "the live state lagged by {max_lag_s} s");
     // Compressed events have some hundred bytes each.
     assert!(stored >= 300, "the durable lane stored {stored} events only");
     assert!(stored < ITERATIONS, "the link was not slow");

@@ -12,7 +12,7 @@ fn full_spool_disk_is_reported_and_drops_counted() {
     let (store, state) = (SmallDisk::new(48 << 20), SmallDisk::new(16 << 20));
     let database = store.folder().join("aggregator.sqlite").display().to_string();
     let folder = state.folder().join("NAME").display().to_string();
-    // Events that wait in memory meanwhile soon exceed the limit.
+    // While the spool fails, the events that wait in memory soon exceed this limit.
     let agent =
         agent_configuration_in(&folder, "queue_events = 4000", &echo_pipeline("loop", &rate_load(2_000.0)));
     let mut fleet = Fleet::with_database(&database, &["edge"], &agent);
@@ -21,7 +21,7 @@ fn full_spool_disk_is_reported_and_drops_counted() {
 
     // Only the spool's disk is full: events still reach the aggregator.
     state.fill();
-    let before = fleet.wait_for_counts(0, "it is known", |_| true);
+    let before = fleet.wait_for_counts(0, "the agent reports", |_| true);
     let after = fleet.wait_for_counts(0, "more is stored", |counts| counts.stored > before.stored + 4_000);
     assert_eq!(after.dropped, 0, "{after:?}");
 
@@ -29,14 +29,16 @@ fn full_spool_disk_is_reported_and_drops_counted() {
     store.fill();
     let failing = fleet.wait_for_counts(0, "the spool fails", |counts| counts.trouble.is_some());
     let reason = failing.trouble.as_deref().unwrap_or_default();
-    assert!(reason.contains("full"), "why: {reason}");
+    assert!(reason.contains("full"), "the reason does not say that the disk is full: {reason}");
     let dropping = fleet.wait_for_counts(0, "memory is full, too", |counts| counts.dropped > 1_000);
-    assert!(dropping.produced > failing.produced, "measuring goes on: {dropping:?}");
+    assert!(dropping.produced > failing.produced, "the agent measures no more: {dropping:?}");
 
     state.free();
     fleet.wait_for_counts(0, "the spool works again", |counts| counts.trouble.is_none());
     store.free();
-    fleet.wait_for_counts(0, "what waited is stored", |counts| counts.stored > dropping.stored + 5_000);
+    fleet.wait_for_counts(0, "the waiting events are stored", |counts| {
+        counts.stored > dropping.stored + 5_000
+    });
     fleet.agents[0].stop();
     let counts = fleet.deliver_spool(0);
     counts.assert_balanced();
@@ -55,7 +57,7 @@ fn full_spool_disk_is_reported_and_drops_counted() {
         "full disk, spool",
         &[
             ("events produced", thousands(counts.produced as f64)),
-            ("stored", thousands(counts.acknowledged as f64)),
+            ("acknowledged", thousands(counts.acknowledged as f64)),
             ("dropped and counted in gaps", thousands(counts.dropped as f64)),
         ],
     );
@@ -96,7 +98,7 @@ fn start_on_full_disk_counts_dropped_events() {
     state.free();
     fleet.restart_aggregator();
     fleet.start_without_pipelines(0);
-    let counts = fleet.wait_for_counts(0, "what was lost is told", |counts| {
+    let counts = fleet.wait_for_counts(0, "dropped events are reported", |counts| {
         counts.gaps > 0 && counts.waiting == 0 && counts.stored == counts.acknowledged
     });
     counts.assert_balanced();

@@ -15,7 +15,7 @@ fn counting_agent() -> String {
 }
 
 /// Returns the number of answers in an agent's log.
-fn answers(end: &ProcessEnd) -> u64 {
+fn count_answers(end: &ProcessEnd) -> u64 {
     end.log.lines().filter(|line| line.contains("actuators: answer")).count() as u64
 }
 
@@ -47,7 +47,7 @@ fn agent_stopped_without_aggregator_keeps_all_in_spool() {
     fleet.agents[0].process().wait_for_nth("spooled batch=", 8);
     let end = fleet.agents[0].stop();
     fleet.restart_aggregator();
-    assert_everything_is_stored("SIGTERM, agent alone", fleet, answers(&end));
+    assert_everything_is_stored("SIGTERM, agent alone", fleet, count_answers(&end));
 }
 
 #[test]
@@ -57,7 +57,7 @@ fn agent_stopped_under_load_spooled_or_stored_everything() {
     fleet.start(0);
     fleet.wait_for_counts(0, "something is stored", |counts| counts.stored > 1_000);
     let end = fleet.agents[0].stop();
-    assert_everything_is_stored("SIGTERM, agent", fleet, answers(&end));
+    assert_everything_is_stored("SIGTERM, agent", fleet, count_answers(&end));
 }
 
 #[test]
@@ -88,8 +88,8 @@ fn aggregator_stopped_under_load_stored_acknowledged_batches() {
     record_measurements(
         "SIGTERM, aggregator",
         &[
-            ("iterations stored when it ended", number(first.iterations())),
-            ("in the end", number(stored_events.iterations())),
+            ("iterations stored when the aggregator ended", number(first.iterations())),
+            ("iterations stored at the end", number(stored_events.iterations())),
         ],
     );
 }

@@ -6,7 +6,7 @@ use peernet_tests::{Fleet, InventedHost, MisbehavingPeer, TestRng, wait_until};
 use super::wait_for_turn;
 
 /// Returns a hello of a later version, whose extension has a name that this version does not know.
-fn later_frame(hello: &Hello) -> Vec<u8> {
+fn encode_later_hello(hello: &Hello) -> Vec<u8> {
     let encode = |extension| rmp_serde::to_vec(&extension).expect("plain data serialises");
     let mut frame = codec::encode(&ToAggregator::Hello(hello.clone()));
     // The extension is a map and the last value of the frame.
@@ -29,10 +29,10 @@ fn newer_agent_is_served_unknown_versions_refused() {
     let mut later_host = InventedHost::new("later", &mut rng);
     later_host.hello.extension = Some(HelloExtension { newest: Some(newest + 4), since });
     let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events_port);
-    misbehaving_peer.send(&later_frame(&later_host.hello));
+    misbehaving_peer.send(&encode_later_hello(&later_host.hello));
     let challenge = misbehaving_peer.receive();
     let ToAgent::Challenge { version, .. } = challenge else { panic!("{challenge:?}") };
-    assert_eq!(version.unwrap_or(later_host.hello.protocol), newest, "the highest that both speak");
+    assert_eq!(version.unwrap_or(later_host.hello.protocol), newest, "the newest version that both support");
     misbehaving_peer.answer_challenge(&later_host.hello, &later_host.secret, &challenge);
     misbehaving_peer.receive_until(|message| matches!(message, ToAgent::Welcome { .. }).then_some(()));
     misbehaving_peer.send(&later_host.batch(3));
@@ -48,7 +48,7 @@ fn newer_agent_is_served_unknown_versions_refused() {
     let reason = too_old.expect_refusal(&misbehaving_peer);
     assert!(reason.contains("update the agent on too-old to at least PEERNet"), "{reason}");
 
-    wait_until("both are shown with what to do", || {
+    wait_until("both refusals are shown with the remedy", || {
         let hosts = fleet.api.json("/api/v1/hosts");
         let reasons: Vec<_> =
             hosts["refused"].as_array()?.iter().map(|host| host["reason"].as_str()).collect();

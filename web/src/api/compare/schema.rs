@@ -24,12 +24,10 @@ pub(crate) struct Experiment {
     pub runs: u64,
     /// Number of these runs that have not ended.
     pub open: u64,
-    /// Its first run, by its number.
-    #[serde(rename = "oldest")]
-    pub first_run: i64,
-    /// Its newest run, by its number.
-    #[serde(rename = "newest")]
-    pub last_run: i64,
+    /// Number of the first run.
+    pub oldest: i64,
+    /// Number of the newest run.
+    pub newest: i64,
     /// Start of the first run, on its edge's wall clock.
     pub started: String,
 }
@@ -64,7 +62,7 @@ pub(crate) struct Comparison {
     pub doubts: Vec<String>,
     /// Excluded runs of the experiment: runs that were not measured to their end, and runs that were measured again.
     pub left_out: Vec<LeftOut>,
-    /// `true` if the runs exceed the maximum and the rest is not compared.
+    /// `true` if there are more runs than the maximum, and the further runs are not compared.
     pub cut: bool,
 }
 

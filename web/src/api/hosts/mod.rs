@@ -50,7 +50,7 @@ async fn get(
 
 /// Returns the live hosts, and the stored hosts that are not live, by name.
 async fn all_hosts(app: &AppState) -> Result<Vec<Host>, WebError> {
-    // Read before the live state: a host that reports for the first time meanwhile is then in the live state.
+    // The store is read before the live state, so that a host that reports for the first time in between is in the live state.
     let stored = app.store().hosts().await?;
     let snapshot = app.live_state();
     let mut hosts: Vec<Host> = snapshot.hosts.iter().map(|host| Host::from(&**host)).collect();

@@ -20,13 +20,13 @@ pub(crate) struct HostList {
 /// A host whose connection was refused.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct RefusedHost {
-    /// Name that it sent.
+    /// Name that the host sent.
     pub name: String,
     /// Address that the connection came from, if the transport reports it.
     pub address: Option<String>,
     /// Reason of the refusal, and what to do about it.
     pub reason: String,
-    /// Time of its last attempt, on the aggregator's wall clock.
+    /// Time of the host's last attempt, on the aggregator's wall clock.
     pub at: String,
 }
 
@@ -46,7 +46,7 @@ impl From<&peernet_aggregator::RefusedHost> for RefusedHost {
 pub(crate) struct Host {
     pub id: String,
     pub name: String,
-    /// `true` if it reports now.
+    /// `true` if the host is connected to the aggregator.
     pub connected: bool,
     pub last_seen: String,
     pub description: Description,
@@ -60,7 +60,7 @@ pub(crate) struct Host {
 /// Hardware and software of a host, as its agent reports them.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Description {
-    /// Version of its agent.
+    /// Version of the agent.
     pub version: String,
     /// The kernel's boot id. Hosts with equal `boot_id` and `clock` may read one clock; `same_clock` of a link is true if that is proven.
     pub boot_id: String,
@@ -72,7 +72,7 @@ pub(crate) struct Description {
     pub gpus: Vec<String>,
     pub system: String,
     pub architecture: String,
-    /// Addresses at which it serves models, separated by `, `; null if it serves none.
+    /// Addresses at which the host serves models, separated by `, `; null if it serves none.
     pub serves: Option<String>,
     pub models: Vec<String>,
 }
@@ -193,9 +193,8 @@ pub(crate) struct Stored {
     pub gaps: u64,
     /// Events missing in the gaps, as far as they could be counted.
     pub missing: u64,
-    /// Those of them that are in another database, because the host streamed to it before.
-    #[serde(rename = "missing_before")]
-    pub in_other_database: u64,
+    /// Number of these missing events that were stored in another database before the host connected to this one.
+    pub missing_before: u64,
     /// Batches that were received again and not stored again, since the aggregator started.
     pub duplicates: u64,
     /// Batches quarantined because they could not be stored.

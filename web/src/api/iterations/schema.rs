@@ -39,12 +39,12 @@ pub(crate) struct IterationSummary {
     /// excess of `total`. A part is a stage, `lateness`, `unattributed` (without lateness), or `upload + download`. Empty if the
     /// iteration took less than 1.05 times the run's median.
     pub causes: Vec<SlowPart>,
-    /// Seconds per stage, in their order.
+    /// Seconds of each stage, in the order of the stages.
     pub stages: Vec<StageTime>,
-    /// Time of `total` that its stages do not account for, seconds.
+    /// Part of `total` that the stages do not account for, seconds.
     pub unattributed: Option<f64>,
     /// Sum of `upload` and `download`, seconds, if one of them has no value: the time that the edge waited minus the time that the cloud
-    /// took. `total` is then the sum of this, `unattributed` and the other stages. Null if both have values.
+    /// took. `total` is then the sum of `both_ways`, `unattributed` and the other stages. Null if both have values.
     pub both_ways: Option<f64>,
 }
 

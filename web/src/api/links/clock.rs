@@ -22,7 +22,7 @@ pub(crate) struct ClockOffset {
     pub verdict: &'static str,
     /// Rate at which the offset grows, parts per million; null before there are enough exchanges.
     pub skew_ppm: Option<f64>,
-    /// Exchanges of the window.
+    /// Number of exchanges in the window.
     pub exchanges: u64,
     /// Seconds since the newest exchange.
     pub age_s: Option<f64>,

@@ -9,7 +9,7 @@ use utoipa::ToSchema;
 /// connection.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct LinkConnection {
-    /// The pipeline that uses it.
+    /// The pipeline that uses the connection.
     pub pipeline: String,
     /// Kind of network, such as `zmq-tcp`.
     pub network: String,
@@ -44,7 +44,7 @@ pub(crate) struct LinkCloudEnd {
     pub down: LinkDirection,
     /// The round trip of the transport's own packets; null if the transport does not measure one.
     pub transport_round_trip: Option<TransportRoundTrip>,
-    /// Number of messages that arrived there and could not be decoded.
+    /// Number of messages that arrived at the cloud and could not be decoded.
     pub malformed_messages: u64,
     /// Number of answers that could not be sent or were lost.
     pub lost_messages: u64,

@@ -108,7 +108,7 @@ async fn find_key(app: &AppState, link_name: &str) -> Result<(LinkKey, WallTime)
 
 /// Returns the live links, and the stored links that are not live.
 async fn all_links(app: &AppState) -> Result<Vec<Link>, WebError> {
-    // Read before the live state: a link that is reported for the first time meanwhile is then in the live
+    // The store is read before the live state, so that a link that is reported for the first time in between is in the live
     // state.
     let stored = app.store().links().await?;
     let snapshot = app.live_state();

@@ -30,7 +30,7 @@ pub(crate) struct Link {
     pub cloud_id: String,
     /// Kind of network, such as `zmq-tcp`.
     pub network: String,
-    /// `true` if the edge reports it now.
+    /// `true` if the edge reports the link now.
     pub connected: bool,
     /// Time of the newest sample, on the edge's wall clock.
     pub last_sample: String,
@@ -45,7 +45,7 @@ pub(crate) struct Link {
 /// Current state of a link.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct LinkNow {
-    /// Kinds of network in use: that of the link.
+    /// Kinds of network in use: always one, that of the link.
     pub networks: Vec<String>,
     pub pipelines: Vec<String>,
     /// `true` if it is proven now that the processes of both hosts read one clock; the offset is then exactly zero.

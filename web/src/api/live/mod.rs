@@ -196,6 +196,7 @@ fn parse_topics(text: &str) -> Result<Vec<Topic>, WebError> {
     Ok(topics)
 }
 
+/// State of one open stream.
 struct Listener {
     app: App,
     topics: Vec<Topic>,

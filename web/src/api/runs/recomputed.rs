@@ -29,11 +29,11 @@ pub(crate) struct Recomputed {
     /// `wall` for runs that were recorded before release 0.3.0, whose delays depend on steps and slews of wall clocks. Empty if no delay was
     /// recomputed.
     pub clocks: Vec<&'static str>,
-    /// `upload`, `download`.
+    /// The stages `upload` and `download`.
     pub stages: Vec<RecomputedStage>,
 }
 
-/// One direction, before and after. Successful iterations only, warm-up left out.
+/// One direction, before and after the recomputation. Successful iterations only, warm-up left out.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct RecomputedStage {
     pub stage: String,

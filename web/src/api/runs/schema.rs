@@ -48,13 +48,13 @@ pub(crate) struct Run {
     pub miss_rate: Option<f64>,
     /// Number of answers that were not acted on, because the answer to a newer sample had been acted on or the episode had ended.
     pub superseded: u64,
-    /// Share of the episodes that were a success, 0 to 1, without the warm-up; null if the actuator reports none.
+    /// Share of the episodes that were a success, 0 to 1, without the warm-up; null if the actuator reports no success.
     pub success_rate: Option<f64>,
-    /// Mean of the return per episode: the sum of its rewards; null if the actuator reports no rewards.
+    /// Mean return of the episodes. The return is the sum of the rewards of an episode; null if the actuator reports no rewards.
     pub episode_return: Option<f64>,
     /// Statistics of `total`, seconds; successful iterations only.
     pub total: Option<QuantityStatistics>,
-    /// `true` if clock faults were injected on one of its hosts.
+    /// `true` if clock faults were injected on a host of the run.
     #[serde(rename = "rehearsed")]
     pub has_clock_fault: bool,
     /// `true` if the run is pinned: retention deletes nothing of it.

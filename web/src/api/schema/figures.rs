@@ -1,4 +1,4 @@
-//! Figures of nodes, bounds, counts and placements.
+//! Schema of statistics of nodes, of bounds, counts and placements.
 
 use peernet_logger::Name;
 use peernet_store::{self as store, QuantityStatistics};

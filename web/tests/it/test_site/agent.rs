@@ -70,12 +70,12 @@ impl Agent {
             }
             Action::Load { from, bytes } => {
                 let mut taken = 0;
-                let wanted = self.spool.range(from..).map(|(_, batch)| batch).take_while(|batch| {
-                    let more = taken <= bytes;
+                let requested = self.spool.range(from..).map(|(_, batch)| batch).take_while(|batch| {
+                    let fits = taken <= bytes;
                     taken += batch.body.len();
-                    more
+                    fits
                 });
-                let batches = wanted.cloned().collect();
+                let batches = requested.cloned().collect();
                 self.sending.on_loaded(batches, now);
             }
             Action::Delete { through, .. } => {
@@ -87,8 +87,8 @@ impl Agent {
         }
     }
 
-    /// Exchanges messages until `done` returns true. `what` describes that condition.
-    async fn wait_until(&mut self, what: &str, done: impl Fn(&Sending) -> bool) {
+    /// Exchanges messages until `done` returns true. `condition` describes that in words.
+    async fn wait_until(&mut self, condition: &str, done: impl Fn(&Sending) -> bool) {
         let exchange = async {
             loop {
                 self.sending.tick(self.clock.stamp());
@@ -112,7 +112,7 @@ impl Agent {
         };
         assert!(
             tokio::time::timeout(TEST_TIMEOUT, exchange).await.is_ok(),
-            "timeout while waiting until {what}"
+            "timeout while waiting until {condition}"
         );
     }
 

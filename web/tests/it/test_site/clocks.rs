@@ -79,16 +79,16 @@ pub(super) fn sample(
     };
     // The network was slow for half a minute. A clock was stepped a minute ago, and the bounds were wider for a few
     // seconds after the step.
-    let slow = if (140..175).contains(&ago) { 1.9 } else { 1.0 };
+    let slowdown = if (140..175).contains(&ago) { 1.9 } else { 1.0 };
     let (window, stepped) = if ago > 60 { (11, seconds(-0.0182)) } else { (12, Span::ZERO) };
     let truth = if pipeline.clocks == Clocks::Shared {
         Span::ZERO
     } else {
         AHEAD + stepped - seconds(SKEW_PPM * 1e-6 * ago as f64)
     };
-    let fresh = if (55..=60).contains(&ago) { 2.5 } else { 1.0 };
+    let widening = if (55..=60).contains(&ago) { 2.5 } else { 1.0 };
     let offset = bound.map(|bound| {
-        let half = bound * slow * fresh * (1.0 + 0.04 * numbers.unit());
+        let half = bound * slowdown * widening * (1.0 + 0.04 * numbers.unit());
         let estimate = truth + seconds(bound * 0.08 * numbers.normal());
         let bounds = Interval { lo: truth - seconds(half), hi: truth + seconds(half) };
         let claimed = Interval { lo: truth - seconds(0.0039), hi: truth + seconds(0.0037) };
@@ -110,7 +110,7 @@ pub(super) fn sample(
         }
     });
     let trip = bound.filter(|bound| *bound > 0.0).map(|bound| {
-        let min = 2.0 * bound * slow * (1.0 + 0.01 * numbers.unit());
+        let min = 2.0 * bound * slowdown * (1.0 + 0.01 * numbers.unit());
         RoundTrip { min: seconds(min), median: seconds(min * (1.3 + 0.1 * numbers.unit())) }
     });
     let exchange = trip.map(|trip| {
@@ -125,7 +125,7 @@ pub(super) fn sample(
             uncertainty: Span::from_nanos(300),
         }
     });
-    let lost = u32::from(trip.is_some() && (ago % 47 == 0 || (slow > 1.0 && ago % 3 == 0)));
+    let lost = u32::from(trip.is_some() && (ago % 47 == 0 || (slowdown > 1.0 && ago % 3 == 0)));
     let sent = if trip.is_some() { 10 } else { 0 };
     ClockSample {
         peer: rack,

@@ -101,7 +101,7 @@ impl TestSite {
         for repeat in 0..repeats {
             for index in 0..self.pipelines.len() {
                 let pipeline = &self.pipelines[index];
-                let place = if pipeline.remote { "cloud" } else { "on board" };
+                let place = if pipeline.is_remote { "cloud" } else { "on board" };
                 let configuration = vec![
                     ("picture".to_owned(), pipeline.name.to_owned()),
                     ("where".to_owned(), place.to_owned()),
@@ -118,10 +118,10 @@ impl TestSite {
         }
     }
 
-    /// Stores an experiment with a run of one pipeline for each sample size and the index of its configuration in the
-    /// experiment's file. The upload time is proportional to the size.
+    /// Stores an experiment with a run of one pipeline for each element of `sizes`: the sample size, and the index of the
+    /// configuration in the experiment's file. The upload time is proportional to the size.
     pub(crate) async fn store_sizes(&mut self, index: usize, iterations: u64, sizes: &[(f64, Option<u32>)]) {
-        let (id, usual) = (RunId::random().to_string(), self.pipelines[index].clone());
+        let (id, original) = (RunId::random().to_string(), self.pipelines[index].clone());
         for (bytes, configuration_index) in sizes {
             let pipeline = &mut self.pipelines[index];
             for (name, mean, _) in &mut pipeline.stages {
@@ -140,15 +140,15 @@ impl TestSite {
             };
             self.store_at_position(index, iterations, position).await;
         }
-        self.pipelines[index] = usual;
+        self.pipelines[index] = original;
     }
 
     /// Stores an experiment with a configuration for each number of concurrent users. The first pipelines are the
     /// users. The more users there are, the longer they wait in the queue.
     pub(crate) async fn store_users(&mut self, iterations: u64, numbers: &[usize]) {
-        let (id, usual) = (RunId::random().to_string(), self.pipelines.clone());
+        let (id, original) = (RunId::random().to_string(), self.pipelines.clone());
         for users in numbers {
-            for (index, known) in usual.iter().enumerate().take(*users) {
+            for (index, known) in original.iter().enumerate().take(*users) {
                 // All users have equal pipelines, and wait for one another in the queue of the model.
                 let pipeline = TestPipeline::resized();
                 let queue = |(name, mean, spread): &(Name, f64, f64)| {
@@ -172,7 +172,7 @@ impl TestSite {
                 self.store_at_position(index, iterations, position).await;
             }
         }
-        self.pipelines = usual;
+        self.pipelines = original;
     }
 
     /// Stores an experiment of many configurations with long labels, and one run of each.
@@ -284,7 +284,7 @@ impl TestSite {
     /// Stores the clock samples of the edges for the last `seconds`.
     pub(crate) async fn store_clocks(&mut self, seconds: i64) {
         let (rack, now) = (self.rack_id(), self.clock.wall());
-        for index in (0..self.pipelines.len()).filter(|index| self.pipelines[*index].remote) {
+        for index in (0..self.pipelines.len()).filter(|index| self.pipelines[*index].is_remote) {
             let pipeline = &self.pipelines[index];
             let samples = (0..seconds).rev().map(|ago| {
                 let at = now - Span::from_seconds(ago);
@@ -350,7 +350,7 @@ impl TestSite {
                 self.report_second(index, vec![pipeline], chunk.first().copied(), load, to).await;
                 // An update holds only one second of a link, so each of the other seconds is sent in an update of its
                 // own.
-                let others = if self.pipelines[index].remote { &chunk[1..] } else { &[] };
+                let others = if self.pipelines[index].is_remote { &chunk[1..] } else { &[] };
                 for at in others {
                     self.report_second(index, Vec::new(), Some(*at), load, to).await;
                 }
@@ -371,7 +371,7 @@ impl TestSite {
         sent: WallTime,
     ) {
         let rack = self.rack_id();
-        let pipeline = self.pipelines.get(index).filter(|pipeline| pipeline.remote);
+        let pipeline = self.pipelines.get(index).filter(|pipeline| pipeline.is_remote);
         let link = pipeline.zip(second).map(|(pipeline, second)| {
             let at = WallTime::from_unix_nanos(second * 1_000_000_000);
             let ago = sent.unix_seconds() - second;
@@ -379,13 +379,13 @@ impl TestSite {
         });
         let has_clock_fault = self.pipelines.get(index).is_some_and(|pipeline| pipeline.has_clock_fault);
         let clock = clocks::host_clock(has_clock_fault, sent);
-        let mut wobble = |size: f64| size * (1.0 + 0.1 * self.numbers.normal());
+        let mut vary = |size: f64| size * (1.0 + 0.1 * self.numbers.normal());
         let metrics = HostMetrics {
-            cpu: Some(wobble(load).clamp(0.0, 1.0)),
+            cpu: Some(vary(load).clamp(0.0, 1.0)),
             memory_used_bytes: Some(4_300_000_000 + index as u64 * 700_000_000),
-            gpu: Some(wobble(0.7 - load).clamp(0.0, 1.0)),
-            temperature_celsius: Some(54.0 + wobble(3.0)),
-            power_watts: Some(wobble(10.0)),
+            gpu: Some(vary(0.7 - load).clamp(0.0, 1.0)),
+            temperature_celsius: Some(54.0 + vary(3.0)),
+            power_watts: Some(vary(10.0)),
             agent_cpu: Some(0.013),
             agent_memory_bytes: Some(31_000_000),
             models: Some(ModelMetrics { loaded: 1, memory_bytes: 96_000_000 }),

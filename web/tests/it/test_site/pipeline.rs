@@ -24,7 +24,7 @@ pub(crate) struct TestPipeline {
     /// Name of the camera.
     pub(crate) host: &'static str,
     /// `true` if the rack computes for the pipeline.
-    pub(crate) remote: bool,
+    pub(crate) is_remote: bool,
     /// Iterations per second.
     pub(crate) hz: f64,
     /// Relation of the clocks of the camera and the rack.
@@ -32,7 +32,7 @@ pub(crate) struct TestPipeline {
     /// Bytes of a sample.
     pub(crate) bytes: f64,
     /// Bytes of the shortest and the longest answer.
-    pub(crate) answer: (f64, f64),
+    pub(crate) answer_bytes: (f64, f64),
     /// Stages with mean and deviation in ms.
     pub(crate) stages: Vec<(Name, f64, f64)>,
     /// Current run.
@@ -95,13 +95,13 @@ impl TestPipeline {
 
     /// Returns `resized` with answers of different lengths.
     pub(crate) fn varying_answers() -> Self {
-        Self { name: "offload-answers", answer: (100.0, 900.0), ..Self::resized() }
+        Self { name: "offload-answers", answer_bytes: (100.0, 900.0), ..Self::resized() }
     }
 
     fn new(
         name: &'static str,
         host: &'static str,
-        remote: bool,
+        is_remote: bool,
         clocks: Clocks,
         bytes: f64,
         means: &[f64; 9],
@@ -123,11 +123,11 @@ impl TestPipeline {
         Self {
             name,
             host,
-            remote,
+            is_remote,
             hz: 30.0,
             clocks,
             bytes,
-            answer: (412.0, 412.0),
+            answer_bytes: (412.0, 412.0),
             stages: stages.collect(),
             run: None,
             has_clock_fault: false,
@@ -143,7 +143,7 @@ impl TestPipeline {
             let mut value = mean + spread * numbers.normal();
             if *name == stage::UPLOAD {
                 value *= slow * if is_outlier { 3.0 + 2.0 * numbers.unit() } else { 1.0 };
-            } else if *name == stage::INFERENCE && is_outlier && !self.remote {
+            } else if *name == stage::INFERENCE && is_outlier && !self.is_remote {
                 value *= 2.0;
             }
             (name.clone(), value.max(mean * 0.2) / 1e3)
@@ -151,7 +151,8 @@ impl TestPipeline {
         stages.collect()
     }
 
-    /// Returns whether the camera was silent `ago` seconds ago: for half a minute, four minutes ago.
+    /// Returns whether the camera was silent `ago` seconds ago. The camera of `offload-full` was silent for 35 seconds, until 200
+    /// seconds ago.
     pub(crate) fn is_silent(&self, ago: i64) -> bool {
         self.name == "offload-full" && (200..235).contains(&ago)
     }
@@ -160,10 +161,10 @@ impl TestPipeline {
     pub(crate) fn placement(&self) -> Placement {
         let name = |text: &str| text.parse().expect("a name");
         Placement {
-            kind: if self.remote { PlacementKind::Remote } else { PlacementKind::Local },
-            peer: self.remote.then(|| name("rack-a")),
-            network: self.remote.then(|| "zmq-tcp".into()),
-            address: self.remote.then(|| "tcp://192.0.2.5:5551".into()),
+            kind: if self.is_remote { PlacementKind::Remote } else { PlacementKind::Local },
+            peer: self.is_remote.then(|| name("rack-a")),
+            network: self.is_remote.then(|| "zmq-tcp".into()),
+            address: self.is_remote.then(|| "tcp://192.0.2.5:5551".into()),
             model: name("quality-control"),
             device: Some("cpu".into()),
         }
@@ -204,15 +205,15 @@ impl TestPipeline {
         };
         let mut half_widths = Summary::default();
         let mut ends: Vec<(Name, Summary)> = Vec::new();
-        // `draw` sees ten minutes as one run, so that each ten minutes contain its slow part.
+        // `draw` treats each ten minutes as one run, so that each ten minutes contain a slow part.
         let when = (at % 600) as f64 / 600.0;
         for _ in 0..ok {
             let stages = self.draw(numbers, when);
             let sum: f64 = stages.iter().map(|(_, value)| value).sum();
-            let rest = 0.000_11;
+            let unattributed = 0.000_11;
             for (name, value) in stages {
-                let crossing = name == stage::UPLOAD || name == stage::DOWNLOAD;
-                if crossing && self.clocks == Clocks::Unrelated {
+                let is_transit = name == stage::UPLOAD || name == stage::DOWNLOAD;
+                if is_transit && self.clocks == Clocks::Unrelated {
                     continue;
                 }
                 if name == stage::UPLOAD {
@@ -231,16 +232,16 @@ impl TestPipeline {
                 }
                 record(name, value);
             }
-            record(stage::TOTAL, sum + rest);
+            record(stage::TOTAL, sum + unattributed);
             record(stage::STAGES_TOTAL, sum);
-            record(stage::UNATTRIBUTED, rest);
-            if self.remote {
+            record(stage::UNATTRIBUTED, unattributed);
+            if self.is_remote {
                 record(stage::UPLOAD_BYTES, self.bytes);
                 record(stage::DOWNLOAD_BYTES, 412.0);
                 half_widths.record(half_width);
             }
         }
-        let directions = if self.remote { vec![stage::UPLOAD, stage::DOWNLOAD] } else { Vec::new() };
+        let directions = if self.is_remote { vec![stage::UPLOAD, stage::DOWNLOAD] } else { Vec::new() };
         let known = self.clocks != Clocks::Unrelated;
         let bounds = directions.iter().filter(|_| known).map(|name| (name.clone(), half_widths.clone()));
         let verdicts =

@@ -37,7 +37,7 @@ fn judged_delay(pipeline: &TestPipeline, name: &Name, delay: Span, raw: Span) ->
 
 /// Returns a pseudo-random length of the answer, bytes. It depends only on the pipeline and on `at`.
 fn answer_bytes(pipeline: &TestPipeline, at: WallTime) -> f64 {
-    let (shortest, longest) = pipeline.answer;
+    let (shortest, longest) = pipeline.answer_bytes;
     let chance = at.unix_nanos().unsigned_abs().wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40;
     (shortest + (longest - shortest) * chance as f64 / f64::from(1 << 24)).round()
 }
@@ -108,7 +108,7 @@ pub(super) fn build_tree(
             if host == 0 { now += length } else { there += length }
         }
     }
-    if answered && pipeline.remote {
+    if answered && pipeline.is_remote {
         let mut sizes = |name: [Name; 3], bytes: f64, metadata: f64, delay: Option<Span>| {
             let known = (pipeline.clocks != Clocks::Unrelated).then_some(delay).flatten();
             let value = known.map(|delay| (bytes + metadata) * 8.0 / delay.seconds());

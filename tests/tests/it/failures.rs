@@ -55,7 +55,12 @@ fn pipeline_survives_late_and_restarted_cloud() {
 
     let first = start_cloud(&deployment);
     peernet_tests::wait_until("answers", || (count(&api, "edge", "ok") > 20).then_some(()));
-    assert_eq!(edge.log().matches("cannot reach a cloud").count(), 1, "said once:\n{}", edge.log());
+    assert_eq!(
+        edge.log().matches("cannot reach a cloud").count(),
+        1,
+        "the message is logged once:\n{}",
+        edge.log()
+    );
 
     first.kill();
     let lost = peernet_tests::wait_until("lost iterations", || {
@@ -66,10 +71,10 @@ fn pipeline_survives_late_and_restarted_cloud() {
     peernet_tests::wait_until("answers again", || (count(&api, "edge", "ok") > answered + 20).then_some(()));
 
     let runs = api.json("/api/v1/runs");
-    assert_eq!(runs["runs"].as_array().map(Vec::len), Some(1), "the same run goes on: {runs}");
+    assert_eq!(runs["runs"].as_array().map(Vec::len), Some(1), "the same run continues: {runs}");
     let unsuccessful = api.json("/api/v1/runs/1/iterations?unsuccessful=true");
     let reason = unsuccessful["iterations"][0]["reason"].as_str().unwrap_or_default();
-    assert!(!reason.is_empty(), "a lost iteration says why: {unsuccessful}");
+    assert!(!reason.is_empty(), "a lost iteration has no reason: {unsuccessful}");
     assert!(lost > 0);
     assert_eq!(edge.stop().code(), 0);
     assert_eq!(second.stop().code(), 0);
@@ -97,7 +102,7 @@ fn agents_deliver_to_late_aggregator() {
     let (aggregator, api) = deployment.start_aggregator();
     peernet_tests::wait_until("stored iterations", || (count(&api, "edge", "ok") > 100).then_some(()));
 
-    // It is killed and comes back with the same file: no iteration is stored twice or missing.
+    // The aggregator is killed and started again with the same database. No iteration is stored twice or missing.
     aggregator.kill();
     let (_aggregator, api) = deployment.start_aggregator();
     let before = count(&api, "edge", "ok");
