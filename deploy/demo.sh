@@ -33,15 +33,16 @@ trap 'echo; exit 0' INT TERM HUP
 # The address is read from the aggregator's configuration, so that a changed port works.
 listen=$(sed -n '/^\[web\]/,/^\[/s/^listen = "\(.*\)".*/\1/p' "$configs/aggregator.toml")
 
-failed() {
+# fail_for_role ROLE: shows why the process of this role stopped, and ends the demo.
+fail_for_role() {
     echo "demo: the $1 stopped unexpectedly; the last lines of $logs/$1.log:" >&2
     tail -n 5 "$logs/$1.log" >&2
     exit 1
 }
 
-answers() { (exec 3<>"/dev/tcp/${listen%:*}/${listen##*:}") 2>/dev/null; }
+dashboard_answers() { (exec 3<>"/dev/tcp/${listen%:*}/${listen##*:}") 2>/dev/null; }
 
-if answers; then
+if dashboard_answers; then
     echo "demo: another program listens on $listen; stop it, or copy $configs/{aggregator,cloud,edge}.toml to a folder, change the ports there," \
         "and run: deploy/demo.sh $peernetd FOLDER" >&2
     exit 1
@@ -52,8 +53,8 @@ for role in "${roles[@]}"; do
     "$peernetd" run "$configs/$role.toml" >"$logs/$role.log" 2>&1 &
     pid[$role]=$!
     # The agents would wait for the aggregator anyway. Waiting here shows its errors first.
-    while [ "$role" = aggregator ] && ! answers; do
-        kill -0 "${pid[$role]}" 2>/dev/null || failed "$role"
+    while [ "$role" = aggregator ] && ! dashboard_answers; do
+        kill -0 "${pid[$role]}" 2>/dev/null || fail_for_role "$role"
         sleep 0.1
     done
 done
@@ -70,7 +71,7 @@ TEXT
 
 while :; do
     for role in "${roles[@]}"; do
-        kill -0 "${pid[$role]}" 2>/dev/null || failed "$role"
+        kill -0 "${pid[$role]}" 2>/dev/null || fail_for_role "$role"
     done
     # `sleep` runs in the background, so that a signal interrupts `wait`. A killed `sleep` in the foreground would end the script.
     sleep 1 &

@@ -1,8 +1,7 @@
 #!/bin/sh
-# Installs the sets of tools that the arguments name, such as the tools for tests or benchmarks, and prints each missing
-# tool with its purpose. Leaves present tools as they are; if nothing is missing, it ends within a moment. Installs on
-# Debian and Ubuntu; on other systems it lists what to install.
-# Usage: install-tools.sh build|deb|test|interop|bench…      (each includes build)
+# Installs the tools that building, testing and benchmarking need, and prints the name and the purpose of each. Tools that
+# are installed already are not touched. On systems other than Debian and Ubuntu it prints which packages to install.
+# Usage: install-tools.sh build|deb|test|interop|bench…      (each set includes build)
 set -eu
 
 cargo_deny=0.20.2
@@ -16,11 +15,11 @@ say() { echo "install-tools: $*"; }
 fail() { echo "install-tools: $*" >&2; exit 69; }
 
 # --- packages of the distribution -----------------------------------------------------------------------------------
-# command that must exist (or one of several: a|b), package, purpose. A leading / means a file instead of a command.
+# Columns: command that must exist (a|b: one of these commands), package, purpose. A leading / means a file, not a command.
 build_packages='
 cc            build-essential   C compiler and linker for the crates with C code
 make          build-essential   the Makefile
-ld.lld        lld               links in a fraction of the time
+ld.lld        lld               links the programs faster than the default linker
 pkg-config    pkg-config        build scripts look for libraries with it
 git           git               the commit in --version
 python3       python3           fetches ONNX Runtime
@@ -32,10 +31,10 @@ node          nodejs            the browser test
 npm           npm               the browser test
 ip            iproute2          network namespaces as hosts
 sysctl        procps            settings of those hosts
-nft           nftables          links between them that lose and block
-vde_switch    vde2              links between them that delay
-wirefilter    vde2              links between them that delay
-tcpdump       tcpdump           captures between them
+nft           nftables          links between hosts that lose and block packets
+vde_switch    vde2              links between hosts that delay packets
+wirefilter    vde2              links between hosts that delay packets
+tcpdump       tcpdump           captures of the packets between hosts
 faketime      faketime          programs that are shown a false time
 /usr/lib/python3/dist-packages/numpy  python3-numpy  custom Python objects get arrays
 /usr/lib/python3/dist-packages/PIL    python3-pil    custom Python objects get pictures
@@ -46,8 +45,8 @@ mkfs.ext4     e2fsprogs         file systems that become read-only
 losetup       mount             file systems in files
 unshare       util-linux        throw-away roots for the package test
 rosmaster     python3-rosmaster  a real master of ROS 1
-sqlite3       sqlite3           people open the store with it, so the tests do
-curl          curl              the documents ask the REST API with it, so the tests do
+sqlite3       sqlite3           the tests read the store with it, as users do
+curl          curl              the tests request the REST API with it, as the documents do
 systemd-analyze  systemd        the units are checked with it
 '
 deb_packages='
@@ -58,19 +57,19 @@ readelf       binutils          the Debian package
 '
 interop_packages='
 rosmaster     python3-rosmaster       a real master of ROS 1
-rostopic      python3-rostopic        its tools see our topics
-rosnode       python3-rosnode         its tools see our nodes
+rostopic      python3-rostopic        tools of ROS 1 list our topics
+rosnode       python3-rosnode         tools of ROS 1 list our nodes
 /usr/lib/rosbag/record  python3-rosbag    records our sessions and replays them
 /usr/lib/python3/dist-packages/rospy        python3-rospy        nodes of ROS 1
-/usr/lib/python3/dist-packages/roslaunch    python3-roslaunch    the other packages use it without saying so
+/usr/lib/python3/dist-packages/roslaunch    python3-roslaunch    the other packages need it without declaring it
 /usr/lib/python3/dist-packages/sensor_msgs  python3-sensor-msgs  pictures as messages of ROS 1
 /usr/lib/python3/dist-packages/std_msgs     python3-std-msgs     texts as messages of ROS 1
 /usr/include/fastdds/dds/domain/DomainParticipant.hpp  libfastrtps-dev  Fast DDS, a middleware of ROS 2
-/usr/include/openssl/ssl.h  libssl-dev    builds roslibrust, with which our ROS network is compared
+/usr/include/openssl/ssl.h  libssl-dev    compiles roslibrust, with which our networks are compared
 g++           build-essential   compiles programs for Fast DDS and libzmq
 ip            iproute2          network namespaces as hosts
 unshare       util-linux        network namespaces as hosts
-wirefilter    vde2              links between them that delay
+wirefilter    vde2              links between hosts that delay packets
 /usr/lib/x86_64-linux-gnu/libOSMesa.so.8|/usr/lib/aarch64-linux-gnu/libOSMesa.so.8  libosmesa6  MuJoCo renders without a screen
 '
 
@@ -149,12 +148,12 @@ check_rust() {
     done
 }
 
-# cargo_tool NAME VERSION PURPOSE
+# cargo_tool NAME VERSION PURPOSE: builds and installs a tool, unless this version is installed.
 cargo_tool() {
     [ "$("$1" --version 2>/dev/null)" != "$1 $2" ] || return 0
     say "building $1 $2 ($3) with cargo install; this takes about a minute, once"
-    # Not in the workspace's target folder, and without its linker flags. Debug builds, because they compile faster and the tools
-    # do little work.
+    # The build uses neither the workspace's target folder nor its linker flags. It is a debug build, because that compiles
+    # faster and the tools do little work.
     (cd "$root" && env -u CARGO_TARGET_DIR -u RUSTFLAGS cargo install --debug --locked --version "$2" "$1") \
         || fail "cargo install $1 --version $2 --debug --locked failed"
     [ "$("$1" --version 2>/dev/null)" = "$1 $2" ] \
@@ -192,7 +191,7 @@ install_bench_environment() {
 
 # --- chrony for the tests -------------------------------------------------------------------------------------------
 
-# Unpacked and not installed, because the installation would remove systemd-timesyncd and start a daemon that sets the clock.
+# chrony is unpacked and not installed, because an installation would remove systemd-timesyncd and start a daemon that sets the clock.
 unpack_chrony() {
     "$chrony/usr/sbin/chronyd" --version >/dev/null 2>&1 && return 0
     command -v apt-get >/dev/null \
@@ -200,7 +199,7 @@ unpack_chrony() {
     say "unpacking chrony into $chrony, for tests with time daemons"
     rm -rf "$chrony"
     mkdir -p "$chrony"
-    # Without this, apt warns as root that its own user cannot write to this folder.
+    # Without this option, apt run as root warns that its sandbox user cannot write to this folder.
     sandbox="-o APT::Sandbox::User=$(id -un)"
     # shellcheck disable=SC2086
     (cd "$chrony" && { apt-get $sandbox --quiet --quiet download chrony \
@@ -246,7 +245,7 @@ for set in "$@"; do
         bench) install_bench_environment ;;
     esac
 done
-# After the benchmarks' environment, which clears the folder that contains these.
+# These come after the benchmarks' environment, whose installation clears the folder that contains them.
 [ -z "${wants_api:-}" ] || python_environment api "schemathesis" "the tests of the REST API"
 [ -z "${wants_interop:-}" ] || python_environment interop "Cyclone DDS, llama.cpp, MuJoCo and pyzmq" "tests with foreign peers"
 [ -z "${wants_chrony:-}" ] || unpack_chrony

@@ -103,8 +103,8 @@ need_tool() {
     command -v "$1" >/dev/null || fail "the command $1 is missing; install the package $2: apt-get install $2"
 }
 
-# named_namespaces: prints the names of our namespaces, if they exist.
-named_namespaces() {
+# existing_namespaces: prints the names of our namespaces, if they exist.
+existing_namespaces() {
     for namespace in "$edge" "$cloud"; do
         [ ! -e "/run/netns/$namespace" ] || echo "$namespace"
     done
@@ -126,7 +126,7 @@ link_processes() {
     # processes of a namespace that was deleted manually.
     {
         cat "$state"/*.pid 2>/dev/null || true
-        for namespace in $(named_namespaces); do ip netns pids "$namespace" 2>/dev/null || true; done
+        for namespace in $(existing_namespaces); do ip netns pids "$namespace" 2>/dev/null || true; done
     } | while read -r pid; do
         # The program is checked, because the system may have given the id to another process.
         ! is_link_process "$pid" || echo "$pid"
@@ -261,7 +261,7 @@ up() {
     need_tool vde_switch vde2
     need_tool wirefilter vde2
     local existing
-    existing=$(named_namespaces)
+    existing=$(existing_namespaces)
     if [ -e "$state" ] || [ -n "$existing" ]; then
         fail "already up, or not removed completely; see '$0 status', remove it with '$0 down'"
     fi
@@ -281,7 +281,7 @@ up() {
 # --- status ---------------------------------------------------------------------------------------------------------
 
 status() {
-    if [ ! -e "$state" ] && [ -z "$(named_namespaces)" ]; then
+    if [ ! -e "$state" ] && [ -z "$(existing_namespaces)" ]; then
         echo "down"
         exit 3
     fi
@@ -308,7 +308,7 @@ status() {
 # other_programs: prints the programs in our namespaces that this script did not start.
 other_programs() {
     local pid
-    for namespace in $(named_namespaces); do
+    for namespace in $(existing_namespaces); do
         for pid in $(ip netns pids "$namespace" 2>/dev/null); do
             is_link_process "$pid" || echo "$(cat "/proc/$pid/comm" 2>/dev/null || echo '?') (process $pid in $namespace)"
         done
@@ -328,7 +328,7 @@ remove() {
     pids=$(link_processes)
     # shellcheck disable=SC2086
     [ -z "$pids" ] || kill -KILL $pids 2>/dev/null || true
-    for namespace in $(named_namespaces); do
+    for namespace in $(existing_namespaces); do
         ip netns delete "$namespace" || echo "test-links: cannot delete the namespace $namespace" >&2
     done
     rm -rf "$state"

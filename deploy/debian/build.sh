@@ -1,7 +1,7 @@
 #!/bin/sh
-# Makes two packages in target/debian, with Debian's own programs: peernet_VERSION_ARCHITECTURE.deb of the program in a folder
-# (target/release unless another is named) and ONNX Runtime's library, and peernet-dbgsym_… of the program's debug symbols.
-# Usage: build.sh [FOLDER]      (`make deb` builds the program and fetches the library first)
+# Builds two packages in target/debian with Debian's own tools. peernet_VERSION_ARCHITECTURE.deb contains the program from
+# FOLDER (default: target/release) and the library of ONNX Runtime; peernet-dbgsym_… contains the program's debug symbols.
+# Usage: build.sh [FOLDER]      (`make deb` first builds the program and fetches the library)
 set -eu
 
 root=$(cd "$(dirname "$0")/../.." && pwd)
@@ -24,7 +24,7 @@ architecture=$(dpkg --print-architecture)
 symbols_stage=$out/peernet-dbgsym
 rm -rf "$stage" "$symbols_stage"
 
-# put MODE FOLDER FILE…
+# put MODE FOLDER FILE…: installs files into a folder of the package.
 put() {
     mode=$1 folder=$stage/$2
     shift 2
@@ -32,7 +32,7 @@ put() {
     install -m "$mode" "$@" "$folder"
 }
 
-# The program takes the command line's part under these names.
+# Under these names the program is the command line.
 put 755 usr/bin "$programs/peernetd"
 for name in peernet PEERNet peernet_cli; do ln -s peernetd "$stage/usr/bin/$name"; done
 
@@ -51,7 +51,7 @@ put 644 usr/lib/systemd/system deploy/systemd/*.service
 put 644 usr/lib/sysusers.d deploy/sysusers.d/peernet.conf
 put 644 usr/lib/tmpfiles.d deploy/tmpfiles.d/peernet.conf
 
-# The library with its links, and the part that GPU providers of another build share.
+# The library with its links, and the library that GPU providers from another build share.
 install -d -m 755 "$stage/usr/lib/peernet"
 cp --no-dereference onnxruntime/lib/libonnxruntime*.so* "$stage/usr/lib/peernet"
 
@@ -74,7 +74,7 @@ put 644 $doc/examples/experiments/networks configs/experiments/networks/*.yaml
 put 644 $doc/examples/python configs/python/*.py
 put 644 $doc/examples/language-models configs/language-models/*.py
 put 644 $doc/examples/teleoperation configs/teleoperation/*.py configs/teleoperation/arm.xml configs/teleoperation/requirements.txt
-# Paths in a checkout become those of the package.
+# Paths of the checkout are replaced by paths of the package.
 find "$stage/$doc/examples" -name '*.toml' -exec sed -i \
     -e "s|\"models/|\"/usr/share/peernet/models/|" -e "s|configs/|/$doc/examples/|" {} +
 {

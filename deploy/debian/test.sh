@@ -9,7 +9,7 @@ set -eu
 
 fail() { echo "test.sh: $*" >&2; exit 1; }
 
-# --- inside: the checks of the package --------------------------------------------------------------------------
+# --- inside: checks of the package --------------------------------------------------------------------------
 
 # Files that change with the installation of any package.
 noise='^/etc/(passwd|group|shadow|gshadow|subuid|subgid)-?$|^/etc/\.pwd\.lock$|^/etc/ld\.so\.cache$|^/var/(cache|log|tmp)/|^/var/lib/(dpkg|apt)/|^/usr/share/man/'
@@ -33,10 +33,10 @@ check_installed() {
     expect_owner /var/lib/peernet/models "root root 755"
     expect_owner /etc/peernet/keys "root peernet 750"
 
-    step "configurations, read as the user that the units have"
+    step "configurations, read as the user of the units"
     for role in agent aggregator; do as_unit "$role" peernetd check "/etc/peernet/$role.toml"; done
 
-    step "examples, where they are installed"
+    step "examples in the folder where they are installed"
     examples=/usr/share/doc/peernet/examples
     for file in "$examples"/*.toml; do as_unit agent peernetd check "$file"; done
     for file in "$examples"/experiments/*.toml; do as_unit agent peernet run --check "$file"; done
@@ -52,7 +52,7 @@ check_installed() {
     done
 }
 
-# as_unit ROLE COMMAND…: as the user and in the folder that the unit of a role has.
+# as_unit ROLE COMMAND…: runs a command as the user, and in the folder, of the role's unit.
 as_unit() {
     state=/var/lib/peernet/$1
     shift
@@ -60,24 +60,25 @@ as_unit() {
         env --chdir="$state" HOME=/var/lib/peernet STATE_DIRECTORY="$state" "$@"
 }
 
-# expect_program NAME [NAME-IN-ITS-ANSWER]
+# expect_program NAME [PRINTED-NAME]: `NAME --version` must begin with the printed name (default: NAME).
 expect_program() {
     version=$("$1" --version)
     echo "$1: $version"
     [ "${version%% *}" = "${2:-$1}" ] || fail "$1 is not ${2:-$1}"
 }
 
+# expect_owner PATH "USER GROUP MODE"
 expect_owner() {
     found=$(stat -c '%U %G %a' "$1")
     [ "$found" = "$2" ] || fail "$1 is $found, not $2"
 }
 
-# The configurations of docs/two-machines.md: prints that of step $1.
-documented() {
+# documented_configuration STEP: prints the configuration in this step of docs/two-machines.md.
+documented_configuration() {
     awk -v step="$1." '/^[0-9]+\. /{ within = $1 == step } within && sub(/^       /, "")' /usr/share/doc/peernet/docs/two-machines.md
 }
 
-# Both machines of the documented instructions are this one, in a network that has the cloud's address.
+# This machine stands for both machines of the documented instructions: its network has the cloud's address.
 two_machines() {
     ip link set lo up
     ip address add 10.0.0.2/32 dev lo
@@ -87,10 +88,10 @@ two_machines() {
     step=0
     for role in aggregator cloud robot; do
         step=$((step + 1))
-        documented $step >"/tmp/$role.toml"
+        documented_configuration $step >"/tmp/$role.toml"
         [ -s "/tmp/$role.toml" ] || fail "docs/two-machines.md has no configuration in step $step"
         as_unit "$role" peernetd check "/tmp/$role.toml"
-        # Each has its own name and its own state, as on a machine of its own.
+        # Each process has its own host name and state folder, as on a separate machine.
         unshare --uts --mount sh "$0" --machine "$role" >"/tmp/$role.log" 2>&1 &
         processes="$processes $!"
     done
@@ -99,7 +100,7 @@ two_machines() {
     expect_running robot/inspection http://10.0.0.2:8040
 }
 
-# expect_running PIPELINE DASHBOARD: the pipeline gets answers within a minute.
+# expect_running PIPELINE DASHBOARD: the pipeline must get answers within a minute.
 expect_running() {
     answers="^$1 .* running +[0-9.]+ +[0-9]"
     for _ in $(seq 120); do
@@ -121,6 +122,7 @@ all_in_one() {
     expect_running all-in-one/over-the-network http://127.0.0.1:8040
 }
 
+# Runs the process of role $1; its own state folder stands in place of the agent's.
 machine() {
     hostname "$1"
     [ "$1" = aggregator ] || mount --bind "/var/lib/peernet/$1" /var/lib/peernet/agent
@@ -168,28 +170,29 @@ inside() {
     gone=$(comm -23 "$before" "$after")
     rm -f "$before" "$after"
     [ -z "$left" ] || fail "left behind: $left"
-    [ -z "$gone" ] || fail "deleted, although not of the package: $gone"
+    [ -z "$gone" ] || fail "deleted, although the package does not own it: $gone"
     ! getent passwd peernet || fail "purge left the user peernet"
     ! getent group peernet || fail "purge left the group peernet"
     echo "test.sh: $(basename "$deb") installs, works, upgrades, removes and purges cleanly"
 }
 
-# apt rather than dpkg: dependencies that this machine lacks are fetched.
+# apt is used instead of dpkg, because it fetches dependencies that this machine lacks.
 install_package() {
     DEBIAN_FRONTEND=noninteractive apt-get install --yes --quiet --quiet --reinstall --allow-downgrades \
         --no-install-recommends -o APT::Sandbox::User=root -o Dpkg::Use-Pty=0 -o Dpkg::Options::=--force-confold "$1"
 }
 
-# --- outside: preparation of the environment ---------------------------------------------------------------------------------
+# --- outside: preparation of the overlay ---------------------------------------------------------------------------------
 
-# Mounts a temporary overlay of / below the folder $2; fails if that is not allowed. Runs in a mount namespace.
+# Mounts a temporary overlay of / in the folder $2 and copies the package $1 into it; fails if overlays are not allowed.
+# Runs in a mount namespace.
 mount_overlay() {
     # A tmpfs, because the upper layer of an overlay cannot be on another overlay, which a container's root often is.
     mount -t tmpfs tmpfs "$2" || return 1
     mkdir "$2/upper" "$2/work" "$2/root" || return 1
     mount -t overlay overlay -o "lowerdir=/,upperdir=$2/upper,workdir=$2/work" "$2/root" || return 1
     for folder in dev proc sys; do mount --rbind "/$folder" "$2/root/$folder" || return 1; done
-    # Not the machine's /run: its systemd must not be reached.
+    # The machine's /run is not mounted, because the checks must not reach its systemd.
     for folder in run tmp; do mount -t tmpfs tmpfs "$2/root/$folder" || return 1; done
     cp "$1" "$2/root/package.deb" && cp "$0" "$2/root/test.sh"
 }

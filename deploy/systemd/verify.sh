@@ -5,7 +5,8 @@ set -eu
 
 here=$(cd "$(dirname "$0")" && pwd)
 units=$(cd "${1:-$here}" && pwd)
-# unit:maximum exposure by `systemd-analyze security`, in tenths (0 best, 100 worst), so that a weaker sandbox is noticed.
+# unit:limit of the exposure that `systemd-analyze security` prints, in tenths (0 is best, 100 is worst). A weaker sandbox
+# exceeds the limit.
 limits="agent:30 aggregator:20"
 
 for tool in systemd-analyze systemd-sysusers systemd-tmpfiles; do
@@ -16,33 +17,33 @@ scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 failed=0
 
-# quiet NAME COMMAND…: the command must succeed without output.
-quiet() {
-    what=$1
+# expect_no_output NAME COMMAND…: the command must succeed without output.
+expect_no_output() {
+    name=$1
     shift
     if "$@" >"$scratch/output" 2>&1 && [ ! -s "$scratch/output" ]; then
-        echo "ok      $what"
+        echo "ok      $name"
     else
-        echo "FAILED  $what"
+        echo "FAILED  $name"
         sed 's/^/        /' "$scratch/output"
         failed=1
     fi
 }
 
-# succeeds NAME COMMAND…: the command must succeed; its output is shown only if it fails.
-succeeds() {
-    what=$1
+# expect_success NAME COMMAND…: the command must succeed; its output is shown only if it fails.
+expect_success() {
+    name=$1
     shift
     if "$@" >"$scratch/output" 2>&1; then
-        echo "ok      $what"
+        echo "ok      $name"
     else
-        echo "FAILED  $what"
+        echo "FAILED  $name"
         sed 's/^/        /' "$scratch/output"
         failed=1
     fi
 }
 
-# `verify` requires that the program exists. If it is not installed, copies of the units name a placeholder.
+# `systemd-analyze verify` requires that the program exists. If it is not installed, copies of the units name a placeholder.
 mkdir "$scratch/units"
 cp "$units"/peernet-*.service "$scratch/units"
 if [ ! -x /usr/bin/peernetd ]; then
@@ -55,8 +56,8 @@ for entry in $limits; do
     unit=peernet-${entry%:*}.service
     limit=${entry#*:}
     # The check is not recursive, so that errors of other units of this machine are ignored.
-    quiet "$unit: verify" systemd-analyze verify --recursive-errors=no --man=no --generators=no "$scratch/units/$unit"
-    succeeds "$unit: exposure at most $limit/100" \
+    expect_no_output "$unit: verify" systemd-analyze verify --recursive-errors=no --man=no --generators=no "$scratch/units/$unit"
+    expect_success "$unit: exposure at most $limit/100" \
         systemd-analyze security --offline=yes --no-pager --threshold="$limit" "$scratch/units/$unit"
 done
 
@@ -67,13 +68,13 @@ if [ -d "$here/../sysusers.d" ]; then
     cp "$here/../sysusers.d/peernet.conf" "$root/usr/lib/sysusers.d/"
     cp "$here/../tmpfiles.d/peernet.conf" "$root/usr/lib/tmpfiles.d/"
     if [ "$(id -u)" = 0 ]; then
-        succeeds "sysusers.d: creates the user" systemd-sysusers --root="$root" peernet.conf
-        quiet "sysusers.d: peernet exists" grep -q '^peernet:' "$root/etc/passwd"
+        expect_success "sysusers.d: creates the user" systemd-sysusers --root="$root" peernet.conf
+        expect_no_output "sysusers.d: peernet exists" grep -q '^peernet:' "$root/etc/passwd"
         # systemd-tmpfiles looks names up in the root's own passwd.
-        succeeds "tmpfiles.d: creates the folders" systemd-tmpfiles --root="$root" --create peernet.conf
-        quiet "tmpfiles.d: state folder exists" test -d "$root/var/lib/peernet/agent"
+        expect_success "tmpfiles.d: creates the folders" systemd-tmpfiles --root="$root" --create peernet.conf
+        expect_no_output "tmpfiles.d: state folder exists" test -d "$root/var/lib/peernet/agent"
     else
-        succeeds "sysusers.d: is valid" systemd-sysusers --root="$root" --dry-run peernet.conf
+        expect_success "sysusers.d: is valid" systemd-sysusers --root="$root" --dry-run peernet.conf
     fi
 fi
 exit "$failed"
