@@ -5,9 +5,9 @@
     python3 models/export_torchvision.py resnet50 --weights IMAGENET1K_V1 --models-dir /var/lib/peernet/models
     python3 models/export_torchvision.py efficientnet_v2_s --weights none --seed 7
 
-The card carries the weights' own transforms (resize, crop, normalisation) and their labels. `--weights none` needs no
-download: the weights are random, so the answers mean nothing, but take exactly as long; the transforms are those of
-the model's default weights.
+The card describes the transforms (resize, crop, normalisation) and the labels that belong to the weights.
+`--weights none` needs no download: the weights are random, so the answers mean nothing, but they take exactly as long
+to compute. The card then describes the transforms of the model's default weights.
 
 See docs/models.md.
 """
@@ -49,8 +49,8 @@ layout = "nchw"
 shape = [1, 3, {crop}, {crop}]
 colour = "rgb"
 
-# What torchvision does with a picture: the shorter side to `size` (with Pillow, which always antialiases), the centre cut
-# out, (byte / 255 - mean) / std.
+# torchvision resizes the shorter side of a picture to `size` (with Pillow, which always antialiases), cuts out the
+# centre, and computes (byte / 255 - mean) / std for each value.
 [preprocessing]
 resize = {{ mode = "shortest", size = {resize}, filter = {filter}, antialias = true }}
 crop = {{ width = {crop}, height = {crop}, rounding = "half-even" }}
@@ -73,100 +73,101 @@ opset = {opset}
 sha256 = {sha256}
 """
 
-# torchvision's names of filters, and the card's.
+# Names of filters in torchvision, and the card's names of the same filters.
 FILTERS = {
     name: name for name in ("nearest", "box", "bilinear", "bicubic", "lanczos")
 }
 
 
-class Refused(Exception):
-    """Something that cannot be exported; the text says what and what to do."""
+class ExportError(Exception):
+    """A model cannot be exported; the text says why, and what the user can do."""
 
 
-class Exported(NamedTuple):
-    """A model, as it was exported."""
+class ExportedModel(NamedTuple):
+    """An exported model, and what is needed to compare its answers with those of torchvision."""
 
     folder: Path
     model: torch.nn.Module
     transforms: Any
 
 
-def weights_of(name: str, wanted: str) -> tuple[Any, Any]:
-    """The weights to load, `None` for random ones, and those whose transforms and labels are taken."""
-    known = get_model_weights(name)
-    if wanted == "none":
-        return None, known.DEFAULT
-    if wanted == "default":
-        return known.DEFAULT, known.DEFAULT
+def select_weights(name: str, choice: str) -> tuple[Any, Any]:
+    """The weights to load (`None`: random weights), and the weights whose transforms and labels the card describes."""
+    published = get_model_weights(name)
+    if choice == "none":
+        return None, published.DEFAULT
+    if choice == "default":
+        return published.DEFAULT, published.DEFAULT
     try:
-        return known[wanted], known[wanted]
+        return published[choice], published[choice]
     except KeyError:
-        names = ", ".join(weights.name for weights in known)
-        raise Refused(f"{name} has no weights {wanted}; there is default, none, {names}") from None
+        names = ", ".join(weights.name for weights in published)
+        raise ExportError(f"{name} has no weights {choice}; it has default, none, {names}") from None
 
 
-def build(name: str, weights: Any, seed: int, size: int) -> torch.nn.Module:
-    """The model, ready to be run on pictures of `size` pixels squared."""
+def build_model(name: str, weights: Any, seed: int, size: int) -> torch.nn.Module:
+    """The model, ready to compute answers for pictures of `size` by `size` pixels."""
     torch.manual_seed(seed)
     try:
         model = get_model_builder(name)(weights=weights)
     except OSError as error:
-        where = getattr(weights, "url", "the weights")
-        raise Refused(f"cannot download {where}: {error}; without internet take --weights none") from None
+        source = getattr(weights, "url", "the weights")
+        raise ExportError(f"cannot download {source}: {error}; without internet use --weights none") from None
     model.eval()
     if weights is None:
-        settle(model, size)
+        calibrate(model, size)
     return model
 
 
-def settle(model: torch.nn.Module, size: int) -> None:
-    """Makes a random model as well-behaved as a trained one.
+def calibrate(model: torch.nn.Module, size: int) -> None:
+    """Gives a random model activations as large as those of a trained model.
 
-    Its batch normalisations get mean and variance from random pictures whose coarse details are stronger than their fine
-    details, as in photographs. Without these statistics each layer passes on less, or more, than it was given, until all
-    answers are the same. Its residual branches begin weak, as is usual in training (Goyal et al. 2017, section 5.1).
-    Otherwise one pixel whose value changes by 1 would change the whole answer.
+    Each batch normalisation gets its statistics from random pictures. Without these statistics the values would shrink
+    or grow from layer to layer, until all pictures get the same answer. The residual branches get small weights, as is
+    usual at the start of a training (Goyal et al. 2017, section 5.1). Otherwise a pixel that differs by 1 would change
+    the whole answer.
     """
     norms = [module for module in model.modules() if isinstance(module, torch.nn.modules.batchnorm._BatchNorm)]
     if not norms:
         return
     for module in model.modules():
         if getattr(module, "use_res_connect", False):
-            last = [norm for norm in module.modules() if norm in norms][-1]
-            torch.nn.init.constant_(last.weight, 0.05)
+            last_norm = [norm for norm in module.modules() if norm in norms][-1]
+            torch.nn.init.constant_(last_norm.weight, 0.05)
     for norm in norms:
         norm.reset_running_stats()
         norm.momentum = None
         norm.train()
     with torch.no_grad():
-        model(pictures(4, size))
+        model(random_pictures(4, size))
     model.eval()
 
 
-def pictures(count: int, size: int) -> torch.Tensor:
-    """Random pictures, normalised: each octave of detail half as strong as the one before."""
-    drawn, side = torch.zeros(count, 3, size, size), 3
+def random_pictures(count: int, size: int) -> torch.Tensor:
+    """Random pictures with a standard deviation of 1. As in photographs, small details are weaker than large ones."""
+    pictures, side = torch.zeros(count, 3, size, size), 3
     while side <= size:
         octave = torch.nn.functional.interpolate(torch.randn(count, 3, side, side), size=(size, size), mode="bilinear")
-        drawn += octave / side
+        pictures += octave / side
         side *= 2
-    return drawn / drawn.std()
+    return pictures / pictures.std()
 
 
 def export(name: str, models_dir: Path, weights: str = "default", seed: int = 0, opset: int = 13,
-           overwrite: bool = False) -> Exported:
-    """Writes the model's folder, whole or not at all."""
+           overwrite: bool = False) -> ExportedModel:
+    """Writes the model's folder. After an error there is no incomplete folder."""
     folder = models_dir / name
     if folder.exists() and not overwrite:
-        raise Refused(f"{folder} exists; give --overwrite to replace it, or another --models-dir")
-    loaded, described = weights_of(name, weights)
+        raise ExportError(f"{folder} exists; use --overwrite to replace it, or another --models-dir")
+    loaded, described = select_weights(name, weights)
     transforms = described.transforms()
-    crop, resize = single(transforms.crop_size), single(transforms.resize_size)
+    crop, resize = side_length(transforms.crop_size), side_length(transforms.resize_size)
     if crop > resize:
-        raise Refused(f"{name} pads pictures ({resize} pixels to {crop}), which no card can say")
+        raise ExportError(f"{name} pads pictures ({resize} pixels to {crop}), which a card cannot describe")
     if transforms.interpolation.value not in FILTERS:
-        raise Refused(f"{name} scales pictures by {transforms.interpolation.value}, which no card can say")
-    model = build(name, loaded, seed, crop)
+        filter_name = transforms.interpolation.value
+        raise ExportError(f"{name} resizes pictures with {filter_name}, which a card cannot describe")
+    model = build_model(name, loaded, seed, crop)
     models_dir.mkdir(parents=True, exist_ok=True)
     scratch = Path(tempfile.mkdtemp(dir=models_dir, prefix=f".{name}-"))
     try:
@@ -192,61 +193,63 @@ def export(name: str, models_dir: Path, weights: str = "default", seed: int = 0,
         scratch.rename(folder)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
-    return Exported(folder, model, transforms)
+    return ExportedModel(folder, model, transforms)
 
 
-def single(length: list[int] | int) -> int:
-    """torchvision keeps one length as a list of one."""
+def side_length(length: list[int] | int) -> int:
+    """The length of a side in pixels. torchvision keeps some lengths as a list with one element."""
     return length if isinstance(length, int) else length[0]
 
 
 def write_onnx(model: torch.nn.Module, size: int, opset: int, file: Path) -> None:
-    """The graph with its weights in one file, checked by onnx."""
-    # Since torch 2.9 the default is the other exporter, which writes the weights to a separate file.
-    choice = {"dynamo": False} if "dynamo" in inspect.signature(torch.onnx.export).parameters else {}
-    # Not under `torch.no_grad()`: there torch uses its fused attention, for which ONNX has no operator.
+    """Writes the graph and its weights into one file, and checks the file with onnx."""
+    # From torch 2.9 on, the default is the dynamo exporter, which writes the weights into a separate file.
+    exporter = {"dynamo": False} if "dynamo" in inspect.signature(torch.onnx.export).parameters else {}
+    # There is no torch.no_grad() here: without gradients torch uses fused attention, for which ONNX has no operator.
     try:
         torch.onnx.export(model, torch.zeros(1, 3, size, size), str(file), input_names=["image"],
-                          output_names=["logits"], opset_version=opset, **choice)
+                          output_names=["logits"], opset_version=opset, **exporter)
     except (torch.onnx.errors.OnnxExporterError, ValueError) as error:
         reason = str(error).splitlines()[0]
-        raise Refused(f"torch {torch.__version__} cannot export it with --opset {opset}: {reason}") from error
+        raise ExportError(f"torch {torch.__version__} cannot export it with --opset {opset}: {reason}") from error
     onnx.checker.check_model(str(file))
 
 
-def arguments() -> argparse.ArgumentParser:
+def argument_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("models", nargs="+", metavar="MODEL",
-                        help="names in torchvision, such as efficientnet_v2_s; each becomes a folder of that name")
+                        help="name in torchvision, such as efficientnet_v2_s; also the name of the model's folder")
     parser.add_argument("--models-dir", type=Path, default=Path("models"), metavar="DIR",
-                        help="where the folders are made (default: models)")
+                        help="folder in which the folders of the models are created (default: models)")
     parser.add_argument("--weights", default="default", metavar="NAME",
-                        help="default, none (random ones, without a download), or a name such as IMAGENET1K_V1")
-    parser.add_argument("--seed", type=int, default=0, help="of random weights (default: 0)")
+                        help="default, none (random weights, without a download), or a name such as IMAGENET1K_V1")
+    parser.add_argument("--seed", type=int, default=0, help="seed of random weights (default: 0)")
     parser.add_argument("--batch", type=int, choices=[1], default=1,
-                        help="length of the graph's first dimension; only 1 is possible, and such a model computes no batches (default: 1)")
+                        help="pictures per batch; only 1 is possible (default: 1)")
     parser.add_argument("--opset", type=int, default=13, help="version of ONNX's operators (default: 13)")
     parser.add_argument("--overwrite", action="store_true", help="replace folders that exist")
     return parser
 
 
-def main(given: list[str] | None = None) -> list[Exported]:
-    asked = arguments().parse_args(given)
-    known = list_models(module=torchvision.models)
-    for name in asked.models:
-        if name not in known:
-            raise Refused(f"torchvision {torchvision.__version__} has no classifier {name}; it has {', '.join(known)}")
+def main(arguments: list[str] | None = None) -> list[ExportedModel]:
+    """Exports the models that the arguments name (`None`: the arguments of the command line)."""
+    options = argument_parser().parse_args(arguments)
+    classifiers = list_models(module=torchvision.models)
+    for name in options.models:
+        if name not in classifiers:
+            names = ", ".join(classifiers)
+            raise ExportError(f"torchvision {torchvision.__version__} has no classifier {name}; it has {names}")
     exported = []
-    for name in asked.models:
-        one = export(name, asked.models_dir, asked.weights, asked.seed, asked.opset, asked.overwrite)
-        size = (one.folder / "model.onnx").stat().st_size
-        print(f"{one.folder}: {size / 1e6:.0f} MB; see `peernet models show {one.folder}/`", flush=True)
-        exported.append(one)
+    for name in options.models:
+        model = export(name, options.models_dir, options.weights, options.seed, options.opset, options.overwrite)
+        size = (model.folder / "model.onnx").stat().st_size
+        print(f"{model.folder}: {size / 1e6:.0f} MB; see `peernet models show {model.folder}/`", flush=True)
+        exported.append(model)
     return exported
 
 
 if __name__ == "__main__":
     try:
         main()
-    except (Refused, OSError) as error:
+    except (ExportError, OSError) as error:
         sys.exit(f"{Path(sys.argv[0]).name}: {error}")

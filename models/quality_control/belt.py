@@ -1,4 +1,4 @@
-"""Paints the conveyor belt: weave, wear, stains, seam, guide rail, fall-off of the light."""
+"""Paints the conveyor belt: weave, wear, stains, seam, guide rail, and the light of the lamp."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from view import View
 
 
 def paint(scene: Scene, view: View, rng: np.random.Generator) -> np.ndarray:
-    """The empty line in linear light, float32 [height, width, 3]."""
+    """The empty belt in linear light, float32 [height, width, 3]."""
     x, y = view.points(0.0)
     shape = x.shape
     weave = np.sin(x * (2 * np.pi / 2.6)) * np.sin(y * (2 * np.pi / 2.6))
@@ -33,7 +33,7 @@ def paint(scene: Scene, view: View, rng: np.random.Generator) -> np.ndarray:
 
 
 def _falloff(scene: Scene, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """How much light reaches each point of the belt, about 1 in the middle."""
+    """Factor of the light at each point of the belt: about 1 in the middle."""
     light = scene.light
     lamp = lamp_direction(light) * light.distance
     square = (lamp[0] - x) ** 2 + (lamp[1] - y) ** 2 + lamp[2] ** 2
@@ -44,11 +44,11 @@ def _falloff(scene: Scene, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def _rail(canvas: np.ndarray, scene: Scene, y: np.ndarray, view: View, rng: np.random.Generator) -> None:
     """An aluminium guide along one side of the belt, with its shadow."""
     side = np.sign(scene.rail)
-    into = (y - scene.rail) * side  # mm beyond the rail's edge
-    canvas *= (1 - 0.6 * np.exp(-np.maximum(-into, 0) / 5.0))[..., None]
+    beyond_edge = (y - scene.rail) * side  # mm, positive on the rail
+    canvas *= (1 - 0.6 * np.exp(-np.maximum(-beyond_edge, 0) / 5.0))[..., None]
     brushed = 1 + 0.10 * smooth_noise(rng, y.shape, 1, 60 * view.scale)
-    profile = 0.20 + 0.16 * np.exp(-((into - 1.0) ** 2)) + 0.10 * np.cos(into / 6.0)
-    profile *= 1 - 0.7 * np.exp(-(((into - 11.0) / 1.6) ** 2))
-    cover = np.clip(0.5 + into * view.scale, 0, 1)
+    profile = 0.20 + 0.16 * np.exp(-((beyond_edge - 1.0) ** 2)) + 0.10 * np.cos(beyond_edge / 6.0)
+    profile *= 1 - 0.7 * np.exp(-(((beyond_edge - 11.0) / 1.6) ** 2))
+    coverage = np.clip(0.5 + beyond_edge * view.scale, 0, 1)
     metal = (profile * brushed)[..., None] * np.array([0.97, 1.0, 1.03], np.float32)
-    canvas += (metal - canvas) * cover[..., None]
+    canvas += (metal - canvas) * coverage[..., None]

@@ -1,4 +1,4 @@
-"""The boxes of a scene's defects in its picture: known exactly, since the picture is drawn."""
+"""The boxes around a scene's defects in its picture. They are known exactly, because the picture is drawn."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from scene import LABELS, Scene
 from view import View
 
 DEFECTS = LABELS[1:]
-NAMES = ("scratch", "dent", "missing hole")  # of one defect, in the order of DEFECTS
+NAMES = ("scratch", "dent", "missing hole")  # names of one defect, in the order of DEFECTS
 
 
 @dataclass(frozen=True)
 class Box:
-    """A defect: the index of its class in NAMES, and its edges in pixels."""
+    """The box of a defect: the index of the defect's class in NAMES, and the edges of the box in pixels."""
 
     kind: int
     left: float
@@ -26,36 +26,36 @@ class Box:
 
 
 def boxes(scene: Scene, width: int) -> list[Box]:
-    """The boxes of a scene in a picture `width` pixels wide and three quarters as high."""
+    """The boxes of a scene's defects in a picture that is `width` pixels wide and three quarters as high."""
     view = View.of(scene.camera, width)
     found = []
     for kind, points in _defects(scene):
         c, s = np.cos(scene.pose.angle), np.sin(scene.pose.angle)
-        seen = np.array(
+        pixels = np.array(
             [
                 view.pixel(scene.pose.x + c * u - s * v, scene.pose.y + s * u + c * v, part.THICKNESS)
                 for u, v in points
             ]
         )
-        left, top = np.clip(seen.min(axis=0), 0, (view.width, view.height))
-        right, bottom = np.clip(seen.max(axis=0), 0, (view.width, view.height))
+        left, top = np.clip(pixels.min(axis=0), 0, (view.width, view.height))
+        right, bottom = np.clip(pixels.max(axis=0), 0, (view.width, view.height))
         if right - left > 2 and bottom - top > 2:
             found.append(Box(kind, float(left), float(top), float(right), float(bottom)))
     return found
 
 
 def _defects(scene: Scene) -> list[tuple[int, np.ndarray]]:
-    """Class and points [n, 2], in mm on the part, of each defect."""
+    """For each defect: its class, and points [n, 2] of the part, in mm, that its box must contain."""
     circle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     ring = np.stack([np.cos(circle), np.sin(circle)], axis=1)
     found = []
     for scratch in scene.scratches:
         on_face = scratch.points[part.distance(*scratch.points.T) < -0.3]
         if len(on_face) > 1:
-            # Half a millimetre around the groove, so that one along an axis has a height too.
+            # 1 mm is added on all sides: a scratch along an axis would have a box without width or height.
             found.append((0, np.concatenate([on_face - 1.0, on_face + 1.0])))
     found += [(1, np.array([dent.x, dent.y]) + dent.radius * ring) for dent in scene.dents]
     for hole in part.HOLES:
-        if hole.name == scene.missing:
+        if hole.name == scene.missing_hole:
             found.append((2, np.array([hole.x, hole.y]) + ring * [hole.radius, hole.radius + hole.span / 2]))
     return found

@@ -1,4 +1,4 @@
-"""The model's card, model.toml: written after training, completed with the accuracy that check.py measured."""
+"""The model's card, model.toml. train.py writes it; check.py adds the accuracy that it measured."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def read(folder: Path) -> dict:
 
 
 def write(folder: Path, seed: int, first: int, scenes: int) -> None:
-    """Writes the card of the model.onnx in `folder`, its accuracy not yet measured (0.0)."""
+    """Writes the card of the model.onnx in `folder`. Its accuracy is 0.0, because it is not measured yet."""
     text = TEMPLATE.format(
         width=preprocessing.WIDTH,
         height=preprocessing.HEIGHT,
@@ -73,7 +73,7 @@ def write(folder: Path, seed: int, first: int, scenes: int) -> None:
 
 
 def write_accuracy(folder: Path, accuracy: float) -> None:
-    """Puts the measured accuracy into the card."""
+    """Writes the measured accuracy into the card."""
     path = folder / "model.toml"
     lines = path.read_text().splitlines()
     lines = [f"accuracy = {accuracy!r}" if line.startswith("accuracy =") else line for line in lines]
@@ -81,5 +81,5 @@ def write_accuracy(folder: Path, accuracy: float) -> None:
 
 
 def digest(folder: Path) -> str:
-    """SHA-256 of model.onnx, hexadecimal."""
+    """SHA-256 of the folder's model.onnx, hexadecimal."""
     return hashlib.sha256((folder / "model.onnx").read_bytes()).hexdigest()

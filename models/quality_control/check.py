@@ -1,10 +1,10 @@
 """Runs model.onnx on labelled folders with ONNX Runtime; prints accuracy, confusion matrix, latency.
 
     check.py models/quality-control                     pictures/ and held-out/ of the model's folder
-    check.py models/quality-control FOLDER …            other folders with a labels.csv
-    check.py models/quality-control --first-to 320      as a sender would that downsizes first
+    check.py models/quality-control FOLDER …            the named folders, which contain a labels.csv each
+    check.py models/quality-control --first-to 320      pictures that are first resized to a width of 320
 
-The preprocessing is read from the card, so this also checks the card.
+The preprocessing is read from the card, so the script also checks the card.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import preprocessing
 
 
 class Model:
-    """A model's folder, ready to run on one thread."""
+    """The model of a folder, which runs on one thread."""
 
     def __init__(self, folder: Path) -> None:
         self.card = card.read(folder)
@@ -33,13 +33,13 @@ class Model:
         options.intra_op_num_threads = 1
         self.session = onnxruntime.InferenceSession(str(folder / "model.onnx"), options, ["CPUExecutionProvider"])
         self.labels: list[str] = self.card["output"]["labels"]
-        self.seconds: list[float] = []
+        self.seconds: list[float] = []  # run time of each inference
 
     def classify(self, image: Image.Image) -> int:
-        """Index of the label of a picture."""
+        """Index of the label that the model predicts for a picture."""
         steps = self.card["preprocessing"]
-        pixels = preprocessing.resized(image, steps["resize"]["width"], steps["resize"]["height"])
-        values = preprocessing.normalised(pixels, steps["scale"], steps["mean"], steps["std"])
+        pixels = preprocessing.resize(image, steps["resize"]["width"], steps["resize"]["height"])
+        values = preprocessing.normalise(pixels, steps["scale"], steps["mean"], steps["std"])
         start = time.perf_counter()
         logits = self.session.run([self.card["output"]["name"]], {self.card["input"]["name"]: values})[0]
         self.seconds.append(time.perf_counter() - start)
@@ -47,25 +47,25 @@ class Model:
 
 
 def confusion(model: Model, folder: Path, first_to: int | None) -> np.ndarray:
-    """Counts [true label, found label] over a folder, the wrong ones printed by name."""
+    """Counts the pictures of a folder: [true label, predicted label]. Prints the names of misclassified pictures."""
     counts = np.zeros((len(model.labels), len(model.labels)), int)
     with (folder / "labels.csv").open(newline="") as file:
         for row in csv.DictReader(file):
             image = Image.open(folder / row["file"]).convert("RGB")
             if first_to is not None:
                 image = image.resize((first_to, first_to * image.height // image.width), Image.BILINEAR)
-            true, found = model.labels.index(row["label"]), model.classify(image)
-            counts[true, found] += 1
-            if true != found:
-                print(f"  {row['file']}: {row['label']}, taken for {model.labels[found]}")
+            true, predicted = model.labels.index(row["label"]), model.classify(image)
+            counts[true, predicted] += 1
+            if true != predicted:
+                print(f"  {row['file']}: {row['label']}, predicted {model.labels[predicted]}")
     return counts
 
 
 def report(title: str, counts: np.ndarray, labels: list[str]) -> None:
     """Prints accuracy and confusion matrix."""
-    right, total = int(counts.trace()), int(counts.sum())
-    print(f"{title}: {right} of {total} right, accuracy {right / total:.4f}")
-    print(f"{'true':>14} | found: " + ", ".join(labels))
+    correct, total = int(counts.trace()), int(counts.sum())
+    print(f"{title}: {correct} of {total} correct, accuracy {correct / total:.4f}")
+    print(f"{'true':>14} | predicted: " + ", ".join(labels))
     for label, row in zip(labels, counts, strict=True):
         print(f"{label:>14} | " + " ".join(f"{n:5}" for n in row))
 
@@ -75,8 +75,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Checks a model on labelled pictures.")
     parser.add_argument("model", type=Path)
     parser.add_argument("folders", type=Path, nargs="*")
-    parser.add_argument("--first-to", type=int, help="width in pixels to which pictures are resized first")
-    parser.add_argument("--write-card", action="store_true", help="put the accuracy over the folders into the card")
+    parser.add_argument("--first-to", type=int, help="width in pixels to which pictures are resize first")
+    parser.add_argument("--write-card", action="store_true", help="write the accuracy over all folders into the card")
     options = parser.parse_args()
     model = Model(options.model)
     total = 0
@@ -84,7 +84,7 @@ def main() -> None:
         counts = confusion(model, folder, options.first_to)
         report(str(folder), counts, model.labels)
         total = total + counts
-    print(f"model alone, one thread: median {1e3 * np.median(model.seconds):.2f} ms")
+    print(f"inference alone, one thread: median {1e3 * np.median(model.seconds):.2f} ms")
     if options.write_card:
         card.write_accuracy(options.model, round(float(total.trace() / total.sum()), 4))
 

@@ -1,4 +1,4 @@
-"""Things on the line that are not the part: shavings, stray screws, nuts, washers, dust."""
+"""Paints what lies on the belt and is no part: shavings, loose screws, nuts and washers; and the dust on everything."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from metal import lamp_direction
 from scene import Scene
 from view import View
 
-FINE = 3  # sub-pixels per pixel in which shavings are drawn
+SUBPIXELS = 3  # sub-pixels per pixel, along each axis, with which shavings are drawn
 
 
 def scatter(canvas: np.ndarray, scene: Scene, view: View, rng: np.random.Generator) -> None:
-    """Puts shavings and loose fasteners onto the belt."""
-    for _ in range(scene.chips):
+    """Paints shavings and loose fasteners onto the belt."""
+    for _ in range(scene.shavings):
         x, y = rng.uniform(-115, 115), rng.uniform(-85, 85)
-        shine, shade = _chip(view.scale, rng)
+        bright, coverage = _shaving(view.scale, rng)
         colour = rng.uniform(0.25, 0.7) * np.array([1.0, 0.98, 0.94], np.float32)
-        _place(canvas, scene, view, x, y, shine, shade, colour, height=0.8)
-    for x, y, angle, kind in scene.screws:
-        bright, cover = _fastener(kind, angle, view.scale, scene)
-        _place(canvas, scene, view, x, y, bright, cover, np.array([0.6, 0.6, 0.58], np.float32), height=3.0)
+        _place(canvas, scene, view, x, y, bright, coverage, colour, height=0.8)
+    for x, y, angle, kind in scene.fasteners:
+        bright, coverage = _fastener(kind, angle, view.scale, scene)
+        _place(canvas, scene, view, x, y, bright, coverage, np.array([0.6, 0.6, 0.58], np.float32), height=3.0)
 
 
 def dust(canvas: np.ndarray, scene: Scene, view: View, rng: np.random.Generator) -> None:
-    """Specks on everything, brighter or darker than what they lie on."""
+    """Paints specks onto everything, brighter or darker than the surface below them."""
     for _ in range(scene.dust):
         x, y = rng.integers(0, view.width), rng.integers(0, view.height)
         radius = min(rng.exponential(0.12), 0.4) * view.scale
@@ -44,16 +44,16 @@ def _place(
     x: float,
     y: float,
     bright: np.ndarray,
-    cover: np.ndarray,
+    coverage: np.ndarray,
     colour: np.ndarray,
     height: float,
 ) -> None:
-    """Blends a small square picture [n, n] onto the belt at (x, y) mm, shadow first."""
+    """Blends the shadow of a small object onto the belt at (x, y) mm, and then the object, whose picture is [n, n]."""
     lamp = lamp_direction(scene.light)
     offset = -lamp[:2] / lamp[2] * height * view.scale * 0.5
     px, py = view.pixel(x, y)
-    n = cover.shape[0]
-    soft = Image.fromarray((cover * 255).astype(np.uint8)).filter(
+    n = coverage.shape[0]
+    soft = Image.fromarray((coverage * 255).astype(np.uint8)).filter(
         ImageFilter.GaussianBlur(0.35 * height * view.scale * 0.5)
     )
     for dx, dy, is_shadow in ((*offset, True), (0.0, 0.0, False)):
@@ -66,34 +66,34 @@ def _place(
         if is_shadow:
             target *= 1 - 0.6 * (np.asarray(soft, np.float32)[inner] / 255)[..., None]
         else:
-            target += (bright[inner][..., None] * colour - target) * cover[inner][..., None]
+            target += (bright[inner][..., None] * colour - target) * coverage[inner][..., None]
 
 
-def _chip(scale: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """A curled shaving: its brightness and its cover, both [n, n]."""
+def _shaving(scale: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """A curled shaving: its brightness, and the share of each pixel that it covers; both [n, n]."""
     size = rng.uniform(1.5, 7.0)  # mm
     n = max(6, round(2.4 * size * scale))
     turns = rng.uniform(0.25, 2.4)
     t = np.linspace(0, 1, 60)
     angle = rng.uniform(0, 2 * np.pi) + turns * 2 * np.pi * t
     drift = rng.uniform(-0.5, 0.5, 2)
-    reach = 0.42 * n * FINE * (0.35 + 0.65 * t * rng.uniform(0.3, 1.0))
-    px = n * FINE / 2 + np.cos(angle) * reach * 0.6 + (t - 0.5) * drift[0] * n * FINE
-    py = n * FINE / 2 + np.sin(angle) * reach * 0.6 + (t - 0.5) * drift[1] * n * FINE
-    cover, bright = Image.new("L", (n * FINE, n * FINE)), Image.new("L", (n * FINE, n * FINE))
-    width = max(2, round(rng.uniform(0.25, 0.8) * scale * FINE))
+    reach = 0.42 * n * SUBPIXELS * (0.35 + 0.65 * t * rng.uniform(0.3, 1.0))
+    px = n * SUBPIXELS / 2 + np.cos(angle) * reach * 0.6 + (t - 0.5) * drift[0] * n * SUBPIXELS
+    py = n * SUBPIXELS / 2 + np.sin(angle) * reach * 0.6 + (t - 0.5) * drift[1] * n * SUBPIXELS
+    coverage, bright = Image.new("L", (n * SUBPIXELS, n * SUBPIXELS)), Image.new("L", (n * SUBPIXELS, n * SUBPIXELS))
+    width = max(2, round(rng.uniform(0.25, 0.8) * scale * SUBPIXELS))
     glint = rng.uniform(0, 2 * np.pi)
     for i in range(t.size - 1):
         line = [(px[i], py[i]), (px[i + 1], py[i + 1])]
-        ImageDraw.Draw(cover).line(line, fill=255, width=width)
+        ImageDraw.Draw(coverage).line(line, fill=255, width=width)
         shine = 60 + 190 * max(0.0, np.cos(2 * angle[i] - glint)) ** 3
         ImageDraw.Draw(bright).line(line, fill=round(shine), width=width + 2)
-    small = [np.asarray(i.resize((n, n), Image.BOX), np.float32) / 255 for i in (bright, cover)]
+    small = [np.asarray(i.resize((n, n), Image.BOX), np.float32) / 255 for i in (bright, coverage)]
     return small[0], small[1]
 
 
 def _fastener(kind: str, angle: float, scale: float, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """A screw that lies on its side, a nut or a washer: brightness and cover, both [n, n]."""
+    """A lying screw, a nut or a washer: brightness, and the share of each pixel that it covers; both [n, n]."""
     n = round(26 * scale)
     at = (np.arange(n) + 0.5 - n / 2) / scale
     x, y = np.meshgrid(at, at)
@@ -114,7 +114,7 @@ def _fastener(kind: str, angle: float, scale: float, scene: Scene) -> tuple[np.n
 
 
 def _screw(u: np.ndarray, v: np.ndarray, lamp_v: float, lamp_z: float, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """A cap screw along u: head 5 mm long and 8.5 across, thread 14 mm long and 5 across."""
+    """A cap screw along u: head 5 mm long and 8.5 mm in diameter, thread 14 mm long and 5 mm in diameter."""
     head = np.maximum(np.abs(u + 7.5) - 2.5, np.abs(v) - 4.25)
     thread_radius = 2.5 + 0.18 * np.sin((u + 0.35 * v) * 2 * np.pi / 0.9)
     thread = np.maximum(np.abs(u - 2) - 7.0, np.abs(v) - thread_radius)

@@ -2,9 +2,10 @@
 
     detector.py models/quality-control models/defect-detector
 
-The convolutions of the trained classifier stay as they are; a head behind them is trained on drawn scenes, whose boxes are known
-(boxes.py). The output has the layout of YOLOv8: centre, size and scores of the classes for each cell of 8 x 8 pixels. Nothing is
-downloaded; the committed model was trained with --scenes 320 --epochs 14, in about five minutes of two cores.
+The weights of the trained classifier's convolutions are kept. A head that takes their output is trained on drawn
+scenes, whose boxes are known (boxes.py). The output has the layout of YOLOv8: centre, size and scores of the classes
+for each cell of 8 x 8 pixels. Nothing is downloaded. The committed model was trained with --scenes 320 --epochs 14, in
+about five minutes on two cores.
 """
 
 from __future__ import annotations
@@ -28,15 +29,15 @@ import dataset
 import draw
 import scene as scenes
 from network import CELL
-from preprocessing import HEIGHT, MEAN, SCALE, STD, WIDTH, normalised
+from preprocessing import HEIGHT, MEAN, SCALE, STD, WIDTH, normalise
 from scene import LABELS
 
 SEED = 7
 TRAINING_SEEDS = 7_000_000
 PICTURE_SEEDS = 8_000_001
 EPOCHS, BATCH, PEAK_RATE = 14, 32, 2e-3
-RARE = -4.0  # logit at the start of training, since hardly any cell is the centre of a defect
-REACH = 1.0  # cells around the centre of a box, in both directions, that answer for it
+INITIAL_LOGIT = -4.0  # of each cell before the training; it is low because hardly any cell is the centre of a defect
+CENTRE_RADIUS_CELLS = 1.0  # the cells this close to the centre of a box, along both axes, must find the box
 OPSET = 13
 ROWS, COLUMNS = HEIGHT // CELL, WIDTH // CELL
 
@@ -76,7 +77,7 @@ licence = "MIT OR Apache-2.0"
 
 
 class Detector(nn.Module):
-    """Normalised pictures [1, 3, height, width] to boxes and scores [1, 4 + classes, cells]."""
+    """Computes boxes and scores [n, 4 + classes, cells] from normalised pictures [n, 3, height, width]."""
 
     def __init__(self, classifier: Path) -> None:
         super().__init__()
@@ -87,25 +88,25 @@ class Detector(nn.Module):
         )
         self.scores = nn.Conv2d(width, len(boxes.NAMES), 1)
         self.sides = nn.Conv2d(width, 4, 1)
-        nn.init.constant_(self.scores.bias, RARE)
+        nn.init.constant_(self.scores.bias, INITIAL_LOGIT)
         rows, columns = torch.meshgrid(torch.arange(ROWS), torch.arange(COLUMNS), indexing="ij")
         self.register_buffer("centres", CELL * (torch.stack([columns, rows]).float() + 0.5))
 
     def raw(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Logits [n, classes, rows, columns] and edges [n, 4, rows, columns], in pixels of the input."""
-        found = self.head(features)
-        sides = CELL * nn.functional.softplus(self.sides(found))
-        return self.scores(found), torch.cat([self.centres - sides[:, :2], self.centres + sides[:, 2:]], dim=1)
+        """Logits of the classes [n, classes, rows, columns], and the boxes' edges [n, 4, rows, columns] in pixels."""
+        hidden = self.head(features)
+        sides = CELL * nn.functional.softplus(self.sides(hidden))
+        return self.scores(hidden), torch.cat([self.centres - sides[:, :2], self.centres + sides[:, 2:]], dim=1)
 
     def forward(self, pictures: torch.Tensor) -> torch.Tensor:
-        """The output of the exported model."""
+        """Centres, sizes and scores [n, 4 + classes, cells]: the output of the exported model."""
         logits, edges = self.raw(self.features(pictures))
         low, high = edges[:, :2], edges[:, 2:]
         return torch.cat([(low + high) / 2, high - low, logits.sigmoid()], dim=1).flatten(2)
 
 
 def _features(classifier: Path) -> nn.Sequential:
-    """The classifier's convolutions, with the batch normalisation folded into their weights."""
+    """The classifier's convolutions, from its ONNX graph, in which batch normalisation is a part of their weights."""
     graph = onnx.load(str(classifier / "model.onnx")).graph
     weights = {one.name: torch.from_numpy(numpy_helper.to_array(one).copy()) for one in graph.initializer}
     layers: list[nn.Module] = []
@@ -127,37 +128,41 @@ def _features(classifier: Path) -> nn.Sequential:
     return nn.Sequential(*layers).requires_grad_(False)
 
 
-def targets(seed: int, mirrored: bool) -> np.ndarray:
-    """For each cell 0 (no box) or its class + 1, and the edges of its box: [5, rows, columns]."""
-    found = np.zeros((5, ROWS, COLUMNS), np.float32)
+def cell_targets(seed: int, mirrored: bool) -> np.ndarray:
+    """For each cell: class + 1 of the box that it must find (0: no box), and the box's edges: [5, rows, columns]."""
+    targets = np.zeros((5, ROWS, COLUMNS), np.float32)
     drawn = boxes.boxes(scenes.sample(seed, LABELS[seed % len(LABELS)]), WIDTH)
-    # Small boxes last: where two meet, the smaller one is harder to find.
+    # Smaller boxes overwrite larger boxes in the cells of both, because they are harder to find.
     for box in sorted(drawn, key=lambda one: (one.left - one.right) * (one.bottom - one.top)):
         left, right = (WIDTH - box.right, WIDTH - box.left) if mirrored else (box.left, box.right)
         x, y = (left + right) / 2 / CELL - 0.5, (box.top + box.bottom) / 2 / CELL - 0.5
-        near = (np.abs(np.arange(ROWS) - y) <= REACH)[:, None] & (np.abs(np.arange(COLUMNS) - x) <= REACH)
-        found[:, near] = np.array([box.kind + 1, left, box.top, right, box.bottom], np.float32)[:, None]
-    return found
+        near_rows = np.abs(np.arange(ROWS) - y) <= CENTRE_RADIUS_CELLS
+        near_columns = np.abs(np.arange(COLUMNS) - x) <= CENTRE_RADIUS_CELLS
+        target = np.array([box.kind + 1, left, box.top, right, box.bottom], np.float32)
+        targets[:, near_rows[:, None] & near_columns] = target[:, None]
+    return targets
 
 
-def load(detector: Detector, first_seed: int, count: int, workers: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """Features [n, 64, rows, columns] and targets [n, 5, rows, columns] of scenes, each at three sizes and mirrored."""
+def draw_training_set(
+    detector: Detector, first_seed: int, count: int, workers: int
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Features [n, 64, rows, columns] and targets [n, 5, rows, columns] of scenes: in three sizes, also mirrored."""
     seeds = range(first_seed, first_seed + count)
-    features, wanted = [], []
+    features, targets = [], []
     with Pool(workers) as pool, torch.no_grad():
-        for seed, pictures in zip(seeds, pool.imap(dataset.variants, seeds, chunksize=4)):
+        for seed, pictures in zip(seeds, pool.imap(dataset.input_variants, seeds, chunksize=4)):
             for picture in pictures:
                 for mirrored in (False, True):
                     shown = np.ascontiguousarray(picture[:, ::-1]) if mirrored else picture
-                    features.append(detector.features(torch.from_numpy(normalised(shown)))[0].half())
-                    wanted.append(torch.from_numpy(targets(seed, mirrored)))
-    return torch.stack(features), torch.stack(wanted)
+                    features.append(detector.features(torch.from_numpy(normalise(shown)))[0].half())
+                    targets.append(torch.from_numpy(cell_targets(seed, mirrored)))
+    return torch.stack(features), torch.stack(targets)
 
 
-def loss_of(detector: Detector, features: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
-    """Focal loss of the classes, and 1 - IoU of the boxes of cells that answer for one."""
+def loss_of(detector: Detector, features: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+    """Focal loss of the classes, and 1 - IoU of the boxes in cells that must find a box."""
     logits, edges = detector.raw(features.float())
-    kinds = wanted[:, 0].long()
+    kinds = targets[:, 0].long()
     positive = kinds > 0
     count = positive.sum().clamp(min=1)
     ones = nn.functional.one_hot(kinds, len(boxes.NAMES) + 1)[..., 1:].permute(0, 3, 1, 2).float()
@@ -166,23 +171,23 @@ def loss_of(detector: Detector, features: torch.Tensor, wanted: torch.Tensor) ->
     weight = torch.where(ones > 0, 0.25, 0.75) * wrong**2
     entropy = nn.functional.binary_cross_entropy_with_logits(logits, ones, reduction="none")
     class_loss = (weight * entropy).sum() / count
-    edges, true = (one.permute(0, 2, 3, 1)[positive] for one in (edges, wanted[:, 1:]))
+    edges, true = (one.permute(0, 2, 3, 1)[positive] for one in (edges, targets[:, 1:]))
     return 2 * class_loss + (1 - overlap(edges, true)).sum() / count
 
 
 def overlap(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    """Ratio of intersection to union of pairs of boxes [n, 4]."""
+    """For each pair of boxes [n, 4], the ratio of their intersection to their union (IoU)."""
     common = (torch.minimum(a[:, 2:], b[:, 2:]) - torch.maximum(a[:, :2], b[:, :2])).clamp(min=0).prod(1)
     area = (a[:, 2:] - a[:, :2]).prod(1) + (b[:, 2:] - b[:, :2]).prod(1)
     return common / (area - common).clamp(min=1e-6)
 
 
-def train(detector: Detector, seen: tuple[torch.Tensor, torch.Tensor], epochs: int) -> None:
-    """Trains the head; the features stay as they are."""
-    features, wanted = seen
+def train(detector: Detector, training: tuple[torch.Tensor, torch.Tensor], epochs: int) -> None:
+    """Trains the head. The convolutions of the classifier do not change."""
+    features, targets = training
     start = time.monotonic()
-    trained = [one for one in detector.parameters() if one.requires_grad]
-    optimiser = torch.optim.AdamW(trained, lr=PEAK_RATE, weight_decay=0.02)
+    trainable = [parameter for parameter in detector.parameters() if parameter.requires_grad]
+    optimiser = torch.optim.AdamW(trainable, lr=PEAK_RATE, weight_decay=0.02)
     steps = max(1, len(features) // BATCH)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, PEAK_RATE, total_steps=epochs * steps, pct_start=0.2)
     rng = np.random.default_rng(SEED)
@@ -190,7 +195,7 @@ def train(detector: Detector, seen: tuple[torch.Tensor, torch.Tensor], epochs: i
         order = torch.from_numpy(rng.permutation(len(features)))
         losses = []
         for chosen in order[: steps * BATCH].split(BATCH):
-            loss = loss_of(detector, features[chosen], wanted[chosen])
+            loss = loss_of(detector, features[chosen], targets[chosen])
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
@@ -200,19 +205,19 @@ def train(detector: Detector, seen: tuple[torch.Tensor, torch.Tensor], epochs: i
 
 
 def write_pictures(folder: Path, count: int) -> None:
-    """Writes test pictures, 640 pixels wide, and labels.csv with a line for each defect."""
+    """Writes test pictures, 640 pixels wide, and labels.csv: a line for each defect, or for a picture without defects."""
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / "labels.csv").open("w", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(("file", "label", "left", "top", "right", "bottom"))
         for index in range(count):
             seed, label, name = PICTURE_SEEDS + index, LABELS[index % len(LABELS)], f"part-{index + 1:04}.jpg"
-            draw.picture(seed, label, 640).save(folder / name, quality=80, optimize=True)
-            found = boxes.boxes(scenes.sample(seed, label), 640)
-            for box in found:
+            draw.draw_picture(seed, label, 640).save(folder / name, quality=80, optimize=True)
+            defects = boxes.boxes(scenes.sample(seed, label), 640)
+            for box in defects:
                 edges = (box.left, box.top, box.right, box.bottom)
                 rows.writerow((name, boxes.NAMES[box.kind], *(f"{edge:.1f}" for edge in edges)))
-            if not found:
+            if not defects:
                 rows.writerow((name, "", "", "", "", ""))
 
 
@@ -232,9 +237,9 @@ def main() -> None:
     write_pictures(options.out / "pictures", options.pictures)
     detector = Detector(options.classifier)
     start = time.monotonic()
-    seen = load(detector, TRAINING_SEEDS, options.scenes, options.workers)
+    training = draw_training_set(detector, TRAINING_SEEDS, options.scenes, options.workers)
     print(f"drew {options.scenes} scenes in {time.monotonic() - start:.0f} s", flush=True)
-    train(detector, seen, options.epochs)
+    train(detector, training, options.epochs)
     example = torch.zeros(1, 3, HEIGHT, WIDTH)
     path = options.out / "model.onnx"
     torch.onnx.export(

@@ -1,8 +1,8 @@
 """Draws pictures of machined parts on a factory line.
 
-    draw.py OUT --width 1280 --quality 85 --first-seed 1 --count good=18 scratched=4
+    draw.py FOLDER --width 1280 --quality 85 --first-seed 1 --count good=18 scratched=4
 
-A scene (scene.py) becomes a picture in three steps: the belt and what lies on
+A scene (scene.py) becomes a picture in three steps: the belt and the clutter on
 it (belt.py, clutter.py), the parts (metal.py), the camera (sensor.py).
 """
 
@@ -23,7 +23,7 @@ import sensor
 from view import View
 
 
-def picture(seed: int, label: str, width: int) -> Image.Image:
+def draw_picture(seed: int, label: str, width: int) -> Image.Image:
     """The RGB picture of `seed` and `label`, `width` pixels wide and three quarters as high."""
     scene = scenes.sample(seed, label)
     rng = np.random.default_rng([seed, width])
@@ -31,27 +31,27 @@ def picture(seed: int, label: str, width: int) -> Image.Image:
     light = belt.paint(scene, view, rng)
     clutter.scatter(light, scene, view, rng)
     if scene.neighbour is not None:
-        metal.paint(light, metal.as_good(scene), scene.neighbour, view, rng)
+        metal.paint(light, metal.without_defects(scene), scene.neighbour, view, rng)
     face = metal.paint(light, scene, scene.pose, view, rng)
     clutter.dust(light, scene, view, rng)
     return sensor.expose(light, face, scene, rng)
 
 
-def shuffled(counts: dict[str, int], seed: int) -> list[str]:
-    """The labels, each as often as asked for, in an order that `seed` decides."""
+def shuffled_labels(counts: dict[str, int], seed: int) -> list[str]:
+    """The labels in a random order that `seed` determines. Each label occurs as often as `counts` says."""
     labels = [label for label, count in counts.items() for _ in range(count)]
     return [labels[i] for i in np.random.default_rng(seed).permutation(len(labels))]
 
 
 def write_folder(folder: Path, counts: dict[str, int], width: int, quality: int, first_seed: int) -> None:
-    """Writes part-0001.jpg … and labels.csv; picture i has the seed first_seed + i."""
+    """Writes part-0001.jpg … and labels.csv; the first picture has the seed first_seed, the next first_seed + 1."""
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / "labels.csv").open("w", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(("file", "label"))
-        for index, label in enumerate(shuffled(counts, first_seed)):
+        for index, label in enumerate(shuffled_labels(counts, first_seed)):
             name = f"part-{index + 1:04}.jpg"
-            picture(first_seed + index, label, width).save(folder / name, quality=quality, optimize=True)
+            draw_picture(first_seed + index, label, width).save(folder / name, quality=quality, optimize=True)
             rows.writerow((name, label))
 
 
@@ -60,7 +60,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Draws a folder of labelled pictures.")
     parser.add_argument("out", type=Path)
     parser.add_argument("--width", type=int, default=1280)
-    parser.add_argument("--quality", type=int, default=85, help="of the JPEG files")
+    parser.add_argument("--quality", type=int, default=85, help="quality of the JPEG files")
     parser.add_argument("--first-seed", type=int, required=True)
     parser.add_argument("--count", nargs="+", required=True, metavar="LABEL=N")
     options = parser.parse_args()

@@ -1,4 +1,4 @@
-"""The convolutional network: one map per kind of defect, and a decision from each map's strongest cell."""
+"""The convolutional network: it computes one map per class of defect, and the label from each map's strongest cell."""
 
 from __future__ import annotations
 
@@ -7,43 +7,43 @@ from torch import nn
 
 CHANNELS = (24, 48, 64)
 CELL = 8  # pixels of the picture per cell of the maps
-RARE = -3.5  # logit at the start of training, since hardly any cell shows a defect
+INITIAL_LOGIT = -3.5  # of each cell before the training; it is low because hardly any cell shows a defect
 
 
 class Network(nn.Module):
-    """Normalised pictures [n, 3, height, width] to logits [n, defects + 1]."""
+    """Computes logits [n, defects + 1] of the labels from normalised pictures [n, 3, height, width]."""
 
     def __init__(self, defects: int) -> None:
         super().__init__()
         layers: list[nn.Module] = []
-        before = 3
+        inputs = 3
         for channels in CHANNELS:
-            layers += _convolution(before, channels, stride=2) + _convolution(channels, channels)
-            before = channels
-        layers += _convolution(before, before, apart=2) + _convolution(before, before, apart=2)
+            layers += _convolution(inputs, channels, stride=2) + _convolution(channels, channels)
+            inputs = channels
+        layers += _convolution(inputs, inputs, dilation=2) + _convolution(inputs, inputs, dilation=2)
         self.features = nn.Sequential(*layers)
-        self.locate = nn.Conv2d(before, defects, 1)
-        nn.init.constant_(self.locate.bias, RARE)
+        self.locate = nn.Conv2d(inputs, defects, 1)
+        nn.init.constant_(self.locate.bias, INITIAL_LOGIT)
         self.strongest = nn.Sequential(nn.AdaptiveMaxPool2d(1), nn.Flatten())
         self.decide = nn.Linear(defects, defects + 1)
 
     def maps(self, pictures: torch.Tensor) -> torch.Tensor:
-        """Logits that a cell shows a defect: [n, defects, height / CELL, width / CELL]."""
+        """For each cell, the logits of the defects that it may show: [n, defects, height / CELL, width / CELL]."""
         return self.locate(self.features(pictures))
 
-    def judge(self, maps: torch.Tensor) -> torch.Tensor:
-        """Logits [n, defects + 1] from maps."""
+    def classify(self, maps: torch.Tensor) -> torch.Tensor:
+        """Logits [n, defects + 1] of the labels, from the maps."""
         return self.decide(self.strongest(maps))
 
     def forward(self, pictures: torch.Tensor) -> torch.Tensor:
-        """Logits [n, defects + 1]."""
-        return self.judge(self.maps(pictures))
+        """Logits [n, defects + 1] of the labels, from the pictures."""
+        return self.classify(self.maps(pictures))
 
 
-def _convolution(before: int, after: int, stride: int = 1, apart: int = 1) -> list[nn.Module]:
-    """3x3 convolution whose nine taps are `apart` pixels from each other."""
+def _convolution(inputs: int, outputs: int, stride: int = 1, dilation: int = 1) -> list[nn.Module]:
+    """A 3x3 convolution (neighbouring taps are `dilation` pixels apart), a batch normalisation and a ReLU."""
     return [
-        nn.Conv2d(before, after, 3, stride, padding=apart, dilation=apart, bias=False),
-        nn.BatchNorm2d(after),
+        nn.Conv2d(inputs, outputs, 3, stride, padding=dilation, dilation=dilation, bias=False),
+        nn.BatchNorm2d(outputs),
         nn.ReLU(),
     ]

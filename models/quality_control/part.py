@@ -22,13 +22,13 @@ Coordinate = np.ndarray | float
 
 @dataclass(frozen=True)
 class Hole:
-    """A hole that goes through: a circle, or a slot when `span` is above zero."""
+    """A through hole: a circle, or a slot if `span` is above zero."""
 
     name: str
     x: float
     y: float
     radius: float
-    sink: float  # width of the cone around it
+    sink: float  # width of the cone around the hole
     span: float = 0.0  # distance between the two centres of a slot
 
     def distance(self, x: Coordinate, y: Coordinate) -> Coordinate:
@@ -51,14 +51,14 @@ RECESS_DEPTH = 1.2
 
 
 def to_part(x: Coordinate, y: Coordinate, px: float, py: float, angle: float) -> tuple[Coordinate, Coordinate]:
-    """Belt millimetres to the millimetres of a part that lies at (px, py), turned by `angle`."""
+    """Converts a point of the belt to the coordinates of a part that lies at (px, py) and is rotated by `angle`."""
     c, s = np.cos(angle), np.sin(angle)
     dx, dy = x - px, y - py
     return c * dx + s * dy, -s * dx + c * dy
 
 
 def outline_distance(x: Coordinate, y: Coordinate) -> Coordinate:
-    """Distance from the plate's outline, negative inside; holes are left out."""
+    """Distance from the plate's outline, negative inside. Holes are ignored."""
     qx = np.abs(x) - (LENGTH / 2 - CORNER)
     qy = np.abs(y) - (WIDTH / 2 - CORNER)
     box = np.hypot(np.maximum(qx, 0), np.maximum(qy, 0)) + np.minimum(np.maximum(qx, qy), 0) - CORNER
@@ -66,17 +66,17 @@ def outline_distance(x: Coordinate, y: Coordinate) -> Coordinate:
     return np.maximum(box, corner)
 
 
-def distance(x: Coordinate, y: Coordinate, missing: str | None = None) -> Coordinate:
-    """Distance from the nearest edge of the top face, negative on the metal; without the hole called `missing`."""
+def distance(x: Coordinate, y: Coordinate, missing_hole: str | None = None) -> Coordinate:
+    """Distance from the nearest edge of the top face, negative on the metal. The hole `missing_hole` does not exist."""
     found = outline_distance(x, y)
     for hole in HOLES:
-        if hole.name != missing:
+        if hole.name != missing_hole:
             found = np.maximum(found, -hole.distance(x, y))
     return found
 
 
 def edge_point(along: float, side: int) -> tuple[float, float]:
-    """A point on a straight stretch of the outline: 0..1 along one of four sides."""
+    """A point in the straight middle of one of the four sides: `along` is 0 at one end of it, 1 at the other."""
     t = (along - 0.5) * 0.6
     return (
         (t * LENGTH, -WIDTH / 2),

@@ -1,4 +1,4 @@
-"""From a picture to the model's input, exactly as the card (model.toml) says."""
+"""Computes the model's input from a picture, exactly as the card (model.toml) says."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ MEAN = (0.30, 0.30, 0.30)
 STD = (0.25, 0.25, 0.25)
 
 
-def resized(image: Image.Image, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:
-    """RGB bytes [height, width, 3]; bilinear, averaging over the pixels that shrinking merges."""
+def resize(image: Image.Image, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:
+    """RGB bytes [height, width, 3] of the picture, resized with Pillow's bilinear filter, which antialiases."""
     return np.asarray(image.convert("RGB").resize((width, height), Image.BILINEAR))
 
 
-def normalised(
+def normalise(
     pixels: np.ndarray, scale: float = SCALE, mean: Sequence[float] = MEAN, std: Sequence[float] = STD
 ) -> np.ndarray:
-    """Bytes [height, width, 3] to the model's float32 input [1, 3, height, width]."""
+    """The model's input, float32 [1, 3, height, width], from bytes [height, width, 3]."""
     values = (pixels.astype(np.float32) * scale - np.float32(mean)) / np.float32(std)
     return np.ascontiguousarray(values.transpose(2, 0, 1)[None], dtype=np.float32)

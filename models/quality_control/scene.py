@@ -1,6 +1,6 @@
-"""What is in one picture: everything that chance decides, except the grain of surfaces and sensor.
+"""The contents of one picture: all random choices, except the grain of surfaces and the noise of the sensor.
 
-A scene is drawn from a seed and a label alone. It does not depend on the size
+A scene depends only on a seed and a label. It does not depend on the size
 of the picture, so the same scene can be drawn at any width. Lengths are in
 millimetres, angles in radians, brightness in linear light (1.0 = white).
 """
@@ -44,7 +44,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class Light:
-    """The lamp: direction, its warmth, and how much comes from everywhere else."""
+    """The light: direction, distance and colour of the lamp, and the share of ambient light."""
 
     azimuth: float
     elevation: float
@@ -56,7 +56,7 @@ class Light:
 
 @dataclass(frozen=True)
 class Camera:
-    """The camera: how it looks at the belt, and how good its picture is."""
+    """The camera: its view of the belt, and the quality of its picture."""
 
     view: float  # mm of belt across the picture's width
     tilt: float
@@ -64,7 +64,7 @@ class Camera:
     distance: float  # mm
     blur: float  # px at 1280
     motion: float  # px at 1280, along the belt
-    noise: float  # of 255, at mid grey
+    noise: float  # about the standard deviation at mid grey; white is 255
     exposure: float  # brightness of the part's face, linear
     vignette: float
     sharpen: float
@@ -82,15 +82,15 @@ class Scratch:
 
 @dataclass(frozen=True)
 class Dent:
-    """A hollow that an impact left; `edge` when it also pushed the outline in."""
+    """A hollow that an impact left. If it `is_at_edge`, the impact also pushed the outline in."""
 
     x: float
     y: float
     radius: float  # mm
     depth: float  # mm
-    stretch: float  # length over width
+    stretch: float  # ratio of length to width
     angle: float
-    edge: bool
+    is_at_edge: bool
 
 
 @dataclass(frozen=True)
@@ -107,12 +107,12 @@ class Scene:
     metal: tuple[float, float, float]
     surface: str
     grain: float  # strength of the machining marks
-    rail: float | None  # y of a guide rail's edge in mm; the sign says which side
+    rail: float | None  # y of a guide rail's edge in mm; the sign tells on which side of the belt the rail is
     seam: float | None  # x of the belt's seam in mm
-    chips: int
+    shavings: int
     dust: int
-    screws: tuple[tuple[float, float, float, str], ...]  # x, y, angle, kind
-    missing: str | None = None
+    fasteners: tuple[tuple[float, float, float, str], ...]  # x, y, angle, kind
+    missing_hole: str | None = None
     scratches: tuple[Scratch, ...] = ()
     dents: tuple[Dent, ...] = ()
 
@@ -139,10 +139,10 @@ def sample(seed: int, label: str) -> Scene:
         grain=rng.uniform(0.5, 1.2),
         rail=float(rng.choice((-1, 1)) * rng.uniform(66, 84)) if rng.random() < 0.4 else None,
         seam=rng.uniform(-100, 100) if rng.random() < 0.12 else None,
-        chips=int(rng.integers(0, 16)) if rng.random() < 0.7 else 0,
+        shavings=int(rng.integers(0, 16)) if rng.random() < 0.7 else 0,
         dust=int(rng.integers(20, 220)),
-        screws=_screws(rng, pose),
-        missing=_missing(rng) if label == "hole missing" else None,
+        fasteners=_fasteners(rng, pose),
+        missing_hole=_missing_hole(rng) if label == "hole missing" else None,
         scratches=_scratches(rng) if label == "scratched" else (),
         dents=_dents(rng) if label == "dented" else (),
     )
@@ -185,7 +185,7 @@ def _pose(rng: np.random.Generator, camera: Camera) -> Pose:
 
 
 def _neighbour(rng: np.random.Generator, pose: Pose) -> Pose | None:
-    """The part before or after this one on the belt, for the most part out of the picture."""
+    """The part before or after the inspected part on the belt; most of it is outside of the picture."""
     if rng.random() > 0.35:
         return None
     side = rng.choice((-1, 1))
@@ -196,8 +196,8 @@ def _neighbour(rng: np.random.Generator, pose: Pose) -> Pose | None:
     )
 
 
-def _screws(rng: np.random.Generator, pose: Pose) -> tuple[tuple[float, float, float, str], ...]:
-    """Things that do not belong on the belt, never on the part."""
+def _fasteners(rng: np.random.Generator, pose: Pose) -> tuple[tuple[float, float, float, str], ...]:
+    """Loose screws, nuts and washers; none lies on the part."""
     found = []
     for _ in range(rng.choice((0, 1, 2, 3), p=(0.55, 0.25, 0.13, 0.07))):
         x, y = rng.uniform(-100, 100), rng.uniform(-75, 75)
@@ -207,12 +207,12 @@ def _screws(rng: np.random.Generator, pose: Pose) -> tuple[tuple[float, float, f
     return tuple(found)
 
 
-def _missing(rng: np.random.Generator) -> str:
+def _missing_hole(rng: np.random.Generator) -> str:
     return str(rng.choice([hole.name for hole in part.HOLES]))
 
 
 def _face_point(rng: np.random.Generator, margin: float) -> tuple[float, float]:
-    """A point on the top face at least `margin` mm from any edge."""
+    """A random point on the top face, at least `margin` mm from any edge."""
     while True:
         x = rng.uniform(-part.LENGTH / 2, part.LENGTH / 2)
         y = rng.uniform(-part.WIDTH / 2, part.WIDTH / 2)
@@ -221,7 +221,7 @@ def _face_point(rng: np.random.Generator, margin: float) -> tuple[float, float]:
 
 
 def _scratches(rng: np.random.Generator) -> tuple[Scratch, ...]:
-    """One to four grooves; several share a direction, as when a part slid over an edge."""
+    """One to four grooves; most have about the same direction, as after a part has slid over an edge."""
     count = int(rng.choice((1, 2, 3, 4), p=(0.3, 0.3, 0.25, 0.15)))
     heading = rng.uniform(0, np.pi)
     bright = rng.uniform(0.5, 1.0) if rng.random() < 0.65 else -rng.uniform(0.5, 0.75)
@@ -241,7 +241,7 @@ def _scratches(rng: np.random.Generator) -> tuple[Scratch, ...]:
         points = np.stack([px, py], axis=1)
         on_face = part.distance(px, py) < -0.5
         if on_face.mean() < 0.5 or on_face.sum() * stride < 22:
-            found += _scratches(rng)[:1]  # too little of it on the face: try another
+            found += _scratches(rng)[:1]  # too little of this groove is on the face: another one takes its place
         else:
             found.append(Scratch(points, rng.uniform(0.7, 1.3), rng.uniform(0.75, 1.0), bright))
         x, y = x + rng.normal(0, 6), y + rng.normal(0, 6)
@@ -252,8 +252,8 @@ def _dents(rng: np.random.Generator) -> tuple[Dent, ...]:
     """One or two hollows on the face or at an edge."""
     found = []
     for _ in range(int(rng.choice((1, 2), p=(0.75, 0.25)))):
-        edge = bool(rng.random() < 0.35)
-        if edge:
+        is_at_edge = bool(rng.random() < 0.35)
+        if is_at_edge:
             x, y = part.edge_point(rng.uniform(0, 1), rng.integers(4))
         else:
             x, y = _face_point(rng, 4.0)
@@ -261,11 +261,11 @@ def _dents(rng: np.random.Generator) -> tuple[Dent, ...]:
             Dent(
                 x=x,
                 y=y,
-                radius=rng.uniform(7.0, 10.5) if edge else rng.uniform(5.5, 9.5),
+                radius=rng.uniform(7.0, 10.5) if is_at_edge else rng.uniform(5.5, 9.5),
                 depth=rng.uniform(1.5, 2.8),
                 stretch=rng.uniform(1.0, 1.5),
                 angle=rng.uniform(0, np.pi),
-                edge=edge,
+                is_at_edge=is_at_edge,
             )
         )
     return tuple(found)

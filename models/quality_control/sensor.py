@@ -1,16 +1,16 @@
-"""The camera after the lens: exposure, colour of the light, glow, vignette, blur, tone curve, noise."""
+"""The camera: exposure, colour of the light, vignette, glare, tone curve, blur, noise."""
 
 from __future__ import annotations
 
 import numpy as np
 from PIL import Image, ImageFilter
 
-from noise import blurred
+from noise import blur
 from scene import Scene
 
 
 def expose(light: np.ndarray, face: float, scene: Scene, rng: np.random.Generator) -> Image.Image:
-    """The 8-bit RGB picture of linear light [height, width, 3]; `face` is the part's mean brightness."""
+    """The 8-bit RGB picture of linear light [height, width, 3]; `face` is the top face's mean brightness."""
     height, width, _ = light.shape
     unit = width / 1280
     camera = scene.camera
@@ -21,17 +21,17 @@ def expose(light: np.ndarray, face: float, scene: Scene, rng: np.random.Generato
         * _vignette(height, width, camera.vignette)[..., None]
     )
     glare = np.maximum(light.mean(axis=2) - 0.8, 0)
-    light += 0.25 * blurred(glare, 40 * unit)[..., None]
+    light += 0.25 * blur(glare, 40 * unit)[..., None]
     image = Image.fromarray((_tone(light) * 255 + 0.5).astype(np.uint8))
     image = image.filter(ImageFilter.GaussianBlur(camera.blur * unit))
-    image = _moved(image, camera.motion * unit)
+    image = _motion_blurred(image, camera.motion * unit)
     if camera.sharpen > 0.1:
         image = image.filter(ImageFilter.UnsharpMask(1.5 * unit, round(100 * camera.sharpen), 1))
-    return _noisy(image, camera.noise, unit, rng)
+    return _with_noise(image, camera.noise, unit, rng)
 
 
 def _tint(scene: Scene) -> np.ndarray:
-    """Gains of red, green and blue that the camera's white balance did not take out."""
+    """The tint that the camera's white balance leaves: gains of red, green and blue."""
     warm = scene.light.temperature
     return np.array([1 + 0.14 * warm, 1 + 0.01 * warm, 1 - 0.16 * warm], np.float32)
 
@@ -44,7 +44,7 @@ def _vignette(height: int, width: int, strength: float) -> np.ndarray:
 
 
 def _tone(light: np.ndarray) -> np.ndarray:
-    """Linear light to 0..1 for the screen: straight below, a soft shoulder above, then gamma and some contrast."""
+    """Screen values 0..1 from linear light: a curve that is flatter above a knee, then gamma and contrast."""
     knee = 0.6
     over = np.maximum(light - knee, 0)
     soft = np.minimum(light, knee) + (1 - knee) * (1 - np.exp(-over / (1 - knee)))
@@ -53,8 +53,8 @@ def _tone(light: np.ndarray) -> np.ndarray:
     return table[(np.clip(soft, 0, 1) * 4095).astype(np.int32)]
 
 
-def _moved(image: Image.Image, length: float) -> Image.Image:
-    """The picture smeared along the belt over `length` pixels."""
+def _motion_blurred(image: Image.Image, length: float) -> Image.Image:
+    """The picture, blurred over `length` pixels along the belt, because the belt moves during the exposure."""
     steps = round(length)
     if steps < 2:
         return image
@@ -63,8 +63,8 @@ def _moved(image: Image.Image, length: float) -> Image.Image:
     return Image.fromarray((total / steps + 0.5).astype(np.uint8))
 
 
-def _noisy(image: Image.Image, level: float, unit: float, rng: np.random.Generator) -> Image.Image:
-    """Adds shot and read noise; `level` is its deviation of 255 at mid grey in a picture 1280 wide."""
+def _with_noise(image: Image.Image, level: float, unit: float, rng: np.random.Generator) -> Image.Image:
+    """The picture with shot noise and read noise; at mid grey and a width of 1280, `level` is about its deviation."""
     pixels = np.asarray(image, np.float32)
     grain = rng.standard_normal(pixels.shape[:2], np.float32)[..., None]
     colour = rng.standard_normal(pixels.shape, np.float32)

@@ -15,8 +15,8 @@ import part
 from noise import smooth_noise
 from scene import Dent, Scene, Scratch
 
-MARGIN = 3.0  # mm around the part
-FINE = 10.0  # texels per mm at which scratches are drawn, at any resolution of the map
+MARGIN = 3.0  # mm: the maps extend this far beyond the part
+SCRATCH_TEXELS = 10.0  # texels per mm with which scratches are drawn; they are then resized to the map
 
 
 @dataclass(frozen=True)
@@ -45,11 +45,11 @@ def grid(texels: float) -> tuple[np.ndarray, np.ndarray]:
 def build(scene: Scene, texels: float, rng: np.random.Generator) -> Surface:
     """The maps of the scene's part."""
     x, y = grid(texels)
-    edge_distance = part.distance(x, y, scene.missing).astype(np.float32)
+    edge_distance = part.distance(x, y, scene.missing_hole).astype(np.float32)
     for dent in scene.dents:
-        if dent.edge:
+        if dent.is_at_edge:
             edge_distance = _smooth_maximum(edge_distance, _notch(dent, x, y), 1.2)
-    height = _shape(x, y, edge_distance, scene.missing)
+    height = _shape(x, y, edge_distance, scene.missing_hole)
     marks, along_x, along_y = _marks(scene, x, y, edge_distance.shape, texels, rng)
     rough = np.zeros_like(edge_distance)
     albedo = 1.0 + 0.05 * smooth_noise(rng, edge_distance.shape, 18 * texels) + 0.9 * marks
@@ -74,22 +74,22 @@ def build(scene: Scene, texels: float, rng: np.random.Generator) -> Surface:
 
 
 def _smooth_maximum(a: np.ndarray, b: np.ndarray, width: float) -> np.ndarray:
-    """The larger of two distances, smooth within `width` of where they are equal."""
+    """The larger of two distances; where they differ by less than `width`, the transition is smooth."""
     h = np.clip(0.5 + 0.5 * (a - b) / width, 0, 1)
     return b + (a - b) * h + width * h * (1 - h)
 
 
 def _step(distance: np.ndarray, width: float) -> np.ndarray:
-    """0 where the distance is above zero, 1 below -width, smooth between."""
+    """0 where the distance is positive, 1 where it is below -width, and a smooth transition between."""
     t = np.clip(-distance / width, 0, 1)
     return t * t * (3 - 2 * t)
 
 
-def _shape(x: np.ndarray, y: np.ndarray, edge_distance: np.ndarray, missing: str | None) -> np.ndarray:
+def _shape(x: np.ndarray, y: np.ndarray, edge_distance: np.ndarray, missing_hole: str | None) -> np.ndarray:
     """Height of the intended shape in mm: chamfers, countersinks, recess."""
     height = -np.clip(part.CHAMFER + edge_distance, 0, part.CHAMFER)
     for hole in part.HOLES:
-        if hole.name == missing:
+        if hole.name == missing_hole:
             continue
         height = np.minimum(height, -np.clip(hole.sink - hole.distance(x, y), 0, hole.sink))
         if hole.name == "bore":
@@ -113,7 +113,7 @@ def _marks(
     else:
         marks = 0.8 * fine + 0.3 * smooth_noise(rng, shape, 0.9 * texels)
     marks *= 0.085 * scene.grain
-    if scene.missing != "bore":
+    if scene.missing_hole != "bore":
         bore = next(hole for hole in part.HOLES if hole.name == "bore")
         radius = np.hypot(x - bore.x, y - bore.y) + 1e-3
         turned = radius < part.RECESS
@@ -145,7 +145,7 @@ def _milling(
 
 
 def _hollow(dent: Dent, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Height of a dent in mm (with the rim that it pushed up), and where it is, 0..1."""
+    """Height of a dent in mm, including its raised rim, and a mask: 1 in the middle of the dent, 0 outside."""
     c, s = np.cos(dent.angle), np.sin(dent.angle)
     dx, dy = x - dent.x, y - dent.y
     r = np.hypot((c * dx + s * dy) / dent.stretch, -s * dx + c * dy) / dent.radius
@@ -155,7 +155,7 @@ def _hollow(dent: Dent, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _notch(dent: Dent, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """How far the impact pushed the outline in: positive where the metal is gone."""
+    """Distance from the edge of the notch that the impact left in the outline: positive where the metal is gone."""
     outward = np.array([dent.x / part.LENGTH, dent.y / part.WIDTH])
     axis = np.where(np.abs(outward) == np.abs(outward).max(), np.sign(outward), 0)
     reach = 0.35 * dent.radius
@@ -164,11 +164,11 @@ def _notch(dent: Dent, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _groove(scratch: Scratch, shape: tuple[int, int]) -> np.ndarray:
-    """Where a scratch is, 0..1, tapering towards its ends and broken here and there."""
-    x, y = grid(FINE)
+    """A mask that is 1 in a scratch and 0 outside. The scratch tapers towards its ends, and its pressure varies."""
+    x, y = grid(SCRATCH_TEXELS)
     canvas = Image.new("L", (x.size, y.size))
     pen = ImageDraw.Draw(canvas)
-    points = (scratch.points - [x[0, 0], y[0, 0]]) * FINE
+    points = (scratch.points - [x[0, 0], y[0, 0]]) * SCRATCH_TEXELS
     count = len(points) - 1
     for i in range(count):
         taper = min(1.0, 6 * min(i + 1, count - i) / count)
@@ -176,14 +176,14 @@ def _groove(scratch: Scratch, shape: tuple[int, int]) -> np.ndarray:
         pen.line(
             [tuple(points[i]), tuple(points[i + 1])],
             fill=round(255 * taper * press),
-            width=max(2, round(scratch.width * FINE * (0.5 + 0.5 * taper))),
+            width=max(2, round(scratch.width * SCRATCH_TEXELS * (0.5 + 0.5 * taper))),
         )
     canvas = canvas.filter(ImageFilter.GaussianBlur(0.8)).resize(shape[::-1], Image.BOX)
     return np.asarray(canvas, np.float32) / 255
 
 
 def _engraving(shape: tuple[int, int], texels: float, rng: np.random.Generator) -> np.ndarray:
-    """A laser-marked data matrix and a serial number, 0..1."""
+    """A mask that is 1 in a laser-marked data matrix and in a serial number, and 0 outside."""
     x, y = grid(texels)
     canvas = Image.new("L", shape[::-1])
     cells = (rng.random((12, 12)) < 0.5).astype(np.uint8) * 255

@@ -1,4 +1,4 @@
-"""Draws the training set, trains the network once, writes model.onnx and its card.
+"""Draws the training set, trains the network, and writes model.onnx and its card.
 
     train.py models/quality-control
 
@@ -19,66 +19,66 @@ import card
 import dataset
 from dataset import WIDTHS, Dataset
 from network import Network
-from preprocessing import HEIGHT, MEAN, STD, WIDTH, normalised
+from preprocessing import HEIGHT, MEAN, STD, WIDTH, normalise
 from scene import LABELS
 
 SEED = 7
-TRAINING_SEEDS = 1_000_000  # first of the scenes trained on
-VALIDATION_SEEDS = 2_000_000  # first of the scenes that progress is judged by
+TRAINING_SEEDS = 1_000_000  # first seed of the scenes of the training set
+VALIDATION_SEEDS = 2_000_000  # first seed of the scenes with which the progress is measured
 SCENES, VALIDATION_SCENES = 3600, 240
 EPOCHS, BATCH, PEAK_RATE = 16, 16, 2e-3
-CELL_WEIGHT = 10.0  # of a cell that shows a defect against one that does not
-LOCATION_SHARE = 20.0  # of the loss of the maps against that of the label
+CELL_WEIGHT = 10.0  # weight of a cell that shows a defect; the weight of other cells is 1
+LOCATION_SHARE = 20.0  # weight of the loss of the maps; the weight of the loss of the label is 1
 OPSET = 13
 
 
-def train(seen: Dataset, unseen: Dataset, epochs: int) -> Network:
-    """A network trained on `seen`; its progress on `unseen` is printed."""
+def train(training: Dataset, validation: Dataset, epochs: int) -> Network:
+    """Trains a network on `training`, and prints its accuracy on `validation` after each epoch."""
     torch.manual_seed(SEED)
     torch.set_num_threads(1)
     start = time.monotonic()
     network = Network(len(LABELS) - 1)
     optimiser = torch.optim.AdamW(network.parameters(), lr=PEAK_RATE, weight_decay=0.02)
-    steps = len(seen.labels) // BATCH
+    steps = len(training.labels) // BATCH
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, PEAK_RATE, total_steps=epochs * steps, pct_start=0.25)
     rng = np.random.default_rng(SEED)
     for epoch in range(epochs):
         network.train()
-        order = rng.permutation(len(seen.labels))
+        order = rng.permutation(len(training.labels))
         losses = []
         for step in range(steps):
-            loss = loss_of(network, seen, order[step * BATCH : (step + 1) * BATCH], rng)
+            loss = loss_of(network, training, order[step * BATCH : (step + 1) * BATCH], rng)
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
             schedule.step()
             losses.append(loss.item())
-        right = [accuracy(network, unseen.pictures[:, k], unseen.labels) for k in range(len(WIDTHS))]
+        accuracies = [accuracy(network, validation.pictures[:, k], validation.labels) for k in range(len(WIDTHS))]
         print(
-            f"epoch {epoch + 1}: loss {np.mean(losses):.4f}, validation {right}, {time.monotonic() - start:.0f} s",
+            f"epoch {epoch + 1}: loss {np.mean(losses):.4f}, validation {accuracies}, {time.monotonic() - start:.0f} s",
             flush=True,
         )
     return network.eval()
 
 
-def loss_of(network: Network, seen: Dataset, chosen: np.ndarray, rng: np.random.Generator) -> torch.Tensor:
-    """The loss of a batch: is the label right, and is the defect found where it is."""
+def loss_of(network: Network, training: Dataset, chosen: np.ndarray, rng: np.random.Generator) -> torch.Tensor:
+    """The loss of a batch: of the labels, and of the maps that locate the defects."""
     variant = rng.integers(0, len(WIDTHS), len(chosen))
-    pictures, targets = altered(seen.pictures[chosen, variant], seen.maps[chosen], rng)
+    pictures, targets = augment_batch(training.pictures[chosen, variant], training.maps[chosen], rng)
     maps = network.maps(pictures)
     class_loss = nn.functional.cross_entropy(
-        network.judge(maps), torch.from_numpy(seen.labels[chosen]), label_smoothing=0.02
+        network.classify(maps), torch.from_numpy(training.labels[chosen]), label_smoothing=0.02
     )
     weight = torch.full((1, 1, 1), CELL_WEIGHT)
     location_loss = nn.functional.binary_cross_entropy_with_logits(maps, targets, pos_weight=weight)
     return class_loss + LOCATION_SHARE * location_loss
 
 
-def altered(pixels: np.ndarray, maps: np.ndarray, rng: np.random.Generator) -> tuple[torch.Tensor, torch.Tensor]:
-    """A batch mirrored and re-lit at random.
+def augment_batch(pixels: np.ndarray, maps: np.ndarray, rng: np.random.Generator) -> tuple[torch.Tensor, torch.Tensor]:
+    """A batch that is mirrored at random, with random changes of its brightness and colour.
 
-    Bytes [n, height, width, 3] become network input [n, 3, height, width]; the
-    maps of the defects, bool [n, defects, rows, columns], are mirrored alike.
+    Bytes [n, height, width, 3] become the network's input [n, 3, height, width].
+    The maps of the defects, bool [n, defects, rows, columns], are mirrored with their pictures.
     """
     n = len(pixels)
     values = torch.from_numpy(pixels).permute(0, 3, 1, 2).contiguous().float() / 255
@@ -95,18 +95,18 @@ def altered(pixels: np.ndarray, maps: np.ndarray, rng: np.random.Generator) -> t
 
 
 def accuracy(network: Network, pixels: np.ndarray, labels: np.ndarray) -> float:
-    """Fraction of the pictures, bytes [n, height, width, 3], that the network names rightly."""
+    """Fraction of the pictures, bytes [n, height, width, 3], that the network classifies correctly."""
     network.eval()
     with torch.no_grad():
-        right = [
-            int(network(torch.from_numpy(normalised(one))).argmax()) == label
-            for one, label in zip(pixels, labels, strict=True)
+        is_correct = [
+            int(network(torch.from_numpy(normalise(picture))).argmax()) == label
+            for picture, label in zip(pixels, labels, strict=True)
         ]
-    return round(float(np.mean(right)), 4)
+    return round(float(np.mean(is_correct)), 4)
 
 
 def export(network: Network, path: Path) -> None:
-    """Writes the network as ONNX: input `image`, output `logits`, shapes fixed, a batch of one."""
+    """Writes the network as ONNX: input `image`, output `logits`, fixed shapes, batches of one picture."""
     example = torch.zeros(1, 3, HEIGHT, WIDTH)
     torch.onnx.export(network, example, str(path), input_names=["image"], output_names=["logits"], opset_version=OPSET)
 
@@ -122,11 +122,11 @@ def main() -> None:
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     start = time.monotonic()
-    seen = dataset.load(TRAINING_SEEDS, options.scenes, options.workers)
-    unseen = dataset.load(VALIDATION_SEEDS, options.validation_scenes, options.workers)
+    training = dataset.draw_dataset(TRAINING_SEEDS, options.scenes, options.workers)
+    validation = dataset.draw_dataset(VALIDATION_SEEDS, options.validation_scenes, options.workers)
     drawn = options.scenes + options.validation_scenes
     print(f"drew {drawn} scenes in {time.monotonic() - start:.0f} s", flush=True)
-    network = train(seen, unseen, options.epochs)
+    network = train(training, validation, options.epochs)
     export(network, options.out / "model.onnx")
     card.write(options.out, SEED, TRAINING_SEEDS, options.scenes)
 

@@ -1,4 +1,4 @@
-"""Where in the picture a scene's defect is: known exactly, since the picture is drawn."""
+"""The position of a scene's defect in the picture. It is known exactly, because the picture is drawn."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from scene import LABELS, Scene
 from view import View
 
 
-def defect_map(scene: Scene, rows: int, columns: int) -> np.ndarray:
-    """Which cells of a grid over the picture show the defect: bool [len(LABELS) - 1, rows, columns].
+def defect_cells(scene: Scene, rows: int, columns: int) -> np.ndarray:
+    """The cells of a grid over the picture that show the defect: bool [len(LABELS) - 1, rows, columns].
 
-    The first axis is the defect's class, without `good`.
+    The first axis is the class of the defect; the class `good` is left out.
     """
-    found = np.zeros((len(LABELS) - 1, rows, columns), bool)
+    cells = np.zeros((len(LABELS) - 1, rows, columns), bool)
     points = _points(scene)
     if len(points) == 0:
-        return found
+        return cells
     view = View.of(scene.camera, 1280)
     c, s = np.cos(scene.pose.angle), np.sin(scene.pose.angle)
     for u, v in points:
@@ -25,8 +25,8 @@ def defect_map(scene: Scene, rows: int, columns: int) -> np.ndarray:
         px, py = view.pixel(x, y, part.THICKNESS)
         column, row = int(px * columns / view.width), int(py * rows / view.height)
         if 0 <= row < rows and 0 <= column < columns:
-            found[LABELS.index(scene.label) - 1, row, column] = True
-    return found
+            cells[LABELS.index(scene.label) - 1, row, column] = True
+    return cells
 
 
 def _points(scene: Scene) -> np.ndarray:
@@ -34,7 +34,7 @@ def _points(scene: Scene) -> np.ndarray:
     points = [scratch.points[part.distance(*scratch.points.T) < -0.3] for scratch in scene.scratches]
     points += [np.array([dent.x, dent.y]) + 0.8 * dent.radius * _disc() for dent in scene.dents]
     for hole in part.HOLES:
-        if hole.name == scene.missing:
+        if hole.name == scene.missing_hole:
             points.append(np.array([hole.x, hole.y]) + _disc() * [hole.radius, hole.radius + hole.span / 2])
     return np.concatenate(points) if points else np.zeros((0, 2))
 
