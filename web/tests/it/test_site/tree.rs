@@ -38,8 +38,8 @@ fn judged_delay(pipeline: &TestPipeline, name: &Name, delay: Span, raw: Span) ->
 /// Returns a pseudo-random length of the answer, bytes. It depends only on the pipeline and on `at`.
 fn answer_bytes(pipeline: &TestPipeline, at: WallTime) -> f64 {
     let (shortest, longest) = pipeline.answer_bytes;
-    let chance = at.unix_nanos().unsigned_abs().wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40;
-    (shortest + (longest - shortest) * chance as f64 / f64::from(1 << 24)).round()
+    let random = at.unix_nanos().unsigned_abs().wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40;
+    (shortest + (longest - shortest) * random as f64 / f64::from(1 << 24)).round()
 }
 
 /// Returns the tree of an iteration that started at `at`. The rack's wall clock is 1.2 s ahead of the edge's wall
@@ -51,9 +51,9 @@ pub(super) fn build_tree(
     at: WallTime,
     answered: bool,
 ) -> Tree {
-    let ahead = if pipeline.clocks == Clocks::Shared { Span::ZERO } else { clocks::AHEAD };
-    let span = |name: Name| {
-        stages.iter().find(|(known, _)| *known == name).map(|(_, seconds)| Span::from_seconds_f64(*seconds))
+    let rack_ahead = if pipeline.clocks == Clocks::Shared { Span::ZERO } else { clocks::AHEAD };
+    let stage_length = |name: Name| {
+        stages.iter().find(|(stage, _)| *stage == name).map(|(_, seconds)| Span::from_seconds_f64(*seconds))
     };
     let mut anchors = vec![Anchor { host: edge, wall: at }];
     let root = Node {
@@ -64,79 +64,79 @@ pub(super) fn build_tree(
         measure: Measure::Container,
     };
     let mut nodes = Nodes(vec![root]);
-    // `now` is the time on the edge since the start of the iteration, `there` the time on the rack since the arrival of
-    // the request.
-    let (mut now, mut there, mut host) = (Span::ZERO, Span::ZERO, 0);
+    // `edge_time` is the time on the edge since the start of the iteration, `rack_time` the time on the rack since the
+    // arrival of the request.
+    let (mut edge_time, mut rack_time, mut host) = (Span::ZERO, Span::ZERO, 0);
     for (name, seconds) in stages {
         let length = Span::from_seconds_f64(*seconds);
         if *name == stage::UPLOAD {
-            let received = at + now + length + ahead;
-            let delay = judged_delay(pipeline, name, length, length + ahead);
+            let received = at + edge_time + length + rack_ahead;
+            let delay = judged_delay(pipeline, name, length, length + rack_ahead);
             let transit = Transit {
-                sent: at + now,
+                sent: at + edge_time,
                 received: answered.then_some(received),
                 delay: answered.then_some(delay),
                 raw_stamps: None,
             };
-            nodes.add(0, name.clone(), 0, now, Measure::Transit(Box::new(transit)));
-            now += length;
+            nodes.add(0, name.clone(), 0, edge_time, Measure::Transit(Box::new(transit)));
+            edge_time += length;
             if !answered {
                 break;
             }
             anchors.push(Anchor { host: rack, wall: received });
             host = 1;
         } else if *name == stage::DOWNLOAD {
-            now += there;
-            let delay = judged_delay(pipeline, name, length, Span::ZERO - ahead + length);
+            edge_time += rack_time;
+            let delay = judged_delay(pipeline, name, length, Span::ZERO - rack_ahead + length);
             let transit = Transit {
-                sent: at + now + ahead,
-                received: Some(at + now + length),
+                sent: at + edge_time + rack_ahead,
+                received: Some(at + edge_time + length),
                 delay: Some(delay),
                 raw_stamps: None,
             };
-            nodes.add(0, name.clone(), 1, there, Measure::Transit(Box::new(transit)));
-            now += length;
+            nodes.add(0, name.clone(), 1, rack_time, Measure::Transit(Box::new(transit)));
+            edge_time += length;
             host = 0;
         } else {
-            let start = if host == 0 { now } else { there };
+            let start = if host == 0 { edge_time } else { rack_time };
             let node = nodes.add(0, name.clone(), host, start, Measure::Timer(Some(length)));
             if *name == stage::SENSING {
                 let capture = Span::from_nanos(length.nanos() * 2 / 5);
                 nodes.add(node, stage::CAPTURE, 0, Span::ZERO, Measure::Timer(Some(capture)));
                 nodes.add(node, stage::TRANSFORM, 0, capture, Measure::Timer(Some(length - capture)));
             }
-            if host == 0 { now += length } else { there += length }
+            if host == 0 { edge_time += length } else { rack_time += length }
         }
     }
     if answered && pipeline.is_remote {
-        let mut sizes = |name: [Name; 3], bytes: f64, metadata: f64, delay: Option<Span>| {
-            let known = (pipeline.clocks != Clocks::Unrelated).then_some(delay).flatten();
-            let value = known.map(|delay| (bytes + metadata) * 8.0 / delay.seconds());
+        let mut add_sizes = |name: [Name; 3], bytes: f64, metadata: f64, delay: Option<Span>| {
+            let transfer_time = (pipeline.clocks != Clocks::Unrelated).then_some(delay).flatten();
+            let value = transfer_time.map(|delay| (bytes + metadata) * 8.0 / delay.seconds());
             let [size, logger, speed] = name;
-            nodes.add(0, size, 0, now, Measure::Value(bytes, Unit::BYTES));
-            nodes.add(0, logger, 0, now, Measure::Value(metadata, Unit::BYTES));
+            nodes.add(0, size, 0, edge_time, Measure::Value(bytes, Unit::BYTES));
+            nodes.add(0, logger, 0, edge_time, Measure::Value(metadata, Unit::BYTES));
             let bounds = value.map(|value| (value * 0.6, value * 1.8));
-            nodes.add(0, speed, 0, now, Measure::Throughput(Rate { value, bounds }));
+            nodes.add(0, speed, 0, edge_time, Measure::Throughput(Rate { value, bounds }));
         };
-        sizes(
+        add_sizes(
             [stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES, stage::UPLOAD_THROUGHPUT],
             pipeline.bytes,
             388.0,
-            span(stage::UPLOAD),
+            stage_length(stage::UPLOAD),
         );
-        sizes(
+        add_sizes(
             [stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES, stage::DOWNLOAD_THROUGHPUT],
             answer_bytes(pipeline, at),
             902.0,
-            span(stage::DOWNLOAD),
+            stage_length(stage::DOWNLOAD),
         );
     }
-    let rest = Span::from_micros(110);
-    nodes.add(0, "gpu-power".into(), 0, now, Measure::Custom("power".into(), Unit::WATTS, Some(11.5)));
-    nodes.add(0, stage::TOTAL, 0, Span::ZERO, Measure::Timer(Some(now + rest)));
+    let unattributed = Span::from_micros(110);
+    nodes.add(0, "gpu-power".into(), 0, edge_time, Measure::Custom("power".into(), Unit::WATTS, Some(11.5)));
+    nodes.add(0, stage::TOTAL, 0, Span::ZERO, Measure::Timer(Some(edge_time + unattributed)));
     if answered {
-        nodes.add(0, stage::STAGES_TOTAL, 0, Span::ZERO, Measure::Timer(Some(now)));
-        nodes.add(0, stage::UNATTRIBUTED, 0, Span::ZERO, Measure::Timer(Some(rest)));
+        nodes.add(0, stage::STAGES_TOTAL, 0, Span::ZERO, Measure::Timer(Some(edge_time)));
+        nodes.add(0, stage::UNATTRIBUTED, 0, Span::ZERO, Measure::Timer(Some(unattributed)));
     }
     Tree::from_parts(anchors, nodes.0).expect("a tree")
 }
