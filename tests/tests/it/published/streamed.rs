@@ -24,7 +24,7 @@ fn streams_are_stored_and_waiting_events_reported() {
     let lab = Lab::on_one_machine();
     let (first_deployment, absent_deployment) = (LoopbackDeployment::new(), LoopbackDeployment::new());
     let (_first, first) = first_deployment.start_aggregator();
-    let waiting_note = format!("wait for the aggregator at localhost:{}, in ", absent_deployment.events);
+    let waiting_note = format!("wait for the aggregator at localhost:{}, in ", absent_deployment.events_port);
     let (link_text, later_text) =
         ("see host jetson-orin", "will be on the dashboard of the aggregator at 127.0.0.1:");
     let output = measure_and_stream(&lab, &first_deployment);
@@ -100,7 +100,7 @@ fn experiment_prints_no_link_to_unused_dashboard() {
         "[experiment]\nname = \"board\"\niterations = 20\naggregator = \"tcp://127.0.0.1:{}\"\n\
          [pipeline]\nsensor = {{ kind = \"synthetic\", size_bytes = 100 }}\nplacement = {{ kind = \"local\", model = \"echo\" }}\n\
          [[model]]\nname = \"echo\"\nkind = \"echo\"\n",
-        absent_deployment.events
+        absent_deployment.events_port
     );
     std::fs::write(lab.folder().join("board.toml"), file).expect("writable");
     // A spool that the file names is not in the host's folder, and is examined, too.
@@ -111,7 +111,7 @@ fn experiment_prints_no_link_to_unused_dashboard() {
         assert_eq!(end.code(), 0, "{}", end.log);
         let later_text = format!(
             "the runs of experiment board will be on the dashboard of the aggregator at 127.0.0.1:{}",
-            absent_deployment.events
+            absent_deployment.events_port
         );
         assert!(end.log.contains(&later_text) && !end.log.contains("see the runs"), "{}", end.log);
         let names_spool =
