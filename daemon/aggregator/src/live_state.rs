@@ -159,7 +159,7 @@ impl HostSnapshot {
     pub fn missing_events(&self) -> u64 {
         // Both numbers count the gaps that the agent reported. The aggregator also counts batches that it found
         // missing, and the agent also counts events whose gap it has not sent yet.
-        self.accounting.dropped.max(self.stored.missing.saturating_sub(self.stored.in_other_database))
+        self.accounting.dropped.max(self.stored.missing_here())
     }
 }
 

@@ -1,6 +1,6 @@
 //! `peernet status`
 
-mod clock_fault;
+use std::collections::BTreeMap;
 
 use crate::exit::Failure;
 use crate::output::print_to_stdout;
@@ -11,7 +11,6 @@ use peernet_stream::PlacementKind;
 use serde::Deserialize;
 
 use crate::api::Api;
-use clock_fault::{Clock, FaultyClocks, Links, faulty_clocks, with_clock_fault_mark};
 
 /// Arguments of `peernet status`.
 #[derive(Debug, clap::Args)]
@@ -58,6 +57,7 @@ struct Window {
 struct Statistics {
     name: String,
     mean: f64,
+    std: Option<f64>,
     p50: Option<f64>,
     p95: Option<f64>,
 }
@@ -65,7 +65,13 @@ struct Statistics {
 #[derive(Debug, Deserialize)]
 struct Hosts {
     hosts: Vec<Host>,
+    /// Absent in answers of earlier releases.
+    #[serde(default)]
+    clock_faults: FaultyClocks,
 }
+
+/// Hosts whose clock has an artificial error at present, with the error in words.
+type FaultyClocks = BTreeMap<String, String>;
 
 #[derive(Debug, Deserialize)]
 struct Host {
@@ -73,9 +79,8 @@ struct Host {
     connected: bool,
     last_seen: Option<String>,
     now: Option<HostState>,
-    #[serde(default)]
-    stored: Stored,
-    clock: Option<Clock>,
+    /// Number of events that will never be in the database. Absent in answers of earlier releases.
+    missing_events: Option<u64>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -87,26 +92,6 @@ struct HostState {
 #[derive(Debug, Deserialize)]
 struct Events {
     waiting: u64,
-    dropped: u64,
-}
-
-#[derive(Debug, Default, Deserialize)]
-struct Stored {
-    missing: u64,
-    /// Absent in answers of earlier releases.
-    #[serde(rename = "missing_before", default)]
-    in_other_database: u64,
-}
-
-impl Host {
-    /// Returns the number of events that are missing in the database for ever, as the overview of the dashboard
-    /// counts them.
-    fn lost(&self) -> u64 {
-        self.now
-            .as_ref()
-            .map_or(0, |now| now.events.dropped)
-            .max(self.stored.missing.saturating_sub(self.stored.in_other_database))
-    }
 }
 
 /// Length of the window that the table shows: long enough to be steady, short enough to be current.
@@ -118,9 +103,7 @@ const WINDOW_S: u32 = 10;
 /// When the aggregator does not answer.
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let Pipelines { pipelines } = arguments.api.get("/api/v1/pipelines")?;
-    let Hosts { hosts } = arguments.api.get("/api/v1/hosts")?;
-    let Links { links } = arguments.api.get("/api/v1/links")?;
-    let faulty = faulty_clocks(&hosts, &links);
+    let Hosts { hosts, clock_faults: faulty } = arguments.api.get("/api/v1/hosts")?;
     if pipelines.is_empty() {
         print_to_stdout(
             "no pipeline yet: start an agent with a [[pipeline]], and set its [agent] aggregator to this aggregator's address",
@@ -173,7 +156,8 @@ fn pipeline_row(pipeline: &Pipeline, faulty: &FaultyClocks) -> Vec<String> {
         window.and_then(|window| window.values.iter().find(|statistics| statistics.name == name))
     };
     let total = statistics_of("total");
-    let duration_format = DurationFormat::for_total(total.map(|figures| figures.mean), None);
+    let duration_format =
+        DurationFormat::for_total(total.map(|figures| figures.mean), total.and_then(|figures| figures.std));
     let milliseconds =
         |seconds: Option<f64>| or_dash(seconds.map(|seconds| duration_format.duration(seconds)));
     let mean = |name: &str| milliseconds(statistics_of(name).map(|figures| figures.mean));
@@ -215,7 +199,7 @@ fn host_row(host: &Host, faulty: &FaultyClocks) -> Vec<String> {
         with_clock_fault_mark(&state, faulty.contains_key(&host.name)),
         or_dash(now.and_then(|now| now.cpu).map(number::whole_percent)),
         or_dash(now.map(|now| number::count(now.events.waiting))),
-        number::count(host.lost()),
+        or_dash(host.missing_events.map(number::count)),
     ]
 }
 
@@ -223,6 +207,11 @@ fn host_row(host: &Host, faulty: &FaultyClocks) -> Vec<String> {
 fn to_the_second(moment: &str) -> String {
     let time = DateTime::parse_from_rfc3339(moment);
     time.map_or_else(|_| moment.to_owned(), |time| time.to_rfc3339_opts(SecondsFormat::Secs, true))
+}
+
+/// Marks a state if the clock of one of the hosts has an artificial error.
+fn with_clock_fault_mark(state: &str, is_faulty: bool) -> String {
+    if is_faulty { format!("{state}, clock fault") } else { state.to_owned() }
 }
 
 fn or_dash(text: Option<String>) -> String {
@@ -233,7 +222,6 @@ fn or_dash(text: Option<String>) -> String {
 mod tests {
     use serde_json::json;
 
-    use super::clock_fault::Link;
     use super::*;
 
     #[test]
@@ -255,43 +243,23 @@ mod tests {
         let row = pipeline_row(&pipeline, &FaultyClocks::default());
         assert_eq!(row[6..], ["0.0482", "—", "—", "0.0224", "—"]);
         let host: Host = serde_json::from_value(json!({
-            "name": "edge", "connected": true, "last_seen": null, "clock": null,
-            "now": { "cpu": 0.29, "events": { "waiting": 40_000, "dropped": 1_050 } },
+            "name": "edge", "connected": true, "last_seen": null, "missing_events": 1_050,
+            "now": { "cpu": 0.29, "events": { "waiting": 40_000 } },
         }))
         .expect("a host");
         assert_eq!(host_row(&host, &FaultyClocks::default())[2..], ["29", "40,000", "1,050"]);
     }
 
     #[test]
-    fn events_that_only_aggregator_found_missing_are_lost() {
-        let host = |dropped: u64, missing: u64| {
-            let host = json!({
-                "name": "edge", "connected": true, "last_seen": null, "clock": null,
-                "now": { "cpu": null, "events": { "waiting": 0, "dropped": dropped } }, "stored": { "missing": missing },
-            });
-            host_row(&serde_json::from_value(host).expect("as the API answers"), &FaultyClocks::default())
-        };
-        assert_eq!([host(0, 849), host(1_050, 50)].map(|row| row[4].clone()), ["849", "1,050"]);
-    }
-
-    #[test]
     fn rows_of_hosts_with_clock_faults_are_marked() {
-        let clock = json!({ "rehearsal": {
-            "offset_s": 1.0, "drift_ppm": -50.0, "steps": [{ "at_s": 20.0, "by_s": 0.3 }], "since": "x",
-        } });
-        let host = |name: &str, clock: serde_json::Value| {
-            let host =
-                json!({ "name": name, "connected": true, "last_seen": null, "now": null, "clock": clock });
-            serde_json::from_value::<Host>(host).expect("as the API answers")
-        };
-        let link = json!({ "cloud": "away", "connected": true, "now": { "cloud_clock": clock } });
-        let link: Link = serde_json::from_value(link).expect("as the API answers");
-        let hosts = [host("edge", clock), host("cloud", json!({ "rehearsal": null }))];
-        let faulty = faulty_clocks(&hosts, &[link]);
-        assert_eq!(faulty.keys().collect::<Vec<_>>(), ["away", "edge"]);
-        let how = "offset +1000 ms, drift -50 ppm, step +300 ms after 20 s";
-        assert_eq!(faulty["edge"].to_string(), how);
-        let states = hosts.map(|host| host_row(&host, &faulty)[1].clone());
+        let host = |name: &str| json!({ "name": name, "connected": true, "last_seen": null, "now": null });
+        let fault = "offset +1000 ms, drift -50 ppm, step +300 ms after 20 s";
+        let answer = json!({
+            "hosts": [host("edge"), host("cloud")], "clock_faults": { "edge": fault, "away": fault },
+        });
+        let Hosts { hosts, clock_faults: faulty } =
+            serde_json::from_value(answer).expect("as the API answers");
+        let states: Vec<_> = hosts.iter().map(|host| host_row(host, &faulty)[1].clone()).collect();
         assert_eq!(states, ["connected, clock fault", "connected"]);
 
         let state = |host: &str, peer: &str| {

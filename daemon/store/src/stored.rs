@@ -42,3 +42,10 @@ pub struct StoredCounts {
     /// Batches that were quarantined because they could not be stored.
     pub quarantined: u64,
 }
+
+impl StoredCounts {
+    /// Returns the number of missing events that are in no database, as far as they could be counted.
+    pub const fn missing_here(&self) -> u64 {
+        self.missing.saturating_sub(self.missing_before)
+    }
+}

@@ -21,8 +21,8 @@ use crate::view::events::{self, Events};
 use crate::view::hosts::{HostLine, clock_words, hardware_name};
 use crate::view::link::Subject;
 use crate::view::link::panels::{describe_synchronisation, reported_error_bounds};
+use crate::view::list_limits;
 use crate::view::now::{NowRow, NowTable};
-use crate::view::{clock_fault, list_limits};
 use crate::zone::ZonedTime;
 
 /// Registration of this page.
@@ -205,7 +205,7 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
             ("Steps noticed", step_count(&host.clock)),
             (
                 "Clock fault",
-                host.clock.faults.as_ref().map_or_else(|| "none".to_owned(), clock_fault::describe),
+                host.clock.faults.as_ref().map_or_else(|| "none".to_owned(), ToString::to_string),
             ),
             ("Boot id", description.clock.boot.to_string()),
             ("Clock name", description.clock.clock.to_string()),

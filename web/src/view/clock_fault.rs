@@ -3,60 +3,28 @@
 use std::collections::BTreeMap;
 
 use peernet_aggregator::LiveState;
-use peernet_clock::ClockFaults;
-use peernet_statistics::number::{SPACE, fixed};
 
 use super::chip::{Chip, Tone};
 
 /// Chip of a host with an injected clock fault, and of its measurements.
 pub(crate) const CHIP: Chip = Chip::new(Tone::Warn, "clock-fault", "clock fault");
 
-/// Formats a number, with a plus sign if it is positive.
-fn signed(value: f64, decimals: usize) -> String {
-    let text = fixed(value, decimals);
-    if value > 0.0 { format!("+{text}") } else { text }
-}
-
-/// Formats a drift in ppm, with one decimal unless the drift is a whole number.
-fn ppm(value: f64) -> String {
-    signed(value, usize::from(value.fract() != 0.0))
-}
-
-/// Returns the clock fault in words: `+1,000 ms, +50 ppm`.
-pub(crate) fn describe(faults: &ClockFaults) -> String {
-    let offset = faults.offset.seconds() * 1e3;
-    let mut parts = vec![
-        format!("{}{SPACE}ms", signed(offset, if offset.fract() == 0.0 { 0 } else { 2 })),
-        format!("{}{SPACE}ppm", ppm(faults.drift_ppm)),
-    ];
-    match faults.steps.as_slice() {
-        [] => {}
-        [step] => parts.push(format!(
-            "a step of {}{SPACE}ms after {}",
-            signed(step.by.seconds() * 1e3, 0),
-            peernet_statistics::number::length(step.at.seconds())
-        )),
-        steps => parts.push(format!("{} steps", steps.len())),
-    }
-    parts.join(", ")
-}
-
 /// Hosts with an injected clock fault, by name, with the fault in words.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct FaultyClocks(BTreeMap<String, String>);
+pub(crate) struct FaultyClocks(pub BTreeMap<String, String>);
 
 impl FaultyClocks {
     /// Collects the clock faults of the hosts in the live state.
     pub(crate) fn of(snapshot: &LiveState) -> Self {
         let connected = snapshot.hosts.iter().filter(|host| host.connected);
         let own_faults = connected.filter_map(|host| {
-            Some((host.description.name.to_string(), describe(host.clock.faults.as_ref()?)))
+            Some((host.description.name.to_string(), host.clock.faults.as_ref()?.to_string()))
         });
         // A cloud may report to another aggregator. In that case, only its edges report the fault of its clock to this
         // aggregator.
         let links = snapshot.links.iter().filter(|link| link.connected);
         let faults_reported_by_edges = links.filter_map(|link| {
-            Some((link.live.peer_name.to_string(), describe(link.live.cloud.as_ref()?.faults.as_ref()?)))
+            Some((link.live.peer_name.to_string(), link.live.cloud.as_ref()?.faults.as_ref()?.to_string()))
         });
         // Of two reports about one host, the later in this order is kept: the host's own.
         Self(faults_reported_by_edges.chain(own_faults).collect())
@@ -80,23 +48,23 @@ impl FaultyClocks {
 
 #[cfg(test)]
 mod tests {
-    use peernet_clock::{ClockFaultStep, Span, WallTime};
+    use peernet_clock::{ClockFaultStep, ClockFaults, Span, SteppedClock, WallTime};
 
     use super::*;
-
-    fn clock_fault(offset: Span, drift_ppm: f64, steps: Vec<ClockFaultStep>) -> ClockFaults {
-        ClockFaults { offset, drift_ppm, steps, since: WallTime::from_unix_nanos(0) }
-    }
+    use crate::tests::samples;
 
     #[test]
-    fn clock_fault_is_described_with_signs() {
-        let plain = clock_fault(Span::from_seconds(1), 50.0, Vec::new());
-        assert_eq!(describe(&plain), "+1,000\u{202f}ms, +50\u{202f}ppm");
-        let step = ClockFaultStep::wall_step(Span::from_seconds(60), Span::from_seconds(3));
-        let stepped = clock_fault(Span::from_micros(-1_500), -12.5, vec![step]);
-        assert_eq!(
-            describe(&stepped),
-            "\u{2212}1.50\u{202f}ms, \u{2212}12.5\u{202f}ppm, a step of +3,000\u{202f}ms after 1\u{202f}min"
-        );
+    fn banner_names_the_clock_that_is_stepped() {
+        let step = ClockFaultStep {
+            clock: SteppedClock::Raw,
+            ..ClockFaultStep::wall_step(Span::from_seconds(20), Span::from_seconds(3))
+        };
+        let since = WallTime::from_unix_nanos(0);
+        let faults = ClockFaults { offset: Span::from_seconds(1), drift_ppm: 0.0, steps: vec![step], since };
+        let mut host = samples::host("edge", "robot");
+        host.clock.faults = Some(faults);
+        let banner = FaultyClocks::of(&samples::snapshot(vec![host], Vec::new())).banner();
+        let words = "(offset +1000 ms, step of the free-running clock +3000 ms after 20 s)";
+        assert!(banner.len() == 1 && banner[0].contains(words), "{banner:?}");
     }
 }

@@ -14,6 +14,7 @@ use self::schema::{Host, HostList, RefusedHost};
 use crate::error::{ProblemDetails, WebError};
 use crate::parameters::path;
 use crate::state::{App, AppState};
+use crate::view::clock_fault::FaultyClocks;
 
 /// Returns the operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
@@ -26,8 +27,10 @@ pub(super) fn routes() -> OpenApiRouter<App> {
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
 async fn list(State(app): State<App>) -> Result<Json<HostList>, WebError> {
-    let refused = app.live_state().refused.iter().map(RefusedHost::from).collect();
-    Ok(Json(HostList { hosts: all_hosts(&app).await?, refused }))
+    let snapshot = app.live_state();
+    let FaultyClocks(clock_faults) = FaultyClocks::of(&snapshot);
+    let refused = snapshot.refused.iter().map(RefusedHost::from).collect();
+    Ok(Json(HostList { hosts: all_hosts(&app).await?, clock_faults, refused }))
 }
 
 /// One host, by name or id.

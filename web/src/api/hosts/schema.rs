@@ -1,5 +1,7 @@
 //! Schema of hosts.
 
+use std::collections::BTreeMap;
+
 use peernet_aggregator::{Arrivals, HostSnapshot};
 use peernet_clock::Span;
 use peernet_store::HostRow;
@@ -13,6 +15,9 @@ use crate::api::schema::{HostClock, time};
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct HostList {
     pub hosts: Vec<Host>,
+    /// Injected clock faults by the name of the host, in words. A host that reports to another aggregator is included if its edges report
+    /// its fault.
+    pub clock_faults: BTreeMap<String, String>,
     /// Hosts whose connections were refused in the last ten minutes, newest first.
     pub refused: Vec<RefusedHost>,
 }
@@ -54,6 +59,8 @@ pub(crate) struct Host {
     pub now: Option<HostNow>,
     /// The host's wall clock as the host reports it; null for a host that is not in the live state.
     pub clock: Option<HostClock>,
+    /// Number of the host's events that will never be in the database, as far as they could be counted.
+    pub missing_events: u64,
     pub stored: Stored,
 }
 
@@ -278,6 +285,7 @@ impl From<&HostSnapshot> for Host {
                 events: EventAccount::from(&host.accounting),
             }),
             clock: Some(HostClock::from(&host.clock)),
+            missing_events: host.missing_events(),
             stored: Stored::new(host.stored, host.arrivals),
         }
     }
@@ -293,7 +301,26 @@ impl From<&HostRow> for Host {
             description: Description::from(&row.description),
             now: None,
             clock: None,
+            missing_events: row.stored.missing_here(),
             stored: Stored::new(row.stored, Arrivals::default()),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests::samples;
+
+    #[test]
+    fn missing_events_include_those_that_only_aggregator_found() {
+        let missing_events = |dropped: u64, missing: u64, missing_before: u64| {
+            let mut host = samples::host("edge", "robot");
+            host.accounting.dropped = dropped;
+            (host.stored.missing, host.stored.missing_before) = (missing, missing_before);
+            Host::from(&host).missing_events
+        };
+        assert_eq!([missing_events(0, 849, 0), missing_events(1_050, 50, 0)], [849, 1_050]);
+        assert_eq!(missing_events(0, 849, 849), 0, "another database has them");
     }
 }

@@ -4,7 +4,7 @@ use peernet_clock::Verdict;
 use peernet_statistics::number::{NONE, SPACE, bound, count, offset_ms, rate, trip_ms};
 use peernet_stream::{HostClock, ProbeCounts, Probing};
 
-use super::super::{clock_fault, counted};
+use super::super::counted;
 use super::time_series::LinkTimeSeries;
 use super::{CONTRADICTION, Subject, estimate_and_max_error};
 
@@ -64,7 +64,7 @@ pub(crate) fn hosts(subject: &Subject<'_>) -> Vec<HostRow> {
         text: clock.map_or_else(|| "has not reported yet".to_owned(), describe_synchronisation),
         claims: clock.map_or_else(|| NONE.to_owned(), reported_error_bounds),
         steps: clock.map_or_else(|| NONE.to_owned(), |clock| count(clock.epoch.into())),
-        clock_fault: clock.and_then(|clock| clock.faults.as_ref()).map(clock_fault::describe),
+        clock_fault: clock.and_then(|clock| clock.faults.as_ref()).map(ToString::to_string),
     };
     vec![
         row(&subject.edge, "edge", link.live.edge.as_ref()),
