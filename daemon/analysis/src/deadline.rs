@@ -1,5 +1,6 @@
 //! Missed deadlines of iterations.
 
+use peernet_statistics::number::{SPACE, count, counted, duration, percent};
 use serde::{Deserialize, Serialize};
 
 use crate::rows::RowRef;
@@ -52,6 +53,15 @@ impl Misses {
     pub fn rate(self) -> Option<f64> {
         (self.iterations > 0).then(|| self.missed as f64 / self.iterations as f64)
     }
+
+    /// Returns the misses as text, such as `Deadline of 100 ms: missed by 12 of 1,000 iterations (1.2 %)`; `None`
+    /// without iterations. `deadline_s` is `None` if the deadline is not known.
+    pub fn text(self, deadline_s: Option<f64>) -> Option<String> {
+        let deadline = deadline_s.map_or_else(String::new, |seconds| format!(" of {}", duration(seconds)));
+        let [missed, iterations] = [count(self.missed), counted(self.iterations, "iteration")];
+        let share = percent(self.rate()?);
+        Some(format!("Deadline{deadline}: missed by {missed} of {iterations} ({share}{SPACE}%)"))
+    }
 }
 
 #[cfg(test)]
@@ -90,7 +100,15 @@ mod tests {
         let rows: Rows = (1..5).map(|iteration| row(iteration, Outcome::Timeout, None)).collect();
         assert_eq!(Misses::from_rows(&rows), None);
         assert_eq!(Misses::new(0, 0, 0).rate(), None);
+        assert_eq!(Misses::new(0, 0, 0).text(Some(0.1)), None);
         assert_eq!(Misses::sum([]), None);
+    }
+
+    #[test]
+    fn text_has_deadline_number_and_share() {
+        let text = Misses { missed: 12, iterations: 1_000 }.text(Some(0.1));
+        let expected = "Deadline of 100\u{202f}ms: missed by 12 of 1,000 iterations (1.2\u{202f}%)";
+        assert_eq!(text.as_deref(), Some(expected));
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Order statistics: the median and other quantiles. They describe delays better than means do, because the
 //! distribution of delays has a long tail.
 
+use peernet_statistics::histogram::OrderedValues;
 use peernet_statistics::{MIN_VALUES_FOR_P95, MIN_VALUES_FOR_P99};
 
 /// 97.5 % quantile of the standard normal distribution: half the width of a 95 % interval in standard errors.
@@ -38,10 +39,7 @@ impl SortedValues {
     /// Returns the quantile at `p` from 0 to 1, by linear interpolation between neighbours (definition 7 of Hyndman and Fan 1996). `None`
     /// without values.
     pub fn quantile(&self, p: f64) -> Option<f64> {
-        let rank = p.clamp(0.0, 1.0) * self.0.len().checked_sub(1)? as f64;
-        let (below, above) = (self.0[rank.floor() as usize], self.0[rank.ceil() as usize]);
-        // Two equal values may both be infinite. The difference of the two would then be NaN.
-        Some(if below == above { below } else { below + (above - below) * rank.fract() })
+        self.0.quantile_of_ranks(p)
     }
 
     /// Returns the median; `None` without values.
@@ -79,6 +77,12 @@ impl SortedValues {
         let [lower, upper] = ranks_around_median(self.0.len() as u64)?.map(|rank| self.0[rank as usize - 1]);
         Some((upper - lower) / (2.0 * Z95))
     }
+}
+
+/// Returns the mean; `None` without values.
+pub(crate) fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, count) = values.fold((0.0, 0_u64), |(sum, count), value| (sum + value, count + 1));
+    (count > 0).then(|| sum / count as f64)
 }
 
 /// Returns two ranks, counted from 1: of `n` sorted values, the values with these ranks bound the median with 95 %

@@ -2,6 +2,61 @@
 
 use peernet_statistics::number::count;
 use peernet_stream::OutcomeCounts;
+use serde::{Deserialize, Serialize};
+
+use crate::rows::{Outcome, Rows};
+
+/// Number of iterations by outcome. Warm-up iterations are counted separately, with any outcome.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Counts {
+    /// Number of successful iterations, the input of statistics.
+    pub ok: u64,
+    /// Number of iterations whose sample, model or actuator failed.
+    pub failed: u64,
+    /// Number of iterations whose connection broke.
+    pub lost: u64,
+    /// Number of iterations without an answer in time.
+    pub timeout: u64,
+    /// Number of warm-up iterations.
+    pub warm_up: u64,
+    /// Number of iterations that were measured but not received by this program, because it was too busy.
+    pub unseen: u64,
+}
+
+impl Counts {
+    /// Returns the numbers of rows by outcome. `unseen` is the number of iterations that were measured but have no row.
+    pub fn from_rows(rows: &Rows, unseen: u64) -> Self {
+        let mut counts = Self { unseen, ..Self::default() };
+        for row in rows {
+            let count = match row.outcome() {
+                _ if row.warm_up() => &mut counts.warm_up,
+                Outcome::Ok => &mut counts.ok,
+                Outcome::Failed => &mut counts.failed,
+                Outcome::Lost => &mut counts.lost,
+                Outcome::Timeout => &mut counts.timeout,
+            };
+            *count += 1;
+        }
+        counts
+    }
+
+    /// Returns the number of iterations with any outcome, without the warm-up and without [`unseen`](Self::unseen)
+    /// iterations.
+    pub const fn measured(&self) -> u64 {
+        self.ok + self.all_failed()
+    }
+
+    /// Returns the number of failed iterations, of any outcome but `ok`, without the warm-up.
+    pub const fn all_failed(&self) -> u64 {
+        self.failed + self.lost + self.timeout
+    }
+
+    /// Returns the numbers of iterations by outcome, without the warm-up.
+    pub const fn outcomes(&self) -> OutcomeCounts {
+        OutcomeCounts { ok: self.ok, failed: self.failed, lost: self.lost, timeout: self.timeout }
+    }
+}
 
 /// Returns the share of failed iterations, of any outcome but `ok`, 0 to 1; `None` without iterations.
 pub fn failed_share(counts: &OutcomeCounts) -> Option<f64> {
@@ -13,8 +68,8 @@ pub fn failed_share(counts: &OutcomeCounts) -> Option<f64> {
 pub fn failed_texts(counts: &OutcomeCounts) -> Vec<String> {
     let outcomes = [
         (counts.failed, "with an error of sensor, model or actuator"),
-        (counts.lost, "lost"),
-        (counts.timeout, "timed out"),
+        (counts.lost, Outcome::Lost.words()),
+        (counts.timeout, Outcome::Timeout.words()),
     ];
     let occurred = outcomes.into_iter().filter(|(number, _)| *number > 0);
     occurred.map(|(number, outcome)| format!("{} {outcome}", count(number))).collect()

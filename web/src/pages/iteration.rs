@@ -5,6 +5,7 @@ use axum::Router;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use axum::routing::get;
+use peernet_analysis::rows::Outcome;
 use peernet_analysis::slowness::USUAL_RATIOS;
 use peernet_figures::scale::Scale;
 use peernet_statistics::number::{NONE, count, duration, times};
@@ -82,13 +83,10 @@ async fn show(State(app): State<App>, numbers: Result<Path<(i64, u64)>, PathReje
 fn title(row: &IterationRow) -> String {
     let Some(total) = row.total.filter(|_| row.outcome == "ok") else {
         let reason = row.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
-        let outcome = match row.outcome.as_str() {
-            "timeout" => "No answer in time",
-            "lost" => "Lost in transit",
-            _ => "Failed",
-        };
+        let outcome =
+            Outcome::from_name(&row.outcome).map_or(row.outcome.as_str(), |outcome| outcome.words());
         let duration_text = row.total.map_or_else(String::new, |total| format!(" after {}", duration(total)));
-        return format!("{outcome}{duration_text}{reason}");
+        return format!("Iteration {outcome}{duration_text}{reason}");
     };
     let total_text = duration(total);
     let Some(factor) = row.factor else { return format!("{total_text}") };
@@ -200,7 +198,7 @@ mod tests {
         assert_eq!(title(&row), "30.2\u{202f}ms, 0.80\u{202f}× the run's median");
         row.outcome = "lost".into();
         row.reason = Some("connection to rack-a closed".into());
-        assert_eq!(title(&row), format!("Lost in transit after 30.2{SPACE}ms: connection to rack-a closed"));
+        assert_eq!(title(&row), format!("Iteration lost after 30.2{SPACE}ms: connection to rack-a closed"));
     }
 
     #[test]

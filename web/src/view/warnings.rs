@@ -6,7 +6,7 @@ use peernet_analysis::stage_split::{NEGLIGIBLE_UNEXPLAINED_S, StageSplit};
 use peernet_analysis::trust::Starts;
 use peernet_clock::{Span, WallTime};
 use peernet_logger::stage;
-use peernet_statistics::number::{SPACE, count, duration, percent, times};
+use peernet_statistics::number::{SPACE, duration, percent, times};
 use peernet_store::DelayAccuracy;
 
 use super::chip::{Chip, Tone};
@@ -94,11 +94,7 @@ fn skipped_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)>
     let skipped = minute.value(SKIPPED_STARTS).map_or(0.0, |starts| starts.mean * starts.count as f64);
     let started = minute.counts.total();
     let starts = Starts { started, skipped: skipped.round() as u64, ..Starts::default() };
-    let text = format!(
-        "skipped {} starts in the last minute, {}{SPACE}% of those that came due: it does not keep its rate.",
-        count(starts.skipped),
-        percent(starts.skipped_share())
-    );
+    let text = format!("skipped {} in the last minute: it does not keep its rate.", starts.skipped_text()?);
     (starts.skipped_share() > warn.skipped_percent / 100.0)
         .then_some((Chip::new(Tone::Warn, "gap", "skipped"), text))
 }
@@ -192,7 +188,7 @@ mod tests {
         set(&mut minute, SKIPPED_STARTS, 0.01);
         assert_eq!(pipeline_warnings(&minute, &tolerant), []);
         let text = &pipeline_warnings(&minute, &WarnConfig::default())[0].1;
-        assert!(text.starts_with("skipped 18 starts in the last minute"), "{text}");
+        assert!(text.starts_with("skipped 18 of "), "{text}");
     }
 
     #[test]

@@ -3,9 +3,11 @@
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
+use peernet_statistics::number::count;
 use serde::Serialize;
 
 use super::sample::Sample;
+use crate::rows::Outcome;
 
 /// Number of payloads that were not answered and have the same outcome, without the warm-up.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -39,16 +41,13 @@ impl Failures {
     }
 
     fn description(&self) -> String {
-        let outcome = match self.outcome {
-            "timeout" => "timed out",
-            outcome => outcome,
-        };
+        let outcome = Outcome::from_name(self.outcome).map_or(self.outcome, Outcome::words);
         let reason = match &self.commonest_reason {
             None => String::new(),
             Some(reason) if self.count == 1 => format!(" ({reason})"),
             Some(reason) => format!(" (most often: {reason})"),
         };
-        format!("{} {outcome}{reason}", self.count)
+        format!("{} {outcome}{reason}", count(self.count))
     }
 }
 
@@ -58,7 +57,7 @@ pub(super) fn sentence(failures: &[Failures], sent: u64) -> String {
     if failures.is_empty() {
         return String::new();
     }
-    let count: u64 = failures.iter().map(|failures| failures.count).sum();
+    let unanswered: u64 = failures.iter().map(|failures| failures.count).sum();
     let parts: Vec<String> = failures.iter().map(Failures::description).collect();
-    format!("{count} of {sent} payloads were not answered: {}", parts.join(", "))
+    format!("{} of {} payloads were not answered: {}", count(unanswered), count(sent), parts.join(", "))
 }

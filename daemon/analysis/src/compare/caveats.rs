@@ -174,7 +174,10 @@ mod tests {
             row.values.push(("skipped-starts".into(), if row.iteration == 50 { 101.0 } else { 0.0 }));
         });
         let text = Comparison::new(&runs).text();
-        assert!(text.contains(" of the configured rate: cuda:0, lan: 101 of 202 starts (50 %)."), "{text}");
+        assert!(
+            text.contains(" of the configured rate: cuda:0, lan: 101 of 202 starts (50\u{202f}%)."),
+            "{text}"
+        );
         assert!(!Comparison::new(&paper()).text().contains("skipped"));
         assert!(needs_column("skipped-starts"), "else it is not read");
     }

@@ -44,6 +44,7 @@ use crate::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLabels};
 use crate::actuator_results::{ActuatorResults, EPISODE_VALUES, SUPERSEDED};
 use crate::deadline::{DEADLINE_MISSED, Misses};
 use crate::loaded::{Loaded, unknown_labels};
+use crate::outcomes::Counts;
 use crate::quality::{Quality, QualityEstimate};
 use crate::rows::{Rows, SKIPPED_STARTS};
 use crate::total_column::TotalColumn;
@@ -231,8 +232,9 @@ impl Line {
         // Number of each repeat in the experiment, and how many edges measured it. Each edge has its own results.
         let mut repeats: Vec<(Option<u32>, usize)> = Vec::new();
         for Loaded { record, rows, .. } in self.runs.iter().map(|run| &runs[*run]) {
-            self.count += rows.iter().filter(|row| row.is_in_statistics()).count() as u64;
-            self.failed += rows.iter().filter(|row| !row.warm_up() && !row.is_in_statistics()).count() as u64;
+            let counts = Counts::from_rows(rows, 0);
+            self.count += counts.ok;
+            self.failed += counts.all_failed();
             let starts = Starts::from_rows(rows);
             self.starts.started += starts.started;
             self.starts.skipped += starts.skipped;

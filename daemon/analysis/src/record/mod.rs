@@ -2,6 +2,7 @@
 
 mod clocks;
 
+pub use crate::outcomes::Counts;
 pub use clocks::{Bounded, ClockCounts, Clocks};
 
 use std::collections::BTreeMap;
@@ -9,14 +10,14 @@ use std::collections::BTreeMap;
 use chrono::{DateTime, Utc};
 use peernet_clock::WallTime;
 use peernet_logger::{HostId, RunId};
-use peernet_stream::{Condition, EndReason, ExperimentPosition, Hardware, OutcomeCounts, PlacementKind};
+use peernet_stream::{Condition, EndReason, ExperimentPosition, Hardware, PlacementKind};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::accuracy::Accuracy;
 use crate::actuator_results::ActuatorResults;
 use crate::deadline::Misses;
-use crate::rows::{Outcome, Rows, Units};
+use crate::rows::Units;
 use crate::trust;
 
 /// Format version that this program writes.
@@ -173,61 +174,9 @@ pub struct ModelRecord {
     pub sha256: Option<String>,
 }
 
-/// Number of iterations by outcome. Warm-up iterations are counted separately, with any outcome.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default)]
-pub struct Counts {
-    /// Number of successful iterations, the input of statistics.
-    pub ok: u64,
-    /// Number of iterations whose sample, model or actuator failed.
-    pub failed: u64,
-    /// Number of iterations whose connection broke.
-    pub lost: u64,
-    /// Number of iterations without an answer in time.
-    pub timeout: u64,
-    /// Number of warm-up iterations.
-    pub warm_up: u64,
-    /// Number of iterations that were measured but not received by this program, because it was too busy.
-    pub unseen: u64,
-}
-
 /// Converts a wall time to the form in `run.json`.
 pub fn to_utc(at: WallTime) -> DateTime<Utc> {
     DateTime::from_timestamp_nanos(at.unix_nanos())
-}
-
-impl Counts {
-    /// Returns the numbers of rows by outcome. `unseen` is the number of iterations that were measured but have no row.
-    pub fn from_rows(rows: &Rows, unseen: u64) -> Self {
-        let mut counts = Self { unseen, ..Self::default() };
-        for row in rows {
-            let count = match row.outcome() {
-                _ if row.warm_up() => &mut counts.warm_up,
-                Outcome::Ok => &mut counts.ok,
-                Outcome::Failed => &mut counts.failed,
-                Outcome::Lost => &mut counts.lost,
-                Outcome::Timeout => &mut counts.timeout,
-            };
-            *count += 1;
-        }
-        counts
-    }
-
-    /// Returns the number of iterations with any outcome, without the warm-up and without [`unseen`](Self::unseen)
-    /// iterations.
-    pub const fn measured(&self) -> u64 {
-        self.ok + self.all_failed()
-    }
-
-    /// Returns the number of failed iterations, of any outcome but `ok`, without the warm-up.
-    pub const fn all_failed(&self) -> u64 {
-        self.failed + self.lost + self.timeout
-    }
-
-    /// Returns the numbers of iterations by outcome, without the warm-up.
-    pub const fn outcomes(&self) -> OutcomeCounts {
-        OutcomeCounts { ok: self.ok, failed: self.failed, lost: self.lost, timeout: self.timeout }
-    }
 }
 
 #[cfg(test)]

@@ -66,6 +66,14 @@ impl Outcome {
         }
     }
 
+    /// Returns the outcome as people read it: `ok`, `failed`, `lost` or `timed out`.
+    pub const fn words(self) -> &'static str {
+        match self {
+            Self::Timeout => "timed out",
+            outcome => outcome.name(),
+        }
+    }
+
     /// Returns the outcome with this name; `None` if no outcome has it.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|outcome| outcome.name() == name)

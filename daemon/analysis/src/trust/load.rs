@@ -1,7 +1,7 @@
 //! Starts of iterations in an open loop.
 
 use peernet_clock::WallTime;
-use peernet_statistics::number::{counted, fixed, percent};
+use peernet_statistics::number::{SPACE, count, counted, percent};
 use serde::Deserialize;
 
 use crate::rows::{Rows, SKIPPED_STARTS};
@@ -73,7 +73,7 @@ impl Starts {
     pub fn skipped_text(&self) -> Option<String> {
         let share = percent(self.skipped_share());
         let skipped_text =
-            format!("{} of {} ({share} %)", fixed(self.skipped as f64, 0), counted(self.total(), "start"));
+            format!("{} of {} ({share}{SPACE}%)", count(self.skipped), counted(self.total(), "start"));
         (self.skipped > 0).then_some(skipped_text)
     }
 

@@ -31,7 +31,7 @@ pub use replayed::{DRAWN_LATENCY, OVERRUN, ReplayedLatencies};
 pub(crate) use replayed::{DRAWN_LATENCY_COLUMN, OVERRUN_COLUMN};
 pub use restarts::Restarts;
 pub use time_series::{Beginning, Outliers, TimeSeries};
-pub use trust_input::{Clocks, Counts, MissingEvents, TrustInput, names_of_distributions};
+pub use trust_input::{Clocks, MissingEvents, TrustInput, names_of_distributions};
 
 use std::cmp::Reverse;
 

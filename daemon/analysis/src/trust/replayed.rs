@@ -2,6 +2,7 @@
 
 use peernet_statistics::number::milliseconds;
 
+use crate::order::mean;
 use crate::rows::Rows;
 
 /// Name of the fact by which a model says that its latencies are drawn from a distribution.
@@ -81,11 +82,6 @@ impl ReplayedLatencies {
         let mean = |value: fn(&Self) -> Option<f64>| mean(runs.iter().filter_map(value));
         Some(Self { distribution, drawn: mean(|run| run.drawn), overrun: mean(|run| run.overrun) }.describe())
     }
-}
-
-fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let (sum, count) = values.fold((0.0, 0_u32), |(sum, count), value| (sum + value, count + 1));
-    (count > 0).then(|| sum / f64::from(count))
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@ use peernet_statistics::SplitMix64;
 
 use super::testing::{about, governor, quiet, rows};
 use super::*;
+use crate::outcomes::Counts;
 use crate::rows::{Outcome, Row, Rows};
 
 fn judged(rows: &Rows) -> Report {

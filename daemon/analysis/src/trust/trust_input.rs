@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use peernet_clock::{OneWayDelay, Verdict};
 use peernet_logger::{Name, stage};
 use peernet_statistics::{Summary, TwoModes};
-use peernet_stream::{Condition, EndReason, FaultyHost, OutcomeCounts};
+use peernet_stream::{Condition, EndReason, FaultyHost};
 
 use super::{
     DRAWN_LATENCY_COLUMN, EndedEarly, OVERRUN_COLUMN, ReplayedLatencies, Restarts, Starts, TimeSeries,
@@ -14,8 +14,9 @@ use crate::accuracy::{Accuracy, UnknownLabels};
 use crate::actuator_results::ActuatorResults;
 use crate::answer_length::{answer_tokens, tokens_of_column};
 use crate::delays::ClockInterval;
-use crate::order::SortedValues;
-use crate::rows::{Outcome, RowRef, Rows};
+use crate::order::{SortedValues, mean};
+use crate::outcomes::Counts;
+use crate::rows::{RowRef, Rows};
 use crate::stage_split::StageSplit;
 
 /// Function that returns the delay of a row's message in one direction.
@@ -66,21 +67,6 @@ pub struct TrustInput {
     pub overrun: Option<f64>,
 }
 
-/// Number of iterations of a run by outcome. Warm-up iterations are counted only in `warm_up`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Counts {
-    /// Number of successful iterations, the input of statistics.
-    pub ok: u64,
-    /// Number of iterations whose sample, model or actuator failed.
-    pub failed: u64,
-    /// Number of iterations whose connection broke.
-    pub lost: u64,
-    /// Number of iterations whose answer did not come in time.
-    pub timeout: u64,
-    /// Number of iterations of the warm-up, which statistics exclude.
-    pub warm_up: u64,
-}
-
 /// Events that were dropped or never arrived.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MissingEvents {
@@ -109,26 +95,14 @@ impl TrustInput {
         let in_statistics = || rows.iter().filter(|row| row.is_in_statistics());
         let time_series =
             |column: &str| TimeSeries::from_values(&rows.values_in_statistics(column).collect::<Vec<f64>>());
-        let mean = |column: &str| {
-            let count = rows.values_in_statistics(column).count();
-            (count > 0).then(|| rows.values_in_statistics(column).sum::<f64>() / count as f64)
-        };
+        let mean = |column: &str| mean(rows.values_in_statistics(column));
         let stages =
             stage::ORDER.into_iter().filter_map(|name| Some((name.to_string(), time_series(&name)?)));
-        let count = |outcome: Outcome| {
-            rows.iter().filter(|row| !row.warm_up() && row.outcome() == outcome).count() as u64
-        };
         let directions: [(Name, DelayReader); 2] =
             [(stage::UPLOAD, |row| row.upload()), (stage::DOWNLOAD, |row| row.download())];
         Self {
             conditions: conditions.to_vec(),
-            counts: Counts {
-                ok: in_statistics().count() as u64,
-                failed: count(Outcome::Failed),
-                lost: count(Outcome::Lost),
-                timeout: count(Outcome::Timeout),
-                warm_up: rows.iter().filter(|row| row.warm_up()).count() as u64,
-            },
+            counts: Counts::from_rows(rows, 0),
             starts: Starts::from_rows(rows),
             total: time_series(&stage::TOTAL).or_else(|| time_series(&stage::SENSING)),
             stages: stages.collect(),
@@ -192,23 +166,6 @@ fn two_modes(rows: &Rows) -> Vec<(String, TwoModes)> {
         Some((node.to_owned(), summary.two_modes()?))
     };
     names_of_distributions(with_values).into_iter().filter_map(modes_of).collect()
-}
-
-impl Counts {
-    /// Returns the number of iterations without the warm-up.
-    pub const fn measured(&self) -> u64 {
-        self.ok + self.all_failed()
-    }
-
-    /// Returns the number of failed iterations, of any outcome but `ok`, without the warm-up.
-    pub const fn all_failed(&self) -> u64 {
-        self.failed + self.lost + self.timeout
-    }
-
-    /// Returns the numbers of iterations by outcome, without the warm-up.
-    pub const fn outcomes(&self) -> OutcomeCounts {
-        OutcomeCounts { ok: self.ok, failed: self.failed, lost: self.lost, timeout: self.timeout }
-    }
 }
 
 impl Clocks {

@@ -16,7 +16,7 @@ pub use curves::Curve;
 use peernet_statistics::Summary;
 
 use crate::loaded::Loaded;
-use crate::order::SortedValues;
+use crate::order::{SortedValues, mean};
 use crate::trust::ReplayedLatencies;
 
 /// Returns Jain's index of fairness, (Σx)² / (n Σx²) (Jain, Chiu and Hawe 1984, *A Quantitative Measure of Fairness and
@@ -250,11 +250,6 @@ impl Totals {
             p99: totals.p99(),
         }
     }
-}
-
-fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let (sum, count) = values.fold((0.0, 0_u64), |(sum, count), value| (sum + value, count + 1));
-    (count > 0).then(|| sum / count as f64)
 }
 
 #[cfg(test)]

@@ -1,11 +1,12 @@
 //! Reads the values from which the trust findings of a run are computed: its stored statistics.
 
 use peernet_analysis::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLabels};
+use peernet_analysis::outcomes::Counts;
 use peernet_analysis::stage_split::StageSplit;
 use peernet_analysis::standstill::{RunExtent, standstill};
 use peernet_analysis::trust::{
-    Clocks, Counts, DRAWN_LATENCY, EndedEarly, Limits, Load, MissingEvents, OVERRUN, Progress, Restarts,
-    StartTimes, Starts, TimeSeries, TrustInput, names_of_distributions,
+    Clocks, DRAWN_LATENCY, EndedEarly, Limits, Load, MissingEvents, OVERRUN, Progress, Restarts, StartTimes,
+    Starts, TimeSeries, TrustInput, names_of_distributions,
 };
 use peernet_logger::stage;
 use peernet_statistics::TwoModes;
@@ -116,6 +117,7 @@ fn collect(
         lost: run.summary.counts.lost,
         timeout: run.summary.counts.timeout,
         warm_up: run.summary.warm_up,
+        unseen: 0,
     };
     let statistics_of =
         |name: &str| statistics.iter().find(|stage| stage.stage == *name).map(|stage| stage.statistics);

@@ -1,6 +1,6 @@
 //! Judgement of the scores. It reports iterations whose answers were not scored as right or wrong.
 
-use peernet_statistics::number::fixed;
+use peernet_statistics::number;
 use peernet_stream::Grade;
 
 use super::{finding, iterations, percent, with_advice};
@@ -24,7 +24,7 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     let partial_finding = |(names, unscored, total): (Vec<&str>, u64, u64)| {
         let text = format!(
             "{} of {} ({}) have no valid score for {}: the accuracy covers only the others.",
-            fixed(unscored as f64, 0),
+            number::count(unscored),
             iterations(total),
             percent(unscored as f64 / total as f64),
             names.join(" and ")
@@ -50,7 +50,7 @@ fn judge_unknown_labels(input: &TrustInput) -> Option<Finding> {
 mod tests {
     use super::*;
     use crate::accuracy::UnknownLabels;
-    use crate::trust::Counts;
+    use crate::outcomes::Counts;
 
     fn grades_and_texts(unscored: [u64; 2], with_unknown_label: u64) -> Vec<(Grade, String)> {
         let accuracy =

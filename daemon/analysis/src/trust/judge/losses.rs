@@ -1,12 +1,12 @@
 //! Judgement of missing measurements: failed iterations, skipped starts, superseded answers, missing events and an early end.
 
 use peernet_statistics::MIN_VALUES_FOR_P95;
-use peernet_statistics::number::{counted, fixed, rate};
+use peernet_statistics::number::{count, counted, rate};
 use peernet_stream::Grade;
 
 use super::{END, finding, iterations, percent, with_advice};
-use crate::outcomes::failed_texts;
-use crate::trust::{Counts, EndedEarly, Finding, MissingCount, MissingEvents, Starts, TrustInput};
+use crate::outcomes::{Counts, failed_share, failed_texts};
+use crate::trust::{EndedEarly, Finding, MissingCount, MissingEvents, Starts, TrustInput};
 
 /// A finding about failed iterations, skipped starts or superseded answers is doubtful if their share is above this
 /// value.
@@ -98,13 +98,13 @@ fn judge_amount(counts: &Counts) -> Finding {
 fn judge_failed(counts: &Counts) -> Finding {
     let about = "losses";
     let outcome_texts = failed_texts(&counts.outcomes());
-    let share = counts.all_failed() as f64 / counts.measured() as f64;
+    let share = failed_share(&counts.outcomes()).unwrap_or_default();
     if outcome_texts.is_empty() {
         return finding(about, Grade::Good, "No iteration failed.");
     }
     let text = format!(
         "{} of {} failed ({}): {}.",
-        fixed(counts.all_failed() as f64, 0),
+        count(counts.all_failed()),
         iterations(counts.measured()),
         percent(share),
         outcome_texts.join(", ")
@@ -123,21 +123,18 @@ fn judge_failed(counts: &Counts) -> Finding {
 fn judge_skipped_starts(starts: &Starts) -> Option<Finding> {
     let about = "skipped starts";
     let configured_hz = starts.hz.map(rate);
-    if starts.skipped == 0 {
+    let Some(skipped_text) = starts.skipped_text() else {
         let text = configured_hz
             .map(|hz| format!("No start was skipped: {hz}\u{202f}Hz were configured and achieved."));
         return text.map(|text| finding(about, Grade::Good, text));
-    }
+    };
     let share = starts.skipped_share();
     let achieved = starts.actual_hz().map(|hz| format!(", {}\u{202f}Hz achieved", rate(hz)));
     let rates = configured_hz.map_or_else(String::new, |hz| {
         format!(": {hz}\u{202f}Hz were configured{}", achieved.unwrap_or_default())
     });
     let text = format!(
-        "{} of {} ({}) {} skipped because the pipeline could not keep up{rates}.",
-        fixed(starts.skipped as f64, 0),
-        counted(starts.total(), "start"),
-        percent(share),
+        "{skipped_text} {} skipped because the pipeline could not keep up{rates}.",
         if starts.skipped == 1 { "was" } else { "were" }
     );
     let advice = "report the achieved rate beside the latency, or configure a lower rate";
@@ -158,7 +155,7 @@ fn judge_superseded(input: &TrustInput) -> Option<Finding> {
     let text = format!(
         "{} of {} ({}) {} superseded: the actuator did not act on them, because it had acted on a newer answer or the \
          episode had ended. The latency includes them, although they moved nothing.",
-        fixed(input.superseded as f64, 0),
+        count(input.superseded),
         counted(input.counts.ok, "answer"),
         percent(share),
         if input.superseded == 1 { "was" } else { "were" }

@@ -1,6 +1,6 @@
 //! Judgement of restarts: answered iterations that waited for a process because it had died in an earlier iteration.
 
-use peernet_statistics::number::fixed;
+use peernet_statistics::number;
 use peernet_stream::Grade;
 
 use super::{finding, iterations, ms, percent, with_advice};
@@ -39,7 +39,7 @@ fn list_of_numbers(numbers: &[u64]) -> String {
         return String::new();
     }
     let mut texts: Vec<String> =
-        numbers.iter().take(MAX_NAMED).map(|number| fixed(*number as f64, 0)).collect();
+        numbers.iter().take(MAX_NAMED).map(|number| number::count(*number)).collect();
     if numbers.len() > MAX_NAMED {
         texts.push("…".to_owned());
     }

@@ -1,6 +1,6 @@
 //! Tests of the input of a run's judgement.
 
-use peernet_analysis::record::{Counts as RecordedCounts, RunRecord};
+use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{LATENESS, Outcome, Row, RowRef, Rows};
 use peernet_analysis::trust::Report;
 use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict, WallTime};
@@ -163,10 +163,8 @@ fn skipped_starts_are_reported_with_ordered_rate() {
 #[test]
 fn missing_events_count_in_rate_as_in_results() {
     let rows: Rows = (1..=300).map(row).collect();
-    let record = |unseen| RunRecord {
-        counts: RecordedCounts { unseen, ..RecordedCounts::default() },
-        ..RunRecord::default()
-    };
+    let record =
+        |unseen| RunRecord { counts: Counts { unseen, ..Counts::default() }, ..RunRecord::default() };
     for missing in [0, 60] {
         let mut run = detail("", "finished");
         let (first, last) = (NOW, NOW + Span::from_seconds(299));
