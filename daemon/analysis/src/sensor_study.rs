@@ -1,6 +1,6 @@
 //! Study of a sensor alone: its rate, its jitter, and its dropped samples.
 
-use peernet_statistics::number::{counted, fixed, milliseconds, percent, rate};
+use peernet_statistics::number::{NONE, count, counted, milliseconds, percent, rate};
 use peernet_statistics::{MIN_VALUES_FOR_P95, Moments};
 
 use crate::order::SortedValues;
@@ -140,9 +140,8 @@ impl SensorStudy {
 
     /// Returns the table of all quantities.
     pub fn table(&self) -> Table {
-        let unknown = || "—".to_owned();
+        let unknown = || NONE.to_owned();
         let ms = |value: Option<f64>| value.map_or_else(unknown, milliseconds);
-        let count = |value: u64| fixed(value as f64, 0);
         let rows = [
             ("samples", count(self.samples), ""),
             ("rate", rate(self.rate), "/s"),

@@ -76,8 +76,9 @@ impl UnaccountedTime {
     }
 }
 
-fn is_one_way(name: &Name) -> bool {
-    *name == stage::UPLOAD || *name == stage::DOWNLOAD
+/// Returns whether the stage is a one-way delay between hosts.
+pub fn is_one_way(name: &str) -> bool {
+    name == stage::UPLOAD.as_str() || name == stage::DOWNLOAD.as_str()
 }
 
 #[cfg(test)]

@@ -9,7 +9,9 @@ pub use mean_score::MeanScore;
 pub use unknown_labels::{UNKNOWN_LABEL, UnknownLabels};
 
 use std::collections::BTreeMap;
+use std::fmt;
 
+use peernet_statistics::number::{counted, join_ends, share};
 use serde::{Deserialize, Serialize};
 
 use crate::order::Z95;
@@ -67,6 +69,15 @@ impl Accuracy {
             let share = right as f64 / count as f64;
             Self { share, interval: wilson(share, count), count, unscored }
         })
+    }
+}
+
+/// Writes the share with its interval and its base: `75.0 % of 1,000 iterations (95 % confidence: 72.2 – 77.6 %)`.
+impl fmt::Display for Accuracy {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [value, lo, hi] = [self.share, self.interval.0, self.interval.1].map(share);
+        let iterations = counted(self.count, "iteration");
+        write!(formatter, "{value} % of {iterations} (95 % confidence: {} %)", join_ends([lo, hi]))
     }
 }
 

@@ -1,6 +1,6 @@
 //! Samples whose label is not a class of the model. No answer to such a sample can be right, so the answers count as neither right nor wrong.
 
-use peernet_statistics::number::{counted, fixed};
+use peernet_statistics::number::{count, counted};
 
 use crate::rows::Rows;
 
@@ -43,14 +43,14 @@ impl UnknownLabels {
 
     /// Adds the count of another run. The examples of this run are kept.
     #[must_use]
-    pub(crate) fn merged_with(self, other: &Self) -> Self {
+    pub fn merged_with(self, other: &Self) -> Self {
         Self { count: self.count + other.count, ..self }
     }
 
     /// Returns a sentence on the iterations that were not scored; `total` is the number of iterations in
     /// the statistics.
     pub fn sentence(&self, total: u64) -> String {
-        let iterations = format!("{} of {}", fixed(self.count as f64, 0), counted(total, "iteration"));
+        let iterations = format!("{} of {}", count(self.count), counted(total, "iteration"));
         format!("Not scored: {iterations}, {}.", self.reason())
     }
 

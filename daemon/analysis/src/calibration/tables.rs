@@ -3,7 +3,9 @@
 use std::path::Path;
 
 use peernet_clock::{Direction, Span};
-use peernet_statistics::number::{EXACT, NONE as UNKNOWN, bytes, decimals, fixed, fixed_or_less_than};
+use peernet_statistics::number::{
+    EXACT, NONE as UNKNOWN, bytes, decimals, fixed, fixed_or_less_than, join_ends,
+};
 
 use super::Study;
 use super::direction::{DirectionStudy, Throughput};
@@ -11,7 +13,7 @@ use super::passage::Passage;
 use super::sample::Sample;
 use crate::WriteError;
 use crate::message_sizes::SizeSummary;
-use crate::table::{csv, decimals_of, interval, text};
+use crate::table::{csv, decimals_of, text};
 
 /// Maximum number of decimals of a number of ms: a tenth of a microsecond.
 const MAX_MS_DECIMALS: usize = 4;
@@ -147,7 +149,7 @@ fn size_columns(direction: &DirectionStudy, payloads: &[u64]) -> Vec<Vec<String>
     let sizes = &direction.sizes;
     let in_ms = decimals_of(sizes.iter().map(|size| size.median * 1e3));
     let in_mb = decimals_of(sizes.iter().filter_map(|size| size.throughput).map(|rate| rate / 8e6));
-    let range = |(lo, hi): (f64, f64)| interval([lo, hi].map(|end| fixed(end * 1e3, in_ms)));
+    let range = |(lo, hi): (f64, f64)| join_ends([lo, hi].map(|end| fixed(end * 1e3, in_ms)));
     let cells = |size: &SizeSummary| {
         let bounds = if direction.same_clock { Some(EXACT.to_owned()) } else { size.bounds.map(range) };
         let rate = size.throughput.map(|rate| fixed_or_less_than(rate / 8e6, in_mb));
@@ -190,10 +192,10 @@ fn fit_rows(direction: &DirectionStudy) -> Vec<Vec<String>> {
     let in_mb = decimals_of(rates.iter().flatten().map(|rate| rate.value / 8e6));
     let ms = |seconds: f64| fixed(seconds * 1e3, in_ms);
     let mb = |rate: f64| fixed_or_less_than(rate / 8e6, in_mb);
-    let delays = |(lo, hi): (f64, f64)| interval([ms(lo), ms(hi)]);
+    let delays = |(lo, hi): (f64, f64)| join_ends([ms(lo), ms(hi)]);
     let speeds = |(lo, hi): (f64, Option<f64>)| match hi.filter(|hi| hi.is_finite()) {
         None => format!("≥ {}", mb(lo)),
-        Some(hi) => interval([mb(lo), mb(hi)]),
+        Some(hi) => join_ends([mb(lo), mb(hi)]),
     };
     let mut rows: Vec<Vec<String>> = methods
         .iter()

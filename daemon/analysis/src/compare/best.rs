@@ -3,7 +3,7 @@
 use peernet_sample::printable_line;
 use peernet_statistics::number::column_decimals;
 
-use super::difference_table::{INTERVAL_LIMITATION, MEAN_INTERVAL_MEANING, in_milliseconds, with_interval};
+use super::difference_table::{INTERVAL_LIMITATION, MEAN_INTERVAL_MEANING, in_milliseconds};
 use super::ranking::{ConfigurationTotal, Ranking, model_computes};
 use super::{Comparison, EMPTY_CELL, Line, MeanEstimate, values};
 use crate::loaded::Loaded;
@@ -51,14 +51,15 @@ fn differences_table(comparison: &Comparison) -> Table {
     let Comparison { axes, lines, total_column, .. } = comparison;
     let others = || lines.iter().filter_map(|line| Some((line, line.difference_to_best?)));
     // All numbers of the column have the same number of decimals, so that they are easy to compare.
-    let decimals = others().map(|(_, difference)| column_decimals(difference.margin()));
-    let decimals = decimals.max().unwrap_or_default();
+    let decimals = column_decimals(others().map(|(_, difference)| difference.margin()));
     let mut header = axes.clone();
     header.extend(["mean", "beyond the smallest", "95 % confidence"].map(str::to_owned));
     let rows = others().map(|(line, difference)| {
         let mean = line.latency(total_column.name()).map(|latency| in_milliseconds(latency.mean, decimals));
         let mean = mean.unwrap_or_else(|| EMPTY_CELL.to_owned());
-        line.labels.iter().cloned().chain([mean]).chain(with_interval(difference, decimals)).collect()
+        let (difference, interval) = difference.texts(decimals);
+        let interval = interval.unwrap_or_else(|| EMPTY_CELL.to_owned());
+        line.labels.iter().cloned().chain([mean, difference, interval]).collect()
     });
     Table { header, labels: axes.len(), rows: rows.collect(), marked: None }
 }

@@ -1,5 +1,6 @@
 //! Difference of two means, with its interval.
 
+use peernet_statistics::number::Estimate;
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
@@ -33,13 +34,20 @@ impl Difference {
     }
 
     /// Returns half the width of the interval; `None` if there is no interval.
-    pub(super) fn margin(self) -> Option<f64> {
+    pub fn margin(self) -> Option<f64> {
         self.interval.map(|(lo, hi)| (hi - lo) / 2.0)
     }
 
     /// Returns the value and the two ends of the interval.
     pub(super) fn ends(self) -> [Option<f64>; 3] {
         [Some(self.value), self.interval.map(|ends| ends.0), self.interval.map(|ends| ends.1)]
+    }
+
+    /// Returns the difference and its interval with their signs, in ms.
+    pub fn texts(self, decimals: usize) -> (String, Option<String>) {
+        let interval = self.interval.unwrap_or((self.value, self.value));
+        let estimate = Estimate::new(self.value, interval).with_decimals(decimals);
+        (estimate.signed(), self.interval.map(|_| estimate.shift()))
     }
 
     /// Returns whether the interval excludes zero, so that the difference is more than chance; `None` if there is no interval.

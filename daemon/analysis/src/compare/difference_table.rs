@@ -4,7 +4,7 @@ use peernet_sample::printable_line;
 use peernet_statistics::number::{EXACT, column_decimals, decimals, fixed, fixed_or_less_than};
 
 use super::{Difference, Differences, EMPTY_CELL, StageDifference};
-use crate::table::{CaptionedTable, Table, csv_text, interval};
+use crate::table::{CaptionedTable, Table, csv_text};
 
 /// Maximum number of decimals of a number of ms, which gives a microsecond: the clock of another host is never known
 /// more precisely.
@@ -81,7 +81,7 @@ impl Differences {
     fn rows(&self) -> Vec<Vec<String>> {
         let stages = || self.stages.iter();
         let max_decimals = |difference: fn(&StageDifference) -> Difference| {
-            stages().map(|stage| column_decimals(difference(stage).margin())).max().unwrap_or_default()
+            column_decimals(stages().map(|stage| difference(stage).margin()))
         };
         let mean_decimals = max_decimals(|stage| stage.mean);
         let median_decimals = max_decimals(|stage| stage.median);
@@ -90,7 +90,8 @@ impl Differences {
             clock_errors.map(|error| decimals(error * 1e3, 2).min(MAX_MS_DECIMALS)).max().unwrap_or_default();
         let cells = |values: (f64, f64), difference: Difference, decimals: usize| {
             let ms = |seconds: f64| in_milliseconds(seconds, decimals);
-            let [difference, interval] = with_interval(difference, decimals);
+            let (difference, interval) = difference.texts(decimals);
+            let interval = interval.unwrap_or_else(|| EMPTY_CELL.to_owned());
             [ms(values.0), ms(values.1), difference, interval]
         };
         let clock_cell = |error: f64| match error {
@@ -120,18 +121,4 @@ impl Differences {
 /// Formats seconds as milliseconds.
 pub(super) fn in_milliseconds(seconds: f64, decimals: usize) -> String {
     fixed(seconds * 1e3, decimals)
-}
-
-/// Returns two cells: a difference and its interval, in milliseconds.
-pub(super) fn with_interval(difference: Difference, decimals: usize) -> [String; 2] {
-    let signed_ms = |seconds: f64| format_signed(seconds, decimals);
-    let ends = difference.interval.map(|(lo, hi)| interval([signed_ms(lo), signed_ms(hi)]));
-    [signed_ms(difference.value), ends.unwrap_or_else(|| EMPTY_CELL.to_owned())]
-}
-
-/// Formats seconds as milliseconds with a sign. Numbers above zero have a plus sign.
-fn format_signed(seconds: f64, decimals: usize) -> String {
-    let text = in_milliseconds(seconds, decimals);
-    let is_zero = !text.bytes().any(|digit| (b'1'..=b'9').contains(&digit));
-    if seconds > 0.0 && !is_zero { format!("+{text}") } else { text }
 }

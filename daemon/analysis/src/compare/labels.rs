@@ -1,12 +1,11 @@
 //! Labels of runs: facts that distinguish them, as columns and as names.
 
+pub(super) use peernet_statistics::number::NONE as EMPTY_CELL;
 use peernet_stream::ExperimentPosition;
 
 use super::columns::Column;
 use crate::model_places::place_word;
 
-/// Cell of a run that does not have the fact of the column.
-pub(super) const EMPTY_CELL: &str = "—";
 /// Names of facts that get no column, because they follow from the model or the data set of a run, which have their own
 /// columns.
 const IMPLIED_FACTS: [&str; 6] = ["model", "device", "task", "input", "labels", "classes"];

@@ -1,14 +1,16 @@
 //! Comparisons as tables.
 
 use peernet_sample::printable_line;
-use peernet_statistics::number::{column_decimals, decimals, fixed, percent, range_ms, share};
+use peernet_statistics::number::{
+    column_decimals, count, decimals, fixed, join_ends, percent, range_ms, share,
+};
 
 use super::difference_table::{MAX_MS_DECIMALS, in_milliseconds};
 use super::{Comparison, EMPTY_CELL, LATENCIES, Latency, Line, MIN_KNOWN_SHARE, MIN_VALUES, SCORES};
 use crate::accuracy::{ACCURACIES, Accuracy};
 use crate::actuator_results::EPISODES_SEPARATOR;
 use crate::deadline::Misses;
-use crate::table::{Table, interval};
+use crate::table::Table;
 use crate::total_column::TotalColumn;
 
 const HEADINGS: [&str; LATENCIES.len()] =
@@ -94,7 +96,7 @@ impl Comparison {
     /// easy to compare.
     fn decimals(&self, latency: impl Fn(&Line) -> Option<Latency>) -> usize {
         let latencies = self.lines.iter().filter_map(latency);
-        latencies.map(|latency| column_decimals(latency.std)).max().unwrap_or_default()
+        column_decimals(latencies.map(|latency| latency.std))
     }
 
     /// Returns the notes below the table: the meaning of its numbers, and what the table does not show. `mark` says how
@@ -309,10 +311,6 @@ pub(super) fn with_name(name: &str, text: &str) -> String {
     if name.is_empty() { text.to_owned() } else { format!("{name}: {text}") }
 }
 
-fn count(count: u64) -> String {
-    fixed(count as f64, 0)
-}
-
 /// Returns the cell of a latency: mean ± standard deviation in ms.
 fn cell(latency: Latency, decimals: usize) -> String {
     let ms = |seconds: f64| in_milliseconds(seconds, decimals);
@@ -324,7 +322,7 @@ fn cell(latency: Latency, decimals: usize) -> String {
 
 /// Returns a share in per cent with its interval.
 fn share_text(value: f64, (lo, hi): (f64, f64)) -> String {
-    format!("{} ({})", share(value), interval([share(lo), share(hi)]))
+    format!("{} ({})", share(value), join_ends([share(lo), share(hi)]))
 }
 
 /// Columns of a table, from left to right.

@@ -12,16 +12,6 @@ pub use text::text;
 
 use peernet_statistics::number::decimals;
 
-/// Formats an interval from the texts of its ends. If both texts are the same, returns a single number.
-pub fn interval([lo, hi]: [String; 2]) -> String {
-    let is_signed = |end: &str| end.starts_with(['\u{2212}', '+']);
-    match (lo == hi, is_signed(&lo) || is_signed(&hi)) {
-        (true, _) => lo,
-        (false, true) => format!("{lo} to {hi}"),
-        (false, false) => format!("{lo} – {hi}"),
-    }
-}
-
 /// Returns the number of decimals of a column. The number that is closest to zero, but not zero, has three significant
 /// digits. This would take very many decimals if the numbers differ much, so there are at most two decimals more than
 /// the largest number needs for three digits.
@@ -98,13 +88,5 @@ mod tests {
         assert_eq!(decimals_of([0.000_34, 6.5].into_iter()), 4, "0.0003 and 6.5000");
         assert_eq!(decimals_of([0.041_8, 0.394].into_iter()), 4);
         assert_eq!(decimals_of([640.1, 16.2, 0.0, f64::INFINITY].into_iter()), 1);
-    }
-
-    #[test]
-    fn zero_width_interval_is_one_number() {
-        let text = |lo: &str, hi: &str| interval([lo, hi].map(str::to_owned));
-        assert_eq!(text("3.13", "3.13"), "3.13");
-        assert_eq!(text("3.13", "3.14"), "3.13 – 3.14");
-        assert_eq!(text("+3.13", "+3.14"), "+3.13 to +3.14");
     }
 }

@@ -1,13 +1,12 @@
 //! Tables of the statistics of many users.
 
-use peernet_statistics::number::{fixed, milliseconds, rate};
+pub(super) use peernet_statistics::number::NONE as EMPTY_CELL;
+use peernet_statistics::number::{count, fixed_or_less_than, milliseconds, rate};
 
 use super::{Users, UsersLine};
 use crate::compare::{readable_names, replayed_configurations};
 use crate::table::{Table, csv_text};
 
-/// Cell of an unknown value.
-pub(super) const EMPTY_CELL: &str = "—";
 /// First note below the tables.
 const NOTE: &str = "Of several edges, the time counts in which all were measuring. Fairness is Jain's index of the edges' rates: 1 when all \
                     are served alike, 1/n when one of n gets everything.";
@@ -59,23 +58,31 @@ impl Users {
         let labels = header.len();
         header.extend(["edges", "iterations/s", "per edge", "fairness"].map(str::to_owned));
         header.extend(["mean ms", "p50 ms", "p95 ms", "p99 ms"].map(|name| format!("total {name}")));
-        let cell = |value: Option<f64>, format: fn(f64) -> String| {
-            value.map_or_else(|| EMPTY_CELL.to_owned(), format)
-        };
         let row = |line: &UsersLine| {
-            let mut cells = line.labels.clone();
-            cells.push(line.edges.to_string());
-            cells.push(cell(line.rate, rate));
-            cells.push(line.rate_range().map_or_else(
-                || EMPTY_CELL.to_owned(),
-                |(least, most)| format!("{} – {}", rate(least), rate(most)),
-            ));
-            cells.push(cell(line.fairness, |value| fixed(value, 3)));
-            cells.extend(latencies(line).map(|value| cell(value, milliseconds)));
-            cells
+            let quantiles = [line.totals.median, line.totals.p95, line.totals.p99];
+            let quantiles = quantiles.map(|value| cell(value, milliseconds));
+            line.labels.iter().cloned().chain(line.texts()).chain(quantiles).collect()
         };
         Table { header, labels, rows: self.lines.iter().map(row).collect(), marked: None }
     }
+}
+
+impl UsersLine {
+    /// Returns the number of edges, the rate, the range of the edges' rates, the fairness, and the mean total in ms.
+    pub fn texts(&self) -> [String; 5] {
+        let range = self.rate_range().map(|(least, most)| format!("{} – {}", rate(least), rate(most)));
+        [
+            count(self.edges as u64),
+            cell(self.rate, rate),
+            range.unwrap_or_else(|| EMPTY_CELL.to_owned()),
+            cell(self.fairness, |index| fixed_or_less_than(index, 3)),
+            cell(self.totals.mean, milliseconds),
+        ]
+    }
+}
+
+fn cell(value: Option<f64>, format: fn(f64) -> String) -> String {
+    value.map_or_else(|| EMPTY_CELL.to_owned(), format)
 }
 
 /// Returns mean, median, 95th and 99th percentile of the totals, seconds.

@@ -56,7 +56,7 @@ pub fn signed_within_ms(seconds: f64, (lo, hi): (f64, f64)) -> String {
 /// Formats an interval of a change: `−0.65 to +0.63`.
 pub fn shift_ms(lo: f64, hi: f64) -> String {
     let decimals = decimals_within(hi, (hi - lo) / 2.0);
-    format!("{} to {}", signed(lo * 1e3, decimals), signed(hi * 1e3, decimals))
+    join_ends([lo, hi].map(|end| signed(end * 1e3, decimals)))
 }
 
 /// Formats a clock offset with its sign and the digits that its bound supports: `+1,204.18`, `−1,002.698`, `+250`.

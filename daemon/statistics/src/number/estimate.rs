@@ -32,11 +32,6 @@ impl Estimate {
         Self { value, interval: (lo, hi), decimals }
     }
 
-    /// Returns the number of decimals that the interval supports.
-    pub fn decimals(&self) -> usize {
-        self.decimals
-    }
-
     /// Returns the estimate with this number of decimals, for example the number that all values of a column have.
     #[must_use]
     pub fn with_decimals(self, decimals: usize) -> Self {
@@ -60,7 +55,7 @@ impl Estimate {
 
     /// Formats both ends with their signs: `−0.65 to +0.63`.
     pub fn shift(&self) -> String {
-        self.ends().map(with_plus_sign).join(" to ")
+        join_ends(self.ends().map(with_plus_sign))
     }
 
     fn ends(&self) -> [String; 2] {

@@ -31,12 +31,11 @@ pub fn milliseconds(seconds: f64) -> String {
 /// Formats a duration with its unit: in ms, or in s if it is 1,000 ms or more.
 pub fn duration(seconds: f64) -> Quantity {
     // From 0.9995 s on, the number of milliseconds would be rounded to `1,000`.
-    if seconds.abs() < 0.999_5 { short_duration(seconds) } else { Quantity::new(figure(seconds), "s") }
-}
-
-/// Formats a duration in ms with its unit and three significant digits: `0.0183 ms`.
-pub fn short_duration(seconds: f64) -> Quantity {
-    Quantity::new(milliseconds(seconds), "ms")
+    if seconds.abs() < 0.999_5 {
+        Quantity::new(milliseconds(seconds), "ms")
+    } else {
+        Quantity::new(figure(seconds), "s")
+    }
 }
 
 /// Format of all durations of one table, in ms. Their number of decimals follows from the total of the table. If the
@@ -57,9 +56,7 @@ impl DurationFormat {
     /// Returns the format for a table whose total has this mean and deviation.
     pub fn for_total(mean: Option<f64>, std: Option<f64>) -> Self {
         let short = mean.map(|seconds| seconds * 1e3).filter(|ms| ms.abs() < SHORT_DURATION_MS);
-        Self {
-            decimals: short.map_or_else(|| column_decimals(std.filter(|std| *std > 0.0)), default_decimals),
-        }
+        Self { decimals: short.map_or_else(|| decimals_for(std.filter(|std| *std > 0.0)), default_decimals) }
     }
 
     /// Formats a duration; a value that would be rounded to zero is `<0.01`.
@@ -119,10 +116,14 @@ pub fn range_ms((lo, hi): (f64, f64)) -> String {
     join_ends([lo, hi].map(|end| fixed(end * 1e3, decimals)))
 }
 
-/// Returns the number of decimals of a column in ms whose values have a known error: three if the error, `half_width`,
-/// needs so many for two significant digits, otherwise two. All values of a column have the same number of decimals, so
-/// that they can be compared.
-pub fn column_decimals(half_width: Option<f64>) -> usize {
+/// Returns the number of decimals of a column in ms whose values have these errors: three if an error needs so many for
+/// two significant digits, otherwise two. All values of a column have the same number of decimals, so that they can be
+/// compared. Without values the number is 0.
+pub fn column_decimals(half_widths: impl IntoIterator<Item = Option<f64>>) -> usize {
+    half_widths.into_iter().map(decimals_for).max().unwrap_or_default()
+}
+
+fn decimals_for(half_width: Option<f64>) -> usize {
     match half_width {
         None => MIN_COLUMN_DECIMALS,
         // Exact values are shown as precisely as they are measured.

@@ -18,7 +18,7 @@ pub use estimate::Estimate;
 pub use length::{length, roughly};
 pub use milliseconds::{
     DurationFormat, column_decimals, duration, error_ms, mean_std, mean_std_ms, milliseconds, range_ms,
-    short_duration, total_ms, trip_ms,
+    total_ms, trip_ms,
 };
 pub use quantity::{
     Quantity, bytes, gigabytes, percent, rate, share, throughput, throughput_between, throughput_with, times,
@@ -123,7 +123,7 @@ pub fn fixed_or_less_than(value: f64, decimals: usize) -> String {
 }
 
 /// Formats a number with a plus or minus sign. A number that is rounded to zero has no sign.
-fn signed(value: f64, decimals: usize) -> String {
+pub fn signed(value: f64, decimals: usize) -> String {
     with_plus_sign(fixed(value, decimals))
 }
 
@@ -136,10 +136,11 @@ fn has_nonzero_digit(text: &str) -> bool {
     text.bytes().any(|digit| (b'1'..=b'9').contains(&digit))
 }
 
-/// Joins both ends of an interval by a dash. If an end is negative, they are joined by a word, because a dash before a
-/// minus sign is hard to read. Equal ends give one number.
-fn join_ends([lo, hi]: [String; 2]) -> String {
-    match (lo == hi, lo.starts_with(MINUS) || hi.starts_with(MINUS)) {
+/// Joins both ends of an interval by a dash. If an end has a sign, they are joined by a word, because a dash before a
+/// sign is hard to read. Equal ends give one number.
+pub fn join_ends([lo, hi]: [String; 2]) -> String {
+    let has_sign = |end: &str| end.starts_with(['\u{2212}', '+']);
+    match (lo == hi, has_sign(&lo) || has_sign(&hi)) {
         (true, _) => lo,
         (false, true) => format!("{lo} to {hi}"),
         (false, false) => format!("{lo} – {hi}"),

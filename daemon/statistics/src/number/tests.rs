@@ -254,8 +254,18 @@ fn tiny_numbers_have_their_power_of_ten() {
 
 #[test]
 fn column_figures_have_two_or_three_decimals() {
-    let decimals = [None, Some(0.0), Some(60e-6), Some(0.65e-3), Some(15e-3)].map(column_decimals);
+    let decimals =
+        [None, Some(0.0), Some(60e-6), Some(0.65e-3), Some(15e-3)].map(|error| column_decimals([error]));
     assert_eq!(decimals, [2, 3, 3, 2, 2]);
+    assert_eq!(column_decimals([Some(15e-3), Some(60e-6)]), 3);
     let bounds = [0.0, 0.1e-6, 6e-6, 60e-6, 0.65e-3, 15e-3].map(bound_ms);
     assert_eq!(bounds, ["exact", "±<0.001", "±0.006", "±0.060", "±0.65", "±15"]);
+}
+
+#[test]
+fn interval_with_signs_is_joined_by_word() {
+    let text = |lo: &str, hi: &str| join_ends([lo, hi].map(str::to_owned));
+    assert_eq!(text("3.13", "3.13"), "3.13");
+    assert_eq!(text("3.13", "3.14"), "3.13 – 3.14");
+    assert_eq!(text("+3.13", "+3.14"), "+3.13 to +3.14");
 }
