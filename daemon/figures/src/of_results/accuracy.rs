@@ -1,9 +1,9 @@
 //! Figures that show each configuration's quality against its latency. There is a figure for each quality, such as the
 //! accuracy of answers or the success of episodes.
 
-use peernet_statistics::number::{self, fixed};
+use peernet_statistics::number;
 
-use super::columns::{excluded_note, is_drawable, too_large_note};
+use super::columns::{excluded_note, is_drawable, range_of_counts, too_large_note};
 use super::configuration_groups::{ConfigurationGroups, rows_in_statistics};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
@@ -49,15 +49,13 @@ fn drawing(runs: &[Loaded], quality: Quality) -> Option<Drawing> {
     let mut scores: Vec<Score> = groups.iter().filter_map(score).collect();
     let (score_count, omitted_groups) = (scores.len(), groups.len() - scores.len());
     scores.truncate(MAX_SCORES);
-    let counts = || scores.iter().map(|score| score.estimate.count);
-    let number = |count: u64| fixed(count as f64, 0);
-    let (fewest, most) = (counts().min()?, counts().max()?);
-    let n = if fewest == most { number(most) } else { format!("{} to {}", number(fewest), number(most)) };
+    let n = range_of_counts(scores.iter().map(|score| score.estimate.count))?;
     let count_name = if quality.is_of_episodes() { "episodes:" } else { "n =" };
     let mut notes = vec![format!("configurations: {} · {count_name} {n} each", axes.join(", "))];
     let mut missing = Vec::new();
     if score_count > MAX_SCORES {
-        missing.push(format!("the first {MAX_SCORES} of {score_count} configurations"));
+        missing
+            .push(format!("the first {MAX_SCORES} of {} configurations", number::count(score_count as u64)));
     }
     if !quality.is_of_episodes() {
         notes.extend(excluded_note(&runs.iter().flat_map(|run| &run.rows)));

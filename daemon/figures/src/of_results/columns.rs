@@ -1,6 +1,6 @@
 //! Values, units and notes of the columns of results, as figures show them.
 
-use peernet_statistics::number::fixed;
+use peernet_statistics::number::{count, counted};
 
 use crate::drawing::Unit;
 pub(super) use crate::drawing::is_drawable;
@@ -13,10 +13,8 @@ pub(super) fn too_large_note<'a>(rows: impl Iterator<Item = RowRef<'a>>, columns
     let rows_in_statistics = rows.filter(|row| row.is_in_statistics());
     let numbers =
         rows_in_statistics.flat_map(|row| columns.iter().filter_map(move |column| row.value(column)));
-    let count = numbers.filter(|value| value.is_finite() && !is_drawable(*value)).count();
-    (count > 0).then(|| {
-        format!("not drawn, beyond ±10¹⁸: {}", peernet_statistics::number::counted(count as u64, "number"))
-    })
+    let undrawn = numbers.filter(|value| value.is_finite() && !is_drawable(*value)).count();
+    (undrawn > 0).then(|| format!("not drawn, beyond ±10¹⁸: {}", counted(undrawn as u64, "number")))
 }
 
 /// Returns the numbers of a column that can be drawn, from the rows in the statistics: neither warm-up nor failed.
@@ -56,8 +54,14 @@ pub(super) fn count_note<'a>(
     rows: &(impl Iterator<Item = RowRef<'a>> + Clone),
     shown_count: usize,
 ) -> String {
-    let n = format!("n = {}", fixed(shown_count as f64, 0));
+    let n = format!("n = {}", count(shown_count as u64));
     excluded_and_undrawn_note(rows, shown_count).map_or(n.clone(), |left_out| format!("{n} · {left_out}"))
+}
+
+/// Returns the counts as one text: `44`, or `10 to 110` if they differ; `None` without counts.
+pub(super) fn range_of_counts(counts: impl Iterator<Item = u64> + Clone) -> Option<String> {
+    let [fewest, most] = [counts.clone().min()?, counts.max()?].map(count);
+    Some(if fewest == most { most } else { format!("{fewest} to {most}") })
 }
 
 /// Returns the second half of [`count_note`], for figures whose counts are shown elsewhere; `None` if nothing is left out.
@@ -89,7 +93,7 @@ fn join_counts(counts: impl IntoIterator<Item = (usize, &'static str)>) -> Optio
     let counts: Vec<String> = counts
         .into_iter()
         .filter(|(count, _)| *count > 0)
-        .map(|(count, reason)| format!("{} {reason}", fixed(count as f64, 0)))
+        .map(|(number, reason)| format!("{} {reason}", count(number as u64)))
         .collect();
     (!counts.is_empty()).then(|| format!("left out: {}", counts.join(", ")))
 }

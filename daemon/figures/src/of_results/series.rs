@@ -10,6 +10,7 @@ use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{Outcome, RowRef, Rows};
 use peernet_analysis::total_column::TotalColumn;
 use peernet_analysis::warm_up::warm_up_periods;
+use peernet_statistics::number::count;
 
 /// Title of the horizontal axis if times are not known.
 const ITERATION: &str = "Iteration";
@@ -59,7 +60,11 @@ fn count_and_warm_up_note(rows: &Rows, shown_count: usize) -> String {
     let note = count_note(&rows.iter(), rows_in_statistics);
     let n = note.split(" · ").next().unwrap_or_default();
     let warm_up_count = shown_count.saturating_sub(rows_in_statistics);
-    let warm_up = if warm_up_count > 0 { format!(" and {warm_up_count} warm-up") } else { String::new() };
+    let warm_up = if warm_up_count > 0 {
+        format!(" and {} warm-up", count(warm_up_count as u64))
+    } else {
+        String::new()
+    };
     format!("{n}{warm_up} · lines: medians")
 }
 

@@ -6,9 +6,9 @@ use peernet_analysis::rows::{LATENESS, RowRef};
 use peernet_analysis::total_column::TotalColumn;
 use peernet_logger::{Name, stage};
 use peernet_statistics::Moments;
-use peernet_statistics::number::{self, fixed};
+use peernet_statistics::number;
 
-use super::columns::{count_note, is_drawable, too_large_note};
+use super::columns::{count_note, is_drawable, range_of_counts, too_large_note};
 use super::configuration_groups::{ConfigurationGroups, rows_in_statistics};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
@@ -38,8 +38,9 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     )];
     let mut missing = Vec::new();
     let rows = runs.iter().flat_map(|run| &run.rows);
-    let counts = groups.iter().map(|(_, runs)| rows_in_statistics(runs).count()).filter(|count| *count > 0);
-    notes.push(with_count_per_bar(&count_note(&rows, all_rows().count()), &counts.collect::<Vec<_>>()));
+    let counts = groups.iter().map(|(_, runs)| rows_in_statistics(runs).count() as u64);
+    let counts: Vec<u64> = counts.filter(|count| *count > 0).collect();
+    notes.push(with_count_per_bar(&count_note(&rows, all_rows().count()), &counts));
     let names: Vec<Name> = part_order().collect();
     let columns: Vec<&str> = names.iter().map(Name::as_str).chain([total.name()]).collect();
     notes.extend(too_large_note(all_rows(), &columns));
@@ -54,7 +55,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     }
     notes.extend(unknown_delays_note(all_rows));
     if bar_count > MAX_BARS {
-        missing.push(format!("the first {MAX_BARS} of {} configurations", fixed(bar_count as f64, 0)));
+        missing.push(format!("the first {MAX_BARS} of {} configurations", number::count(bar_count as u64)));
     }
     notes.extend(missing.iter().cloned());
     let stacked = Stacked::new("Latency by configuration", &bars, notes);
@@ -62,13 +63,10 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
 }
 
 /// Adds the number of iterations of each bar to [`count_note`]: `n = 88 (44 each)`, `n = 120 (10 to 110 each)`.
-fn with_count_per_bar(count_note: &str, counts: &[usize]) -> String {
-    let (Some(fewest), Some(most), true) = (counts.iter().min(), counts.iter().max(), counts.len() > 1)
-    else {
+fn with_count_per_bar(count_note: &str, counts: &[u64]) -> String {
+    let (Some(each), true) = (range_of_counts(counts.iter().copied()), counts.len() > 1) else {
         return count_note.to_owned();
     };
-    let number = |count: &usize| fixed(*count as f64, 0);
-    let each = if fewest == most { number(most) } else { format!("{} to {}", number(fewest), number(most)) };
     let (n, rest) = count_note.split_once(" · ").map_or((count_note, None), |(n, rest)| (n, Some(rest)));
     let rest = rest.map_or_else(String::new, |rest| format!(" · {rest}"));
     format!("{n} ({each} each){rest}")
@@ -83,7 +81,7 @@ fn unknown_delays_note<'a, I: Iterator<Item = RowRef<'a>>>(all_rows: impl Fn() -
             let is_unknown =
                 |row: &RowRef<'_>| row.verdicts()[index].is_some() && row.value(direction).is_none();
             let count = all_rows().filter(is_unknown).count();
-            (count > 0).then(|| format!("{} of {direction}", fixed(count as f64, 0)))
+            (count > 0).then(|| format!("{} of {direction}", number::count(count as u64)))
         })
         .collect();
     (!counts.is_empty()).then(|| format!("left out of the means: unknown delays, {}", counts.join(", ")))

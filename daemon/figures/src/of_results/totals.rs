@@ -1,8 +1,8 @@
 //! Distributions of the totals of configurations.
 
-use peernet_statistics::number::{self, fixed};
+use peernet_statistics::number;
 
-use super::columns::{excluded_note, is_drawable, too_large_note};
+use super::columns::{excluded_note, is_drawable, range_of_counts, too_large_note};
 use super::configuration_groups::{ConfigurationGroups, rows_in_statistics};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
@@ -45,15 +45,16 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     notes.extend(missing.iter().cloned());
     let drawings = groups_with_total.chunks(MAX_CURVES).enumerate().map(|(number, chunk)| {
         let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };
-        let counts = || chunk.iter().map(|(_, values)| values.len());
-        let [fewest, most] =
-            [counts().min(), counts().max()].map(|count| fixed(count.unwrap_or_default() as f64, 0));
-        let each = if fewest == most { most } else { format!("{fewest} to {most}") };
+        let each = range_of_counts(chunk.iter().map(|(_, values)| values.len() as u64));
         let figure = Cumulative {
             title: "Total by configuration".to_owned(),
             unit: Unit::milliseconds("Total"),
             curves: chunk.iter().enumerate().map(|(number, group)| curve(group, number)).collect(),
-            notes: std::iter::once(format!("n = {each} each")).chain(notes.iter().cloned()).collect(),
+            notes: each
+                .map(|each| format!("n = {each} each"))
+                .into_iter()
+                .chain(notes.iter().cloned())
+                .collect(),
         };
         let drawing = Drawing::new(format!("totals{suffix}"), AnyFigure::Cumulative(figure));
         // All figures show the notes on what is missing. Only the first passes them on to the terminal, so that each
