@@ -5,6 +5,7 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use peernet_analysis::WriteError;
+use peernet_analysis::compare::compare_label;
 use peernet_analysis::figure_files::figure_files;
 use serde::{Deserialize, Serialize};
 
@@ -126,24 +127,7 @@ fn search(dir: &Path, remaining_depth: usize, result_folders: &mut Vec<PathBuf>)
         .filter(|entry| !entry.file_name().as_encoded_bytes().starts_with(b"."))
         .map(|entry| entry.path())
         .collect();
-    folders.sort_by_cached_key(|path| {
-        natural_order_key(&path.file_name().unwrap_or_default().to_string_lossy())
-    });
+    let name = |path: &PathBuf| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    folders.sort_by(|a, b| compare_label(&name(a), &name(b)));
     folders.iter().for_each(|folder| search(folder, remaining_depth, result_folders));
-}
-
-/// Returns a sort key by which `run-2` precedes `run-10`. The key is a list of texts, each with the number that
-/// follows it.
-fn natural_order_key(name: &str) -> Vec<(String, u128)> {
-    let mut key = Vec::new();
-    let mut rest = name;
-    while !rest.is_empty() {
-        let text_len = rest.find(|char: char| char.is_ascii_digit()).unwrap_or(rest.len());
-        let (text, tail) = rest.split_at(text_len);
-        let number_len = tail.find(|char: char| !char.is_ascii_digit()).unwrap_or(tail.len());
-        let (number, tail) = tail.split_at(number_len);
-        key.push((text.to_owned(), number.parse().unwrap_or(u128::MAX)));
-        rest = tail;
-    }
-    key
 }

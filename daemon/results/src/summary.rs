@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use peernet_analysis::accuracy::{ACCURACIES, UNKNOWN_LABEL};
+use peernet_analysis::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL};
 use peernet_analysis::actuator_results::{ACTION_REPORTS, EPISODE_SUCCESS, SUPERSEDED};
 use peernet_analysis::compare::replayed_configurations;
 use peernet_analysis::deadline::DEADLINE_MISSED;
@@ -10,12 +10,10 @@ use peernet_analysis::outcomes::failed_texts;
 use peernet_analysis::record::{ClockCounts, Counts};
 use peernet_analysis::rows::{SKIPPED_STARTS, Units};
 use peernet_analysis::summary::{Quantity, Scale, Summary};
-use peernet_analysis::table::{Table, csv_text, decimals_of, interval};
+use peernet_analysis::table::{Table, csv_text, decimals_of};
 use peernet_analysis::trust::Starts;
-use peernet_statistics::number::{bound_ms, column_decimals, count, duration, fixed, percent};
+use peernet_statistics::number::{self, NONE as UNKNOWN, bound_ms, column_decimals, count, fixed, join_ends};
 
-/// Text for an unknown value.
-const UNKNOWN: &str = "—";
 /// Columns of the *Tabulated Metrics* in the paper's appendix, with their names in the paper, and then both totals.
 const PAPER_METRICS: [(&str, &str); 10] = [
     ("sensing", "Sensing Time"),
@@ -80,7 +78,8 @@ fn table(summary: &Summary) -> Table {
         .filter(|quantity| {
             let mut reported = [UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED, SUPERSEDED, EPISODE_SUCCESS]
                 .iter()
-                .chain(&ACTION_REPORTS);
+                .chain(&ACTION_REPORTS)
+                .chain(&ACCURACIES);
             reported.all(|name| *name != quantity.column.as_ref())
         });
     let rest = rest.map(|quantity| {
@@ -111,6 +110,7 @@ fn sentences(summary: &Summary) -> String {
         replayed.unwrap_or_default(),
         outcomes(&summary.counts),
         deadline(summary),
+        accuracies(summary),
         summary.actuator.sentences(summary.counts.ok).join("\n"),
         starts(&summary.starts),
         clocks(&summary.clocks.upload, &summary.clocks.download),
@@ -125,10 +125,7 @@ fn cells(quantity: &Quantity, name: &str, units: &Units, digits: Digits) -> Vec<
     let unit = units.of(&quantity.column);
     let scale = Scale::for_column(&quantity.column, unit);
     let format_number = number_format(scale, quantity, digits);
-    // The mean of scores that are 0 or 1 is the share of right answers. Quantiles of such scores have no meaning.
-    let is_share = ACCURACIES.contains(&quantity.column.as_ref());
-    let quantile_cell =
-        |value: Option<f64>| value.filter(|_| !is_share).map_or_else(|| UNKNOWN.to_owned(), &format_number);
+    let quantile_cell = |value: Option<f64>| value.map_or_else(|| UNKNOWN.to_owned(), &format_number);
     let mean = match quantity.std {
         Some(std) => format!("{} ± {}", format_number(quantity.mean), format_number(std)),
         None => format_number(quantity.mean),
@@ -136,12 +133,12 @@ fn cells(quantity: &Quantity, name: &str, units: &Units, digits: Digits) -> Vec<
     let bounds = match quantity.bounds {
         None => String::new(),
         Some((lo, hi)) if lo == hi => "exact".to_owned(),
-        Some((lo, hi)) => interval([format_number(lo), format_number(hi)]),
+        Some((lo, hi)) => join_ends([format_number(lo), format_number(hi)]),
     };
     vec![
         name.to_owned(),
         scale.symbol(unit.unwrap_or_default()).to_owned(),
-        fixed(quantity.count as f64, 0),
+        count(quantity.count),
         mean,
         quantile_cell(Some(quantity.median)),
         bounds,
@@ -166,9 +163,8 @@ impl Digits {
             };
             summary.quantities.iter().filter(has_scale)
         };
-        let decimals = with_scale(Scale::Milliseconds).map(|quantity| column_decimals(quantity.std));
         Self {
-            milliseconds: decimals.max().unwrap_or_default(),
+            milliseconds: column_decimals(with_scale(Scale::Milliseconds).map(|quantity| quantity.std)),
             megabytes_per_second: decimals_of(
                 with_scale(Scale::MegabytesPerSecond).map(|quantity| quantity.median / 8e6),
             ),
@@ -199,13 +195,17 @@ fn outcomes(counts: &Counts) -> String {
 
 /// Returns the sentence about missed deadlines; empty without a deadline.
 fn deadline(summary: &Summary) -> String {
-    let Some((misses, rate)) = summary.misses.and_then(|misses| Some((misses, misses.rate()?))) else {
-        return String::new();
+    let text = summary.misses.and_then(|misses| misses.text(summary.deadline_s));
+    text.map_or_else(String::new, |text| format!("{text}."))
+}
+
+/// Returns the sentences about the accuracies of the model; empty if the right answers are not known.
+fn accuracies(summary: &Summary) -> String {
+    let sentence = |(column, name): (&str, &str)| {
+        let Quantity { mean, count, .. } = summary.quantity(column)?;
+        Some(format!("{name}: {}.", Accuracy::from_mean(*mean, *count, *count)?))
     };
-    let deadline =
-        summary.deadline_s.map_or_else(String::new, |seconds| format!(" of {}", duration(seconds).plain()));
-    let [missed, total] = [misses.missed, misses.iterations].map(|count| fixed(count as f64, 0));
-    format!("Deadline{deadline}: missed by {missed} of {total} iterations ({} %).", percent(rate))
+    ACCURACIES.into_iter().zip(["Top-1", "Top-5"]).filter_map(sentence).collect::<Vec<_>>().join("\n")
 }
 
 /// Returns the sentence about skipped starts; empty if there are none.
@@ -216,7 +216,7 @@ fn starts(starts: &Starts) -> String {
 /// Returns the sentence about the clock verdicts of the delays; empty if there are no delays.
 fn clocks(up: &ClockCounts, down: &ClockCounts) -> String {
     let list = |counts: &BTreeMap<String, u64>| {
-        let items = counts.iter().map(|(name, count)| format!("{} {name}", fixed(*count as f64, 0)));
+        let items = counts.iter().map(|(name, count)| format!("{} {name}", number::count(*count)));
         items.collect::<Vec<_>>().join(", ")
     };
     let direction = |name: &str, counts: &ClockCounts| {
