@@ -3,7 +3,7 @@
 use crate::exit::Failure;
 use crate::output::print_to_stdout;
 use peernet_analysis::table::text;
-use peernet_statistics::number::{bound_ms, column_decimals, fixed};
+use peernet_statistics::number::{self, NONE, bound_ms, column_decimals, fixed};
 use peernet_stream::FaultyHost;
 use serde::Deserialize;
 use serde_json::Value;
@@ -118,7 +118,7 @@ fn describe(run: i64, recomputed: &Recomputed) -> String {
             let bounds =
                 [before, after].map(|judgement| judgement.half_width.as_ref().map(|width| width.p50));
             // Both rows of a delay get the same number of decimals, so that they can be compared digit by digit.
-            let decimals = bounds.into_iter().map(column_decimals).max().unwrap_or_default();
+            let decimals = column_decimals(bounds);
             [row(stage, "before", before, decimals), row("", "after", after, decimals)]
         })
         .collect();
@@ -162,7 +162,7 @@ fn row(stage: &str, when: &str, judgement: &Judgement, decimals: usize) -> Vec<S
     let verdicts: Vec<String> = judgement
         .verdicts
         .iter()
-        .map(|VerdictCount { verdict, count }| format!("{count} {verdict}"))
+        .map(|VerdictCount { verdict, count }| format!("{} {verdict}", number::count(*count)))
         .collect();
     let spread = |statistics: &Statistics| match statistics.std {
         Some(std) => format!("{} ± {}", milliseconds(statistics.mean), milliseconds(std)),
@@ -180,7 +180,7 @@ fn row(stage: &str, when: &str, judgement: &Judgement, decimals: usize) -> Vec<S
 }
 
 fn or_dash(figure: Option<String>) -> String {
-    figure.unwrap_or_else(|| "—".to_owned())
+    figure.unwrap_or_else(|| NONE.to_owned())
 }
 
 #[cfg(test)]

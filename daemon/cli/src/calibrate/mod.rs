@@ -22,6 +22,7 @@ use peernet_analysis::calibration::{Setting, Study};
 use peernet_clock::WallTime;
 use peernet_figures::draw_calibration;
 use peernet_inference::LockedTempDir;
+use peernet_statistics::number::counted;
 
 use crate::foreground::{AgentEnd, AgentResult, LogDestination, ReadyAgent, start_log};
 use folder::Folder;
@@ -97,7 +98,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     print_to_stdout(format_args!("\n{}: {}", folder.path().display(), names.join(", ")));
     if missed_events > 0 {
         print_to_stderr(format_args!(
-            "{missed_events} iterations were not recorded: this machine is too busy"
+            "{} not recorded: this machine is too busy",
+            counted(missed_events, "iteration")
         ));
     }
     match failure {

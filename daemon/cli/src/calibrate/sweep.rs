@@ -2,10 +2,10 @@
 
 use peernet_analysis::calibration::{Sample, median_delay};
 use peernet_clock::{Direction, MonoTime};
-use peernet_statistics::number::{NONE, bytes, fixed, milliseconds};
+use peernet_statistics::number::{NONE, bytes, count, fixed, milliseconds};
 
 use super::plan::Plan;
-use crate::foreground::Progress;
+use crate::foreground::{Progress, roughly};
 
 /// Display of the sweep's progress.
 pub(super) struct SweepDisplay {
@@ -51,19 +51,21 @@ impl SweepDisplay {
 impl Extent {
     /// Describes the state, and returns the share that is done.
     fn describe(&self, samples: &[Sample], elapsed: f64) -> (String, f64) {
-        let done_count = samples.len() as f64;
-        let share = (done_count / self.iterations as f64).max(elapsed / self.seconds).clamp(0.0, 1.0);
+        let done_count = samples.len() as u64;
+        let share = (done_count as f64 / self.iterations as f64).max(elapsed / self.seconds).clamp(0.0, 1.0);
         let remaining_s = if share > 0.0 { elapsed * (1.0 - share) / share } else { self.seconds };
-        let rate = if elapsed > 0.0 { done_count / elapsed } else { 0.0 };
+        let rate = if elapsed > 0.0 { done_count as f64 / elapsed } else { 0.0 };
         let (smallest, largest) = self.extremes;
         let text = format!(
-            "{done_count} of {}, {} /s, upload {} at {}, {} at {}, {remaining_s:.0} s left",
-            self.iterations,
+            "{} of {}, {} /s, upload {} at {}, {} at {}, {} left",
+            count(done_count),
+            count(self.iterations),
             fixed(rate, 0),
             describe_median(samples, smallest),
             bytes(smallest as f64).plain(),
             describe_median(samples, largest),
             bytes(largest as f64).plain(),
+            roughly(remaining_s),
         );
         (text, share)
     }

@@ -53,13 +53,7 @@ impl RunStatus {
     }
 
     /// Returns the name for people.
-    pub(super) const fn name(self) -> &'static str {
-        match self {
-            Self::Pending => "to do",
-            Self::Running => "incomplete",
-            Self::Finished => "finished",
-            Self::Failed => "failed",
-            Self::Interrupted => "interrupted",
-        }
+    pub(super) fn name(self) -> &'static str {
+        self.to_run_state(None).name()
     }
 }

@@ -15,7 +15,7 @@ pub(crate) fn unfinished_runs_note<'a>(
     let mut unfinished: Vec<String> = runs
         .into_iter()
         .filter(|(_, status)| !status.is_done())
-        .map(|(folder, status)| format!("{folder} ({})", status.to_run_state(None).name()))
+        .map(|(folder, status)| format!("{folder} ({})", status.name()))
         .collect();
     let more = unfinished.len().saturating_sub(MAX_NAMED);
     unfinished.truncate(MAX_NAMED);

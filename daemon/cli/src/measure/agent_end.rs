@@ -45,9 +45,8 @@ impl AgentEnd {
                 incomplete(format!("{reason}; the results contain the measurements until then"))
             }
             Self::Finished if unseen > 0 => incomplete(format!(
-                "{} measured and {} no row: this machine is too busy to record them",
-                if unseen == 1 { "1 iteration was".to_owned() } else { format!("{unseen} iterations were") },
-                has_or_have(unseen)
+                "{} measured but not recorded: this machine is too busy",
+                counted(unseen, "iteration")
             )),
             Self::Finished => incomplete(failed_text(rows)?),
             Self::OwnReason(never) => match *never {},
@@ -80,12 +79,8 @@ fn failed_text(rows: &Rows) -> Option<String> {
 /// lost: …`.
 pub(super) fn describe_failure(iteration: u64, outcome: Outcome, reason: Option<&str>) -> String {
     let reason = reason.map_or("no answer in time", without_repetition);
-    let ending = match outcome {
-        Outcome::Timeout => "timed out",
-        Outcome::Lost => "was lost",
-        Outcome::Failed | Outcome::Ok => "failed",
-    };
-    format!("iteration {iteration} {ending}: {reason}")
+    let verb = if outcome == Outcome::Lost { "was " } else { "" };
+    format!("iteration {iteration} {verb}{}: {reason}", outcome.words())
 }
 
 /// Separator between an exception and its traceback.
@@ -101,10 +96,6 @@ fn without_repetition(reason: &str) -> &str {
     let raised = exception.split_once(" failed: ").map(|(_, raised)| raised);
     let shortened = [Some(exception), raised].into_iter().flatten().find_map(|end| reason.strip_suffix(end));
     shortened.map_or(reason, str::trim_end)
-}
-
-const fn has_or_have(count: u64) -> &'static str {
-    if count == 1 { "has" } else { "have" }
 }
 
 #[cfg(test)]
@@ -168,9 +159,10 @@ mod tests {
         let text = "1 of 2 warm-up iterations failed; iteration 1 timed out: no answer in time";
         assert_eq!((failure.exit, failure.to_string().as_str()), (Exit::Incomplete, text));
 
-        let unseen = AgentEnd::Finished.failure(&answered, 3).expect("three are missing");
+        let unseen = AgentEnd::Finished.failure(&answered, 3_000).expect("some are missing");
         assert!(
-            unseen.exit == Exit::Incomplete && unseen.to_string().starts_with("3 iterations"),
+            unseen.exit == Exit::Incomplete
+                && unseen.to_string().starts_with("3,000 iterations measured but not recorded"),
             "{unseen}"
         );
 

@@ -9,7 +9,7 @@ use peernet_analysis::order::SortedValues;
 use peernet_analysis::table::text;
 use peernet_inference::ProcessMemory;
 use peernet_logger::Tree;
-use peernet_statistics::number::{bytes, counted, milliseconds};
+use peernet_statistics::number::{NONE, bytes, counted, milliseconds};
 use serde_json::{Value, json};
 
 use super::WantedModel;
@@ -138,7 +138,7 @@ fn show(name: &str, arguments: &Arguments, measured: &Measured) {
     print_to_stdout("");
     let row = |(stage, values): &(&str, SortedValues)| {
         let cells =
-            QUANTILES.map(|(_, quantile)| quantile(values).map_or_else(|| "–".to_owned(), milliseconds));
+            QUANTILES.map(|(_, quantile)| quantile(values).map_or_else(|| NONE.to_owned(), milliseconds));
         [vec![(*stage).to_owned()], cells.into()].concat()
     };
     let header = ["stage", "p50 ms", "p95 ms", "p99 ms"];

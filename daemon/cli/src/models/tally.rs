@@ -7,7 +7,7 @@ use peernet_analysis::accuracy::detection::{DetectionScores, PictureObjects};
 use peernet_analysis::accuracy::segmentation::{ClassMap, SegmentedPixels};
 use peernet_sample::{Description, MaskLabel, MediaType, ObjectsLabel, Sample, normalized_label};
 use peernet_sensors::{SensorError, read_mask};
-use peernet_statistics::number::{counted, fixed};
+use peernet_statistics::number::{count, counted, fixed, share};
 use serde::Deserialize;
 
 /// Longest answer that is shown, bytes.
@@ -90,20 +90,21 @@ impl Tally {
     /// Returns the counts, each after a semicolon.
     pub(super) fn text(&self) -> String {
         let Self { right, labelled, .. } = self;
-        let accuracy = (*labelled > 0).then(|| format!("; {right} of {labelled} labels right"));
+        let accuracy =
+            (*labelled > 0).then(|| format!("; {} of {} labels right", count(*right), count(*labelled)));
         let unknown = match self.unknown_labels {
             0 => None,
             1 => Some("; 1 label is not a class of the model".to_owned()),
-            count => Some(format!("; {count} labels are not classes of the model")),
+            unknown => Some(format!("; {} labels are not classes of the model", count(unknown))),
         };
         [accuracy, self.detection(), self.segmentation(), unknown].into_iter().flatten().collect()
     }
 
     /// Returns the score of the pixels of all pictures together.
     fn segmentation(&self) -> Option<String> {
-        let count = self.pixels.classes();
-        let classes = if count == 1 { "1 class".to_owned() } else { format!("{count} classes") };
-        self.pixels.mean_iou().map(|iou| format!("; mean IoU {} over {classes}", fixed(iou, 3)))
+        let class_count = self.pixels.classes();
+        let classes = if class_count == 1 { "1 class".to_owned() } else { format!("{class_count} classes") };
+        self.pixels.mean_iou().map(|iou| format!("; mean IoU {} % over {classes}", share(iou)))
     }
 
     /// Returns the scores of the boxes of all pictures together.
@@ -112,9 +113,9 @@ impl Tally {
             return None;
         }
         let scores = DetectionScores::of(&self.pictures);
-        let iou = scores.mean_iou.map(|iou| format!(", mean IoU {}", fixed(iou, 3))).unwrap_or_default();
-        let found_text = format!("{} of {} found", scores.matched, counted(scores.labelled, "object"));
-        Some(format!("; {found_text}, mAP@0.5 {}{iou}", fixed(scores.map_50, 3)))
+        let iou = scores.mean_iou.map(|iou| format!(", mean IoU {} %", share(iou))).unwrap_or_default();
+        let found_text = format!("{} of {} found", count(scores.matched), counted(scores.labelled, "object"));
+        Some(format!("; {found_text}, mAP@0.5 {} %{iou}", share(scores.map_50)))
     }
 }
 
@@ -178,7 +179,7 @@ mod tests {
         }
         assert_eq!(
             tally.text(),
-            "; 1 of 2 objects found, mAP@0.5 0.500, mean IoU 0.800; 1 label is not a class of the model"
+            "; 1 of 2 objects found, mAP@0.5 50.0 %, mean IoU 80.0 %; 1 label is not a class of the model"
         );
     }
 
@@ -202,7 +203,7 @@ mod tests {
             tally.add(&label(name), &segmentation(answered)).expect("is read");
         }
         // Road: 1 of 2 pixels; lane: none of 1.
-        assert_eq!(tally.text(), "; mean IoU 0.250 over 2 classes");
+        assert_eq!(tally.text(), "; mean IoU 25.0 % over 2 classes");
         let error = tally.add(&label("c.png"), &segmentation(0)).expect_err("is gone").to_string();
         assert!(error.contains("c.png"), "{error}");
     }

@@ -43,6 +43,7 @@ use anyhow::{Context, anyhow};
 use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_networks::Address;
 use peernet_sample::printable_line;
+use peernet_statistics::number::counted;
 
 use crate::foreground::{Signals, dashboard_hint, describe_condition};
 use agent_state_dirs::{AgentStateDirs, undelivered_events};
@@ -88,8 +89,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         return Err(Failure::new(Exit::Usage, anyhow!("--only: {unknown}")));
     }
     if arguments.check {
-        let runs = table::count(plan.runs.len(), "run");
-        let configurations = table::count(plan.configurations.len(), "configuration");
+        let runs = counted(plan.runs.len() as u64, "run");
+        let configurations = counted(plan.configurations.len() as u64, "configuration");
         remarks.iter().for_each(|remark| print_to_stderr(format_args!("only on this machine: {remark}")));
         hint_at_relative_paths(remarks.iter().map(String::as_str)).iter().for_each(print_to_stderr);
         print_to_stdout(format_args!("{}: {runs} of {configurations}", arguments.file.display()));
@@ -284,7 +285,7 @@ fn unavailable_configurations(trial_results: &TrialResults, file: &Path) -> Opti
             .chain(affected.map(|(_, configuration)| format!("    {configuration}")))
     });
     let (count, lines) = (all.len(), lines.chain(hint).collect::<Vec<_>>().join("\n"));
-    let tried_count = table::count(trial_results.tried, "configuration");
+    let tried_count = counted(trial_results.tried as u64, "configuration");
     Some(Failure::new(
         exit,
         anyhow!("{count} of {tried_count} cannot be measured, nothing was started:\n{lines}"),
@@ -335,7 +336,7 @@ fn summary(record: &Record) -> String {
     let unfinished = unfinished.iter().filter(|(count, _)| *count > 0);
     let unfinished: Vec<String> =
         unfinished.map(|(count, status)| format!(", {count} {}", status.name())).collect();
-    let runs = table::count(record.plan.runs.len(), "run");
+    let runs = counted(record.plan.runs.len() as u64, "run");
     format!("{} of {runs} finished{}", record.count(RunStatus::Finished), unfinished.concat())
 }
 
@@ -351,14 +352,14 @@ fn verdict(record: &Record, selected_runs: &[Run], interrupted: bool) -> Result<
     if interrupted {
         clauses.push("ended early; the same command continues the experiment".to_owned());
     } else if failed > 0 {
-        clauses.push(format!("{} failed; the same command tries again", table::count(failed, "run")));
+        clauses.push(format!("{} failed; the same command tries again", counted(failed as u64, "run")));
     } else if incomplete > 0 {
-        clauses.push(format!("{} with failed iterations", table::count(incomplete, "run")));
+        clauses.push(format!("{} with failed iterations", counted(incomplete as u64, "run")));
     }
     if unwritten > 0 {
         clauses.push(format!(
             "{} without all figures, but with complete measurements; `peernet plot` with a run's folder draws them",
-            table::count(unwritten, "run")
+            counted(unwritten as u64, "run")
         ));
     }
     let exit = match (unwritten, interrupted) {

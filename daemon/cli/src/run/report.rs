@@ -15,13 +15,13 @@ use peernet_analysis::trust::Publish;
 use peernet_analysis::users::Users;
 use peernet_figures::{self as figures, Columns, Kind, PlotError};
 use peernet_results::ResultFolder;
+use peernet_statistics::number::counted;
 use peernet_stream::Grade;
 
 use super::folder::Folder;
 use super::plan::Run;
 use super::sensors::Sensors;
 use super::state::Record;
-use super::table;
 use crate::compare::{default_baseline, difference_tables, differences, join_texts};
 use crate::experiment::unfinished_runs_note;
 
@@ -115,7 +115,9 @@ fn trust(runs: &[Vec<Loaded>]) -> String {
     let (bad, doubtful) = (count_findings(runs, Grade::Bad), count_findings(runs, Grade::Doubtful));
     for (sign, counts) in [("✗", &bad), ("!", &doubtful)] {
         lines.extend(
-            counts.iter().map(|(about, count)| format!("  {sign} {about}: {}", table::count(*count, "run"))),
+            counts
+                .iter()
+                .map(|(about, count)| format!("  {sign} {about}: {}", counted(*count as u64, "run"))),
         );
     }
     if lines.len() > 1 {

@@ -3,12 +3,10 @@
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::sensor_study::SensorStudy;
 use peernet_analysis::table::Table;
-use peernet_statistics::number::{fixed, milliseconds, rate};
+use peernet_statistics::number::{NONE as NO_VALUE, count, milliseconds, rate};
 
 use super::plan::{Plan, Run};
 
-/// Text of cells without a value.
-const NO_VALUE: &str = "—";
 const NOTE: &str = "Milliseconds. Period: from one sample to the next, mean ± standard deviation. Jitter: how far a period \
                     is from the median period. Sensing: from asking for a sample to having it, the median.";
 const UNNUMBERED: &str = " A sensor that does not number its samples cannot tell which it dropped (—).";
@@ -73,7 +71,6 @@ impl Sensors {
 }
 
 fn sensor_metrics(study: &SensorStudy) -> [String; 9] {
-    let count = |value: u64| fixed(value as f64, 0);
     let std = study.period_std.map_or_else(String::new, |std| format!(" ± {}", milliseconds(std)));
     [
         count(study.samples),

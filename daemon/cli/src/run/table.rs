@@ -1,12 +1,13 @@
 //! Table of the runs.
 
 use peernet_analysis::table::Table;
+use peernet_statistics::number::{count, counted};
 
 use super::estimate::Estimates;
 use super::plan::Run;
 use super::state::Record;
 use crate::experiment::RunStatus;
-use crate::foreground::duration;
+use crate::foreground::{length, roughly};
 use crate::short::shorten_label;
 
 /// Text of cells without a known value.
@@ -41,7 +42,7 @@ pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
         cells.push(state.status.name().to_owned());
         let measured_s = state.seconds.filter(|_| state.status == RunStatus::Finished);
         let time_s = measured_s.or_else(|| estimates.duration_s(run.configuration));
-        cells.push(time_s.map_or_else(|| UNKNOWN.to_owned(), duration));
+        cells.push(time_s.map_or_else(|| UNKNOWN.to_owned(), length));
         cells
     });
     Table { header, labels, rows: rows.collect(), marked: None }.text()
@@ -51,7 +52,7 @@ pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
 pub(super) fn describe_plan(to_do: &[Run], record: &Record, estimates: &Estimates) -> String {
     let known_durations: Vec<f64> =
         to_do.iter().filter_map(|run| estimates.duration_s(run.configuration)).collect();
-    let sum = duration(known_durations.iter().sum());
+    let sum = roughly(known_durations.iter().sum());
     let time = match to_do.len() - known_durations.len() {
         0 => format!("about {sum}"),
         1 if to_do.len() == 1 => "how long it takes is not known".to_owned(),
@@ -59,15 +60,10 @@ pub(super) fn describe_plan(to_do: &[Run], record: &Record, estimates: &Estimate
         1 => format!("about {sum} and one of unknown length"),
         unknown => format!("about {sum} and {unknown} of unknown length"),
     };
-    let all = record.plan.runs.len();
+    let all = counted(record.plan.runs.len() as u64, "run");
     match to_do.len() {
         0 => "nothing to do: all runs are finished".to_owned(),
-        some if some == all => format!("{}, {time}", count(all, "run")),
-        some => format!("{some} of {} to do, {time}", count(all, "run")),
+        some if some == record.plan.runs.len() => format!("{all}, {time}"),
+        some => format!("{} of {all} to do, {time}", count(some as u64)),
     }
-}
-
-/// Returns a number with a noun, which is given in the singular.
-pub(super) fn count(number: usize, noun: &str) -> String {
-    format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
 }

@@ -81,7 +81,7 @@ fn only_unfinished_runs_are_repeated() {
     assert_eq!((loaded.states[1].attempts, loaded.states[1].seconds), (2, Some(1.5)));
     loaded.reset_run(&runs[0]);
     assert_eq!(numbers(&loaded.to_do(|_| true)), [1, 3, 4]);
-    assert_eq!(summary(&loaded), "1 of 4 runs finished, 1 interrupted, 1 incomplete, 1 to do");
+    assert_eq!(summary(&loaded), "1 of 4 runs finished, 1 interrupted, 1 in progress or killed, 1 to do");
 }
 
 #[test]
@@ -304,11 +304,11 @@ fn unknown_durations_are_readable() {
     let describe_plan = |expected: [Option<f64>; 4]| {
         table::describe_plan(&record.plan.runs, &record, &Estimates::new(expected.to_vec()))
     };
-    assert_eq!(describe_plan([Some(3.0), Some(0.2), Some(5.0), Some(1.0)]), "4 runs, about 9 s");
+    assert_eq!(describe_plan([Some(3.0), Some(0.2), Some(5.0), Some(1.0)]), "4 runs, about 10 s");
     assert_eq!(describe_plan([None; 4]), "4 runs, how long they take is not known");
     assert_eq!(
         describe_plan([Some(3.0), None, Some(5.0), Some(1.0)]),
-        "4 runs, about 9 s and one of unknown length"
+        "4 runs, about 10 s and one of unknown length"
     );
     let nothing = Estimates::new(vec![None; 4]);
     let one = table::describe_plan(&record.plan.runs[..1], &record, &nothing);

@@ -20,7 +20,7 @@ use super::children::{self, ChildEvent, ProcessResult};
 use super::estimate::Pace;
 use super::file::Configuration;
 use super::plan::{Plan, describe_labels};
-use crate::foreground::{Progress, Signals, duration};
+use crate::foreground::{Progress, Signals, length};
 use crate::measure::RunRequest;
 use crate::short::shorten_label;
 
@@ -96,7 +96,7 @@ pub(super) async fn configurations(
             ChildEvent::ProgressReport(reports) => {
                 let (now, trouble) =
                     (clock.mono(), reports.iter().flatten().find_map(|report| report.trouble.clone()));
-                let elapsed = duration((now - began).seconds());
+                let elapsed = length((now - began).seconds());
                 progress.show(now, trouble, || (format!("{state}, for {elapsed}"), share));
             }
         })

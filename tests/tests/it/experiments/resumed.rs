@@ -94,7 +94,7 @@ fn suspended_run_is_killed_and_marked_interrupted() {
     let [child] = children(&process).try_into().expect("one run is in progress");
     kill_process(child, Signal::STOP).expect("it runs");
     process.signal(Signal::INT);
-    process.wait_for("work in progress is killed after 60 s");
+    process.wait_for("work in progress is killed after 1 min");
     process.signal(Signal::TERM);
     process.wait_for("processes that do not end within 10 s are killed");
     let end = process.wait_for_end();
