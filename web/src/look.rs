@@ -2,6 +2,7 @@
 
 use std::sync::LazyLock;
 
+pub(crate) use peernet_analysis::unaccounted_time::is_one_way;
 pub(crate) use peernet_figures::look::{LATENESS, label};
 use peernet_logger::{Name, stage};
 
@@ -48,11 +49,6 @@ pub(crate) fn entry(name: &str) -> &str {
 /// that area.
 pub(crate) fn class(name: &str) -> &'static str {
     peernet_figures::look::stage(name).class
-}
-
-/// Returns whether the node is a one-way delay between hosts.
-pub(crate) fn is_one_way(name: &str) -> bool {
-    name == stage::UPLOAD.as_str() || name == stage::DOWNLOAD.as_str()
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Metrics of pipelines.
 
 use peernet_aggregator::{PipelineSnapshot, Window};
-use peernet_analysis::actuator_results::{EPISODE_SUCCESS, SUPERSEDED};
+use peernet_analysis::actuator_results::{ActuatorResults, EPISODE_SUCCESS, SUPERSEDED};
 use peernet_logger::stage;
 use peernet_store::QuantityStatistics;
 use peernet_stream::PipelineState;
@@ -72,7 +72,9 @@ pub(super) fn write_missed(scrape: &Scrape, sink: &mut Sink<'_>) {
 
 /// Writes the numbers of superseded answers.
 pub(super) fn write_superseded(scrape: &Scrape, sink: &mut Sink<'_>) {
-    write_figures(scrape, sink, SUPERSEDED, |statistics| Sample::Size(statistics.count));
+    write_figures(scrape, sink, SUPERSEDED, |QuantityStatistics { count, mean, std, .. }| {
+        Sample::Size(ActuatorResults::from_statistics(|_| Some((*count, *mean, *std))).superseded)
+    });
 }
 
 /// Writes the success rates of episodes.

@@ -213,11 +213,15 @@ impl Baseline {
             Some((one.name.clone(), one.runs.first()?.number, index == differences.baseline))
         };
         let mut pairs = pairwise(comparison, differences).into_iter();
-        let mut other = |(index, stages): &(usize, Vec<StageDifference>)| OtherRow {
-            name: all[*index].name.clone(),
-            total: differences.total(*index).map(DifferenceRow::of),
-            pairs: pairs.next().flatten(),
-            stages: DifferenceRow::of_stages(stages),
+        let is_total = |stage: &StageDifference| stage.name == *differences.total_column.name();
+        let mut other = |(index, stages): &(usize, Vec<StageDifference>)| {
+            let rows = DifferenceRow::of_stages(stages);
+            OtherRow {
+                name: all[*index].name.clone(),
+                total: stages.iter().position(is_total).map(|position| rows[position].clone()),
+                pairs: pairs.next().flatten(),
+                stages: rows,
+            }
         };
         let has_difference =
             |stages: &[StageDifference]| stages.iter().any(|stage| stage.mean_difference.is_some());

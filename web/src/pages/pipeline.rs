@@ -9,9 +9,7 @@ use axum::extract::{Path, State};
 use axum::routing::get;
 use peernet_aggregator::{LiveState, PipelineSnapshot, Window};
 use peernet_logger::{Slug, stage};
-use peernet_statistics::number::{
-    NONE, SPACE, count, duration, length, percent, rate, share, short_duration,
-};
+use peernet_statistics::number::{NONE, SPACE, count, duration, length, percent, rate, share, total_ms};
 use peernet_store::{QuantityStatistics, RunFilter, RunSummary};
 use peernet_stream::{PipelineState, PlacementKind};
 use serde::Deserialize;
@@ -166,9 +164,9 @@ fn title(pipeline: &PipelineSnapshot, stack: &Stack) -> String {
             let largest = stack.parts.iter().max_by(|a, b| a.seconds.total_cmp(&b.seconds));
             let largest = largest.filter(|part| part.name != "unattributed");
             let largest_text = largest.map_or_else(String::new, |part| {
-                let share = part.seconds / total.mean;
-                let how = if share > 0.5 { "most of it" } else { "longest" };
-                format!(", {how} {} ({}{SPACE}%)", part.name, percent(share))
+                let part_share = part.seconds / total.mean;
+                let how = if part_share > 0.5 { "most of it" } else { "longest" };
+                format!(", {how} {} ({}{SPACE}%)", part.name, share(part_share))
             });
             // The title states the mean and not the median: the parts are means, and only means add up.
             format!("{name}: {} on average{largest_text}", duration(total.mean))
@@ -179,8 +177,8 @@ fn title(pipeline: &PipelineSnapshot, stack: &Stack) -> String {
 fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
     let total = window.value(&stage::TOTAL);
     let time = |name, number_of: fn(&QuantityStatistics) -> Option<f64>| {
-        let value = total.and_then(number_of).map(short_duration);
-        let (number, unit) = value.map_or((NONE.to_owned(), ""), |value| (value.number, value.unit));
+        let value = total.and_then(number_of).map(total_ms);
+        let (number, unit) = value.map_or((NONE.to_owned(), ""), |number| (number, "ms"));
         Stat { name, number, unit, title: if unit.is_empty() { TOO_FEW.to_owned() } else { String::new() } }
     };
     let speed = |name, direction| {
@@ -308,7 +306,7 @@ mod tests {
         let stack = Stack::of_window(pipeline.window(10).expect("a window"));
         assert_eq!(
             title(&pipeline, &stack),
-            format!("line: 12.5{SPACE}ms on average, most of it upload (50{SPACE}%)")
+            format!("line: 12.5{SPACE}ms on average, most of it upload (50.0{SPACE}%)")
         );
     }
 }

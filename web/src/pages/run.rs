@@ -7,14 +7,14 @@ use axum::extract::{Path, State};
 use axum::routing::get;
 use peernet_analysis::actuator_results::ActuatorResults;
 use peernet_analysis::outcomes::failed_share;
-use peernet_analysis::trust::{DRAWN_LATENCY, MissingCount, OVERRUN, ReplayedLatencies, Report, Starts};
+use peernet_analysis::trust::{MissingCount, Report, TrustInput};
 use peernet_figures::drawing::View;
 use peernet_logger::stage;
 use peernet_statistics::histogram::MAX_BINS;
 use peernet_statistics::number::{
-    NONE, SPACE, count, counted, duration, mean_std_ms, milliseconds, percent, rate, share,
+    NONE, SPACE, count, counted, join_ends, milliseconds, percent, rate, share,
 };
-use peernet_store::{IterationFilter, RunDetail, RunStatistics, RunSummary, StageStatistics};
+use peernet_store::{IterationFilter, RunDetail, RunStatistics, StageStatistics};
 use peernet_stream::ExperimentPosition;
 use serde::Deserialize;
 
@@ -105,9 +105,9 @@ struct Run {
     iterations: (String, String),
     /// Numbers of lost, timed-out and failed iterations, and their common share.
     lost: (String, String),
-    /// Miss rate and its base; `None` without a deadline.
+    /// Number of missed deadlines, and its share; `None` without a deadline.
     missed: Option<(String, String)>,
-    /// Number of skipped starts and their share; `None` if no start was skipped.
+    /// Number of skipped starts, and its share; `None` if no start was skipped.
     skipped: Option<(String, String)>,
     clock: ClockCell,
     /// Name of each direction, and the verdict on its delays.
@@ -192,8 +192,7 @@ async fn show(
         episodes: &episodes,
         starts: trust.starts,
     };
-    let report = Report::new(&trust);
-    page(&assemble(&app, &stored, distribution, &report)?)
+    page(&assemble(&app, &stored, distribution, &trust)?)
 }
 
 impl Distribution {
@@ -234,7 +233,7 @@ impl ActuatorNumbers {
         Self {
             success: results.success.map(|found| {
                 let (lo, hi) = found.interval;
-                let interval = format!("{}{SPACE}–{SPACE}{}", share(lo), share(hi));
+                let interval = join_ends([share(lo), share(hi)]);
                 (share(found.rate), format!("{interval}, {}", episodes(found.episodes)))
             }),
             episode_return: results.episode_return.map(|found| (found.text(), episodes(found.episodes))),
@@ -243,25 +242,6 @@ impl ActuatorNumbers {
             }),
         }
     }
-}
-
-/// Returns the miss rate in percent, and its base; `None` without a deadline.
-fn miss_rate_texts(run: &RunSummary) -> Option<(String, String)> {
-    let (misses, deadline) = run.misses.zip(run.deadline_s)?;
-    let rate = misses.rate().map_or_else(|| NONE.to_owned(), |rate| format!("{}{SPACE}%", percent(rate)));
-    let words = format!(
-        "{} of {} later than {} or failed",
-        count(misses.missed),
-        count(misses.iterations),
-        duration(deadline)
-    );
-    Some((rate, words))
-}
-
-/// Returns the number of skipped starts and their share of all due starts; `None` if no start was skipped.
-fn skipped_start_texts(starts: &Starts) -> Option<(String, String)> {
-    let share = percent(starts.skipped_share());
-    (starts.skipped > 0).then(|| (count(starts.skipped), format!("{share}{SPACE}% of those that came due")))
 }
 
 fn facts(run: &RunDetail, zone: Zone) -> Vec<String> {
@@ -285,7 +265,7 @@ fn assemble(
     app: &AppState,
     stored: &StoredRun<'_>,
     distribution: Distribution,
-    report: &Report,
+    trust: &TrustInput,
 ) -> Result<Run, WebError> {
     let StoredRun { run, statistics: RunStatistics { stages, bounds, .. }, series, episodes, .. } = stored;
     let summary = &run.summary;
@@ -298,14 +278,6 @@ fn assemble(
     let delay_notes = Note::delay_notes(summary.pipeline.as_str(), "", link.as_deref(), bounds, |name| {
         stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.statistics)
     });
-    let mean =
-        |name: &str| stages.iter().find(|stage| &*stage.stage == name).map(|stage| stage.statistics.mean);
-    let (drawn, overrun) = (mean(DRAWN_LATENCY), mean(OVERRUN));
-    let replayed = ReplayedLatencies::from_facts(&run.facts).map(|replayed| ReplayedLatencies {
-        drawn,
-        overrun,
-        ..replayed
-    });
     Ok(Run {
         shell: Shell::new(app, &snapshot, "/runs", place::run_name(summary)),
         number: summary.number,
@@ -313,7 +285,8 @@ fn assemble(
         facts: facts(run, zone),
         clock_fault: summary.has_clock_fault.then_some(clock_fault::CHIP),
         pinned: summary.pinned,
-        notes: replayed
+        notes: trust
+            .replayed_latencies()
             .into_iter()
             .map(|latencies| Note::replayed(&latencies))
             .chain(runs::gap_notes(&run.gaps, zone))
@@ -321,7 +294,10 @@ fn assemble(
             .chain(delay_notes)
             .collect(),
         end: End::of(summary, &snapshot, zone),
-        lead: total.map_or((NONE.to_owned(), None), |total| mean_std_ms(total.mean, total.std)),
+        lead: total.map_or((NONE.to_owned(), None), |total| {
+            let format = stack.duration_format();
+            (format.duration(total.mean), total.std.map(|std| format.number(std)))
+        }),
         stats: vec![
             ("Median", quantile(total.map(|total| total.p50)), "ms"),
             ("p95", quantile(total.and_then(|total| total.p95)), "ms"),
@@ -343,8 +319,10 @@ fn assemble(
             failed_share(&summary.counts)
                 .map_or_else(|| NONE.to_owned(), |share| format!("{}{SPACE}%", percent(share))),
         ),
-        missed: miss_rate_texts(summary),
-        skipped: skipped_start_texts(&stored.starts),
+        missed: summary
+            .misses
+            .and_then(|misses| Some((count(misses.missed), misses.text(summary.deadline_s)?))),
+        skipped: stored.starts.skipped_text().map(|text| (count(stored.starts.skipped), text)),
         clock: ClockCell::of(summary.placement.kind, bounds),
         directions: directions(bounds),
         bar: stack.full_width_bar("stages big"),
@@ -363,7 +341,7 @@ fn assemble(
         axis: Picture::milliseconds_axis(&stored.scale(), ""),
         slowest: stored.slow_rows(zone),
         failed: stored.failed_rows(zone),
-        trust: Trust::from(report),
+        trust: Trust::from(&Report::new(trust)),
         experiment: summary.experiment.clone(),
         accuracies: accuracies(stages),
         actuator: ActuatorNumbers::new(&summary.actuator, summary.counts.ok),
@@ -393,19 +371,6 @@ fn configuration(run: &RunDetail) -> Vec<(String, String)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use peernet_analysis::deadline::Misses;
-    use peernet_stream::PlacementKind;
-
-    #[test]
-    fn missed_deadlines_are_share_and_count() {
-        let run = crate::view::compare::tests::run(1, PlacementKind::Remote);
-        assert_eq!(miss_rate_texts(&run), None);
-        let misses = Some(Misses { missed: 12, iterations: 1_000 });
-        let run = RunSummary { deadline_s: Some(0.1), misses, ..run };
-        let (rate, words) = miss_rate_texts(&run).expect("a deadline");
-        assert_eq!(rate, "1.2\u{202f}%");
-        assert_eq!(words, "12 of 1,000 later than 100\u{202f}ms or failed");
-    }
 
     #[test]
     fn actuator_figures_have_their_base() {
@@ -419,16 +384,8 @@ mod tests {
         };
         let found = ActuatorNumbers::new(&ActuatorResults::from_statistics(statistics_of), 1_000);
         let text = |text: &str, words: &str| Some((text.to_owned(), words.to_owned()));
-        assert_eq!(found.success, text("30.8", "25.5\u{202f}–\u{202f}36.6, 263 episodes"));
+        assert_eq!(found.success, text("30.8", "25.5 – 36.6, 263 episodes"));
         assert_eq!(found.episode_return, text("2.50", "1 episode"));
         assert_eq!(found.superseded, text("12", "of 1,000 answers were not acted on"));
-    }
-
-    #[test]
-    fn skipped_starts_are_a_sum_and_a_share() {
-        let starts = |skipped| Starts { started: 155, skipped, ..Starts::default() };
-        assert_eq!(skipped_start_texts(&starts(0)), None);
-        let texts = skipped_start_texts(&starts(161)).expect("there are some");
-        assert_eq!(texts, ("161".to_owned(), "51\u{202f}% of those that came due".to_owned()));
     }
 }

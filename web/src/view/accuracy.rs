@@ -1,13 +1,13 @@
 //! Accuracy of a model in words.
 
 use peernet_analysis::accuracy::Accuracy;
-use peernet_statistics::number::{SPACE, share};
+use peernet_statistics::number::{join_ends, share};
 use peernet_store::QuantityStatistics;
 
 /// Returns the 95 % interval of the accuracy, from the statistics of scores that are 0 or 1, in percent: `79.1 – 88.2`.
 pub(crate) fn interval(scores: &QuantityStatistics) -> Option<String> {
     let (lo, hi) = Accuracy::from_mean(scores.mean, scores.count, scores.count)?.interval;
-    Some(format!("{}{SPACE}–{SPACE}{}", share(lo), share(hi)))
+    Some(join_ends([share(lo), share(hi)]))
 }
 
 #[cfg(test)]
@@ -19,6 +19,6 @@ mod tests {
     fn interval_is_formatted_in_percent() {
         // Newcombe 1998, table I: 81 of 263 is 0.2553 to 0.3662.
         let scores = QuantityStatistics { mean: 81.0 / 263.0, ..samples::figures(1.0, 263) };
-        assert_eq!(interval(&scores).as_deref(), Some("25.5\u{202f}–\u{202f}36.6"));
+        assert_eq!(interval(&scores).as_deref(), Some("25.5 – 36.6"));
     }
 }

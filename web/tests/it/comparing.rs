@@ -58,7 +58,8 @@ async fn skipped_starts_before_failed_iterations_are_shown() {
         "{finding}"
     );
     let page = dashboard.get("/runs/2").await;
-    assert!(page.text().contains("<dt>Skipped starts</dt><dd>70</dd>"), "{}", page.text());
+    let skipped = "<dt>Skipped starts</dt><dd>70</dd><dd>70 of 170 starts (41\u{202f}%)</dd>";
+    assert!(page.text().contains(skipped), "{}", page.text());
     // Of the first eight failed iterations, two belong to the warm-up, which no count includes.
     let panel = page.text().split("Failed iterations</h2>").nth(1).expect("a panel");
     let panel = panel.split("</section>").next().expect("an end tag");
@@ -86,7 +87,7 @@ async fn skipped_starts_before_failed_iterations_are_shown() {
     assert_eq!((counts(0), counts(1)), ((Some(380), Some(0)), (Some(170), Some(70))), "{compared}");
     let [publication, skipped] = [0, 1].map(|at| compared["doubts"][at].as_str().expect("a sentence"));
     assert!(publication.starts_with("1 of 2 runs cannot be published: #2 (skipped starts"), "{publication}");
-    assert!(skipped.ends_with(" of the configured rate: #2: 70 of 170 starts (41 %)."), "{skipped}");
+    assert!(skipped.ends_with(" of the configured rate: #2: 70 of 170 starts (41\u{202f}%)."), "{skipped}");
     let page = dashboard.get("/compare?runs=1,2").await;
     assert!(page.text().contains(publication) && page.text().contains(skipped), "{}", page.text());
     assert_eq!(dashboard.get("/api/v1/compare?runs=1").await.json()["doubts"], serde_json::json!([]));

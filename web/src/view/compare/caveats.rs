@@ -1,6 +1,5 @@
 //! Caveats about the means of stored runs, such as skipped starts, and the commands that compare runs by all their iterations.
 
-use peernet_analysis::accuracy::{UNKNOWN_LABEL, UnknownLabels};
 use peernet_analysis::compare::{replayed_configurations, skipped_starts};
 use peernet_analysis::run_selection::RunState;
 use peernet_analysis::trust::{ReplayedLatencies, publication_caveats};
@@ -46,18 +45,15 @@ pub(crate) fn caveats(comparison: &Comparison) -> Vec<(Chip, String)> {
     });
     let skipped = skipped_starts(configurations.iter().map(|one| (one.name.clone(), one.starts())));
     let failed_texts = configurations.iter().filter_map(|one| {
-        let counts = one.runs.iter().map(|run| run.counts);
-        let (successful, all) = counts.fold((0, 0), |(successful, all), counts| {
-            let OutcomeCounts { ok, failed, lost, timeout } = counts;
-            (successful + ok, all + ok + failed + lost + timeout)
-        });
-        let failed_count = all - successful;
+        let mut counts = OutcomeCounts::default();
+        one.runs.iter().for_each(|run| counts.merge(&run.counts));
+        let failed_count = counts.total() - counts.ok;
         (failed_count > 0).then(|| {
             format!(
                 "{}: {} of {} iterations failed; the figures are those of the others.",
                 one.name,
                 count(failed_count),
-                count(all)
+                count(counts.total())
             )
         })
     });
@@ -78,7 +74,8 @@ fn name_with_other_edges(comparison: &Comparison, configuration: &Configuration,
 /// Returns a sentence for each configuration with samples whose label is not a class of its model.
 pub(crate) fn unknown_labels(comparison: &Comparison) -> Vec<String> {
     let sentences = comparison.configurations.iter().filter_map(|one| {
-        let unknown = UnknownLabels::new(one.statistics(UNKNOWN_LABEL)?.count, &[])?;
+        let unknown = one.runs.iter().filter_map(|run| comparison.unknown_labels_by_run.get(&run.number));
+        let unknown = unknown.cloned().reduce(|all, more| all.merged_with(&more))?;
         let all = one.runs.iter().map(|run| run.counts.ok).sum();
         Some(format!("{}. {}", one.name, unknown.sentence(all)))
     });
@@ -104,8 +101,8 @@ pub(crate) fn commands(comparison: &Comparison, host: &str) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
+    use peernet_analysis::accuracy::UnknownLabels;
     use peernet_analysis::trust::{Report, TrustInput};
-    use peernet_logger::Name;
     use peernet_stream::ExperimentPosition;
     use peernet_stream::PlacementKind::Local;
 
@@ -200,13 +197,12 @@ mod tests {
 
     #[test]
     fn labels_unknown_to_the_model_are_counted() {
-        let mut one = configuration(1, Local, 1.0, 1e3);
-        let mut unknown = one.stages[0].clone();
-        (unknown.stage, unknown.statistics.mean, unknown.statistics.count) =
-            (Name::from(UNKNOWN_LABEL), 1.0, 12);
-        one.stages.push(unknown);
-        let sentences = unknown_labels(&comparison(vec![configuration(0, Local, 1.0, 1e3), one]));
-        let text = "B. Not scored: 12 of 300 iterations, because the label is not a class of the model.";
+        let mut two = comparison((0..2).map(|at| configuration(at, Local, 1.0, 1e3)).collect());
+        let facts = [("Classes".to_owned(), "4: good, dented".to_owned())];
+        let unknown = UnknownLabels::new(12, &facts).expect("some");
+        two.unknown_labels_by_run.insert(2, unknown);
+        let sentences = unknown_labels(&two);
+        let text = "B. Not scored: 12 of 300 iterations, because the label is not a class of the model (classes: good, dented).";
         assert_eq!(sentences, [text]);
     }
 }

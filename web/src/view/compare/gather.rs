@@ -5,6 +5,7 @@ use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use futures::{StreamExt, TryStreamExt};
+use peernet_analysis::accuracy::UnknownLabels;
 use peernet_analysis::compare::{Column, compare_positions, group_by_labels, model_computes};
 use peernet_analysis::run_selection::{Candidate, Exclusion, exclusions};
 use peernet_analysis::trust::{ReplayedLatencies, Report};
@@ -108,7 +109,8 @@ pub(crate) async fn load_comparison(
     };
     let numbers: Vec<i64> = details.iter().map(|detail| detail.summary.number).collect();
     let statistics = store.statistics(&numbers).await?;
-    let JudgedRuns { trust_by_run, replayed_by_run, echo_runs } = JudgedRuns::load(store, &numbers).await?;
+    let JudgedRuns { trust_by_run, replayed_by_run, unknown_labels_by_run, echo_runs } =
+        JudgedRuns::load(store, &numbers).await?;
     let DifferingSettings { axes, axis_values, other_settings, names_of_long_settings } =
         if experiment.is_some() {
             DifferingSettings::of_experiment(&details)
@@ -171,6 +173,7 @@ pub(crate) async fn load_comparison(
         statistics_by_run,
         trust_by_run,
         replayed_by_run,
+        unknown_labels_by_run,
         left_out,
         is_truncated,
     })
@@ -182,6 +185,8 @@ struct JudgedRuns {
     trust_by_run: HashMap<i64, Report>,
     /// Replayed latencies of the runs that have them.
     replayed_by_run: HashMap<i64, ReplayedLatencies>,
+    /// Unknown labels of the runs that have them.
+    unknown_labels_by_run: HashMap<i64, UnknownLabels>,
     /// Runs whose model only returns its input.
     echo_runs: HashSet<i64>,
 }
@@ -192,14 +197,19 @@ impl JudgedRuns {
             let Some(detail) = store.run(run).await? else { return Ok::<_, WebError>(None) };
             let input = store.trust_input(&detail).await?;
             let report = Report::new(&input);
-            Ok(Some((run, report, input.replayed_latencies(), model_computes(&detail.facts))))
+            let replayed = input.replayed_latencies();
+            Ok(Some((run, report, replayed, input.unknown_labels, model_computes(&detail.facts))))
         };
         let judged = futures::stream::iter(runs.iter().copied()).map(judge).buffered(CONCURRENT_READS);
         let judged: Vec<_> = judged.try_filter_map(|run| async move { Ok(run) }).try_collect().await?;
         Ok(Self {
             replayed_by_run: judged
                 .iter()
-                .filter_map(|(run, _, replayed, _)| Some((*run, replayed.clone()?)))
+                .filter_map(|(run, _, replayed, ..)| Some((*run, replayed.clone()?)))
+                .collect(),
+            unknown_labels_by_run: judged
+                .iter()
+                .filter_map(|(run, .., unknown, _)| Some((*run, unknown.clone()?)))
                 .collect(),
             echo_runs: judged.iter().filter(|(.., computes)| !computes).map(|(run, ..)| *run).collect(),
             trust_by_run: judged.into_iter().map(|(run, report, ..)| (run, report)).collect(),

@@ -41,6 +41,7 @@ pub(crate) use users::{UsersPlot, measured_users, users};
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use peernet_analysis::accuracy::UnknownLabels;
 use peernet_analysis::deadline::Misses;
 use peernet_analysis::total_column::TotalColumn;
 use peernet_analysis::trust::{ReplayedLatencies, Report, Starts};
@@ -72,6 +73,8 @@ pub(crate) struct Comparison {
     /// Distribution from which the latencies of a run are drawn, by the number of the run. Runs with measured latencies
     /// are absent.
     pub replayed_by_run: HashMap<i64, ReplayedLatencies>,
+    /// Samples whose label is not a class of the model, by the number of the run. Runs without such samples are absent.
+    pub unknown_labels_by_run: HashMap<i64, UnknownLabels>,
     /// Excluded runs of the experiment, oldest first.
     pub left_out: Vec<ExcludedRun>,
     /// `true` if the experiment has more runs than are compared.

@@ -2,7 +2,7 @@
 
 use peernet_analysis::quality::{Quality, QualityEstimate};
 use peernet_figures::drawing::{Accuracy, MAX_SCORES, Score, Unit};
-use peernet_statistics::number::{SPACE, duration};
+use peernet_statistics::number::{SPACE, duration, join_ends};
 
 use super::{Comparison, Configuration};
 use crate::picture::Picture;
@@ -42,7 +42,7 @@ pub(super) const fn title(quality: Quality) -> (&'static str, &'static str) {
 /// Formats an estimate and its interval; shares are in percent.
 pub(super) fn texts(quality: Quality, estimate: &QualityEstimate) -> (String, Option<String>) {
     let form = |value: f64| estimate.format(quality, value);
-    let interval = |(low, high): (f64, f64)| format!("{}{SPACE}–{SPACE}{}", form(low), form(high));
+    let interval = |(low, high): (f64, f64)| join_ends([form(low), form(high)]);
     (form(estimate.value), estimate.known_interval().map(interval))
 }
 

@@ -1,8 +1,12 @@
 //! Table of the figures of each configuration, and rows of the differences between two configurations.
 
+use peernet_analysis::compare::Difference;
 use peernet_analysis::quality::Quality;
 use peernet_logger::stage;
-use peernet_statistics::number::{Estimate, NONE, bytes, count, duration, mean_std_ms, percent, share};
+use peernet_statistics::number::{
+    NONE, bytes, column_decimals, count, duration, fixed, fixed_or_less_than, percent, share,
+};
+use peernet_store::QuantityStatistics;
 
 use super::{Comparison, Configuration, Differences, StageDifference, qualities};
 use crate::look;
@@ -63,7 +67,12 @@ impl Table {
     pub(crate) fn of(comparison: &Comparison, differences: &Differences) -> Self {
         let is_measured =
             |name: &str| comparison.configurations.iter().any(|one| one.statistics(name).is_some());
-        let columns: Vec<_> = COLUMNS.into_iter().filter(|(name, _)| is_measured(name)).collect();
+        let decimals = |name: &str| {
+            let statistics = comparison.configurations.iter().filter_map(|one| one.statistics(name));
+            column_decimals(statistics.map(|statistics| statistics.std))
+        };
+        let columns = COLUMNS.into_iter().filter(|(name, _)| is_measured(name));
+        let columns: Vec<_> = columns.map(|(name, title)| (name, title, decimals(name))).collect();
         let is_known =
             |column: &QualityColumn| comparison.configurations.iter().any(|one| column.cell(one).is_some());
         let accuracies: Vec<QualityColumn> = QualityColumn::all().filter(is_known).collect();
@@ -75,8 +84,11 @@ impl Table {
             iterations: count(one.iterations()),
             cells: columns
                 .iter()
-                .map(|(name, _)| match one.statistics(name) {
-                    Some(statistics) => mean_std_ms(statistics.mean, statistics.std),
+                .map(|(name, _, decimals)| match one.statistics(name) {
+                    Some(QuantityStatistics { mean, std, .. }) => {
+                        let std = std.map(|std| fixed(std * 1e3, *decimals));
+                        (fixed_or_less_than(mean * 1e3, *decimals), std)
+                    }
                     None => (NONE.to_owned(), None),
                 })
                 .collect(),
@@ -94,7 +106,7 @@ impl Table {
             rows: comparison.configurations.iter().enumerate().map(row).collect(),
             header: Header {
                 axes: if has_axes { comparison.axes.clone() } else { vec![String::new()] },
-                columns: columns.into_iter().map(|(_, title)| title).collect(),
+                columns: columns.into_iter().map(|(_, title, _)| title).collect(),
                 accuracies: accuracies.iter().map(QualityColumn::title).collect(),
                 has_uploads: is_measured(&stage::UPLOAD_BYTES),
                 has_deadlines: comparison.configurations.iter().any(|one| one.misses().is_some()),
@@ -172,47 +184,28 @@ pub(crate) struct DifferenceRow {
     pub is_certain: Option<bool>,
 }
 
-/// Maximum number of decimals of a difference in ms.
-const MAX_DECIMALS: usize = 3;
-
 impl DifferenceRow {
     /// Returns a row for each stage. All differences have the same number of decimals.
     pub(crate) fn of_stages(stages: &[StageDifference]) -> Vec<Self> {
-        let decimals = stages.iter().filter_map(estimate).map(|estimate| estimate.decimals()).max();
-        let decimals = decimals.unwrap_or_default().min(MAX_DECIMALS);
-        stages
-            .iter()
-            .map(|stage| Self::format_with(stage, |estimate| estimate.with_decimals(decimals)))
-            .collect()
+        let differences = stages.iter().filter_map(|stage| stage.mean_difference);
+        let decimals = column_decimals(differences.map(Difference::margin));
+        stages.iter().map(|stage| Self::new(stage, decimals)).collect()
     }
 
-    /// Returns the row of a single stage.
-    pub(crate) fn of(stage: &StageDifference) -> Self {
-        Self::format_with(stage, |estimate| estimate)
-    }
-
-    fn format_with(stage: &StageDifference, form: impl Fn(Estimate) -> Estimate) -> Self {
-        let mean = |mean: Option<f64>| mean.map_or_else(|| NONE.to_owned(), |mean| mean_std_ms(mean, None).0);
+    fn new(stage: &StageDifference, decimals: usize) -> Self {
+        let ms = |mean: f64| fixed_or_less_than(mean * 1e3, decimals);
+        let mean = |mean: Option<f64>| mean.map_or_else(|| NONE.to_owned(), ms);
         let column = COLUMNS.iter().find(|(name, _)| stage.name == **name);
-        let has_interval =
-            stage.mean_difference.is_some_and(|mean_difference| mean_difference.interval.is_some());
-        let estimate = estimate(stage).map(form);
+        let texts = stage.mean_difference.map(|difference| difference.texts(decimals));
+        let (difference, interval) = texts.unwrap_or_else(|| (NONE.to_owned(), None));
         Self {
             name: column.map_or(&*stage.name, |(_, title)| title).to_owned(),
             look: look::class(&stage.name),
             first: mean(stage.means.0),
             second: mean(stage.means.1),
-            difference: estimate.as_ref().map_or_else(|| NONE.to_owned(), Estimate::signed),
-            interval: estimate.as_ref().filter(|_| has_interval).map(Estimate::shift),
+            difference,
+            interval,
             is_certain: stage.is_distinct(),
         }
     }
-}
-
-fn estimate(stage: &StageDifference) -> Option<Estimate> {
-    let mean_difference = stage.mean_difference?;
-    Some(Estimate::new(
-        mean_difference.value,
-        mean_difference.interval.unwrap_or((mean_difference.value, mean_difference.value)),
-    ))
 }

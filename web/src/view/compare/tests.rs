@@ -92,6 +92,7 @@ pub(crate) fn comparison(configurations: Vec<Configuration>) -> Comparison {
         statistics_by_run,
         trust_by_run: HashMap::new(),
         replayed_by_run: HashMap::new(),
+        unknown_labels_by_run: HashMap::new(),
         left_out,
         is_truncated: false,
     }

@@ -1,7 +1,7 @@
 //! Title of a comparison: its finding in a sentence.
 
 use peernet_analysis::compare::{Difference, MIN_BATCHES, MIN_VALUES, Ranking};
-use peernet_statistics::number::{Estimate, SPACE, duration};
+use peernet_statistics::number::{Estimate, SPACE, column_decimals, duration};
 
 use super::{Comparison, Configuration, Differences};
 
@@ -61,7 +61,8 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
         return format!("{} is the fastest: {mean}", best.name);
     };
     let (lo, hi) = difference.interval.unwrap_or((difference.value, difference.value));
-    let difference_ms = Estimate::new(difference.value, (lo, hi));
+    let decimals = column_decimals([difference.margin()]);
+    let difference_ms = Estimate::new(difference.value, (lo, hi)).with_decimals(decimals);
     format!(
         "{} is the fastest: {mean}, {}{SPACE}ms less than {} (95{SPACE}%: {})",
         best.name,

@@ -6,7 +6,7 @@ use peernet_clock::WallTime;
 use peernet_figures::drawing::{MAX_CURVES, Sharing, SharingCurve, Unit};
 use peernet_logger::stage;
 use peernet_statistics::Summary;
-use peernet_statistics::number::{NONE, count, duration, fixed_or_less_than, length, mean_std_ms, rate};
+use peernet_statistics::number::{duration, length};
 use peernet_store::{MeasuredTime, RunSummary, Store};
 
 use super::differences::CONCURRENT_READS;
@@ -194,23 +194,16 @@ fn users_of(line: &UsersLine) -> String {
 }
 
 fn row(line: &UsersLine, configuration: &Configuration) -> UsersRow {
-    let or_dash = |value: Option<f64>, form: fn(f64) -> String| value.map_or_else(|| NONE.to_owned(), form);
-    UsersRow {
-        name: configuration.name.clone(),
-        users: count(line.edges as u64),
-        rate: or_dash(line.rate, rate),
-        each: line
-            .rate_range()
-            .map_or_else(|| NONE.to_owned(), |(least, most)| format!("{} – {}", rate(least), rate(most))),
-        fairness: or_dash(line.fairness, |index| fixed_or_less_than(index, 3)),
-        total: line.totals.mean.map_or_else(|| NONE.to_owned(), |mean| mean_std_ms(mean, None).0),
-    }
+    let [users, rate, each, fairness, total] = line.texts();
+    UsersRow { name: configuration.name.clone(), users, rate, each, fairness, total }
 }
 
 #[cfg(test)]
 mod tests {
     use peernet_analysis::total_column::TotalColumn;
     use peernet_stream::PlacementKind;
+
+    use peernet_statistics::number::milliseconds;
 
     use super::*;
     use crate::view::compare::tests::{comparison, configuration, measured_users, run};
@@ -229,7 +222,7 @@ mod tests {
             let measured = measured_users(&comparison);
             let users = users(&comparison, &measured).expect("two numbers of users");
             let total = comparison.configurations[0].summary(&stage::TOTAL).expect("totals");
-            let mean = mean_std_ms(total.moments.mean, None).0;
+            let mean = milliseconds(total.moments.mean);
             for row in &users.rows {
                 assert_eq!(row.total, mean, "{} users, {column:?}", row.users);
             }

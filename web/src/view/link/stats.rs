@@ -2,7 +2,7 @@
 
 use peernet_clock::{RelatedClocks, Span};
 use peernet_statistics::number::{
-    NONE, SPACE, bound, count, figure, fixed, length, offset_ms, percent, trip_ms,
+    NONE, SPACE, bound, count, figure, length, offset_ms, percent, signed, trip_ms,
 };
 
 use super::super::chip::Chip;
@@ -96,8 +96,7 @@ fn offset(subject: &Subject<'_>) -> Stat {
 
 /// Formats parts per million with a sign: `+12.4`.
 pub(crate) fn ppm(value: f64) -> String {
-    let text = fixed(value, 1);
-    if value > 0.0 && text != "0.0" { format!("+{text}") } else { text }
+    signed(value, 1)
 }
 
 fn drift(subject: &Subject<'_>) -> Stat {
