@@ -306,7 +306,7 @@ mod tests {
         let stack = Stack::of_window(pipeline.window(10).expect("a window"));
         assert_eq!(
             title(&pipeline, &stack),
-            format!("line: 12.5{SPACE}ms on average, most of it upload (50.0{SPACE}%)")
+            format!("line: 12.5{SPACE}ms on average, most of it upload (50.4{SPACE}%)")
         );
     }
 }

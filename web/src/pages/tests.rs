@@ -367,7 +367,7 @@ async fn clock_fault_is_shown_on_every_page_it_concerns() {
     let html = overview_of(&live_state, Vec::new()).await;
     assert!(
         html.contains(
-            "Clock fault injection: cam-1&#39;s clock is made wrong on purpose (+1,000\u{202f}ms, +50\u{202f}ppm)."
+            "Clock fault injection: cam-1&#39;s clock is made wrong on purpose (offset +1000 ms, drift +50 ppm)."
         ),
         "{html}"
     );

@@ -78,11 +78,11 @@ mod tests {
         let at = |seconds: u64| began + Duration::from_secs(seconds);
         assert!(!ending.is_requested());
         let (signal, message) = ending.request(at(0));
-        assert!(signal == Signal::INT && message.contains("60 s"), "{message}");
+        assert!(signal == Signal::INT && message.contains("1 min"), "{message}");
         assert_eq!((ending.is_requested(), ending.deadline), (true, Some(at(60))));
         let (signal, message) = ending.request(at(53));
         assert!(
-            signal == Signal::TERM && message.contains("within 7 s"),
+            signal == Signal::TERM && message.contains("within 7.0 s"),
             "not more than was promised: {message}"
         );
         assert_eq!(ending.deadline, Some(at(60)));

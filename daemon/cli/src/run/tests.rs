@@ -317,7 +317,7 @@ fn unknown_durations_are_readable() {
     let times: Vec<_> = message.lines().skip(1).filter_map(|line| line.split("to do").nth(1)).collect();
     assert_eq!(
         times.iter().map(|time| time.trim()).collect::<Vec<_>>(),
-        ["0.2 s", "unknown", "5 s", "unknown"]
+        ["0.2 s", "unknown", "5.0 s", "unknown"]
     );
 }
 

@@ -245,7 +245,7 @@ async fn skipped_starts_are_named_below_title() {
     (two[1].runs[0].counts.ok, two[1].runs[0].skipped_starts) = (127, 73);
     let html = page_of(two, false).await;
     let head = html.split("<section").next().expect("a head");
-    assert!(head.contains("configured rate: B: 73 of 200 starts (36 %).</span>"), "{head}");
+    assert!(head.contains("configured rate: B: 73 of 200 starts (36\u{202f}%).</span>"), "{head}");
 }
 
 #[tokio::test]

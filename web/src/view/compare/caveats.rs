@@ -135,7 +135,7 @@ mod tests {
         other.runs.push(run);
         assert!(caveats(&comparison(vec![one.clone()])).is_empty());
         let text = "Starts were skipped because the pipeline could not keep up; these latencies are not those of the \
-                    configured rate: B: 73 of 200 starts (36 %).";
+                    configured rate: B: 73 of 200 starts (36\u{202f}%).";
         let failed = "B: 37 of 127 iterations failed; the figures are those of the others.";
         assert_eq!(texts(&comparison(vec![one, other])), [text, failed]);
     }
