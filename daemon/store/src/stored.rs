@@ -46,6 +46,6 @@ pub struct StoredCounts {
 impl StoredCounts {
     /// Returns the number of missing events that are in no database, as far as they could be counted.
     pub const fn missing_here(&self) -> u64 {
-        self.missing.saturating_sub(self.missing_before)
+        self.missing.saturating_sub(self.in_other_database)
     }
 }

@@ -8,6 +8,7 @@ use crate::exit::{Exit, Failure};
 use anyhow::{Context, anyhow};
 use peernet_actuators::ActuatorKind;
 use peernet_agent::config::{Limit, LoadConfig, PlacementConfig, WarmUp};
+use peernet_analysis::loaded::Loaded;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
 use peernet_clock::SharedClock;
@@ -230,9 +231,9 @@ fn trial_request(plan: &Plan, configuration: &Configuration) -> RunRequest {
 
 /// Returns whether a trial succeeded in part: some of its iterations have an answer and some failed. The configuration can
 /// be measured then, because failed iterations are part of a result.
-fn has_answer(exit: &ProcessResult, results: Option<&ResultFolder>) -> bool {
+fn has_answer(exit: &ProcessResult, loaded: Option<&Loaded>) -> bool {
     let is_incomplete = exit.code == Some(i32::from(Exit::Incomplete as u8));
-    is_incomplete && results.is_some_and(|results| results.rows.iter().any(|row| row.is_in_statistics()))
+    is_incomplete && loaded.is_some_and(|loaded| loaded.rows.iter().any(|row| row.is_in_statistics()))
 }
 
 /// Calculates the pace from the iterations of a trial and the duration of its process.

@@ -25,9 +25,11 @@ pub(crate) struct Experiment {
     /// Number of these runs that have not ended.
     pub open: u64,
     /// Number of the first run.
-    pub oldest: i64,
+    #[serde(rename = "oldest")]
+    pub first_run: i64,
     /// Number of the newest run.
-    pub newest: i64,
+    #[serde(rename = "newest")]
+    pub last_run: i64,
     /// Start of the first run, on its edge's wall clock.
     pub started: String,
 }

@@ -201,7 +201,8 @@ pub(crate) struct Stored {
     /// Events missing in the gaps, as far as they could be counted.
     pub missing: u64,
     /// Number of these missing events that were stored in another database before the host connected to this one.
-    pub missing_before: u64,
+    #[serde(rename = "missing_before")]
+    pub in_other_database: u64,
     /// Batches that were received again and not stored again, since the aggregator started.
     pub duplicates: u64,
     /// Batches quarantined because they could not be stored.
@@ -317,7 +318,7 @@ mod tests {
         let missing_events = |dropped: u64, missing: u64, missing_before: u64| {
             let mut host = samples::host("edge", "robot");
             host.accounting.dropped = dropped;
-            (host.stored.missing, host.stored.missing_before) = (missing, missing_before);
+            (host.stored.missing, host.stored.in_other_database) = (missing, missing_before);
             Host::from(&host).missing_events
         };
         assert_eq!([missing_events(0, 849, 0), missing_events(1_050, 50, 0)], [849, 1_050]);
