@@ -20,6 +20,7 @@ use tokio::time::Instant;
 
 use super::ending::Ending;
 use super::exit_reason::exit_reason;
+use super::silence::Silence;
 use crate::foreground::Signals;
 use crate::measure::{MEASUREMENT_ENDED, ProgressReport, RunRequest};
 
@@ -89,6 +90,7 @@ pub(super) async fn execute(
     mut show: impl FnMut(ChildEvent<'_>),
 ) -> ProcessResults {
     let (sender, mut receiver) = mpsc::channel(OUTPUT_CAPACITY);
+    let mut silence = Silence::new(requests.len());
     let mut reports: Vec<Option<ProgressReport>> = vec![None; requests.len()];
     let mut handle = |index: usize, output: ChildOutput, show: &mut dyn FnMut(ChildEvent<'_>)| match output {
         ChildOutput::ProgressReport(report) => {
@@ -126,15 +128,24 @@ pub(super) async fn execute(
                 measuring.remove(index);
             }
             Some((index, output)) = receiver.recv() => {
-                if matches!(output, ChildOutput::MeasurementEnded) {
-                    measuring.remove(index);
+                match output {
+                    ChildOutput::MeasurementEnded => measuring.remove(index),
+                    ChildOutput::ProgressReport(_) => silence.end(index),
+                    ChildOutput::Line(_) => {}
                 }
                 handle(index, output, &mut show);
             }
             _ = signals.next() => {
+                // Processes that have measured write their results now, even if another one hangs.
+                measuring.inputs.clear();
                 let (signal, message) = ending.request(Instant::now());
                 show(ChildEvent::Ending(&message));
                 send(&pids, signal);
+            }
+            () = silence.wait() => {
+                for index in silence.newly_silent(Instant::now(), &measuring.indexes) {
+                    show(ChildEvent::Line(index, &Silence::text()));
+                }
             }
             () = ending.wait_for_deadline() => {
                 show(ChildEvent::Ending("killing the processes that did not end in time"));

@@ -25,6 +25,7 @@ mod plan_differences;
 mod relative_paths;
 mod report;
 mod sensors;
+mod silence;
 mod state;
 mod table;
 mod trial;

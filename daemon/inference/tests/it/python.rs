@@ -109,6 +109,16 @@ fn run_generator(
 }
 
 #[test]
+fn partial_answers_of_inner_model_are_not_sent() {
+    let folder = tempfile::tempdir().expect("a folder");
+    fs::write(folder.path().join("generators.py"), GENERATORS).expect("can be written");
+    let replayed = "name = 'gpu'\nkind = 'distribution'\nmean_ms = 1.0\nstd_ms = 0.0\ninner = 'p'";
+    let bank = bank(&[replayed, &model(&folder, "generators::Words", "")]);
+    let (result, partial_answers) = run_until_partial_answer(&loaded(&bank, "gpu"), text("one two"), 10);
+    assert!(result.is_ok() && partial_answers.is_empty(), "{result:?} {partial_answers:?}");
+}
+
+#[test]
 fn values_that_infer_yields_are_partial_answers() {
     let folder = tempfile::tempdir().expect("can be made");
     let (result, partial_answers) = run_generator(&folder, "Words", 10);

@@ -19,9 +19,10 @@ use peernet_logger::{Name, Recorder, Slug, Unit, stage};
 use peernet_sample::{Description, Sample};
 use peernet_statistics::SplitMix64;
 use serde::{Deserialize, Serialize};
+use tokio_util::sync::CancellationToken;
 
 use super::{CommonSettings, LoadContext, ModelConfig, ModelKind};
-use crate::{InferenceError, LoadError, Model, Requester, Worker};
+use crate::{Cancelled, InferenceError, LoadError, Model, PartialAnswerError, Requester, Worker};
 use data_file::read_latencies;
 use latency::{LatencyDistribution, check_ms, describe_stages};
 use latency_rows::open;
@@ -234,6 +235,24 @@ impl Model for Distribution {
     }
 }
 
+/// A requester that gets no partial answers of the inner model: they would arrive at the times of this machine, and not
+/// at those of the machine whose latencies are replayed.
+struct WithoutPartialAnswers<'a>(&'a dyn Requester);
+
+impl Requester for WithoutPartialAnswers<'_> {
+    fn send_partial_answer(&self, _: Sample) -> Result<(), PartialAnswerError> {
+        if self.cancellation().is_cancelled() { Err(Cancelled.into()) } else { Ok(()) }
+    }
+
+    fn cancellation(&self) -> CancellationToken {
+        self.0.cancellation()
+    }
+
+    fn wait(&self, duration: Duration) -> Result<(), Cancelled> {
+        self.0.wait(duration)
+    }
+}
+
 struct DistributionWorker {
     name: String,
     source: Arc<LatencySource>,
@@ -255,7 +274,9 @@ impl Worker for DistributionWorker {
             None => Sample::from_part(Description::bytes(), Bytes::new()),
             // The inner model's stages are below a node of their own, so that they do not count as stages of the
             // iteration.
-            Some(inner) => inner.infer(sample, &mut inference.time(INNER_MODEL), requester)?,
+            Some(inner) => {
+                inner.infer(sample, &mut inference.time(INNER_MODEL), &WithoutPartialAnswers(requester))?
+            }
         };
         let remaining = started_at + drawn - inference.clock().mono();
         requester
