@@ -7,8 +7,8 @@ use peernet_stream::PipelineState;
 /// Time of silence after which a message is shown.
 const SILENCE: Span = Span::from_seconds(3);
 /// Reason given for a peer that has sent nothing at all, not even a refusal.
-const UNKNOWN: &str =
-    "neither a refusal nor a PEERNet message has arrived; check the address, and which program listens there";
+const UNKNOWN: &str = "neither a refusal nor a PEERNet message has arrived; check the address, which program listens there, and \
+     whether it hangs";
 
 /// Current activity of a pipeline.
 #[derive(Clone, Debug, PartialEq, Eq)]

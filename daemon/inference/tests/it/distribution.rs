@@ -188,6 +188,7 @@ fn invalid_distribution_is_refused_with_key() {
         ("mean_ms = 0.0\nstd_ms = 1.0", "mean_ms", "above 0"),
         ("mean_ms = 1e9\nstd_ms = 1.0", "mean_ms", "1000000000 is not a latency"),
         ("mean_ms = 1.0\nstd_ms = -1.0", "std_ms", "-1 is not a latency"),
+        ("mean_ms = 1.0\nstd_ms = 101.0", "std_ms", "101 is more than 100 times mean_ms"),
         ("histogram = { edges_ms = [1.0], counts = [] }", "histogram", "one more edge than counts"),
         (
             "mean_ms = 1.0\nstd_ms = 0.0\ninner = 'nobody'",

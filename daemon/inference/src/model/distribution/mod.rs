@@ -32,6 +32,9 @@ use run_folder::data_file;
 // peernet-analysis reads it by this name.
 const REPLAYED: &str = "Replayed";
 
+/// Largest ratio of the standard deviation to the mean. Nearly all values of a wider log-normal distribution are 0.
+const MAX_RELATIVE_STD: f64 = 100.0;
+
 /// Node below `inference`: the latency that was drawn for the iteration, seconds.
 const DRAWN_LATENCY: Name = Name::from_static("drawn-latency");
 /// Node below `inference`: the time of the inner model. The stages of the inner model are below this node.
@@ -157,6 +160,12 @@ impl DistributionConfig {
                     wrong("std_ms", "a log-normal distribution needs its standard deviation".to_owned())
                 })?;
                 check_ms(std_ms).map_err(|reason| wrong("std_ms", reason))?;
+                if std_ms > MAX_RELATIVE_STD * mean_ms {
+                    let reason = format!(
+                        "{std_ms} is more than {MAX_RELATIVE_STD} times mean_ms; both are milliseconds"
+                    );
+                    return Err(wrong("std_ms", reason));
+                }
                 Ok(LatencyDistribution::LogNormal { mean_ms, std_ms })
             }
             _ => Err(wrong(

@@ -177,15 +177,12 @@ fn check_constant(
 /// length; a card must have a number.
 pub(super) fn lengths<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<usize>, D::Error> {
     let length = |value: &toml::Value| {
-        value
-            .as_integer()
-            .and_then(|number| usize::try_from(number).ok())
-            .filter(|length| (1..=MAX_ELEMENTS).contains(length))
-            .ok_or_else(|| {
-                D::Error::custom(format_args!(
-                    "a length is {value}; write the length with which the model is run, and 1 for the batch"
-                ))
-            })
+        let length = value.as_integer().and_then(|number| usize::try_from(number).ok());
+        length.filter(|length| *length > 0).ok_or_else(|| {
+            D::Error::custom(format_args!(
+                "a length is {value}; write the length with which the model is run, and 1 for the batch"
+            ))
+        })
     };
     let shape = Vec::<toml::Value>::deserialize(deserializer)?;
     let shape = shape.iter().map(length).collect::<Result<Vec<usize>, _>>()?;
