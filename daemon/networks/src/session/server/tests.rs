@@ -333,7 +333,9 @@ proptest! {
                 }
             }
             prop_assert_eq!(server.in_flight(), in_flight.len());
-            prop_assert!(server.sessions.len() <= 3);
+            prop_assert!(server.sessions.len() <= 6);
+            let of_host = server.sessions.values().filter(|entry| entry.host == HostId::from_bytes([1; 16])).count();
+            prop_assert!(of_host <= 3, "one host has half of the sessions at most");
             prop_assert!(server.sessions.values().all(|entry| entry.in_flight.0.len() <= 2));
             let listed: usize = server.connections.values().map(Vec::len).sum();
             prop_assert_eq!(listed, server.sessions.len());
