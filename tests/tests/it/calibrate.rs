@@ -88,7 +88,7 @@ impl CalibratedHosts {
         let arguments = ["--sizes", "100,1kB,10kB", "--repeats", "1000000", "--seconds", "600"];
         let running =
             self.peernet(&[&["calibrate", &self.peer, "--result-loc", "results"], &arguments[..]].concat());
-        running.wait_for("s left");
+        running.wait_for(" left");
         running
     }
 
@@ -184,7 +184,7 @@ fn ctrl_c_writes_partial_calibration() {
     let arguments =
         ["calibrate", &hosts.peer, "--result-loc", "results", "--repeats", "1000000", "--seconds", "600"];
     let running = hosts.peernet(&arguments);
-    running.wait_for("s left");
+    running.wait_for(" left");
     running.signal(Signal::INT);
     let end = running.wait_for_end();
     assert_eq!(end.code(), 130, "{}", end.log);
@@ -306,9 +306,9 @@ fn calibration_reports_interruption_of_peer() {
     cloud.signal(Signal::STOP);
     running.wait_for("cloud is away");
     cloud.kill();
-    let lines = running.log().matches("s left").count();
+    let lines = running.log().matches(" left").count();
     let _restarted = hosts.start("cloud.toml", &configuration);
-    running.wait_for_nth("s left", lines + 1);
+    running.wait_for_nth(" left", lines + 1);
     running.signal(Signal::INT);
     let end = running.wait_for_end();
     assert_eq!(end.code(), 130, "{}", end.log);
