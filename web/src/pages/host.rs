@@ -10,7 +10,7 @@ use axum::routing::get;
 use peernet_aggregator::{HostSnapshot, LiveState};
 use peernet_statistics::number::{NONE, SPACE, bytes, count, counted, fixed};
 use peernet_store::HostRow;
-use peernet_stream::{HostClock, HostDescription};
+use peernet_stream::{HostClock, HostDescription, PipelineState};
 
 use super::kind::{LiveTopic, PageKind};
 use super::shell::Shell;
@@ -158,11 +158,10 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
         .filter(|pipeline| pipeline.host == host.id)
         .map(|pipeline| &**pipeline)
         .collect();
-    let serving = snapshot
-        .pipelines
-        .iter()
-        .filter(|pipeline| pipeline.placement.peer.as_ref() == Some(&description.name));
-    let title = match (host.connected, own_pipelines.len(), serving.count()) {
+    let running = || snapshot.pipelines.iter().filter(|pipeline| pipeline.state == PipelineState::Running);
+    let own_running = running().filter(|pipeline| pipeline.host == host.id).count();
+    let serving = running().filter(|pipeline| pipeline.placement.peer.as_ref() == Some(&description.name));
+    let title = match (host.connected, own_running, serving.count()) {
         (false, ..) if host.has_left => {
             format!("{name} disconnected at {}", app.zone.moment(host.last_seen).clock())
         }

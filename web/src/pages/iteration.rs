@@ -121,9 +121,11 @@ fn facts(app: &AppState, run: &RunSummary, detail: &IterationDetail) -> Vec<Stri
         format!("{}, {}", at.date(), at.milliseconds()),
         format!("episode {}, step {}", count(row.episode.into()), count(row.step.into())),
     ];
+    // The rank is among the stored iterations.
+    let base = if run.nodes_from > 0 { "those that are kept".to_owned() } else { count(run.counts.ok) };
     facts.extend(detail.rank.map(|rank| match rank {
-        1 => format!("slowest of {}", count(run.counts.ok)),
-        rank => format!("{} slowest of {}", ordinal(rank), count(run.counts.ok)),
+        1 => format!("slowest of {base}"),
+        rank => format!("{} slowest of {base}", ordinal(rank)),
     }));
     facts
 }

@@ -1,6 +1,6 @@
 //! Texts next to the time series of a run.
 
-use peernet_statistics::number::count;
+use peernet_statistics::number::{self, count};
 use peernet_store::{Episodes, RunSummary};
 
 use super::counted;
@@ -17,8 +17,8 @@ pub(crate) fn episode_count_text(episodes: &Episodes) -> Option<String> {
     Some(if too_many { format!("{text}, too many to mark") } else { text })
 }
 
-/// Returns `3 failed`, `3 failed, 2 in the warm-up failed`, or `995 failed, 300 marked` if not all have a mark. `None` if
-/// no iteration failed.
+/// Returns `3 iterations failed`, `3 iterations failed, 2 iterations of the warm-up failed`, or
+/// `995 iterations failed, 300 marked` if not all have a mark. `None` if no iteration failed.
 pub(crate) fn failed_count_text(episodes: &Episodes, run: &RunSummary) -> Option<String> {
     // The counts of a run do not include the warm-up; the stored rows include it, and lack the iterations that
     // retention deleted. Rows are counted up to a limit.
@@ -29,8 +29,9 @@ pub(crate) fn failed_count_text(episodes: &Episodes, run: &RunSummary) -> Option
     };
     let marked = episodes.failed_starts.len() as u64;
     let texts = [
-        (failed > 0).then(|| format!("{} failed", count(failed))),
-        (in_warm_up > 0).then(|| format!("{} in the warm-up failed", count(in_warm_up))),
+        (failed > 0).then(|| format!("{} failed", number::counted(failed, "iteration"))),
+        (in_warm_up > 0)
+            .then(|| format!("{} of the warm-up failed", number::counted(in_warm_up, "iteration"))),
         (failed + in_warm_up > marked).then(|| format!("{} marked", count(marked))),
     ];
     let texts: Vec<String> = texts.into_iter().flatten().collect();
@@ -64,11 +65,15 @@ mod tests {
             failed_count_text(&episodes, &RunSummary { counts, ..run(1, PlacementKind::Remote) })
         };
         assert_eq!(text_of(0, 0, 0), None);
-        assert_eq!(text_of(3, 3, 3).as_deref(), Some("3 failed"));
-        assert_eq!(text_of(2, 2, 0).as_deref(), Some("2 in the warm-up failed"));
-        let both = "889 failed, 106 in the warm-up failed, 300 marked";
+        assert_eq!(text_of(3, 3, 3).as_deref(), Some("3 iterations failed"));
+        assert_eq!(text_of(2, 2, 0).as_deref(), Some("2 iterations of the warm-up failed"));
+        let both = "889 iterations failed, 106 iterations of the warm-up failed, 300 marked";
         assert_eq!(text_of(300, 995, 889).as_deref(), Some(both));
-        assert_eq!(text_of(290, 290, 5_000).as_deref(), Some("5,000 failed, 290 marked"), "deleted");
-        assert_eq!(text_of(300, 10_001, 12_345).as_deref(), Some("12,345 failed, 300 marked"));
+        assert_eq!(
+            text_of(290, 290, 5_000).as_deref(),
+            Some("5,000 iterations failed, 290 marked"),
+            "deleted"
+        );
+        assert_eq!(text_of(300, 10_001, 12_345).as_deref(), Some("12,345 iterations failed, 300 marked"));
     }
 }

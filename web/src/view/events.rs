@@ -207,9 +207,14 @@ pub(crate) fn stored_count_pairs(
         0 => String::new(),
         before => format!(", {} of them in another database", count(before)),
     };
+    // A gap of known size has at least one event.
+    let missing = match stored.missing {
+        0 if stored.gaps > 0 => "an unknown number of events missing".to_owned(),
+        missing => format!("{} events missing", count(missing)),
+    };
     let mut pairs = vec![
         ("Stored", format!("{} events, {} nodes", count(stored.events), count(stored.nodes))),
-        ("Gaps", format!("{}, {} events missing{before}", count(stored.gaps), count(stored.missing))),
+        ("Gaps", format!("{}, {missing}{before}", count(stored.gaps))),
         ("Quarantined", format!("{} batches that could not be stored", count(stored.quarantined))),
     ];
     if let Some(arrivals) = arrivals {

@@ -23,7 +23,9 @@ async fn runs_with_episodes_are_drawn_over_time() {
     assert!(panel.contains(&format!("<a href=\"/runs/{first}#course\">#{first}</a>")), "{panel}");
     // Four iterations failed, one of them during the warm-up.
     assert!(
-        panel.contains("4 episodes of 100 steps, 3 failed, 1 in the warm-up failed, points of "),
+        panel.contains(
+            "4 episodes of 100 steps, 3 iterations failed, 1 iteration of the warm-up failed, points of "
+        ),
         "{panel}"
     );
     assert_eq!(path(panel, "border").matches('M').count(), 3, "{panel}");
@@ -35,7 +37,7 @@ async fn runs_with_episodes_are_drawn_over_time() {
     assert!(run.text().contains("id=\"course\""), "{}", run.text());
     assert!(
         run.text().contains(
-            "<span class=\"sub\">4 episodes of 100 steps, 3 failed, 1 in the warm-up failed</span>"
+            "<span class=\"sub\">4 episodes of 100 steps, 3 iterations failed, 1 iteration of the warm-up failed</span>"
         )
     );
     let data = run.text().split("id=\"data\">").nth(1).and_then(|rest| rest.split('<').next()).expect("data");

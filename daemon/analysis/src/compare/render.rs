@@ -111,7 +111,7 @@ impl Comparison {
         );
         let hidden: Vec<String> = self.lines.iter().filter_map(Line::hidden_stages_text).collect();
         if !hidden.is_empty() {
-            notes.push(format!("Stages without a column, means in ms: {}.", hidden.join("; ")));
+            notes.push(format!("Stages without a column, means per iteration in ms: {}.", hidden.join("; ")));
         }
         if self.lines.iter().any(|line| line.failed > 0) {
             let text = "Failed: iterations after the warm-up without an answer, or with one that the actuator failed to act on.";

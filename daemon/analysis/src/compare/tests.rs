@@ -116,7 +116,9 @@ fn stages_without_column_are_listed_below_table() {
     });
     let text = Comparison::new(&runs).text();
     assert!(
-        text.contains("\nStages without a column, means in ms: cuda:0, lan: preprocessing 5.00.\n"),
+        text.contains(
+            "\nStages without a column, means per iteration in ms: cuda:0, lan: preprocessing 5.00.\n"
+        ),
         "{text}"
     );
 }

@@ -60,7 +60,7 @@ fn delay(subject: &Subject<'_>, direction: NetworkDirection) -> Stat {
         None if delays.verdict.is_some() => String::new(),
         None => "nothing sent".to_owned(),
     };
-    let name = format!("{}, median of 10{SPACE}s", delays.title());
+    let name = format!("{}, median of the last 10{SPACE}seconds' medians", delays.title());
     let title = if number.is_some() { String::new() } else { delays.reason().to_owned() };
     Stat { chip: delays.chip(), title, ..Stat::new(&name, number, "ms", line) }
 }
