@@ -190,8 +190,8 @@ impl Aggregator {
     pub async fn pin(&self, run: i64, pinned: bool) -> Result<bool, StoreError> {
         let (answer_in, answer) = oneshot::channel();
         match self.requests.send(WriterRequest::Pin(run, pinned, answer_in)).await {
-            Ok(()) => answer.await.unwrap_or_else(|_| Err(StoreError::writer_stopped())),
-            Err(_) => Err(StoreError::writer_stopped()),
+            Ok(()) => answer.await.unwrap_or_else(|_| Err(StoreError::pin_without_writer())),
+            Err(_) => Err(StoreError::pin_without_writer()),
         }
     }
 

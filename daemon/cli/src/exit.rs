@@ -30,14 +30,14 @@ pub enum Exit {
 }
 
 impl Exit {
-    /// Returns the exit code from `main`. If a thread still uses ONNX Runtime, such as one that opens a large model,
-    /// the process ends here, without the destructors of libraries, which would run while that thread uses the
-    /// library. All output is written by then, because it is not buffered.
+    /// Converts this into the value that `main` returns. If a thread still uses ONNX Runtime, such as one that opens a
+    /// large model, the process ends here, without the destructors of libraries, which would run while that thread uses
+    /// the library. All output is written by then, because it is not buffered.
     pub fn into_exit_code(self) -> ExitCode {
         if peernet_inference::is_library_in_use() {
             #[expect(
                 unsafe_code,
-                reason = "the standard library ends a process with the destructors of libraries only"
+                reason = "the standard library cannot end a process without running the destructors of libraries"
             )]
             // SAFETY: `_exit` has no requirements. Nothing of this process runs afterwards.
             unsafe {

@@ -1,4 +1,4 @@
-//! IANA names of media types, for text-based formats.
+//! Media types as text: their IANA names.
 
 use std::borrow::Cow;
 

@@ -86,6 +86,7 @@ impl OpenError {
         let source = DatabaseError::new(source);
         match (is_partial_damage, is_damage) {
             (true, _) => Self::Damaged { path, source, is_repairable: true },
+            // Any other damage means that the file is not a database.
             (false, true) => Self::Unrecognised { path, source },
             (false, false) => Self::Open { path, source },
         }
@@ -112,12 +113,12 @@ pub enum StoreError {
         source: DatabaseError,
     },
     /// The database is damaged.
-    #[error("cannot read or write {what}: {refusal}")]
+    #[error("cannot read or write {what}: {damage}")]
     Damaged {
         /// Data that was requested.
         what: &'static str,
         /// Description of the damage and of what to do.
-        refusal: String,
+        damage: String,
     },
     /// SQLite refused a change, or the task that writes has ended.
     #[error("cannot write {what} to the database: {source}; see the aggregator's log")]
@@ -163,16 +164,17 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    /// Creates the error for a change that is requested after the writing task has ended.
-    pub fn writer_stopped() -> Self {
+    /// Creates the error for a pin that is requested after the writing task has ended. A pin keeps a run from deletion.
+    pub fn pin_without_writer() -> Self {
         Self::pin_failed(DatabaseError::new(sqlx::Error::WorkerCrashed))
     }
 
-    /// Creates the error for a change that is requested while the database is closed.
-    pub fn database_closed() -> Self {
+    /// Creates the error for a pin that is requested while the database is closed.
+    pub fn pin_while_closed() -> Self {
         Self::pin_failed(DatabaseError::new(std::io::Error::other("the database is closed")))
     }
 
+    /// Creates the error for a pin that cannot be written.
     pub(crate) fn pin_failed(source: DatabaseError) -> Self {
         Self::Write { what: "the pin of a run", source }
     }

@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn tables_show_stages_first_and_user_names_last() {
+    fn tables_show_stages_first_and_custom_names_last() {
         let mut names = ["zeta", "upload-bytes", "total", "upload", "capture", "alpha", "encode", "sensing"];
         names.sort_by_key(|name| rank(name));
         assert_eq!(

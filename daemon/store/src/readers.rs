@@ -99,7 +99,7 @@ impl Readers {
                 let source = DatabaseError::new(error);
                 integrity.record_if_damage(&source);
                 match integrity.refusal().filter(|_| source.is_damage()) {
-                    Some(refusal) => StoreError::Damaged { what, refusal },
+                    Some(damage) => StoreError::Damaged { what, damage },
                     None => StoreError::Database { what, source },
                 }
             }

@@ -39,15 +39,15 @@ pub(crate) struct LiveTopic {
 
 pub(crate) type UpdateFuture<'a> = BoxFuture<'a, Result<Update, WebError>>;
 
-/// A topic with at least one listener.
+/// A topic that a client requested: its registration, and the text that identifies the page.
 #[derive(Clone)]
-pub(crate) struct PageTopic {
+pub(crate) struct RequestedTopic {
     topic: &'static LiveTopic,
-    /// Text after the first slash.
+    /// Text after the first slash of the requested topic, such as `cam-1`; empty without a slash.
     rest: String,
 }
 
-impl PageTopic {
+impl RequestedTopic {
     /// Finds the topic of a text, such as `host/cam-1`, among `topics`.
     pub(crate) fn find(text: &str, mut topics: impl Iterator<Item = &'static LiveTopic>) -> Option<Self> {
         let (name, rest) = split_topic(text);
@@ -69,13 +69,13 @@ fn split_topic(text: &str) -> (&str, Option<&str>) {
     text.split_once('/').map_or((text, None), |(name, rest)| (name, Some(rest)))
 }
 
-impl PartialEq for PageTopic {
+impl PartialEq for RequestedTopic {
     fn eq(&self, other: &Self) -> bool {
         (self.topic.pattern, &self.rest) == (other.topic.pattern, &other.rest)
     }
 }
 
-impl fmt::Debug for PageTopic {
+impl fmt::Debug for RequestedTopic {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} of {:?}", self.topic.pattern, self.rest)
     }

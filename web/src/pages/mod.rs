@@ -36,7 +36,7 @@ use crate::state::App;
 use crate::view::chart::{Mark, Obstacles};
 
 pub(crate) use self::error::render as render_problem;
-pub(crate) use self::kind::PageTopic;
+pub(crate) use self::kind::RequestedTopic;
 
 /// All pages. The navigation and the list of topics have their entries in this order.
 static PAGES: &[PageKind] = &[
@@ -76,8 +76,8 @@ pub(crate) fn topic_forms() -> impl Iterator<Item = &'static str> {
 }
 
 /// Returns the topic of a live page from its text, such as `host/cam-1`; `None` if no page has such a topic.
-pub(crate) fn topic(text: &str) -> Option<PageTopic> {
-    PageTopic::find(text, live_topics())
+pub(crate) fn topic(text: &str) -> Option<RequestedTopic> {
+    RequestedTopic::find(text, live_topics())
 }
 
 fn page(template: &impl Template) -> Page {

@@ -25,9 +25,9 @@ const STEAL_BAD: f64 = 0.05;
 pub(super) fn competing_threads(settings: &InspectionSettings) -> Finding {
     const ABOUT: &str = "competing load";
     let mut sum = 0;
-    let thread_counts = settings.thread_counts.max(1);
-    for nth in 0..thread_counts {
-        if nth > 0 {
+    let counting_rounds = settings.counting_rounds.max(1);
+    for round in 0..counting_rounds {
+        if round > 0 {
             thread::sleep(COUNT_INTERVAL);
         }
         let Some(running) = runnable_threads(settings) else {
@@ -35,7 +35,7 @@ pub(super) fn competing_threads(settings: &InspectionSettings) -> Finding {
         };
         sum += running.saturating_sub(own_threads(settings));
     }
-    let other_threads = f64::from(sum) / f64::from(thread_counts);
+    let other_threads = f64::from(sum) / f64::from(counting_rounds);
     let cores = processors(&settings.sys).len().max(1) as f64;
     let pressure = pressure(settings).map_or_else(String::new, |percent| {
         format!("; in the last 10 s threads waited for a processor during {percent:.0} % of the time")
@@ -90,7 +90,8 @@ pub(super) fn cpu_quota(settings: &InspectionSettings) -> Option<Finding> {
             "CPU quota",
             Grade::Doubtful,
             format!(
-                "this process may use {:.2} processors on average and is stopped for the rest of each {:.0} ms",
+                "this process may use {:.2} processors on average; when it has used its share of a period of {:.0} ms, \
+                 it is stopped until the period ends",
                 quota / period,
                 period / 1e3
             ),
@@ -109,7 +110,7 @@ pub(super) fn steal_time(settings: &InspectionSettings) -> Option<Finding> {
     (steal > 0 && total > 0).then_some(())?;
     let share = steal as f64 / total as f64;
     let found = format!(
-        "other virtual machines had its processors for {:.1} % of the time since it was started",
+        "other virtual machines used the processors of this host for {:.1} % of the time since it was started",
         share * 100.0
     );
     let advice = "measure on a dedicated machine, or on one with reserved processors";

@@ -41,7 +41,7 @@ pub struct InspectionSettings {
     /// `true` if the run uses a network; otherwise wireless interfaces are not inspected.
     pub network: bool,
     /// Number of times that competing threads are counted, at least 1, at intervals of 8 ms.
-    pub thread_counts: u32,
+    pub counting_rounds: u32,
 }
 
 impl Default for InspectionSettings {
@@ -53,7 +53,7 @@ impl Default for InspectionSettings {
             folders: Vec::new(),
             iw: ["iw", "/usr/sbin/iw", "/sbin/iw"].map(PathBuf::from).to_vec(),
             network: true,
-            thread_counts: 5,
+            counting_rounds: 5,
         }
     }
 }

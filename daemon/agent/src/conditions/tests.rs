@@ -35,7 +35,7 @@ impl HostFiles {
             folders: Vec::new(),
             iw: vec![path("iw")],
             network: true,
-            thread_counts: 1,
+            counting_rounds: 1,
         }
     }
 

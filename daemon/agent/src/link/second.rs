@@ -68,16 +68,17 @@ impl Second {
     /// Adds an accepted exchange. Which of two bounds is better at the end of the second also depends on their ages,
     /// because a bound widens with its age.
     pub(super) fn add_exchange(&mut self, exchange: &Exchange, max_drift_ppm: f64) {
-        let drift = |age: Span| Span::from_nanos((age.nanos() as f64 * max_drift_ppm * 1e-6).ceil() as i64);
-        // The two bounds are compared for the time of the newer one. By then the older bound has widened by the drift.
-        let is_lower_than =
-            |best: &Exchange| exchange.upper() + drift(best.sent - exchange.sent) < best.upper();
-        if self.upper.as_ref().is_none_or(is_lower_than) {
+        let drift = |time: Span| Span::from_nanos((time.nanos() as f64 * max_drift_ppm * 1e-6).ceil() as i64);
+        // By the time of the newer exchange, the older bound has widened by the drift. If the new exchange is the older
+        // one, the difference is negative: the best bound becomes narrower instead, with the same result.
+        let improves_upper =
+            |best: &Exchange| exchange.upper() < best.upper() + drift(exchange.sent - best.sent);
+        if self.upper.as_ref().is_none_or(improves_upper) {
             self.upper = Some(*exchange);
         }
-        let is_higher_than =
-            |best: &Exchange| exchange.lower() - drift(best.returned - exchange.returned) > best.lower();
-        if self.lower.as_ref().is_none_or(is_higher_than) {
+        let improves_lower =
+            |best: &Exchange| exchange.lower() > best.lower() - drift(exchange.returned - best.returned);
+        if self.lower.as_ref().is_none_or(improves_lower) {
             self.lower = Some(*exchange);
         }
     }
@@ -108,7 +109,7 @@ impl Second {
         self.delays.keys()
     }
 
-    /// Removes the delays of a network, after its last sample.
+    /// Removes the delays of a network whose last clock sample was taken.
     pub(super) fn remove_network(&mut self, network: &NetworkName) {
         self.delays.remove(network);
     }
@@ -144,7 +145,7 @@ impl Delays {
         self.verdicts.iter().fold(0, |sum, count| sum.saturating_add(*count))
     }
 
-    /// Returns count, median and prevailing verdict of the delays; `None` without delays.
+    /// Returns the number, the median and the verdict of the delays ([`Verdict::prevailing`]); `None` without delays.
     fn summary(&self) -> Option<DelaySecond> {
         let counts = Verdict::ALL.iter().zip(&self.verdicts);
         let verdict = Verdict::prevailing(counts.map(|(verdict, count)| (*verdict, u64::from(*count))))?;
@@ -209,12 +210,13 @@ mod tests {
 
     #[test]
     fn worst_verdict_counts_unless_rare() {
-        let ok = |millis| OneWayDelay::same_clock(Span::from_millis(millis));
-        let stepped = ok(-1);
+        let same_clock = |millis| OneWayDelay::same_clock(Span::from_millis(millis));
+        // A negative delay between stamps of one clock shows a step.
+        let stepped = same_clock(-1);
         let (mut second, network) = (Second::new(0), NetworkName::default());
         assert_eq!(second.delays(&network, Direction::Up), None);
         for millis in 1..=20 {
-            second.add_delay(&network, Direction::Up, &ok(millis), Some(1e6));
+            second.add_delay(&network, Direction::Up, &same_clock(millis), Some(1e6));
         }
         second.add_delay(&network, Direction::Up, &stepped, None);
         let up = second.delays(&network, Direction::Up).expect("judged");
@@ -230,6 +232,6 @@ mod tests {
         assert_eq!(second.delays(&network, Direction::Up).map(|up| up.verdict), Some(Verdict::Stepped));
         second.add_delay(&network, Direction::Down, &stepped, None);
         let down = second.delays(&network, Direction::Down).expect("judged");
-        assert_eq!((down.count, down.median), (1, None), "nothing is averaged in");
+        assert_eq!((down.count, down.median), (1, None), "a stepped delay has no value for the median");
     }
 }

@@ -268,10 +268,10 @@ pub(super) async fn conditions(
     context: &PipelineContext,
     is_continuation: bool,
 ) -> Vec<Condition> {
-    let thread_counts = if is_continuation { 1 } else { context.inspection.thread_counts };
+    let counting_rounds = if is_continuation { 1 } else { context.inspection.counting_rounds };
     let settings = InspectionSettings {
         network: peer.is_some(),
-        thread_counts,
+        counting_rounds,
         ..InspectionSettings::clone(&context.inspection)
     };
     let mut conditions = inspect_host_in_time(settings, context.host.name.to_string()).await;

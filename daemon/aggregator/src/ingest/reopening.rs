@@ -79,7 +79,7 @@ fn refuse(request: WriterRequest) {
     match request {
         WriterRequest::Pin(_, _, answer) => {
             // The requester may have been dropped.
-            let _gone = answer.send(Err(StoreError::database_closed()));
+            let _gone = answer.send(Err(StoreError::pin_while_closed()));
         }
     }
 }

@@ -27,7 +27,7 @@ class Imports:
     """Files and libraries that one module imports, directly or indirectly."""
 
     def __init__(self, folder):
-        # Custom code may change the working folder, but its modules were searched in the first one.
+        # Python searched the modules in the working folder at the start; custom code may have changed the folder since.
         self.folder = folder
         self.path = [entry or folder for entry in sys.path if isinstance(entry, str)]
         # Dictionaries keep the order of discovery.

@@ -29,7 +29,7 @@ pub use object_description::ObjectDescription;
 /// Source code that the Python process runs.
 const SOURCE: &str = concat!(
     include_str!("values.py"),
-    include_str!("wire_values.py"),
+    include_str!("channel.py"),
     include_str!("imports.py"),
     include_str!("worker.py")
 );

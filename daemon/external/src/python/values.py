@@ -235,20 +235,20 @@ class Decoder:
         self.may_pickle = may_pickle
         self.images = images
 
-    def read(self, channel, heads):
+    def read(self, channel, part_heads):
         """The value of the next parts. All parts are read, even if one is invalid."""
-        first = heads[0]["description"]["media"] if heads else None
+        first = part_heads[0]["description"]["media"] if part_heads else None
         custom_media = first.get("other") if isinstance(first, dict) else None
         values, first_error = [], None
-        for head in heads:
-            description = head["description"]
+        for part_head in part_heads:
+            description = part_head["description"]
             try:
                 if custom_media == PICKLE:
-                    values.append(channel.array(head))
+                    values.append(channel.array(part_head))
                 elif description["media"] == "tensor":
-                    values.append(self.array(description, channel.array(head)))
+                    values.append(self.array(description, channel.array(part_head)))
                 else:
-                    values.append(self.value(description, channel.bytes(head)))
+                    values.append(self.value(description, channel.bytes(part_head)))
             except PipeClosed:
                 raise
             except Exception as error:

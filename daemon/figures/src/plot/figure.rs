@@ -122,7 +122,7 @@ pub struct Figure {
     pub title: String,
     /// Entries that explain the colours, marks and dashes.
     pub legend: Vec<Key>,
-    /// Sentences for the figure's text file: how to read it, numbers of values, what is left out.
+    /// Sentences for the caption's file: how to read it, numbers of values, what is left out.
     pub notes: Vec<String>,
     /// Plots from top to bottom. A figure without a plot says that there are no values.
     pub plots: Vec<Plot>,
@@ -140,8 +140,8 @@ impl Figure {
         }
     }
 
-    /// Returns the text for the figure's text file: title, axes, legend, notes, each in a line.
-    pub fn words(&self) -> String {
+    /// Returns the text of the caption's file: title, axes, legend and notes, each in a line.
+    pub fn caption_text(&self) -> String {
         let mut lines = vec![self.title.clone()];
         for plot in &self.plots {
             let axes = [plot.y.full_title(), plot.x.full_title()];

@@ -1,4 +1,4 @@
-//! Conversion of the SVG of a file into pixels and PDF. Only the embedded font is used.
+//! Conversion of the SVG that [`file::svg`] makes into pixels and PDF. Only the embedded font is used.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, LazyLock};
@@ -129,8 +129,8 @@ impl ParsedFigure {
     }
 }
 
-/// Writes a figure into a folder as `STEM.png`, `STEM.svg` and `STEM.pdf`, and its notes as `STEM-caption.txt`. Returns
-/// the paths of the files.
+/// Writes a figure into a folder as `STEM.png`, `STEM.svg` and `STEM.pdf`, and its caption as `STEM-caption.txt`.
+/// Returns the paths of the files.
 ///
 /// # Errors
 /// If the figure cannot be drawn or a file cannot be written.
@@ -143,6 +143,6 @@ pub fn write(figure: &Figure, folder: &Path, stem: &str) -> Result<[PathBuf; 4],
     drop(svg);
     write_file(&files[0], &exported.png().map_err(WriteError::at(&files[0]))?)?;
     write_file(&files[2], &exported.pdf().map_err(WriteError::at(&files[2]))?)?;
-    write_file(&files[3], figure.words().as_bytes())?;
+    write_file(&files[3], figure.caption_text().as_bytes())?;
     Ok(files)
 }

@@ -23,7 +23,7 @@ pub(crate) const MAX_PARTS: usize = 64;
 pub(crate) const MAX_FRAMES: usize = 2 + MAX_PARTS;
 
 /// Maximum number of partial answers to one request that are sent before the edge acknowledges them.
-pub(crate) const MAX_UNREAD_PARTS: u32 = 64;
+pub(crate) const MAX_UNREAD_PARTIAL_ANSWERS: u32 = 64;
 
 /// Number of payload bytes of partial answers to one request from which on the next one waits for an acknowledgement.
 // After a cancellation, the partial answers that were sent delay all later answers on a slow link: 256 KiB take 0.1 s at
@@ -191,8 +191,8 @@ pub(crate) struct PartialReply {
     pub(crate) sample: SampleHeader,
 }
 
-/// Acknowledgement of partial replies. A cloud sends at most [`MAX_UNREAD_PARTS`] partial answers to a request that are
-/// not acknowledged.
+/// Acknowledgement of partial replies. A cloud sends at most [`MAX_UNREAD_PARTIAL_ANSWERS`] partial answers to a
+/// request that are not acknowledged.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct PartsRead {
     pub(crate) session: SessionId,

@@ -7,7 +7,7 @@
 //! | request | edge | session, number, departure, description of the sample | tree | payload parts, unchanged |
 //! | reply | cloud | session, number, departure, outcome | tree delta | payload parts, unchanged |
 //! | partial-reply | cloud | session, number, number of the partial answer, departure, description of the partial answer | empty | payload parts, unchanged |
-//! | parts-read | edge | session, number, number of partial answers read | | |
+//! | parts-read | edge | session, number, number of partial answers (not of payload parts) that were read | | |
 //! | cancel | edge | session, number | | |
 //! | clock | cloud | session, state of the cloud's clocks | | |
 //! | statistics | cloud | session, statistics of the cloud's end of the connection | | |
@@ -18,8 +18,8 @@
 //! therefore contain the network and no encoding. The transit node itself is in neither tree; the receiver adds it from
 //! the header. `tests/it/wire.rs` contains an independent description of the wire form.
 //!
-//! All messages come from untrusted peers. The limits are 64 parts, 64 KiB of header, the limits of the logger for
-//! trees, and the configured size of a message.
+//! All messages come from untrusted peers. The limits are 64 payload parts, 64 KiB of header, the limits of the logger
+//! for trees, and the configured size of a message.
 
 mod clock_socket;
 mod header;
@@ -35,7 +35,7 @@ pub(crate) mod strategies;
 pub use clock_socket::{ClockSocketName, InvalidClockSocketName};
 pub(crate) use header::{
     Accepted, Cancel, ClockUpdate, Departure, Goodbye, Header, HeaderError, MAX_FRAMES, MAX_UNREAD_BYTES,
-    MAX_UNREAD_PARTS, Open, Outcome, PartialReply, PartsRead, RefusalKind, Refused, Reply, Request,
+    MAX_UNREAD_PARTIAL_ANSWERS, Open, Outcome, PartialReply, PartsRead, RefusalKind, Refused, Reply, Request,
     SampleHeader, StatisticsReport, UnknownSession,
 };
 pub use hello::{

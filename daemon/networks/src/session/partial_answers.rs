@@ -8,7 +8,7 @@ use peernet_clock::{MonoTime, Stamp};
 use peernet_logger::{HostIndex, Measure, Name, Node, NodeId, RawStamps, Recorder, Transit, Unit};
 use peernet_sample::Sample;
 
-use crate::message::{Departure, MAX_UNREAD_BYTES, MAX_UNREAD_PARTS};
+use crate::message::{Departure, MAX_UNREAD_BYTES, MAX_UNREAD_PARTIAL_ANSWERS};
 
 /// Name of the edge's node for the time from the departure of a request to the arrival of the first partial answer.
 pub const FIRST_PART: Name = Name::from_static("first-part");
@@ -22,7 +22,7 @@ pub const PARTS_SENT: Name = Name::from_static("parts-sent");
 
 /// Number of partial answers after which the edge acknowledges them. It is a quarter of the window, so that an
 /// acknowledgement usually reaches the cloud before the window is full.
-const ACKNOWLEDGE_AFTER: u32 = MAX_UNREAD_PARTS / 4;
+const ACKNOWLEDGE_AFTER: u32 = MAX_UNREAD_PARTIAL_ANSWERS / 4;
 /// Number of payload bytes of partial answers after which the edge acknowledges them, likewise.
 const ACKNOWLEDGE_AFTER_BYTES: u64 = MAX_UNREAD_BYTES / 4;
 
@@ -138,12 +138,12 @@ mod tests {
         };
         let mut partial_answers = ArrivedPartialAnswers::default();
         // Every second partial answer is lost.
-        let acknowledged: Vec<u32> = (0..MAX_UNREAD_PARTS)
+        let acknowledged: Vec<u32> = (0..MAX_UNREAD_PARTIAL_ANSWERS)
             .step_by(2)
             .filter_map(|number| partial_answers.add(number, 1, departure, arrived))
             .collect();
         assert_eq!(acknowledged, [17, 33, 49]);
-        assert_eq!(partial_answers.count, MAX_UNREAD_PARTS / 2);
+        assert_eq!(partial_answers.count, MAX_UNREAD_PARTIAL_ANSWERS / 2);
         let mut partial_answers = ArrivedPartialAnswers::default();
         let mut add_bytes = |number, bytes| partial_answers.add(number, bytes, departure, arrived);
         assert_eq!(add_bytes(0, ACKNOWLEDGE_AFTER_BYTES - 40), None);

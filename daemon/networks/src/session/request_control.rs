@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use tokio_util::sync::CancellationToken;
 
-use crate::message::{MAX_UNREAD_BYTES, MAX_UNREAD_PARTS};
+use crate::message::{MAX_UNREAD_BYTES, MAX_UNREAD_PARTIAL_ANSWERS};
 
 /// Error: the edge does not wait for the answer any more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -41,7 +41,7 @@ impl ControlState {
     // The edge acknowledges a quarter of each limit, so an acknowledgement is due whenever this is true.
     fn is_window_full(&self) -> bool {
         let unread = self.sent - self.read - self.lost;
-        unread >= MAX_UNREAD_PARTS || self.unread_bytes.iter().sum::<u64>() >= MAX_UNREAD_BYTES
+        unread >= MAX_UNREAD_PARTIAL_ANSWERS || self.unread_bytes.iter().sum::<u64>() >= MAX_UNREAD_BYTES
     }
 }
 
@@ -101,7 +101,7 @@ impl RequestControl {
     }
 
     /// Returns the number of the next partial answer, which has `bytes` bytes of payload. Waits while
-    /// [`MAX_UNREAD_PARTS`] partial answers or [`MAX_UNREAD_BYTES`] are unread.
+    /// [`MAX_UNREAD_PARTIAL_ANSWERS`] partial answers or [`MAX_UNREAD_BYTES`] are unread.
     ///
     /// # Errors
     /// If the request is cancelled.
@@ -141,10 +141,10 @@ mod tests {
     #[test]
     fn sending_waits_until_partial_answers_are_read() {
         let control = Arc::new(RequestControl::default());
-        let numbers: Vec<u32> = (0..MAX_UNREAD_PARTS)
+        let numbers: Vec<u32> = (0..MAX_UNREAD_PARTIAL_ANSWERS)
             .map(|_| control.next_partial_answer(1).expect("the window is open"))
             .collect();
-        assert_eq!(numbers, (0..MAX_UNREAD_PARTS).collect::<Vec<_>>());
+        assert_eq!(numbers, (0..MAX_UNREAD_PARTIAL_ANSWERS).collect::<Vec<_>>());
         let waiting = thread::spawn({
             let control = Arc::clone(&control);
             move || control.next_partial_answer(1)
@@ -152,19 +152,19 @@ mod tests {
         control.acknowledge(0);
         assert!(!waiting.is_finished(), "nothing was read");
         control.acknowledge(1);
-        assert_eq!(waiting.join().expect("does not panic"), Ok(MAX_UNREAD_PARTS));
+        assert_eq!(waiting.join().expect("does not panic"), Ok(MAX_UNREAD_PARTIAL_ANSWERS));
     }
 
     #[test]
     fn acknowledgement_of_unsent_partial_answers_opens_no_window() {
         let control = RequestControl::default();
         control.acknowledge(u32::MAX);
-        for _ in 0..MAX_UNREAD_PARTS {
+        for _ in 0..MAX_UNREAD_PARTIAL_ANSWERS {
             control.next_partial_answer(1).expect("the window is open");
         }
         control.acknowledge(u32::MAX);
-        assert_eq!(control.next_partial_answer(1), Ok(MAX_UNREAD_PARTS));
-        assert_eq!(control.state().read, MAX_UNREAD_PARTS);
+        assert_eq!(control.next_partial_answer(1), Ok(MAX_UNREAD_PARTIAL_ANSWERS));
+        assert_eq!(control.state().read, MAX_UNREAD_PARTIAL_ANSWERS);
     }
 
     #[test]
@@ -172,14 +172,14 @@ mod tests {
         let control = RequestControl::default();
         control.note_lost_partial_answer();
         // Nothing arrives any more, so nothing is acknowledged.
-        for number in 0..MAX_UNREAD_PARTS * 3 {
+        for number in 0..MAX_UNREAD_PARTIAL_ANSWERS * 3 {
             assert_eq!(control.next_partial_answer(1), Ok(number));
             control.note_lost_partial_answer();
         }
-        for _ in 0..MAX_UNREAD_PARTS {
+        for _ in 0..MAX_UNREAD_PARTIAL_ANSWERS {
             control.next_partial_answer(1).expect("the window is open");
         }
-        control.acknowledge(MAX_UNREAD_PARTS * 4);
+        control.acknowledge(MAX_UNREAD_PARTIAL_ANSWERS * 4);
         let state = control.state();
         assert_eq!((state.read, state.lost), (state.sent, 0));
     }
@@ -206,7 +206,7 @@ mod tests {
     #[test]
     fn cancellation_ends_every_wait() {
         let control = Arc::new(RequestControl::default());
-        for _ in 0..MAX_UNREAD_PARTS {
+        for _ in 0..MAX_UNREAD_PARTIAL_ANSWERS {
             control.next_partial_answer(1).expect("the window is open");
         }
         let waits = [

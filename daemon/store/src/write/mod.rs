@@ -178,8 +178,8 @@ impl Writer {
     /// When the database refuses, or is damaged.
     pub async fn pin(&mut self, run: i64, pinned: bool, integrity: &Integrity) -> Result<bool, StoreError> {
         // Nothing is written to a damaged database.
-        if let Some(refusal) = integrity.refusal() {
-            return Err(StoreError::Damaged { what: "the pin of a run", refusal });
+        if let Some(damage) = integrity.refusal() {
+            return Err(StoreError::Damaged { what: "the pin of a run", damage });
         }
         let result = retention::pin(&mut self.connection, run, pinned).await;
         let result = self.roll_back_on_error(result).await.map_err(DatabaseError::new);

@@ -32,7 +32,7 @@ use crate::api::schema::PipelineList;
 use crate::connections::StreamSlots;
 use crate::error::{ProblemDetails, WebError};
 use crate::fair_slots::Slot;
-use crate::pages::{self, PageTopic};
+use crate::pages::{self, RequestedTopic};
 use crate::parameters::Parameters;
 use crate::state::App;
 
@@ -104,7 +104,7 @@ enum Topic {
     /// Live state of all pipelines and hosts as JSON. Its public name is `picture`.
     LiveState,
     /// Parts of a page as HTML.
-    Page(PageTopic),
+    Page(RequestedTopic),
 }
 
 impl Topic {

@@ -134,7 +134,7 @@ fn parts_are_consecutive_and_proportional() {
     for text in ["100 ± 5", "30.0", "sensing", "upload", "inference", "Latency, ms", "b"] {
         assert!(has(&svg, text), "{text} in {:?}", texts(&svg));
     }
-    assert!(figure.words().contains("configurations: network"), "{}", figure.words());
+    assert!(figure.caption_text().contains("configurations: network"), "{}", figure.caption_text());
     assert_within_paper(&svg);
 }
 

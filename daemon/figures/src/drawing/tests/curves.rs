@@ -49,7 +49,7 @@ fn values_beyond_axis_are_counted_per_curve() {
     assert!(texts(&one.svg()).iter().any(|text| text.starts_with("1 beyond 6")), "{:?}", texts(&one.svg()));
     let two = cumulative(vec![late(9e4), late(8e4)]);
     let note = "beyond the axis: 1 of configuration 0, 1 of configuration 1";
-    assert!(two.words().contains(note), "{}", two.words());
+    assert!(two.caption_text().contains(note), "{}", two.caption_text());
     let apart = cumulative(vec![millis([1.0, 1.1, 1.2]), millis([900.0, 910.0])]);
     assert!(has(&apart.svg(), "Total, ms (log scale)"), "{:?}", texts(&apart.svg()));
     assert_within_paper(&apart.svg());

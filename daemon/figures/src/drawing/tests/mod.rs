@@ -69,9 +69,9 @@ trait Draw {
         file::svg(&self.layout())
     }
 
-    /// Returns the text of the figure's text file.
-    fn words(&self) -> String {
-        self.layout().words()
+    /// Returns the text of the caption's file.
+    fn caption_text(&self) -> String {
+        self.layout().caption_text()
     }
 }
 

@@ -31,10 +31,18 @@ fn many_values_are_shape_few_are_points() {
     for text in ["2.50 ×", "model-0", "model-1", "local", "remote", "Inference, ms"] {
         assert!(has(&svg, text), "{text} in {:?}", texts(&svg));
     }
-    assert!(figure.words().contains("above a pair: median local ÷ remote"), "{}", figure.words());
+    assert!(
+        figure.caption_text().contains("above a pair: median local ÷ remote"),
+        "{}",
+        figure.caption_text()
+    );
     // A reader who counts the marks finds one more than there are values.
-    assert!(figure.words().contains("the black mark among them is the median"), "{}", figure.words());
-    assert!(!paired(vec![vec![hill(50.0, 400), hill(20.0, 400)]]).words().contains("black mark"));
+    assert!(
+        figure.caption_text().contains("the black mark among them is the median"),
+        "{}",
+        figure.caption_text()
+    );
+    assert!(!paired(vec![vec![hill(50.0, 400), hill(20.0, 400)]]).caption_text().contains("black mark"));
     assert_within_paper(&svg);
 }
 
@@ -94,7 +102,7 @@ fn each_distribution_has_its_count() {
     assert!(has(&svg, "n = 400") && has(&svg, "n = 9"), "{:?}", texts(&svg));
     let many = paired(vec![vec![hill(50.0, 400), hill(20.0, 9)]; 12]);
     let svg = many.svg();
-    assert!(many.words().contains("n = 9 to 400 each") && !has(&svg, "n = 9"), "{:?}", texts(&svg));
+    assert!(many.caption_text().contains("n = 9 to 400 each") && !has(&svg, "n = 9"), "{:?}", texts(&svg));
     assert_within_paper(&svg);
 }
 
@@ -103,7 +111,11 @@ fn values_beyond_the_shape_are_counted() {
     let late = hill(20.0, 400).values().iter().copied().chain([90.0]).collect();
     let figure = paired(vec![vec![hill(50.0, 400), late]]);
     assert!(has(&figure.svg(), "+1"), "{:?}", texts(&figure.svg()));
-    assert!(figure.words().contains("+ and a number: number of values above the axis"), "{}", figure.words());
+    assert!(
+        figure.caption_text().contains("+ and a number: number of values above the axis"),
+        "{}",
+        figure.caption_text()
+    );
 }
 
 /// Returns the height of a text.

@@ -47,12 +47,16 @@ fn level_line_is_drawn_at_height_or_omitted() {
         !line.is_empty() && line.iter().all(|y| (discs[3] - y - decade).abs() < 0.5),
         "{discs:?} {line:?}"
     );
-    assert!(figure.words().contains("point: size ÷ median delay · line: by slope"), "{}", figure.words());
+    assert!(
+        figure.caption_text().contains("point: size ÷ median delay · line: by slope"),
+        "{}",
+        figure.caption_text()
+    );
     assert_within_paper(&svg);
     let far = scaling(Some((1e11, 0.0)), None);
     assert!(levels(&far.svg()).is_empty());
     for text in ["point: size ÷ median delay\n", "far beyond the axis and not drawn: the line of upload"] {
-        assert!(far.words().contains(text), "{text}: {}", far.words());
+        assert!(far.caption_text().contains(text), "{text}: {}", far.caption_text());
     }
 }
 
@@ -69,7 +73,8 @@ fn falling_line_ends_at_edge_of_plot() {
 
 #[test]
 fn legend_omits_whisker_without_clock_bounds() {
-    let has_whisker = |share: f64| scaling(None, Some(share)).words().contains("whisker: by clock bounds");
+    let has_whisker =
+        |share: f64| scaling(None, Some(share)).caption_text().contains("whisker: by clock bounds");
     assert!(has_whisker(0.2) && !has_whisker(0.0), "there are no bounds if both ends read the same clock");
 }
 
@@ -107,7 +112,7 @@ fn each_configuration_is_numbered_point() {
     assert!(texts.windows(5).any(|line| line == ["2", "m", "80.0", "40.0", "60.0"]), "{texts:?}");
     let count = |number: &str| texts.iter().filter(|text| *text == number).count();
     assert_eq!(["1", "2", "3"].map(count), [2, 2, 2], "at the point and in the key: {texts:?}");
-    assert!(figure.words().contains("across: to the 95th percentile"), "{}", figure.words());
+    assert!(figure.caption_text().contains("across: to the 95th percentile"), "{}", figure.caption_text());
     assert_within_paper(&svg);
 }
 
@@ -116,12 +121,12 @@ fn overlapping_whiskers_are_omitted() {
     let figure =
         accuracy(vec![score("a", 100, 100, 0.02), score("b", 100, 100, 0.025), score("c", 99, 100, 0.1)]);
     let svg = figure.svg();
-    assert!(!figure.words().contains("across"), "{}", figure.words());
+    assert!(!figure.caption_text().contains("across"), "{}", figure.caption_text());
     assert!(has(&svg, "p95, ms") && has(&svg, "37.5"), "the key has them: {:?}", texts(&svg));
     let discs = Elements::of(&svg, "circle").with("fill", "#14181f").numbers("cy");
     assert_eq!(discs[0], discs[1], "points stay where they are");
     let apart = accuracy(vec![score("a", 100, 100, 0.02), score("b", 100, 100, 0.04)]);
-    assert!(apart.words().contains("across"), "{}", apart.words());
+    assert!(apart.caption_text().contains("across"), "{}", apart.caption_text());
 }
 
 #[test]

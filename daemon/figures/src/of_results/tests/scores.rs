@@ -29,7 +29,7 @@ fn scores_of_pictures_are_drawn_against_latency() {
     let AnyFigure::Accuracy(figure) = &drawings[1].figure else { panic!("points") };
     let svg = file::svg(&figure.figure());
     assert!(
-        svg.contains("Mean IoU of a picture, %") && figure.figure().words().contains("(Student)"),
+        svg.contains("Mean IoU of a picture, %") && figure.figure().caption_text().contains("(Student)"),
         "{svg}"
     );
 }

@@ -1,7 +1,7 @@
 //! SVG for files: a picture as wide as a column of a paper, with lengths in points and literal attributes.
 //!
 //! The picture has one line of caption, the legend, the plots from top to bottom, and a table that explains the numbers in the plots. All
-//! other text is in the text file of the figure ([`Figure::words`]).
+//! other text is in the caption's file ([`Figure::caption_text`]).
 
 mod axes;
 mod draw;

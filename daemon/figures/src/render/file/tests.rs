@@ -41,7 +41,7 @@ fn figure_has_column_width_and_one_line_caption() {
     assert!(svg.contains(">Upload time · robot → cloud · n = 1,200 (600 each)<"), "{svg}");
     assert!(svg.contains(">Iterations (log scale)<") && svg.contains(">&lt;5&gt;<"), "{svg}");
     assert!(!svg.contains("left out") && !svg.contains("class="), "{svg}");
-    let words = figure().words();
+    let words = figure().caption_text();
     for line in ["Upload time · robot → cloud", "left out: 5 warm-up", "Legend: queue", "3 beyond 10 ms →"]
     {
         assert!(words.lines().any(|known| known == line), "{line} is not in {words}");

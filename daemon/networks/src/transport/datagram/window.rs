@@ -78,7 +78,7 @@ impl SendWindow {
 
     /// Records that a message was lost.
     pub(crate) fn record_loss(&mut self) {
-        self.congestion.shrink(self.in_flight.sent(), self.in_flight.arrived());
+        self.congestion.shrink(self.in_flight.sent(), self.in_flight.arrived_or_lost());
     }
 
     /// Treats bytes in flight as arrived or lost after a long silence.

@@ -20,7 +20,7 @@ pub(crate) struct QueueLimits {
 pub(super) struct SendQueue {
     limits: QueueLimits,
     messages: VecDeque<OutgoingMessage>,
-    /// Bytes of all messages that have not been sent.
+    /// Number of bytes of the queued messages that remain to be sent.
     bytes: u64,
 }
 

@@ -60,10 +60,10 @@ impl CongestionWindow {
         self.size = u64::from(self.size).saturating_add(growth).min(u64::from(self.max_window)) as u32;
     }
 
-    /// Shrinks the window after the loss of a message. `sent` is the number of bytes sent so far, `arrived` the number
-    /// of bytes that are no longer in flight.
-    pub(super) fn shrink(&mut self, sent: u64, arrived: u64) {
-        if arrived < self.recovery_point {
+    /// Shrinks the window after the loss of a message. `sent` is the number of bytes sent so far, `arrived_or_lost` the
+    /// number of bytes that are no longer in flight.
+    pub(super) fn shrink(&mut self, sent: u64, arrived_or_lost: u64) {
+        if arrived_or_lost < self.recovery_point {
             return;
         }
         self.recovery_point = sent;

@@ -7,14 +7,14 @@ use peernet_clock::{MonoTime, Span};
 /// Time without progress of the other end after which all sent bytes are treated as arrived or lost.
 pub(super) const FLIGHT_TIMEOUT: Span = Span::from_millis(200);
 
-/// Counts the bytes of datagrams that were sent, and of datagrams that have arrived according to the other end's
-/// reports.
+/// Counts the bytes that were sent, and the bytes that are no longer in flight: the other end reported them, or made no
+/// progress for [`FLIGHT_TIMEOUT`].
 #[derive(Debug)]
 pub(super) struct BytesInFlight {
     /// Number of bytes that were sent.
     sent: u64,
     /// Number of sent bytes that are no longer in flight. At most `sent`.
-    arrived: u64,
+    arrived_or_lost: u64,
     /// Datagrams in flight, in the order in which they were sent.
     datagrams: VecDeque<DatagramInFlight>,
     /// Time of the last progress of the other end, or of the first datagram in flight if that is later.
@@ -32,12 +32,12 @@ struct DatagramInFlight {
 
 impl BytesInFlight {
     pub(super) const fn new(now: MonoTime) -> Self {
-        Self { sent: 0, arrived: 0, datagrams: VecDeque::new(), progress_at: now }
+        Self { sent: 0, arrived_or_lost: 0, datagrams: VecDeque::new(), progress_at: now }
     }
 
     /// Returns the number of bytes in flight.
     pub(super) const fn bytes(&self) -> u64 {
-        self.sent - self.arrived
+        self.sent - self.arrived_or_lost
     }
 
     /// Returns the number of bytes that were sent.
@@ -46,8 +46,8 @@ impl BytesInFlight {
     }
 
     /// Returns the number of sent bytes that are no longer in flight.
-    pub(super) const fn arrived(&self) -> u64 {
-        self.arrived
+    pub(super) const fn arrived_or_lost(&self) -> u64 {
+        self.arrived_or_lost
     }
 
     /// Returns the time at which the bytes in flight are treated as arrived or lost.
@@ -67,12 +67,12 @@ impl BytesInFlight {
 
     /// Handles a report of progress. Returns the number of bytes that arrived since the last report.
     pub(super) fn record_progress(&mut self, end: (u64, u32), now: MonoTime) -> u64 {
-        let arrived_before = self.arrived;
+        let arrived_before = self.arrived_or_lost;
         // Reports are cumulative: progress up to `end` includes all datagrams sent before.
         while let Some(datagram) = self.datagrams.pop_front_if(|datagram| datagram.end <= end) {
-            self.arrived = datagram.sent_total;
+            self.arrived_or_lost = datagram.sent_total;
         }
-        let arrived = self.arrived - arrived_before;
+        let arrived = self.arrived_or_lost - arrived_before;
         if arrived > 0 {
             self.progress_at = now;
         }
@@ -82,7 +82,7 @@ impl BytesInFlight {
     /// Treats the bytes in flight as arrived or lost after a long silence.
     pub(super) fn tick(&mut self, now: MonoTime) {
         if self.bytes() > 0 && now >= self.expires_at() {
-            self.arrived = self.sent;
+            self.arrived_or_lost = self.sent;
             self.datagrams.clear();
         }
     }
@@ -104,10 +104,10 @@ mod tests {
         }
         assert_eq!(in_flight.record_progress((0, 99), at(1)), 0);
         assert_eq!(in_flight.record_progress((0, 300), at(2)), 220);
-        assert_eq!(in_flight.record_progress((0, 300), at(3)), 0, "an older one changes nothing");
+        assert_eq!(in_flight.record_progress((0, 300), at(3)), 0, "a repeated report changes nothing");
         assert_eq!((in_flight.bytes(), in_flight.expires_at()), (110, at(202)));
         assert_eq!(in_flight.record_progress((1, 50), at(4)), 110);
-        assert_eq!((in_flight.sent(), in_flight.arrived()), (330, 330));
+        assert_eq!((in_flight.sent(), in_flight.arrived_or_lost()), (330, 330));
     }
 
     #[test]

@@ -5,9 +5,9 @@ import mmap
 import os
 
 MESSAGE_PREFIX = b"PN1\n"
-# Shorter parts are sent through the pipe, after the header: one page.
+# Parts shorter than this (one page of memory) are sent through the pipe, after the header.
 MIN_SHARED_BYTES = 4096
-# Every part in the shared memory begins at a multiple of this: a cache line.
+# Every part in the shared memory begins at a multiple of this (one cache line).
 ALIGNMENT = 64
 
 
@@ -18,7 +18,7 @@ class Channel:
         self.source = os.fdopen(os.dup(0), "rb", 1 << 13)
         self.sink = os.dup(1)
         self.memory = None
-        # Consecutive requests often have equal headers; the last one is parsed once.
+        # Consecutive requests often have equal headers, so a header equal to the previous one is not parsed again.
         self.header, self.request = b"", None
         null_device = os.open(os.devnull, os.O_RDONLY)
         os.dup2(null_device, 0)
@@ -51,19 +51,19 @@ class Channel:
             self.header, self.request = header, json.loads(header)
         return self.request
 
-    def bytes(self, head):
-        """The content of a part."""
-        if head.get("at") is None:
-            return self.read_exactly(head["length"])
-        return self.memory.bytes(head["at"], head["length"])
+    def bytes(self, part_head):
+        """The content of a part. Its head is its entry in the header; without `at`, the part comes through the pipe."""
+        if part_head.get("at") is None:
+            return self.read_exactly(part_head["length"])
+        return self.memory.bytes(part_head["at"], part_head["length"])
 
-    def array(self, head):
+    def array(self, part_head):
         """The content of a part in writable memory, so that custom code can change arrays in place."""
-        length = head["length"]
+        length = part_head["length"]
         empty = getattr(sys.modules.get("numpy"), "empty", None)
         data = bytearray(length) if empty is None else empty(length, "u1")
-        if head.get("at") is not None:
-            memoryview(data)[:] = self.memory.view(head["at"], length)
+        if part_head.get("at") is not None:
+            memoryview(data)[:] = self.memory.view(part_head["at"], length)
         elif self.source.readinto(data) < length:
             raise PipeClosed
         return data
@@ -85,16 +85,16 @@ class Channel:
             length = sum(data.nbytes for _, data in parts)
             if length > MAX_BYTES:
                 raise UnsupportedValue(TOO_MANY_BYTES % (length, MAX_BYTES))
-            body["parts"] = heads = []
+            body["parts"] = part_heads = []
             end = 0
             for description, data in parts:
-                head = {"description": description, "length": data.nbytes}
-                heads.append(head)
+                part_head = {"description": description, "length": data.nbytes}
+                part_heads.append(part_head)
                 if data.nbytes >= MIN_SHARED_BYTES:
-                    head["at"] = -(-end // ALIGNMENT) * ALIGNMENT
-                    end = head["at"] + data.nbytes
+                    part_head["at"] = -(-end // ALIGNMENT) * ALIGNMENT
+                    end = part_head["at"] + data.nbytes
                     try:
-                        self.memory.put(head["at"], data.cast("B"))
+                        self.memory.put(part_head["at"], data.cast("B"))
                     except (MemoryError, OSError) as error:
                         text = "not enough memory for a value of %d bytes: %s"
                         raise UnsupportedValue(text % (length, error)) from None
