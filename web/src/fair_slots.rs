@@ -171,7 +171,7 @@ mod tests {
         });
         evict_oldest_token.cancelled().await;
         assert!(![evict_second, evict_third, evict_other].iter().any(CancellationToken::is_cancelled));
-        assert!(!next.is_finished(), "there are never more in use than slots");
+        assert!(!next.is_finished(), "the new slot waits until the evicted one is dropped");
         drop(oldest);
         next.await.expect("ends").expect("the evicted slot");
     }

@@ -54,7 +54,7 @@ impl Actuator for PythonActuator {
     fn act(&mut self, action: Action<'_>, recorder: &mut Recorder) -> Result<Feedback, ActuatorError> {
         let call = self.object.call(&action.answer.parts);
         let started_at = call.times.started_at;
-        if let Some(from) = call.times.restarted_at {
+        if let Some(from) = call.times.restart_began_at {
             recorder.record_timer(stage::ACTUATION_RESTART, from, started_at);
         }
         recorder.record_timer(stage::ACTUATION_IPC, started_at, started_at + call.times.overhead());

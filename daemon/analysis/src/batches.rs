@@ -14,7 +14,8 @@ pub(crate) const MAX_BATCHES: u64 = 30;
 /// Minimum number of values in a batch.
 pub(crate) const MIN_BATCH_VALUES: u64 = 10;
 
-/// Values in order of time, in buckets. A list of single values has one value in each bucket.
+/// Values in order of time, in buckets. A batch is a range of consecutive buckets. A list of single values has one
+/// value in each bucket.
 pub(crate) trait Series {
     /// Returns the number of buckets.
     fn bucket_count(&self) -> usize;

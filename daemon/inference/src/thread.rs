@@ -69,13 +69,13 @@ impl WorkerSlot {
         let mut worker = match self.worker.take() {
             Some(worker) => worker,
             None => {
-                let restarted_at = self.clock.mono();
+                let restart_began_at = self.clock.mono();
                 let created = self.model.create_worker();
                 let ready_at = self.clock.mono();
                 match created {
                     Ok(worker) => {
                         for job in jobs.iter_mut() {
-                            job.recorder.record_timer(stage::RESTART, restarted_at, ready_at);
+                            job.recorder.record_timer(stage::RESTART, restart_began_at, ready_at);
                         }
                         worker
                     }

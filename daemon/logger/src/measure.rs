@@ -44,8 +44,8 @@ pub struct Transit {
     pub received: Option<WallTime>,
     /// Delay; `None` until the edge has related the two clocks.
     pub delay: Option<OneWayDelay>,
-    /// The same times on the related clocks, from which the delay is computed; `None` while the message is in flight,
-    /// and in trees that releases before 0.3 recorded.
+    /// Stamps of the same two events on the free-running clocks of the hosts. The delay is computed from them. `None`
+    /// while the message is in flight, and in trees that releases before 0.3 recorded.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub raw_stamps: Option<RawStamps>,
 }

@@ -110,7 +110,7 @@ pub(super) fn steal_time(settings: &InspectionSettings) -> Option<Finding> {
     (steal > 0 && total > 0).then_some(())?;
     let share = steal as f64 / total as f64;
     let found = format!(
-        "other virtual machines used the processors of this host for {:.1} % of the time since it was started",
+        "other virtual machines used the processors of this host for {:.1} % of the time since this host was started",
         share * 100.0
     );
     let advice = "measure on a dedicated machine, or on one with reserved processors";

@@ -33,7 +33,8 @@ pub struct PipelineConfig {
     #[serde(default)]
     pub load: LoadConfig,
     /// Maximum number of iterations in flight; with `mode = "closed"` it is always one. The same number of further
-    /// starts may wait; older starts are skipped and counted (`skipped-starts`). At most 4096. Default: 4.
+    /// starts may wait; if one more is due, the oldest waiting one is skipped and counted (`skipped-starts`). At most
+    /// 4096. Default: 4.
     #[serde(default = "default_max_in_flight")]
     pub max_in_flight: NonZeroUsize,
     /// Longest wait for an answer; milliseconds, up to a day. An iteration whose answer comes later is a `timeout`.

@@ -39,15 +39,15 @@ use peernet_statistics::number::counted;
 use peernet_stream::Grade;
 use serde::{Deserialize, Serialize};
 
-/// Judgement on whether figures of a run can be published.
+/// Judgement on whether the results of a run can be published.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Publish {
-    /// The figures can be published as they are.
+    /// The results can be published as they are.
     Yes,
-    /// The figures can be published together with the remarks of the findings.
+    /// The results can be published together with the remarks of the findings.
     WithRemarks,
-    /// The figures cannot be published before something is changed and the run is repeated.
+    /// The results cannot be published before something is changed and the run is repeated.
     No,
 }
 

@@ -10,14 +10,14 @@ use crate::foreground::{Progress, roughly};
 /// Display of the sweep's progress.
 pub(super) struct SweepDisplay {
     progress: Progress,
-    extent: Extent,
+    limits: SweepLimits,
     started_at: MonoTime,
 }
 
-/// Extent of the sweep.
-struct Extent {
-    iterations: u64,
-    seconds: f64,
+/// Limits and extreme sizes of the sweep. The sweep ends at the limit that it reaches first.
+struct SweepLimits {
+    max_iterations: u64,
+    max_seconds: f64,
     /// Smallest and largest size, bytes.
     extremes: (u64, u64),
 }
@@ -27,8 +27,9 @@ impl SweepDisplay {
         let sizes = plan.sizes();
         let extremes =
             (sizes.first().copied().unwrap_or_default(), sizes.last().copied().unwrap_or_default());
-        let extent = Extent { iterations: plan.all_iterations(), seconds: plan.seconds, extremes };
-        Self { progress: Progress::new(quiet, now), extent, started_at: now }
+        let limits =
+            SweepLimits { max_iterations: plan.all_iterations(), max_seconds: plan.seconds, extremes };
+        Self { progress: Progress::new(quiet, now), limits, started_at: now }
     }
 
     /// Records the start of the first iteration.
@@ -38,8 +39,8 @@ impl SweepDisplay {
 
     /// Shows the state at `now`. If there is `trouble`, it replaces the state.
     pub(super) fn show(&mut self, samples: &[Sample], now: MonoTime, trouble: Option<String>) {
-        let (extent, elapsed) = (&self.extent, (now - self.started_at).seconds());
-        self.progress.show(now, trouble, || extent.describe(samples, elapsed));
+        let (limits, elapsed) = (&self.limits, (now - self.started_at).seconds());
+        self.progress.show(now, trouble, || limits.describe(samples, elapsed));
     }
 
     /// Removes the bar.
@@ -48,18 +49,19 @@ impl SweepDisplay {
     }
 }
 
-impl Extent {
+impl SweepLimits {
     /// Describes the state, and returns the share that is done.
     fn describe(&self, samples: &[Sample], elapsed: f64) -> (String, f64) {
         let done_count = samples.len() as u64;
-        let share = (done_count as f64 / self.iterations as f64).max(elapsed / self.seconds).clamp(0.0, 1.0);
-        let remaining_s = if share > 0.0 { elapsed * (1.0 - share) / share } else { self.seconds };
+        let share =
+            (done_count as f64 / self.max_iterations as f64).max(elapsed / self.max_seconds).clamp(0.0, 1.0);
+        let remaining_s = if share > 0.0 { elapsed * (1.0 - share) / share } else { self.max_seconds };
         let rate = if elapsed > 0.0 { done_count as f64 / elapsed } else { 0.0 };
         let (smallest, largest) = self.extremes;
         let text = format!(
             "{} of {}, {} /s, upload {} at {}, {} at {}, {} left",
             count(done_count),
-            count(self.iterations),
+            count(self.max_iterations),
             fixed(rate, 0),
             describe_median(samples, smallest),
             bytes(smallest as f64).plain(),

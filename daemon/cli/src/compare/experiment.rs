@@ -30,7 +30,7 @@ enum RecordError {
     Parse(#[from] serde_json::Error),
     #[error("its format is {0}, but this program reads format {FORMAT}")]
     Format(u32),
-    #[error("it has {}, but {states} states", counted(*.runs as u64, "run"))]
+    #[error("it lists {} and the states of {states}; it is damaged", counted(*.runs as u64, "run"))]
     Lengths { runs: usize, states: usize },
 }
 

@@ -20,7 +20,7 @@ pub(super) struct SelectedResults {
 pub(super) struct UnselectedRuns {
     /// Sentence for the caveats of the tables: the runs and their states.
     pub(super) caveat: String,
-    /// Message for the terminal: the runs, their experiment, and the command that completes them.
+    /// Message for the terminal: the runs, their experiment, and the command that completes these runs.
     pub(super) message: String,
 }
 
@@ -48,10 +48,11 @@ impl SelectedResults {
         let unselected = searched_experiments.into_iter().filter_map(|(home, (named_path, experiment))| {
             let is_selected = |name: &str| selected_folders.contains(&home.join(RUNS).join(name));
             let others = experiment.runs().filter(|(name, _)| !is_selected(name));
-            let note = unfinished_runs_note(&experiment.name, others)?;
-            let (named_path, remedy) = (shorten_home(named_path, home), experiment.remedy());
-            let message = format!("{} is shown {note}; {remedy} completes them", named_path.display());
-            Some(UnselectedRuns { caveat: format!("Shown {note}."), message })
+            let without_runs = unfinished_runs_note(&experiment.name, others)?;
+            let (named_path, command) = (shorten_home(named_path, home), experiment.remedy());
+            let message =
+                format!("{} is shown {without_runs}; {command} completes these runs", named_path.display());
+            Some(UnselectedRuns { caveat: format!("Shown {without_runs}."), message })
         });
         Self { unselected: unselected.collect(), paths }
     }
@@ -167,7 +168,7 @@ mod tests {
             (truncated, "EOF"),
             ("\0", "expected value"),
             ("{}", "missing field `format`"),
-            (&extra_state, "it has 4 runs, but 5 states"),
+            (&extra_state, "it lists 4 runs and the states of 5; it is damaged"),
             (&unknown_stage, "unknown variant `eaten`"),
             (&later, "its format is 2, but this program reads format 1"),
         ] {
@@ -201,7 +202,7 @@ mod tests {
             "{unselected:?}"
         );
         assert!(
-            unselected.message.contains("; `peernet run e.toml` with the same options completes them"),
+            unselected.message.contains("; `peernet run e.toml` with the same options completes these runs"),
             "{unselected:?}"
         );
         let failed = experiments.run(&home.join("runs/002-a/user-1"));

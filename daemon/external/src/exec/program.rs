@@ -32,8 +32,8 @@ pub struct Program {
 /// A request to the program and its reply.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ProgramCall {
-    /// Time at which the program was restarted for this request; `None` if it was already running.
-    pub restarted_at: Option<MonoTime>,
+    /// Time at which the restart of the program for this request began; `None` if it was already running.
+    pub restart_began_at: Option<MonoTime>,
     /// Time at which writing the request began.
     pub started_at: MonoTime,
     /// Time at which the reply was complete.
@@ -108,14 +108,14 @@ impl Program {
             let now = self.clock.mono();
             let notes = ReplyNotes::default();
             return Ok(ProgramCall {
-                restarted_at: None,
+                restart_began_at: None,
                 started_at: now,
                 ended_at: now,
                 notes,
                 outcome: ReplyOutcome::End,
             });
         }
-        let restarted_at = self.process.is_none().then(|| self.clock.mono());
+        let restart_began_at = self.process.is_none().then(|| self.clock.mono());
         let mut process = match self.process.take() {
             Some(process) => process,
             None => self.restart()?,
@@ -133,7 +133,7 @@ impl Program {
                 self.is_finished = outcome == ReplyOutcome::End;
                 match outcome {
                     ReplyOutcome::Error(text) => Err(ProgramCallError::ErrorReply(text)),
-                    outcome => Ok(ProgramCall { restarted_at, started_at, ended_at, notes, outcome }),
+                    outcome => Ok(ProgramCall { restart_began_at, started_at, ended_at, notes, outcome }),
                 }
             }
             Err(error) => {

@@ -35,7 +35,7 @@ impl ProgramCall {
     /// Returns the interval from the restart of the program to its reply, if it was restarted. A program does not
     /// report when it is ready, so the duration of the start itself is unknown.
     pub fn restart_interval(&self) -> Option<(MonoTime, MonoTime)> {
-        self.restarted_at.map(|from| (from, self.ended_at))
+        self.restart_began_at.map(|from| (from, self.ended_at))
     }
 
     /// Checks the stages of an actuator, all of which are parts of its action.
@@ -80,7 +80,7 @@ impl ProgramCall {
             let (stages, whole) = (reported_sum.to_duration(), self.duration().to_duration());
             return Err(ProgramCallError::Stages { stages, whole });
         }
-        let stages_start = match self.restarted_at {
+        let stages_start = match self.restart_began_at {
             Some(from) => from + (self.ended_at - from - reported_sum).max(Span::ZERO),
             None => self.started_at,
         };
@@ -95,7 +95,7 @@ impl ProgramCall {
         }
         // `restart` is a node and not a stage: it belongs to the preceding failure, not to the loop, and would distort
         // the sum of the stages.
-        if let Some(from) = self.restarted_at {
+        if let Some(from) = self.restart_began_at {
             stages.push(timed_stage(RESTART, from, stages_start));
         } else if !stages.iter().any(|stage| is_stage(&stage.name)) {
             stages.push(timed_stage("inference", self.started_at, self.ended_at));
@@ -123,10 +123,10 @@ mod tests {
     ) -> Result<Vec<(String, i64, i64)>, ProgramCallError> {
         let stages = reported.iter().map(|(name, ms)| ((*name).to_owned(), Span::from_millis(*ms))).collect();
         let (started_at, ended_at) = (MonoTime::from_nanos(0), MonoTime::from_nanos(10_000_000));
-        let restarted_at = restart_age.map(|age| MonoTime::from_nanos(-age * 1_000_000));
+        let restart_began_at = restart_age.map(|age| MonoTime::from_nanos(-age * 1_000_000));
         let notes = ReplyNotes { stages, ..ReplyNotes::default() };
         let program_call =
-            ProgramCall { restarted_at, started_at, ended_at, notes, outcome: ReplyOutcome::Done };
+            ProgramCall { restart_began_at, started_at, ended_at, notes, outcome: ReplyOutcome::Done };
         let millis = |at: MonoTime| at.nanos() / 1_000_000;
         Ok(program_call
             .stages()?

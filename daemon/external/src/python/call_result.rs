@@ -35,7 +35,7 @@ pub enum Step {
 pub struct CallTimes {
     /// Time at which this call began to start a new process, because the last process had ended. The new process was
     /// ready at `started_at`. `None` if no process was started.
-    pub restarted_at: Option<MonoTime>,
+    pub restart_began_at: Option<MonoTime>,
     /// Beginning of the call.
     pub started_at: MonoTime,
     /// Time at which the result was received.
@@ -66,7 +66,7 @@ impl CallTimes {
                 (step, step_start, next_start)
             }
         };
-        Self { restarted_at: None, started_at, ended_at, steps: stamps.iter().map(timed_step).collect() }
+        Self { restart_began_at: None, started_at, ended_at, steps: stamps.iter().map(timed_step).collect() }
     }
 
     /// Returns the time that is not spent in custom code: transfer and conversion of the arguments and of the result.

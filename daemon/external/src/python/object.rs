@@ -143,7 +143,7 @@ impl PythonObject {
         request: impl FnOnce(&mut Worker, MonoTime) -> Result<Answer, WorkerError>,
     ) -> CallResult {
         let called_at = self.clock.mono();
-        let restarted_at = self.worker.is_none().then_some(called_at);
+        let restart_began_at = self.worker.is_none().then_some(called_at);
         let answer = self.take_or_start_worker().and_then(|mut worker| {
             let started_at = self.clock.mono();
             let deadline = started_at + milliseconds(self.config.timeout_ms.get());
@@ -162,7 +162,7 @@ impl PythonObject {
         match answer {
             Ok((started_at, (reply, bytes))) => {
                 let mut call_result = self.call_result(reply, bytes, started_at, ended_at);
-                call_result.times.restarted_at = restarted_at;
+                call_result.times.restart_began_at = restart_began_at;
                 call_result
             }
             Err(error) => {

@@ -41,7 +41,9 @@ pub(super) fn drawings(
     // If the model runs on the robot, no answer is sent over a network, so that the number of bytes is not a length.
     let is_measured = rows.values_in_statistics(&x).any(|value| value > 0.0);
     let usage_x = is_measured.then(|| x.clone());
-    let missing = |missing| if lacks_usage { MissingData::Usage { x: usage_x.clone() } } else { missing };
+    let missing = |missing| {
+        if lacks_usage { MissingData::TokenCounts { substitute: usage_x.clone() } } else { missing }
+    };
     let y = columns.y.clone().unwrap_or_else(|| LATENCY.to_owned());
     let rows_in_statistics = rows.iter().filter(|row| row.is_in_statistics());
     let point = |row: RowRef<'_>| Some((row.value(&x)?, row.value(&y)?));

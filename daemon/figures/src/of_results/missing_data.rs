@@ -41,12 +41,12 @@ pub enum MissingData {
         /// The columns with this name.
         columns: Vec<String>,
     },
-    /// A language model's server reported no numbers of tokens, and the column that is used as length instead shows no
-    /// differences.
-    #[error("the lengths of the answers are not known{}: {NO_USAGE}", .x.as_ref().map_or_else(String::new, |x| format!(" ({x} does not show how they differ)")))]
-    Usage {
-        /// The column that is used as length instead; `None` if nothing was measured in this column.
-        x: Option<String>,
+    /// A language model's server reported no numbers of tokens (`usage`), and the column that is used as length instead
+    /// shows no differences.
+    #[error("the lengths of the answers are not known{}: {NO_USAGE}", .substitute.as_ref().map_or_else(String::new, |column| format!(" ({column} does not show how they differ)")))]
+    TokenCounts {
+        /// The column that is used as length instead; `None` if it has no values, either.
+        substitute: Option<String>,
     },
     /// The length is the same in every iteration.
     #[error(
@@ -98,9 +98,9 @@ pub enum MissingData {
     /// No run had several edges.
     #[error("it needs runs of an experiment with several edges at the same time: set experiment.users")]
     Users,
-    /// The edges of a run did not measure at the same time.
+    /// No run has a time in which all its edges measured, so it has no `total` of iterations at such a time.
     #[error(
-        "the edges of each run measured at different times, so there is no total to draw; run the edges together"
+        "the edges of each run measured at different times, so no iteration counts for `total`; run the edges together"
     )]
     CommonTotal,
 }

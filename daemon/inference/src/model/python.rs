@@ -113,11 +113,11 @@ impl Worker for PythonWorker {
             send_error = requester.send_partial_answer(partial_answer).err();
             send_error.is_none()
         });
-        let started_at = called.times.started_at;
-        if let Some(from) = called.times.restarted_at {
-            recorder.record_timer(stage::RESTART, from, started_at);
+        let call_began_at = called.times.started_at;
+        if let Some(from) = called.times.restart_began_at {
+            recorder.record_timer(stage::RESTART, from, call_began_at);
         }
-        recorder.record_timer(stage::IPC, started_at, started_at + called.times.overhead());
+        recorder.record_timer(stage::IPC, call_began_at, call_began_at + called.times.overhead());
         let has_inferred = called.times.steps.iter().any(|(step, ..)| *step == Step::Infer);
         for (step, from, to) in called.times.steps {
             let name = match step {

@@ -123,7 +123,7 @@ async fn refused_edge_says_what_to_update() {
              program to at least PEERNet 0.4.0"
         )
     );
-    // The answers of PEERNet 0.1.0 and older builds.
+    // PEERNet 0.1.0 (version 4) and builds before it (version 3) state no range: `newest` and `since` are absent.
     let (result, _, address) = open_with_answer(refusal(3, None, None)).await;
     assert_eq!(
         result.expect_err("refused").to_string(),

@@ -34,15 +34,15 @@ impl Refusal {
         Self::NotSent,
     ];
 
-    /// Returns the reason in a few words, for people and for labels of metrics.
+    /// Returns the reason in a few words, for the log.
     pub const fn description(self) -> &'static str {
         match self {
             Self::Short => "shorter than a request",
             Self::Unauthenticated => "not authenticated by the key",
             Self::Reply => "a reply, not a request",
             Self::NoPort => "from port 0",
-            Self::TooOften => "more than its source may ask",
-            Self::TooMany => "more than all sources without a session may ask together",
+            Self::TooOften => "above the rate limit of its source",
+            Self::TooMany => "above the common rate limit of sources without a session",
             Self::NotSent => "the answer could not be sent",
         }
     }

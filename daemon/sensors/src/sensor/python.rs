@@ -45,7 +45,7 @@ impl Sensor for PythonSensor {
     fn sample(&mut self, recorder: &mut Recorder) -> Result<Option<Sample>, SensorError> {
         let call = self.object.call(&[]);
         let started_at = call.times.started_at;
-        if let Some(from) = call.times.restarted_at {
+        if let Some(from) = call.times.restart_began_at {
             recorder.record_timer(stage::CAPTURE_RESTART, from, started_at);
         }
         // Statistics group nodes by name, so the name must differ from `ipc`, the stage of a model.

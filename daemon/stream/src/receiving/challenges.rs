@@ -54,8 +54,9 @@ impl<C: Eq + Hash> Challenges<C> {
     /// Records the hello of a connection and returns the challenge to be sent. `enrol` requests the secret, because no
     /// secret of the host is known; `nonce` is a new random number.
     ///
-    /// The challenge contains the highest version that both ends support. Hellos without a common version are refused
-    /// before they are challenged ([`Receiving::version_refusal`](super::Receiving::version_refusal)).
+    /// The challenge states the highest version that both ends support, unless it is the version of the hello. Hellos
+    /// without a common version are refused before they are challenged
+    /// ([`Receiving::version_refusal`](super::Receiving::version_refusal)).
     ///
     /// A repeated hello gets the same challenge again, because on a slow link the proof may be in flight. Any other
     /// hello replaces the previous one of its connection.

@@ -78,14 +78,14 @@ fn run_is_repeated_from_its_record() {
         assert_eq!(end.code(), 0, "{}", end.log);
         end.log
     };
-    let read_only_run = |results: &str| {
+    let read_single_run = |results: &str| {
         let results = Results::of(folder.join(results));
         let [run] = results.folders().try_into().expect("one run");
         let file = |name: &str| results.file(&run, name);
         (json(&file("run.json")), column(&file("data.csv"), "upload-bytes"))
     };
     assert_finished(lab.run_in_folder("first.toml", "first"));
-    let (record, sizes) = read_only_run("first");
+    let (record, sizes) = read_single_run("first");
     assert!(sizes.len() == 14 && sizes.iter().any(|size| *size != sizes[0]), "{sizes:?}");
     assert_eq!(record["network_config"]["file"], "net_config.yaml");
     assert_eq!(record["network_config"]["text"], devices.as_str());
@@ -97,12 +97,12 @@ fn run_is_repeated_from_its_record() {
     write("net_config.yaml", &devices.replace("server:", "  spare: 10.0.0.99\nserver:"));
     let log = assert_finished(lab.run_in_folder("first.toml", "first"));
     assert!(log.contains("net_config.yaml has changed since some runs were measured"), "{log}");
-    assert_eq!(read_only_run("first").0, record, "the record was not changed");
+    assert_eq!(read_single_run("first").0, record, "the record was not changed");
 
     fs::remove_file(folder.join("net_config.yaml")).expect("removable");
     write("again.toml", &experiment_file_from_record(&record));
     assert_finished(lab.run_in_folder("again.toml", "again"));
-    let (other, other_sizes) = read_only_run("again");
+    let (other, other_sizes) = read_single_run("again");
     assert_eq!(without_varying_values(&other), without_varying_values(&record));
     assert_eq!(other_sizes, sizes, "the same pictures in the same order");
 }

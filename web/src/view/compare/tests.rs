@@ -314,11 +314,11 @@ fn best_configuration_is_the_baseline_unless_one_is_chosen() {
 }
 
 #[test]
-fn difference_is_that_of_shown_means_after_deletion() {
+fn after_deletion_difference_equals_that_of_shown_means() {
     let two = comparison_of_scales(&[1.0, 2.0]);
     let mut means = totals(&two, 20);
     let complete = Differences::of(&two, &means, 0);
-    // The rest of a run was slower than its deleted half.
+    // Retention deletes the first half of the statistics over time of run 2. The rest of this run was slower.
     for stage in means.get_mut(&2).expect("is compared") {
         stage.buckets.drain(..10);
         stage.buckets.iter_mut().for_each(|bucket| bucket.mean += 0.004);

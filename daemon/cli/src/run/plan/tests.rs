@@ -192,9 +192,11 @@ fn run_is_labelled_with_experiment_configuration_and_repeat() {
 }
 
 #[test]
-fn users_are_numbered_after_machine_name() {
+fn users_are_named_by_machine_and_number() {
     let plan = plan(&FILE.replace("name = 'robot'", ""), None);
-    let run = |configuration| plan.runs.iter().find(|run| run.configuration == configuration).expect("it is");
+    let run = |configuration| {
+        plan.runs.iter().find(|run| run.configuration == configuration).expect("the configuration has a run")
+    };
     let machine = plan.configurations[0].agent.agent.host_name().expect("the machine has a name");
     let name = |configuration, user| plan.agent_name(run(configuration), user).map(|name| name.to_string());
     assert_eq!(name(3, 1), Some(format!("{machine}-2")));

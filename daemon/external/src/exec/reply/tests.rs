@@ -201,7 +201,7 @@ proptest! {
         }
     }
 
-    /// The request to a model can be read as an answer, because both directions encode parts in the same way.
+    /// The request to an actuator can be parsed as a model's reply, because both directions encode parts in the same way.
     #[test]
     fn written_requests_are_parsed_back(payloads in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..200), 1..5)) {
         let parts: Vec<_> = payloads
@@ -217,7 +217,7 @@ proptest! {
             .collect();
         let sample = Sample { parts, source: String::new(), label: None };
         let written = Request::Answer { answer: &sample, source: "" }.pieces().concat();
-        // The source `-` is the only word that a reply does not have.
+        // An empty source is written as `-` at the end of each header. A reply has no such word.
         let (parsed_parts, _) = feed_without_source(&written);
         prop_assert_eq!(parsed_parts, sample.parts);
     }

@@ -69,13 +69,13 @@ class Own:
 
 #[test]
 fn stages_lie_within_call_and_remainder_is_overhead() {
-    let CallTimes { started_at, ended_at, steps, restarted_at } =
+    let CallTimes { started_at, ended_at, steps, restart_began_at } =
         Module::new(ECHO, "own::Own").model().call(&[bytes(b"x")]).times;
     assert_eq!(
         steps.iter().map(|step| step.0).collect::<Vec<_>>(),
         [Step::Preprocess, Step::Infer, Step::Postprocess]
     );
-    assert_eq!(restarted_at, None);
+    assert_eq!(restart_began_at, None);
     let moments: Vec<_> = [started_at]
         .into_iter()
         .chain(steps.iter().flat_map(|step| [step.1, step.2]))

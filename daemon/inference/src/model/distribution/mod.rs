@@ -170,7 +170,7 @@ impl DistributionConfig {
             }
             _ => Err(wrong(
                 "data",
-                "give one of data, histogram and mean_ms, the source of the latencies".to_owned(),
+                "it needs a source of latencies: give one of data, histogram and mean_ms".to_owned(),
             )),
         }
     }

@@ -20,7 +20,9 @@ pub(super) enum StreamError {
     )]
     NoDelta { number: u64, field: &'static str },
     /// All text belongs to another choice than the first.
-    #[error("its answer has text only in a choice with the index {0}, and the answer has the index 0")]
+    #[error(
+        "its answer has text only in a choice with the index {0}, and PEERNet reads the choice with the index 0"
+    )]
     OtherChoice(String),
     /// The answer ended without text, reasoning or a finish reason.
     #[error("its server ended the answer without text")]

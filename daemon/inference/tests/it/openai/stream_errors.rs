@@ -55,7 +55,7 @@ fn answer_without_delta_fails_with_reason() {
     assert_eq!(
         reason(&[event(&other.to_string())]),
         format!(
-            "its answer has text only in a choice with the index -1, and the answer has the index 0{remedy}"
+            "its answer has text only in a choice with the index -1, and PEERNet reads the choice with the index 0{remedy}"
         )
     );
 }
