@@ -77,7 +77,7 @@ pub enum NoLine {
     #[error("it needs {} answers, and there are {}", count(MIN_ITERATIONS as u64), count(*.0 as u64))]
     Answers(usize),
     /// Almost all answers have one length.
-    #[error("too few of the {} answers differ in length", count(*.0 as u64))]
+    #[error("almost all of the {} answers have the same length", count(*.0 as u64))]
     Lengths(usize),
     /// The interval of the slope contains zero.
     #[error("the 95\u{202f}% interval of its slope over {} answers contains zero", count(*.0 as u64))]

@@ -16,7 +16,7 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     let Some(replayed) = input.replayed_latencies() else { return Vec::new() };
     let replayed = replayed.describe();
     let text = format!("The latencies of the model are replayed, not measured: {replayed}.");
-    let advice = "mark the figures as replayed where they are published; they are estimates for a machine, not measurements of it";
+    let advice = "mark the results as replayed where they are published; they are estimates for a machine, not measurements of it";
     let mut all = vec![with_advice(finding("replayed", Grade::Doubtful, text), advice)];
     all.extend(judge_overrun(input));
     all
