@@ -106,7 +106,7 @@ impl Report {
             Publish::Yes => "Yes: no check found a reason against it.".to_owned(),
             Publish::WithRemarks => {
                 format!(
-                    "Yes, with {} to publish beside the figures.",
+                    "Yes, with {} to publish beside the results.",
                     counted(count(Grade::Doubtful), "caveat")
                 )
             }

@@ -15,20 +15,20 @@ fn band(window: Span) -> Band {
 
 /// Returns pairs of clocks, one of which drifts at the limit in either direction, or wanders within the limit.
 fn host_clock_pairs(offset: Span, length: Span, random: &mut RandomSource) -> Vec<HostClocks> {
-    let still = SimulatedClock::drifting(Span::ZERO, 0.0);
+    let correct_clock = SimulatedClock::drifting(Span::ZERO, 0.0);
     let mut host_clock_pairs = Vec::new();
     for ppm in [-LIMIT_PPM, LIMIT_PPM] {
         let drifting = SimulatedClock::drifting(offset, ppm);
-        host_clock_pairs.push(HostClocks { edge: drifting.clone(), cloud: still.clone() });
-        host_clock_pairs.push(HostClocks { edge: still.clone(), cloud: drifting });
+        host_clock_pairs.push(HostClocks { edge: drifting.clone(), cloud: correct_clock.clone() });
+        host_clock_pairs.push(HostClocks { edge: correct_clock.clone(), cloud: drifting });
     }
     host_clock_pairs.push(HostClocks {
-        edge: still.clone(),
+        edge: correct_clock.clone(),
         cloud: SimulatedClock::wandering(offset, LIMIT_PPM, length, random),
     });
     host_clock_pairs.push(HostClocks {
         edge: SimulatedClock::wandering(offset, LIMIT_PPM, length, random),
-        cloud: still,
+        cloud: correct_clock,
     });
     host_clock_pairs
 }

@@ -1,5 +1,5 @@
-//! The table `trimmed`: for each run and kind of data, the time before which data is incomplete, because
-//! some was deleted. Readers and a rebuild use it.
+//! The table `trimmed`: for each run and kind of data, the time before which data is incomplete, because some
+//! was deleted. Readers and a rebuild use it.
 
 use sqlx::SqliteConnection;
 

@@ -140,7 +140,7 @@ fn published_network_measurement_works_with_random_weights() {
 }
 
 #[test]
-fn client_started_before_server_sends_all_kinds_of_samples() {
+fn client_started_before_server_sends_every_sample_kind() {
     for (options, bytes) in [
         ("--sensor-type \"random string\" --text-size 300", Some(300.0)),
         ("--sensor-type synthetic --text-size 4000", Some(4000.0)),

@@ -66,7 +66,7 @@ fn judge_end(input: &TrustInput) -> Option<Finding> {
         }
         _ => with_advice(
             finding(END, Grade::Doubtful, text),
-            "repeat the run, or report this beside the figures",
+            "repeat the run, or report this beside the results",
         ),
     })
 }
