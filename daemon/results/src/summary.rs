@@ -7,7 +7,7 @@ use peernet_analysis::actuator_results::{ACTION_REPORTS, EPISODE_SUCCESS, SUPERS
 use peernet_analysis::compare::replayed_configurations;
 use peernet_analysis::deadline::DEADLINE_MISSED;
 use peernet_analysis::outcomes::failed_texts;
-use peernet_analysis::record::{ClockCounts, Counts};
+use peernet_analysis::record::ClockCounts;
 use peernet_analysis::rows::{SKIPPED_STARTS, Units};
 use peernet_analysis::summary::{Quantity, Scale, Summary};
 use peernet_analysis::table::{Table, csv_text, decimals_of};
@@ -108,7 +108,7 @@ fn sentences(summary: &Summary) -> String {
     let replayed = replayed_configurations([(String::new(), summary.replayed.as_deref())]);
     let parts = [
         replayed.unwrap_or_default(),
-        outcomes(&summary.counts),
+        outcomes(summary),
         deadline(summary),
         accuracies(summary),
         summary.actuator.sentences(summary.counts.ok).join("\n"),
@@ -183,8 +183,13 @@ fn number_format(scale: Scale, quantity: &Quantity, digits: Digits) -> impl Fn(f
 }
 
 /// Returns the sentence about the outcomes of the iterations.
-fn outcomes(counts: &Counts) -> String {
-    let others = [(counts.warm_up, "warm-up, left out"), (counts.unseen, "measured but not recorded")];
+fn outcomes(summary: &Summary) -> String {
+    let counts = &summary.counts;
+    let warm_up = match summary.failed_in_warm_up {
+        0 => "warm-up, left out".to_owned(),
+        failed => format!("warm-up, left out ({} of them failed)", count(failed)),
+    };
+    let others = [(counts.warm_up, warm_up), (counts.unseen, "measured but not recorded".to_owned())];
     let others = others.into_iter().filter(|(number, _)| *number > 0);
     let texts: Vec<String> = std::iter::once(format!("{} succeeded", count(counts.ok)))
         .chain(failed_texts(&counts.outcomes()))

@@ -3,7 +3,7 @@
 use peernet_analysis::accuracy::{ACCURACIES, UNKNOWN_LABEL};
 use peernet_analysis::actuator_results::{ACTION_REPORTS, EPISODE_VALUES, SUPERSEDED};
 use peernet_analysis::deadline::DEADLINE_MISSED;
-use peernet_analysis::rows::SKIPPED_STARTS;
+use peernet_analysis::rows::{Outcome, SKIPPED_STARTS};
 use peernet_analysis::summary::Scale;
 use peernet_analysis::transfer::Transfer;
 use peernet_analysis::trust::Starts;
@@ -106,7 +106,10 @@ impl StoredRun<'_> {
             number_text: count(row.number),
             at: zone.moment(row.started),
             // The warm-up is named, because statistics and counts exclude its iterations.
-            outcome: if row.warm_up { format!("{}, warm-up", row.outcome) } else { row.outcome.clone() },
+            outcome: {
+                let words = Outcome::from_name(&row.outcome).map_or(row.outcome.as_str(), Outcome::words);
+                if row.warm_up { format!("{words}, warm-up") } else { words.to_owned() }
+            },
             reason: row.reason.clone().unwrap_or_else(|| NONE.to_owned()),
         };
         self.failed.iter().map(row).collect()

@@ -64,7 +64,7 @@ async fn skipped_starts_before_failed_iterations_are_shown() {
     let panel = page.text().split("Failed iterations</h2>").nth(1).expect("a panel");
     let panel = panel.split("</section>").next().expect("an end tag");
     let count_of = |cell: &str| panel.matches(&format!("<td>{cell}</td>")).count();
-    assert_eq!((count_of("timeout, warm-up"), count_of("timeout")), (2, 6), "{panel}");
+    assert_eq!((count_of("timed out, warm-up"), count_of("timed out")), (2, 6), "{panel}");
     let finding =
         sentences.iter().find(|sentence| sentence["about"] == "losses").expect("the finding exists");
     let text = "10 of 100 iterations failed (10\u{202f}%): 10 timed out.";

@@ -12,7 +12,7 @@ use crate::deadline::{DEADLINE_MISSED, Misses};
 use crate::delays::median_bounds;
 use crate::order::SortedValues;
 use crate::record::{Clocks, Counts, RunRecord};
-use crate::rows::{Column, ColumnKind, FIXED_COLUMNS, Rows, Units};
+use crate::rows::{Column, ColumnKind, FIXED_COLUMNS, Outcome, Rows, Units};
 use crate::trust::{DRAWN_LATENCY_COLUMN, OVERRUN_COLUMN, ReplayedLatencies, Starts};
 
 /// Summary of the columns of a run. Warm-up and failed iterations are left out.
@@ -24,6 +24,8 @@ pub struct Summary {
     pub quantities: Vec<Quantity>,
     /// Number of iterations by outcome.
     pub counts: Counts,
+    /// Number of warm-up iterations that failed. They are in no other count.
+    pub failed_in_warm_up: u64,
     /// Deadline of an iteration, seconds; `None` without a deadline.
     pub deadline_s: Option<f64>,
     /// Number of iterations that missed the deadline; `None` without a deadline.
@@ -95,6 +97,8 @@ impl Summary {
             title: String::new(),
             quantities: measurements.filter_map(quantity).collect(),
             counts: Counts::from_rows(rows, 0),
+            failed_in_warm_up: rows.iter().filter(|row| row.warm_up() && row.outcome() != Outcome::Ok).count()
+                as u64,
             deadline_s: None,
             misses: Misses::from_rows(rows),
             actuator: ActuatorResults::from_rows(rows),

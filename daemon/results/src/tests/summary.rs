@@ -65,9 +65,10 @@ fn missed_deadlines_are_share_of_all_iterations() {
 fn failed_iterations_have_words_of_finding_on_losses() {
     let mut rows = rows(10);
     (rows[8].outcome, rows[9].outcome) = (Outcome::Failed, Outcome::Timeout);
+    rows[0].outcome = Outcome::Failed;
     let text = text(&Summary::from_rows(&kept(&rows)));
     let sentence = "Iterations: 5 succeeded; 1 with an error of sensor, model or actuator; 1 lost; 1 timed out; \
-                    2 warm-up, left out.";
+                    2 warm-up, left out (1 of them failed).";
     assert!(text.contains(sentence), "{text}");
 }
 
