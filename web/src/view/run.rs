@@ -107,8 +107,9 @@ impl StoredRun<'_> {
             at: zone.moment(row.started),
             // The warm-up is named, because statistics and counts exclude its iterations.
             outcome: {
-                let words = Outcome::from_name(&row.outcome).map_or(row.outcome.as_str(), Outcome::words);
-                if row.warm_up { format!("{words}, warm-up") } else { words.to_owned() }
+                let words = Outcome::from_name(&row.outcome).map(Outcome::words);
+                let words = words.map_or_else(|| row.outcome.clone(), str::to_owned);
+                if row.warm_up { format!("{words}, warm-up") } else { words }
             },
             reason: row.reason.clone().unwrap_or_else(|| NONE.to_owned()),
         };
