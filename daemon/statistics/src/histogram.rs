@@ -10,7 +10,8 @@ pub const MAX_BINS: usize = 60;
 const VALUES_PER_CUT: u64 = 100;
 /// Number of values that may be cut off at each end if one in [`VALUES_PER_CUT`] is less.
 const SMALL_SAMPLE_CUT: u64 = 3;
-/// Of a small sample, at most one in this many values is cut off at each end, even if that is less than [`SMALL_SAMPLE_CUT`].
+/// Smallest number of values of a small sample for each value that is cut off at an end. It takes precedence over
+/// [`SMALL_SAMPLE_CUT`].
 const SMALL_SAMPLE_VALUES_PER_CUT: u64 = 8;
 /// Values are cut off only if they would widen the axis by at least this factor.
 const MIN_GAIN: f64 = 1.5;

@@ -108,7 +108,7 @@ pub fn common_time<T: PartialOrd + Copy>(edges: impl IntoIterator<Item = Option<
     (common.1 > common.0).then_some(common)
 }
 
-/// What one edge got of the cloud while all edges were measuring.
+/// Rate and latency of one edge while all edges were measuring.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EdgeShare {
     /// Answers per second.

@@ -179,7 +179,7 @@ pub(crate) async fn load_comparison(
     })
 }
 
-/// What the details of each run say, by its number. A run that was deleted in the meantime is absent.
+/// Facts and reports from the details of the runs, by number of the run. A run that was deleted in the meantime is absent.
 struct JudgedRuns {
     /// Report on whether the run can be published.
     trust_by_run: HashMap<i64, Report>,

@@ -50,7 +50,7 @@ pub(super) enum InputError {
         if *.is_tuple { "a tuple of: " } else { "" }
     )]
     PythonObject {
-        /// What to return for each input.
+        /// Description of the parts to return, one for each input.
         expected: String,
         /// `true` if the model has several inputs.
         is_tuple: bool,

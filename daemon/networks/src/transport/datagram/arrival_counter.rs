@@ -67,9 +67,9 @@ pub(crate) struct ArrivalCounter {
     /// lost.
     pending_below: u64,
     pending_since: MonoTime,
-    /// How many of the numbers from `counted_below` to `pending_below` have arrived.
+    /// Count of the numbers from `counted_below` to `pending_below` that have arrived.
     arrived_pending: u64,
-    /// How many of the numbers from `pending_below` on have arrived.
+    /// Count of the numbers from `pending_below` on that have arrived.
     arrived_later: u64,
     gap_check: GapCheck,
 }
