@@ -156,11 +156,24 @@ def publish(participant, topic, kind, count, size):
     print("published and acknowledged:", count)
 
 
+def difference(kind, size, count, sample):
+    """Says which published message a sample is, or where it differs from the one with its stamp."""
+    same = [other for other in range(count) if is_same(kind, sample, message(kind, size, other))]
+    if same:
+        return f"is message {same[0]}"
+    if kind == "string":
+        return f"is no published message: {sample.data[:60]!r}, {len(sample.data)} bytes"
+    data, expected = bytes(sample.data), bytes(message(kind, size, sample.header.stamp.sec).data)
+    places = [index for index in range(min(len(data), len(expected))) if data[index] != expected[index]]
+    return f"has stamp {sample.header.stamp.sec} and {len(data)} bytes, and differs at {len(places)} of them from byte {places[:1]}"
+
+
 def receive(participant, topic, kind, count, size):
     incoming = Incoming(participant, topic, TYPES[kind])
     for number in range(count):
-        if not is_same(kind, incoming.next(), message(kind, size, number)):
-            raise SystemExit(f"cyclonedds: message {number} differs from the published one")
+        sample = incoming.next()
+        if not is_same(kind, sample, message(kind, size, number)):
+            raise SystemExit(f"cyclonedds: message {number} {difference(kind, size, count, sample)}")
     print("received unchanged:", count)
 
 
