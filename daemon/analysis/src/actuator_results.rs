@@ -1,6 +1,6 @@
 //! Results of a run's actuator: superseded answers, and success and return of the episodes.
 
-use peernet_statistics::number::{count, counted, decimals, fixed, share};
+use peernet_statistics::number::{count, counted, decimals, fixed, join_ends, share};
 use peernet_statistics::{Moments, Summary};
 use serde::{Deserialize, Serialize};
 
@@ -125,8 +125,8 @@ impl ActuatorResults {
         });
         let success = self.success.map(|success| {
             let SuccessRate { rate, interval: (lo, hi), episodes } = success;
-            let [rate, lo, hi] = [rate, lo, hi].map(share);
-            format!("Success: {rate} % of {} (95 % confidence: {lo} – {hi} %).", counted(episodes, "episode"))
+            let (rate, interval) = (share(rate), join_ends([lo, hi].map(share)));
+            format!("Success: {rate} % of {} (95 % confidence: {interval} %).", counted(episodes, "episode"))
         });
         let episode_return = self.episode_return.map(|found| {
             format!("Return per episode: {} over {}.", found.text(), counted(found.episodes, "episode"))

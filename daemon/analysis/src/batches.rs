@@ -96,7 +96,7 @@ impl Series for [Summary] {
     }
 
     fn sum(&self, bucket: usize) -> f64 {
-        self[bucket].moments.mean * self.count(bucket) as f64
+        self[bucket].moments.sum()
     }
 }
 

@@ -44,12 +44,12 @@ impl Counts {
     /// Returns the number of iterations with any outcome, without the warm-up and without [`unseen`](Self::unseen)
     /// iterations.
     pub const fn measured(&self) -> u64 {
-        self.ok + self.all_failed()
+        self.outcomes().total()
     }
 
     /// Returns the number of failed iterations, of any outcome but `ok`, without the warm-up.
     pub const fn all_failed(&self) -> u64 {
-        self.failed + self.lost + self.timeout
+        self.outcomes().all_failed()
     }
 
     /// Returns the numbers of iterations by outcome, without the warm-up.
@@ -61,7 +61,7 @@ impl Counts {
 /// Returns the share of failed iterations, of any outcome but `ok`, 0 to 1; `None` without iterations.
 pub fn failed_share(counts: &OutcomeCounts) -> Option<f64> {
     let total = counts.total();
-    (total > 0).then(|| (total - counts.ok) as f64 / total as f64)
+    (total > 0).then(|| counts.all_failed() as f64 / total as f64)
 }
 
 /// Returns the number of failed iterations of each outcome with its name, such as `2 lost`; empty if no iteration failed.

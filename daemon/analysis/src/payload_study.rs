@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use peernet_statistics::number::{bytes, count, counted};
+use peernet_statistics::number::{bytes, counted, range_of_counts};
 use peernet_stream::ExperimentPosition;
 
 use crate::message_sizes::{Message, MessageSketches, SizeSummary};
@@ -256,10 +256,8 @@ impl PayloadStudy {
     }
 
     fn count_note(&self) -> Option<String> {
-        let counts = || self.directions.iter().flat_map(|direction| &direction.sizes).map(|size| size.count);
-        let [fewest, most] = [counts().min()?, counts().max()?].map(count);
-        let each = if fewest == most { most } else { format!("{fewest} to {most}") };
-        Some(format!("messages of each size: {each}"))
+        let counts = self.directions.iter().flat_map(|direction| &direction.sizes).map(|size| size.count);
+        Some(format!("messages of each size: {}", range_of_counts(counts)?))
     }
 }
 

@@ -3,6 +3,7 @@
 use crate::exit::Failure;
 use crate::output::print_to_stdout;
 use peernet_analysis::table::text;
+use peernet_clock::RelatedClocks;
 use peernet_statistics::number::{self, NONE, bound_ms, column_decimals, fixed};
 use peernet_stream::FaultyHost;
 use serde::Deserialize;
@@ -128,8 +129,9 @@ fn describe(run: i64, recomputed: &Recomputed) -> String {
         _ if is_exact(stages) => "both hosts use one clock, so its delays are exact".to_owned(),
         0 => "no usable exchanges between the two hosts are stored".to_owned(),
         samples => format!(
-            "computed again {} from {samples} seconds of exchanges between the two hosts, during the run and after it",
-            describe_clocks(clocks)
+            "computed again {} from {} of exchanges between the two hosts, during the run and after it",
+            describe_clocks(clocks),
+            number::counted(*samples, "second")
         ),
     };
     format!("{table}\n\nrun {run}: {basis}; nothing stored was changed")
@@ -141,10 +143,9 @@ fn wall_clocks() -> Vec<String> {
 
 /// Describes the clocks by which delays were judged again.
 fn describe_clocks(clocks: &[String]) -> String {
-    let phrases = clocks.iter().map(|clocks| match clocks.as_str() {
-        "raw" => "by free-running clocks",
-        "raw-to-wall" => "by the edge's raw and the cloud's wall clock",
-        _ => "by wall clocks, whose steps and slews change these delays,",
+    let phrases = clocks.iter().map(|clocks| match RelatedClocks::from_name(clocks) {
+        Some(clocks @ (RelatedClocks::Raw | RelatedClocks::RawToWall)) => format!("by {}", clocks.words()),
+        _ => format!("by {}, whose steps and slews change these delays,", RelatedClocks::Wall.words()),
     });
     phrases.collect::<Vec<_>>().join(" and ")
 }

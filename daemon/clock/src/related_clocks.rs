@@ -36,6 +36,15 @@ impl RelatedClocks {
         Self::ALL.iter().copied().find(|value| value.name() == name)
     }
 
+    /// Describes the clocks in words, for sentences on pages and in terminals.
+    pub const fn words(self) -> &'static str {
+        match self {
+            Self::Raw => "free-running clocks",
+            Self::RawToWall => "the edge's raw and the cloud's wall clock",
+            Self::Wall => "wall clocks",
+        }
+    }
+
     /// Returns whether no time daemon can move the offset between the two clocks.
     pub const fn are_free_running(self) -> bool {
         matches!(self, Self::Raw)

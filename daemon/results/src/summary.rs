@@ -132,7 +132,7 @@ fn cells(quantity: &Quantity, name: &str, units: &Units, digits: Digits) -> Vec<
     };
     let bounds = match quantity.bounds {
         None => String::new(),
-        Some((lo, hi)) if lo == hi => "exact".to_owned(),
+        Some((lo, hi)) if lo == hi => number::EXACT.to_owned(),
         Some((lo, hi)) => join_ends([format_number(lo), format_number(hi)]),
     };
     vec![
@@ -227,7 +227,7 @@ fn clocks(up: &ClockCounts, down: &ClockCounts) -> String {
     let direction = |name: &str, counts: &ClockCounts| {
         let sources: Vec<&str> = counts.sources.keys().map(String::as_str).collect();
         let width = counts.median_width.map(|width| bound_ms(width / 2.0));
-        let width = width.map(|width| if width == "exact" { width } else { format!("{width} ms") });
+        let width = width.map(|width| if width == number::EXACT { width } else { format!("{width} ms") });
         let sources_and_width: Vec<&str> = sources.into_iter().chain(width.as_deref()).collect();
         let has_delays = !counts.verdicts.is_empty();
         has_delays.then(|| format!("{name} {} ({})", list(&counts.verdicts), sources_and_width.join(", ")))

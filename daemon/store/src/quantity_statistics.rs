@@ -45,6 +45,11 @@ impl QuantityStatistics {
         })
     }
 
+    /// Returns the sum of the values.
+    pub fn sum(&self) -> f64 {
+        self.mean * self.count as f64
+    }
+
     /// Returns the statistics of the lower and of the upper ends of intervals; `None` if there are none.
     pub fn from_ends([lower, upper]: &[Summary; 2]) -> Option<[Self; 2]> {
         Some([Self::from_summary(lower)?, Self::from_summary(upper)?])

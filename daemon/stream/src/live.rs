@@ -221,6 +221,11 @@ impl OutcomeCounts {
         self.ok + self.failed + self.lost + self.timeout
     }
 
+    /// Returns the number of iterations with any outcome but `ok`.
+    pub const fn all_failed(&self) -> u64 {
+        self.failed + self.lost + self.timeout
+    }
+
     /// Adds the counts of `other`.
     pub const fn merge(&mut self, other: &Self) {
         self.ok += other.ok;

@@ -35,17 +35,19 @@ pub(super) fn half_width(link: &LinkSnapshot) -> Option<Sample> {
 
 /// Returns the share of the probes of the last [`WINDOW`] that were lost, 0 to 1; `None` if none was sent.
 pub(super) fn loss(link: &LinkSnapshot) -> Option<Sample> {
-    let newest = link.history.last()?.at;
-    let recent = link.history.iter().filter(|point| newest - point.at < WINDOW);
-    recent.map(|point| point.probes).sum::<ProbeCounts>().lost_share().map(Sample::Value)
+    recent_probes(link)?.lost_share().map(Sample::Value)
 }
 
 /// Returns the number of packets that were refused as answers to probes within the last [`WINDOW`].
 pub(super) fn refused(link: &LinkSnapshot) -> Option<Sample> {
+    recent_probes(link).map(|probes| Sample::Value(f64::from(probes.refused)))
+}
+
+/// Returns the counts of the probes within the last [`WINDOW`]; `None` without history.
+fn recent_probes(link: &LinkSnapshot) -> Option<ProbeCounts> {
     let newest = link.history.last()?.at;
     let recent = link.history.iter().filter(|point| newest - point.at < WINDOW);
-    let refused: u64 = recent.map(|point| u64::from(point.probes.refused)).sum();
-    Some(Sample::Value(refused as f64))
+    Some(recent.map(|point| point.probes).sum())
 }
 
 /// The host of a connection whose counts are written.

@@ -125,9 +125,7 @@ pub(super) fn write_speed(scrape: &Scrape, sink: &mut Sink<'_>) {
 
 /// Writes the traffic over wall time.
 pub(super) fn write_traffic(scrape: &Scrape, sink: &mut Sink<'_>) {
-    write_directions(scrape, sink, |window, direction| {
-        direction.transfer(&window.transfers)?.traffic(window.covered_s)
-    });
+    write_directions(scrape, sink, speed::direction_traffic);
 }
 
 fn write_directions(

@@ -8,7 +8,7 @@ use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use axum::routing::get;
 use peernet_aggregator::{HostSnapshot, LiveState};
-use peernet_statistics::number::{NONE, SPACE, bytes, count, counted, fixed};
+use peernet_statistics::number::{NONE, SPACE, bytes, count, counted, fixed, gigabytes};
 use peernet_store::HostRow;
 use peernet_stream::{HostClock, HostDescription, PipelineState};
 
@@ -116,7 +116,7 @@ fn hardware(description: &HostDescription) -> Pairs {
     vec![
         ("Processor", or_dash(&hardware.cpu)),
         ("Cores", count(hardware.cores.into())),
-        ("Memory", bytes(hardware.memory_bytes as f64).to_string()),
+        ("Memory", format!("{}{SPACE}GB", gigabytes(hardware.memory_bytes))),
         ("Accelerators", or_dash(&hardware.gpus.join(", "))),
         ("System", or_dash(&hardware.system)),
         ("Architecture", or_dash(&hardware.architecture)),

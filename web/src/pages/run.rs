@@ -11,9 +11,7 @@ use peernet_analysis::trust::{MissingCount, Report, TrustInput};
 use peernet_figures::drawing::View;
 use peernet_logger::stage;
 use peernet_statistics::histogram::MAX_BINS;
-use peernet_statistics::number::{
-    NONE, SPACE, count, counted, join_ends, milliseconds, percent, rate, share,
-};
+use peernet_statistics::number::{NONE, SPACE, count, counted, join_ends, percent, rate, share};
 use peernet_store::{IterationFilter, RunDetail, RunStatistics, StageStatistics};
 use peernet_stream::ExperimentPosition;
 use serde::Deserialize;
@@ -271,7 +269,9 @@ fn assemble(
     let summary = &run.summary;
     let stack = Stack::of_run(stages, bounds);
     let total = summary.total.as_ref();
-    let quantile = |value: Option<f64>| value.map_or_else(|| NONE.to_owned(), milliseconds);
+    let format = stack.duration_format();
+    let quantile =
+        |value: Option<f64>| value.map_or_else(|| NONE.to_owned(), |seconds| format.duration(seconds));
     let missing = MissingCount::from_gaps(run.gaps.iter().map(|gap| gap.count));
     let (zone, snapshot) = (app.zone, app.live_state());
     let link = link::of_placement(&snapshot, summary.host_name.as_str(), &summary.placement);
@@ -295,7 +295,6 @@ fn assemble(
             .collect(),
         end: End::of(summary, &snapshot, zone),
         lead: total.map_or((NONE.to_owned(), None), |total| {
-            let format = stack.duration_format();
             (format.duration(total.mean), total.std.map(|std| format.number(std)))
         }),
         stats: vec![

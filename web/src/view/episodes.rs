@@ -22,7 +22,7 @@ pub(crate) fn episode_count_text(episodes: &Episodes) -> Option<String> {
 pub(crate) fn failed_count_text(episodes: &Episodes, run: &RunSummary) -> Option<String> {
     // The counts of a run do not include the warm-up; the stored rows include it, and lack the iterations that
     // retention deleted. Rows are counted up to a limit.
-    let failed = run.counts.total() - run.counts.ok;
+    let failed = run.counts.all_failed();
     let in_warm_up = match episodes.failed_count {
         stored if stored > Episodes::MAX_COUNTED => 0,
         stored => stored.saturating_sub(failed),

@@ -174,7 +174,7 @@ impl HostLine {
             cpu: percent(metrics.cpu),
             cpu_spark: spark("CPU", |metrics| metrics.cpu),
             memory: metrics.memory_used_bytes.map_or_else(|| NONE.to_owned(), gigabytes),
-            memory_of: fixed(host.description.hardware.memory_bytes as f64 / 1e9, 0),
+            memory_of: gigabytes(host.description.hardware.memory_bytes),
             gpu: percent(metrics.gpu),
             gpu_spark: metrics.gpu.map(|_| spark("GPU", |metrics| metrics.gpu)),
             temperature: metrics.temperature_celsius.map_or_else(|| NONE.to_owned(), |value| fixed(value, 1)),

@@ -3,7 +3,7 @@
 use peernet_aggregator::Window;
 use peernet_analysis::stage_split::share_of_total;
 use peernet_figures::drawing::{StagePart, share_bar};
-use peernet_statistics::number::{self, DurationFormat, NONE, bound_ms};
+use peernet_statistics::number::{self, DurationFormat, EXACT, NONE, bound_ms};
 use peernet_store::{DelayAccuracy, QuantityStatistics, StageStatistics, rank};
 
 use super::chip::{Chip, Sign};
@@ -101,7 +101,7 @@ impl StageRow {
             "independent of the clock offset: the round trip on this host minus the time on the other host";
         Self {
             mean: column.duration(part.seconds),
-            bound: BoundCell { text: "exact".to_owned(), sign: None, title },
+            bound: BoundCell { text: EXACT.to_owned(), sign: None, title },
             ..Self::new(column, &part.name, None, None, share)
         }
     }

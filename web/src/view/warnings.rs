@@ -7,7 +7,7 @@ use peernet_analysis::trust::Starts;
 use peernet_clock::{Span, WallTime};
 use peernet_logger::stage;
 use peernet_statistics::number::{SPACE, duration, percent, times};
-use peernet_store::DelayAccuracy;
+use peernet_store::{DelayAccuracy, QuantityStatistics};
 
 use super::chip::{Chip, Tone};
 use crate::config::WarnConfig;
@@ -91,7 +91,7 @@ fn unattributed_warning(split: &StageSplit, warn: &WarnConfig) -> Option<(Chip, 
 }
 
 fn skipped_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
-    let skipped = minute.value(SKIPPED_STARTS).map_or(0.0, |starts| starts.mean * starts.count as f64);
+    let skipped = minute.value(SKIPPED_STARTS).map_or(0.0, QuantityStatistics::sum);
     let started = minute.counts.total();
     let starts = Starts { started, skipped: skipped.round() as u64, ..Starts::default() };
     let text = format!("skipped {} in the last minute: it does not keep its rate.", starts.skipped_text()?);

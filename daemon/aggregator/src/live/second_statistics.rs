@@ -94,9 +94,8 @@ impl SecondStatistics {
         // then all iterations failed and missed the deadline. A sample is 1 if the answer was late and 0 otherwise, so
         // that the sum of the samples is the number of late answers.
         let deadline_missed = self.values.iter().find(|(name, _)| *name == *DEADLINE_MISSED);
-        let late_answers = deadline_missed
-            .map(|(_, summary)| (summary.moments.mean * summary.count() as f64).round() as u64);
-        let misses = late_answers.map(|late| Misses::new(self.counts.ok, late, total - self.counts.ok));
+        let late_answers = deadline_missed.map(|(_, summary)| summary.moments.sum().round() as u64);
+        let misses = late_answers.map(|late| Misses::new(self.counts.ok, late, self.counts.all_failed()));
         Window {
             seconds,
             covered_s,

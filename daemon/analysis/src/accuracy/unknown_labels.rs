@@ -50,8 +50,12 @@ impl UnknownLabels {
     /// Returns a sentence on the iterations that were not scored; `total` is the number of iterations in
     /// the statistics.
     pub fn sentence(&self, total: u64) -> String {
-        let iterations = format!("{} of {}", count(self.count), counted(total, "iteration"));
-        format!("Not scored: {iterations}, {}.", self.reason())
+        format!("Not scored: {}, {}.", self.iterations(total), self.reason())
+    }
+
+    /// Returns the number of iterations without a score: `2 of 1,000 iterations`.
+    pub fn iterations(&self, total: u64) -> String {
+        format!("{} of {}", count(self.count), counted(total, "iteration"))
     }
 
     /// Returns the reason for the missing scores, with examples.

@@ -1,7 +1,7 @@
 //! Verdict of a study, in one sentence.
 
 use peernet_clock::Verdict as Delay;
-use peernet_statistics::number::{error_ms, mean_std, range_ms};
+use peernet_statistics::number::{counted, error_ms, mean_std, range_ms};
 use serde::Serialize;
 
 use super::clocks::Clocks;
@@ -64,7 +64,7 @@ impl Verdict {
         if clocks.steps > 0 || count(Delay::Stepped) > 0 {
             let unusable = match count(Delay::Stepped) {
                 0 => String::new(),
-                stepped => format!(" ({stepped} delays are unusable)"),
+                stepped => format!(" ({} cannot be used)", counted(stepped, "delay")),
             };
             return without_bound(
                 Kind::Stepped,

@@ -203,14 +203,14 @@ impl Comparison {
         let mut reasons: Vec<(String, Vec<String>)> = Vec::new();
         for line in &self.lines {
             let Some(unknown) = &line.unknown_labels else { continue };
-            let text = line.with_name(&format!("{} of {}", count(unknown.count), count(line.count)));
+            let text = line.with_name(&unknown.iterations(line.count));
             match reasons.iter_mut().find(|(reason, _)| *reason == unknown.reason()) {
                 Some((_, texts)) => texts.push(text),
                 None => reasons.push((unknown.reason(), vec![text])),
             }
         }
         let sentence =
-            |(reason, lines): (String, Vec<String>)| format!("Not scored, {reason}: {}.", lines.join("; "));
+            |(reason, lines): (String, Vec<String>)| format!("Not scored: {}, {reason}.", lines.join("; "));
         reasons.into_iter().map(sentence).collect()
     }
 

@@ -1,39 +1,46 @@
 //! Edges that measured at the same time, and what they measured in that time.
 
+use peernet_stream::ExperimentPosition;
+
 use super::{EdgeMeasured, Repeat, common_time};
 use crate::loaded::Loaded;
 use crate::order::SortedValues;
 use crate::rows::RowRef;
 use crate::total_column::TotalColumn;
 
-/// Groups the results of edges that measured at the same time, which are the edges that measured the same repeat of the
-/// same configuration of an experiment. Groups and edges keep the order of the input.
-pub(super) fn concurrent_groups(edges: &[Loaded]) -> Vec<Vec<&Loaded>> {
-    let mut groups: Vec<Vec<&Loaded>> = Vec::new();
-    for edge in edges {
-        let belongs_to = |group: &&mut Vec<&Loaded>| {
-            let is_same_repeat =
-                edge.record.experiment.is_some() && edge.record.experiment == group[0].record.experiment;
+/// Groups runs of edges that measured at the same time, which are the edges that measured the same repeat of the same
+/// configuration of an experiment. A run without a position in an experiment is a group of its own. Groups and runs keep
+/// the order of the input.
+pub fn concurrent_groups<'a, R, E: PartialEq>(
+    runs: impl IntoIterator<Item = &'a R>,
+    position_of: impl Fn(&'a R) -> Option<&'a ExperimentPosition>,
+    edge_of: impl Fn(&'a R) -> E,
+) -> Vec<Vec<&'a R>> {
+    let mut groups: Vec<Vec<&R>> = Vec::new();
+    for run in runs {
+        let position = position_of(run);
+        let belongs_to = |group: &&mut Vec<&'a R>| {
+            let is_same_repeat = position.is_some() && position == position_of(group[0]);
             // A copy of an edge's results is not a further edge of the group. The copy becomes a separate group.
-            is_same_repeat && group.iter().all(|other| other.record.edge.name != edge.record.edge.name)
+            is_same_repeat && group.iter().all(|other| edge_of(other) != edge_of(run))
         };
         match groups.iter_mut().find(belongs_to) {
-            Some(group) => group.push(edge),
-            None => groups.push(vec![edge]),
+            Some(group) => group.push(run),
+            None => groups.push(vec![run]),
         }
     }
     groups
 }
 
 /// Returns the complete groups: those with as many edges as the largest group of the same configuration.
-pub(super) fn complete_groups(groups: Vec<Vec<&Loaded>>) -> Vec<Vec<&Loaded>> {
-    let configuration_of = |group: &[&Loaded]| {
-        let position = group[0].record.experiment.as_ref()?;
-        Some((position.id.clone(), position.configuration.clone()))
-    };
+pub fn complete_groups<'a, R>(
+    groups: Vec<Vec<&'a R>>,
+    position_of: impl Fn(&'a R) -> Option<&'a ExperimentPosition>,
+) -> Vec<Vec<&'a R>> {
+    let configuration_of = |group: &[&'a R]| position_of(group[0]).map(|at| (&at.id, &at.configuration));
     let configurations_and_edges: Vec<_> =
         groups.iter().map(|group| (configuration_of(group), group.len())).collect();
-    let is_complete = |group: &Vec<&Loaded>| {
+    let is_complete = |group: &Vec<&'a R>| {
         let own = configuration_of(group);
         let same = configurations_and_edges.iter().filter(|(other, _)| own.is_some() && *other == own);
         same.map(|(_, edges)| *edges).max().is_none_or(|most| group.len() == most)

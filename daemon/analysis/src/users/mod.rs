@@ -11,9 +11,12 @@ mod concurrent_edges;
 mod curves;
 mod tables;
 
+pub use concurrent_edges::{complete_groups, concurrent_groups};
 pub use curves::Curve;
+pub use tables::{COUNTED_TIME, FAIRNESS_MEANING};
 
 use peernet_statistics::Summary;
+use peernet_stream::ExperimentPosition;
 
 use crate::loaded::Loaded;
 use crate::order::{SortedValues, mean};
@@ -136,7 +139,11 @@ impl Users {
     /// Returns the statistics of runs, one run for each edge. The records of the runs tell which edges measured at the
     /// same time. `None` if no two edges did.
     pub fn from_runs(runs: &[Loaded]) -> Option<Self> {
-        let concurrent_groups = concurrent_edges::complete_groups(concurrent_edges::concurrent_groups(runs));
+        fn position_of(run: &Loaded) -> Option<&ExperimentPosition> {
+            run.record.experiment.as_ref()
+        }
+        let concurrent_groups = concurrent_groups(runs, position_of, |run| &run.record.edge.name);
+        let concurrent_groups = complete_groups(concurrent_groups, position_of);
         concurrent_groups.iter().any(|edges| edges.len() > 1).then_some(())?;
         let configuration = |edges: &[&Loaded]| -> Vec<(String, String)> {
             let experiment = edges.first().and_then(|edge| edge.record.experiment.as_ref());

@@ -1,15 +1,18 @@
 //! Tables of the statistics of many users.
 
 pub(super) use peernet_statistics::number::NONE as EMPTY_CELL;
-use peernet_statistics::number::{count, fixed_or_less_than, milliseconds, rate};
+use peernet_statistics::number::{count, fixed_or_less_than, join_ends, milliseconds, rate};
 
 use super::{Users, UsersLine};
 use crate::compare::{readable_names, replayed_configurations};
 use crate::table::{Table, csv_text};
 
-/// First note below the tables.
-const NOTE: &str = "Of several edges, the time counts in which all were measuring. Fairness is Jain's index of the edges' rates: 1 when all \
-                    are served alike, 1/n when one of n gets everything.";
+/// Sentence on the time whose iterations are counted.
+pub const COUNTED_TIME: &str = "Counted while all edges of a repeat were measuring.";
+
+/// Sentence on the fairness.
+pub const FAIRNESS_MEANING: &str = "Fairness is Jain's index of the edges' rates: 1 when all are served alike, 1/n when one of n gets \
+                                    everything.";
 
 impl Users {
     /// Returns the text for a terminal.
@@ -50,7 +53,9 @@ impl Users {
     fn notes(&self) -> Vec<String> {
         let names = readable_names(&self.axes, self.lines.iter().map(|line| line.labels.as_slice()));
         let lines = names.into_iter().zip(self.lines.iter().map(|line| line.replayed.as_deref()));
-        std::iter::once(NOTE.to_owned()).chain(replayed_configurations(lines)).collect()
+        std::iter::once(format!("{COUNTED_TIME} {FAIRNESS_MEANING}"))
+            .chain(replayed_configurations(lines))
+            .collect()
     }
 
     fn table(&self) -> Table {
@@ -70,7 +75,7 @@ impl Users {
 impl UsersLine {
     /// Returns the number of edges, the rate, the range of the edges' rates, the fairness, and the mean total in ms.
     pub fn texts(&self) -> [String; 5] {
-        let range = self.rate_range().map(|(least, most)| format!("{} – {}", rate(least), rate(most)));
+        let range = self.rate_range().map(|(least, most)| join_ends([least, most].map(rate)));
         [
             count(self.edges as u64),
             cell(self.rate, rate),

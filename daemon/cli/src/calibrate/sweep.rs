@@ -2,7 +2,7 @@
 
 use peernet_analysis::calibration::{Sample, median_delay};
 use peernet_clock::{Direction, MonoTime};
-use peernet_statistics::number::{NONE, bytes, count, fixed, milliseconds};
+use peernet_statistics::number::{self, NONE, bytes, count, milliseconds};
 
 use super::plan::Plan;
 use crate::foreground::{Progress, roughly};
@@ -62,7 +62,7 @@ impl SweepLimits {
             "{} of {}, {} /s, upload {} at {}, {} at {}, {} left",
             count(done_count),
             count(self.max_iterations),
-            fixed(rate, 0),
+            number::rate(rate),
             describe_median(samples, smallest),
             bytes(smallest as f64).plain(),
             describe_median(samples, largest),

@@ -36,7 +36,7 @@ pub(crate) struct ProgressReport {
 }
 
 impl fmt::Display for ProgressReport {
-    /// Writes the progress in words: `120 of 10,005, 3 failed, 9.8 /s, total p50 101 ms, p99 104 ms, 17 min left`.
+    /// Writes the progress in words: `120 of 10,005, 3 failed, 9.81 /s, total p50 101 ms, p99 104 ms, 17 min left`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.phase == Phase::Starting {
             return f.write_str("starting");
@@ -51,7 +51,7 @@ impl fmt::Display for ProgressReport {
         if self.failed_in_warm_up > 0 {
             write!(f, ", {} in the warm-up failed", number::count(self.failed_in_warm_up))?;
         }
-        write!(f, ", {} /s", number::fixed(self.rate, 1))?;
+        write!(f, ", {} /s", number::rate(self.rate))?;
         // There is no median during the warm-up.
         if let Some(p50) = self.totals.quantile(0.5) {
             write!(f, ", total {}", describe_quantiles(p50, self.totals.p99()))?;
@@ -109,11 +109,11 @@ mod tests {
             left_s: Some(1007.6),
             trouble: None,
         };
-        assert_eq!(report.to_string(), "120 of 10,005, 9.8 /s, total p50 101 ms, 17 min left");
+        assert_eq!(report.to_string(), "120 of 10,005, 9.81 /s, total p50 101 ms, 17 min left");
         let failing = ProgressReport { failed: 120, totals: Summary::default(), ..report.clone() };
-        assert_eq!(failing.to_string(), "120 of 10,005, 120 failed, 9.8 /s, 17 min left");
+        assert_eq!(failing.to_string(), "120 of 10,005, 120 failed, 9.81 /s, 17 min left");
         let warming_up =
             ProgressReport { done: 3, failed_in_warm_up: 2, totals: Summary::default(), ..report };
-        assert_eq!(warming_up.to_string(), "3 of 10,005, 2 in the warm-up failed, 9.8 /s, 17 min left");
+        assert_eq!(warming_up.to_string(), "3 of 10,005, 2 in the warm-up failed, 9.81 /s, 17 min left");
     }
 }

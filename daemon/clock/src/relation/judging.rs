@@ -5,7 +5,7 @@ use super::{Direction, JudgedExchange, LearnResult, Refusal, Relation};
 use crate::{DelaySource, Exchange, ExchangeObservation, Interval, OneWayDelay, RawTime, Span, Verdict};
 
 /// Minimum number of exchanges in the window. As long as there are fewer, all delays are `stale`.
-const MIN_EXCHANGES: u64 = 3;
+pub const MIN_EXCHANGES: u64 = 3;
 
 impl Relation {
     /// Learns a finished exchange of data, and returns its two delays. If the exchange is refused, its delays are

@@ -3,7 +3,7 @@
 
 use peernet_statistics::number;
 
-use super::columns::{excluded_note, is_drawable, range_of_counts, too_large_note};
+use super::columns::{excluded_note, is_drawable, too_large_note};
 use super::configuration_groups::{ConfigurationGroups, rows_in_statistics};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
@@ -49,7 +49,7 @@ fn drawing(runs: &[Loaded], quality: Quality) -> Option<Drawing> {
     let mut scores: Vec<Score> = groups.iter().filter_map(score).collect();
     let (score_count, omitted_groups) = (scores.len(), groups.len() - scores.len());
     scores.truncate(MAX_SCORES);
-    let n = range_of_counts(scores.iter().map(|score| score.estimate.count))?;
+    let n = number::range_of_counts(scores.iter().map(|score| score.estimate.count))?;
     let count_name = if quality.is_of_episodes() { "episodes:" } else { "n =" };
     let mut notes = vec![format!("configurations: {} · {count_name} {n} each", axes.join(", "))];
     let mut missing = Vec::new();

@@ -58,12 +58,6 @@ pub(super) fn count_note<'a>(
     excluded_and_undrawn_note(rows, shown_count).map_or(n.clone(), |left_out| format!("{n} · {left_out}"))
 }
 
-/// Returns the counts as one text: `44`, or `10 to 110` if they differ; `None` without counts.
-pub(super) fn range_of_counts(counts: impl Iterator<Item = u64> + Clone) -> Option<String> {
-    let [fewest, most] = [counts.clone().min()?, counts.max()?].map(count);
-    Some(if fewest == most { most } else { format!("{fewest} to {most}") })
-}
-
 /// Returns the second half of [`count_note`], for figures whose counts are shown elsewhere; `None` if nothing is left out.
 pub(super) fn excluded_and_undrawn_note<'a>(
     rows: &(impl Iterator<Item = RowRef<'a>> + Clone),

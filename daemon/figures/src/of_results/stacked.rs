@@ -8,7 +8,7 @@ use peernet_logger::{Name, stage};
 use peernet_statistics::Moments;
 use peernet_statistics::number;
 
-use super::columns::{count_note, is_drawable, range_of_counts, too_large_note};
+use super::columns::{count_note, is_drawable, too_large_note};
 use super::configuration_groups::{ConfigurationGroups, rows_in_statistics};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
@@ -64,7 +64,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
 
 /// Adds the number of iterations of each bar to [`count_note`]: `n = 88 (44 each)`, `n = 120 (10 to 110 each)`.
 fn with_count_per_bar(count_note: &str, counts: &[u64]) -> String {
-    let (Some(each), true) = (range_of_counts(counts.iter().copied()), counts.len() > 1) else {
+    let (Some(each), true) = (number::range_of_counts(counts.iter().copied()), counts.len() > 1) else {
         return count_note.to_owned();
     };
     let (n, rest) = count_note.split_once(" · ").map_or((count_note, None), |(n, rest)| (n, Some(rest)));

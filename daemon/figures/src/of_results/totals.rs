@@ -2,7 +2,7 @@
 
 use peernet_statistics::number;
 
-use super::columns::{excluded_note, is_drawable, range_of_counts, too_large_note};
+use super::columns::{excluded_note, is_drawable, too_large_note};
 use super::configuration_groups::{ConfigurationGroups, rows_in_statistics};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
@@ -45,7 +45,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     notes.extend(missing.iter().cloned());
     let drawings = groups_with_total.chunks(MAX_CURVES).enumerate().map(|(number, chunk)| {
         let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };
-        let each = range_of_counts(chunk.iter().map(|(_, values)| values.len() as u64));
+        let each = number::range_of_counts(chunk.iter().map(|(_, values)| values.len() as u64));
         let figure = Cumulative {
             title: "Total by configuration".to_owned(),
             unit: Unit::milliseconds("Total"),

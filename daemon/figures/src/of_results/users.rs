@@ -8,7 +8,7 @@ use super::replayed::marked;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{MAX_CURVES, Sharing, SharingCurve, Unit};
 use peernet_analysis::loaded::Loaded;
-use peernet_analysis::users::{Curve, Users, UsersLine};
+use peernet_analysis::users::{COUNTED_TIME, Curve, Users, UsersLine};
 
 /// Maximum number of configurations that a note names. If there are more, the note gives their number.
 const MAX_NAMED: usize = 3;
@@ -25,14 +25,14 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     if !users.lines.iter().any(has_total) {
         return Err(MissingData::CommonTotal);
     }
-    let mut notes = vec!["counted while all edges of a run were measuring".to_owned()];
+    let mut notes = vec![COUNTED_TIME.to_owned()];
     notes.extend(excluded_note(&runs.iter().flat_map(|run| &run.rows)));
     let curves = Curve::from_users(&users);
     let drawings = curves.chunks(MAX_CURVES).enumerate().map(|(number, curves)| {
         let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };
         let missing: Vec<String> = missing_points_note(curves).into_iter().collect();
         let sharing = Sharing {
-            title: "Latency against edges at once".to_owned(),
+            title: "Latency against the number of edges".to_owned(),
             unit: Unit::milliseconds("Total"),
             curves: curves.iter().map(curve).collect(),
             notes: notes.iter().chain(&missing).cloned().collect(),

@@ -83,6 +83,12 @@ pub fn count(value: u64) -> String {
     group(&value.to_string())
 }
 
+/// Formats several counts: `44`, or `10 to 110` if they differ; `None` without counts.
+pub fn range_of_counts(counts: impl Iterator<Item = u64> + Clone) -> Option<String> {
+    let [fewest, most] = [counts.clone().min()?, counts.max()?].map(count);
+    Some(if fewest == most { most } else { format!("{fewest} to {most}") })
+}
+
 /// Formats a count with its noun: `1 iteration`, `2,000 iterations`.
 pub fn counted(value: u64, noun: &str) -> String {
     format!("{} {noun}{}", count(value), if value == 1 { "" } else { "s" })

@@ -239,9 +239,13 @@ fn summary(
         .ok_or_else(|| corrupt_data(WHAT, format_args!("placement {:?}", row.placement)))?;
     let deadline_s = deadline_s(&row.configuration);
     // The sum of the samples, which are ones and zeros.
-    let late =
-        lateness.map_or(0.0, |samples| samples.summary.moments.mean * samples.summary.moments.count as f64);
-    let failed = count(row.failed) + count(row.lost) + count(row.timeout);
+    let late = lateness.map_or(0.0, |samples| samples.summary.moments.sum());
+    let counts = OutcomeCounts {
+        ok: count(row.ok),
+        failed: count(row.failed),
+        lost: count(row.lost),
+        timeout: count(row.timeout),
+    };
     Ok(RunSummary {
         number: row.number,
         id: parse(WHAT, &row.uuid)?,
@@ -260,16 +264,11 @@ fn summary(
         ended: row.ended_ns.map(WallTime::from_unix_nanos),
         reason: row.end_reason.clone().map(EndReason::from),
         last_iteration: row.last_iteration_ns.map(WallTime::from_unix_nanos),
-        counts: OutcomeCounts {
-            ok: count(row.ok),
-            failed: count(row.failed),
-            lost: count(row.lost),
-            timeout: count(row.timeout),
-        },
+        counts,
         warm_up: count(row.warm_up),
         skipped_starts: count(row.skipped_starts),
         deadline_s,
-        misses: deadline_s.map(|_| Misses::new(count(row.ok), late.round() as u64, failed)),
+        misses: deadline_s.map(|_| Misses::new(counts.ok, late.round() as u64, counts.all_failed())),
         actuator,
         total: total.and_then(NameSummary::statistics),
         has_clock_fault: facts(row)?.iter().any(|(fact, _)| FaultyHost::of_fact(fact).is_some()),

@@ -160,8 +160,12 @@ fn collect(
             .into_iter()
             .filter_map(|(owner, name, _)| {
                 let statistics = statistics_of(&name)?;
-                let seconds = statistics.mean * statistics.count as f64;
-                Some(Restarts { owner, count: statistics.count, seconds, iterations: Vec::new() })
+                Some(Restarts {
+                    owner,
+                    count: statistics.count,
+                    seconds: statistics.sum(),
+                    iterations: Vec::new(),
+                })
             })
             .collect(),
         clocks: bounds

@@ -121,10 +121,10 @@ pub(crate) struct TransferRate {
 impl TransferRates {
     fn new(window: &peernet_aggregator::Window) -> Self {
         let rate = |direction: NetworkDirection| {
-            let transfer = direction.transfer(&window.transfers)?;
+            direction.transfer(&window.transfers)?;
             Some(TransferRate {
                 speed_bits_per_second: speed::determined(&window.transfers, &window.bounds, direction),
-                traffic_bits_per_second: transfer.traffic(window.covered_s),
+                traffic_bits_per_second: speed::direction_traffic(window, direction),
             })
         };
         Self { upload: rate(NetworkDirection::Up), download: rate(NetworkDirection::Down) }

@@ -47,7 +47,7 @@ pub(crate) fn caveats(comparison: &Comparison) -> Vec<(Chip, String)> {
     let failed_texts = configurations.iter().filter_map(|one| {
         let mut counts = OutcomeCounts::default();
         one.runs.iter().for_each(|run| counts.merge(&run.counts));
-        let failed_count = counts.total() - counts.ok;
+        let failed_count = counts.all_failed();
         (failed_count > 0).then(|| {
             format!(
                 "{}: {} of {} iterations failed; the figures are those of the others.",
@@ -66,8 +66,8 @@ pub(crate) fn caveats(comparison: &Comparison) -> Vec<(Chip, String)> {
 /// run each, but the tables of `peernet compare` show them as one run. Its name contains all their numbers: `#11 +
 /// #12`.
 fn name_with_other_edges(comparison: &Comparison, configuration: &Configuration, run: &RunSummary) -> String {
-    let numbers: Vec<String> =
-        comparison.edges_of_run(configuration, run).map(|edge| format!("#{}", edge.number)).collect();
+    let edges = comparison.edges_of_run(configuration, run);
+    let numbers: Vec<String> = edges.iter().map(|edge| format!("#{}", edge.number)).collect();
     numbers.join(" + ")
 }
 
@@ -157,7 +157,8 @@ mod tests {
         for (one, number) in two.configurations.iter_mut().zip([11, 13]) {
             let run =
                 RunSummary { number, experiment: Some(ExperimentPosition::default()), ..one.runs[0].clone() };
-            one.runs = vec![run.clone(), RunSummary { number: number + 1, ..run }];
+            let host_name = crate::tests::samples::slug("cam-2");
+            one.runs = vec![run.clone(), RunSummary { number: number + 1, host_name, ..run }];
         }
         let input = TrustInput { failure: Some("the cloud is gone".to_owned()), ..TrustInput::default() };
         two.trust_by_run = [11, 12, 13, 14].map(|number| (number, Report::new(&input))).into();

@@ -45,8 +45,10 @@ use peernet_analysis::accuracy::UnknownLabels;
 use peernet_analysis::deadline::Misses;
 use peernet_analysis::total_column::TotalColumn;
 use peernet_analysis::trust::{ReplayedLatencies, Report, Starts};
+use peernet_analysis::users::concurrent_groups;
 use peernet_logger::stage;
 use peernet_statistics::Summary;
+use peernet_statistics::number::column_decimals;
 use peernet_store::{DelayAccuracy, MergeableStatistics, QuantityStatistics, RunSummary, StageStatistics};
 
 use crate::error::WebError;
@@ -140,6 +142,11 @@ impl Configuration {
         self.mergeable.summary(name)
     }
 
+    /// Returns the runs, grouped by edges that measured at the same time.
+    pub(crate) fn concurrent_runs(&self) -> Vec<Vec<&RunSummary>> {
+        concurrent_groups(&self.runs, |run| run.experiment.as_ref(), |run| &run.host_name)
+    }
+
     /// Returns the number of successful iterations after the warm-up.
     pub(crate) fn iterations(&self) -> u64 {
         self.runs.iter().map(|run| run.counts.ok).sum()
@@ -180,6 +187,12 @@ impl Comparison {
             .or_else(|| configuration.statistics(&stage::SENSING))
     }
 
+    /// Returns the number of decimals of the means in one column, ms. Pictures and tables of the page have the same.
+    pub(crate) fn mean_decimals(&self, column: &str) -> usize {
+        let statistics = self.configurations.iter().filter_map(|one| one.statistics(column));
+        column_decimals(statistics.map(|statistics| statistics.std))
+    }
+
     /// Returns the index of the chosen baseline: the configuration of the run with the number `run`; `None` if no number is given.
     ///
     /// # Errors
@@ -204,25 +217,22 @@ impl Comparison {
     /// Returns the number of compared runs. Stored runs of edges that measured at the same time in an experiment are one run, as in the tables of
     /// files.
     pub(crate) fn run_count(&self) -> usize {
-        let firsts = |one: &Configuration| {
-            let is_first = |run: &&RunSummary| {
-                self.edges_of_run(one, run).next().is_some_and(|edge| edge.number == run.number)
-            };
-            one.runs.iter().filter(is_first).count()
-        };
-        self.configurations.iter().map(firsts).sum()
+        match self.experiment {
+            Some(_) => self.configurations.iter().map(|one| one.concurrent_runs().len()).sum(),
+            None => self.runs().count(),
+        }
     }
 
-    /// Returns the stored runs of all edges that measured at the same time as the edge of `run`: only `run` if it is not of an experiment.
+    /// Returns the stored runs of all edges that measured at the same time as the edge of `run`: only `run` if no
+    /// experiment is compared.
     pub(crate) fn edges_of_run<'a>(
         &self,
         configuration: &'a Configuration,
-        run: &RunSummary,
-    ) -> impl Iterator<Item = &'a RunSummary> {
-        let position = run.experiment.as_ref().filter(|_| self.experiment.is_some());
-        configuration.runs.iter().filter(move |other| {
-            other.number == run.number || (position.is_some() && other.experiment.as_ref() == position)
-        })
+        run: &'a RunSummary,
+    ) -> Vec<&'a RunSummary> {
+        let has_run = |group: &Vec<&RunSummary>| group.iter().any(|edge| edge.number == run.number);
+        let groups = self.experiment.as_ref().map(|_| configuration.concurrent_runs());
+        groups.and_then(|groups| groups.into_iter().find(has_run)).unwrap_or_else(|| vec![run])
     }
 
     /// Returns all stored runs, configuration by configuration.

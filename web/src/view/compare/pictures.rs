@@ -7,11 +7,12 @@ use peernet_figures::plot::Item;
 use peernet_figures::scale::Scale;
 use peernet_logger::stage;
 use peernet_statistics::Summary;
-use peernet_statistics::number::{NONE, duration, mean_std_ms};
+use peernet_statistics::number::{NONE, count, duration, mean_std_ms};
 use peernet_store::{DelayAccuracy, QuantityStatistics};
 use peernet_stream::Placement;
 
 use super::spread::box_plot;
+use super::table::mean_and_std;
 use super::{Comparison, Configuration};
 use crate::picture::Picture;
 use crate::view::{counted, place};
@@ -72,6 +73,7 @@ pub(crate) fn stacks(comparison: &Comparison, best: Option<usize>) -> (Vec<Stack
         .map(|one| (one.name.clone(), latency_bar(comparison, one).unwrap_or_default()))
         .collect();
     let (pictures, scale) = Stacked::new("", &bars, Vec::new()).rows();
+    let decimals = comparison.mean_decimals(comparison.total_column.name());
     let row = |(index, items): (usize, &Vec<Item>)| {
         let (one, (name, bar)) = (&comparison.configurations[index], &bars[index]);
         StackRow {
@@ -79,7 +81,7 @@ pub(crate) fn stacks(comparison: &Comparison, best: Option<usize>) -> (Vec<Stack
             total: if bar.parts.is_empty() {
                 (NONE.to_owned(), None)
             } else {
-                mean_std_ms(bar.total, bar.std)
+                mean_and_std(bar.total, bar.std, decimals)
             },
             bar: Picture::of_items(items, "stages", &label(one, bar)),
             best: best == Some(index),
@@ -112,7 +114,7 @@ fn label(configuration: &Configuration, bar: &LatencyBar) -> String {
         "{}: mean {} of {} iterations. {stages}.",
         configuration.name,
         duration(bar.total),
-        configuration.iterations()
+        count(configuration.iterations())
     )
 }
 

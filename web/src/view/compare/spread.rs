@@ -2,7 +2,7 @@
 
 use peernet_figures::drawing::Quartiles;
 use peernet_figures::scale::Scale;
-use peernet_statistics::number::milliseconds;
+use peernet_statistics::number::{join_ends, milliseconds};
 
 use super::{Axes, Comparison, Configuration};
 use crate::picture::Picture;
@@ -40,7 +40,7 @@ pub(crate) fn boxes(comparison: &Comparison) -> (Vec<BoxRow>, Axes) {
         BoxRow {
             name: one.name.clone(),
             median: p50,
-            quartiles: format!("{p25} – {p75}"),
+            quartiles: join_ends([p25, p75]),
             picture: box_plot(total, &format!("{}, {total}", one.name), quartiles, &scale),
         }
     };

@@ -67,12 +67,9 @@ impl Table {
     pub(crate) fn of(comparison: &Comparison, differences: &Differences) -> Self {
         let is_measured =
             |name: &str| comparison.configurations.iter().any(|one| one.statistics(name).is_some());
-        let decimals = |name: &str| {
-            let statistics = comparison.configurations.iter().filter_map(|one| one.statistics(name));
-            column_decimals(statistics.map(|statistics| statistics.std))
-        };
         let columns = COLUMNS.into_iter().filter(|(name, _)| is_measured(name));
-        let columns: Vec<_> = columns.map(|(name, title)| (name, title, decimals(name))).collect();
+        let columns: Vec<_> =
+            columns.map(|(name, title)| (name, title, comparison.mean_decimals(name))).collect();
         let is_known =
             |column: &QualityColumn| comparison.configurations.iter().any(|one| column.cell(one).is_some());
         let accuracies: Vec<QualityColumn> = QualityColumn::all().filter(is_known).collect();
@@ -85,10 +82,7 @@ impl Table {
             cells: columns
                 .iter()
                 .map(|(name, _, decimals)| match one.statistics(name) {
-                    Some(QuantityStatistics { mean, std, .. }) => {
-                        let std = std.map(|std| fixed(std * 1e3, *decimals));
-                        (fixed_or_less_than(mean * 1e3, *decimals), std)
-                    }
+                    Some(QuantityStatistics { mean, std, .. }) => mean_and_std(*mean, *std, *decimals),
                     None => (NONE.to_owned(), None),
                 })
                 .collect(),
@@ -154,6 +148,11 @@ impl QualityColumn {
     }
 }
 
+/// Formats mean and standard deviation in ms.
+pub(super) fn mean_and_std(mean: f64, std: Option<f64>, decimals: usize) -> (String, Option<String>) {
+    (fixed_or_less_than(mean * 1e3, decimals), std.map(|std| fixed(std * 1e3, decimals)))
+}
+
 /// Returns the miss rate of a configuration.
 fn miss_rate_cell(configuration: &Configuration) -> Cell {
     let Some(misses) = configuration.misses() else { return Cell::none("no deadline") };
@@ -165,6 +164,11 @@ fn miss_rate_cell(configuration: &Configuration) -> Cell {
     let explanation =
         format!("{} of {} iterations, {deadline} or failed", count(misses.missed), count(misses.iterations));
     Cell { text: percent(rate), title: Some(explanation) }
+}
+
+/// Returns the number of decimals of all differences between two configurations, ms.
+pub(super) fn difference_decimals(stages: &[StageDifference]) -> usize {
+    column_decimals(stages.iter().filter_map(|stage| stage.mean_difference).map(Difference::margin))
 }
 
 /// The difference of one stage between two configurations, as a row of a table. Times in ms.
@@ -187,8 +191,7 @@ pub(crate) struct DifferenceRow {
 impl DifferenceRow {
     /// Returns a row for each stage. All differences have the same number of decimals.
     pub(crate) fn of_stages(stages: &[StageDifference]) -> Vec<Self> {
-        let differences = stages.iter().filter_map(|stage| stage.mean_difference);
-        let decimals = column_decimals(differences.map(Difference::margin));
+        let decimals = difference_decimals(stages);
         stages.iter().map(|stage| Self::new(stage, decimals)).collect()
     }
 

@@ -3,6 +3,7 @@
 use peernet_analysis::compare::{Difference, MIN_BATCHES, MIN_VALUES, Ranking};
 use peernet_statistics::number::{Estimate, SPACE, column_decimals, duration};
 
+use super::table::difference_decimals;
 use super::{Comparison, Configuration, Differences};
 
 /// Maximum number of configurations that a title names in addition to the best.
@@ -61,7 +62,14 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
         return format!("{} is the fastest: {mean}", best.name);
     };
     let (lo, hi) = difference.interval.unwrap_or((difference.value, difference.value));
-    let decimals = column_decimals([difference.margin()]);
+    // The table of differences has the same decimals, if it shows this difference.
+    let shown = if index == differences.baseline { ranking.best } else { index };
+    let stages = differences.others.iter().find(|(other, _)| *other == shown);
+    let is_shown = [index, ranking.best].contains(&differences.baseline);
+    let decimals = match stages.filter(|_| is_shown) {
+        Some((_, stages)) => difference_decimals(stages),
+        None => column_decimals([difference.margin()]),
+    };
     let difference_ms = Estimate::new(difference.value, (lo, hi)).with_decimals(decimals);
     format!(
         "{} is the fastest: {mean}, {}{SPACE}ms less than {} (95{SPACE}%: {})",

@@ -1,7 +1,10 @@
 //! Latency against the number of users (edges that use the cloud at the same time), and the fairness between them.
 
 use futures::{StreamExt, TryStreamExt};
-use peernet_analysis::users::{Curve, EdgeMeasured, Repeat, Totals, Users, UsersLine, common_time};
+use peernet_analysis::users::{
+    COUNTED_TIME, Curve, EdgeMeasured, FAIRNESS_MEANING, Repeat, Totals, Users, UsersLine, common_time,
+    complete_groups,
+};
 use peernet_clock::WallTime;
 use peernet_figures::drawing::{MAX_CURVES, Sharing, SharingCurve, Unit};
 use peernet_logger::stage;
@@ -77,17 +80,7 @@ pub(crate) async fn measured_users(
 
 /// Returns the runs of each repeat of a configuration. Repeats that lack a user are left out.
 fn complete_repeats(configuration: &Configuration) -> Vec<Vec<&RunSummary>> {
-    let repeat_of = |run: &RunSummary| run.experiment.as_ref().map_or(0, |position| position.repeat);
-    let mut repeats: Vec<Vec<&RunSummary>> = Vec::new();
-    for run in &configuration.runs {
-        match repeats.iter_mut().find(|repeat| repeat_of(repeat[0]) == repeat_of(run)) {
-            Some(repeat) => repeat.push(run),
-            None => repeats.push(vec![run]),
-        }
-    }
-    let users = repeats.iter().map(Vec::len).max().unwrap_or_default();
-    repeats.retain(|repeat| repeat.len() == users);
-    repeats
+    complete_groups(configuration.concurrent_runs(), |run| run.experiment.as_ref())
 }
 
 /// Reads the measurements of the users of a repeat from the time that they have in common. Also returns the resolution
@@ -140,13 +133,13 @@ pub(crate) fn users(comparison: &Comparison, measured: &MeasuredUsers) -> Option
         .collect();
     let rows = points.iter().flatten().map(|(line, one)| row(line, one)).collect();
     let method = match measured.resolution_s {
-        0 => "Counted while all users of a repeat were measuring.".to_owned(),
+        0 => COUNTED_TIME.to_owned(),
         width_s => format!(
-            "Only complete intervals of {} during which all users of a repeat were measuring are counted: finer statistics were deleted.",
+            "Only complete intervals of {} during which all edges of a repeat were measuring are counted: finer statistics were deleted.",
             length(f64::from(width_s))
         ),
     };
-    Some(UsersPlot { plot: plot(&curves, &points), rows, method })
+    Some(UsersPlot { plot: plot(&curves, &points), rows, method: format!("{method} {FAIRNESS_MEANING}") })
 }
 
 /// Returns the answers per second of each user of a configuration, and the totals of all its users.
@@ -170,7 +163,7 @@ fn plot(curves: &[Curve<'_>], points: &[Vec<(&UsersLine, &Configuration)>]) -> P
         Some(format!("{}: {} at {}", one.name, duration(median), users_of(line)))
     });
     let label =
-        format!("Median latency against the number of users. {}", sentences.collect::<Vec<_>>().join(", "));
+        format!("Median latency against the number of edges. {}", sentences.collect::<Vec<_>>().join(", "));
     let pictures = curves.chunks(MAX_CURVES).map(|curves| {
         let sharing = Sharing {
             title: String::new(),
@@ -190,7 +183,7 @@ fn plot(curves: &[Curve<'_>], points: &[Vec<(&UsersLine, &Configuration)>]) -> P
 }
 
 fn users_of(line: &UsersLine) -> String {
-    crate::view::counted(line.edges, "user", "users")
+    crate::view::counted(line.edges, "edge", "edges")
 }
 
 fn row(line: &UsersLine, configuration: &Configuration) -> UsersRow {
@@ -201,21 +194,28 @@ fn row(line: &UsersLine, configuration: &Configuration) -> UsersRow {
 #[cfg(test)]
 mod tests {
     use peernet_analysis::total_column::TotalColumn;
-    use peernet_stream::PlacementKind;
+    use peernet_stream::{ExperimentPosition, PlacementKind};
 
     use peernet_statistics::number::milliseconds;
 
     use super::*;
+    use crate::tests::samples;
     use crate::view::compare::tests::{comparison, configuration, measured_users, run};
 
     #[test]
     fn users_have_measured_totals_whatever_is_compared() {
+        let edge = |host_name: &str| RunSummary {
+            host_name: samples::slug(host_name),
+            experiment: Some(ExperimentPosition::default()),
+            ..run(3, PlacementKind::Remote)
+        };
         let one = |at: usize| Configuration {
             values: vec![at.to_string(), "cloud".to_owned()],
+            runs: vec![edge("cam-1")],
             ..configuration(at, PlacementKind::Remote, 1.0, 1e3)
         };
         let mut several = one(2);
-        several.runs.push(run(3, PlacementKind::Remote));
+        several.runs.push(edge("cam-2"));
         let mut comparison = comparison(vec![one(1), several]);
         for column in [TotalColumn::Measured, TotalColumn::SumOfStages] {
             comparison.total_column = column;

@@ -74,11 +74,7 @@ pub(crate) fn trust_remarks(subject: &Subject<'_>) -> Vec<String> {
 /// Returns the assumptions in a few words, for the row of a delay: `by free-running clocks, ρ 200 ppm, κ 1 ppm/s,
 /// probes not authenticated`.
 pub(crate) fn brief_words(assumptions: &DelayAssumptions) -> String {
-    let by = match assumptions.clocks {
-        RelatedClocks::Raw => "by free-running clocks",
-        RelatedClocks::RawToWall => "by the edge's raw and the cloud's wall clock",
-        RelatedClocks::Wall => "by wall clocks",
-    };
+    let by = format!("by {}", assumptions.clocks.words());
     let drift = assumptions.max_drift_ppm.map(|drift| format!("ρ {}{SPACE}ppm", figure(drift)));
     let change =
         assumptions.max_drift_change_ppm_per_s.map(|change| format!("κ {}{SPACE}ppm/s", figure(change)));

@@ -19,7 +19,7 @@ use std::sync::Arc;
 
 use peernet_aggregator::{LinkSnapshot, LiveState};
 pub(crate) use peernet_analysis::offset_trend::estimate_and_max_error;
-use peernet_clock::{Offset, RelatedClocks, Span, Verdict, WallTime};
+use peernet_clock::{MIN_EXCHANGES, Offset, RelatedClocks, Span, Verdict, WallTime};
 use peernet_store::{ClockPoint, DelayAssumptions, LinkKey, LinkRow};
 use peernet_stream::{NetworkName, Placement, PlacementKind};
 
@@ -123,8 +123,6 @@ pub(crate) struct Subject<'a> {
 
 /// Text for an offset without a value, because its sources or exchanges contradict each other.
 pub(crate) const CONTRADICTION: &str = "what is known of the clocks contradicts itself";
-/// Minimum number of exchanges for an offset that is not `stale`.
-const MIN_EXCHANGES: u64 = 3;
 
 /// Returns whether an offset is stale because the link is young, or a clock was stepped a moment ago.
 pub(crate) fn is_young(offset: &Offset) -> bool {

@@ -10,9 +10,9 @@ fn labels_outside_model_classes_are_not_scored() {
         run.record.facts.push(("Classes".to_owned(), "4: good, dented".to_owned()));
     }
     let comparison = Comparison::new(&runs);
-    let names = [0, 1].map(|at: usize| format!("{}: 100 of 100", comparison.lines[at].name));
+    let names = [0, 1].map(|at: usize| format!("{}: 100 of 100 iterations", comparison.lines[at].name));
     let sentence = format!(
-        "Not scored, because the label is not a class of the model (classes: good, dented): {}.",
+        "Not scored: {}, because the label is not a class of the model (classes: good, dented).",
         names.join("; ")
     );
     assert!(comparison.text().contains(&sentence), "{sentence} in {}", comparison.text());

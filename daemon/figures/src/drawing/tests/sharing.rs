@@ -12,7 +12,7 @@ fn point(edges: usize, median: f64, fairness: Option<f64>) -> SharingPoint {
 fn sharing(curves: Vec<(&str, Vec<SharingPoint>)>) -> Sharing {
     let curve = |(name, points): (&str, _)| SharingCurve { name: name.to_owned(), points };
     Sharing {
-        title: "Latency against edges at once".to_owned(),
+        title: "Latency against the number of edges".to_owned(),
         unit: Unit::milliseconds("Total"),
         curves: curves.into_iter().map(curve).collect(),
         notes: Vec::new(),
