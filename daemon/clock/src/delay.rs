@@ -27,6 +27,12 @@ impl Interval {
         self.hi - self.lo
     }
 
+    /// Returns whether the interval of a delay is wider than half the delay. The verdict of such a delay is
+    /// [`Verdict::Limited`].
+    pub fn is_wide_for(self, delay: Span) -> bool {
+        self.width() > Span::from_nanos(delay.abs().nanos() / 2)
+    }
+
     /// Returns the value halfway between the ends, rounded down.
     pub const fn middle(self) -> Span {
         let (lo, hi) = (self.lo.nanos(), self.hi.nanos());

@@ -7,7 +7,7 @@ use axum::http::HeaderMap;
 use axum::http::header::HOST;
 use axum::routing::get;
 use peernet_analysis::compare::{MIN_BATCHES, MIN_VALUES};
-use peernet_statistics::number::{NONE, count};
+use peernet_statistics::number::{self, NONE, count};
 use peernet_store::ExperimentSummary;
 
 use super::kind::{NavigationEntry, PageKind};
@@ -23,7 +23,6 @@ use crate::view::compare::{
     commands, distributions, lengths, load_comparison, measured_users, over_time, pairs, pairwise, payload,
     qualities, run_means, run_time_series, stacks, title, unknown_labels, users,
 };
-use crate::view::counted;
 
 /// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
@@ -165,11 +164,11 @@ fn assemble(
     let (runs, stored_runs) = (comparison.run_count(), comparison.runs().count());
     let crumb = match &comparison.experiment {
         Some((name, _)) => format!("experiment {name}"),
-        None => counted(runs, "run", "runs"),
+        None => number::counted(runs as u64, "run"),
     };
     let mut facts = common_pipeline(comparison);
-    facts.push(counted(comparison.configurations.len(), "configuration", "configurations"));
-    let run_count = counted(runs, "run", "runs");
+    facts.push(number::counted(comparison.configurations.len() as u64, "configuration"));
+    let run_count = number::counted(runs as u64, "run");
     facts.push(match stored_runs == runs {
         true => run_count,
         false => format!("{run_count}, stored as {}: one for each edge", count(stored_runs as u64)),

@@ -3,13 +3,11 @@
 use peernet_statistics::number::{self, count};
 use peernet_store::{Episodes, RunSummary};
 
-use super::counted;
-
 /// Returns `4 episodes of 100 steps`; `None` for a run without episodes.
 pub(crate) fn episode_count_text(episodes: &Episodes) -> Option<String> {
     let all = format!("{} episodes", count(episodes.count));
     let text = match episodes.steps.filter(|_| episodes.count > 1) {
-        Some(steps) => format!("{all} of {}", counted(steps as usize, "step", "steps")),
+        Some(steps) => format!("{all} of {}", number::counted(steps, "step")),
         None if episodes.count > 1 => all,
         None => return None,
     };

@@ -5,12 +5,11 @@ use std::cmp::Reverse;
 use peernet_aggregator::{Arrivals, HostSnapshot};
 use peernet_clock::Span;
 use peernet_figures::drawing;
-use peernet_statistics::number::{NONE, SPACE, bytes, count, figure, fixed, length, percent, roughly};
+use peernet_statistics::number::{self, NONE, SPACE, bytes, count, figure, fixed, length, percent, roughly};
 use peernet_store::StoredCounts;
 use peernet_stream::Accounting;
 
 use super::chip::{Chip, Tone};
-use super::counted;
 use crate::picture::Picture;
 use crate::zone::Zone;
 
@@ -112,7 +111,7 @@ impl Events {
             ],
             waiting: count(account.waiting),
             dropped: count(account.dropped),
-            gaps: counted(usize::try_from(account.gaps).unwrap_or(usize::MAX), "gap", "gaps"),
+            gaps: number::counted(account.gaps, "gap"),
             lost: loss_reasons(account),
             spool: Spool::of(name, account),
             behind: (
@@ -133,7 +132,7 @@ fn loss_reasons(account: &Accounting) -> Option<&'static str> {
 }
 
 fn counted_events(number: u64) -> String {
-    counted(usize::try_from(number).unwrap_or(usize::MAX), "event", "events")
+    number::counted(number, "event")
 }
 
 fn remarks(host: &HostSnapshot) -> Vec<Remark> {

@@ -30,12 +30,3 @@ pub(crate) mod trust;
 pub(crate) mod units;
 pub(crate) mod warnings;
 pub(crate) mod waterfall;
-
-/// Returns `1 link`, `3 links`.
-pub(crate) fn counted(count: usize, singular: &str, plural: &str) -> String {
-    format!(
-        "{} {}",
-        peernet_statistics::number::count(count as u64),
-        if count == 1 { singular } else { plural }
-    )
-}

@@ -2,8 +2,7 @@
 
 use peernet_aggregator::LiveState;
 use peernet_clock::{Span, WallTime};
-
-use super::counted;
+use peernet_statistics::number;
 
 /// Title that replaces "no host has reported" and "no pipeline runs" while agents may still reconnect.
 pub(crate) const WAITING: &str = "Waiting for agents to report";
@@ -23,7 +22,7 @@ pub(crate) fn is_waiting_for_agents(snapshot: &LiveState, since: WallTime) -> bo
 pub(crate) fn absent_hosts_sentence(snapshot: &LiveState) -> Option<String> {
     (snapshot.absent > 0).then(|| {
         let verb = if snapshot.absent == 1 { "is" } else { "are" };
-        format!("{} {verb} known from earlier", counted(snapshot.absent, "host", "hosts"))
+        format!("{} {verb} known from earlier", number::counted(snapshot.absent as u64, "host"))
     })
 }
 

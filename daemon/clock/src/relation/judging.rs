@@ -213,9 +213,10 @@ impl Relation {
         offset: &CombinedOffset,
         is_fresh: bool,
     ) -> OneWayDelay {
-        let is_wide = bounds.width() > Span::from_nanos(value.abs().nanos() / 2);
         let verdict = match self.verdict_of(offset, is_fresh) {
-            Verdict::Ok if is_wide || self.windows.is_near_suspected_jump(at) => Verdict::Limited,
+            Verdict::Ok if bounds.is_wide_for(value) || self.windows.is_near_suspected_jump(at) => {
+                Verdict::Limited
+            }
             verdict => verdict,
         };
         // If the verdict is `inconsistent`, one of the sources is wrong. It is not known which, so there is no valid

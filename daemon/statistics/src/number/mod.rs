@@ -91,7 +91,12 @@ pub fn range_of_counts(counts: impl Iterator<Item = u64> + Clone) -> Option<Stri
 
 /// Formats a count with its noun: `1 iteration`, `2,000 iterations`.
 pub fn counted(value: u64, noun: &str) -> String {
-    format!("{} {noun}{}", count(value), if value == 1 { "" } else { "s" })
+    counted_with_plural(value, noun, &format!("{noun}s"))
+}
+
+/// Formats a count with its noun, whose plural does not end with `s` alone: `1 latency`, `2,000 latencies`.
+pub fn counted_with_plural(value: u64, singular: &str, plural: &str) -> String {
+    format!("{} {}", count(value), if value == 1 { singular } else { plural })
 }
 
 /// Returns the number of decimals with which `value` has `digits` significant digits.

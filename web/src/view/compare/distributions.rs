@@ -7,7 +7,7 @@ use peernet_figures::look;
 use peernet_figures::plot::Unit;
 use peernet_logger::{IterationValues, Name, stage};
 use peernet_statistics::Summary;
-use peernet_statistics::number::count;
+use peernet_statistics::number::{self, count};
 
 use super::Comparison;
 use super::choice::{choose_runs, unsuccessful_runs_sentence};
@@ -15,7 +15,6 @@ use super::median::{DELAY_OF_QUANTITY, Median};
 use crate::error::WebError;
 use crate::picture::Picture;
 use crate::view::chip::Chip;
-use crate::view::counted;
 use crate::view::units::shown_in;
 
 /// Maximum number of pictures with which the distributions of all quantities are drawn together.
@@ -152,16 +151,15 @@ impl Quantity {
             has_delays && comparison.summary(run.number, &self.name).is_none()
         });
         let runs = runs.count();
-        (runs > 0).then(|| format!("The clocks do not determine it for {}.", counted(runs, "run", "runs")))
+        (runs > 0)
+            .then(|| format!("The clocks do not determine it for {}.", number::counted(runs as u64, "run")))
     }
 }
 
 /// Returns the number of values of a quantity in words. If an iteration has at most one value, the word is
 /// `iterations`, else `values`.
 fn counted_values(name: &Name, values: &Summary) -> String {
-    let (one, many) =
-        if IterationValues::has_one_value(name) { ("iteration", "iterations") } else { ("value", "values") };
-    counted(values.count() as usize, one, many)
+    number::counted(values.count(), if IterationValues::has_one_value(name) { "iteration" } else { "value" })
 }
 
 /// Returns the distributions of the selected quantity. Without a selection, returns the distributions of all quantities if there are at

@@ -11,13 +11,12 @@ use peernet_figures::look::stage;
 use peernet_figures::plot::Unit;
 use peernet_logger::IterationValues;
 use peernet_statistics::Summary;
-use peernet_statistics::number::{bytes, count, duration, fixed};
+use peernet_statistics::number::{self, bytes, count, duration, fixed};
 use peernet_store::{RunSummary, StageStatistics, Store};
 
 use super::{Comparison, Configuration};
 use crate::error::WebError;
 use crate::picture::Picture;
-use crate::view::counted;
 
 /// Maximum number of configurations that are drawn.
 const MAX_CONFIGURATIONS: usize = 6;
@@ -307,7 +306,7 @@ fn beyond(
     let counts: Vec<String> = outside
         .iter()
         .filter(|(many, ..)| *many > 0)
-        .map(|(many, one, several)| counted(*many as usize, one, several))
+        .map(|(many, one, several)| number::counted_with_plural(*many as u64, one, several))
         .collect();
     (!counts.is_empty()).then(|| format!("Beyond the axes: {}.", counts.join(", ")))
 }

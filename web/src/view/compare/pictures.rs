@@ -7,7 +7,7 @@ use peernet_figures::plot::Item;
 use peernet_figures::scale::Scale;
 use peernet_logger::stage;
 use peernet_statistics::Summary;
-use peernet_statistics::number::{NONE, count, duration, mean_std_ms};
+use peernet_statistics::number::{self, NONE, count, duration, mean_std_ms};
 use peernet_store::{DelayAccuracy, QuantityStatistics};
 use peernet_stream::Placement;
 
@@ -15,7 +15,7 @@ use super::spread::box_plot;
 use super::table::mean_and_std;
 use super::{Comparison, Configuration};
 use crate::picture::Picture;
-use crate::view::{counted, place};
+use crate::view::place;
 
 /// Maximum number of hosts of one place that are named.
 const MAX_NAMED_HOSTS: usize = 4;
@@ -192,7 +192,7 @@ impl<'a> PlaceValues<'a> {
         let names: Vec<&str> = self.configurations.iter().map(|one| one.name.as_str()).collect();
         let configuration = match names.as_slice() {
             names if names.len() <= MAX_NAMED_CONFIGURATIONS => names.join(" + "),
-            names => counted(names.len(), "configuration", "configurations"),
+            names => number::counted(names.len() as u64, "configuration"),
         };
         let place = format!("{}: {}", self.place, routes(&self.configurations));
         let label = format!("{configuration}, {place}, inference");

@@ -10,7 +10,7 @@ use peernet_analysis::total_column::TotalColumn;
 use peernet_clock::WallTime;
 use peernet_figures::drawing::{OverTimeAxes, StageBucket, StagePart, StagesOverTime};
 use peernet_logger::{Name, stage};
-use peernet_statistics::number::{duration, length};
+use peernet_statistics::number::{self, duration, length};
 use peernet_store::{
     DelayAccuracy, Episodes, MeanBucket, RunSummary, Series, SeriesPoint, StageMeans, Store,
 };
@@ -20,7 +20,7 @@ use super::differences::CONCURRENT_READS;
 use super::{Comparison, Configuration};
 use crate::error::WebError;
 use crate::picture::Picture;
-use crate::view::{counted, episodes, stack};
+use crate::view::{episodes, stack};
 
 /// Maximum number of points that are requested for a run.
 const MAX_POINTS: usize = 100;
@@ -132,7 +132,7 @@ pub(crate) fn over_time(comparison: &Comparison, series_by_run: &TimeSeriesByRun
     )| {
         let beyond = match axes.beyond(data) {
             0 => None,
-            beyond => Some(format!("{} beyond ↑", counted(beyond, "mean", "means"))),
+            beyond => Some(format!("{} beyond ↑", number::counted(beyond as u64, "mean"))),
         };
         let is_short = axes.is_short(data) || data.length < data.width * MIN_EXACT_POINTS;
         let short = is_short.then(|| length_text(run, episodes)).flatten();

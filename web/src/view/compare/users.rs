@@ -9,7 +9,7 @@ use peernet_clock::WallTime;
 use peernet_figures::drawing::{MAX_CURVES, Sharing, SharingCurve, Unit};
 use peernet_logger::stage;
 use peernet_statistics::Summary;
-use peernet_statistics::number::{duration, length};
+use peernet_statistics::number::{self, duration, length};
 use peernet_store::{MeasuredTime, RunSummary, Store};
 
 use super::differences::CONCURRENT_READS;
@@ -183,7 +183,7 @@ fn plot(curves: &[Curve<'_>], points: &[Vec<(&UsersLine, &Configuration)>]) -> P
 }
 
 fn users_of(line: &UsersLine) -> String {
-    crate::view::counted(line.edges, "edge", "edges")
+    number::counted(line.edges as u64, "edge")
 }
 
 fn row(line: &UsersLine, configuration: &Configuration) -> UsersRow {

@@ -5,7 +5,7 @@ use peernet_clock::{Span, Verdict, WallTime};
 use peernet_figures::look::{Style, TextStyle};
 use peernet_figures::plot::{At, Item, Label, Path};
 use peernet_figures::scale::{Scale, Tick, times_of_day};
-use peernet_statistics::number::{SPACE, bound, bound_ms, count, figure, length};
+use peernet_statistics::number::{self, SPACE, bound, bound_ms, count, figure, length};
 use peernet_store::{ClockPoint, IncidentRow};
 use serde::Deserialize;
 
@@ -341,11 +341,11 @@ fn finding(subject: &Subject<'_>, input: &ChartInput<'_>, incidents: usize) -> S
     if !input.gaps.is_empty() {
         text.push_str(&format!(
             " {} without a report.",
-            crate::view::counted(input.gaps.len(), "stretch", "stretches")
+            number::counted_with_plural(input.gaps.len() as u64, "stretch", "stretches")
         ));
     }
     if incidents > 0 {
-        text.push_str(&format!(" {}.", crate::view::counted(incidents, "incident", "incidents")));
+        text.push_str(&format!(" {}.", number::counted(incidents as u64, "incident")));
     }
     text
 }

@@ -2,7 +2,7 @@
 
 use peernet_aggregator::{LinkSnapshot, LiveState};
 use peernet_clock::Verdict;
-use peernet_statistics::number::{bound_ms, offset_ms, percent, trip_ms};
+use peernet_statistics::number::{self, bound_ms, offset_ms, percent, trip_ms};
 use peernet_store::LinkRow;
 
 use super::super::chip::Chip;
@@ -140,7 +140,7 @@ pub(crate) fn title(snapshot: &LiveState) -> String {
         |wanted: Verdict| verdicts.iter().filter(|verdict| verdict.severity() == wanted.severity()).count();
     let (good, limited) = (count_of(Verdict::Ok), count_of(Verdict::Limited));
     let bad = verdicts.len() - good - limited;
-    let subject = crate::view::counted(links.len(), "link", "links");
+    let subject = number::counted(links.len() as u64, "link");
     match links.len() {
         0 => "No link yet: one-way delays are measured once a pipeline sends to another host".to_owned(),
         1 if good == 1 => format!("{subject}: its one-way delays can be trusted"),

@@ -1,10 +1,9 @@
 //! Panels of a link: its probing, claims of time daemons, and counts of exchanges.
 
 use peernet_clock::Verdict;
-use peernet_statistics::number::{NONE, SPACE, bound, count, offset_ms, rate, trip_ms};
+use peernet_statistics::number::{self, NONE, SPACE, bound, count, offset_ms, rate, trip_ms};
 use peernet_stream::{HostClock, ProbeCounts, Probing};
 
-use super::super::counted;
 use super::time_series::LinkTimeSeries;
 use super::{CONTRADICTION, Subject, estimate_and_max_error};
 
@@ -174,7 +173,7 @@ pub(crate) fn exchanges(subject: &Subject<'_>) -> Pairs {
         ("Stepped", format!("{}, refused: a clock was stepped meanwhile", count(counts.stepped))),
         (
             "Estimate restarted",
-            format!("{} after a clock step", counted(counts.restarts as usize, "time", "times")),
+            format!("{} after a clock step", number::counted(counts.restarts.into(), "time")),
         ),
     ]
 }

@@ -9,7 +9,7 @@ mod delay_sums;
 mod rolling;
 mod windows;
 
-use peernet_clock::{DelaySource, Direction, OneWayDelay, RawTime, RelatedClocks, Span, Verdict, WallTime};
+use peernet_clock::{DelaySource, Direction, OneWayDelay, RawTime, RelatedClocks, Verdict, WallTime};
 use peernet_logger::{RawStamps, Slug, stage};
 use sqlx::FromRow;
 
@@ -201,7 +201,7 @@ fn combine(earlier: Option<OneWayDelay>, new: OneWayDelay) -> OneWayDelay {
     };
     // The estimate must lie within the narrower bounds.
     let value = new.value.or(earlier.value).map(|value| value.clamp(bounds.lo, bounds.hi));
-    let is_wide = value.is_none_or(|value| bounds.width() > Span::from_nanos(value.abs().nanos() / 2));
+    let is_wide = value.is_none_or(|value| bounds.is_wide_for(value));
     let verdict = match (earlier.verdict, new.verdict) {
         (Verdict::Stale, Verdict::Stale) => Verdict::Stale,
         _ if is_wide => Verdict::Limited,
