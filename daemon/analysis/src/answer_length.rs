@@ -132,7 +132,7 @@ impl Growth {
         let more = if value > 0.0 { "more" } else { "less" };
         let statement = if self.is_significant() {
             let slope = Estimate::new(magnitude, (near, far));
-            let interval = slope.between();
+            let interval = slope.interval();
             if self.is_imprecise() {
                 format!("Each further {unit} takes {interval}{SPACE}ms {more} (95{SPACE}%)")
             } else {
@@ -140,7 +140,7 @@ impl Growth {
                 format!("Each further {unit} takes {value}{SPACE}ms {more} (95{SPACE}%: {interval})")
             }
         } else {
-            let interval = Estimate::new(value, (lo, hi)).between();
+            let interval = Estimate::new(value, (lo, hi)).interval();
             format!(
                 "Whether longer answers take longer cannot be told: {interval}{SPACE}ms more per {unit} (95{SPACE}%)"
             )

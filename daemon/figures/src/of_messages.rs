@@ -1,6 +1,6 @@
 //! Figures of delay and throughput against the size of messages, for a calibration and for the payload study of recorded runs.
 
-use peernet_statistics::number::{mean_std, throughput_with};
+use peernet_statistics::number::{mean_std, throughput_with_margin};
 
 use crate::drawing::{Parts, Scaling, Series, Unit, Value};
 use crate::look::Mark;
@@ -65,7 +65,7 @@ impl MessageSeries {
                 let intercept = mean_std(intercept.value, intercept.margin());
                 match self.rate() {
                     Some((rate, margin)) => {
-                        let rate = throughput_with(rate, margin);
+                        let rate = throughput_with_margin(rate, margin);
                         format!("{}: {intercept} ms + size ÷ ({rate}) MB/s", self.name)
                     }
                     None => format!("{}: intercept {intercept} ms", self.name),
@@ -84,7 +84,7 @@ impl MessageSeries {
     fn throughput(&self) -> Series {
         let name = self.rate().map_or_else(
             || self.name.to_owned(),
-            |(rate, margin)| format!("{}: {} MB/s", self.name, throughput_with(rate, margin)),
+            |(rate, margin)| format!("{}: {} MB/s", self.name, throughput_with_margin(rate, margin)),
         );
         let line = self.rate().map(|(rate, _)| (rate, 0.0));
         self.series(name, line, |size| {

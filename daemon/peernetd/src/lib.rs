@@ -24,7 +24,7 @@ pub fn main() -> ExitCode {
         Err(error) => return output::report_parser_message(error).into_exit_code(),
     };
     // The umask must be set before threads start. Databases, spools and backups must not be readable by other users.
-    peernet_permissions::create_without_others();
+    peernet_permissions::restrict_new_files();
     let exit = match arguments.command {
         Command::Run { config } => commands::run(&config),
         Command::Check { configs } => commands::check(&configs),

@@ -21,18 +21,18 @@ const STICKY: u32 = 0o1000;
 /// First bytes of every SQLite database (<https://www.sqlite.org/fileformat.html>).
 const SQLITE_HEADER: &[u8] = b"SQLite format 3\0";
 
-/// Suffixes of the files that SQLite and PEERNet create next to a database or spool; the empty one means the file itself.
+/// Suffixes of the files that SQLite and PEERNet create next to a database or spool. The empty suffix stands for the
+/// database or spool itself.
 const SUFFIXES: [&str; 6] = ["", "-wal", "-shm", "-lock", "-reserve", "-condemned"];
 
-/// Makes all files and folders that this process creates afterwards inaccessible to other users: 0640 and 0750 with
-/// the usual umask of 022. Child processes inherit this.
+/// Sets the umask so that other users cannot access the files and folders that this process creates from now on. With
+/// the usual umask of 022, new files have the mode 0640 and new folders 0750. Child processes inherit the umask.
 ///
-/// Must be called before threads are started, because the umask belongs to the process.
-pub fn create_without_others() {
-    // The umask can only be read by replacing it. Until the second call it is strict, so that no file is open to
-    // others.
-    let before = umask(Mode::from_raw_mode(0o077));
-    umask(before | Mode::from_raw_mode(OTHERS));
+/// Must be called before threads are started, because all threads of a process have the same umask.
+pub fn restrict_new_files() {
+    // The umask can only be read by replacing it. In between it is 077, which lets other users access no new file.
+    let previous_umask = umask(Mode::from_raw_mode(0o077));
+    umask(previous_umask | Mode::from_raw_mode(OTHERS));
 }
 
 /// Removes the permissions of other users from a database or spool of this user and from the files beside it. Returns
@@ -48,9 +48,9 @@ pub fn restrict_database(path: &Path) -> Vec<PathBuf> {
     }
     SUFFIXES
         .iter()
-        .map(|ending| {
+        .map(|suffix| {
             let mut name = OsString::from(&path);
-            name.push(ending);
+            name.push(suffix);
             PathBuf::from(name)
         })
         .filter(|path| restrict(path))
@@ -68,15 +68,17 @@ fn may_be_database(path: &Path) -> bool {
     }
 }
 
-/// Removes the permissions of other users from a folder of this user and from these files in it. Returns the changed
-/// paths.
+/// Removes the permissions of other users from a folder of this user and from the named files in the folder. Returns the
+/// changed paths.
 ///
-/// The current folder, and a folder in which every user may create files (`/tmp`), are left unchanged.
+/// If the folder is the current folder, or a folder in which every user may create files (`/tmp`), only the files are
+/// changed.
 // Other users and programs need such folders.
 pub fn restrict_folder(folder: &Path, files: &[&str]) -> Vec<PathBuf> {
     let is_shared = fs::metadata(folder).is_ok_and(|metadata| metadata.mode() & STICKY != 0);
     let current = std::env::current_dir().and_then(fs::canonicalize);
-    let is_current = current.is_ok_and(|current| fs::canonicalize(folder).is_ok_and(|it| it == current));
+    let is_current =
+        current.is_ok_and(|current| fs::canonicalize(folder).is_ok_and(|folder| folder == current));
     let folder_itself = (!is_shared && !is_current).then(|| folder.to_owned());
     let paths = folder_itself.into_iter().chain(files.iter().map(|file| folder.join(file)));
     paths.filter(|path| restrict(path)).collect()
@@ -95,7 +97,7 @@ pub fn log_changes(changed: &[PathBuf]) {
 /// Removes the permissions of other users from a path, and logs a failure. Returns whether the path was changed.
 fn restrict(path: &Path) -> bool {
     try_restrict(path).unwrap_or_else(|error| {
-        // Files such as `-wal` exist only at times.
+        // Some files do not always exist: SQLite deletes `-wal` when a database is closed.
         if error.kind() != ErrorKind::NotFound {
             tracing::warn!(%error, "cannot remove the permissions of other users from {}", path.display());
         }
@@ -113,7 +115,7 @@ fn try_restrict(path: &Path) -> io::Result<bool> {
     Ok(true)
 }
 
-/// Returns whether a path is a file or folder of this user. Links do not count.
+/// Returns whether a path is a file or folder that this user owns. A symbolic link is neither.
 // The target of a link may belong to anyone.
 fn is_ours(metadata: &Metadata) -> bool {
     (metadata.is_file() || metadata.is_dir()) && metadata.uid() == geteuid().as_raw()
@@ -123,7 +125,7 @@ fn is_ours(metadata: &Metadata) -> bool {
 mod tests {
     use super::*;
 
-    fn put(path: &Path, mode: u32) {
+    fn write_database(path: &Path, mode: u32) {
         fs::write(path, SQLITE_HEADER).expect("writable");
         fs::set_permissions(path, Permissions::from_mode(mode)).expect("own file");
     }
@@ -133,22 +135,22 @@ mod tests {
     }
 
     #[test]
-    fn only_permissions_of_others_are_removed() {
+    fn permissions_of_owner_and_group_are_kept() {
         let folder = tempfile::tempdir().expect("a folder");
         let database = folder.path().join("a.sqlite");
-        for (ending, before, after) in
+        for (suffix, before, after) in
             [("", 0o644, 0o640), ("-wal", 0o666, 0o660), ("-shm", 0o600, 0o600), ("-lock", 0o646, 0o640)]
         {
-            let path = folder.path().join(format!("a.sqlite{ending}"));
-            put(&path, before);
+            let path = folder.path().join(format!("a.sqlite{suffix}"));
+            write_database(&path, before);
             restrict_database(&database);
-            assert_eq!(mode(&path), after, "{ending}");
+            assert_eq!(mode(&path), after, "{suffix}");
         }
         assert_eq!(restrict_database(&database), Vec::<PathBuf>::new());
     }
 
     #[test]
-    fn other_file_keeps_its_permissions() {
+    fn only_databases_and_empty_files_are_restricted() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("passwd");
         for (contents, after) in [("root:x:0:0:root:/root:/bin/bash\n", 0o644), ("", 0o640)] {
@@ -160,11 +162,11 @@ mod tests {
     }
 
     #[test]
-    fn state_folder_is_restricted_but_shared_one_is_not() {
+    fn folder_is_restricted_unless_all_users_may_write() {
         let folder = tempfile::tempdir().expect("a folder");
         for (before, after) in [(0o755, 0o750), (0o775, 0o770), (0o700, 0o700), (0o1777, 0o1777)] {
             fs::set_permissions(folder.path(), Permissions::from_mode(before)).expect("own folder");
-            put(&folder.path().join("host-id"), 0o644);
+            write_database(&folder.path().join("host-id"), 0o644);
             restrict_folder(folder.path(), &["host-id", "none"]);
             assert_eq!(mode(folder.path()), after);
             assert_eq!(mode(&folder.path().join("host-id")), 0o640);
@@ -174,10 +176,10 @@ mod tests {
     #[test]
     fn target_of_link_keeps_its_permissions() {
         let folder = tempfile::tempdir().expect("a folder");
-        let elsewhere = folder.path().join("elsewhere");
-        put(&elsewhere, 0o644);
-        std::os::unix::fs::symlink(&elsewhere, folder.path().join("host-id")).expect("a link");
+        let target = folder.path().join("target");
+        write_database(&target, 0o644);
+        std::os::unix::fs::symlink(&target, folder.path().join("host-id")).expect("a link");
         restrict_folder(folder.path(), &["host-id"]);
-        assert_eq!(mode(&elsewhere), 0o644);
+        assert_eq!(mode(&target), 0o644);
     }
 }

@@ -6,13 +6,13 @@ use crate::Summary;
 const MIN_BINS: usize = 8;
 /// Maximum number of bins that the rule of Freedman and Diaconis may give.
 pub const MAX_BINS: usize = 60;
-/// At each end, one in this many values may be cut off.
+/// Number of values for each value that may be cut off at an end of the axis.
 const VALUES_PER_CUT: u64 = 100;
-/// Number of values that may be cut off at each end if one in [`VALUES_PER_CUT`] is less.
-const SMALL_SAMPLE_CUT: u64 = 3;
-/// Smallest number of values of a small sample for each value that is cut off at an end. It takes precedence over
-/// [`SMALL_SAMPLE_CUT`].
-const SMALL_SAMPLE_VALUES_PER_CUT: u64 = 8;
+/// Number of values that may be cut off at each end even if [`VALUES_PER_CUT`] permits fewer.
+// One in a hundred of few values would be none, but also a short run can have a few stalls.
+const MIN_CUT: u64 = 3;
+/// Number of values for each of the [`MIN_CUT`] values. With fewer than 24 values, fewer than three may be cut off.
+const VALUES_PER_MIN_CUT: u64 = 8;
 /// Values are cut off only if they would widen the axis by at least this factor.
 const MIN_GAIN: f64 = 1.5;
 /// Distance of Tukey's far fence from the nearer quartile, as a multiple of the interquartile range.
@@ -26,11 +26,11 @@ pub trait OrderedValues {
     /// Returns the value with this rank, from 0. `None` if there are fewer values.
     fn at(&self, rank: u64) -> Option<f64>;
 
-    /// Returns the smallest and the largest value between two limits. `None` if there are no such values.
+    /// Returns the smallest and the largest value within these limits, limits included. `None` if there are no such values.
     fn ends_within(&self, limits: (f64, f64)) -> Option<(f64, f64)>;
 
-    /// Returns the quantile at `p` from 0 to 1, by linear interpolation between neighbours (definition 7 of Hyndman and Fan 1996). `None`
-    /// without values.
+    /// Returns the quantile at `p` from 0 to 1, by linear interpolation between neighbours (definition 7 of Hyndman and
+    /// Fan 1996). `None` without values.
     fn quantile_of_ranks(&self, p: f64) -> Option<f64> {
         let rank = p.clamp(0.0, 1.0) * self.count().checked_sub(1)? as f64;
         let (below, above) = (self.at(rank.floor() as u64)?, self.at(rank.ceil() as u64)?);
@@ -82,19 +82,21 @@ impl OrderedValues for Summary {
     }
 }
 
-/// Returns the range of the values that are shown on an axis: all values, except a tail that would compress the rest. `None` without values.
+/// Returns the range of the values that are shown on an axis: all values, except a tail that would compress the rest.
+/// `None` without values.
 ///
 /// A value is in such a tail if both conditions hold:
 ///
-/// - It is beyond the far fence of Tukey (*Exploratory Data Analysis*, 1977), three interquartile ranges beyond the quartile.
-/// - It is beyond the range of the typical values by more than half the width of that range. The typical values are all values
-///   except 1 % at each end. If there are fewer than 400 values, three at each end are not typical; if there are fewer than 24 values,
-///   one in eight at each end.
+/// - It is beyond the far fence of Tukey (*Exploratory Data Analysis*, 1977), three interquartile ranges beyond the
+///   quartile.
+/// - It is beyond the range of the typical values by more than half the width of that range. The typical values are all
+///   values except 1 % at each end. If there are fewer than 400 values, three at each end are not typical; if there are
+///   fewer than 24 values, one in eight at each end.
 pub fn shown_range<V: OrderedValues + ?Sized>(values: &V) -> Option<(f64, f64)> {
     let count = values.count();
     let all = (values.at(0)?, values.at(count.checked_sub(1)?)?);
-    let small_sample_cut = (count / SMALL_SAMPLE_VALUES_PER_CUT).min(SMALL_SAMPLE_CUT);
-    let max_cut = (count / VALUES_PER_CUT).max(small_sample_cut);
+    let min_cut = (count / VALUES_PER_MIN_CUT).min(MIN_CUT);
+    let max_cut = (count / VALUES_PER_CUT).max(min_cut);
     // Ranks are used, because interpolated quantiles would depend on the value that is to be excluded.
     let (low, high) = (values.at(max_cut)?, values.at(count - 1 - max_cut)?);
     let width = high - low;
@@ -130,7 +132,7 @@ impl Binning {
     pub fn of<V: OrderedValues + ?Sized>(values: &V, max_bins: usize) -> Option<Self> {
         let (lo, hi) = shown_range(values).filter(|(lo, hi)| lo.is_finite() && hi.is_finite())?;
         if lo == hi {
-            // A bin needs a width that is not 0; how wide it is does not matter.
+            // A bin needs a width that is not 0; any width will do.
             let width = lo.abs().max(f64::MIN_POSITIVE) / 50.0;
             return Some(Self { range: (lo, hi), from: lo - width / 2.0, width, count: 1 });
         }
@@ -186,7 +188,7 @@ mod tests {
     use super::*;
     use crate::SplitMix64;
 
-    fn both(values: impl IntoIterator<Item = f64>) -> (Vec<f64>, Summary) {
+    fn sorted_and_summary(values: impl IntoIterator<Item = f64>) -> (Vec<f64>, Summary) {
         let mut sorted: Vec<f64> = values.into_iter().collect();
         sorted.sort_unstable_by(f64::total_cmp);
         let mut summary = Summary::default();
@@ -200,7 +202,7 @@ mod tests {
         let log_normal: Vec<f64> = (0..5_000).map(|_| 0.010 * (0.4 * noise.normal()).exp()).collect();
         let with_stalls = log_normal.iter().copied().chain([1.0, 2.0, 9.0]);
         for values in [log_normal.clone(), with_stalls.collect(), (1..=40).map(f64::from).collect()] {
-            let (sorted, summary) = both(values);
+            let (sorted, summary) = sorted_and_summary(values);
             let exact = Binning::of(sorted.as_slice(), MAX_BINS).expect("values");
             let stored = Binning::of(&summary, MAX_BINS).expect("values");
             let near = |a: f64, b: f64| (a / b - 1.0).abs() < 0.03;
@@ -219,12 +221,12 @@ mod tests {
     #[test]
     fn equal_values_of_summary_are_in_one_bin() {
         for value in [0.0, -3.0, 1e-9, 7.0] {
-            let (_, summary) = both([value; 40]);
+            let (_, summary) = sorted_and_summary([value; 40]);
             let binning = Binning::of(&summary, MAX_BINS).expect("values");
             assert_eq!((binning.range, binning.count), ((value, value), 1));
             assert_eq!(summary.count_in(&binning), BinCounts { below: 0, counts: vec![40], above: 0 });
         }
         assert_eq!(Binning::of(&Summary::default(), MAX_BINS), None);
-        assert_eq!(Binning::of(both([1.0, 2.0, 3.0]).0.as_slice(), 2).map(|bins| bins.count), Some(2));
+        assert_eq!(Binning::of([1.0, 2.0, 3.0].as_slice(), 2).map(|bins| bins.count), Some(2));
     }
 }

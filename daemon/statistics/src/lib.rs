@@ -7,8 +7,8 @@
 //! formats numbers for people. [`SplitMix64`] generates reproducible random numbers.
 //!
 //! All statistics can be merged. The merged statistics of several hosts, seconds or buckets equal the statistics of all
-//! their numbers together. [`Moments`] and [`Sketch`] are sent in live updates and stored; both are checked when they are
-//! read.
+//! their numbers together. [`Moments`] and [`Sketch`] are sent in live updates and stored. Both are checked when they are
+//! deserialised.
 
 pub mod histogram;
 mod merge;
@@ -35,7 +35,7 @@ pub const BUCKET_WIDTHS_S: [u32; 15] =
     [1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 900, 3_600, 7_200, 21_600, 86_400];
 
 /// Largest count that is accepted from other hosts.
-// Every integer up to this count is exact as `f64`, and thousands of such counts can be added in 64 bits.
+// Every integer up to this count is exact as `f64`, and the sum of 2,000 such counts fits into 64 bits.
 const MAX_COUNT: u64 = 1 << 53;
 
 /// Largest magnitude of a number that is recorded.

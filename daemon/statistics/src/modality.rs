@@ -14,13 +14,14 @@ const MIN_EXCESS: f64 = 0.05;
 /// Minimum ratio of the upper mode to the lower mode. If the modes are closer together, mean and standard deviation
 /// still describe the values.
 const MIN_RATIO: f64 = 1.2;
-/// Maximum distance by which a bin of the sketch is extended to each side, as a difference of natural logarithms.
+/// Maximum distance by which a bin of the sketch is extended to each side, as a difference of natural logarithms. If the
+/// middle between two whole numbers is farther away, that middle is the limit.
 const MAX_REACH: f64 = 0.1;
 /// Factor by which the bins of two neighbouring whole numbers may extend beyond the middle between the two, because the
 /// sketch rounds values.
 const WHOLE_NUMBER_MARGIN: f64 = 1.1;
-/// A shorter gap between two bins is an error of rounding.
-const ROUNDING: f64 = 1e-9;
+/// Minimum length of a gap between two bins. A shorter gap is a rounding error.
+const MIN_GAP: f64 = 1e-9;
 /// Number of steps between the lowest and the highest density. The excess mass is computed at each step.
 const LEVELS: i32 = 128;
 
@@ -62,24 +63,26 @@ impl Summary {
         (count >= MIN_VALUES && positive.len() >= 2).then_some(())?;
         let bins = bins(&positive, count);
         let excess = excess_mass(&bins);
-        let two_modes = groups(&bins)?;
+        let two_modes = divide(&bins)?;
         let (lower, upper) = two_modes.medians;
         let is_clear = excess >= MIN_EXCESS.max(EXCESS_BY_CHANCE / (count as f64).sqrt());
         (is_clear && upper >= MIN_RATIO * lower).then_some(two_modes)
     }
 }
 
-/// Returns the distribution as bins, with empty bins for gaps. Each bin of the sketch extends halfway to its neighbours, up to
-/// [`MAX_REACH`] or halfway to the next whole number. Otherwise there would be valleys between whole numbers, such as counts of tokens.
+/// Returns the distribution as bins, with empty bins for gaps. Each bin of the sketch extends halfway to its neighbours,
+/// but at most by [`MAX_REACH`] or halfway to the next whole number, whichever is farther.
+// Without the rule for whole numbers, there would be valleys between them, for example between numbers of tokens.
 fn bins(positive: &[(f64, u64)], count: u64) -> Vec<Bin> {
     let logarithm = |index: usize| positive[index].0.ln();
     // The values of a sketch are known within 1 %.
     let reach = |ratio: f64| MAX_REACH.max(0.5 * WHOLE_NUMBER_MARGIN * ratio.ln());
     let mut bins = Vec::with_capacity(positive.len());
-    let last = positive.len() - 1;
+    let last_index = positive.len() - 1;
+    // Distance by which the current bin extends to the left; the first bin has no neighbour there.
     let mut left = None;
     for (index, (value, values)) in positive.iter().enumerate() {
-        let (distance, right, left_of_next) = if index < last {
+        let (distance, right, left_of_next) = if index < last_index {
             let (distance, next) = (logarithm(index + 1) - logarithm(index), positive[index + 1].0);
             let to_next = reach((value + 1.0) / value);
             let from_next = if next > 1.0 { reach(next / (next - 1.0)) } else { f64::INFINITY };
@@ -91,7 +94,7 @@ fn bins(positive: &[(f64, u64)], count: u64) -> Vec<Bin> {
         let length = left.unwrap_or(right) + right;
         bins.push(Bin { value: *value, length, mass: *values as f64 / count as f64 });
         let gap = distance - right - left_of_next;
-        if index < last && gap > ROUNDING {
+        if index < last_index && gap > MIN_GAP {
             bins.push(Bin { value: *value, length: gap, mass: 0.0 });
         }
         left = Some(left_of_next);
@@ -104,10 +107,11 @@ fn bins(positive: &[(f64, u64)], count: u64) -> Vec<Bin> {
 /// share of the values in the intervals, minus the share that a uniform distribution with this density has there.
 fn excess_mass(bins: &[Bin]) -> f64 {
     let densities = || bins.iter().filter(|bin| bin.mass > 0.0).map(|bin| bin.mass / bin.length);
-    // The density that separates two groups best puts at least `MIN_EXCESS` on the whole axis, if their excess is that large.
-    let separating = MIN_EXCESS / bins.iter().map(|bin| bin.length).sum::<f64>();
+    // The excess at a density is at most the density times the length of the axis. An excess of `MIN_EXCESS` therefore
+    // needs at least this density.
+    let min_density = MIN_EXCESS / bins.iter().map(|bin| bin.length).sum::<f64>();
     let (lowest, highest) =
-        densities().fold((separating, 0.0_f64), |(lo, hi), density| (lo.min(density), hi.max(density)));
+        densities().fold((min_density, 0.0_f64), |(lo, hi), density| (lo.min(density), hi.max(density)));
     let level = |step: i32| lowest * (highest / lowest).powf(f64::from(step) / f64::from(LEVELS));
     let excess = (0..=LEVELS).map(|step| {
         let gain = |bin: &Bin| bin.mass - level(step) * bin.length;
@@ -132,9 +136,9 @@ fn largest_interval_sums(gains: impl Iterator<Item = f64>) -> [f64; 2] {
     [after_first, after_second.max(after_first)]
 }
 
-/// Divides the values at the threshold with the largest variance between both groups.
-fn groups(bins: &[Bin]) -> Option<TwoModes> {
-    let total: f64 = bins.iter().map(|bin| bin.mass * bin.value.ln()).sum();
+/// Divides the values into two groups at the threshold with the largest variance between the groups.
+fn divide(bins: &[Bin]) -> Option<TwoModes> {
+    let mean: f64 = bins.iter().map(|bin| bin.mass * bin.value.ln()).sum();
     let mut best: Option<(f64, usize, f64)> = None;
     let (mut below, mut sum_below) = (0.0, 0.0);
     for (index, bin) in bins.iter().enumerate().take(bins.len() - 1) {
@@ -144,9 +148,9 @@ fn groups(bins: &[Bin]) -> Option<TwoModes> {
         if above <= 0.0 {
             break;
         }
-        let distance = (total - sum_below) / above - sum_below / below;
+        let distance = (mean - sum_below) / above - sum_below / below;
         let variance = below * above * distance * distance;
-        if best.is_none_or(|(most, ..)| variance > most) {
+        if best.is_none_or(|(largest_variance, ..)| variance > largest_variance) {
             best = Some((variance, index + 1, above));
         }
     }
@@ -177,12 +181,13 @@ mod tests {
         summary
     }
 
-    /// Returns the share of samples of `count` values that seem to have two modes, of 200 samples; of 50 if they are large.
+    /// Draws 200 sets of `count` values, or 50 sets if they are large. Returns the fraction of the sets in which two modes
+    /// are found.
     fn alarms(count: usize, seed: u64, mut value: impl FnMut(&mut SplitMix64) -> f64) -> f64 {
-        let samples = if count > 1_000 { 50 } else { 200 };
+        let sets = if count > 1_000 { 50 } else { 200 };
         let mut noise = SplitMix64::new(seed);
         let mut has_two = || summary((0..count).map(|_| value(&mut noise))).two_modes().is_some();
-        (0..samples).filter(|_| has_two()).count() as f64 / f64::from(samples)
+        (0..sets).filter(|_| has_two()).count() as f64 / f64::from(sets)
     }
 
     #[test]
@@ -199,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn other_distributions_with_one_mode_have_one() {
+    fn uniform_and_exponential_values_have_one_mode() {
         for count in [100, 1_000, 10_000] {
             let uniform = alarms(count, 5, |noise| 1.0 + noise.unit());
             let exponential = alarms(count, 6, |noise| 1e-3 - (1.0 - noise.unit()).ln());
@@ -208,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn two_humps_are_found_with_their_medians() {
+    fn two_modes_are_found_with_their_medians() {
         for count in [100, 1_000, 10_000] {
             let mut noise = SplitMix64::new(7);
             let short_or_long = |index: usize| if index.is_multiple_of(3) { 300.0 } else { 40.0 };
@@ -221,10 +226,10 @@ mod tests {
         }
         // Answers that are cut off at a limit of 256 tokens.
         let mut noise = SplitMix64::new(8);
-        let cut = summary((0..500).map(|index| {
+        let truncated_answers = summary((0..500).map(|index| {
             if index % 10 < 3 { 256.0 } else { (60.0 * (0.4 * noise.normal()).exp()).round().min(256.0) }
         }));
-        let modes = cut.two_modes().expect("two modes");
+        let modes = truncated_answers.two_modes().expect("two modes");
         assert!(
             (modes.medians.1 / 256.0 - 1.0).abs() < 0.02 && (modes.upper_share - 0.3).abs() < 0.05,
             "{modes:?}"
@@ -232,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn few_equal_and_close_values_have_no_two_modes() {
+    fn too_few_equal_or_close_values_have_no_two_modes() {
         assert_eq!(summary([1.0, 9.0].into_iter().cycle().take(99)).two_modes(), None, "too few");
         assert_eq!(summary([7.0; 500].into_iter()).two_modes(), None);
         assert_eq!(summary([0.0; 500].into_iter()).two_modes(), None);

@@ -25,8 +25,7 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// Adds a number. The caller must leave out numbers that are not finite or too large
-    /// ([`Summary::accepts`](crate::Summary::accepts)).
+    /// Adds a number. The caller must leave out numbers that [`Summary::accepts`](crate::Summary::accepts) rejects.
     #[inline]
     pub fn record(&mut self, value: f64) {
         if self.count == 0 {
@@ -97,7 +96,8 @@ impl TryFrom<UncheckedMoments> for Moments {
             Ok(Self { count, mean, m2, min, max })
         } else {
             Err(
-                "inconsistent moments: a number is not finite or too large, or the minimum is above the maximum",
+                "inconsistent moments: a number is not finite or too large, the minimum is above the maximum, \
+                 or the sum of squares is negative",
             )
         }
     }
@@ -125,11 +125,11 @@ mod tests {
     /// Computes mean and sample variance in two passes.
     fn two_passes(values: &[f64]) -> (f64, f64) {
         let mean = values.iter().sum::<f64>() / values.len() as f64;
-        let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
-        (mean, squares / (values.len() - 1) as f64)
+        let squared_deviations: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+        (mean, squared_deviations / (values.len() - 1) as f64)
     }
 
-    fn close(a: f64, b: f64) -> bool {
+    fn are_close(a: f64, b: f64) -> bool {
         (a - b).abs() <= 1e-9 * a.abs().max(b.abs())
     }
 
@@ -141,26 +141,26 @@ mod tests {
 
     proptest! {
         #[test]
-        fn one_number_at_a_time_equals_two_passes(values in durations()) {
+        fn moments_equal_those_of_two_passes(values in durations()) {
             let (mean, variance) = two_passes(&values);
             let moments = moments_of(&values);
-            prop_assert!(close(moments.mean, mean));
-            prop_assert!(close(moments.variance().expect("two or more"), variance));
+            prop_assert!(are_close(moments.mean, mean));
+            prop_assert!(are_close(moments.variance().expect("two or more"), variance));
             prop_assert_eq!(moments.count, values.len() as u64);
             prop_assert_eq!(moments.min, values.iter().copied().fold(f64::MAX, f64::min));
             prop_assert_eq!(moments.max, values.iter().copied().fold(f64::MIN, f64::max));
         }
 
         #[test]
-        fn merging_in_any_pieces_equals_two_passes(values in durations(), pieces in 1_usize..20) {
+        fn merged_moments_equal_those_of_two_passes(values in durations(), piece_length in 1_usize..20) {
             let mut merged = Moments::default();
-            for piece in values.chunks(pieces) {
+            for piece in values.chunks(piece_length) {
                 merged.merge(&moments_of(piece));
             }
             let (mean, variance) = two_passes(&values);
-            prop_assert!(close(merged.mean, mean));
-            prop_assert!(close(merged.variance().expect("two or more"), variance));
-            prop_assert!(close(merged.sum(), values.iter().sum()));
+            prop_assert!(are_close(merged.mean, mean));
+            prop_assert!(are_close(merged.variance().expect("two or more"), variance));
+            prop_assert!(are_close(merged.sum(), values.iter().sum()));
         }
     }
 
@@ -168,11 +168,11 @@ mod tests {
     fn inconsistent_moments_are_refused() {
         let good = moments_of(&[1.0, 2.0]);
         let nan = Moments { mean: f64::NAN, ..good };
-        let crossed = Moments { min: 3.0, ..good };
-        let wire = |moments| rmp_serde::to_vec(&moments).expect("serialises");
-        assert_eq!(rmp_serde::from_slice::<Moments>(&wire(good)).expect("reads back"), good);
-        assert!(rmp_serde::from_slice::<Moments>(&wire(nan)).is_err());
-        assert!(rmp_serde::from_slice::<Moments>(&wire(crossed)).is_err());
+        let min_above_max = Moments { min: 3.0, ..good };
+        let encode = |moments| rmp_serde::to_vec(&moments).expect("serialises");
+        assert_eq!(rmp_serde::from_slice::<Moments>(&encode(good)).expect("reads back"), good);
+        assert!(rmp_serde::from_slice::<Moments>(&encode(nan)).is_err());
+        assert!(rmp_serde::from_slice::<Moments>(&encode(min_above_max)).is_err());
     }
 
     #[test]

@@ -47,7 +47,7 @@ impl<C: Merge + Default> RecentSeconds<C> {
         add(self.cell(second));
     }
 
-    /// Replaces the cell of a second, for updates that are complete each time.
+    /// Replaces the cell of a second. For updates that each contain all numbers of the second so far.
     pub fn replace(&mut self, second: i64, cell: C) {
         *self.cell(second) = cell;
     }
@@ -125,7 +125,7 @@ mod tests {
     proptest! {
         #[test]
         fn merged_seconds_equal_sum_of_recorded_seconds(
-            steps in prop::collection::vec((0_i64..4, 0_i64..5), 1..200), length in 5_usize..30, back in 1_usize..40,
+            steps in prop::collection::vec((0_i64..4, 0_i64..5), 1..200), length in 5_usize..30, window in 1_usize..40,
         ) {
             let mut recent_seconds = RecentSeconds::<Count>::new(length);
             let mut all = BTreeMap::<i64, u64>::new();
@@ -136,8 +136,8 @@ mod tests {
                 *all.entry(now - late).or_default() += 1;
             }
             let newest = recent_seconds.newest().expect("recorded");
-            let expected: u64 = all.range(newest - back.min(length) as i64 + 1..).map(|(_, count)| count).sum();
-            prop_assert_eq!(recent_seconds.last(newest, back), Count(expected));
+            let expected: u64 = all.range(newest - window.min(length) as i64 + 1..).map(|(_, count)| count).sum();
+            prop_assert_eq!(recent_seconds.last(newest, window), Count(expected));
         }
     }
 

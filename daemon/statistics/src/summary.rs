@@ -46,8 +46,8 @@ impl Summary {
         self.moments.count
     }
 
-    /// Returns the quantile at `q` from 0 to 1: the number below which the fraction `q` of all numbers lies. It is
-    /// never outside of the observed extremes. `None` without numbers.
+    /// Returns the quantile at `q` from 0 to 1: the number below which the fraction `q` of all numbers lies. The
+    /// result is never outside of the observed extremes. `None` without numbers.
     pub fn quantile(&self, q: f64) -> Option<f64> {
         // The midpoint of the lowest or the highest bin may lie beyond the smallest or the largest number.
         self.sketch.quantile(q).map(|value| value.max(self.moments.min).min(self.moments.max))
@@ -110,15 +110,15 @@ mod tests {
     #[test]
     fn tail_percentiles_need_enough_numbers() {
         let mut summary = Summary::default();
-        let mut known_after = |count: u64| {
+        let mut percentiles_after = |count: u64| {
             (summary.count()..count).for_each(|_| summary.record(0.1));
             (summary.tails(), summary.p95(), summary.p99())
         };
-        assert_eq!(known_after(59), (None, None, None));
+        assert_eq!(percentiles_after(59), (None, None, None));
         // All numbers are equal: a quantile from only the sketch could differ by up to 1 %.
-        assert_eq!(known_after(60), (Some((0.1, 0.1)), Some(0.1), None));
-        assert_eq!(known_after(299).2, None);
-        assert_eq!(known_after(300).2, Some(0.1));
+        assert_eq!(percentiles_after(60), (Some((0.1, 0.1)), Some(0.1), None));
+        assert_eq!(percentiles_after(299).2, None);
+        assert_eq!(percentiles_after(300).2, Some(0.1));
     }
 
     #[test]
@@ -135,8 +135,8 @@ mod tests {
         let mut summary = Summary::default();
         [MAX_MAGNITUDE, -MAX_MAGNITUDE, 1.0].iter().for_each(|value| summary.record(*value));
         (0..20).for_each(|_| summary.merge(&summary.clone()));
-        let wire = rmp_serde::to_vec(&summary).expect("serialises");
-        assert_eq!(rmp_serde::from_slice::<Summary>(&wire).expect("reads back"), summary);
+        let bytes = rmp_serde::to_vec(&summary).expect("serialises");
+        assert_eq!(rmp_serde::from_slice::<Summary>(&bytes).expect("reads back"), summary);
     }
 
     #[test]

@@ -47,7 +47,7 @@ impl Difference {
     pub fn texts(self, decimals: usize) -> (String, Option<String>) {
         let interval = self.interval.unwrap_or((self.value, self.value));
         let estimate = Estimate::new(self.value, interval).with_decimals(decimals);
-        (estimate.signed(), self.interval.map(|_| estimate.shift()))
+        (estimate.signed(), self.interval.map(|_| estimate.signed_interval()))
     }
 
     /// Returns whether the interval excludes zero, so that the difference is more than chance; `None` if there is no interval.

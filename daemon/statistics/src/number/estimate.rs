@@ -1,9 +1,9 @@
-//! Estimates from samples with their intervals, in ms.
+//! Formatting of estimates and their intervals, in ms.
 
 use super::milliseconds::default_decimals;
 use super::{decimals, fixed, has_nonzero_digit, join_ends, with_plus_sign};
 
-/// Largest number of decimals of an estimate in ms, which gives a picosecond.
+/// Largest number of decimals of an estimate in ms. The ninth decimal is one picosecond.
 const MAX_DECIMALS: usize = 9;
 
 /// Estimate with its interval, in ms. Both are shown down to the second significant digit of half the interval's width.
@@ -48,13 +48,13 @@ impl Estimate {
         with_plus_sign(self.value())
     }
 
-    /// Formats both ends: `0.0179 – 0.0187`, `−1.54 to −1.35`.
-    pub fn between(&self) -> String {
+    /// Formats both ends of the interval: `0.0179 – 0.0187`, `−1.54 to −1.35`.
+    pub fn interval(&self) -> String {
         join_ends(self.ends())
     }
 
-    /// Formats both ends with their signs: `−0.65 to +0.63`.
-    pub fn shift(&self) -> String {
+    /// Formats both ends of the interval with their signs: `−0.65 to +0.63`.
+    pub fn signed_interval(&self) -> String {
         join_ends(self.ends().map(with_plus_sign))
     }
 
@@ -62,8 +62,8 @@ impl Estimate {
         [self.interval.0, self.interval.1].map(|end| self.format(end))
     }
 
-    /// Formats a number. If the interval excludes zero, a number other than zero keeps at least one digit, so that it
-    /// is not shown as zero.
+    /// Formats a number. If the interval excludes zero, a number other than zero keeps at least one significant
+    /// digit, so that the number is not shown as zero.
     fn format(&self, value: f64) -> String {
         let excludes_zero = self.interval.0 > 0.0 || self.interval.1 < 0.0;
         // Number of decimals up to the first significant digit.
@@ -88,8 +88,8 @@ mod tests {
     }
 
     #[test]
-    fn digits_follow_the_interval_however_narrow() {
-        let text = |it: Estimate| format!("{} ({})", it.value(), it.between());
+    fn digits_follow_interval_of_any_width() {
+        let text = |it: Estimate| format!("{} ({})", it.value(), it.interval());
         assert_eq!(text(estimate(0.002_013, 0.001_98, 0.002_05)), "0.002013 (0.001980 – 0.002050)");
         assert_eq!(text(estimate(0.018_31, 0.017_9, 0.018_7)), "0.01831 (0.01790 – 0.01870)");
         assert_eq!(text(estimate(6.304, 5.66, 6.93)), "6.30 (5.66 – 6.93)");
@@ -100,14 +100,18 @@ mod tests {
     }
 
     #[test]
-    fn significant_difference_excludes_zero() {
-        let text = |it: Estimate| format!("{}, {}", it.signed(), it.shift());
+    fn significant_difference_is_not_shown_as_zero() {
+        let text = |it: Estimate| format!("{}, {}", it.signed(), it.signed_interval());
         assert_eq!(
             text(estimate(-0.000_7, -0.001_2, -0.000_2)),
             "\u{2212}0.00070, \u{2212}0.00120 to \u{2212}0.00020"
         );
         assert_eq!(text(estimate(0.25, 0.000_000_21, 0.5)), "+0.25, +0.0000002 to +0.50");
-        assert_eq!(text(estimate(0.25, -0.000_000_21, 0.5)), "+0.25, 0.00 to +0.50", "that is chance");
+        assert_eq!(
+            text(estimate(0.25, -0.000_000_21, 0.5)),
+            "+0.25, 0.00 to +0.50",
+            "zero is in the interval, so an end may be shown as zero"
+        );
         assert_eq!(text(estimate(-1.4, -1.54, -1.35)), "\u{2212}1.400, \u{2212}1.540 to \u{2212}1.350");
     }
 

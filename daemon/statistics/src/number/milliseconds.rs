@@ -1,10 +1,10 @@
-//! Formatting of durations, in ms where they are compared.
+//! Formatting of durations: in ms, or in s for a single long duration.
 
 use super::{Quantity, decimals, figure, fixed, fixed_or_less_than, join_ends, signed};
 
-/// Largest number of decimals of a value in ms, which gives a nanosecond.
+/// Largest number of decimals of a value in ms. The sixth decimal is one nanosecond.
 const MAX_DECIMALS: usize = 6;
-/// Number of decimals of a value in ms that give a resolution of a tenth of a microsecond.
+/// Number of decimals of a value in ms that resolve a tenth of a microsecond.
 const TENTH_OF_MICROSECOND: usize = 4;
 /// Shortest duration that a clock distinguishes from zero: a nanosecond.
 const MIN_DISTINGUISHABLE_MS: f64 = 1e-6;
@@ -40,7 +40,7 @@ pub fn duration(seconds: f64) -> Quantity {
 
 /// Format of all durations of one table, in ms. Their number of decimals follows from the total of the table. If the
 /// total is below 0.1 ms, the total has three significant digits. Otherwise there are two decimals, or three if the
-/// second significant digit of the total's deviation is the third decimal.
+/// deviation of the total needs a third decimal for two significant digits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DurationFormat {
     decimals: usize,
@@ -56,7 +56,10 @@ impl DurationFormat {
     /// Returns the format for a table whose total has this mean and deviation.
     pub fn for_total(mean: Option<f64>, std: Option<f64>) -> Self {
         let short = mean.map(|seconds| seconds * 1e3).filter(|ms| ms.abs() < SHORT_DURATION_MS);
-        Self { decimals: short.map_or_else(|| decimals_for(std.filter(|std| *std > 0.0)), default_decimals) }
+        Self {
+            decimals: short
+                .map_or_else(|| decimals_for_error(std.filter(|std| *std > 0.0)), default_decimals),
+        }
     }
 
     /// Formats a duration; a value that would be rounded to zero is `<0.01`.
@@ -85,7 +88,7 @@ pub fn total_ms(seconds: f64) -> String {
 /// Formats mean and deviation, or value and margin, in ms: `16.2` and `1.1`.
 ///
 /// Both numbers have the same decimals: down to the second significant digit of the deviation, but at most as many as
-/// give a tenth of a microsecond or, if these are more, three significant digits of the mean. Without a deviation, the
+/// resolve a tenth of a microsecond or, if these are more, as give three significant digits of the mean. Without a deviation, the
 /// mean has three significant digits.
 pub fn mean_std_ms(mean: f64, std: Option<f64>) -> (String, Option<String>) {
     let std = std.filter(|std| std.is_finite());
@@ -120,10 +123,11 @@ pub fn range_ms((lo, hi): (f64, f64)) -> String {
 /// two significant digits, otherwise two. All values of a column have the same number of decimals, so that they can be
 /// compared. Without values the number is 0.
 pub fn column_decimals(half_widths: impl IntoIterator<Item = Option<f64>>) -> usize {
-    half_widths.into_iter().map(decimals_for).max().unwrap_or_default()
+    half_widths.into_iter().map(decimals_for_error).max().unwrap_or_default()
 }
 
-fn decimals_for(half_width: Option<f64>) -> usize {
+/// Returns the number of decimals for a value with this error, within the limits of a column.
+fn decimals_for_error(half_width: Option<f64>) -> usize {
     match half_width {
         None => MIN_COLUMN_DECIMALS,
         // Exact values are shown as precisely as they are measured.

@@ -21,8 +21,8 @@ pub use milliseconds::{
     total_ms, trip_ms,
 };
 pub use quantity::{
-    Quantity, bytes, gigabytes, percent, rate, share, throughput, throughput_between, throughput_with, times,
-    whole_percent,
+    Quantity, bytes, gigabytes, percent, rate, share, throughput, throughput_between, throughput_with_margin,
+    times, whole_percent,
 };
 
 /// Text for a number that is absent or unknown.
@@ -39,7 +39,7 @@ const MINUS: &str = "\u{2212}";
 const EXPONENT_FROM: f64 = 1e12;
 /// Magnitude below which numbers are written with their power of ten if [`MAX_DECIMALS`] decimals were requested.
 const EXPONENT_BELOW: f64 = 1e-12;
-/// Largest number of decimals; more are cut off.
+/// Largest number of decimals of a formatted number.
 const MAX_DECIMALS: usize = 17;
 
 /// Formats a number with a fixed number of decimals: with a true minus sign, commas between thousands, and no signed
@@ -52,13 +52,13 @@ pub fn fixed(value: f64, decimals: usize) -> String {
         return NONE.to_owned();
     }
     let decimals = decimals.min(MAX_DECIMALS);
-    let size = value.abs();
-    let is_tiny = value != 0.0 && size < EXPONENT_BELOW && decimals == MAX_DECIMALS;
-    if size >= EXPONENT_FROM || is_tiny {
+    let magnitude = value.abs();
+    let is_tiny = value != 0.0 && magnitude < EXPONENT_BELOW && decimals == MAX_DECIMALS;
+    if magnitude >= EXPONENT_FROM || is_tiny {
         let sign = if value < 0.0 { MINUS } else { "" };
-        return format!("{sign}{size:.3e}");
+        return format!("{sign}{magnitude:.3e}");
     }
-    let digits = format!("{size:.decimals$}");
+    let digits = format!("{magnitude:.decimals$}");
     let (whole, fraction) = digits.split_once('.').unwrap_or((&digits, ""));
     // A number that is rounded to zero has no sign.
     let sign = if value < 0.0 && has_nonzero_digit(&digits) { MINUS } else { "" };
@@ -147,8 +147,8 @@ fn has_nonzero_digit(text: &str) -> bool {
     text.bytes().any(|digit| (b'1'..=b'9').contains(&digit))
 }
 
-/// Joins both ends of an interval by a dash. If an end has a sign, they are joined by a word, because a dash before a
-/// sign is hard to read. Equal ends give one number.
+/// Joins both ends of an interval by a dash. If an end has a sign, the ends are joined by the word `to`, because a dash
+/// before a sign is hard to read. Equal ends give one number.
 pub fn join_ends([lo, hi]: [String; 2]) -> String {
     let has_sign = |end: &str| end.starts_with(['\u{2212}', '+']);
     match (lo == hi, has_sign(&lo) || has_sign(&hi)) {

@@ -4,7 +4,7 @@ use std::fmt;
 
 use super::{SPACE, decimals, fixed, fixed_or_less_than, significant};
 
-/// Largest number of decimals of a throughput in MB/s, which gives a byte per second.
+/// Largest number of decimals of a throughput in MB/s. The sixth decimal is one byte per second.
 const MAX_DECIMALS: usize = 6;
 
 /// Number and unit, kept apart because a page formats them differently.
@@ -34,7 +34,7 @@ impl fmt::Display for Quantity {
     }
 }
 
-/// Formats a share in percent without its sign: `0`, `<0.01`, `0.02`, `1.3`, `14`.
+/// Formats a share in percent, without the percent sign: `0`, `<0.01`, `0.02`, `1.3`, `14`.
 pub fn percent(share: f64) -> String {
     let value = share * 100.0;
     match value {
@@ -55,7 +55,8 @@ pub fn whole_percent(share: f64) -> String {
     fixed(share * 100.0, 0)
 }
 
-/// Formats a rate per second with three significant digits, or one decimal: `0`, `0.0137`, `5.00`, `141.3`, `12,346`.
+/// Formats a rate per second: below 10 with three significant digits, below 1,000 with one decimal, above without
+/// decimals: `0`, `0.0137`, `5.00`, `141.3`, `12,346`.
 pub fn rate(hz: f64) -> String {
     match hz {
         0.0 => "0".to_owned(),
@@ -74,7 +75,7 @@ pub fn throughput(bits_per_second: f64) -> String {
 
 /// Formats bits per second and their margin in MB/s, both down to the second significant digit of the margin: `943 ±
 /// 14`.
-pub fn throughput_with(bits_per_second: f64, margin: f64) -> String {
+pub fn throughput_with_margin(bits_per_second: f64, margin: f64) -> String {
     let [rate, margin] = [bits_per_second, margin].map(|bits| bits / 8e6);
     let decimals = if margin > 0.0 { decimals(margin, 2) } else { decimals(rate, 3) }.min(MAX_DECIMALS);
     format!("{} ± {}", fixed(rate, decimals), fixed(margin, decimals))
@@ -92,7 +93,7 @@ pub fn throughput_between((lo, hi): (f64, Option<f64>)) -> String {
 }
 
 /// Formats a size in the largest decimal unit in which the number is at least 1: `412 B`, `151 kB`, `1.2 MB`. Zeros at
-/// the end of the decimals are left out: bytes are counted exactly, so zeros would not show a precision.
+/// the end of the decimals are left out. Bytes are counted exactly, so these zeros would say nothing about precision.
 pub fn bytes(value: f64) -> Quantity {
     const UNITS: [&str; 5] = ["B", "kB", "MB", "GB", "TB"];
     if value < 999.5 {

@@ -21,7 +21,7 @@ fn shared_table_of_numbers_is_formatted_as_listed() {
                 "milliseconds" => milliseconds(number(value) / 1e3),
                 "throughput" => throughput(number(value) * 8e6),
                 "count" => count(value.as_u64().expect("a count")),
-                other => panic!("{other} is not known"),
+                other => panic!("unknown function {other}"),
             };
             assert_eq!(written, text, "{function} of {value}");
         }
@@ -149,7 +149,10 @@ fn shares_rates_and_sizes_are_formatted_with_three_digits() {
     assert_eq!(rate(5.0), "5.00");
     assert_eq!(rate(0.0137), "0.0137");
     assert_eq!(rate(12_345.6), "12,346");
-    assert_eq!([0.0, 0.00625, 0.69, 106.3].map(|of| throughput(of * 8e6)), ["0", "0.00625", "0.690", "106"]);
+    assert_eq!(
+        [0.0, 0.00625, 0.69, 106.3].map(|megabytes| throughput(megabytes * 8e6)),
+        ["0", "0.00625", "0.690", "106"]
+    );
     assert_eq!(bytes(412.0).to_string(), "412\u{202f}B");
     assert_eq!(bytes(150_600.0).to_string(), "151\u{202f}kB");
     assert_eq!(bytes(1_228_800.0).to_string(), "1.23\u{202f}MB");
@@ -216,8 +219,8 @@ fn value_ends_at_second_digit_of_margin() {
         (mean_std(6.31e-3, Some(f64::INFINITY)), mean_std(6.31e-3, None)),
         ("6.31".into(), "6.31".into())
     );
-    assert_eq!(throughput_with(8e6 * 943.4, 8e6 * 13.6), "943 ± 14");
-    assert_eq!(throughput_with(8e6 * 1.234, 8e6 * 0.056), "1.234 ± 0.056");
+    assert_eq!(throughput_with_margin(8e6 * 943.4, 8e6 * 13.6), "943 ± 14");
+    assert_eq!(throughput_with_margin(8e6 * 1.234, 8e6 * 0.056), "1.234 ± 0.056");
     assert_eq!(error_ms(61.2e-6), "0.061");
 }
 

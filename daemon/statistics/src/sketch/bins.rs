@@ -34,10 +34,10 @@ pub(super) fn middle(key: i32) -> f64 {
     lower * (1.0 + Sketch::RELATIVE_ERROR)
 }
 
-/// Bins with their counts: `counts[i]` belongs to the key `first + i`.
+/// Bins with their counts: `counts[i]` belongs to the key `lowest_key + i`.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Bins {
-    first: i32,
+    lowest_key: i32,
     counts: Vec<u64>,
     total: u64,
 }
@@ -45,31 +45,32 @@ pub(super) struct Bins {
 impl Bins {
     #[inline]
     pub(super) fn add(&mut self, key: i32, count: u64) {
-        let index = i64::from(key) - i64::from(self.first);
+        let index = i64::from(key) - i64::from(self.lowest_key);
         match usize::try_from(index).ok().and_then(|index| self.counts.get_mut(index)) {
             Some(bin) => *bin += count,
-            None => self.add_uncovered(key, count),
+            None => self.add_outside_range(key, count),
         }
         self.total += count;
     }
 
     /// Adds a count for a key outside of the stored range.
     #[cold]
-    fn add_uncovered(&mut self, key: i32, count: u64) {
+    fn add_outside_range(&mut self, key: i32, count: u64) {
         self.extend_range(key, key);
         // A key below the stored range is counted in the lowest bin.
-        let index = (key.max(self.first) - self.first) as usize;
+        let index = (key.max(self.lowest_key) - self.lowest_key) as usize;
         self.counts[index] += count;
     }
 
     pub(super) fn merge(&mut self, other: &Self) {
         let Some(highest) = other.highest_key() else { return };
-        self.extend_range(other.first, highest);
+        self.extend_range(other.lowest_key, highest);
         // Bins of the other sketch below the stored range are added to the lowest bin.
-        let bins_below = usize::try_from(self.first - other.first).unwrap_or(0).min(other.counts.len());
+        let bins_below =
+            usize::try_from(self.lowest_key - other.lowest_key).unwrap_or(0).min(other.counts.len());
         let (collapsed, rest) = other.counts.split_at(bins_below);
         self.counts[0] += collapsed.iter().sum::<u64>();
-        let offset = usize::try_from(other.first - self.first).unwrap_or(0);
+        let offset = usize::try_from(other.lowest_key - self.lowest_key).unwrap_or(0);
         for (bin, count) in self.counts[offset..].iter_mut().zip(rest) {
             *bin += count;
         }
@@ -80,15 +81,15 @@ impl Bins {
         self.total
     }
 
-    /// Iterates over the bins that are not empty, lowest first.
+    /// Iterates over the bins that are not empty, lowest lowest_key.
     pub(super) fn iter(&self) -> impl DoubleEndedIterator<Item = (i32, u64)> + '_ {
         let with_keys =
-            self.counts.iter().enumerate().map(|(index, count)| (self.first + index as i32, *count));
+            self.counts.iter().enumerate().map(|(index, count)| (self.lowest_key + index as i32, *count));
         with_keys.filter(|(_, count)| *count > 0)
     }
 
     fn highest_key(&self) -> Option<i32> {
-        Some(self.first + i32::try_from(self.counts.len()).ok()? - 1).filter(|_| !self.counts.is_empty())
+        Some(self.lowest_key + i32::try_from(self.counts.len()).ok()? - 1).filter(|_| !self.counts.is_empty())
     }
 
     /// Extends the stored range to the keys `low..=high`. If the range would have more than [`MAX_BINS_PER_SIGN`] bins,
@@ -96,25 +97,25 @@ impl Bins {
     fn extend_range(&mut self, low: i32, high: i32) {
         let (lowest, highest) = match self.highest_key() {
             None => (low, high),
-            Some(highest) => (self.first.min(low), highest.max(high)),
+            Some(highest) => (self.lowest_key.min(low), highest.max(high)),
         };
         let lowest = lowest.max(highest - (MAX_BINS_PER_SIGN as i32 - 1));
         if self.counts.is_empty() {
-            self.first = lowest;
-        } else if lowest > self.first {
+            self.lowest_key = lowest;
+        } else if lowest > self.lowest_key {
             // The lowest bins are merged, because the error of the largest quantiles must stay bounded.
-            let collapsed = ((lowest - self.first) as usize).min(self.counts.len());
-            let sum: u64 = self.counts.drain(..collapsed).sum();
-            self.first = lowest;
+            let collapsed_bins = ((lowest - self.lowest_key) as usize).min(self.counts.len());
+            let sum: u64 = self.counts.drain(..collapsed_bins).sum();
+            self.lowest_key = lowest;
             // If all bins were merged, none is left, but their sum needs a bin.
             self.counts.resize(self.counts.len().max(1), 0);
             self.counts[0] += sum;
-        } else if lowest < self.first {
-            let added = (self.first - lowest) as usize;
+        } else if lowest < self.lowest_key {
+            let added = (self.lowest_key - lowest) as usize;
             self.counts.splice(..0, std::iter::repeat_n(0, added));
-            self.first = lowest;
+            self.lowest_key = lowest;
         }
-        self.counts.resize((highest - self.first) as usize + 1, 0);
+        self.counts.resize((highest - self.lowest_key) as usize + 1, 0);
     }
 }
 

@@ -15,8 +15,8 @@ use crate::Merge;
 /// base γ = 1.01 / 0.99, rounded up. The midpoint of a bin differs by at most 1 % from every number in the bin. Merging
 /// adds the counts of the bins. The order in which sketches are merged does not matter, and no precision is lost.
 ///
-/// Memory is bounded: each sign has at most [`Sketch::MAX_BINS`] bins. These span a factor of 6 × 10¹⁷ between the largest
-/// number and the smallest number that is distinguished. Numbers closer to zero share a bin, so that the error of the
+/// Memory is bounded: each sign has at most [`Sketch::MAX_BINS`] bins. These bins span a factor of 6 × 10¹⁷ between the
+/// largest and the smallest magnitude. All numbers closer to zero are counted in the lowest bin, so that the error of the
 /// large quantiles stays bounded.
 ///
 /// ```
@@ -32,7 +32,7 @@ pub struct Sketch {
     positive: Bins,
     /// Bins of the magnitudes of negative numbers.
     negative: Bins,
-    /// Number of zeros.
+    /// Number of zeros and of numbers that count as zero ([`Sketch::MIN_MAGNITUDE`]).
     zero: u64,
 }
 
@@ -85,8 +85,9 @@ impl Sketch {
             if cumulative_count > lower {
                 lower_value.get_or_insert(value);
             }
-            let reached = lower_value.filter(|_| cumulative_count > upper);
-            reached.map(|lower_value| lower_value + (value - lower_value) * rank.fract())
+            // The bin of the upper neighbour may be a later bin than that of the lower neighbour.
+            let lower_value = lower_value.filter(|_| cumulative_count > upper);
+            lower_value.map(|lower_value| lower_value + (value - lower_value) * rank.fract())
         })
     }
 
@@ -115,20 +116,20 @@ impl Sketch {
     /// Returns the number of values below `x`, for drawing. The values of a bin are assumed to be evenly distributed
     /// within the bin, so the result may have a fractional part.
     pub fn count_below(&self, x: f64) -> f64 {
-        let share_below = |lower: f64, upper: f64| ((x - lower) / (upper - lower)).clamp(0.0, 1.0);
+        let fraction_of_bin = |lower: f64, upper: f64| ((x - lower) / (upper - lower)).clamp(0.0, 1.0);
         let negative = self.negative.iter().map(|(key, count)| {
             let (lower, upper) = bins::range(key);
-            count as f64 * share_below(-upper, -lower)
+            count as f64 * fraction_of_bin(-upper, -lower)
         });
         let zero = if x > 0.0 { self.zero as f64 } else { 0.0 };
         let positive = self.positive.iter().map(|(key, count)| {
             let (lower, upper) = bins::range(key);
-            count as f64 * share_below(lower, upper)
+            count as f64 * fraction_of_bin(lower, upper)
         });
         negative.sum::<f64>() + zero + positive.sum::<f64>()
     }
 
-    /// Returns the share of all numbers that are below `x`, 0 to 1; `None` if no number was recorded.
+    /// Returns the fraction of all numbers that are below `x`, 0 to 1; `None` if no number was recorded.
     pub fn fraction_below(&self, x: f64) -> Option<f64> {
         let count = self.count();
         (count > 0).then(|| self.count_below(x) / count as f64)

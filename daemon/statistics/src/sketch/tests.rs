@@ -8,25 +8,25 @@ fn sketch_of(values: &[f64]) -> Sketch {
     sketch
 }
 
-/// Returns the quantile of all numbers, and the permitted error: 1 % of each neighbour's share.
-fn exact(values: &[f64], q: f64) -> (f64, f64) {
+/// Returns the exact quantile, and the permitted error: 1 % of each neighbour, weighted as in the interpolation.
+fn exact_quantile(values: &[f64], q: f64) -> (f64, f64) {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
     let rank = q * (sorted.len() - 1) as f64;
     let (lower, upper) = (sorted[rank.floor() as usize], sorted[rank.ceil() as usize]);
-    let between = |lower: f64, upper: f64| lower * (1.0 - rank.fract()) + upper * rank.fract();
-    (between(lower, upper), between(lower.abs(), upper.abs()) * Sketch::RELATIVE_ERROR)
+    let interpolate = |lower: f64, upper: f64| lower * (1.0 - rank.fract()) + upper * rank.fract();
+    (interpolate(lower, upper), interpolate(lower.abs(), upper.abs()) * Sketch::RELATIVE_ERROR)
 }
 
-/// Generates durations, throughputs and temperatures, and distributions that are difficult for sketches. Together
-/// they span less than the factor of 6 × 10¹⁷ that a sketch distinguishes.
+/// Generates durations, throughputs and temperatures, and distributions that are difficult for sketches. The numbers
+/// span less than the factor of 6 × 10¹⁷ that the bins of a sketch span.
 fn numbers() -> impl Strategy<Value = Vec<f64>> {
     let uniform = 1e-6..1e7_f64;
     let signed = (-1e3..1e3_f64).prop_filter("counts as zero", |value| value.abs() >= Sketch::MIN_MAGNITUDE);
     let pareto = (1e-6..1.0_f64).prop_map(|u| 1e-3 * u.powf(-1.5));
     let log_normal = (-5.0..6.0_f64).prop_map(|z| (3.0 * z).exp() * 1e-3);
-    let one = prop_oneof![uniform, signed, pareto, log_normal, Just(0.0), Just(0.02)];
-    prop::collection::vec(one, 1..400)
+    let number = prop_oneof![uniform, signed, pareto, log_normal, Just(0.0), Just(0.02)];
+    prop::collection::vec(number, 1..400)
 }
 
 proptest! {
@@ -34,9 +34,9 @@ proptest! {
     fn quantiles_are_within_one_percent(values in numbers()) {
         let sketch = sketch_of(&values);
         for q in [0.0, 0.1, 0.5, 0.9, 0.95, 0.99, 0.999, 1.0] {
-            let seen = sketch.quantile(q).expect("not empty");
-            let (truth, error) = exact(&values, q);
-            prop_assert!((seen - truth).abs() <= error * (1.0 + 1e-6), "q {q}: {seen} {truth}");
+            let estimate = sketch.quantile(q).expect("not empty");
+            let (truth, error) = exact_quantile(&values, q);
+            prop_assert!((estimate - truth).abs() <= error * (1.0 + 1e-6), "q {q}: {estimate} {truth}");
         }
     }
 
@@ -64,7 +64,7 @@ proptest! {
     }
 
     #[test]
-    fn compact_form_is_read_back(values in numbers()) {
+    fn packed_form_is_read_back(values in numbers()) {
         let sketch = sketch_of(&values);
         prop_assert_eq!(&Sketch::from_bytes(&sketch.to_bytes()).expect("reads back"), &sketch);
         let wire = rmp_serde::to_vec(&sketch).expect("serialises");
@@ -72,7 +72,7 @@ proptest! {
     }
 
     #[test]
-    fn damaged_bytes_are_refused_or_are_another_sketch(values in numbers(), at: prop::sample::Index, bit in 0..8) {
+    fn damaged_bytes_are_refused_or_give_valid_sketch(values in numbers(), at: prop::sample::Index, bit in 0..8) {
         let mut bytes = sketch_of(&values).to_bytes();
         let at = at.index(bytes.len());
         bytes[at] ^= 1_u8 << bit;
@@ -99,10 +99,10 @@ proptest! {
     }
 
     #[test]
-    fn fraction_below_is_right_within_one_percent(values in numbers(), x in 1e-3..1e3_f64) {
-        let share = sketch_of(&values).fraction_below(x).expect("not empty");
+    fn fraction_below_is_right_within_width_of_bin(values in numbers(), x in 1e-3..1e3_f64) {
+        let fraction = sketch_of(&values).fraction_below(x).expect("not empty");
         let below = |x: f64| values.iter().filter(|value| **value < x).count() as f64 / values.len() as f64;
-        prop_assert!(below(x * 0.979) - 1e-9 <= share && share <= below(x * 1.021) + 1e-9);
+        prop_assert!(below(x * 0.979) - 1e-9 <= fraction && fraction <= below(x * 1.021) + 1e-9);
     }
 }
 
@@ -110,8 +110,8 @@ proptest! {
 fn quantiles_of_few_numbers_equal_numpy() {
     let sketch = sketch_of(&[10.0, 20.0, 40.0]);
     for (q, numpy) in [(0.25, 15.0), (0.5, 20.0), (0.75, 30.0), (0.95, 38.0)] {
-        let seen = sketch.quantile(q).expect("not empty");
-        assert!((seen - numpy).abs() <= 0.01 * numpy, "q {q}: {seen}");
+        let estimate = sketch.quantile(q).expect("not empty");
+        assert!((estimate - numpy).abs() <= 0.01 * numpy, "q {q}: {estimate}");
     }
 }
 
@@ -153,7 +153,7 @@ fn sketch_of_impossible_content_is_refused() {
     ] {
         assert_eq!(Sketch::from_bytes(&bytes), Err(error), "{bytes:?}");
     }
-    let most = [0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0x01];
-    let twice = [&most[..], &[1, 2], &most, &[0]].concat();
-    assert_eq!(Sketch::from_bytes(&twice), Err(PackedError::Overflow));
+    let max_count = [0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0x01];
+    let overflowing = [&max_count[..], &[1, 2], &max_count, &[0]].concat();
+    assert_eq!(Sketch::from_bytes(&overflowing), Err(PackedError::Overflow));
 }

@@ -76,7 +76,7 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
         best.name,
         difference_ms.value(),
         all[index].name,
-        difference_ms.between()
+        difference_ms.interval()
     )
 }
 
