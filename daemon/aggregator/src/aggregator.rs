@@ -40,14 +40,14 @@ pub struct Aggregator {
     rejections: Arc<RejectionCounts>,
 }
 
-/// A running aggregator, to be joined.
+/// A running aggregator. [`RunningAggregator::join`] waits for its end.
 #[derive(Debug)]
 pub struct RunningAggregator {
     /// Handle for readers.
     pub handle: Aggregator,
     tasks: JoinSet<Result<(), Failure>>,
     /// Names of the tasks, for [`Failure`].
-    names: HashMap<Id, &'static str>,
+    task_names: HashMap<Id, &'static str>,
     stop: CancellationToken,
     /// Receives the database, if it is open, when the writer's task ends.
     closed_database: oneshot::Receiver<Option<OpenDatabase>>,
@@ -96,14 +96,14 @@ impl Aggregator {
         }
         let (queue, queued_items) = ingest::queue();
         let grouping = committing::Grouping::new(&config);
-        // While one group is committed, the next is prepared.
-        let (prepared_work_in, prepared_work) = preparing::channel(2 * grouping.max_nodes);
-        let (requests_in, requests) = mpsc::channel(WRITER_REQUEST_CAPACITY);
-        let (live_events_in, live_events) = mpsc::channel(LIVE_EVENT_CAPACITY);
-        let (store_events_in, store_events) = mpsc::channel(STORE_EVENT_CAPACITY);
+        // The channel has room for two groups: while one group is committed, the next group is prepared.
+        let (prepared_work_sender, prepared_work) = preparing::channel(2 * grouping.max_nodes);
+        let (request_sender, requests) = mpsc::channel(WRITER_REQUEST_CAPACITY);
+        let (live_event_sender, live_events) = mpsc::channel(LIVE_EVENT_CAPACITY);
+        let (store_event_sender, store_events) = mpsc::channel(STORE_EVENT_CAPACITY);
         let (snapshots, live) = watch::channel(tracker.shared_snapshot(clock.stamp()));
-        let (closed_database_in, closed_database) = oneshot::channel();
-        let (readiness_in, readiness) = watch::channel(Readiness::Ready);
+        let (closed_database_sender, closed_database) = oneshot::channel();
+        let (readiness_sender, readiness) = watch::channel(Readiness::Ready);
         // A batch that does not fit into the queue has to be sent again, which costs more than waiting; so
         // the window never exceeds the queue's capacity.
         let (budget_bytes, max_window) = (ingest::CAPACITY_BYTES as u64, ingest::MAX_WINDOW);
@@ -128,13 +128,13 @@ impl Aggregator {
                 live,
                 readiness,
                 store,
-                requests: requests_in,
+                requests: request_sender,
                 database: config.database.as_path().into(),
                 retention: config.retention,
                 rejections: socket.rejections(),
             },
             tasks: JoinSet::new(),
-            names: HashMap::new(),
+            task_names: HashMap::new(),
             stop: stop.clone(),
             closed_database,
         };
@@ -147,13 +147,13 @@ impl Aggregator {
         });
         running.spawn_thread("preparing", {
             let runtime = Handle::current();
-            move || preparing::run(&runtime, queued_items, &prepared_work_in)
+            move || preparing::run(&runtime, queued_items, &prepared_work_sender)
         });
         let context = committing::TaskContext {
             queue: prepared_work,
             requests,
-            store_events: store_events_in,
-            readiness: readiness_in,
+            store_events: store_event_sender,
+            readiness: readiness_sender,
             snapshots: running.handle.live(),
             clock: Arc::clone(&clock),
             integrity: integrity.clone(),
@@ -163,16 +163,17 @@ impl Aggregator {
         let reopening = Reopening { path: config.database, retention: config.retention, integrity, store };
         running.spawn("writer", async move {
             let database = Box::pin(committing::run(database, context, grouping, reopening)).await;
-            // Without a caller of `join` the connection is dropped.
-            let _unjoined = closed_database_in.send(database);
+            // If nobody calls `join`, the receiver is gone and the connection is dropped.
+            let _unjoined = closed_database_sender.send(database);
             Ok(())
         });
-        let context = socket::TaskContext { store_events, live_events: live_events_in, clock, stop };
+        let context = socket::TaskContext { store_events, live_events: live_event_sender, clock, stop };
         running.spawn("ingest", socket::run(socket, address, session, context));
         Ok(running)
     }
 
-    /// Follows the snapshots of the live state: a new one after each change, at most five per second.
+    /// Returns a receiver of the snapshots of the live state. There is a new snapshot after each change, but at most five
+    /// per second.
     pub fn live(&self) -> watch::Receiver<Arc<LiveState>> {
         self.live.clone()
     }
@@ -182,14 +183,14 @@ impl Aggregator {
         &self.store
     }
 
-    /// Protects a run from the retention limits, or ends that protection. Returns whether there is a run of that
-    /// number.
+    /// Protects a run from the retention limits, or ends that protection. Returns whether there is a run with
+    /// that number.
     ///
     /// # Errors
     /// If the database cannot be written now.
     pub async fn pin(&self, run: i64, pinned: bool) -> Result<bool, StoreError> {
-        let (answer_in, answer) = oneshot::channel();
-        match self.requests.send(WriterRequest::Pin(run, pinned, answer_in)).await {
+        let (answer_sender, answer) = oneshot::channel();
+        match self.requests.send(WriterRequest::Pin(run, pinned, answer_sender)).await {
             Ok(()) => answer.await.unwrap_or_else(|_| Err(StoreError::pin_without_writer())),
             Err(_) => Err(StoreError::pin_without_writer()),
         }
@@ -214,7 +215,7 @@ impl Aggregator {
         &self.rejections
     }
 
-    /// Follows whether events are being stored.
+    /// Returns a receiver that states whether events are being stored.
     pub fn readiness(&self) -> watch::Receiver<Readiness> {
         self.readiness.clone()
     }
@@ -233,7 +234,7 @@ impl RunningAggregator {
         task: impl Future<Output = Result<(), Failure>> + Send + 'static,
     ) {
         let id = self.tasks.spawn(task).id();
-        self.names.insert(id, name);
+        self.task_names.insert(id, name);
     }
 
     /// Spawns a task that computes on a thread and never blocks for long.
@@ -243,11 +244,11 @@ impl RunningAggregator {
             Ok(())
         };
         let id = self.tasks.spawn_blocking(work).id();
-        self.names.insert(id, name);
+        self.task_names.insert(id, name);
     }
 
-    /// Waits until all tasks have ended: after `stop` was cancelled, or because one of them died. The events received
-    /// before that are stored and acknowledged, unless the database refuses them.
+    /// Waits until all tasks have ended: after `stop` was cancelled, or because a task died. Events that were received
+    /// before the end are stored and acknowledged, unless the database refuses them.
     ///
     /// # Errors
     /// If a task died or ended although `stop` was not cancelled; the other tasks are stopped then.
@@ -266,7 +267,7 @@ impl RunningAggregator {
                     Some(Failure::TaskDied { task: self.name(error.id()), reason: panic_message(error) })
                 }
             };
-            // Only the first failure is reported: the others follow from it.
+            // Only the first failure is reported, because it causes the other failures.
             if let (Some(failure), Ok(())) = (failure, &result) {
                 result = Err(failure);
                 self.stop.cancel();
@@ -289,7 +290,7 @@ impl RunningAggregator {
 
     /// Returns the name of a task.
     fn name(&self, id: Id) -> &'static str {
-        self.names.get(&id).copied().unwrap_or("unnamed")
+        self.task_names.get(&id).copied().unwrap_or("unnamed")
     }
 }
 

@@ -27,14 +27,14 @@ pub struct AggregatorConfig {
     /// Path of the SQLite file. It is created with its folder if it does not exist; SQLite adds `-wal` and `-shm` files
     /// in the same folder.
     pub database: PathBuf,
-    /// Longest time that a batch waits for others before the commit, 1 to 10,000 ms.
+    /// Longest time that a batch waits for other batches before the commit, 1 to 10,000 ms.
     pub commit_interval_ms: u64,
     /// Number of tree nodes (rows) at which a commit starts without waiting, 1 to 1,000,000. The sync is a small part
     /// of the cost of such a large commit. Other batches that are ready join the commit.
     pub commit_nodes: usize,
-    /// Number of connections that readers share, 1 to 64.
+    /// Number of read-only connections to the database, 1 to 64. Pages and API share these connections.
     pub readers: u32,
-    /// Longest time of a reader's SQL statement, 100 to 600,000 ms; a longer one is interrupted.
+    /// Longest time of a reader's SQL statement, 100 to 600,000 ms; a longer statement is interrupted.
     pub question_limit_ms: u64,
     /// Time after the last message of a host until the live state drops the host, 1 to 2^32 - 1 s; its stored runs
     /// remain.
@@ -84,8 +84,8 @@ impl AggregatorConfig {
     /// Returns the configured name, or the machine's host name if that is a valid name, or `aggregator`.
     pub(crate) fn name(&self) -> Slug {
         self.name.clone().unwrap_or_else(|| {
-            let machine = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
-            machine.trim().parse().unwrap_or_else(|_| "aggregator".parse().expect("letters alone are a name"))
+            let host_name = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+            host_name.trim().parse().unwrap_or_else(|_| "aggregator".parse().expect("a valid name"))
         })
     }
 
@@ -149,7 +149,7 @@ fn database_problem(path: &Path) -> Option<String> {
     let file = path.exists().then_some((path, write));
     let access_problem = [(folder, write | enter)].into_iter().chain(file).find_map(|(path, access)| {
         let error = rustix::fs::access(path, access).err()?;
-        Some(format!("cannot write to {}: {error}; choose another file or change its owner", path.display()))
+        Some(format!("cannot write to {}: {error}; choose another path or change the owner", path.display()))
     });
     let folder_problem =
         || (!folder.is_dir()).then(|| format!("{} is not a folder; choose another path", folder.display()));

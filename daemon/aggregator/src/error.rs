@@ -49,7 +49,7 @@ pub enum Failure {
     #[error("the aggregator's {0} task ended unexpectedly")]
     TaskEnded(&'static str),
     /// The socket was closed.
-    #[error("cannot receive on {address}: its socket was closed")]
+    #[error("cannot receive on {address}: the socket was closed")]
     Socket {
         /// Address that the socket listened on.
         address: String,

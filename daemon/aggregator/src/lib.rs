@@ -4,7 +4,7 @@
 //! There are four tasks. Each is the only owner of its state, so that no task waits for a lock of another task:
 //!
 //! ```text
-//! agents ── ingest: socket and session, who may send ─── preparing: batches to rows ── writer: one transaction a group
+//! agents ── ingest: socket and sessions ─── preparing: batches to rows ── writer: one transaction per group
 //!              │  ▲                                                                    │
 //!              │  └───────────────────────────────── acknowledgements ─────────────────┤
 //!              └─ live lane ── live state ◄──────── stored counts ───────────────────┘
@@ -28,7 +28,7 @@ pub use aggregator::{Aggregator, RunningAggregator};
 pub use config::AggregatorConfig;
 pub use error::{Failure, Problem, StartError};
 pub use live_state::{
-    Arrivals, CatchingUp, HostSnapshot, LinkSnapshot, LiveSecond, LiveState, MetricsPoint, PercentilePoint,
-    PercentileSeries, PipelineSnapshot, RefusedFrames, RefusedHost, Totals, Window,
+    CatchingUp, HostSnapshot, LinkSnapshot, LiveSecond, LiveState, MetricsPoint, PercentilePoint,
+    PercentileSeries, PipelineSnapshot, RefusedFrames, RefusedHost, RejectedBatches, Totals, Window,
 };
 pub use readiness::Readiness;

@@ -32,8 +32,8 @@ pub struct LiveState {
     pub links: Vec<Arc<LinkSnapshot>>,
     /// Hosts that were refused in the last ten minutes, newest first, at most 32.
     pub refused: Vec<RefusedHost>,
-    /// Number of hosts with stored events that are not in `hosts`, because they were silent for long or since the
-    /// aggregator's start.
+    /// Number of hosts that have stored events but are not in `hosts`, because they have sent no message for a long time,
+    /// or none since the aggregator's start.
     pub absent: usize,
     /// Totals of all hosts, including hosts that are not in `hosts`.
     pub totals: Totals,
@@ -42,10 +42,10 @@ pub struct LiveState {
 /// Totals of all hosts. They never decrease while the aggregator runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Totals {
-    /// Counts of the database.
+    /// Counts of the events in the database.
     pub stored: StoredCounts,
     /// Batches that arrived and were not stored.
-    pub arrivals: Arrivals,
+    pub arrivals: RejectedBatches,
     /// Frames that belong to no known host.
     pub refused: RefusedFrames,
 }
@@ -61,7 +61,7 @@ pub struct RefusedFrames {
 
 /// Numbers of batches that arrived and were not stored, since the aggregator's start; they are sent again.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Arrivals {
+pub struct RejectedBatches {
     /// Batches for which the queue had no capacity.
     pub deferred: u64,
     /// Batches that did not match their hash.
@@ -71,9 +71,9 @@ pub struct Arrivals {
 /// Estimate of how fast storing catches up with measuring.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct CatchingUp {
-    /// Seconds per second by which the storage lag falls, over about the last 10 s.
+    /// Seconds by which the storage lag falls per second, on average over about the last 10 s.
     pub rate: f64,
-    /// Events stored per second, over the same time.
+    /// Events stored per second, on average over the same 10 s.
     pub events_per_second: f64,
     /// Time until the lag is zero at this rate.
     #[serde(rename = "left")]
@@ -89,11 +89,11 @@ pub struct LinkSnapshot {
     pub edge_name: Slug,
     /// `true` if the edge is connected and its latest update contains the link.
     pub connected: bool,
-    /// Time of the latest report on the aggregator's wall clock.
+    /// Time of the latest update about the link, on the aggregator's wall clock.
     pub last_seen: WallTime,
-    /// The latest report of the edge.
+    /// The latest update of the edge about the link.
     pub live: LinkLive,
-    /// One point per second of the edge's wall clock over the last ten minutes, oldest first; seconds without a report
+    /// One point per second of the edge's wall clock over the last ten minutes, oldest first; seconds without an update
     /// are absent.
     pub history: Vec<Arc<ClockPoint>>,
 }
@@ -107,7 +107,7 @@ pub struct RefusedHost {
     pub address: Option<String>,
     /// Reason of the refusal, and the remedy.
     pub reason: String,
-    /// Time of the host's latest attempt on the aggregator's wall clock.
+    /// Time of the host's latest attempt, on the aggregator's wall clock.
     pub at: WallTime,
 }
 
@@ -124,10 +124,10 @@ pub struct HostSnapshot {
     /// `true` if the host said goodbye with nothing left in its spool: it stopped in order.
     #[serde(rename = "left")]
     pub has_left: bool,
-    /// Time of the host's last message on the aggregator's wall clock.
+    /// Time of the host's last message, on the aggregator's wall clock.
     pub last_seen: WallTime,
-    /// The host's wall clock minus the aggregator's at the latest update. It includes the update's network delay, so it
-    /// indicates only that a clock is wrong.
+    /// The host's wall clock minus the aggregator's at the latest update. This difference includes the network delay of
+    /// the update. It can therefore show that a clock is wrong, but not exactly by how much.
     pub clock_ahead: Span,
     /// Storage lag: age of the oldest event in the spool, on the host's clock at its latest update; `None` if nothing
     /// waits.
@@ -145,7 +145,7 @@ pub struct HostSnapshot {
     /// Counts of the host's events in the database.
     pub stored: StoredCounts,
     /// Batches that arrived and were not stored.
-    pub arrivals: Arrivals,
+    pub arrivals: RejectedBatches,
     /// Time of the host's newest stored event on the host's clock; `None` if nothing was stored since the aggregator's
     /// start.
     pub newest_stored: Option<WallTime>,
@@ -157,8 +157,8 @@ impl HostSnapshot {
     /// Returns the number of the host's events that are missing in the database for ever. Events that are in another
     /// database are not counted.
     pub fn missing_events(&self) -> u64 {
-        // Both numbers count the gaps that the agent reported. The aggregator also counts batches that it found
-        // missing, and the agent also counts events whose gap it has not sent yet.
+        // Both numbers count the gaps that the agent reported, so a sum would count these gaps twice. The aggregator also
+        // counts batches that it found missing, and the agent also counts events whose gap it has not sent yet.
         self.accounting.dropped.max(self.stored.missing_here())
     }
 }
@@ -191,11 +191,11 @@ pub struct PipelineSnapshot {
     pub placement: Placement,
     /// Configured load as text: `closed`, `5 Hz`.
     pub load: String,
-    /// Time of the latest update on the aggregator's wall clock.
+    /// Time of the latest update, on the aggregator's wall clock.
     pub last_seen: WallTime,
     /// Figures of the last 1, 10 and 60 seconds.
     pub windows: [Window; 3],
-    /// The last 600 seconds, oldest first; seconds without a report are absent.
+    /// The last 600 seconds, oldest first; seconds without an update are absent.
     pub series: Vec<Arc<LiveSecond>>,
     /// 95th percentile of the total latency over the same seconds.
     pub total_p95: PercentileSeries,
@@ -208,9 +208,9 @@ pub struct PipelineSnapshot {
 /// pipeline's rate.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct PercentileSeries {
-    /// Length of each bucket, seconds; `None` if even the longest would have too few iterations.
+    /// Length of each bucket, seconds; `None` if even the longest bucket would have too few iterations.
     pub bucket_s: Option<u32>,
-    /// Buckets with enough iterations, oldest first; the newest one may be incomplete.
+    /// Buckets with enough iterations, oldest first; the newest bucket may be incomplete.
     pub points: Vec<PercentilePoint>,
 }
 
@@ -283,7 +283,7 @@ pub struct LiveSecond {
 impl Window {
     /// Returns the statistics of a node name.
     pub fn value(&self, name: &str) -> Option<&QuantityStatistics> {
-        self.values.iter().find(|(other, _)| other == name).map(|(_, statistics)| statistics)
+        self.values.iter().find(|(value_name, _)| value_name == name).map(|(_, statistics)| statistics)
     }
 }
 

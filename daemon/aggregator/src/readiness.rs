@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-/// State of storing.
+/// Whether the aggregator stores events.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Readiness {

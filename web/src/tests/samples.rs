@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use peernet_aggregator::{
-    Aggregator, AggregatorConfig, Arrivals, HostSnapshot, LinkSnapshot, LiveSecond, LiveState, MetricsPoint,
-    PercentilePoint, PercentileSeries, PipelineSnapshot, RefusedHost, Totals, Window,
+    Aggregator, AggregatorConfig, HostSnapshot, LinkSnapshot, LiveSecond, LiveState, MetricsPoint,
+    PercentilePoint, PercentileSeries, PipelineSnapshot, RefusedHost, RejectedBatches, Totals, Window,
 };
 use peernet_analysis::transfer::Transfers;
 use peernet_clock::{
@@ -217,7 +217,7 @@ pub(crate) fn host(name: &str, kind: &str) -> HostSnapshot {
         metrics,
         accounting: Accounting::default(),
         stored: StoredCounts::default(),
-        arrivals: Arrivals::default(),
+        arrivals: RejectedBatches::default(),
         newest_stored: None,
         live_left_out: 0,
     }

@@ -2,7 +2,7 @@
 
 use std::cmp::Reverse;
 
-use peernet_aggregator::{Arrivals, HostSnapshot};
+use peernet_aggregator::{HostSnapshot, RejectedBatches};
 use peernet_clock::Span;
 use peernet_figures::drawing;
 use peernet_statistics::number::{self, NONE, SPACE, bytes, count, figure, fixed, length, percent, roughly};
@@ -198,7 +198,7 @@ pub(crate) fn most_severe_remark(host: &HostSnapshot) -> Option<Remark> {
 /// Returns the aggregator's counts of a host's data, as pairs of name and text.
 pub(crate) fn stored_count_pairs(
     stored: &StoredCounts,
-    arrivals: Option<&Arrivals>,
+    arrivals: Option<&RejectedBatches>,
     newest: Option<peernet_clock::WallTime>,
     zone: Zone,
 ) -> Vec<(&'static str, String)> {

@@ -2,8 +2,9 @@
 
 use std::time::Duration;
 
-/// The first pause after a failed attempt, and the longest one.
+/// Pause after the first failed attempt.
 const FIRST_PAUSE: Duration = Duration::from_millis(200);
+/// Upper limit of all pauses.
 const LONGEST_PAUSE: Duration = Duration::from_secs(5);
 
 /// Exponential backoff: each pause is twice as long as the previous one, up to `LONGEST_PAUSE`.

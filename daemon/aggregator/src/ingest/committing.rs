@@ -34,7 +34,8 @@ use peernet_store::{AggregatorIncidentKind, StoreError};
 /// Interval of checking the database's files while no work arrives.
 const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
-/// If SQLite's -wal file is larger, it is truncated as soon as no reader uses it. Twice the usual size.
+/// Size of SQLite's -wal file above which the file is truncated as soon as no reader uses it, bytes. Twice the usual
+/// size.
 const MAX_WAL_BYTES: u64 = 128 << 20;
 
 /// Maximum number of tree nodes of a commit, unless `commit_nodes` is larger: a larger commit is no cheaper per node.
@@ -46,9 +47,10 @@ const COMMITS_PER_RETENTION: u64 = 8;
 /// Limits at which a group is committed. Nodes are tree nodes (see [`Work::weight`]).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Grouping {
-    /// Longest time that the first batch of a group waits for others.
+    /// Longest time that the first batch of a group waits for further batches.
     pub(crate) interval: Duration,
-    /// Number of nodes at which a group no longer waits for batches; batches that are ready still join it.
+    /// Number of nodes at which a group no longer waits for batches; batches that are ready still join the
+    /// group.
     pub(crate) min_nodes: usize,
     /// Number of nodes at which a group is full.
     pub(crate) max_nodes: usize,
@@ -118,8 +120,8 @@ struct WriterState {
 impl WriterState {
     /// Returns whether work belongs to the open database. Work admitted before a reopening was checked against the
     /// stored state of the previous database, so it is dropped. A goodbye is valid for any database.
-    fn is_current(&self, queued: &PreparedWork) -> bool {
-        queued.generation == self.generation || matches!(queued.work, Work::Goodbye(_))
+    fn is_current(&self, prepared: &PreparedWork) -> bool {
+        prepared.generation == self.generation || matches!(prepared.work, Work::Goodbye(_))
     }
 
     /// Records that nothing can be stored.
@@ -222,8 +224,9 @@ async fn serve(
             // Time in the queue counts towards the interval.
             let waited = (context.clock.mono() - first.admitted_at).to_duration();
             group = collect_group(first, &mut context.queue, waited, grouping).await;
-            // Dropped after grouping, so that a reopening needs no search through the queue.
-            group.retain(|queued| state.is_current(queued));
+            // Work that was admitted before a reopening is dropped here, so that a reopening needs no search through the
+            // queue.
+            group.retain(|prepared| state.is_current(prepared));
         }
         let mut work: Vec<Work> = state.departed_hosts.drain(..).map(Work::Goodbye).collect();
         let (group_work, capacity): (Vec<Work>, Vec<_>) =
@@ -236,7 +239,7 @@ async fn serve(
             Ok(true) => {}
             Ok(false) => return ServeEnd::Finished,
             Err(error) => {
-                // Agents send batches again, but not a goodbye, so it is kept for the reopened database.
+                // Agents send batches again, but no goodbyes. Goodbyes are therefore kept for the reopened database.
                 let departed_host = |work| if let Work::Goodbye(host) = work { Some(host) } else { None };
                 state.departed_hosts = work.into_iter().filter_map(departed_host).collect();
                 return ServeEnd::Failed(error);
@@ -352,7 +355,7 @@ async fn commit(
     work: &[Work],
     context: &TaskContext,
 ) -> Result<CommitResult, CommitError> {
-    // Checked first, so that a file that replaced a damaged file is opened.
+    // This check comes before the check for damage, so that a file that replaced a damaged file is opened.
     writer.check_file()?;
     ensure_undamaged(&context.integrity)?;
     let committed = writer.commit(work, context.clock.stamp()).await;
@@ -383,8 +386,8 @@ async fn execute_request(writer: &mut Writer, request: WriterRequest, integrity:
 /// Returns the readiness after a group could not be stored.
 fn readiness_after(error: &CommitError) -> Readiness {
     match error {
-        CommitError::Damaged(what) => {
-            Readiness::NotStoring(format!("cannot store events: {what}; agents keep them"))
+        CommitError::Damaged(damage) => {
+            Readiness::NotStoring(format!("cannot store events: {damage}; agents keep them"))
         }
         error => not_storing(error),
     }

@@ -1,7 +1,7 @@
-//! Selects the statistics of connections that are stored: one sample per minute, and the last one of a connection that
+//! Selects which statistics of connections are stored: one sample per minute, and the last sample of a connection that
 //! has ended.
 //!
-//! The samples come from the live state. Agents do not send them as events, because an older aggregator could not read
+//! The samples come from the live state. Agents do not send the samples as events, because an older aggregator could not read
 //! such an event. A missed sample loses no totals, because the totals are cumulative and the next sample contains them.
 
 use std::collections::HashMap;

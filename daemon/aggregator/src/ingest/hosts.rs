@@ -137,8 +137,8 @@ impl Hosts {
     }
 
     /// Adds a host of which nothing is stored. What an earlier hello of the same stream revealed is kept: a replaced
-    /// stream and missing batches. Returns the newcomer that was dropped: the host's earlier entry if it has another
-    /// stream, or the oldest newcomer if there are too many.
+    /// stream and missing batches. Returns the newcomer that was dropped: the host's earlier entry if that entry has another
+    /// stream, or the oldest newcomer if there are too many newcomers.
     pub(super) fn add_newcomer(
         &mut self,
         introduction: Introduction,
@@ -180,7 +180,7 @@ impl Hosts {
         Some(newcomer)
     }
 
-    /// Removes a newcomer that disconnected.
+    /// Removes a newcomer and returns it; `None` if the host is no newcomer.
     pub(super) fn remove_newcomer(&mut self, host: HostId) -> Option<Newcomer> {
         self.newcomers.remove(&host)
     }
@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn invented_hosts_take_no_memory() {
+    fn number_of_newcomers_is_limited() {
         let mut hosts = Hosts::new(1_000, Vec::new());
         let dropped =
             (0..20_000).filter(|_| hosts.add_newcomer(introduction(HostId::random()), None).is_some());
@@ -230,14 +230,14 @@ mod tests {
     }
 
     #[test]
-    fn full_table_refuses_new_host_but_no_stored_host() {
+    fn full_table_refuses_only_hosts_that_are_not_stored() {
         let first = HostId::random();
         let mut hosts = Hosts::new(2, vec![(first, None)]);
         let second = HostId::random();
         assert_eq!(hosts.limit_refusal(second), None);
         hosts.add_newcomer(introduction(second), None);
         assert!(hosts.promote_newcomer(second).is_some() && hosts.seniority(first) < hosts.seniority(second));
-        let refusal = hosts.limit_refusal(HostId::random()).expect("it is full");
+        let refusal = hosts.limit_refusal(HostId::random()).expect("the table is full");
         assert!(refusal.contains("max_hosts"), "{refusal}");
         assert_eq!((hosts.limit_refusal(first), hosts.limit_refusal(second)), (None, None));
     }
@@ -247,7 +247,10 @@ mod tests {
         let (host, at) = (HostId::random(), |seconds| MonoTime::from_nanos(0) + Span::from_seconds(seconds));
         let mut hosts = Hosts::new(1, vec![(host, Some(HostSecret::random()))]);
         assert!(hosts.needs_secret_check(host, at(0)));
-        assert!(!hosts.needs_secret_check(host, at(0)), "guessing causes at most one query a second");
+        assert!(
+            !hosts.needs_secret_check(host, at(0)),
+            "a second wrong proof within a second causes no query"
+        );
         assert!(hosts.needs_secret_check(host, at(1)));
         hosts.set_secret(host, None);
         assert_eq!(hosts.secret(host), None);

@@ -1,4 +1,4 @@
-//! The stage between the socket and the writer: reads events and turns them into rows while SQLite works on the
+//! The stage between the socket and the writer: decodes events and turns them into rows while SQLite works on the
 //! previous group.
 //!
 //! Preparing depends only on its input, so it runs in parallel with SQLite's thread. One thread is enough, because
@@ -14,7 +14,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use super::queue::{AdmittedWork, QueueItem};
 use peernet_store::writing::Work;
 
-/// Maximum number of prepared items. Their nodes are limited, too.
+/// Maximum number of prepared items. The number of their nodes has a separate limit.
 const MAX_PREPARED_ITEMS: usize = 4_096;
 
 /// Work that is ready for the writer. It occupies a part of the queue's capacity until it is dropped.

@@ -1,4 +1,4 @@
-//! The bounded queue of work that waits to be stored, limited by number and bytes.
+//! The bounded queue of work that waits to be stored. Its items and their bytes are limited.
 //!
 //! The socket must not wait for the database, because live updates arrive on the same socket. So adding to the queue
 //! never waits: work that does not fit into the queue counts as not received, and is requested again when
@@ -16,7 +16,7 @@ use peernet_store::writing::Work;
 /// Memory for waiting batches, from their arrival until they are stored, bytes.
 pub(crate) const CAPACITY_BYTES: usize = 96 * 1024 * 1024;
 /// Largest window of one agent, in batches of the usual size. An agent's window is the queue's capacity divided by the
-/// number of connected agents, but at most this. 32 batches have about 160,000 nodes, enough for several commits, so
+/// number of connected agents, but at most this number. 32 batches have about 160,000 nodes, enough for several commits, so
 /// that a single agent keeps the writer busy while a commit syncs.
 pub(crate) const MAX_WINDOW: u32 = 32;
 /// Maximum number of waiting items: the capacity filled with the smallest batches.
@@ -136,9 +136,9 @@ mod tests {
         for _ in 0..slots {
             queue.reserve(1 << 20).expect("there is room").fill(work(), MonoTime::from_nanos(0));
         }
-        assert!(queue.reserve(1 << 20).is_none(), "full");
-        let small = queue.reserve(1_000).expect("there is a little");
-        assert!(small.grow_to(1 << 20).is_none(), "it cannot grow");
+        assert!(queue.reserve(1 << 20).is_none(), "the queue is full");
+        let small = queue.reserve(1_000).expect("1,000 bytes fit");
+        assert!(small.grow_to(1 << 20).is_none(), "a full queue has no capacity for a larger slot");
         drop(receiver.try_recv().expect("the first"));
         let grown = queue.reserve(1_000).and_then(|slot| slot.grow_to((1 << 20) - 1));
         grown.expect("there is room again").fill(work(), MonoTime::from_nanos(0));

@@ -3,7 +3,7 @@
 //! The writer compares the file at the path with the open file before and after each commit and once a second while it
 //! is idle. This comparison assumes nothing about the file's content. It therefore also detects descriptors that became
 //! read-only, and files that were moved, replaced or unmounted. An empty or missing file is never opened: an operator
-//! who moves the database away would otherwise get a new, empty one. Batches that were queued before the database was
+//! who moves the database away would otherwise get a new, empty database. Batches that were queued before the database was
 //! closed are dropped, and the agents send them again.
 
 use std::path::PathBuf;
@@ -22,7 +22,7 @@ pub(crate) struct Reopening {
     pub(crate) path: PathBuf,
     pub(crate) retention: RetentionConfig,
     pub(crate) integrity: Integrity,
-    /// The read-only connections to the database; they are reopened, too.
+    /// The read-only connections, which are closed and reopened with the database.
     pub(crate) store: Store,
 }
 
@@ -40,7 +40,8 @@ impl Reopening {
         set_readiness(&context.readiness, not_storing(error));
         // The receiver is closed only while the aggregator ends, here and below.
         let _ended = context.store_events.send(StoreEvent::Closed).await;
-        // SQLite checkpoints its log when the last connection is closed, so the readers are closed before the writer.
+        // SQLite checkpoints its -wal file when the last connection is closed. The readers are closed before the writer,
+        // because a read-only connection cannot do that.
         self.store.close().await;
         let (former, closed) = database.close().await;
         if let Err(error) = closed {
@@ -61,7 +62,7 @@ impl Reopening {
     }
 }
 
-/// Waits for `pause` and refuses requests meanwhile. Returns `None` if the aggregator is stopped before the end.
+/// Waits for `pause` and refuses requests meanwhile. Returns `None` if the aggregator is stopped meanwhile.
 async fn pause(pause: Duration, context: &mut TaskContext) -> Option<()> {
     let timeout = tokio::time::sleep(pause);
     tokio::pin!(timeout);

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use peernet_logger::HostId;
 use peernet_networks::ConnectionId;
 
-/// Maximum number of hosts on one connection; an agent needs one. The hosts of all connections together are not limited
+/// Maximum number of hosts on one connection; an agent has one host. The hosts of all connections together are not limited
 /// here: somebody who reached that limit would lock out all other agents, and the live state has a limit for hosts.
 const MAX_HOSTS_PER_CONNECTION: usize = 64;
 
@@ -22,7 +22,7 @@ pub(super) enum Admission {
 #[derive(Debug, Default)]
 pub(super) struct Routes {
     connections: HashMap<HostId, ConnectionId>,
-    /// Changes for connections that were not collected yet.
+    /// Changes that the ingest task has not collected yet.
     admissions: Vec<Admission>,
 }
 
@@ -58,18 +58,18 @@ impl Routes {
         former
     }
 
-    /// Returns a reason for refusing another host on this connection, if it has too many.
+    /// Returns the reason for refusing a further host on this connection, if the connection has too many hosts.
     pub(super) fn limit_refusal(&self, connection: ConnectionId, host: HostId) -> Option<String> {
         if self.connections.contains_key(&host) {
             return None;
         }
         let hosts_of_connection = self.connections.values().filter(|other| **other == connection).count();
         (hosts_of_connection >= MAX_HOSTS_PER_CONNECTION).then(|| {
-            format!("{hosts_of_connection} hosts have sent a hello on this connection; let each agent open its own")
+            format!("{hosts_of_connection} hosts have sent a hello on this connection; let each agent open its own connection")
         })
     }
 
-    /// Returns and clears the collected changes for connections.
+    /// Returns and clears the changes that were not collected yet.
     pub(super) fn take_admissions(&mut self) -> Vec<Admission> {
         std::mem::take(&mut self.admissions)
     }

@@ -1,4 +1,5 @@
-//! The decisions about each frame and each host. Free of I/O: frames go in, replies and live events come out.
+//! Decides how to handle each frame and each host. Does no I/O: frames are the input; replies and live events are the
+//! output.
 
 mod admission;
 mod output;
@@ -24,10 +25,10 @@ use peernet_store::writing::{CommitResult, RunName, StoredState, Streams, Unstor
 const SESSION_TIMEOUT: Span = Span::from_seconds(60);
 /// Time without messages after which a newcomer is dropped. Agents send four messages a second.
 const NEWCOMER_TIMEOUT: Span = Span::from_seconds(10);
-/// Usual size of an agent's batch, bytes. The queue's capacity in batches is computed with it.
+/// Usual size of an agent's batch, bytes. The queue's capacity in batches is computed with this size.
 const USUAL_BATCH_BYTES: usize = 128 * 1024;
 
-/// The state of ingest, which decides about each frame.
+/// The state of ingest: the hosts, their connections and sessions, and the queue.
 #[derive(Debug)]
 pub(crate) struct IngestSession {
     receiving: Receiving,
@@ -65,7 +66,7 @@ impl IngestSession {
 
     /// Processes a frame of a connection.
     pub(super) fn handle_frame(&mut self, from: &Peer, frame: &Bytes, now: Stamp) {
-        // The kind of a frame is decided by its first bytes, so that batches are not decoded twice.
+        // The first bytes of a frame show its kind, so that batches are not decoded twice.
         if let Some(part) = codec::decode_part(frame) {
             if self.has_session(from, part.host)
                 && let Some(frame) = self.receiving.handle_part(&part, now.mono)
@@ -107,7 +108,7 @@ impl IngestSession {
                 }
             }
             Err(_) => {
-                self.output.reject_unreadable();
+                self.output.count_unreadable_frame();
             }
         }
     }
@@ -176,7 +177,7 @@ impl IngestSession {
             return self.defer_batch(head);
         };
         if body.is_err() {
-            self.output.reject_damaged(head.host);
+            self.output.count_damaged_batch(head.host);
         }
         // The slot is reserved first, because an accepted batch must not be lost afterwards.
         let arrival = self.receiving.handle_batch(&head, body.is_ok(), now.mono);
@@ -212,7 +213,7 @@ impl IngestSession {
         }
     }
 
-    /// Drops a newcomer. Returns whether the host was one.
+    /// Drops a newcomer. Returns whether the host was a newcomer.
     fn forget_newcomer(&mut self, host: HostId) -> bool {
         let Some(newcomer) = self.hosts.remove_newcomer(host) else { return false };
         self.end_dropped_newcomer(newcomer);
@@ -236,7 +237,7 @@ impl IngestSession {
     /// Treats a batch that did not fit into the queue as if it had not arrived.
     fn defer_batch(&mut self, head: BatchHead) {
         self.receiving.defer_batch(head.stream);
-        self.output.defer_batch(head.host);
+        self.output.count_deferred_batch(head.host);
     }
 
     /// Requests as many deferred batches as the queue has capacity for now.

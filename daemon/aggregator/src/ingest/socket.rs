@@ -25,7 +25,7 @@ const MAX_QUEUED_REPLIES: usize = 16;
 /// Interval of dropping silent hosts and of reporting rejected messages.
 const EXPIRY_INTERVAL: Duration = Duration::from_secs(5);
 /// Interval of ZeroMQ's heartbeats.
-const HEARTBEAT: Duration = Duration::from_secs(2);
+const HEARTBEAT_INTERVAL: Duration = Duration::from_secs(2);
 /// Time without any frame after which a connection is closed.
 const HEARTBEAT_TIMEOUT: Duration = Duration::from_secs(10);
 /// Longest time for sending the last acknowledgements at the end.
@@ -46,7 +46,7 @@ pub(crate) async fn listen(config: &AggregatorConfig) -> Result<(ZmtpListener, S
         hello_timeout: config.hello_timeout(),
         max_queued_messages: MAX_QUEUED_REPLIES,
         max_queued_bytes: MAX_MESSAGE_BYTES,
-        heartbeat_interval: HEARTBEAT,
+        heartbeat_interval: HEARTBEAT_INTERVAL,
         heartbeat_timeout: HEARTBEAT_TIMEOUT,
     };
     let listener = ZmtpListener::bind(&address.authority(), limits)
@@ -73,9 +73,9 @@ pub(crate) async fn run(
 ) -> Result<(), Failure> {
     let sender = listener.sender();
     let mut expiry_interval = tokio::time::interval(EXPIRY_INTERVAL);
-    // After a stall, one pass is enough.
+    // After a stall of this task, the missed ticks need not be made up for.
     expiry_interval.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    // One line is written per interval. With one line per message a hostile peer could fill the log.
+    // One line per interval reports all rejected messages. With one line per message a hostile peer could fill the log.
     let mut last_reported = RejectedCounts::default();
     loop {
         tokio::select! {
@@ -123,7 +123,7 @@ pub(crate) async fn run(
 /// dropped and sent again when the agent asks again. A live event waits for room in the queue of the live state, whose
 /// task empties the queue without waiting for anything else.
 async fn deliver(sender: &ZmtpSender, session: &mut IngestSession, live_events: &mpsc::Sender<LiveEvent>) {
-    // Admitted before the replies are sent, because a welcomed agent sends at once.
+    // Connections are admitted before the replies are sent, because a welcomed agent sends at once.
     for admission in session.take_admissions() {
         match admission {
             Admission::Admit(connection) => sender.admit(connection),

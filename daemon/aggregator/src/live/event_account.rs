@@ -6,7 +6,7 @@ use peernet_stream::Accounting;
 
 use super::limits;
 use super::storage_lag::StorageLag;
-use crate::live_state::Arrivals;
+use crate::live_state::RejectedBatches;
 
 /// The events of one host: produced, waiting, arrived and stored.
 #[derive(Debug, Default)]
@@ -17,7 +17,7 @@ pub(super) struct EventAccount {
     /// The database's counts.
     stored: StoredCounts,
     /// Numbers of batches that arrived and were not stored.
-    arrivals: Arrivals,
+    arrivals: RejectedBatches,
     /// Time of the newest stored event on the host's clock.
     newest_stored: Option<WallTime>,
 }
@@ -42,7 +42,7 @@ impl EventAccount {
     }
 
     /// Counts a batch that arrived and was not stored. `count` increments the count of the batch's kind.
-    pub(super) fn add_unstored(&mut self, count: impl FnOnce(&mut Arrivals)) {
+    pub(super) fn add_unstored(&mut self, count: impl FnOnce(&mut RejectedBatches)) {
         count(&mut self.arrivals);
     }
 
@@ -68,7 +68,7 @@ impl EventAccount {
     }
 
     /// Returns the numbers of batches that arrived and were not stored.
-    pub(super) const fn arrivals(&self) -> Arrivals {
+    pub(super) const fn arrivals(&self) -> RejectedBatches {
         self.arrivals
     }
 

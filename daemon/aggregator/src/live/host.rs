@@ -18,7 +18,7 @@ use super::metrics_history::MetricsHistory;
 use super::pipeline::Pipeline;
 use super::presence::Presence;
 use super::{MAX_HOST_LINKS, MAX_HOST_PIPELINES};
-use crate::live_state::{Arrivals, HostSnapshot, LinkSnapshot, PipelineSnapshot};
+use crate::live_state::{HostSnapshot, LinkSnapshot, PipelineSnapshot, RejectedBatches};
 use peernet_store::StoredCounts;
 
 /// State of one host with its pipelines and links.
@@ -155,7 +155,7 @@ impl Host {
     }
 
     /// Counts a batch that arrived and was not stored. `count` increments the count of the batch's kind.
-    pub(super) fn record_unstored(&mut self, count: impl FnOnce(&mut Arrivals)) {
+    pub(super) fn record_unstored(&mut self, count: impl FnOnce(&mut RejectedBatches)) {
         self.events.add_unstored(count);
         self.snapshot = None;
     }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use peernet_aggregator::{Arrivals, HostSnapshot};
+use peernet_aggregator::{HostSnapshot, RejectedBatches};
 use peernet_clock::Span;
 use peernet_store::HostRow;
 use peernet_stream::{Accounting, HostDescription, HostMetrics};
@@ -214,7 +214,7 @@ pub(crate) struct Stored {
 }
 
 impl Stored {
-    fn new(stored: peernet_store::StoredCounts, arrivals: Arrivals) -> Self {
+    fn new(stored: peernet_store::StoredCounts, arrivals: RejectedBatches) -> Self {
         let peernet_store::StoredCounts {
             events,
             nodes,
@@ -224,7 +224,7 @@ impl Stored {
             duplicates,
             quarantined,
         } = stored;
-        let Arrivals { deferred, damaged } = arrivals;
+        let RejectedBatches { deferred, damaged } = arrivals;
         Self { events, nodes, gaps, missing, in_other_database, duplicates, quarantined, deferred, damaged }
     }
 }
@@ -303,7 +303,7 @@ impl From<&HostRow> for Host {
             now: None,
             clock: None,
             missing_events: row.stored.missing_here(),
-            stored: Stored::new(row.stored, Arrivals::default()),
+            stored: Stored::new(row.stored, RejectedBatches::default()),
         }
     }
 }

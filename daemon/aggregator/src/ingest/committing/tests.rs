@@ -48,7 +48,7 @@ async fn small_group_waits_until_large_enough() {
     for _ in 0..2 {
         sender.send(work_of_one_node()).await.expect("there is room");
     }
-    assert_eq!(group.await.expect("gathers").len(), 4);
+    assert_eq!(group.await.expect("the group is collected").len(), 4);
 }
 
 #[tokio::test]

@@ -15,8 +15,8 @@ impl IngestSession {
     /// Processes a hello. Nothing about the host changes until its identity is proven.
     pub(super) fn handle_hello(&mut self, from: &Peer, mut hello: Hello, now: Stamp) {
         let host = hello.host.id;
-        // The description is cut to the size that is displayed, because it is kept before the host has proven its
-        // identity.
+        // The description is cut to the size that is displayed, because the challenge keeps it before the host has proven
+        // its identity. What is cut here is not counted.
         limits::limit_description(&mut hello.host, &mut 0);
         let reason = Receiving::version_refusal(&hello)
             .or_else(|| self.routes.limit_refusal(from.connection, host))
@@ -58,12 +58,12 @@ impl IngestSession {
     /// Gives a session to a host that has proven its identity.
     fn open_session(&mut self, from: &Peer, hello: Hello, secret: Option<HostSecret>, now: Stamp) {
         let host = hello.host.id;
-        // Checked again, because other hosts may have been stored since the hello.
+        // The limit is checked again, because other hosts may have been stored since the hello.
         if let Some(reason) = self.hosts.limit_refusal(host) {
             self.refuse(from, &hello, reason, now);
             return;
         }
-        // If the queue has no capacity for the work that follows, the hello counts as lost; the agent repeats it.
+        // If the queue has no capacity for the work that follows, the hello counts as lost; the agent repeats the hello.
         let (Some(introduction_slot), Some(gap_slot)) = (self.queue.reserve(0), self.queue.reserve(0)) else {
             self.output.count_deferred_hello();
             return;
@@ -165,7 +165,7 @@ impl IngestSession {
     }
 }
 
-/// Returns the refusal of an agent that lacks the secret of its host id, with the remedy.
+/// Returns the text that refuses an agent without the secret of its host id, with the remedy.
 fn secret_refusal(host: HostId) -> String {
     format!(
         "this agent does not have the secret that belongs to the host id {host}. If its state directory is a copy of another \

@@ -44,19 +44,19 @@ impl SessionOutput {
     }
 
     /// Counts a batch that did not fit into the queue.
-    pub(super) fn defer_batch(&mut self, host: HostId) {
+    pub(super) fn count_deferred_batch(&mut self, host: HostId) {
         self.rejected.deferred += 1;
         self.announce(LiveEvent::Deferred(host));
     }
 
     /// Counts a batch that does not match its hash.
-    pub(super) fn reject_damaged(&mut self, host: HostId) {
+    pub(super) fn count_damaged_batch(&mut self, host: HostId) {
         self.rejected.damaged += 1;
         self.announce(LiveEvent::Damaged(host));
     }
 
     /// Counts a frame that cannot be decoded.
-    pub(super) fn reject_unreadable(&mut self) {
+    pub(super) fn count_unreadable_frame(&mut self) {
         self.rejected.unreadable += 1;
         self.announce(LiveEvent::Unreadable);
     }

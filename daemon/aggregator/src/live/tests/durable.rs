@@ -1,7 +1,7 @@
 //! Tests of the durable lane's effect on the live state: it changes counts only.
 
 use super::*;
-use crate::live_state::{Arrivals, Totals};
+use crate::live_state::{RejectedBatches, Totals};
 
 /// Applies 40 updates of a pipeline within ten seconds; with a `backlog`, also events of the durable lane between them.
 fn state_after_updates(testbed: &mut Testbed, backlog: bool) -> LiveState {
@@ -83,7 +83,7 @@ fn totals_include_absent_hosts_and_never_decrease() {
     );
     let expected = |events, damaged| Totals {
         stored: StoredCounts { quarantined: 1, ..stored(events) },
-        arrivals: Arrivals { deferred: 0, damaged },
+        arrivals: RejectedBatches { deferred: 0, damaged },
         ..Totals::default()
     };
     assert_eq!(snapshot.totals, expected(150, 1));
