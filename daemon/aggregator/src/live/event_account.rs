@@ -8,7 +8,7 @@ use super::limits;
 use super::storage_lag::StorageLag;
 use crate::live_state::RejectedBatches;
 
-/// The events of one host: produced, waiting, arrived and stored.
+/// The events of one host: produced, waiting, rejected and stored.
 #[derive(Debug, Default)]
 pub(super) struct EventAccount {
     /// The host's own counts.
@@ -17,7 +17,7 @@ pub(super) struct EventAccount {
     /// The database's counts.
     stored: StoredCounts,
     /// Numbers of batches that arrived and were not stored.
-    arrivals: RejectedBatches,
+    rejected_batches: RejectedBatches,
     /// Time of the newest stored event on the host's clock.
     newest_stored: Option<WallTime>,
 }
@@ -42,8 +42,8 @@ impl EventAccount {
     }
 
     /// Counts a batch that arrived and was not stored. `count` increments the count of the batch's kind.
-    pub(super) fn add_unstored(&mut self, count: impl FnOnce(&mut RejectedBatches)) {
-        count(&mut self.arrivals);
+    pub(super) fn add_rejected(&mut self, count: impl FnOnce(&mut RejectedBatches)) {
+        count(&mut self.rejected_batches);
     }
 
     /// Returns the storage lag on the host's clock at `sent`, the time of an update; `None` if no events wait.
@@ -68,8 +68,8 @@ impl EventAccount {
     }
 
     /// Returns the numbers of batches that arrived and were not stored.
-    pub(super) const fn arrivals(&self) -> RejectedBatches {
-        self.arrivals
+    pub(super) const fn rejected_batches(&self) -> RejectedBatches {
+        self.rejected_batches
     }
 
     /// Returns the time of the newest stored event on the host's clock.

@@ -29,8 +29,8 @@ pub(super) struct Host {
     clock: HostClock,
     metrics: MetricsHistory,
     events: EventAccount,
-    /// Number of values of the host's messages that exceeded the limits and were discarded.
-    left_out: u64,
+    /// Number of items of the host's messages that exceeded the limits and were discarded.
+    discarded_items: u64,
     pipelines: BTreeMap<Slug, Pipeline>,
     /// Keyed by the cloud and the network.
     links: BTreeMap<(HostId, NetworkName), Link>,
@@ -41,15 +41,15 @@ pub(super) struct Host {
 impl Host {
     /// Creates the state at the host's first hello.
     pub(super) fn new(mut description: HostDescription, process: u64, now: Stamp) -> Self {
-        let mut left_out = 0;
-        limits::limit_description(&mut description, &mut left_out);
+        let mut discarded_items = 0;
+        limits::limit_description(&mut description, &mut discarded_items);
         Self {
             description,
             presence: Presence::new(process, now),
             clock: HostClock::default(),
             metrics: MetricsHistory::new(now.mono),
             events: EventAccount::default(),
-            left_out,
+            discarded_items,
             pipelines: BTreeMap::new(),
             links: BTreeMap::new(),
             snapshot: None,
@@ -59,7 +59,7 @@ impl Host {
     /// Processes another hello. After the start of a new process the values of the previous process remain, marked as
     /// away, so that counters do not drop to zero for a moment.
     pub(super) fn introduce(&mut self, mut description: HostDescription, process: u64, now: Stamp) {
-        limits::limit_description(&mut description, &mut self.left_out);
+        limits::limit_description(&mut description, &mut self.discarded_items);
         if self.description.name != description.name {
             self.pipelines.values_mut().for_each(Pipeline::invalidate_snapshot);
             self.links.values_mut().for_each(Link::invalidate_snapshot);
@@ -74,9 +74,9 @@ impl Host {
     /// Processes a goodbye. All pipelines in the host's latest update have ended, even if that update shows them as
     /// running. The host's other pipelines are away.
     pub(super) fn goodbye(&mut self) {
-        let last_update = self.presence.sent_by_current();
+        let last_update = self.presence.sent_by_current_process();
         for pipeline in self.pipelines.values_mut() {
-            // Only the pipelines of the last update ended in order; the others had disappeared before.
+            // Only the pipelines of the last update ended in order. The other pipelines had disappeared before.
             if Some(pipeline.sent()) == last_update {
                 pipeline.mark_finished();
             } else {
@@ -87,7 +87,7 @@ impl Host {
         self.snapshot = None;
     }
 
-    /// Marks a host that became silent, unless it has said goodbye.
+    /// Marks the host as silent, unless it has said goodbye, and its pipelines as away.
     fn mark_silent(&mut self) {
         self.presence.mark_silent();
         self.snapshot = None;
@@ -105,30 +105,30 @@ impl Host {
         self.events.update(update.accounting, update.sent, now.mono);
         self.metrics.push(update.metrics, now);
         self.clock = update.clock;
-        limits::limit_clock(&mut self.clock, &mut self.left_out);
+        limits::limit_clock(&mut self.clock, &mut self.discarded_items);
         for live in update.pipelines {
             if let Some(pipeline) = self.pipelines.get_mut(&live.pipeline) {
-                pipeline.update(live, update.sent, now, &mut self.left_out);
+                pipeline.update(live, update.sent, now, &mut self.discarded_items);
             } else if self.pipelines.len() < MAX_HOST_PIPELINES {
                 let name = live.pipeline.clone();
-                self.pipelines.insert(name, Pipeline::new(live, update.sent, now, &mut self.left_out));
+                self.pipelines.insert(name, Pipeline::new(live, update.sent, now, &mut self.discarded_items));
             } else {
-                self.left_out += 1;
+                self.discarded_items += 1;
             }
         }
         update.links.into_iter().for_each(|live| self.update_link(live, update.sent, now));
         self.snapshot = None;
     }
 
-    /// Applies the report of one link.
+    /// Applies the state of one link in a live update.
     fn update_link(&mut self, live: LinkLive, sent: WallTime, now: Stamp) {
         let key = (live.peer, live.network().clone());
         if let Some(link) = self.links.get_mut(&key) {
-            link.update(live, sent, now, &mut self.left_out);
+            link.update(live, sent, now, &mut self.discarded_items);
         } else if self.links.len() < MAX_HOST_LINKS {
-            self.links.insert(key, Link::new(live, sent, now, &mut self.left_out));
+            self.links.insert(key, Link::new(live, sent, now, &mut self.discarded_items));
         } else {
-            self.left_out += 1;
+            self.discarded_items += 1;
         }
     }
 
@@ -139,7 +139,7 @@ impl Host {
     }
 
     /// Returns whether the database holds events of the host.
-    pub(super) fn has_stored(&self) -> bool {
+    pub(super) fn has_stored_events(&self) -> bool {
         self.events.stored().events > 0
     }
 
@@ -155,8 +155,8 @@ impl Host {
     }
 
     /// Counts a batch that arrived and was not stored. `count` increments the count of the batch's kind.
-    pub(super) fn record_unstored(&mut self, count: impl FnOnce(&mut RejectedBatches)) {
-        self.events.add_unstored(count);
+    pub(super) fn record_rejected(&mut self, count: impl FnOnce(&mut RejectedBatches)) {
+        self.events.add_rejected(count);
         self.snapshot = None;
     }
 
@@ -219,9 +219,9 @@ impl Host {
             history: self.metrics.points(),
             accounting: self.events.accounting().clone(),
             stored: self.events.stored(),
-            arrivals: self.events.arrivals(),
+            arrivals: self.events.rejected_batches(),
             newest_stored: self.events.newest_stored(),
-            live_left_out: self.left_out,
+            live_left_out: self.discarded_items,
         });
         self.snapshot = Some(Arc::clone(&snapshot));
         snapshot

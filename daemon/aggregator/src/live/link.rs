@@ -13,10 +13,11 @@ use peernet_store::ClockPoint;
 
 /// Length of the history, seconds.
 const HISTORY_S: i64 = 600;
-/// Longest time from the stamp of an update until the last report in it is created.
-const MAX_REPORT_SKEW: Span = Span::from_millis(100);
+/// Longest time by which the state of a link may be newer than the stamp of its update. An update is stamped before the
+/// states in the update are created.
+const MAX_STATE_SKEW: Span = Span::from_millis(100);
 
-/// The latest report of one link, and a history by seconds of the edge's wall clock, which may be wrong.
+/// The latest state of one link, and a history by seconds of the edge's wall clock, which may be wrong.
 #[derive(Debug)]
 pub(super) struct Link {
     live: LinkLive,
@@ -27,33 +28,39 @@ pub(super) struct Link {
 }
 
 impl Link {
-    /// Creates the state at the link's first report.
-    pub(super) fn new(live: LinkLive, sent: WallTime, now: Stamp, left_out: &mut u64) -> Self {
+    /// Creates the link from its first state.
+    pub(super) fn new(live: LinkLive, sent: WallTime, now: Stamp, discarded_items: &mut u64) -> Self {
         let mut link = Self { live: live.clone(), last_seen: now, history: BTreeMap::new(), snapshot: None };
-        link.update(live, sent, now, left_out);
+        link.update(live, sent, now, discarded_items);
         link
     }
 
-    /// Applies a report, within the limits. The point of a second replaces an earlier point of the same second, because
-    /// each report of a second covers the second from its start.
-    pub(super) fn update(&mut self, mut live: LinkLive, sent: WallTime, now: Stamp, left_out: &mut u64) {
-        limits::limit_link(&mut live, left_out);
-        // Seconds after the newest are dropped: they were reported before the edge's clock was set back.
-        let newest_second = (sent + MAX_REPORT_SKEW).unix_seconds();
+    /// Applies a newer state, within the limits. The point of a second replaces an earlier point of the same second,
+    /// because each state covers its second from the start.
+    pub(super) fn update(
+        &mut self,
+        mut live: LinkLive,
+        sent: WallTime,
+        now: Stamp,
+        discarded_items: &mut u64,
+    ) {
+        limits::limit_link(&mut live, discarded_items);
+        // Seconds after the newest second are dropped: they were reported before the edge's clock was set back.
+        let newest_second = (sent + MAX_STATE_SKEW).unix_seconds();
         drop(self.history.split_off(&newest_second.saturating_add(1)));
         let second = second_of(live.latest_sample.at);
         if second <= newest_second && second > newest_second.saturating_sub(HISTORY_S) {
             self.history.insert(second, Arc::new(point(&live.latest_sample)));
         } else {
-            *left_out += 1;
+            *discarded_items += 1;
         }
-        if let Some((last, _)) = self.history.last_key_value() {
-            self.history = self.history.split_off(&(last.saturating_sub(HISTORY_S) + 1));
+        if let Some((newest, _)) = self.history.last_key_value() {
+            self.history = self.history.split_off(&(newest.saturating_sub(HISTORY_S) + 1));
         }
         (self.live, self.last_seen, self.snapshot) = (live, now, None);
     }
 
-    /// Returns the time of the latest report.
+    /// Returns the time of the latest update that contained the link.
     pub(super) fn last_seen(&self) -> MonoTime {
         self.last_seen.mono
     }
@@ -63,7 +70,7 @@ impl Link {
         &self.live.peer_name
     }
 
-    /// Discards the snapshot after a change outside the reports.
+    /// Discards the snapshot after a change outside the updates.
     pub(super) fn invalidate_snapshot(&mut self) {
         self.snapshot = None;
     }
@@ -95,7 +102,7 @@ impl Link {
     }
 }
 
-/// Returns the start of the second of a report at `at`, in Unix seconds. A report at the end of a second belongs to
+/// Returns the start of the second that a state at `at` covers, in Unix seconds. A state at the end of a second covers
 /// that second.
 fn second_of(at: WallTime) -> i64 {
     (at - Span::from_nanos(1)).unix_seconds()

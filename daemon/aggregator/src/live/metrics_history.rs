@@ -10,7 +10,7 @@ use crate::live_state::MetricsPoint;
 
 /// Interval between two points.
 const POINT_INTERVAL: Span = Span::from_seconds(5);
-/// Number of points: ten minutes.
+/// Maximum number of points: ten minutes.
 const MAX_POINTS: usize = 120;
 
 /// The latest metrics of a host, and earlier metrics at a fixed interval.

@@ -29,7 +29,7 @@ use self::host::Host;
 use crate::live_state::{LiveState, RefusedHost, Totals};
 use peernet_store::StoredCounts;
 
-/// Maximum number of hosts in the live state. Beyond it, the host that was silent longest is removed.
+/// Maximum number of hosts in the live state. For a further host, the host that was silent longest is removed.
 const MAX_HOSTS: usize = 4_096;
 /// Silence after which a host without stored events is removed from the live state.
 const UNSTORED_HOST_TIMEOUT: Span = Span::from_seconds(600);
@@ -44,7 +44,7 @@ const MAX_REFUSED: usize = 32;
 /// Time for which a refused host is shown.
 const REFUSAL_SHOWN_FOR: Span = Span::from_seconds(600);
 /// Maximum number of hosts outside the live state whose stored counts are kept for the totals.
-const MAX_REMEMBERED: usize = 65_536;
+const MAX_REMEMBERED_HOSTS: usize = 65_536;
 /// Maximum number of run numbers that are kept.
 const MAX_RUN_NUMBERS: usize = 10_000;
 
@@ -119,8 +119,8 @@ impl LiveTracker {
     pub(crate) fn apply(&mut self, event: LiveEvent, now: Stamp) -> bool {
         match event {
             LiveEvent::Hello(description, process) => self.introduce(*description, process, now),
-            LiveEvent::Refused(refused) => self.refuse(refused, now),
-            LiveEvent::Reopened { runs, hosts } => self.restart(runs, hosts),
+            LiveEvent::Refused(refused) => self.record_refusal(refused, now),
+            LiveEvent::Reopened { runs, hosts } => self.replace_stored(runs, hosts),
             LiveEvent::Run(host, run, number) => {
                 // A hostile agent can start any number of runs.
                 if self.run_numbers.len() >= MAX_RUN_NUMBERS {
@@ -130,7 +130,7 @@ impl LiveTracker {
                 self.update_host(host, |host| host.refresh_run(run));
             }
             LiveEvent::Forget(host) => {
-                let is_unstored = self.hosts.get(&host).is_some_and(|host| !host.has_stored());
+                let is_unstored = self.hosts.get(&host).is_some_and(|host| !host.has_stored_events());
                 if is_unstored {
                     self.hosts.remove(&host);
                 }
@@ -146,11 +146,11 @@ impl LiveTracker {
             }
             LiveEvent::Deferred(host) => {
                 self.totals.arrivals.deferred += 1;
-                return self.update_host(host, |host| host.record_unstored(|counts| counts.deferred += 1));
+                return self.update_host(host, |host| host.record_rejected(|counts| counts.deferred += 1));
             }
             LiveEvent::Damaged(host) => {
                 self.totals.arrivals.damaged += 1;
-                return self.update_host(host, |host| host.record_unstored(|counts| counts.damaged += 1));
+                return self.update_host(host, |host| host.record_rejected(|counts| counts.damaged += 1));
             }
             LiveEvent::Unreadable => self.totals.refused.unreadable += 1,
             LiveEvent::Stranger => self.totals.refused.strangers += 1,
@@ -171,7 +171,7 @@ impl LiveTracker {
     }
 
     /// Replaces the counts and run numbers of the previous database by the values of the reopened database.
-    fn restart(&mut self, runs: Vec<(HostId, RunId, i64)>, hosts: Vec<(HostId, StoredCounts)>) {
+    fn replace_stored(&mut self, runs: Vec<(HostId, RunId, i64)>, hosts: Vec<(HostId, StoredCounts)>) {
         self.run_numbers = runs.into_iter().map(|(host, run, number)| ((host, run), number)).collect();
         for host in self.hosts.values_mut() {
             let shown_runs: Vec<RunId> = host.runs().collect();
@@ -203,12 +203,12 @@ impl LiveTracker {
 
     /// Keeps the stored counts of a host that is not in the live state, for the totals.
     fn remember(&mut self, id: HostId, stored: StoredCounts) {
-        if self.stored_counts.len() < MAX_REMEMBERED || self.stored_counts.contains_key(&id) {
+        if self.stored_counts.len() < MAX_REMEMBERED_HOSTS || self.stored_counts.contains_key(&id) {
             self.stored_counts.insert(id, stored);
         }
     }
 
-    /// Changes a host. Returns `false` if it is not in the live state.
+    /// Changes a host. Returns `false` if the host is not in the live state.
     fn update_host(&mut self, host: HostId, change: impl FnOnce(&mut Host)) -> bool {
         self.hosts.get_mut(&host).map(change).is_some()
     }
@@ -235,11 +235,11 @@ impl LiveTracker {
     }
 
     /// Adds a refused host, or renews its entry.
-    fn refuse(&mut self, mut refused: RefusedHost, now: Stamp) {
+    fn record_refusal(&mut self, mut refused: RefusedHost, now: Stamp) {
         limits::limit_text(&mut refused.reason);
         let is_same = |entry: &RefusedHost| (&entry.name, &entry.reason) == (&refused.name, &refused.reason);
         self.refused_hosts.retain(|(_, entry)| !is_same(entry));
-        // The newest refusals matter most.
+        // If there are too many, the oldest is dropped.
         self.refused_hosts.truncate(MAX_REFUSED - 1);
         self.refused_hosts.push_front((now, refused));
     }
@@ -250,7 +250,7 @@ impl LiveTracker {
         let host_timeout = self.host_timeout;
         let removed_hosts = self.hosts.extract_if(|_, host| {
             let timeout =
-                if host.has_stored() { host_timeout } else { host_timeout.min(UNSTORED_HOST_TIMEOUT) };
+                if host.has_stored_events() { host_timeout } else { host_timeout.min(UNSTORED_HOST_TIMEOUT) };
             now.mono - host.last_seen() > timeout
         });
         let removed_hosts: Vec<(HostId, StoredCounts)> =

@@ -20,7 +20,7 @@ const MAX_PAUSE_S: i64 = 10;
 #[derive(Debug, Default)]
 pub(super) struct Percentiles {
     seconds: BTreeMap<i64, PackedSummary>,
-    /// Length of the buckets, seconds; `None` while even the longest has too few iterations.
+    /// Length of the buckets, seconds; `None` while even the longest bucket has too few iterations.
     bucket_s: Option<u32>,
     /// Keyed by the first second of the bucket.
     points: BTreeMap<i64, PercentilePoint>,
@@ -45,7 +45,7 @@ impl PackedSummary {
 
     /// Restores the summary.
     fn unpack(&self) -> Summary {
-        let sketch = Sketch::from_bytes(&self.sketch).expect("it was packed by this very program");
+        let sketch = Sketch::from_bytes(&self.sketch).expect("packed by this program");
         Summary { moments: self.moments, sketch }
     }
 }

@@ -15,12 +15,12 @@ use crate::live_state::{LiveSecond, PipelineSnapshot, Window};
 
 /// Lengths of the live state's windows, in complete seconds.
 const WINDOWS: [u32; 3] = [1, 10, 60];
-/// Seconds that are kept with their sketches: the longest window and the incomplete second.
+/// Number of seconds that are kept with their sketches: the longest window and the incomplete second.
 const SKETCH_LENGTH_S: i64 = 61;
 /// Length of the ring of the seconds with sketches. The three seconds beyond [`SKETCH_LENGTH_S`] are for an agent's
 /// clock that decreases by at most [`MAX_CLOCK_DECREASE`].
 const RING_LENGTH_S: usize = 64;
-/// Seconds that are kept as points of the live charts.
+/// Number of seconds that are kept as points of the live charts.
 const CHART_LENGTH_S: i64 = 600;
 /// Largest decrease of the agent's clock between two updates that the ring absorbs. After a larger decrease, the
 /// seconds that the clock shows again are removed.
@@ -47,9 +47,9 @@ pub(super) struct Pipeline {
 }
 
 impl Pipeline {
-    /// Creates the state at the pipeline's first update. Adds to `left_out` the items of the update that are not taken
-    /// over.
-    pub(super) fn new(live: PipelineLive, sent: WallTime, now: Stamp, left_out: &mut u64) -> Self {
+    /// Creates the state at the pipeline's first update. Adds to `discarded_items` the number of seconds and
+    /// names that were discarded.
+    pub(super) fn new(live: PipelineLive, sent: WallTime, now: Stamp, discarded_items: &mut u64) -> Self {
         let mut pipeline = Self {
             state: PipelineState::Starting,
             run: None,
@@ -62,13 +62,20 @@ impl Pipeline {
             last_seen: now,
             snapshot: None,
         };
-        pipeline.update(live, sent, now, left_out);
+        pipeline.update(live, sent, now, discarded_items);
         pipeline
     }
 
     /// Applies an update. The report of a second replaces an earlier report of the same second, because each report of
-    /// a second covers the second from its start. Adds to `left_out` the seconds and names that are not taken over.
-    pub(super) fn update(&mut self, mut live: PipelineLive, sent: WallTime, now: Stamp, left_out: &mut u64) {
+    /// a second covers the second from its start. Adds to `discarded_items` the number of seconds and names that were
+    /// discarded.
+    pub(super) fn update(
+        &mut self,
+        mut live: PipelineLive,
+        sent: WallTime,
+        now: Stamp,
+        discarded_items: &mut u64,
+    ) {
         limits::limit_state(&mut live.state);
         limits::limit_placement(&mut live.placement);
         limits::limit_text(&mut live.load);
@@ -84,12 +91,12 @@ impl Pipeline {
         for second in live.seconds {
             let at = second.at;
             // Seconds outside the charts are reported after a step of the clock or by a hostile agent. A much later
-            // second would displace all others from the rings.
+            // second would displace all other seconds from the rings.
             if at > newest || at <= newest.saturating_sub(CHART_LENGTH_S) {
-                *left_out += 1;
+                *discarded_items += 1;
                 continue;
             }
-            let second_statistics = SecondStatistics::from_report(second, left_out);
+            let second_statistics = SecondStatistics::from_report(second, discarded_items);
             self.series.insert(at, Arc::new(second_statistics.to_live_second(at)));
             self.percentiles.replace(at, second_statistics.total());
             // Sketches are large; older seconds are kept as points of the charts only.
@@ -109,7 +116,7 @@ impl Pipeline {
     }
 
     /// Discards the snapshot if the agent is silent and a window has iterations: the windows then end at the present,
-    /// so their values change with time. Returns whether it discarded the snapshot.
+    /// so their values change with time. Returns whether the snapshot was discarded.
     pub(super) fn expire(&mut self, now: Stamp) -> bool {
         let is_empty = |snapshot: &Arc<PipelineSnapshot>| {
             snapshot.windows.iter().all(|window| window.counts.total() == 0)
@@ -135,7 +142,7 @@ impl Pipeline {
         }
     }
 
-    /// Marks the pipeline as away, because its host became silent. Whether the host still runs it is unknown.
+    /// Marks the pipeline as away, because its host became silent. Whether the host still runs the pipeline is unknown.
     pub(super) fn mark_away(&mut self) {
         if !matches!(self.state, PipelineState::Finished | PipelineState::Failed(_)) {
             self.state = PipelineState::Away;
@@ -187,25 +194,25 @@ impl Pipeline {
         let silence = now.mono - self.last_seen.mono;
         let end = if silence > MAX_UPDATE_AGE { self.sent + silence } else { self.sent };
         let current = end.unix_seconds();
-        let incomplete_seconds =
-            (end - WallTime::from_unix_nanos(current.saturating_mul(1_000_000_000))).seconds();
+        // Elapsed part of the incomplete second.
+        let elapsed_s = (end - WallTime::from_unix_nanos(current.saturating_mul(1_000_000_000))).seconds();
         // The time before the pipeline's start does not lower the rate. At least 1 s is assumed, so that a pipeline
         // that has just started has no extreme rate.
         let running_s = self
             .series
             .first_key_value()
-            .map_or(f64::INFINITY, |(first, _)| ((current - first) as f64 + incomplete_seconds).max(1.0));
+            .map_or(f64::INFINITY, |(first, _)| ((current - first) as f64 + elapsed_s).max(1.0));
         let mut sum = SecondStatistics::default();
         // Number of seconds in `sum`, counted backwards from the incomplete second.
-        let mut merged = 0;
+        let mut merged_s = 0;
         // Each window contains the shorter windows, and all contain the incomplete second.
         WINDOWS.map(|seconds| {
             let length = i64::from(seconds) + 1;
-            for (_, second_statistics) in self.recent.iter(current - merged, (length - merged) as usize) {
+            for (_, second_statistics) in self.recent.iter(current - merged_s, (length - merged_s) as usize) {
                 sum.merge(second_statistics);
             }
-            merged = length;
-            sum.window(seconds, (f64::from(seconds) + incomplete_seconds).min(running_s))
+            merged_s = length;
+            sum.window(seconds, (f64::from(seconds) + elapsed_s).min(running_s))
         })
     }
 }

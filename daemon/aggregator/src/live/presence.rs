@@ -55,7 +55,7 @@ impl Presence {
     }
 
     /// Returns the host's clock at the latest update of the current process.
-    pub(super) fn sent_by_current(&self) -> Option<WallTime> {
+    pub(super) fn sent_by_current_process(&self) -> Option<WallTime> {
         self.update.filter(|(_, process)| *process == self.process).map(|(sent, _)| sent)
     }
 

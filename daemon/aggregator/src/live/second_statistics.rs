@@ -19,8 +19,8 @@ pub(super) struct SecondStatistics {
     counts: OutcomeCounts,
     /// Summaries by the name of the quantity: a node of the iteration's tree.
     values: Vec<(Name, Summary)>,
-    /// Clock bounds of each direction: half widths under the name of the stage, lower and upper ends under its two
-    /// [`end_names`].
+    /// Clock bounds of each direction: half widths under the name of the stage, lower and upper ends under the two
+    /// [`end_names`] of the stage.
     bounds: Vec<(Name, Summary)>,
     /// Number of iterations by stage and clock verdict.
     verdicts: Vec<(Name, Verdict, u64)>,
@@ -28,17 +28,17 @@ pub(super) struct SecondStatistics {
 
 impl SecondStatistics {
     /// Creates the numbers from an agent's report of a second, cut to `MAX_NAMES`. The number of removed names is
-    /// added to `left_out`.
-    pub(super) fn from_report(second: Second, left_out: &mut u64) -> Self {
+    /// added to `discarded_items`.
+    pub(super) fn from_report(second: Second, discarded_items: &mut u64) -> Self {
         let Second { counts, mut values, mut bounds, verdicts, .. } = second;
         let mut limit = |names: &mut Vec<(Name, Summary)>| {
-            *left_out += names.len().saturating_sub(MAX_NAMES) as u64;
+            *discarded_items += names.len().saturating_sub(MAX_NAMES) as u64;
             names.truncate(MAX_NAMES);
             names.shrink_to_fit();
         };
         limit(&mut values);
         limit(&mut bounds);
-        // Verdicts of a later version are unknown here and left out.
+        // Verdicts that only a later version knows are left out.
         let parse_verdict =
             |(stage, verdict, count): (Name, Name, u64)| Some((stage, Verdict::from_name(&verdict)?, count));
         let verdicts = verdicts.into_iter().filter_map(parse_verdict).take(MAX_NAMES).collect();
@@ -90,9 +90,9 @@ impl SecondStatistics {
         };
         let mut values: Vec<(Name, QuantityStatistics)> = self.values.iter().filter_map(statistics).collect();
         values.sort_by(|(a, _), (b, _)| rank(a).cmp(&rank(b)));
-        // A pipeline with a deadline lists the name `DEADLINE_MISSED`, without samples in a second without any answer:
-        // then all iterations failed and missed the deadline. A sample is 1 if the answer was late and 0 otherwise, so
-        // that the sum of the samples is the number of late answers.
+        // A pipeline with a deadline reports a value of `DEADLINE_MISSED` for each answer: 1 for a late answer, otherwise
+        // 0. The sum of these values is the number of late answers. In a second without any answer, the name is reported
+        // without values: all iterations failed and missed the deadline.
         let deadline_missed = self.values.iter().find(|(name, _)| *name == *DEADLINE_MISSED);
         let late_answers = deadline_missed.map(|(_, summary)| summary.moments.sum().round() as u64);
         let misses = late_answers.map(|late| Misses::new(self.counts.ok, late, self.counts.all_failed()));

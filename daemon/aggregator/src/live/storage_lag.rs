@@ -9,15 +9,16 @@ use crate::live_state::CatchingUp;
 const TIME_CONSTANT_S: f64 = 10.0;
 /// Shortest observed time that supports a rate, seconds.
 const MIN_OBSERVED_S: f64 = 2.0;
-/// Time between updates after which the estimate is restarted. Updates arrive four times a second, so the rate before a
-/// longer gap does not apply after it.
-const MAX_UPDATE_GAP: Span = Span::from_seconds(5);
-/// Smallest lag that counts as a backlog. A smaller lag is the time that a batch needs.
+/// Silence after which the estimate is restarted. Updates arrive four times a second. The rate before a longer silence
+/// does not apply after the silence.
+const MAX_SILENCE: Span = Span::from_seconds(5);
+/// Smallest lag that counts as a backlog. A smaller lag is normal, because a batch needs some time until
+/// it is stored.
 const MIN_BACKLOG: Span = Span::from_seconds(5);
-/// Smallest rate at which the lag falls, in seconds per second, for an estimate.
+/// Smallest decrease of the lag for which there is an estimate, seconds per second.
 const MIN_RATE: f64 = 0.02;
 
-/// Exponentially weighted sums, from which the rates are computed. They need constant memory. The rates are unbiased
+/// Exponentially weighted sums, from which the rates are computed in constant memory. The rates are unbiased
 /// from the first second on, because the sums and the observed time decay equally.
 #[derive(Debug, Default)]
 pub(super) struct StorageLag {
@@ -42,7 +43,7 @@ impl StorageLag {
         if let Some((previous_time, previous_lag, previous_stored)) = self.last_update {
             let elapsed = (now - previous_time).seconds();
             // The count of a replaced spool starts at 0.
-            if now - previous_time > MAX_UPDATE_GAP || stored < previous_stored {
+            if now - previous_time > MAX_SILENCE || stored < previous_stored {
                 *self = Self::default();
             } else {
                 // Weight of the earlier sums.
@@ -94,11 +95,11 @@ mod tests {
         observe(&mut lag, 0, 1, |time| 11_520.0 - 48.0 * time);
         assert_eq!(lag.estimate(), None, "one second supports no rate");
         observe(&mut lag, 1, 30, |time| 11_520.0 - 48.0 * time);
-        let estimate = lag.estimate().expect("it falls");
+        let estimate = lag.estimate().expect("the lag falls");
         assert!((estimate.rate - 48.0).abs() < 1e-6, "{estimate:?}");
         assert!((estimate.events_per_second - 20_000.0).abs() < 1.0, "{estimate:?}");
-        let left = (11_520.0 - 48.0 * 29.75) / 48.0;
-        assert!((estimate.remaining.seconds() - left).abs() < 1e-3, "{estimate:?}");
+        let remaining_s = (11_520.0 - 48.0 * 29.75) / 48.0;
+        assert!((estimate.remaining.seconds() - remaining_s).abs() < 1e-3, "{estimate:?}");
     }
 
     #[test]
@@ -115,12 +116,12 @@ mod tests {
         let mut lag = StorageLag::default();
         observe(&mut lag, 0, 60, |time| 10_000.0 + time);
         observe(&mut lag, 60, 120, |time| 10_060.0 - 20.0 * (time - 60.0));
-        let estimate = lag.estimate().expect("it falls");
+        let estimate = lag.estimate().expect("the lag falls");
         assert!((estimate.rate - 20.0).abs() < 0.3, "{estimate:?}");
         // Batches of four seconds each: the age of the oldest waiting event falls in steps.
         let mut lag = StorageLag::default();
         observe(&mut lag, 0, 60, |time| 10_000.0 - 40.0 * (time / 4.0).floor() * 4.0);
-        let estimate = lag.estimate().expect("it falls");
+        let estimate = lag.estimate().expect("the lag falls");
         assert!((30.0..50.0).contains(&estimate.rate), "{estimate:?}");
     }
 
@@ -129,12 +130,12 @@ mod tests {
         let mut lag = StorageLag::default();
         observe(&mut lag, 0, 30, |time| 10_000.0 - 20.0 * time);
         lag.observe(Some(Span::from_seconds(5_000)), 40_000_000, at(120.0));
-        assert_eq!(lag.estimate(), None, "the silence is no catching up");
+        assert_eq!(lag.estimate(), None, "a silence restarts the estimate");
         observe(&mut lag, 121, 130, |time| 5_000.0 - 20.0 * (time - 121.0));
         assert_eq!(lag.estimate().map(|estimate| estimate.rate.round()), Some(20.0));
         lag.observe(Some(Span::from_seconds(4_000)), 3, at(130.0));
-        assert_eq!(lag.estimate(), None, "a spool that was replaced begins to count anew");
+        assert_eq!(lag.estimate(), None, "a replaced spool restarts the estimate");
         lag.observe(None, 4, at(131.0));
-        assert_eq!(lag.estimate(), None, "nothing waits");
+        assert_eq!(lag.estimate(), None, "no event waits");
     }
 }

@@ -128,9 +128,9 @@ async fn undecodable_batch_is_quarantined_at_once() {
     let mut testbed = Testbed::new().await;
     let mut scripted_agent = ScriptedAgent::welcome(&testbed, "edge").await;
     let frames = [
-        scripted_agent.next_with(7, &[0xc1; 100]),
-        scripted_agent.next_with(u32::MAX, &[0xc0; 10]),
-        scripted_agent.next_with(0, &[]),
+        scripted_agent.next_with_body(7, &[0xc1; 100]),
+        scripted_agent.next_with_body(u32::MAX, &[0xc0; 10]),
+        scripted_agent.next_with_body(0, &[]),
         scripted_agent.next(),
     ];
     for (frame, number) in frames.into_iter().zip(1..) {
@@ -165,7 +165,7 @@ async fn flipped_byte_affects_no_other_batch() {
         }
     }
     scripted_agent.socket.send_frame(frame).await;
-    scripted_agent.until_stored_over_requests(1).await;
+    scripted_agent.wait_for_acknowledgement(1).await;
     assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 4);
     assert_eq!(testbed.count("SELECT count(*) FROM quarantine").await, 0);
     assert_eq!(testbed.count("SELECT count(*) FROM stream").await, 2);
@@ -181,7 +181,7 @@ async fn batch_of_another_history_is_not_stored() {
     // Another history with the same numbers, as of a copied spool.
     let mut copy = ScriptedAgent::new(&testbed).await;
     (copy.host, copy.stream) = (scripted_agent.host, scripted_agent.stream);
-    let _other_first = copy.next_with(1, &[0xc0]);
+    let _other_first = copy.next_with_body(1, &[0xc0]);
     scripted_agent.socket.send_frame(copy.next()).await;
     scripted_agent.expect(Reply::Unknown).await;
     assert_eq!(testbed.count("SELECT stored FROM stream").await, 1);
@@ -237,7 +237,7 @@ async fn batches_missing_at_first_hello_are_stored_as_gap() {
     assert!(matches!(scripted_agent.socket.greet(&hello).await, ToAgent::Welcome { .. }));
     // The gap is stored with the first batch of the host.
     scripted_agent.send_next().await;
-    scripted_agent.until_stored_over_requests(8).await;
+    scripted_agent.wait_for_acknowledgement(8).await;
     assert_eq!(
         testbed.count("SELECT count(*) FROM gap WHERE reason LIKE 'from before this database: batches 1 to 7 of stream%'").await,
         1

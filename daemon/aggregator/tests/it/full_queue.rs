@@ -17,7 +17,7 @@ fn large_batch(scripted_agent: &mut ScriptedAgent) -> Vec<u8> {
         peer: None,
         text: "x".repeat(4_000_000),
     };
-    scripted_agent.next_of(&[Event::Incident(incident)])
+    scripted_agent.next_with_events(&[Event::Incident(incident)])
 }
 
 #[tokio::test]

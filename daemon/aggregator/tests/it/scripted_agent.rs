@@ -65,21 +65,21 @@ impl ScriptedAgent {
         }
     }
 
-    /// Returns the next batch's frame, with one iteration.
+    /// Returns the frame of the next batch, with one iteration.
     pub(crate) fn next(&mut self) -> Vec<u8> {
         let mut random = generate::Numbers::new(self.number);
         let hosts = (self.host, HostId::from_bytes([7; 16]));
         let iteration = generate::iteration(self.run, self.number + 1, hosts, &mut random);
-        self.next_of(&[Event::Iteration(iteration)])
+        self.next_with_events(&[Event::Iteration(iteration)])
     }
 
-    /// Returns the next batch's frame, with these events.
-    pub(crate) fn next_of(&mut self, events: &[Event]) -> Vec<u8> {
-        self.next_with(events.len() as u32, &generate::body(events))
+    /// Returns the frame of the next batch, with these events.
+    pub(crate) fn next_with_events(&mut self, events: &[Event]) -> Vec<u8> {
+        self.next_with_body(events.len() as u32, &generate::body(events))
     }
 
-    /// Returns the next batch's frame with any body. Its hash matches the body.
-    pub(crate) fn next_with(&mut self, events: u32, body: &[u8]) -> Vec<u8> {
+    /// Returns the frame of the next batch, with any body. The hash in the frame matches the body.
+    pub(crate) fn next_with_body(&mut self, events: u32, body: &[u8]) -> Vec<u8> {
         self.number += 1;
         let (host, stream, number, previous_chain) =
             (self.host, self.stream, self.number, self.previous_chain);
@@ -97,6 +97,7 @@ impl ScriptedAgent {
         self.socket.send_frame(frame).await;
     }
 
+    /// Receives a message and asserts that it is the expected one.
     pub(crate) async fn expect(&self, expected: Reply) {
         let stream = self.stream;
         match (expected, self.socket.receive().await) {
@@ -112,7 +113,7 @@ impl ScriptedAgent {
     }
 
     /// Waits until batch `number` is acknowledged, and ignores other messages.
-    pub(crate) async fn until_stored_over_requests(&self, number: u64) {
+    pub(crate) async fn wait_for_acknowledgement(&self, number: u64) {
         while !matches!(self.socket.receive().await, ToAgent::Ack { through, .. } if through == number) {}
     }
 

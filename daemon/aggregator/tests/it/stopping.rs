@@ -22,7 +22,7 @@ async fn database_file_is_complete_after_clean_stop() {
     agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
     agent.offer((1..=300).map(|n| Event::Iteration(generate::iteration(run, n, hosts, &mut numbers))));
     agent.until_stored().await;
-    // Readers have connections, too, and a handle keeps them open.
+    // Readers have connections, too. This handle keeps these connections open.
     let handle = testbed.aggregator().clone();
     let store = handle.store();
     let (filter, stages) = (RunFilter::default(), ["total".into()]);

@@ -1,4 +1,4 @@
-//! Tests of the durable lane's effect on the live state: it changes counts only.
+//! Tests of the durable lane's effect on the live state: the durable lane changes only counts.
 
 use super::*;
 use crate::live_state::{RejectedBatches, Totals};
@@ -37,19 +37,20 @@ fn state_after_updates(testbed: &mut Testbed, backlog: bool) -> LiveState {
 
 #[test]
 fn backlog_changes_no_live_pipeline_or_link() {
-    let (mut calm, mut busy) = (Testbed::new(), Testbed::new());
-    busy.host = calm.host;
+    let (mut idle, mut busy) = (Testbed::new(), Testbed::new());
+    busy.host = idle.host;
     busy.live = LiveTracker::new(slug("here"), "tcp://127.0.0.1:5550".into(), Span::from_seconds(3_600));
     busy.live.apply(LiveEvent::Hello(Box::new(description(busy.host, "edge")), 1), now(0.0));
-    let (calm, busy) = (state_after_updates(&mut calm, false), state_after_updates(&mut busy, true));
-    let text = |snapshot: &LiveState| {
+    let (without_backlog, with_backlog) =
+        (state_after_updates(&mut idle, false), state_after_updates(&mut busy, true));
+    let to_json = |snapshot: &LiveState| {
         serde_json::to_string(&(&snapshot.pipelines, &snapshot.links)).expect("plain data")
     };
-    assert_eq!(text(&calm), text(&busy));
-    assert_eq!((calm.hosts[0].behind, calm.hosts[0].catching_up), (None, None));
-    let host = &busy.hosts[0];
+    assert_eq!(to_json(&without_backlog), to_json(&with_backlog));
+    assert_eq!((without_backlog.hosts[0].behind, without_backlog.hosts[0].catching_up), (None, None));
+    let host = &with_backlog.hosts[0];
     assert_eq!(host.behind, Some(Span::from_seconds_f64(80_000.0 - 99.0 * 9.75)));
-    let catching_up = host.catching_up.expect("it falls by 99 s a second");
+    let catching_up = host.catching_up.expect("the lag falls by 99 s a second");
     assert!(
         (catching_up.rate - 99.0).abs() < 0.1 && (catching_up.events_per_second - 40_000.0).abs() < 40.0,
         "{catching_up:?}"
@@ -79,7 +80,7 @@ fn totals_include_absent_hosts_and_never_decrease() {
     assert_eq!(
         (snapshot.hosts.len(), snapshot.absent),
         (1, 1),
-        "both hosts were removed from the snapshot; one has stored events"
+        "two hosts were removed from the snapshot; one of them has stored events"
     );
     let expected = |events, damaged| Totals {
         stored: StoredCounts { quarantined: 1, ..stored(events) },

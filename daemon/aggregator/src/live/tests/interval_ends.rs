@@ -8,7 +8,7 @@ use peernet_stream::end_names;
 use super::{Testbed, second};
 
 #[test]
-fn window_has_interval_by_reported_ends() {
+fn window_has_interval_from_reported_ends() {
     // The delays of 6 ms lie near the lower ends of their intervals.
     const DELAYS: [f64; 40] = [6e-3; 40];
     for (ends, method) in [
@@ -30,13 +30,13 @@ fn window_has_interval_by_reported_ends() {
         let snapshot = testbed.snapshot(1.9);
         let window = snapshot.pipelines[0].window(10).expect("a window");
         let delay = window.value(&stage::UPLOAD).expect("delays");
-        assert_eq!((window.bounds.len(), delay.count), (1, 80), "the ends are no delays of their own");
+        assert_eq!((window.bounds.len(), delay.count), (1, 80), "the ends are not counted as delays");
         let bound = &window.bounds[0];
         for interval in [bound.interval_of_median(delay), bound.interval_of_mean(delay)] {
             let interval = interval.expect("every delay has an interval");
             let [lo, hi] = ends.unwrap_or([6e-3 - 40e-6, 6e-3 + 40e-6]);
-            let near = |a: f64, b: f64| (a - b).abs() < 1e-9;
-            assert!(near(interval.lo, lo) && near(interval.hi, hi), "{interval:?}");
+            let are_near = |a: f64, b: f64| (a - b).abs() < 1e-9;
+            assert!(are_near(interval.lo, lo) && are_near(interval.hi, hi), "{interval:?}");
             assert_eq!(interval.method, method);
         }
     }

@@ -21,15 +21,16 @@ const LEFT_IN_ORDER: (bool, bool, PipelineState) = (false, true, PipelineState::
 const AWAY: (bool, bool, PipelineState) = (false, false, PipelineState::Away);
 
 #[test]
-fn host_after_goodbye_is_not_away_before_last_commit() {
+fn host_leaves_in_order_before_or_after_last_commit() {
     for stored_first in [true, false] {
         let mut testbed = Testbed::new();
         testbed.live.apply(update_in_state(&testbed, 1.0, PipelineState::Running, 41), now(1.0));
         let stored = StoredCounts { events: 100, ..StoredCounts::default() };
-        let durable = LiveEvent::Stored(testbed.host, stored, Some(wall(1.2)));
-        let live = update_in_state(&testbed, 1.2, PipelineState::Finished, 0);
+        let commit = LiveEvent::Stored(testbed.host, stored, Some(wall(1.2)));
+        let last_update = update_in_state(&testbed, 1.2, PipelineState::Finished, 0);
         let goodbye = LiveEvent::Goodbye(testbed.host);
-        let order = if stored_first { [durable, live, goodbye] } else { [live, goodbye, durable] };
+        let order =
+            if stored_first { [commit, last_update, goodbye] } else { [last_update, goodbye, commit] };
         for event in order {
             assert!(testbed.live.apply(event, now(1.2)));
         }
@@ -69,7 +70,7 @@ fn goodbye_keeps_failed_state() {
 }
 
 #[test]
-fn goodbye_with_waiting_events_is_not_left_in_order() {
+fn host_with_waiting_events_does_not_leave_in_order() {
     let mut testbed = Testbed::new();
     testbed.live.apply(update_in_state(&testbed, 1.0, PipelineState::Finished, 41), now(1.0));
     testbed.live.apply(LiveEvent::Goodbye(testbed.host), now(1.1));

@@ -1,4 +1,5 @@
-//! Tests of links in the live state: bounded, with the edge's clock, kept while the edge is disconnected.
+//! Tests of links in the live state: their number is bounded, their history follows the edge's clock, and they are kept
+//! while the edge is disconnected.
 
 use peernet_clock::{ClockFaultStep, ClockFaults, DelaySource, ExchangeCounts, Interval, Offset, Verdict};
 use peernet_stream::{ClockSample, DelayPoint, DelaySecond, LinkLive, NetworkName, ProbeCounts, Probing};
@@ -7,7 +8,7 @@ use super::*;
 use crate::live::MAX_HOST_LINKS;
 use crate::live_state::LinkSnapshot;
 
-/// Returns a report of the second that ends `end_s` seconds after the start.
+/// Returns the state of a link in the second that ends `end_s` seconds after the start.
 fn link(peer: HostId, name: &str, end_s: f64, lost: u32) -> LinkLive {
     LinkLive {
         peer,
@@ -40,12 +41,14 @@ fn link(peer: HostId, name: &str, end_s: f64, lost: u32) -> LinkLive {
     }
 }
 
+/// Applies an update with these links, sent at `at` on both clocks.
 fn report(testbed: &mut Testbed, at: f64, links: Vec<LinkLive>) {
     let LiveEvent::Update(mut event) = update(testbed.host, wall(at), vec![]) else { panic!("an update") };
     event.links = links;
     assert!(testbed.live.apply(LiveEvent::Update(event), now(at)));
 }
 
+/// Returns each point of the history: its second since the start, and the number of lost probes.
 fn seconds(link: &LinkSnapshot) -> Vec<(i64, u32)> {
     link.history.iter().map(|point| (point.at.unix_seconds() - START, point.probes.lost)).collect()
 }
@@ -55,8 +58,8 @@ fn repeated_report_replaces_point_and_history_is_bounded() {
     let mut testbed = Testbed::new();
     let cloud = HostId::random();
     for second in 0..700 {
-        for (part, lost) in [(0.3, 0), (0.9, 1)] {
-            let at = f64::from(second) + part;
+        for (fraction, lost) in [(0.3, 0), (0.9, 1)] {
+            let at = f64::from(second) + fraction;
             report(&mut testbed, at, vec![link(cloud, "cloud", f64::from(second) + 1.0, lost)]);
         }
     }
@@ -149,7 +152,7 @@ fn excess_links_and_texts_are_cut_and_counted() {
     testbed.live.apply(LiveEvent::Update(event), now(0.5));
     let snapshot = testbed.snapshot(0.5);
     assert_eq!(snapshot.links.len(), MAX_HOST_LINKS);
-    let shown = snapshot.links.iter().find(|link| link.live.peer == peer).expect("the first");
+    let shown = snapshot.links.iter().find(|link| link.live.peer == peer).expect("the first link");
     assert!(serde_json::to_string(&**shown).expect("serialises").len() < 64 * 1024);
     assert_eq!((shown.live.networks.len(), shown.live.pipelines.len()), (32, 32));
     assert!(snapshot.hosts[0].clock.text.len() <= 512 && snapshot.hosts[0].clock.text.starts_with('ä'));
@@ -161,13 +164,13 @@ fn excess_links_and_texts_are_cut_and_counted() {
 fn impossible_clock_values_are_not_shown() {
     let mut testbed = Testbed::new();
     let interval = |lo, hi| Interval { lo: Span::from_millis(lo), hi: Span::from_millis(hi) };
-    let link_with_extreme_time = |second: i64| {
+    let link_with_extreme_time = |unix_nanos: i64| {
         let mut link = link(HostId::random(), "cloud", 1.0, 0);
-        link.latest_sample.at = WallTime::from_unix_nanos(second);
+        link.latest_sample.at = WallTime::from_unix_nanos(unix_nanos);
         link
     };
     let mut links: Vec<LinkLive> = [i64::MIN, i64::MAX, 0].map(link_with_extreme_time).into();
-    let mut inverted = link(HostId::random(), "turned", 1.0, 0);
+    let mut inverted = link(HostId::random(), "inverted", 1.0, 0);
     inverted.latest_sample.offset = Some(Offset {
         at: wall(1.0),
         estimate: Span::ZERO,
@@ -194,7 +197,7 @@ fn impossible_clock_values_are_not_shown() {
         snapshot.links.iter().filter(|link| link.live.peer_name.as_str() == name).cloned().collect::<Vec<_>>()
     };
     assert!(shown("cloud").iter().all(|link| link.history.is_empty()) && shown("cloud").len() == 3);
-    let point = &shown("turned")[0].history[0];
+    let point = &shown("inverted")[0].history[0];
     assert_eq!((&point.offset, point.up.expect("judged").median), (&None, None));
     let offset = shown("crowded")[0].live.latest_sample.offset.clone().expect("known");
     assert_eq!((offset.sources.len(), offset.skew_ppm), (1, None));

@@ -135,23 +135,23 @@ proptest! {
     #[test]
     fn windows_match_exact_statistics(
         totals in prop::collection::vec(prop::collection::vec(0.001_f64..0.1, 0..8), 1..90),
-        elapsed_share in 0.0_f64..0.99,
+        elapsed_fraction in 0.0_f64..0.99,
     ) {
         let mut testbed = Testbed::new();
         for (at, totals) in totals.iter().enumerate() {
-            // Each second is reported twice, growing: the second report replaces the first.
+            // Each second is reported twice: half of its iterations, then all. The later report replaces the earlier.
             let first_half = &totals[..totals.len() / 2];
-            testbed.send(at as f64 + elapsed_share / 2.0, vec![second(at as i64, first_half, 0)]);
-            testbed.send(at as f64 + elapsed_share, vec![second(at as i64, totals, 1)]);
+            testbed.send(at as f64 + elapsed_fraction / 2.0, vec![second(at as i64, first_half, 0)]);
+            testbed.send(at as f64 + elapsed_fraction, vec![second(at as i64, totals, 1)]);
         }
         let end = totals.len() - 1;
-        let snapshot = testbed.snapshot(end as f64 + elapsed_share);
+        let snapshot = testbed.snapshot(end as f64 + elapsed_fraction);
         for (window, seconds) in snapshot.pipelines[0].windows.iter().zip([1, 10, 60]) {
             let covered_totals = &totals[end.saturating_sub(seconds)..];
             let mut exact: Vec<f64> = covered_totals.iter().flatten().copied().collect();
             exact.sort_by(f64::total_cmp);
             prop_assert_eq!(window.seconds as usize, seconds);
-            let covered = (seconds.min(end) as f64 + elapsed_share).max(1.0);
+            let covered = (seconds.min(end) as f64 + elapsed_fraction).max(1.0);
             prop_assert!((window.covered_s - covered).abs() < 1e-6);
             prop_assert_eq!((window.counts.ok, window.counts.lost), (exact.len() as u64, covered_totals.len() as u64));
             prop_assert!((window.rate_hz - window.counts.total() as f64 / window.covered_s).abs() < 1e-9);
@@ -234,17 +234,19 @@ fn silent_pipeline_empties_windows_and_disconnects_host() {
 #[test]
 fn windows_follow_wrong_and_stepped_agent_clock() {
     let mut testbed = Testbed::new();
-    // The agent's clock is two days ahead of the aggregator's: its windows end at its present.
-    let ahead = 172_800;
+    // The agent's clock is two days ahead of the aggregator's. The windows end at the present of the agent's clock.
+    let ahead_s = 172_800;
     let host = testbed.host;
-    let sent = |at: f64| wall(ahead as f64 + at);
+    let sent = |at: f64| wall(ahead_s as f64 + at);
     let pipelines = |at: i64| vec![pipeline("line", vec![second(at, &[0.010; 5], 0)])];
     for at in 0..5 {
-        testbed.live.apply(update(host, sent(at as f64 + 0.5), pipelines(ahead + at)), now(at as f64 + 0.5));
+        testbed
+            .live
+            .apply(update(host, sent(at as f64 + 0.5), pipelines(ahead_s + at)), now(at as f64 + 0.5));
     }
     let snapshot = testbed.snapshot(4.6);
     assert_eq!(snapshot.pipelines[0].windows.each_ref().map(|window| window.counts.ok), [10, 25, 25]);
-    assert_eq!(snapshot.hosts[0].clock_ahead, Span::from_seconds(ahead));
+    assert_eq!(snapshot.hosts[0].clock_ahead, Span::from_seconds(ahead_s));
     // The clock is set back to the right time: later seconds are discarded, and new seconds are shown at once.
     testbed.live.apply(update(host, wall(6.5), pipelines(6)), now(6.5));
     let snapshot = testbed.snapshot(6.5);
@@ -253,7 +255,7 @@ fn windows_follow_wrong_and_stepped_agent_clock() {
 }
 
 #[test]
-fn clock_set_back_does_not_count_seconds_twice() {
+fn repeated_seconds_of_clock_set_back_count_once() {
     let mut testbed = Testbed::new();
     for at in 0..20 {
         testbed.send(at as f64 + 0.5, vec![second(at, &[0.010; 5], 0)]);
@@ -268,7 +270,7 @@ fn clock_set_back_does_not_count_seconds_twice() {
     let pipeline = &snapshot.pipelines[0];
     assert_eq!(pipeline.series.iter().map(|second| second.at).max(), Some(START + 16));
     assert_eq!(pipeline.windows.each_ref().map(|window| window.counts.ok), [10, 55, 85]);
-    assert_eq!(pipeline.series.len(), 17, "seconds before that time are kept");
+    assert_eq!(pipeline.series.len(), 17, "seconds before the new time are kept");
 }
 
 #[test]
@@ -312,14 +314,14 @@ fn unchanged_snapshots_are_shared() {
     testbed.live.apply(LiveEvent::Hello(Box::new(description(other, "other")), 1), now(0.0));
     testbed.live.apply(update(other, wall(0.1), vec![pipeline("quiet", vec![])]), now(0.1));
     testbed.send(0.2, vec![second(0, &[0.010], 0)]);
-    let first = testbed.snapshot(0.3);
+    let before = testbed.snapshot(0.3);
     testbed.send(0.4, vec![second(0, &[0.010, 0.020], 0)]);
-    let second = testbed.snapshot(0.5);
+    let after = testbed.snapshot(0.5);
     assert!(
-        Arc::ptr_eq(&first.pipelines[1], &second.pipelines[1])
-            && Arc::ptr_eq(&first.hosts[1], &second.hosts[1])
+        Arc::ptr_eq(&before.pipelines[1], &after.pipelines[1])
+            && Arc::ptr_eq(&before.hosts[1], &after.hosts[1])
     );
-    assert!(!Arc::ptr_eq(&first.pipelines[0], &second.pipelines[0]));
+    assert!(!Arc::ptr_eq(&before.pipelines[0], &after.pipelines[0]));
 }
 
 #[test]
@@ -366,7 +368,7 @@ fn counts_of_host_and_database_are_shown() {
     assert_eq!(snapshot.hosts[0].accounting, Accounting { trouble: truncated, ..accounting });
     let idle = Accounting { waiting: 0, ..accounting };
     testbed.live.apply(with_accounting(update(testbed.host, wall(30.5), vec![]), idle), now(30.5));
-    assert_eq!(testbed.snapshot(30.5).hosts[0].behind, None, "nothing waits");
+    assert_eq!(testbed.snapshot(30.5).hosts[0].behind, None, "no event waits");
     assert!(testbed.live.apply(LiveEvent::Goodbye(testbed.host), now(31.0)));
     assert!(!testbed.snapshot(31.0).hosts[0].connected);
 }

@@ -30,14 +30,14 @@ fn percentile_covers_all_iterations_of_its_bucket() {
         (0..60).map(|at| (0..8).map(|n| 0.009 + 1e-4 * f64::from((7 * at + 5 * n) % 40)).collect()).collect();
     seconds[25][3] = 1.4;
     let series_of_percentiles = series(&seconds);
-    assert_eq!(series_of_percentiles.bucket_s, Some(10), "80 iterations; 5 s would hold 40");
+    assert_eq!(series_of_percentiles.bucket_s, Some(10), "10 s hold 80 iterations, 5 s would hold 40");
     assert_eq!(START.rem_euclid(10), 0);
     assert_eq!(series_of_percentiles.points.len(), 6);
     for (bucket, point) in series_of_percentiles.points.iter().enumerate() {
         let bucket_totals: Vec<f64> = seconds[10 * bucket..10 * bucket + 10].concat();
         assert_eq!((point.at, point.count), (START + 10 * bucket as i64, 80));
         let exact = exact_p95(bucket_totals);
-        assert!((point.p95 - exact).abs() <= 0.0101 * exact, "{point:?}, but {exact}");
+        assert!((point.p95 - exact).abs() <= 0.0101 * exact, "{point:?}, exact: {exact}");
         assert!(
             point.p95 < 0.014,
             "one slow iteration of 80 must not determine the 95th percentile: {point:?}"
@@ -62,7 +62,7 @@ fn buckets_of_slow_pipeline_hold_sixty_iterations() {
     assert_eq!(bucket(1, 30), (Some(5), 120), "2 s would hold 60, or 59 by chance");
     assert_eq!(bucket(1, 2), (Some(60), 10));
     assert_eq!(bucket(2, 1), (Some(300), 2));
-    assert_eq!(bucket(10, 1), (None, 0), "60 in ten minutes, with none to spare");
+    assert_eq!(bucket(10, 1), (None, 0), "the longest bucket holds 60, which leaves no margin");
 }
 
 #[test]
@@ -76,12 +76,12 @@ fn incomplete_bucket_has_percentile_from_sixty_iterations() {
     assert_eq!(
         newest(&mut testbed, 25.0).map(|point| point.at),
         Some(START + 10),
-        "the newest bucket holds 40"
+        "the newest bucket holds 40 iterations"
     );
     for at in 25..28 {
         testbed.send(at as f64 + 0.99, vec![second(at, &[0.010; 8], 0)]);
     }
-    let point = newest(&mut testbed, 28.0).expect("the newest bucket holds 64");
+    let point = newest(&mut testbed, 28.0).expect("the newest bucket holds 64 iterations");
     assert_eq!((point.at, point.count), (START + 20, 64));
     // A repeated report of a second replaces it, also in a bucket that was drawn already.
     testbed.send(28.2, vec![second(12, &[0.050; 8], 0)]);
@@ -103,7 +103,7 @@ fn percentiles_follow_clock_that_is_set_back() {
     assert_eq!(
         points.iter().map(|point| point.at - START).collect::<Vec<_>>(),
         [0],
-        "48 in the second bucket"
+        "the bucket from 10 s on holds 48 iterations"
     );
 }
 
@@ -121,7 +121,7 @@ fn pause_of_pipeline_does_not_lengthen_buckets() {
 }
 
 #[test]
-fn transfer_speed_is_total_bytes_by_total_time() {
+fn transfer_speed_is_total_bytes_per_total_time() {
     // Nine messages of 10 kB in 20 µs and one of 122 kB in 3.58 ms.
     let messages = [vec![(10_000.0, 20e-6); 9], vec![(122_000.0, 3.58e-3)]].concat();
     let summary = |value_of: fn(&(f64, f64)) -> f64| {
@@ -146,7 +146,7 @@ fn transfer_speed_is_total_bytes_by_total_time() {
         assert!((up.bytes - 212_000.0).abs() < 1e-6 && transfers.down.is_none(), "{up:?}");
     }
     let ratios = pipeline.windows[1].value("upload-throughput").expect("reported").mean;
-    assert!(ratios > 8.0 * exact, "the mean of the ratios differs: {ratios}");
+    assert!(ratios > 8.0 * exact, "the mean of the ratios is larger than the speed: {ratios}");
 }
 
 #[test]
