@@ -84,7 +84,7 @@ fn start_reflector(
                 stateful: true,
             };
             let reflector = Reflector::bind(config, clock("cloud")).expect("a free port");
-            address_sender.send(reflector.address()).expect("it is waited for");
+            address_sender.send(reflector.address()).expect("the caller waits for the address");
             let cpu_seconds_before = thread_cpu_seconds();
             reflector.run(stop_of_reflector).await.expect("the socket stays");
             thread_cpu_seconds() - cpu_seconds_before

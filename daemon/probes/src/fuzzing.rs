@@ -12,13 +12,20 @@ use crate::stamp::sender::{ReplyArrival, SenderConfig, SenderState};
 use crate::stamp::timestamp::Format;
 use crate::stamp::tlv;
 
-/// Bits of the first byte. They select changes to the other bytes. Without the changes, random bytes would hardly ever
-/// pass the checks.
+// Bits of the first byte. They select the configuration and changes to the packet. Without the changes, random bytes would
+// hardly ever pass the checks.
+
+/// Both ends have a key.
 const WITH_KEY: u8 = 1;
+/// The reflector distinguishes sessions.
 const STATEFUL: u8 = 2;
+/// The packet gets the right authentication codes.
 const AUTHENTIC: u8 = 4;
+/// The packet gets the number, stamp and session identifier of the sender's request.
 const MATCHING: u8 = 8;
+/// The kernel does not stamp the departure of the request.
 const PROGRAM_STAMPS: u8 = 16;
+/// The sender relates both free-running clocks.
 const RAW_CLOCKS: u8 = 32;
 
 /// Handles a packet as the prober and as the reflector. The bits of the first byte select the options above; the other
@@ -92,7 +99,7 @@ fn feed_sender(options: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock
         if let Ok(result) = sender.receive(&packet, &arrival) {
             let observation = result.answered.expect("no step");
             assert_eq!(observation.exchange.returned, arrival.read.raw);
-            assert!(result.refined.is_none() || round == 1, "nothing came before the first");
+            assert!(result.refined.is_none() || round == 1, "the first answer refines no earlier exchange");
             assert!(sender.receive(&packet, &arrival).is_err(), "an answer counts once");
         }
     }

@@ -11,7 +11,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::schedule::Schedule;
 use crate::socket::{ProbeSocket, ReceivedPacket, Token};
-use crate::stamp::sender::{LATE, ReplyArrival, SenderConfig, SenderState};
+use crate::stamp::sender::{LATE_REPLY, ReplyArrival, SenderConfig, SenderState};
 use crate::{Key, TimestampSource};
 
 /// Largest reply without its padding. Bytes.
@@ -106,12 +106,12 @@ impl Prober {
         let target = config.target;
         let socket = ProbeSocket::open_for_target(target, config.stamps, clock.clone())
             .map_err(|error| OpenError::Socket { target, error })?;
-        // Zero is excluded: it is what a reflector that does not know session identifiers leaves in its answer.
+        // Zero is excluded, because a reflector that does not know session identifiers leaves zero in its answer.
         let ssid = rand::random_range(1..=u16::MAX);
         let sender = SenderState::new(SenderConfig {
             key: config.key.clone(),
             instance: config.instance,
-            // Only for a PEERNet reflector: other implementations need not return the octets.
+            // Only a PEERNet reflector gets octets, because other implementations need not return them.
             with_nonce: config.instance.is_some(),
             clocks: config.clocks,
             ssid,
@@ -127,7 +127,8 @@ impl Prober {
         self.socket.stamp_source_name()
     }
 
-    /// Checks that the kernel stamps packets by the clock that the program reads; otherwise its stamps are ignored.
+    /// Checks that the kernel stamps packets by the clock that the program reads. Otherwise the kernel's stamps are
+    /// ignored from now on.
     /// [`run`](Self::run) does this check, too. A caller that needs the final
     /// [`stamp_source_name`](Self::stamp_source_name) before `run` must call this function first.
     pub async fn check_stamps(&mut self) {
@@ -164,7 +165,8 @@ impl Prober {
                 biased;
                 () = stop.cancelled() => return,
                 () = results.closed() => return,
-                // Polled before the reply, because the reply completes the exchange that this stamp belongs to.
+                // The departure stamp is polled before the reply, because the reply completes the exchange to which the
+                // stamp belongs.
                 departure = self.socket.departure() => match departure {
                     Ok((token, departed_at)) => self.record_departure(token, departed_at),
                     Err(error) => self.pause_after_error(&error).await,
@@ -282,7 +284,7 @@ impl Prober {
                 let interrupted = ProbeResult::ClockInterrupted(arrival.epoch);
                 pending_results.push(reply.answered.map_or(interrupted, ProbeResult::Answered));
             }
-            Err(LATE) => pending_results.push(ProbeResult::Late),
+            Err(LATE_REPLY) => pending_results.push(ProbeResult::Late),
             Err(reason) => pending_results.push(ProbeResult::Refused(reason)),
         }
     }

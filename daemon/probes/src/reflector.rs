@@ -136,7 +136,7 @@ impl Reflector {
     /// If the address cannot be bound. The error says what to do.
     pub fn bind(config: ReflectorConfig, clock: SharedClock) -> Result<Self, BindError> {
         let listen = config.listen;
-        // Only a session stores the departure of its last reply.
+        // Departures are stamped only for STAMP sessions, which store the departure of their last reply.
         let with_departure_stamps = config.stateful;
         let socket = ProbeSocket::bind(listen, config.stamps, with_departure_stamps, clock.clone());
         let socket = socket.map_err(|error| match error.kind() {
@@ -323,7 +323,7 @@ impl Reflector {
     }
 
     /// Returns the difference of the clocks at the newest comparison that was certainly before the kernel's stamp.
-    /// `None` if all remembered comparisons may have been after it.
+    /// `None` if all remembered comparisons may have been after the stamp.
     fn difference_before(&self, stamp: WallTime) -> Option<Interval> {
         let newest = self.comparisons.back()?.ahead;
         let is_before = |comparison: &&ClockComparison| {

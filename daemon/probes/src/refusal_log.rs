@@ -10,7 +10,7 @@ const LOG_INTERVAL: Span = Span::from_seconds(60);
 /// State of the log lines about refused probes.
 #[derive(Debug)]
 pub(crate) struct RefusalLog {
-    /// `true` if the reflector has a key; the advice depends on it.
+    /// `true` if the reflector has a key. The advice is different then.
     has_key: bool,
     /// For each reason, the time of its last log line and the number of probes refused for it since then.
     reasons: [(Option<MonoTime>, u64); Refusal::ALL.len()],
@@ -34,17 +34,17 @@ impl RefusalLog {
         let count = std::mem::take(count);
         let advice = match (reason, self.has_key) {
             (Refusal::Short, true) => {
-                "it was probably sent without a key; with [probes] key_file both ends need the same key"
+                "the probe was probably sent without a key; with [probes] key_file both ends need the same key"
             }
             (Refusal::Unauthenticated, _) => {
-                "its sender has another key or none; with [probes] key_file both ends need the same key"
+                "the sender of the probe has another key or none; with [probes] key_file both ends need the same key"
             }
             (Refusal::TooOften, _) => "raise [probes] max_per_source_hz here, or lower rate_hz there",
             (Refusal::TooMany, _) => {
                 "peers with a session are still answered; check which hosts send too many probes, or raise [probes] max_per_source_hz"
             }
             (Refusal::Short, false) | (Refusal::NoPort | Refusal::Reply, _) => {
-                "it is not a probe of a peer; check which program sends it"
+                "the packet is not a probe of a peer; check which program sends it"
             }
             (Refusal::NotSent, _) => {
                 "check that the network and the firewall of this machine let UDP packets out"

@@ -36,7 +36,7 @@ impl Schedule {
         let first = now + scale(interval.min(FIRST_PROBE_WINDOW), rand::random());
         self.due = match previous_interval {
             None => first,
-            // The next probe is due after at most one new interval. If it is due earlier by the old rate, it stays so.
+            // The next probe is due after at most one new interval. A time that is already earlier is kept.
             Some(_) => self.due.min(now + with_jitter(interval)),
         };
     }
@@ -81,22 +81,22 @@ mod tests {
     fn intervals_vary_by_a_fifth_and_keep_the_rate() {
         let mut schedule = Schedule::new(10.0, at(0));
         let first = schedule.due().expect("not paused");
-        assert!(first <= at(100), "the first comes soon: {first:?}");
-        let mut last = first;
+        assert!(first <= at(100), "the first probe is sent soon: {first:?}");
+        let mut previous = first;
         let mut intervals = Vec::new();
         for _ in 0..2000 {
             // Each call comes slightly late, as timers do.
-            schedule.advance(last + Span::from_millis(1));
+            schedule.advance(previous + Span::from_millis(1));
             let due = schedule.due().expect("not paused");
-            intervals.push((due - last).seconds());
-            last = due;
+            intervals.push((due - previous).seconds());
+            previous = due;
         }
         assert!(intervals.iter().all(|interval| (0.08..=0.12).contains(interval)));
         assert!(
             intervals.iter().any(|interval| *interval < 0.09)
                 && intervals.iter().any(|interval| *interval > 0.11)
         );
-        let mean = (last - first).seconds() / intervals.len() as f64;
+        let mean = (previous - first).seconds() / intervals.len() as f64;
         assert!((0.098..0.102).contains(&mean), "{mean}");
     }
 

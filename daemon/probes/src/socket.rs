@@ -139,8 +139,8 @@ impl ProbeSocket {
                 Ok(Some(false)) => return self.disable_kernel_stamps(),
                 // The clock was set meanwhile, or the packet has no stamp. Another packet is tried.
                 Ok(None) => {}
-                // If the check cannot be done, the kernel's stamps are used. If they are of another clock,
-                // `SenderState::receive` still notices it by the order of events.
+                // If the check cannot be done, the kernel's stamps are used. If these stamps are of another clock,
+                // `SenderState::receive` still notices this, because they violate the order of events.
                 Err(error) => {
                     tracing::debug!(%error, "failed to compare the kernel's stamps with the clock");
                     return;
@@ -160,8 +160,8 @@ impl ProbeSocket {
         static LOGGED: Once = Once::new();
         LOGGED.call_once(|| {
             tracing::warn!(
-                "the kernel stamps packets by another clock than this program reads, as under libfaketime; its stamps are \
-                 ignored; set timestamps = \"user\" in [clock] to stop this check"
+                "the kernel stamps packets by another clock than this program reads, as under libfaketime; the kernel's \
+                 stamps are ignored; set timestamps = \"user\" in [clock] to stop this check"
             );
         });
         self.kernel_stamps_disabled = true;

@@ -42,7 +42,7 @@ pub(crate) async fn run(from: &Path, to: &Path, plan: &LoadPlan) {
         .create_if_missing(true)
         .journal_mode(SqliteJournalMode::Wal)
         .synchronous(SqliteSynchronous::Full)
-        // The aggregator's settings, so that the comparison is of the work and not of the settings.
+        // The aggregator's settings, so that a difference in speed does not come from the settings.
         .pragma("cache_size", "-65536")
         .pragma("wal_autocheckpoint", "16000")
         .foreign_keys(false)

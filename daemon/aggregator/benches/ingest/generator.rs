@@ -53,13 +53,13 @@ pub(crate) async fn run(address: &str, plan: &LoadPlan, speed: Option<f64>) {
 }
 
 /// Keeps as many batches in flight as the window allows, until all are acknowledged. If the aggregator requests an
-/// earlier batch, continues from it.
+/// earlier batch, continues from that batch.
 async fn send(socket: Socket, load: Load, mut window: u32, batch_interval: Duration) {
     let started_at = Instant::now();
     let (mut next, mut stored) = (0, 0);
     while stored < load.frames.len() {
         let window_bytes = u64::from(window.min(WINDOW)) * BATCH_BYTES;
-        let send_end = stored + load.count_within(stored, window_bytes);
+        let send_end = stored + load.max_in_flight(stored, window_bytes);
         while next < send_end && started_at + batch_interval * next as u32 <= Instant::now() {
             socket.send(Message::single(load.frames[next].clone())).await.expect("sends");
             next += 1;

@@ -12,11 +12,11 @@ use peernet_stream::{
 
 use crate::generate;
 
-/// Nodes of an iteration.
+/// Number of nodes of an iteration.
 const NODES: u64 = 21;
-/// Nodes at which agents cut a batch by default.
+/// Number of nodes at which agents cut a batch by default.
 const BATCH_NODES: u64 = 8_192;
-/// Bytes at which agents cut a batch by default.
+/// Number of bytes at which agents cut a batch by default.
 pub(crate) const BATCH_BYTES: u64 = 128 * 1024;
 /// Age at which agents cut a batch by default, seconds.
 const BATCH_AGE_S: f64 = 0.2;
@@ -31,7 +31,7 @@ pub(crate) struct LoadPlan {
     /// Number of iterations of each batch.
     pub(crate) iterations: u64,
     /// Interval between two iterations of an agent, seconds.
-    every_s: f64,
+    interval_s: f64,
 }
 
 /// The messages of one agent.
@@ -44,7 +44,7 @@ pub(crate) struct Load {
 impl Load {
     /// Returns how many batches from index `from` on may be in flight together if the window has `window_bytes` bytes;
     /// at least one.
-    pub(crate) fn count_within(&self, from: usize, mut window_bytes: u64) -> usize {
+    pub(crate) fn max_in_flight(&self, from: usize, mut window_bytes: u64) -> usize {
         let waiting = self.frames[from..].iter().take(MAX_IN_FLIGHT_BATCHES);
         let fits = |frame: &Bytes| {
             let remaining = window_bytes.checked_sub(batch_weight(frame.len()));
@@ -60,11 +60,11 @@ impl LoadPlan {
     /// agents or more.
     pub(crate) fn new(agents: u64, nodes: u64) -> Self {
         let target_rate = if agents >= 1_000 { 350_000.0 } else { 500_000.0 };
-        let every_s = NODES as f64 * agents as f64 / target_rate;
-        let iterations_by_age = (BATCH_AGE_S / every_s) as u64;
+        let interval_s = NODES as f64 * agents as f64 / target_rate;
+        let iterations_by_age = (BATCH_AGE_S / interval_s) as u64;
         let iterations = iterations_by_age.clamp(1, (BATCH_NODES / NODES).min(BATCH_BYTES / ITERATION_BYTES));
         let batches = nodes.div_ceil(agents * iterations * NODES);
-        Self { agents, batches, iterations, every_s }
+        Self { agents, batches, iterations, interval_s }
     }
 
     /// Number of nodes of all agents together.
@@ -74,7 +74,7 @@ impl LoadPlan {
 
     /// Time in which the iterations of one batch are produced, seconds.
     pub(crate) fn batch_s(&self) -> f64 {
-        self.iterations as f64 * self.every_s
+        self.iterations as f64 * self.interval_s
     }
 
     /// Builds the messages of one agent, whose measuring begins at `start`.
@@ -89,7 +89,7 @@ impl LoadPlan {
             let run_start = (number == 1).then(|| generate::run_started(run, "line", start));
             let numbers = (number - 1) * self.iterations + 1..=number * self.iterations;
             let iterations = numbers.map(|n| {
-                let at = start + peernet_clock::Span::from_seconds_f64(n as f64 * self.every_s);
+                let at = start + peernet_clock::Span::from_seconds_f64(n as f64 * self.interval_s);
                 Event::Iteration(generate::iteration_at(run, n, (host, cloud), at, &mut random))
             });
             let events: Vec<Event> = run_start.into_iter().chain(iterations).collect();
@@ -111,7 +111,7 @@ impl LoadPlan {
             longest = longest.max(body.len());
             frames.push(Bytes::from(codec::encode_batch(&head, &body, false)));
         }
-        assert!(longest as u64 <= BATCH_BYTES + 1_024, "batches of {longest} bytes are not cut as agents do");
+        assert!(longest as u64 <= BATCH_BYTES + 1_024, "agents would cut a batch before {longest} bytes");
         let hello = Hello {
             protocol: STREAM_VERSIONS.oldest(),
             host: generate::host(host, &format!("agent-{agent}")),
@@ -132,14 +132,14 @@ impl LoadPlan {
 
 impl fmt::Display for LoadPlan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { agents, batches, iterations, every_s } = self;
+        let Self { agents, batches, iterations, interval_s } = self;
         write!(
             f,
             "{agents} agents: {} nodes in {} batches of {} nodes, an iteration every {:.3} ms",
             self.nodes(),
             agents * batches,
             iterations * NODES,
-            every_s * 1e3
+            interval_s * 1e3
         )
     }
 }

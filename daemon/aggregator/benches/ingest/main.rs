@@ -33,7 +33,7 @@ async fn main() {
             generator::run(address, &LoadPlan::new(number(agents), number(nodes)), None).await;
         }
         ["generator", address, agents, nodes, speed] => {
-            let speed: f64 = speed.parse().unwrap_or_else(|_| panic!("{speed:?} is no speed"));
+            let speed: f64 = speed.parse().unwrap_or_else(|_| panic!("{speed:?} is not a speed"));
             generator::run(address, &LoadPlan::new(number(agents), number(nodes)), Some(speed)).await;
         }
         ["bare", from, to, agents, nodes] => {
@@ -41,7 +41,7 @@ async fn main() {
             bare::run(Path::new(from), Path::new(to), &plan).await;
         }
         arguments_as_text => {
-            let numbers: Vec<u64> = arguments_as_text.iter().map(|word| number(word)).collect();
+            let numbers: Vec<u64> = arguments_as_text.iter().map(|text| number(text)).collect();
             let (nodes, rounds) = (numbers.first().unwrap_or(&4_000_000), numbers.get(1).unwrap_or(&3));
             let agents = numbers.get(2..).filter(|agents| !agents.is_empty()).unwrap_or(&[1, 10, 1_000]);
             run_rounds(*nodes, *rounds, agents).await;
@@ -49,8 +49,8 @@ async fn main() {
     }
 }
 
-fn number(word: &str) -> u64 {
-    word.parse().unwrap_or_else(|_| panic!("{word:?} is not a number"))
+fn number(text: &str) -> u64 {
+    text.parse().unwrap_or_else(|_| panic!("{text:?} is not a number"))
 }
 
 /// Runs all rounds and prints the table of results.
@@ -65,7 +65,7 @@ async fn run_rounds(nodes: u64, rounds: u64, agents: &[u64]) {
         );
         for round in 1..=rounds {
             let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).expect("a folder");
-            let (aggregator_database, bare) =
+            let (aggregator_database, bare_database) =
                 (folder.path().join("aggregator.sqlite"), folder.path().join("bare.sqlite"));
             let (agents, nodes) = (agents.to_string(), nodes.to_string());
             let mut server = Role::start(&["server", path_text(&aggregator_database), &commit_nodes]);
@@ -75,8 +75,13 @@ async fn run_rounds(nodes: u64, rounds: u64, agents: &[u64]) {
             generator.end();
             let peak = server.peak_kib() as f64 / 1024.0;
             server.end();
-            let mut bare_loop =
-                Role::start(&["bare", path_text(&aggregator_database), path_text(&bare), &agents, &nodes]);
+            let mut bare_loop = Role::start(&[
+                "bare",
+                path_text(&aggregator_database),
+                path_text(&bare_database),
+                &agents,
+                &nodes,
+            ]);
             let bare_seconds: f64 = bare_loop.line().parse().expect("seconds");
             bare_loop.end();
             let stored = query_number(&aggregator_database, "SELECT count(*) FROM node").await;
@@ -97,7 +102,7 @@ async fn run_rounds(nodes: u64, rounds: u64, agents: &[u64]) {
 }
 
 fn path_text(path: &Path) -> &str {
-    path.to_str().expect("a path of text")
+    path.to_str().expect("a path in UTF-8")
 }
 
 /// Runs a query and returns its only value.
@@ -107,8 +112,8 @@ async fn query_number(database: &Path, sql: &'static str) -> i64 {
     sqlx::query(sql).fetch_one(&mut connection).await.expect("reads").get(0)
 }
 
-/// This program in another role, as a child process. It reports by lines on its standard output and ends when its
-/// standard input is closed.
+/// This program in another role, as a child process. The child prints its results on its standard output, and ends when
+/// its standard input is closed.
 struct Role {
     child: Child,
     input: Option<ChildStdin>,

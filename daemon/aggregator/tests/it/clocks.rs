@@ -14,7 +14,7 @@ pub fn micros(lo: i64, hi: i64) -> Interval {
 }
 
 /// Returns the sample of the second that ends `second` seconds after the zero of [`generate::at`], with all optional
-/// parts. The cloud's clock is 250 ms ahead, with bounds of ± `width` µs.
+/// fields. The cloud's clock is 250 ms ahead, with bounds of ± `width` µs.
 pub fn sample(peer: HostId, second: i64, width: i64) -> ClockSample {
     let at = generate::at(second as f64);
     let sent = RawTime::from_wall(at - Span::from_millis(400));

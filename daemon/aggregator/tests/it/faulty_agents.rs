@@ -10,13 +10,13 @@ use crate::scripted_agent::{Reply, ScriptedAgent};
 use crate::testbed::Testbed;
 
 #[tokio::test]
-async fn second_host_of_one_name_is_refused_and_shown() {
+async fn another_host_with_same_name_is_refused_and_shown() {
     let mut testbed = Testbed::new().await;
     let mut first = testbed.agent("edge").await;
     first.until_up().await;
     let mut second = testbed.agent("edge").await;
     let is_refusal = |notice: &Notice| matches!(notice, Notice::Refused(_));
-    second.until("it is refused", |agent| agent.notices.iter().any(is_refusal)).await;
+    second.until("the second agent is refused", |agent| agent.notices.iter().any(is_refusal)).await;
     let Some(Notice::Refused(reason)) = second.notices.last() else { panic!("{:?}", second.notices) };
     assert!(
         reason.contains("the name edge is taken by the host with the id") && reason.contains("another name")
@@ -152,8 +152,8 @@ async fn flipped_byte_affects_no_other_batch() {
     let mut scripted_agent = ScriptedAgent::welcome(&testbed, "edge").await;
     let mut other = ScriptedAgent::welcome(&testbed, "other").await;
     let frame = scripted_agent.next();
-    // All bytes of the head, and half of the length. With later bytes the frame is recognised as this batch, which
-    // would be quarantined when it is damaged three times in a row.
+    // Only bytes of the head are flipped: 80 of its 98 bytes. A flipped byte of the body leaves the head intact. The batch
+    // would then be quarantined when it arrives damaged three times in a row.
     for index in 0..80 {
         let mut flipped = frame.clone();
         flipped[index] ^= 0x10;
@@ -178,7 +178,7 @@ async fn batch_of_another_history_is_not_stored() {
     let mut scripted_agent = ScriptedAgent::welcome(&testbed, "edge").await;
     scripted_agent.send_next().await;
     scripted_agent.expect(Reply::Ack(1)).await;
-    // Another history with the same numbers, as of a copied spool.
+    // Another history with the same numbers, as the copy of a spool has.
     let mut copy = ScriptedAgent::new(&testbed).await;
     (copy.host, copy.stream) = (scripted_agent.host, scripted_agent.stream);
     let _other_first = copy.next_with_body(1, &[0xc0]);
@@ -195,7 +195,7 @@ async fn batch_of_another_history_is_not_stored() {
 async fn sender_that_ignores_window_loses_nothing() {
     let mut testbed = Testbed::new().await;
     let mut scripted_agent = ScriptedAgent::welcome(&testbed, "edge").await;
-    // The greeting is stored before the database is locked.
+    // The hello is stored before the database is locked.
     scripted_agent.send_next().await;
     scripted_agent.expect(Reply::Ack(1)).await;
     let mut holder = testbed.connection().await;
@@ -295,7 +295,7 @@ async fn deleted_spool_leaves_one_gap_despite_reconnections() {
     }
     assert_eq!(testbed.count("SELECT count(*) FROM gap WHERE reason LIKE '%deleted or replaced%'").await, 1);
     assert_eq!(testbed.count("SELECT gaps FROM host WHERE name = 'edge'").await, 1);
-    // A stream that continues the replaced one leaves no gap.
+    // A stream that names its previous stream leaves no gap.
     let next = ScriptedAgent { host: scripted_agent.host, ..ScriptedAgent::new(&testbed).await };
     let hello = Hello { previous_stream: Some(replacement.stream), ..next.hello("edge") };
     assert!(matches!(next.socket.greet(&hello).await, ToAgent::Welcome { .. }));

@@ -32,7 +32,8 @@ async fn deferred_batches_are_requested_when_queue_has_capacity() {
     }
     let mut holder = testbed.connection().await;
     sqlx::raw_sql("BEGIN EXCLUSIVE").execute(&mut holder).await.expect("locks");
-    // Compressed they are small on the network, but in the queue they take the size of the decompressed events.
+    // These batches are compressed and therefore small on the network. In the queue they take the size of the
+    // decompressed events.
     for scripted_agent in &mut agents[..2] {
         for _ in 0..16 {
             let frame = large_batch(scripted_agent);
@@ -87,7 +88,8 @@ async fn late_data_is_counted_in_buckets_of_its_time() {
     let hosts = (agent.id, HostId::from_bytes([7; 16]));
     let mut random = generate::Numbers::new(5);
     agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
-    // Hours apart and unordered, each part in a separate commit, with a restart between them.
+    // The parts are hours apart and unordered. Each part is in a separate commit. The aggregator restarts after the third
+    // part.
     for (part, hour) in [5, 0, 3, 5, 1].into_iter().enumerate() {
         let start_s = f64::from(hour) * 3600.0 + part as f64 * 7.0;
         agent.offer((0..60_u32).map(|n| {

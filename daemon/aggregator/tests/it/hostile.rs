@@ -47,7 +47,7 @@ async fn hosts_per_connection_are_limited() {
     let mut testbed = Testbed::new().await;
     let socket = AgentSocket::connect(&testbed.address).await;
     for n in 0..65 {
-        // Each hello is as if from an agent with a separate connection.
+        // Each hello comes from another host. All hellos are sent on the same connection.
         let hello = ScriptedAgent::new(&testbed).await.hello(&format!("host-{n}"));
         match socket.greet(&hello).await {
             ToAgent::Welcome { .. } => assert!(n < 64),
@@ -74,7 +74,7 @@ async fn unreadable_and_unknown_messages_are_counted() {
     stranger.expect(Reply::Unknown).await;
     stranger.socket.send(&ToAggregator::Goodbye(stranger.host)).await;
     stranger.expect(Reply::Unknown).await;
-    let snapshot_with_counts = testbed.snapshot("all of them", |snapshot| {
+    let snapshot_with_counts = testbed.snapshot("the counts of all messages", |snapshot| {
         let refused = snapshot.totals.refused;
         (refused.unreadable, refused.strangers) == (3, 2)
     });
@@ -88,13 +88,13 @@ async fn hostile_clock_values_are_bounded_and_stored() {
     let mut testbed = Testbed::new().await;
     let mut agent = testbed.agent("edge").await;
     agent.until_up().await;
-    // More links than an update may have, then as many as it may have.
+    // The first update has more links than an update may have, the second update has as many as it may have.
     let mut links: Vec<_> = (0..1_024)
         .map(|_| {
-            let mut now = clocks::sample(HostId::random(), 1, 40);
-            now.at = testbed.clock.wall();
-            now.max_drift_ppm = f64::NAN;
-            let mut link = clocks::link(now);
+            let mut sample = clocks::sample(HostId::random(), 1, 40);
+            sample.at = testbed.clock.wall();
+            sample.max_drift_ppm = f64::NAN;
+            let mut link = clocks::link(sample);
             link.networks = vec![String::new(); 64];
             link
         })
@@ -106,11 +106,11 @@ async fn hostile_clock_values_are_bounded_and_stored() {
     agent.live_with(vec![], links, clock).await;
     let snapshot = testbed.snapshot("some links", |snapshot| !snapshot.links.is_empty()).await;
     assert_eq!(snapshot.links.len(), 64);
-    // 64 links of one update are shown, and of 63 of them half of the networks.
+    // Of the 1,024 links of the second update, 64 are shown. 63 of these links have 64 networks, of which 32 are shown.
     assert_eq!(snapshot.hosts[0].live_left_out, 1_024 - 64 + 63 * 32);
     assert!(serde_json::to_string(&*snapshot).expect("serialises").len() < 1_000_000);
 
-    // Extreme bit patterns in the durable lane, which must store what it can.
+    // Extreme bit patterns in the durable lane. The aggregator must store the batches that contain them.
     let extreme_sample = |second: i64, nanos: i64| {
         let mut sample = clocks::sample(HostId::from_bytes([7; 16]), second, 40);
         (sample.window, sample.max_drift_ppm) = (nanos.cast_unsigned(), f64::NEG_INFINITY);
@@ -162,7 +162,7 @@ async fn nothing_is_acknowledged_while_database_file_is_moved() {
     agent.until_stored().await;
     let moved = testbed.database.with_extension("away");
     std::fs::rename(&testbed.database, &moved).expect("moves");
-    // Detected although nothing is to be stored.
+    // The move is detected although nothing is to be stored.
     agent
         .until("the missing file is detected", |_| {
             testbed.aggregator().current_readiness() != Readiness::Ready
@@ -216,7 +216,7 @@ async fn unnamed_run_gets_name_from_live_lane() {
         1
     );
     let snapshot = testbed
-        .snapshot("what was stored before", |snapshot| {
+        .snapshot("the events that were stored before", |snapshot| {
             snapshot.hosts.first().is_some_and(|host| host.stored.events == 7)
         })
         .await;

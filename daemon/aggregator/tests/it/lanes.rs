@@ -94,7 +94,7 @@ async fn clock_samples_are_shown_and_stored() {
     let clock_events = |part: &[ClockSample]| -> Vec<Event> {
         part.iter().cloned().map(|sample| Event::Clock(Box::new(sample))).collect()
     };
-    // Half of the samples, a restart, and the other half: each is stored once.
+    // Half of the samples are stored, the aggregator restarts, and the other half is stored. Each sample is stored once.
     agent.offer(clock_events(&samples[..100]));
     agent.until_stored().await;
     testbed.stop().await;
@@ -113,14 +113,14 @@ async fn clock_samples_are_shown_and_stored() {
     }
 
     // The live lane shows the present, independently of what is stored.
-    let mut now = clocks::sample(cloud, 1, 40);
-    now.at = testbed.clock.wall();
+    let mut sample = clocks::sample(cloud, 1, 40);
+    sample.at = testbed.clock.wall();
     let clock = HostClock { text: "kernel, synchronised".into(), ..HostClock::default() };
-    agent.live_with(vec![], vec![clocks::link(now.clone())], clock.clone()).await;
+    agent.live_with(vec![], vec![clocks::link(sample.clone())], clock.clone()).await;
     let snapshot = testbed.snapshot("the link", |snapshot| snapshot.links.len() == 1).await;
     let link = &snapshot.links[0];
-    assert_eq!((link.edge, link.connected, &link.live), (agent.id, true, &clocks::link(now.clone())));
-    assert_eq!((link.history.len(), &link.history[0].offset), (1, &now.offset));
+    assert_eq!((link.edge, link.connected, &link.live), (agent.id, true, &clocks::link(sample.clone())));
+    assert_eq!((link.history.len(), &link.history[0].offset), (1, &sample.offset));
     assert_eq!(snapshot.hosts[0].clock, clock);
     testbed
         .snapshot("the disconnected link", |snapshot| snapshot.links.iter().all(|link| !link.connected))
@@ -137,7 +137,7 @@ async fn restart_loses_nothing_and_stores_nothing_twice() {
     for part in 0..4_u64 {
         agent.offer(events(&iterations(run, agent.id, part * 500 + 1..=part * 500 + 500)));
         let half = agent.accounting().stored + 250;
-        agent.until("half of it is stored", |agent| agent.accounting().stored >= half).await;
+        agent.until("half of the part is stored", |agent| agent.accounting().stored >= half).await;
         testbed.stop().await;
         testbed.start().await;
     }
@@ -159,7 +159,7 @@ async fn nothing_is_acknowledged_before_commit_while_live_state_updates() {
     let mut agent = testbed.agent("edge").await;
     agent.until_up().await;
     testbed.snapshot("the host", |snapshot| snapshot.hosts.len() == 1).await;
-    // The greeting is stored before the database is locked.
+    // The hello is stored before the database is locked.
     let run = RunId::random();
     agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
     agent.until_stored().await;
@@ -167,9 +167,7 @@ async fn nothing_is_acknowledged_before_commit_while_live_state_updates() {
     let mut other = testbed.connection().await;
     sqlx::raw_sql("BEGIN EXCLUSIVE").execute(&mut other).await.expect("locks");
     agent.offer(events(&iterations(run, agent.id, 1..=100)));
-    agent
-        .until("storing is seen to fail", |_| testbed.aggregator().current_readiness() != Readiness::Ready)
-        .await;
+    agent.until("storing fails", |_| testbed.aggregator().current_readiness() != Readiness::Ready).await;
     let Readiness::NotStoring(reason) = testbed.aggregator().current_readiness() else {
         panic!("not storing")
     };

@@ -32,8 +32,8 @@ fn move_away(database: &Path) {
 /// Copies the database.
 async fn backup(testbed: &Testbed) -> PathBuf {
     let copy = path_with_suffix(&testbed.database, "-copy");
-    let into = format!("VACUUM INTO '{}'", copy.display());
-    sqlx::raw_sql(AssertSqlSafe(into)).execute(&mut testbed.connection().await).await.expect("copies");
+    let sql = format!("VACUUM INTO '{}'", copy.display());
+    sqlx::raw_sql(AssertSqlSafe(sql)).execute(&mut testbed.connection().await).await.expect("copies");
     copy
 }
 
@@ -51,11 +51,11 @@ async fn wait_until_ready(testbed: &Testbed) {
     ready.wait_for(|ready| *ready == Readiness::Ready).await.expect("runs");
 }
 
-/// An agent with one pipeline's run.
+/// An agent with one run of one pipeline.
 struct TestPipeline {
     agent: Agent,
     run: RunId,
-    next: u64,
+    next_number: u64,
     numbers: generate::Numbers,
 }
 
@@ -63,13 +63,13 @@ impl TestPipeline {
     async fn new(testbed: &Testbed) -> Self {
         let (mut agent, run) = (testbed.agent("edge").await, RunId::random());
         agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
-        Self { agent, run, next: 1, numbers: generate::Numbers::new(3) }
+        Self { agent, run, next_number: 1, numbers: generate::Numbers::new(3) }
     }
 
     fn offer(&mut self, count: u64) {
         let (run, hosts) = (self.run, (self.agent.id, HostId::from_bytes([7; 16])));
-        let range = self.next..self.next + count;
-        self.next = range.end;
+        let range = self.next_number..self.next_number + count;
+        self.next_number = range.end;
         self.agent
             .offer(range.map(|n| Event::Iteration(generate::iteration(run, n, hosts, &mut self.numbers))));
     }

@@ -18,7 +18,7 @@ const MIN_KEY_BYTES: usize = 16;
 // The path may lead to a file without an end, such as /dev/zero.
 const MAX_FILE_BYTES: u64 = 4096;
 
-/// A key that both ends share. Its `Debug` form hides it.
+/// A key that both ends share. The `Debug` form does not show the key.
 #[derive(Clone)]
 pub struct Key(Hmac<Sha256>);
 
@@ -46,8 +46,8 @@ pub enum KeyError {
     },
     /// The file does not contain a key.
     #[error(
-        "the probes' key {} is {reason}: it takes one line of at least {} hexadecimal digits, such as \
-         `openssl rand -hex 32` makes",
+        "the probes' key {} is {reason}: the file must contain one line of at least {} hexadecimal digits, as \
+         `openssl rand -hex 32` prints it",
         path.display(),
         2 * MIN_KEY_BYTES
     )]

@@ -2,7 +2,8 @@
 
 use peernet_clock::{Interval, RawTime, Span, WallTime};
 
-/// If two comparisons of the clocks differ by more than this span and their widths, the wall clock was set in between.
+/// Tolerance for two comparisons of the clocks. If they differ by more than this span plus their own widths, the wall
+/// clock was set in between.
 const MAX_STEADY_DIFFERENCE: Span = Span::from_micros(10);
 
 /// Bounds of the time of the free-running clock at which the wall clock showed a stamp.
@@ -12,9 +13,9 @@ const MAX_STEADY_DIFFERENCE: Span = Span::from_micros(10);
 /// stamp then lies between them, so the bounds are as far apart as the comparisons differ.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct KernelStamp {
-    /// Time that is not later than the true one.
+    /// Time that is not later than the true time.
     pub earliest: RawTime,
-    /// Time that is not earlier than the true one.
+    /// Time that is not earlier than the true time.
     pub latest: RawTime,
     /// `true` if the wall clock was not set between the comparisons.
     pub is_steady: bool,
@@ -39,12 +40,12 @@ mod tests {
     }
 
     #[test]
-    fn stamp_is_as_wide_as_comparisons_differ() {
+    fn bounds_are_as_far_apart_as_comparisons_differ() {
         let stamp = WallTime::from_unix_nanos(1_000_000);
         let steady = KernelStamp::from_comparisons(stamp, ahead(100, 140), ahead(110, 150));
         let raw = RawTime::from_nanos;
         assert_eq!(steady, KernelStamp { earliest: raw(999_850), latest: raw(999_900), is_steady: true });
-        // The wall clock was set by a second in between. Whether this was before or after the stamp is unknown.
+        // The wall clock was set by one second in between. Whether this was before or after the stamp is unknown.
         let set = KernelStamp::from_comparisons(stamp, ahead(100, 140), ahead(1_000_000_100, 1_000_000_140));
         assert_eq!((set.latest - set.earliest, set.is_steady), (Span::from_nanos(1_000_000_040), false));
     }

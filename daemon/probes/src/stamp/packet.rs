@@ -86,8 +86,8 @@ pub struct Request {
 /// Base packet of a reflector.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reply {
-    /// Number of the reply. A stateful reflector counts the replies of each session; others repeat the request's
-    /// number.
+    /// Number of the reply. A stateful reflector counts the replies of each session; a stateless reflector repeats the
+    /// number of the request.
     pub sequence: u32,
     /// Time of departure, in the format of the error estimate.
     pub timestamp: u64,

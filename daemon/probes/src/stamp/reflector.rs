@@ -125,7 +125,7 @@ impl ReflectorState {
     }
 
     /// Sets the key that peers get with their session. Requests that this key authenticates get authenticated answers;
-    /// all others are answered as before. No effect if the reflector has a `key`, because all requests then need that
+    /// all other requests are answered as without this key. No effect if the reflector has a `key`, because all requests then need that
     /// key.
     #[must_use]
     pub fn with_session_key(mut self, key: Option<Key>) -> Self {
@@ -224,7 +224,7 @@ impl ReflectorState {
     pub fn complete(&self, answer: &PreparedReply, packet: &mut [u8], clock: &dyn Clock) -> Stamp {
         let mode = answer.mode;
         let now = clock.stamp();
-        // Read after the stamp, so that a step in between is detected.
+        // The epochs are read after the stamp, so the stamp belongs to these epochs or to earlier epochs.
         let (epoch, wall_epoch) = (clock.epoch(), clock.wall_epoch());
         let reply = Reply { timestamp: answer.reply.estimate.format().encode(now.wall), ..answer.reply };
         reply.write(mode, packet);

@@ -9,7 +9,7 @@ use super::packet::{self, Mode, Request};
 use super::sender::SenderConfig;
 use super::tlv::{self, FollowUp, Origin, RawStamps};
 
-/// Random octets of one request, which tie the answer to it.
+/// Random octets of one request. Its answer must return them.
 pub type Nonce = [u8; NONCE_BYTES];
 const NONCE_BYTES: usize = 16;
 
@@ -29,7 +29,7 @@ impl RequestPacket {
         if config.clocks == RelatedClocks::Raw {
             tlv::push(&mut bytes, tlv::RAW_STAMPS, &RawStamps::default().to_value());
         }
-        // The octets are before the code, so that it covers them. They are padding, because every implementation
+        // The octets are before the code, so that the code covers them. The octets are padding, because every implementation
         // returns padding.
         let nonce_range = (config.with_nonce && config.key.is_some()).then(|| {
             tlv::push(&mut bytes, tlv::EXTRA_PADDING, &[0; NONCE_BYTES]);

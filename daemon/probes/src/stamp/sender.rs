@@ -18,7 +18,7 @@ use super::uncertainty::{self, ORDER_TOLERANCE};
 /// Maximum number of remembered probes, whether answered or not. A further probe replaces the oldest.
 const MAX_PENDING: usize = 1024;
 
-/// Longest plausible time between the program's stamp of a departure and the kernel's.
+/// Longest plausible time from the program's stamp of a departure to the kernel's stamp.
 const MAX_DEPARTURE_DELAY: Span = Span::from_seconds(1);
 
 /// Configuration of a sender.
@@ -28,7 +28,8 @@ pub struct SenderConfig {
     pub key: Option<Key>,
     /// The only accepted reflector, by its [`Origin::instance`]; `None` accepts any.
     pub instance: Option<u64>,
-    /// `true` if each request carries random octets that its answer must return. It is used only with a key.
+    /// `true` if each request carries random octets that its answer must return. Has no effect without a
+    /// key.
     // The octets prove that the TLVs of an answer were written for this request, and not for another request with the
     // same number and key.
     pub with_nonce: bool,
@@ -56,7 +57,7 @@ pub struct SenderState {
     timeout: Span,
     /// Probes that are not older than the timeout, oldest first.
     pending: VecDeque<PendingProbe>,
-    /// Requests that were lost recently, whose answers are late. At most [`MAX_PENDING`].
+    /// Requests that were lost recently, at most [`MAX_PENDING`]. An answer to such a request is late.
     lost: VecDeque<Departure>,
     /// `true` if the kernel's stamps are of another clock than the program's.
     ignores_kernel_stamps: bool,
@@ -88,10 +89,10 @@ impl Departure {
 #[derive(Debug)]
 struct PendingProbe {
     departure: Departure,
-    /// Departure by the kernel's stamp, not later than the true one; `None` until the stamp arrives.
+    /// Departure by the kernel's stamp, not later than the true departure; `None` until the stamp arrives.
     kernel_departure: Option<RawTime>,
     /// `true` if the kernel's stamp is before the program's.
-    is_too_early: bool,
+    is_kernel_stamp_too_early: bool,
     answer: Option<AnsweredProbe>,
 }
 
@@ -138,7 +139,7 @@ struct TlvValues {
     alteration: Option<&'static str>,
 }
 
-/// Times of the reflector's related clock in a reply.
+/// Times in a reply, by the reflector's clock that the exchange relates.
 #[derive(Clone, Copy, Debug)]
 struct ReflectorTimes {
     received: RawTime,
@@ -173,20 +174,20 @@ impl SenderState {
     /// Returns the next request with its stamp. The caller must send it at once and then call
     /// [`record_sent`](Self::record_sent).
     pub fn request(&mut self, clock: &dyn Clock) -> (Departure, &[u8]) {
-        self.request_with(clock, rand::random())
+        self.request_with_nonce(clock, rand::random())
     }
 
     /// Returns the next request with the given octets, if requests carry octets. The octets must be secret until the
     /// request is sent.
-    pub fn request_with(&mut self, clock: &dyn Clock, octets: Nonce) -> (Departure, &[u8]) {
+    pub fn request_with_nonce(&mut self, clock: &dyn Clock, octets: Nonce) -> (Departure, &[u8]) {
         let key = self.key.as_ref();
         let nonce = self.packet.prepare(key, self.next_sequence, octets);
         let ahead = clock.wall_ahead();
-        // Read before the stamp of the request. The epoch of the reply's arrival is read after the stamp of the
+        // The epoch is read before the stamp of the request. The epoch of the reply's arrival is read after the stamp of the
         // arrival. If both epochs are equal, the clock was not interrupted in between.
         let epoch = clock.epoch();
         let sent = clock.stamp();
-        // NTP's format, because decoding returns exactly the stamp that was encoded.
+        // The stamp is in NTP's format, because decoding returns exactly the stamp that was encoded.
         let timestamp = Format::Ntp.encode(sent.wall);
         let estimate = ErrorEstimate::new(Format::Ntp, uncertainty::PEERNET_ENDS);
         let request = Request { sequence: self.next_sequence, timestamp, estimate, ssid: self.ssid };
@@ -194,17 +195,18 @@ impl SenderState {
         (Departure { sequence: self.next_sequence, timestamp, sent, nonce, ahead, epoch }, packet)
     }
 
-    /// Records that the request was sent. Returns how many unanswered earlier probes were dropped to make room for it.
+    /// Records that the request was sent. Returns how many unanswered earlier probes were dropped to make
+    /// room for the new probe.
     pub fn record_sent(&mut self, departure: Departure) -> usize {
-        // Counted here and not in `request`: a request that was not sent must leave no gap in the numbers, because
-        // `find_probe` computes a probe's position from its number.
+        // The number increases here and not in `request`: a request that was not sent must leave no gap in the numbers,
+        // because `find_probe` computes the position of a probe from its number.
         self.next_sequence = departure.sequence.wrapping_add(1);
         let excess = self.pending.len().saturating_sub(MAX_PENDING - 1);
         let lost = self.drop_oldest(excess);
         self.pending.push_back(PendingProbe {
             departure,
             kernel_departure: None,
-            is_too_early: false,
+            is_kernel_stamp_too_early: false,
             answer: None,
         });
         lost
@@ -222,7 +224,7 @@ impl SenderState {
             let delay = stamp.earliest - sent.raw;
             probe.kernel_departure =
                 (Span::ZERO..=MAX_DEPARTURE_DELAY).contains(&delay).then_some(stamp.earliest);
-            probe.is_too_early = stamp.is_steady && stamp.latest < sent.raw - ORDER_TOLERANCE;
+            probe.is_kernel_stamp_too_early = stamp.is_steady && stamp.latest < sent.raw - ORDER_TOLERANCE;
         }
     }
 
@@ -236,7 +238,7 @@ impl SenderState {
     pub fn ignore_kernel_stamps(&mut self) {
         self.ignores_kernel_stamps = true;
         for probe in &mut self.pending {
-            (probe.kernel_departure, probe.is_too_early) = (None, false);
+            (probe.kernel_departure, probe.is_kernel_stamp_too_early) = (None, false);
         }
     }
 
@@ -257,7 +259,7 @@ impl SenderState {
         lost
     }
 
-    /// Returns the time at which the next probe will be lost if it is not answered.
+    /// Returns the time at which the oldest unanswered probe will count as lost; `None` if all probes are answered.
     pub fn deadline(&self) -> Option<MonoTime> {
         let oldest_unanswered = self.pending.iter().find(|probe| probe.answer.is_none())?;
         Some(oldest_unanswered.departure.sent.mono + self.timeout)
@@ -295,7 +297,7 @@ impl SenderState {
                 .ok_or(NO_SUCH_PROBE)?;
             check_answer(&self.lost[lost_index], &reply, &tlv_values)?;
             self.lost.remove(lost_index);
-            return Err(LATE);
+            return Err(LATE_REPLY);
         };
         check_answer(&probe.departure, &reply, &tlv_values)?;
         // A second reply must not replace the first answer.
@@ -315,7 +317,7 @@ impl SenderState {
                 && (kernel.earliest > arrival.read.raw + ORDER_TOLERANCE
                     || kernel.latest < sent.raw - ORDER_TOLERANCE)
         };
-        if probe.is_too_early || kernel_stamp.is_some_and(is_of_another_clock) {
+        if probe.is_kernel_stamp_too_early || kernel_stamp.is_some_and(is_of_another_clock) {
             self.ignore_kernel_stamps();
         }
         let kernel_stamp = kernel_stamp.filter(|_| !self.ignores_kernel_stamps);
@@ -379,7 +381,7 @@ impl SenderState {
 }
 
 /// Reason for a valid reply to a probe that already counts as lost. All other reasons mean that the reply is invalid.
-pub const LATE: &str = "later than the timeout of the probe";
+pub const LATE_REPLY: &str = "later than the timeout of the probe";
 /// Reason for a reply to none of the remembered probes.
 const NO_SUCH_PROBE: &str = "an answer to an unknown or forgotten probe";
 /// Reason for a reply whose TLVs were written for another request.
@@ -395,7 +397,7 @@ pub const NOT_PEERNET: &str =
 pub const ALTERED_REPLY_TLVS: &str = "an authentic reply with TLVs whose HMAC does not fit: they were altered on the way, or the reflector \
                                   does not know them";
 /// Reason for an authentic reply with flag I: the code of the request's TLVs did not match at the reflector.
-pub const ALTERED_PROBE_TLVS: &str = "an authentic reply whose TLVs say that the HMAC of the probe's TLVs does not fit: they were altered on the way";
+pub const ALTERED_PROBE_TLVS: &str = "an authentic reply whose TLVs say that the HMAC of the probe's TLVs does not fit: these TLVs were altered on the way";
 /// Reason for an authentic reply without the TLV that names its reflector.
 pub const NO_ORIGIN: &str = "an authentic reply that does not say which process wrote it: its TLVs were cut off on the way, or the \
                            reflector is not of PEERNet";
@@ -449,7 +451,8 @@ fn refine_departure(
 /// Returns the values of the intact TLVs (RFC 8972, section 4).
 fn read_tlvs(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> TlvValues {
     let mut tlv_values = TlvValues::default();
-    // Checked first: a reflector that sets this flag returns the TLVs unchanged, so their code does not match.
+    // This flag is checked before the code: a reflector that sets the flag returns the TLVs unchanged, so their code does
+    // not match.
     if tlv::headers(tlvs).any(|header| header.flags & tlv::NOT_INTACT != 0) {
         return TlvValues { alteration: Some(ALTERED_PROBE_TLVS), ..tlv_values };
     }

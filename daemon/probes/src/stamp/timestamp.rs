@@ -1,4 +1,4 @@
-//! Wire form of stamps: the two 64-bit formats, and the Error Estimate that says which one is used.
+//! Wire form of stamps: the two 64-bit formats, and the Error Estimate that says which format is used.
 
 use peernet_clock::{Span, WallTime};
 
@@ -45,7 +45,8 @@ impl Format {
             Self::Ptp => return None,
         };
         let near = near.unix_seconds();
-        // The difference modulo 2³², read as signed, is the shorter way to the stamp in either direction.
+        // The difference modulo 2³², read as a signed number, leads to the nearest time with these bits, before or after
+        // `near`.
         let distance = ((bits >> 32) as u32).wrapping_sub((near + origin) as u32).cast_signed();
         let seconds = near + i64::from(distance);
         Some(WallTime::from_unix_nanos(seconds.saturating_mul(NANOS).saturating_add(nanos)))
@@ -61,7 +62,7 @@ impl ErrorEstimate {
     const PTP: u16 = 1 << 14;
 
     /// Returns the smallest estimate of two bytes that is at least `error`. The S bit is 0: the estimate does not claim
-    /// that the clock follows UTC, because it is about stamps relative to their own clock.
+    /// that the clock follows UTC. It states the error of stamps relative to their own clock.
     pub fn new(format: Format, error: Span) -> Self {
         // The unit is 2⁻³² s; the multiplier has 8 bits and must not be zero.
         let units = (u128::from(error.nanos().max(0).unsigned_abs()) << 32).div_ceil(1_000_000_000);
@@ -87,7 +88,7 @@ impl ErrorEstimate {
     }
 
     /// Returns whether the sender claims that its clock follows UTC.
-    pub const fn synchronised(self) -> bool {
+    pub const fn is_synchronised(self) -> bool {
         self.0 & Self::SYNCHRONISED != 0
     }
 

@@ -154,7 +154,7 @@ pub struct RawStamps {
     pub received: RawTime,
     /// Departure of the reply; not later than the true departure.
     pub replied: RawTime,
-    /// Number of an earlier reply, and its departure, which is not later than the true one.
+    /// Number of an earlier reply, and a time that is not later than its true departure.
     pub previous: Option<(u32, RawTime)>,
 }
 
@@ -206,7 +206,7 @@ pub fn are_intact(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> bool {
     let mut needs_code = false;
     for header in headers(tlvs) {
         match header.kind {
-            // A second code, or another TLV behind the code, would not be covered by it.
+            // The first code does not cover a second code or another TLV after it.
             HMAC if code.is_some() => return false,
             HMAC => code = Some(header),
             EXTRA_PADDING => {}

@@ -14,8 +14,9 @@ use peernet_probes::stamp::sender::{ReplyArrival, ReplyResult, SenderConfig, Sen
 
 use crate::support::{INSTANCE, key};
 
-/// Delay of one direction, and time that the reflector takes.
+/// Delay of each direction.
 const ONE_WAY_DELAY: Span = Span::from_micros(700);
+/// Time from the arrival of a request to its reply.
 const REFLECTOR_DELAY: Span = Span::from_micros(50);
 
 fn file(mode: &str, name: &str) -> PathBuf {
@@ -73,7 +74,7 @@ fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<Re
     let mut conversation = Conversation { requests: Default::default(), replies: Default::default() };
     let mut reply_results = Vec::new();
     for number in 0..2 {
-        let (departure, request) = sender.request_with(&edge, [0xA5; 16]);
+        let (departure, request) = sender.request_with_nonce(&edge, [0xA5; 16]);
         conversation.requests[number] = request.to_vec();
         sender.record_sent(departure);
         edge.advance(ONE_WAY_DELAY);
@@ -98,7 +99,7 @@ fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<Re
         let (ahead, epoch) = (edge.wall_ahead(), edge.epoch());
         let arrival = ReplyArrival { kernel: None, read: edge.stamp(), ahead, epoch };
         let reply = &stored.map_or(&conversation, |stored| stored).replies[number];
-        reply_results.push(sender.receive(reply, &arrival).expect("the reply is taken"));
+        reply_results.push(sender.receive(reply, &arrival).expect("the reply is accepted"));
         edge.advance(Span::from_millis(200));
     }
     (conversation, reply_results)
@@ -144,14 +145,14 @@ fn write_missing_fixtures() {
 
 #[test]
 fn stored_request_gets_stored_reply() {
-    for kind in MODES {
-        let mode = kind.name;
-        let stored = Conversation::read(mode);
-        let (current, reply_results) = exchange(&kind, Some(&stored));
+    for mode in MODES {
+        let mode_name = mode.name;
+        let stored = Conversation::read(mode_name);
+        let (current, reply_results) = exchange(&mode, Some(&stored));
         for ((name, packet), (_, stored_packet)) in current.files().zip(stored.files()) {
             assert!(
                 packet == stored_packet,
-                "{name}.{mode}: the bytes changed: {packet:02x?}, were {stored_packet:02x?}"
+                "{name}.{mode_name}: the bytes changed: {packet:02x?}, were {stored_packet:02x?}"
             );
         }
         let [first, second] = reply_results[..] else { panic!("two probes are answered: {reply_results:?}") };
@@ -161,18 +162,18 @@ fn stored_request_gets_stored_reply() {
             assert_eq!(
                 exchange.returned - exchange.sent,
                 ONE_WAY_DELAY + REFLECTOR_DELAY + ONE_WAY_DELAY,
-                "{mode}"
+                "{mode_name}"
             );
             let start = WallTime::from_unix_nanos(1_800_000_000_123_456_789);
             let wall_ahead_at_start = Span::from_nanos(start.unix_nanos() - ManualClock::FIRST_RAW.nanos());
-            let ahead = match kind.clocks {
+            let ahead = match mode.clocks {
                 RelatedClocks::Raw => Span::ZERO,
                 _ => wall_ahead_at_start + Span::from_seconds(3),
             };
-            assert_eq!(exchange.received - exchange.sent, ONE_WAY_DELAY + ahead, "{mode}");
+            assert_eq!(exchange.received - exchange.sent, ONE_WAY_DELAY + ahead, "{mode_name}");
         }
         // The second reply reports when the first reply left the machine.
         let refined = second.refined.expect("the first exchange is refined").exchange;
-        assert_eq!(refined.replied - exchanges[0].replied, Span::from_micros(5), "{mode}");
+        assert_eq!(refined.replied - exchanges[0].replied, Span::from_micros(5), "{mode_name}");
     }
 }

@@ -7,7 +7,7 @@ use peernet_probes::{ProbeResult, ReflectorConfig, Refusal};
 use tokio::net::UdpSocket;
 
 use crate::support::{
-    PATIENCE, RunningProber, RunningReflector, prober_config, reflector_config, system_clock,
+    MAX_WAIT, RunningProber, RunningReflector, prober_config, reflector_config, system_clock,
 };
 
 /// Returns the number of probes that the reflector has read from its socket.
@@ -16,7 +16,7 @@ fn probes_read(running: &RunningReflector) -> u64 {
     counts.answered + counts.refused.iter().map(|(_, count)| count).sum::<u64>()
 }
 
-/// Sends forged sources as far as loopback supports them: each packet comes from another address.
+/// Loopback has many addresses. The test sends from 500 of them in place of forged source addresses.
 #[tokio::test]
 async fn peers_are_answered_while_forged_sources_flood() {
     let config = ReflectorConfig { max_per_source_hz: 20, ..reflector_config() };
@@ -39,14 +39,14 @@ async fn peers_are_answered_while_forged_sources_flood() {
                 socket.send_to(&[0; 44], running.address).await.expect("sent");
                 sent += 1;
             }
-            // The socket's buffer holds about 250 packets. Further packets would be lost before the reflector can
-            // choose.
+            // The socket's buffer holds about 250 packets. Further packets would be lost before the reflector reads them,
+            // including the packets of the peer.
             let all_are_read = async {
                 while probes_read(&running) < sent {
                     tokio::task::yield_now().await;
                 }
             };
-            tokio::time::timeout(PATIENCE, all_are_read).await.expect("all probes are read");
+            tokio::time::timeout(MAX_WAIT, all_are_read).await.expect("all probes are read");
         }
         while let Ok(result) = probing.results.try_recv() {
             assert_ne!(result, ProbeResult::Lost, "after {answered} answers and {sent} forged probes");

@@ -10,7 +10,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::support::{
-    PATIENCE, RunningProber, RunningReflector, prober_config, reflector_config, system_clock,
+    MAX_WAIT, RunningProber, RunningReflector, prober_config, reflector_config, system_clock,
     wall_ahead_of_this_host,
 };
 
@@ -172,7 +172,7 @@ async fn probe_foreign_reflector(
             results.push(probing.next().await);
         }
     };
-    tokio::time::timeout(PATIENCE, answered).await.expect("it answers");
+    tokio::time::timeout(MAX_WAIT, answered).await.expect("it answers");
     probing.stop().await;
     results
 }

@@ -45,10 +45,10 @@ fn ntp_timestamps_are_exact_around_2036_rollover() {
 fn error_estimate_has_format_and_valid_multiplier() {
     let estimate = ErrorEstimate::new(Format::Ptp, Span::from_nanos(4));
     assert_eq!(estimate.format(), Format::Ptp);
-    assert!(!estimate.synchronised(), "we do not claim UTC");
+    assert!(!estimate.is_synchronised(), "we do not claim UTC");
     assert_eq!(ErrorEstimate::new(Format::Ntp, Span::ZERO).bits(), 1, "a multiplier of zero is not allowed");
     let foreign = ErrorEstimate::from_bits(0b1100_0001_1111_1111);
-    assert!(foreign.synchronised() && foreign.format() == Format::Ptp);
+    assert!(foreign.is_synchronised() && foreign.format() == Format::Ptp);
 }
 
 proptest! {
@@ -155,7 +155,7 @@ fn code_is_hmac_sha_256_cut_to_16_bytes() {
     assert_eq!(key.code(&[b"Hi ", b"There"]), code);
     assert!(key.verifies(&[b"Hi There"], &code));
     assert!(!key.verifies(&[b"Hi There"], &code[..15]), "a shorter code proves less");
-    assert!(!format!("{key:?}").contains("11"), "never printed: {key:?}");
+    assert!(!format!("{key:?}").contains("11"), "a key is never printed: {key:?}");
 }
 
 #[test]

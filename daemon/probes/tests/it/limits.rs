@@ -34,7 +34,7 @@ fn source_is_limited_after_burst_of_one_second() {
     assert_eq!(
         admitted_count(&mut limiter, source, now + Span::from_seconds(3600), 100),
         20,
-        "no more is saved up"
+        "a bucket holds the tokens of one second"
     );
 }
 

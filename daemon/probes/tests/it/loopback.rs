@@ -166,7 +166,7 @@ async fn setting_wall_clocks_changes_no_exchange() {
         let edge = repeatedly_set_clock("edge", Span::from_millis(5), step_sizes);
         let running = RunningReflector::start(reflector_config(), cloud.clone());
         let mut probing = RunningProber::start(prober_config(running.address), 500.0, edge.clone());
-        let (mut answers, mut corrections) = (0, 0);
+        let (mut answers, mut refinements) = (0, 0);
         while answers < 300 {
             match probing.next().await {
                 ProbeResult::Answered(observation) => {
@@ -175,14 +175,17 @@ async fn setting_wall_clocks_changes_no_exchange() {
                 }
                 ProbeResult::Refined(observation) => {
                     assert!(contains_zero(&observation), "{observation:?}");
-                    corrections += 1;
+                    refinements += 1;
                 }
                 ProbeResult::Sent => {}
                 other => panic!("{other:?}"),
             }
         }
-        assert!(corrections > 0, "the kernel's stamps still count between the steps");
-        assert!(edge.wall_epoch() > 50 && cloud.wall_epoch() > 50, "they were set meanwhile");
+        assert!(refinements > 0, "the kernel's stamps are still used between the steps");
+        assert!(
+            edge.wall_epoch() > 50 && cloud.wall_epoch() > 50,
+            "both wall clocks were set during the test"
+        );
         probing.stop().await;
         running.stop().await;
     }
@@ -211,7 +214,8 @@ async fn prober_without_the_key_gets_no_reply() {
     let running = RunningReflector::start(config, system_clock("cloud"));
     for other_key in [Some(key(8)), None] {
         let mut config = prober_config(running.address);
-        // Without the TLV for raw stamps, an open request is shorter than an authenticated one.
+        // Without the TLV for raw stamps, an unauthenticated request is shorter than the base packet of an authenticated
+        // request.
         (config.key, config.clocks) = (other_key, RelatedClocks::RawToWall);
         config.timeout = Duration::from_millis(50);
         let mut probing = RunningProber::start(config, 100.0, system_clock("edge"));
@@ -238,7 +242,7 @@ async fn source_above_its_rate_is_answered_at_limit() {
         socket.send_to(&request, running.address).await.expect("sent");
     }
     let counters = running.counters.clone();
-    let all_requests_counted = async {
+    let all_requests_are_counted = async {
         loop {
             let counts = counters.read();
             if counts.answered + counts.refused(Refusal::TooOften) == 200 {
@@ -247,13 +251,13 @@ async fn source_above_its_rate_is_answered_at_limit() {
             tokio::task::yield_now().await;
         }
     };
-    let counts = tokio::time::timeout(crate::support::PATIENCE, all_requests_counted)
+    let counts = tokio::time::timeout(crate::support::MAX_WAIT, all_requests_are_counted)
         .await
         .expect("all requests are read");
     let max_answers = 5.0 + 5.0 * (clock.mono() - started_at).seconds();
     assert!(
         counts.answered >= 5 && counts.answered as f64 <= max_answers + 1.0,
-        "{counts:?}, most {max_answers}"
+        "{counts:?}, at most {max_answers}"
     );
     running.stop().await;
 }
@@ -266,13 +270,13 @@ async fn rate_can_be_changed_and_zero_pauses() {
     assert!(result.is_err(), "nothing is sent while paused: {result:?}");
     // From one probe in a quarter of an hour to one hundred per second: the test only ends in time if the rate applies
     // at once.
-    probing.rate_hz.send(0.001).expect("it listens");
+    probing.rate_hz.send(0.001).expect("the prober listens");
     probing.until(answered).await;
-    probing.rate_hz.send(100.0).expect("it listens");
+    probing.rate_hz.send(100.0).expect("the prober listens");
     for _ in 0..10 {
         probing.until(answered).await;
     }
-    probing.rate_hz.send(0.0).expect("it listens");
+    probing.rate_hz.send(0.0).expect("the prober listens");
     // Results of probes in flight may still arrive, but nothing afterwards.
     while tokio::time::timeout(Duration::from_millis(300), probing.results.recv()).await.is_ok() {}
     probing.stop().await;
@@ -420,12 +424,12 @@ async fn prober_ends_when_receiver_is_dropped() {
     let silent_socket = UdpSocket::bind(loopback()).await.expect("a socket");
     let config = prober_config(silent_socket.local_addr().expect("bound"));
     let prober = Prober::open(config, system_clock("edge")).expect("a socket");
-    // The rate stays at zero, so there is no result through which the prober could notice.
+    // The rate stays at zero, so the prober has no result whose sending would fail.
     let (_rate, rate_hz) = tokio::sync::watch::channel(0.0);
     let (result_sender, results) = tokio::sync::mpsc::channel(1);
     let task = tokio::spawn(prober.run(rate_hz, result_sender, CancellationToken::new()));
     drop(results);
-    tokio::time::timeout(crate::support::PATIENCE, task).await.expect("it ends").expect("no panic");
+    tokio::time::timeout(crate::support::MAX_WAIT, task).await.expect("it ends").expect("no panic");
 }
 
 #[tokio::test]
@@ -440,7 +444,7 @@ async fn bind_errors_contain_advice() {
         ReflectorConfig { listen: foreign_address, ..reflector_config() },
         system_clock("cloud"),
     )
-    .expect_err("a documentation address is nobody's");
+    .expect_err("no machine has an address for documentation");
     assert!(matches!(error, BindError::NoSuchAddress(_)), "{error}");
 
     let privileged_address = "127.0.0.1:862".parse().expect("an address");

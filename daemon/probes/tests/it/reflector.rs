@@ -111,8 +111,8 @@ fn follow_up_contains_departure_of_previous_reply() {
     };
     let mut first_packet = request(None, 5, 1, &[empty_follow_up]);
     let prepared = answer(&mut reflector, &clock, &mut first_packet).expect("answered");
-    assert_eq!(follow_up(&first_packet), None, "there was none before");
-    // The first departure counts. Ignored are one before the program's stamp, one ten seconds after it, and one of
+    assert_eq!(follow_up(&first_packet), None, "there was no reply before");
+    // The first departure is used. Three others are ignored: before the program's stamp, ten seconds after it, and of
     // another reply.
     let (session, departure) = (prepared.session(), NOW + Span::from_micros(17));
     let mut record_departure = |sequence, after| {
@@ -138,7 +138,7 @@ fn follow_up_contains_departure_of_previous_reply() {
         assert_eq!(
             tlvs_of(&packet, 44),
             [(tlv::FOLLOW_UP, 0, vec![0; FollowUp::BYTES])],
-            "zeros without sessions"
+            "a reflector without sessions returns zeros"
         );
     }
 }
@@ -206,14 +206,14 @@ fn unauthenticated_tlvs_are_returned_without_effect() {
     assert_eq!(
         flags(&[(tlv::FOLLOW_UP, empty_follow_up), (tlv::HMAC, code)], true).0,
         [not_intact, not_intact],
-        "touched"
+        "the TLVs were altered"
     );
     assert_eq!(flags(&[(tlv::FOLLOW_UP, empty_follow_up)], false).0, [not_intact], "without a code");
-    assert_eq!(flags(&[(tlv::EXTRA_PADDING, empty_follow_up)], false).0, [0], "padding alone needs none");
+    assert_eq!(flags(&[(tlv::EXTRA_PADDING, empty_follow_up)], false).0, [0], "padding alone needs no code");
     assert_eq!(
         flags(&[(tlv::HMAC, code), (tlv::FOLLOW_UP, empty_follow_up)], false).0,
         [not_intact, not_intact],
-        "not at the end"
+        "the code is not at the end"
     );
     assert_eq!(
         flags(
@@ -242,7 +242,7 @@ fn unauthenticated_request_is_refused_without_using_rate() {
         let mut packet = valid_request.clone();
         packet[index] ^= 1;
         assert_eq!(
-            answer(&mut reflector, &clock, &mut packet).expect_err("touched"),
+            answer(&mut reflector, &clock, &mut packet).expect_err("altered"),
             Refusal::Unauthenticated
         );
     }
@@ -253,12 +253,12 @@ fn unauthenticated_request_is_refused_without_using_rate() {
     );
     let answers =
         (0..9).filter(|_| answer(&mut reflector, &clock, &mut valid_request.clone()).is_ok()).count();
-    assert_eq!(answers, 3, "its whole share is left");
+    assert_eq!(answers, 3, "the refused requests used up none of the rate");
 }
 
 #[test]
 fn session_key_applies_to_authenticated_requests_only() {
-    let (clock, ours, theirs) = (clock(), &key(7), &key(8));
+    let (clock, own_key, other_key) = (clock(), &key(7), &key(8));
     let reflector_with_session_key =
         || ReflectorState::new(None, INSTANCE, 100, true).with_session_key(Some(key(7)));
     let mut reflector = reflector_with_session_key();
@@ -266,26 +266,26 @@ fn session_key_applies_to_authenticated_requests_only() {
     let request_with_key =
         |key: &Key| request(Some(key), 1, 1, &[(tlv::FOLLOW_UP, empty_follow_up), (tlv::HMAC, code)]);
 
-    let request_packet = request_with_key(ours);
+    let request_packet = request_with_key(own_key);
     let mut packet = request_packet.clone();
     answer(&mut reflector, &clock, &mut packet).expect("a peer with a session");
-    assert!(packet::is_authentic(ours, &packet) && tlv::are_intact(Some(ours), 0, &packet[112..]));
+    assert!(packet::is_authentic(own_key, &packet) && tlv::are_intact(Some(own_key), 0, &packet[112..]));
     assert_eq!(packet.len(), request_packet.len());
     // Neither this reflector nor that of another process answers the answer.
     let mut other_reflector =
-        ReflectorState::new(None, INSTANCE, 100, true).with_session_key(Some(theirs.clone()));
+        ReflectorState::new(None, INSTANCE, 100, true).with_session_key(Some(other_key.clone()));
     for reflector in [&mut reflector, &mut other_reflector] {
         let result = answer(reflector, &clock, &mut packet.clone()).map(|_| ());
         assert!(matches!(result, Err(Refusal::Reply | Refusal::Unauthenticated)), "{result:?}");
     }
 
-    let mut stale_request = request_with_key(theirs);
+    let mut stale_request = request_with_key(other_key);
     let result = answer(&mut reflector, &clock, &mut stale_request).expect_err("of another process");
     assert_eq!(result, Refusal::Unauthenticated);
-    let mut altered_request = request_with_key(ours);
+    let mut altered_request = request_with_key(own_key);
     altered_request[20] ^= 1;
     assert_eq!(
-        answer(&mut reflector, &clock, &mut altered_request).expect_err("touched"),
+        answer(&mut reflector, &clock, &mut altered_request).expect_err("altered"),
         Refusal::Unauthenticated
     );
 
@@ -305,9 +305,9 @@ fn session_key_applies_to_authenticated_requests_only() {
         assert_eq!(answer_with_session_key, answer_without_session_key);
     }
     // A mandatory key takes precedence.
-    let mut reflector_with_mandatory_key =
-        ReflectorState::new(Some(theirs.clone()), INSTANCE, 100, true).with_session_key(Some(ours.clone()));
-    let mut packet = request_with_key(ours);
+    let mut reflector_with_mandatory_key = ReflectorState::new(Some(other_key.clone()), INSTANCE, 100, true)
+        .with_session_key(Some(own_key.clone()));
+    let mut packet = request_with_key(own_key);
     assert_eq!(
         answer(&mut reflector_with_mandatory_key, &clock, &mut packet).expect_err("another"),
         Refusal::Unauthenticated

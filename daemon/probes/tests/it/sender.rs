@@ -10,7 +10,9 @@ use peernet_clock::{
 };
 use peernet_probes::stamp::packet::{self, Mode, Reply};
 use peernet_probes::stamp::reflector::{Arrival, ReflectorState};
-use peernet_probes::stamp::sender::{Departure, LATE, ReplyArrival, ReplyResult, SenderConfig, SenderState};
+use peernet_probes::stamp::sender::{
+    Departure, LATE_REPLY, ReplyArrival, ReplyResult, SenderConfig, SenderState,
+};
 use peernet_probes::stamp::tlv::{self, Origin, RawStamps};
 use peernet_probes::stamp::uncertainty;
 
@@ -71,7 +73,7 @@ impl Pair {
         reflector_clocks
     }
 
-    fn returned(&self, kernel: Option<WallTime>) -> ReplyArrival {
+    fn reply_arrival(&self, kernel: Option<WallTime>) -> ReplyArrival {
         let (ahead, epoch) = (self.clock.wall_ahead(), self.clock.epoch());
         ReplyArrival { kernel, read: self.clock.stamp(), ahead, epoch }
     }
@@ -105,8 +107,8 @@ impl Pair {
     }
 
     fn receive_reply(&mut self, packet: &[u8]) -> Result<ReplyResult, &'static str> {
-        let returned = self.returned(None);
-        self.sender.receive(packet, &returned)
+        let arrival = self.reply_arrival(None);
+        self.sender.receive(packet, &arrival)
     }
 
     fn exchange(&mut self) -> ReplyResult {
@@ -120,8 +122,8 @@ impl Pair {
         let (departure, packet) = self.send();
         self.sender.record_departure(departure.sequence(), self.clock.wall(), self.clock.wall_ahead());
         let reply = self.reflect(packet);
-        let returned = self.returned(Some(kernel));
-        answered(&self.sender.receive(&reply, &returned).expect("an answer"))
+        let arrival = self.reply_arrival(Some(kernel));
+        answered(&self.sender.receive(&reply, &arrival).expect("an answer"))
     }
 }
 
@@ -143,7 +145,7 @@ impl Pair {
 }
 
 #[test]
-fn next_reply_refines_departure_of_previous_one() {
+fn next_reply_refines_departure_of_previous_reply() {
     for with_key in [false, true] {
         let mut pair = Pair::new(0, with_key);
         let started_at = pair.clock.stamp();
@@ -191,7 +193,7 @@ fn sequence_numbers_wrap_around() {
     assert_eq!(sent.last().map(|(departure, _)| departure.sequence()), Some(2));
     for (_, packet) in sent.into_iter().rev() {
         let reply = pair.reflect(packet);
-        pair.receive_reply(&reply).expect("an answer, in whatever order");
+        pair.receive_reply(&reply).expect("an answer in any order");
     }
     assert_eq!(pair.sender.expire(pair.clock.mono() + TIMEOUT), 0);
 }
@@ -200,7 +202,7 @@ fn sequence_numbers_wrap_around() {
 fn late_replies_are_lost_and_duplicates_count_once() {
     let mut pair = Pair::new(0, false);
     let (_, late_packet) = pair.send();
-    let deadline = pair.sender.deadline().expect("it waits");
+    let deadline = pair.sender.deadline().expect("a probe waits for its answer");
     assert_eq!(deadline, pair.clock.mono() + TIMEOUT);
     let reply_result = pair.exchange();
     assert!(answered(&reply_result).exchange.sent < pair.clock.raw());
@@ -220,8 +222,12 @@ fn late_replies_are_lost_and_duplicates_count_once() {
     fields.request.timestamp += 1;
     fields.write(Mode::Unauthenticated, &mut forged);
     assert_eq!(pair.receive_reply(&forged), Err("an answer with another stamp than its probe"));
-    assert_eq!(pair.receive_reply(&reply), Err(LATE));
-    assert_eq!(pair.receive_reply(&reply), Err("an answer to an unknown or forgotten probe"), "late once");
+    assert_eq!(pair.receive_reply(&reply), Err(LATE_REPLY));
+    assert_eq!(
+        pair.receive_reply(&reply),
+        Err("an answer to an unknown or forgotten probe"),
+        "a late answer counts once"
+    );
 }
 
 #[test]
@@ -281,11 +287,13 @@ fn tlvs_of_another_probe_are_refused() {
     pair.clock.advance(Span::from_seconds(9));
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet);
-    // Both halves are authentic, each by itself.
+    // Each half is authentic by itself. The TLVs of the second half belong to the earlier probe.
     let spliced_reply = [&reply[..112], &earlier_reply[112..]].concat();
     assert_eq!(pair.receive_reply(&spliced_reply), Err("an answer with the random octets of another probe"));
     // The octets are right, but in a place that is not authenticated.
-    let nonce = tlv::headers(&reply[112..]).find(|header| header.kind == tlv::EXTRA_PADDING).expect("bound");
+    let nonce = tlv::headers(&reply[112..])
+        .find(|header| header.kind == tlv::EXTRA_PADDING)
+        .expect("the request has octets");
     let mut reply_with_appended_nonce = spliced_reply;
     tlv::push(&mut reply_with_appended_nonce, tlv::EXTRA_PADDING, &reply[112..][nonce.value]);
     assert_eq!(
@@ -331,13 +339,13 @@ fn clock_step_at_reflector_prevents_refinement() {
 #[test]
 fn remembered_probes_are_bounded() {
     let mut pair = Pair::new(0, false);
-    let mut given_up = 0;
+    let mut dropped = 0;
     for _ in 0..5000 {
         let (departure, _) = pair.sender.request(&*pair.clock);
-        given_up += pair.sender.record_sent(departure);
+        dropped += pair.sender.record_sent(departure);
     }
     let lost = pair.sender.expire(MonoTime::from_nanos(i64::MAX));
-    assert_eq!(given_up + lost, 5000, "each is lost once");
+    assert_eq!(dropped + lost, 5000, "each is lost once");
     assert!(lost <= 1024, "{lost}");
 }
 
@@ -364,7 +372,7 @@ fn requests_are_authentic_and_padded_as_configured() {
 }
 
 #[test]
-fn exchanges_during_a_sleep_are_discarded() {
+fn exchanges_during_sleep_are_discarded() {
     let mut pair = Pair::new(0, false);
     let packets: Vec<_> = (0..3).map(|_| pair.send().1).collect();
     let replies: Vec<_> = packets.into_iter().map(|packet| pair.reflect(packet)).collect();

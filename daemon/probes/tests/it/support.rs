@@ -1,4 +1,4 @@
-//! Two ends on loopback.
+//! A prober and a reflector on loopback, and their configurations.
 
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
@@ -16,8 +16,8 @@ use tokio_util::sync::CancellationToken;
 /// Instance number of the reflectors in these tests.
 pub(crate) const INSTANCE: u64 = 0x0123_4567_89AB_CDEF;
 
-/// Longest wait for anything that must arrive.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(30);
+/// Longest time that a test waits for a result.
+pub(crate) const MAX_WAIT: Duration = Duration::from_secs(30);
 
 pub(crate) fn system_clock(name: &str) -> SharedClock {
     Arc::new(SystemClock::new(ClockIdentity::new("test", name)))
@@ -107,7 +107,7 @@ impl RunningProber {
     }
 
     pub(crate) async fn next(&mut self) -> ProbeResult {
-        let next = tokio::time::timeout(PATIENCE, self.results.recv()).await;
+        let next = tokio::time::timeout(MAX_WAIT, self.results.recv()).await;
         next.expect("a result comes in time").expect("the prober runs")
     }
 

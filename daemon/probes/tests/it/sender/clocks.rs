@@ -32,11 +32,15 @@ fn kernel_stamps_of_another_clock_are_distrusted() {
 }
 
 #[test]
-fn kernel_departure_before_ours_is_distrusted() {
+fn kernel_departure_before_program_stamp_is_distrusted() {
     let mut pair = Pair::new(0, false);
     let (departure, packet) = pair.send();
-    let departure_before_ours = pair.clock.wall() - Span::from_micros(300);
-    pair.sender.record_departure(departure.sequence(), departure_before_ours, pair.clock.wall_ahead());
+    let departure_before_program_stamp = pair.clock.wall() - Span::from_micros(300);
+    pair.sender.record_departure(
+        departure.sequence(),
+        departure_before_program_stamp,
+        pair.clock.wall_ahead(),
+    );
     let reply = pair.reflect(packet);
     pair.receive_reply(&reply).expect("an answer");
     assert!(pair.sender.ignores_kernel_stamps());
@@ -57,8 +61,8 @@ fn setting_wall_clock_causes_no_distrust_of_kernel() {
         pair.clock.step_wall(step);
         pair.sender.record_departure(departure.sequence(), departed_at, pair.clock.wall_ahead());
         pair.clock.advance(Span::from_micros(20));
-        let returned = pair.returned(Some(kernel));
-        let reply_result = pair.sender.receive(&reply, &returned).expect("an answer");
+        let arrival = pair.reply_arrival(Some(kernel));
+        let reply_result = pair.sender.receive(&reply, &arrival).expect("an answer");
         let exchange = answered(&reply_result).exchange;
         assert!(
             started_at <= exchange.sent && exchange.sent <= started_at + Span::from_micros(9),
@@ -71,13 +75,17 @@ fn setting_wall_clock_causes_no_distrust_of_kernel() {
 }
 
 #[test]
-fn raw_exchange_is_of_both_free_running_clocks() {
+fn raw_exchange_has_stamps_of_both_free_running_clocks() {
     for with_key in [false, true] {
         let mut pair = Pair::raw(with_key);
         let started_at = pair.clock.raw();
         let first = answered(&pair.exchange());
         assert_eq!((first.exchange.sent, first.exchange.returned), (started_at, pair.clock.raw()));
-        assert_eq!(first.exchange.received, started_at + ONE_WAY_DELAY, "the same by both");
+        assert_eq!(
+            first.exchange.received,
+            started_at + ONE_WAY_DELAY,
+            "both free-running clocks show the same time"
+        );
         assert_eq!(first.exchange.replied, started_at + ONE_WAY_DELAY + Span::from_micros(50));
         assert_eq!(first.cloud_epoch, Some(0));
         // Steps of wall clocks have no effect.
@@ -89,7 +97,7 @@ fn raw_exchange_is_of_both_free_running_clocks() {
         assert_eq!(
             answered(&second).exchange.bounds().middle(),
             Span::from_nanos(-2_500),
-            "5 µs late to leave"
+            "the reply left 5 µs after its first stamp"
         );
     }
 }
