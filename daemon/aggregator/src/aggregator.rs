@@ -172,8 +172,8 @@ impl Aggregator {
         Ok(running)
     }
 
-    /// Returns a receiver of the snapshots of the live state. There is a new snapshot after each change, but at most five
-    /// per second.
+    /// Returns a receiver of the snapshots of the live state. There is a new snapshot after each change, but at most
+    /// five per second.
     pub fn live(&self) -> watch::Receiver<Arc<LiveState>> {
         self.live.clone()
     }

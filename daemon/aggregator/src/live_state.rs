@@ -32,8 +32,8 @@ pub struct LiveState {
     pub links: Vec<Arc<LinkSnapshot>>,
     /// Hosts that were refused in the last ten minutes, newest first, at most 32.
     pub refused: Vec<RefusedHost>,
-    /// Number of hosts that have stored events but are not in `hosts`, because they have sent no message for a long time,
-    /// or none since the aggregator's start.
+    /// Number of hosts that have stored events but are not in `hosts`, because they have sent no message for a long
+    /// time, or none since the aggregator's start.
     pub absent: usize,
     /// Totals of all hosts, including hosts that are not in `hosts`.
     pub totals: Totals,
@@ -157,8 +157,8 @@ impl HostSnapshot {
     /// Returns the number of the host's events that are missing in the database for ever. Events that are in another
     /// database are not counted.
     pub fn missing_events(&self) -> u64 {
-        // Both numbers count the gaps that the agent reported, so a sum would count these gaps twice. The aggregator also
-        // counts batches that it found missing, and the agent also counts events whose gap it has not sent yet.
+        // Both numbers count the gaps that the agent reported, so a sum would count these gaps twice. The aggregator
+        // also counts batches that it found missing, and the agent also counts events whose gap it has not sent yet.
         self.accounting.dropped.max(self.stored.missing_here())
     }
 }

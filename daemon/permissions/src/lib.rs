@@ -68,8 +68,8 @@ fn may_be_database(path: &Path) -> bool {
     }
 }
 
-/// Removes the permissions of other users from a folder of this user and from the named files in the folder. Returns the
-/// changed paths.
+/// Removes the permissions of other users from a folder of this user and from the named files in the folder. Returns
+/// the changed paths.
 ///
 /// If the folder is the current folder, or a folder in which every user may create files (`/tmp`), only the files are
 /// changed.

@@ -12,8 +12,8 @@ use crate::stamp::sender::{ReplyArrival, SenderConfig, SenderState};
 use crate::stamp::timestamp::Format;
 use crate::stamp::tlv;
 
-// Bits of the first byte. They select the configuration and changes to the packet. Without the changes, random bytes would
-// hardly ever pass the checks.
+// Bits of the first byte. They select the configuration and changes to the packet. Without the changes, random bytes
+// would hardly ever pass the checks.
 
 /// Both ends have a key.
 const WITH_KEY: u8 = 1;

@@ -26,7 +26,8 @@ pub trait OrderedValues {
     /// Returns the value with this rank, from 0. `None` if there are fewer values.
     fn at(&self, rank: u64) -> Option<f64>;
 
-    /// Returns the smallest and the largest value within these limits, limits included. `None` if there are no such values.
+    /// Returns the smallest and the largest value within these limits, limits included. `None` if there are no such
+    /// values.
     fn ends_within(&self, limits: (f64, f64)) -> Option<(f64, f64)>;
 
     /// Returns the quantile at `p` from 0 to 1, by linear interpolation between neighbours (definition 7 of Hyndman and

@@ -1,14 +1,14 @@
 //! Statistics of a stream of numbers in bounded memory.
 //!
-//! [`Moments`] are count, mean, variance and extremes, computed without cancellation. [`Sketch`] is a mergeable quantile
-//! sketch with a guaranteed error. [`Summary`] combines moments and sketch. [`RecentSeconds`] is a ring of one-second
-//! cells.
-//! [`histogram`] computes the range and the bins of a histogram. [`TwoModes`] is the result of a test for two modes. [`number`]
-//! formats numbers for people. [`SplitMix64`] generates reproducible random numbers.
+//! [`Moments`] are count, mean, variance and extremes, computed without cancellation. [`Sketch`] is a mergeable
+//! quantile sketch with a guaranteed error. [`Summary`] combines moments and sketch. [`RecentSeconds`] is a ring of
+//! one-second cells.
+//! [`histogram`] computes the range and the bins of a histogram. [`TwoModes`] is the result of a test for two modes.
+//! [`number`] formats numbers for people. [`SplitMix64`] generates reproducible random numbers.
 //!
 //! All statistics can be merged. The merged statistics of several hosts, seconds or buckets equal the statistics of all
-//! their numbers together. [`Moments`] and [`Sketch`] are sent in live updates and stored. Both are checked when they are
-//! deserialised.
+//! their numbers together. [`Moments`] and [`Sketch`] are sent in live updates and stored. Both are checked when they
+//! are deserialised.
 
 pub mod histogram;
 mod merge;

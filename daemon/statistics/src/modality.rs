@@ -14,8 +14,8 @@ const MIN_EXCESS: f64 = 0.05;
 /// Minimum ratio of the upper mode to the lower mode. If the modes are closer together, mean and standard deviation
 /// still describe the values.
 const MIN_RATIO: f64 = 1.2;
-/// Maximum distance by which a bin of the sketch is extended to each side, as a difference of natural logarithms. If the
-/// middle between two whole numbers is farther away, that middle is the limit.
+/// Maximum distance by which a bin of the sketch is extended to each side, as a difference of natural logarithms. If
+/// the middle between two whole numbers is farther away, that middle is the limit.
 const MAX_REACH: f64 = 0.1;
 /// Factor by which the bins of two neighbouring whole numbers may extend beyond the middle between the two, because the
 /// sketch rounds values.
@@ -70,8 +70,8 @@ impl Summary {
     }
 }
 
-/// Returns the distribution as bins, with empty bins for gaps. Each bin of the sketch extends halfway to its neighbours,
-/// but at most by [`MAX_REACH`] or halfway to the next whole number, whichever is farther.
+/// Returns the distribution as bins, with empty bins for gaps. Each bin of the sketch extends halfway to its
+/// neighbours, but at most by [`MAX_REACH`] or halfway to the next whole number, whichever is farther.
 // Without the rule for whole numbers, there would be valleys between them, for example between numbers of tokens.
 fn bins(positive: &[(f64, u64)], count: u64) -> Vec<Bin> {
     let logarithm = |index: usize| positive[index].0.ln();
@@ -181,8 +181,8 @@ mod tests {
         summary
     }
 
-    /// Draws 200 sets of `count` values, or 50 sets if they are large. Returns the fraction of the sets in which two modes
-    /// are found.
+    /// Draws 200 sets of `count` values, or 50 sets if they are large. Returns the fraction of the sets in which two
+    /// modes are found.
     fn alarms(count: usize, seed: u64, mut value: impl FnMut(&mut SplitMix64) -> f64) -> f64 {
         let sets = if count > 1_000 { 50 } else { 200 };
         let mut noise = SplitMix64::new(seed);

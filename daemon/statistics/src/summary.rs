@@ -68,9 +68,10 @@ impl Summary {
         self.quantile(0.99).filter(|_| self.count() >= MIN_VALUES_FOR_P99)
     }
 
-    /// Returns the share of numbers below `x`, 0 to 1. The share is exactly 0 if `x` is at most the smallest number, and
-    /// exactly 1 if `x` is above the largest. `None` without numbers.
+    /// Returns the share of numbers below `x`, 0 to 1. The share is exactly 0 if `x` is at most the smallest number,
+    /// and exactly 1 if `x` is above the largest. `None` without numbers.
     pub fn fraction_below(&self, x: f64) -> Option<f64> {
+        // The outermost bins of the sketch extend beyond the extremes.
         if x <= self.moments.min {
             (self.count() > 0).then_some(0.0)
         } else if x > self.moments.max {

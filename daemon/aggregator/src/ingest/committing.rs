@@ -224,8 +224,8 @@ async fn serve(
             // Time in the queue counts towards the interval.
             let waited = (context.clock.mono() - first.admitted_at).to_duration();
             group = collect_group(first, &mut context.queue, waited, grouping).await;
-            // Work that was admitted before a reopening is dropped here, so that a reopening needs no search through the
-            // queue.
+            // Work that was admitted before a reopening is dropped here, so that a reopening needs no search through
+            // the queue.
             group.retain(|prepared| state.is_current(prepared));
         }
         let mut work: Vec<Work> = state.departed_hosts.drain(..).map(Work::Goodbye).collect();
@@ -416,6 +416,7 @@ async fn collect_group(
             queue.try_recv().ok()
         } else {
             tokio::select! {
+                // Work that is ready joins the group even if `first` has waited long enough already.
                 biased;
                 next = queue.recv() => next,
                 () = &mut timeout => None,

@@ -1,8 +1,9 @@
 //! Selects which statistics of connections are stored: one sample per minute, and the last sample of a connection that
 //! has ended.
 //!
-//! The samples come from the live state. Agents do not send the samples as events, because an older aggregator could not read
-//! such an event. A missed sample loses no totals, because the totals are cumulative and the next sample contains them.
+//! The samples come from the live state. Agents do not send the samples as events, because an older aggregator could
+//! not read such an event. A missed sample loses no totals, because the totals are cumulative and the next sample
+//! contains them.
 
 use std::collections::HashMap;
 
@@ -43,6 +44,7 @@ impl ConnectionLog {
                 let (edge, cloud) = (link.edge, link.live.peer);
                 let (pipeline, network) = (connection.pipeline.clone(), connection.network.clone());
                 let key = (edge, cloud, pipeline, network, connection.local.clone());
+                // A new connection is first stored after a whole interval, or when it ends.
                 let mut stored_at = previously_open.remove(&key).map_or(now, |previous| previous.stored_at);
                 let sample = ConnectionSample {
                     edge,

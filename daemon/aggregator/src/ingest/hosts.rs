@@ -137,8 +137,8 @@ impl Hosts {
     }
 
     /// Adds a host of which nothing is stored. What an earlier hello of the same stream revealed is kept: a replaced
-    /// stream and missing batches. Returns the newcomer that was dropped: the host's earlier entry if that entry has another
-    /// stream, or the oldest newcomer if there are too many newcomers.
+    /// stream and missing batches. Returns the newcomer that was dropped: the host's earlier entry if that entry has
+    /// another stream, or the oldest newcomer if there are too many newcomers.
     pub(super) fn add_newcomer(
         &mut self,
         introduction: Introduction,

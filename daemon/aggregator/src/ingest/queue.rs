@@ -16,8 +16,8 @@ use peernet_store::writing::Work;
 /// Memory for waiting batches, from their arrival until they are stored, bytes.
 pub(crate) const CAPACITY_BYTES: usize = 96 * 1024 * 1024;
 /// Largest window of one agent, in batches of the usual size. An agent's window is the queue's capacity divided by the
-/// number of connected agents, but at most this number. 32 batches have about 160,000 nodes, enough for several commits, so
-/// that a single agent keeps the writer busy while a commit syncs.
+/// number of connected agents, but at most this number. 32 batches have about 160,000 nodes, enough for several
+/// commits, so that a single agent keeps the writer busy while a commit syncs.
 pub(crate) const MAX_WINDOW: u32 = 32;
 /// Maximum number of waiting items: the capacity filled with the smallest batches.
 const CAPACITY_ITEMS: usize = CAPACITY_BYTES / BYTES_PER_PERMIT;

@@ -3,8 +3,8 @@
 //! The writer compares the file at the path with the open file before and after each commit and once a second while it
 //! is idle. This comparison assumes nothing about the file's content. It therefore also detects descriptors that became
 //! read-only, and files that were moved, replaced or unmounted. An empty or missing file is never opened: an operator
-//! who moves the database away would otherwise get a new, empty database. Batches that were queued before the database was
-//! closed are dropped, and the agents send them again.
+//! who moves the database away would otherwise get a new, empty database. Batches that were queued before the database
+//! was closed are dropped, and the agents send them again.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -40,8 +40,8 @@ impl Reopening {
         set_readiness(&context.readiness, not_storing(error));
         // The receiver is closed only while the aggregator ends, here and below.
         let _ended = context.store_events.send(StoreEvent::Closed).await;
-        // SQLite checkpoints its -wal file when the last connection is closed. The readers are closed before the writer,
-        // because a read-only connection cannot do that.
+        // SQLite checkpoints its -wal file when the last connection is closed. The readers are closed before the
+        // writer, because a read-only connection cannot do that.
         self.store.close().await;
         let (former, closed) = database.close().await;
         if let Err(error) = closed {

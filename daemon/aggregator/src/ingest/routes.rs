@@ -5,8 +5,9 @@ use std::collections::HashMap;
 use peernet_logger::HostId;
 use peernet_networks::ConnectionId;
 
-/// Maximum number of hosts on one connection; an agent has one host. The hosts of all connections together are not limited
-/// here: somebody who reached that limit would lock out all other agents, and the live state has a limit for hosts.
+/// Maximum number of hosts on one connection; an agent has one host. The hosts of all connections together are not
+/// limited here: somebody who reached that limit would lock out all other agents, and the live state has a limit for
+/// hosts.
 const MAX_HOSTS_PER_CONNECTION: usize = 64;
 
 /// A change of what a connection may send.

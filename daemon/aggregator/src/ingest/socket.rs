@@ -81,6 +81,7 @@ pub(crate) async fn run(
         tokio::select! {
             () = context.stop.cancelled() => break,
             received = listener.receive() => match received {
+                // A message of the event stream has one frame.
                 Some(ListenerEvent::Message(from, frames)) => if let Some(frame) = frames.first() {
                     session.handle_frame(&from, frame, context.clock.stamp());
                 },

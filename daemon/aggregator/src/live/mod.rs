@@ -44,6 +44,7 @@ const MAX_REFUSED: usize = 32;
 /// Time for which a refused host is shown.
 const REFUSAL_SHOWN_FOR: Span = Span::from_seconds(600);
 /// Maximum number of hosts outside the live state whose stored counts are kept for the totals.
+// The database has at most as many hosts: this is the largest value of `max_hosts`.
 const MAX_REMEMBERED_HOSTS: usize = 65_536;
 /// Maximum number of run numbers that are kept.
 const MAX_RUN_NUMBERS: usize = 10_000;

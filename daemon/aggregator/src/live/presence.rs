@@ -2,7 +2,7 @@
 
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
 
-/// Silence after which a host counts as disconnected. Agents send four messages a second.
+/// Silence after which a host counts as disconnected. Agents send four messages a second, so a few may be lost or late.
 const SILENCE_TIMEOUT: Span = Span::from_seconds(3);
 
 /// State of a host's presence.

@@ -152,8 +152,8 @@ async fn flipped_byte_affects_no_other_batch() {
     let mut scripted_agent = ScriptedAgent::welcome(&testbed, "edge").await;
     let mut other = ScriptedAgent::welcome(&testbed, "other").await;
     let frame = scripted_agent.next();
-    // Only bytes of the head are flipped: 80 of its 98 bytes. A flipped byte of the body leaves the head intact. The batch
-    // would then be quarantined when it arrives damaged three times in a row.
+    // Only bytes of the head are flipped: 80 of its 98 bytes. A flipped byte of the body leaves the head intact. The
+    // batch would then be quarantined when it arrives damaged three times in a row.
     for index in 0..80 {
         let mut flipped = frame.clone();
         flipped[index] ^= 0x10;

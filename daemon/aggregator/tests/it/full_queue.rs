@@ -88,8 +88,8 @@ async fn late_data_is_counted_in_buckets_of_its_time() {
     let hosts = (agent.id, HostId::from_bytes([7; 16]));
     let mut random = generate::Numbers::new(5);
     agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
-    // The parts are hours apart and unordered. Each part is in a separate commit. The aggregator restarts after the third
-    // part.
+    // The parts are hours apart and unordered. Each part is in a separate commit. The aggregator restarts after the
+    // third part.
     for (part, hour) in [5, 0, 3, 5, 1].into_iter().enumerate() {
         let start_s = f64::from(hour) * 3600.0 + part as f64 * 7.0;
         agent.offer((0..60_u32).map(|n| {

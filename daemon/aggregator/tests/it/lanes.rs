@@ -94,7 +94,8 @@ async fn clock_samples_are_shown_and_stored() {
     let clock_events = |part: &[ClockSample]| -> Vec<Event> {
         part.iter().cloned().map(|sample| Event::Clock(Box::new(sample))).collect()
     };
-    // Half of the samples are stored, the aggregator restarts, and the other half is stored. Each sample is stored once.
+    // Half of the samples are stored, the aggregator restarts, and the other half is stored. Each sample is stored
+    // once.
     agent.offer(clock_events(&samples[..100]));
     agent.until_stored().await;
     testbed.stop().await;

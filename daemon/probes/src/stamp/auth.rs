@@ -105,6 +105,7 @@ impl Key {
 
     /// Returns whether `code` is the authentication code of the concatenated parts. Takes constant time.
     pub fn verifies(&self, parts: &[&[u8]], code: &[u8]) -> bool {
+        // `verify_truncated_left` alone would accept a shorter code, which is easier to guess.
         code.len() == CODE_BYTES && self.mac_of(parts).verify_truncated_left(code).is_ok()
     }
 

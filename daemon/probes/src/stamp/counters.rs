@@ -52,6 +52,7 @@ impl Refusal {
 #[derive(Clone, Debug, Default)]
 pub struct ReflectorCounters(Arc<Counters>);
 
+// Relaxed accesses are enough, because nobody derives the state of other memory from a counter.
 #[derive(Debug, Default)]
 struct Counters {
     answered: AtomicU64,

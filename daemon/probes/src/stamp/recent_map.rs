@@ -4,8 +4,8 @@ use std::collections::HashMap;
 use std::hash::Hash;
 
 /// A map of two generations. [`entry`](Self::entry) moves an entry to the young generation. When the young generation
-/// is full, it becomes the old generation, and the entries of the previous old generation are dropped. All operations take
-/// constant time. A flood of new keys evicts older keys, but no key is refused.
+/// is full, it becomes the old generation, and the entries of the previous old generation are dropped. All operations
+/// take constant time. A flood of new keys evicts older keys, but no key is refused.
 #[derive(Debug)]
 pub(super) struct RecentMap<K, V> {
     young: HashMap<K, V>,

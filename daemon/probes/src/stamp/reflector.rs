@@ -125,8 +125,8 @@ impl ReflectorState {
     }
 
     /// Sets the key that peers get with their session. Requests that this key authenticates get authenticated answers;
-    /// all other requests are answered as without this key. No effect if the reflector has a `key`, because all requests then need that
-    /// key.
+    /// all other requests are answered as without this key. No effect if the reflector has a `key`, because all
+    /// requests then need that key.
     #[must_use]
     pub fn with_session_key(mut self, key: Option<Key>) -> Self {
         self.session_key = key;
@@ -251,8 +251,9 @@ impl ReflectorState {
         now
     }
 
-    /// Records that the answer was sent at `stamp` or later. Only an answer that was sent uses up its number.
+    /// Records that the answer was sent at `stamp` or later. Only this call uses up the number of the answer.
     pub fn record_sent(&mut self, answer: &PreparedReply, stamp: Stamp) {
+        // A number without a reply would look like a reply that was lost on its way.
         if let Some(sessions) = &mut self.sessions {
             let session = sessions.table(&answer.session).entry(answer.session, Session::default);
             session.next_sequence = answer.sequence().wrapping_add(1);

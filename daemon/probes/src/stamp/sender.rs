@@ -183,8 +183,8 @@ impl SenderState {
         let key = self.key.as_ref();
         let nonce = self.packet.prepare(key, self.next_sequence, octets);
         let ahead = clock.wall_ahead();
-        // The epoch is read before the stamp of the request. The epoch of the reply's arrival is read after the stamp of the
-        // arrival. If both epochs are equal, the clock was not interrupted in between.
+        // The epoch is read before the stamp of the request. The epoch of the reply's arrival is read after the stamp
+        // of the arrival. If both epochs are equal, the clock was not interrupted in between.
         let epoch = clock.epoch();
         let sent = clock.stamp();
         // The stamp is in NTP's format, because decoding returns exactly the stamp that was encoded.
@@ -265,7 +265,8 @@ impl SenderState {
         Some(oldest_unanswered.departure.sent.mono + self.timeout)
     }
 
-    /// Handles a packet from the target. [`expire`](Self::expire) must be called before.
+    /// Handles a packet from the target. [`expire`](Self::expire) must be called before, so that a reply after the
+    /// timeout does not count as an answer.
     ///
     /// # Errors
     /// The reason why the packet is not an answer.
@@ -451,8 +452,8 @@ fn refine_departure(
 /// Returns the values of the intact TLVs (RFC 8972, section 4).
 fn read_tlvs(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> TlvValues {
     let mut tlv_values = TlvValues::default();
-    // This flag is checked before the code: a reflector that sets the flag returns the TLVs unchanged, so their code does
-    // not match.
+    // This flag is checked before the code: a reflector that sets the flag returns the TLVs unchanged, so their code
+    // does not match.
     if tlv::headers(tlvs).any(|header| header.flags & tlv::NOT_INTACT != 0) {
         return TlvValues { alteration: Some(ALTERED_PROBE_TLVS), ..tlv_values };
     }

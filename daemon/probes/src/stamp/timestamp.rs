@@ -45,8 +45,8 @@ impl Format {
             Self::Ptp => return None,
         };
         let near = near.unix_seconds();
-        // The difference modulo 2³², read as a signed number, leads to the nearest time with these bits, before or after
-        // `near`.
+        // The difference modulo 2³², read as a signed number, leads to the nearest time with these bits, before or
+        // after `near`.
         let distance = ((bits >> 32) as u32).wrapping_sub((near + origin) as u32).cast_signed();
         let seconds = near + i64::from(distance);
         Some(WallTime::from_unix_nanos(seconds.saturating_mul(NANOS).saturating_add(nanos)))

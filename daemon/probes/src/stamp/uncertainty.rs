@@ -1,11 +1,11 @@
 //! Largest errors of a probe's stamps in the unsafe direction, in which an error makes the bounds of the clock offset
 //! wrong.
 //!
-//! The order of the readings puts most errors on the safe side. At a departure, the program makes its stamp before
-//! the system call that sends, and the kernel makes its stamp before the driver gets the packet. At an arrival, the kernel
-//! makes its stamp after the driver has delivered the packet, and the program after the system call that received it. A stamp that is early
-//! at a departure or late at an arrival only widens the resulting bounds. Only the limited resolution of the clocks and of the
-//! wire form can cause errors in the unsafe direction.
+//! The order of the readings puts most errors on the safe side. At a departure, the program makes its stamp before the
+//! system call that sends, and the kernel makes its stamp before the driver gets the packet. At an arrival, the kernel
+//! makes its stamp after the driver has delivered the packet, and the program after the system call that received it. A
+//! stamp that is early at a departure or late at an arrival only widens the resulting bounds. Only the limited
+//! resolution of the clocks and of the wire form can cause errors in the unsafe direction.
 
 use peernet_clock::Span;
 

@@ -39,8 +39,8 @@ async fn peers_are_answered_while_forged_sources_flood() {
                 socket.send_to(&[0; 44], running.address).await.expect("sent");
                 sent += 1;
             }
-            // The socket's buffer holds about 250 packets. Further packets would be lost before the reflector reads them,
-            // including the packets of the peer.
+            // The socket's buffer holds about 250 packets. Further packets would be lost before the reflector reads
+            // them, including the packets of the peer.
             let all_are_read = async {
                 while probes_read(&running) < sent {
                     tokio::task::yield_now().await;

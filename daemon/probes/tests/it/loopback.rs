@@ -214,8 +214,8 @@ async fn prober_without_the_key_gets_no_reply() {
     let running = RunningReflector::start(config, system_clock("cloud"));
     for other_key in [Some(key(8)), None] {
         let mut config = prober_config(running.address);
-        // Without the TLV for raw stamps, an unauthenticated request is shorter than the base packet of an authenticated
-        // request.
+        // Without the TLV for raw stamps, an unauthenticated request is shorter than the base packet of an
+        // authenticated request.
         (config.key, config.clocks) = (other_key, RelatedClocks::RawToWall);
         config.timeout = Duration::from_millis(50);
         let mut probing = RunningProber::start(config, 100.0, system_clock("edge"));

@@ -18,7 +18,8 @@ const MIN_COLUMN_DECIMALS: usize = 2;
 /// Largest number of decimals in a column of values with a bound or deviation.
 const MAX_COLUMN_DECIMALS: usize = 3;
 
-/// Returns the number of decimals of a value in ms without an interval: three significant digits, at most to the nanosecond.
+/// Returns the number of decimals of a value in ms without an interval: three significant digits, at most to the
+/// nanosecond.
 pub(super) fn default_decimals(ms: f64) -> usize {
     if ms.abs() < MIN_DISTINGUISHABLE_MS { 2 } else { decimals(ms, 3).min(MAX_DECIMALS) }
 }
@@ -88,8 +89,8 @@ pub fn total_ms(seconds: f64) -> String {
 /// Formats mean and deviation, or value and margin, in ms: `16.2` and `1.1`.
 ///
 /// Both numbers have the same decimals: down to the second significant digit of the deviation, but at most as many as
-/// resolve a tenth of a microsecond or, if these are more, as give three significant digits of the mean. Without a deviation, the
-/// mean has three significant digits.
+/// resolve a tenth of a microsecond or, if these are more, as give three significant digits of the mean. Without a
+/// deviation, the mean has three significant digits.
 pub fn mean_std_ms(mean: f64, std: Option<f64>) -> (String, Option<String>) {
     let std = std.filter(|std| std.is_finite());
     let decimals = match std {

@@ -45,8 +45,8 @@ const MAX_DECIMALS: usize = 17;
 /// Formats a number with a fixed number of decimals: with a true minus sign, commas between thousands, and no signed
 /// zero.
 ///
-/// Numbers of 10¹² or more have four significant digits and the power of ten: `−1.234e300`. So do numbers below 10⁻¹² if
-/// 17 or more decimals are requested. A number that is not finite gives [`NONE`].
+/// Numbers of 10¹² or more have four significant digits and the power of ten: `−1.234e300`. So do numbers below 10⁻¹²
+/// if 17 or more decimals are requested. A number that is not finite gives [`NONE`].
 pub fn fixed(value: f64, decimals: usize) -> String {
     if !value.is_finite() {
         return NONE.to_owned();

@@ -16,8 +16,8 @@ use crate::Merge;
 /// adds the counts of the bins. The order in which sketches are merged does not matter, and no precision is lost.
 ///
 /// Memory is bounded: each sign has at most [`Sketch::MAX_BINS`] bins. These bins span a factor of 6 × 10¹⁷ between the
-/// largest and the smallest magnitude. All numbers closer to zero are counted in the lowest bin, so that the error of the
-/// large quantiles stays bounded.
+/// largest and the smallest magnitude. All numbers closer to zero are counted in the lowest bin, so that the error of
+/// the large quantiles stays bounded.
 ///
 /// ```
 /// # use peernet_statistics::Sketch;

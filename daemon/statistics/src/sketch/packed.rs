@@ -1,7 +1,7 @@
 //! Packed form of a sketch: LEB128 numbers for the count of zeros, the negative bins and the positive bins.
 //!
-//! A list of bins begins with the number of bins. Each bin is a key and a count. The first key is encoded as it is (zigzag),
-//! each further key as its distance from the key before it.
+//! A list of bins begins with the number of bins. Each bin is a key and a count. The first key is encoded as it is
+//! (zigzag), each further key as its distance from the key before it.
 
 use super::Sketch;
 use super::bins::{Bins, MAX_BINS_PER_SIGN, VALID_KEYS};
@@ -114,6 +114,7 @@ impl Reader<'_> {
             };
             let first = *first.get_or_insert(key);
             let valid_key = i32::try_from(key).ok().filter(|key| VALID_KEYS.contains(key));
+            // With more bins, the lowest bins would be merged, and the sketch would not equal its packed form.
             let valid_key = valid_key
                 .filter(|_| key - first < MAX_BINS_PER_SIGN as i64)
                 .ok_or(PackedError::InvalidBin)?;

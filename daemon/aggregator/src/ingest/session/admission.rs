@@ -15,8 +15,8 @@ impl IngestSession {
     /// Processes a hello. Nothing about the host changes until its identity is proven.
     pub(super) fn handle_hello(&mut self, from: &Peer, mut hello: Hello, now: Stamp) {
         let host = hello.host.id;
-        // The description is cut to the size that is displayed, because the challenge keeps it before the host has proven
-        // its identity. What is cut here is not counted.
+        // The description is cut to the size that is displayed, because the challenge keeps it before the host has
+        // proven its identity. What is cut here is not counted.
         limits::limit_description(&mut hello.host, &mut 0);
         let reason = Receiving::version_refusal(&hello)
             .or_else(|| self.routes.limit_refusal(from.connection, host))
@@ -63,14 +63,15 @@ impl IngestSession {
             self.refuse(from, &hello, reason, now);
             return;
         }
-        // If the queue has no capacity for the work that follows, the hello counts as lost; the agent repeats the hello.
+        // If the queue has no capacity for the work that follows, the hello counts as lost; the agent repeats the
+        // hello.
         let (Some(introduction_slot), Some(gap_slot)) = (self.queue.reserve(0), self.queue.reserve(0)) else {
             self.output.count_deferred_hello();
             return;
         };
         let record = self.store.streams.record(&hello, self.hosts.seniority(host));
         // A welcome acknowledges all batches up to the stream's mark. While the database is closed, it is unknown
-        // whether they are still stored, so the agent has to wait.
+        // whether they are still stored, so the agent has to wait. It repeats its hello.
         if !self.store.is_open() && record.mark.is_some_and(|mark| hello.oldest <= mark.stored) {
             return;
         }
@@ -147,6 +148,7 @@ impl IngestSession {
                 drop((introduction_slot, gap_slot));
                 self.refuse(from, &hello, reason, now);
             }
+            // The agent repeats its hello, and that hello decides.
             HelloResult::Wait => {}
         }
     }

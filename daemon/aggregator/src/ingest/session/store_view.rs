@@ -6,6 +6,7 @@ use peernet_logger::{HostId, RunId};
 use peernet_store::writing::Streams;
 
 /// Maximum number of runs that wait for their names from the live lane.
+// A hostile agent can send iterations of any number of runs without their start.
 const MAX_UNNAMED_RUNS: usize = 1_024;
 
 /// The streams and unnamed runs of the database.
