@@ -59,7 +59,7 @@ impl Aggregator {
         config.problems()
     }
 
-    /// Opens the database, listens, and starts the tasks. They end when `stop` is cancelled.
+    /// Opens the database, listens, and starts the tasks. The tasks end when `stop` is cancelled.
     ///
     /// # Errors
     /// If the configuration is invalid, the database cannot be opened or written, or the address is in use.

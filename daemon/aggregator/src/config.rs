@@ -39,7 +39,7 @@ pub struct AggregatorConfig {
     /// Time after the last message of a host until the live state drops the host, 1 to 2^32 - 1 s; its stored runs
     /// remain.
     pub forget_hosts_after_s: u64,
-    /// Maximum number of stored hosts, 1 to 65,536. Beyond it, agents of new hosts are refused; known hosts are always
+    /// Maximum number of stored hosts, 1 to 65,536. Agents of further hosts are refused; stored hosts are always
     /// accepted.
     pub max_hosts: usize,
     /// Retention limits of stored data.

@@ -132,7 +132,8 @@ pub struct HostSnapshot {
     /// Storage lag: age of the oldest event in the spool, on the host's clock at its latest update; `None` if nothing
     /// waits.
     pub behind: Option<Span>,
-    /// Estimate of how fast the lag falls; `None` if it does not fall or is below five seconds.
+    /// Estimate of how fast the lag falls; `None` if the lag does not fall or is below five
+    /// seconds.
     pub catching_up: Option<CatchingUp>,
     /// State of the host's wall clock, as reported by the host.
     pub clock: HostClock,

@@ -41,7 +41,7 @@ pub fn restrict_new_files() {
 /// A file with other contents is left unchanged.
 // A mistyped path may lead to a file that other users need.
 pub fn restrict_database(path: &Path) -> Vec<PathBuf> {
-    // SQLite names the files beside it after the resolved path.
+    // SQLite names the files beside a database after the resolved path.
     let path = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     if !may_be_database(&path) {
         return Vec::new();
@@ -84,7 +84,7 @@ pub fn restrict_folder(folder: &Path, files: &[&str]) -> Vec<PathBuf> {
     paths.filter(|path| restrict(path)).collect()
 }
 
-/// Logs the changed paths in one line; logs nothing if there are none.
+/// Logs the changed paths in one line; logs nothing if no path was changed.
 pub fn log_changes(changed: &[PathBuf]) {
     if !changed.is_empty() {
         let files = changed.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ");

@@ -90,7 +90,7 @@ fn start_reflector(
             thread_cpu_seconds() - cpu_seconds_before
         })
     });
-    (address_receiver.blocking_recv().expect("it was bound"), stop, thread)
+    (address_receiver.blocking_recv().expect("the reflector was bound"), stop, thread)
 }
 
 fn probe(target: SocketAddr, stamps: TimestampSource, key: Option<&Key>) -> ProbeTotals {

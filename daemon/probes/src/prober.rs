@@ -224,8 +224,8 @@ impl Prober {
 
     /// Replaces the socket by a new one, whose count of packets starts from zero. Does nothing if the kernel does not
     /// stamp departures.
-    // The kernel may have counted a packet that could not be sent, while the socket did not count it. Each later
-    // departure stamp would then be attributed to another packet.
+    // The kernel may have counted a packet that could not be sent, while the socket did not count this packet. Each
+    // later departure stamp would then be attributed to another packet.
     fn reopen_socket(&mut self) {
         if !self.socket.stamps_departures() {
             return;

@@ -25,7 +25,7 @@ const MAX_LOOPBACK_ATTEMPTS: u32 = 3;
 /// Source of the timestamps of packets.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TimestampSource {
-    /// The kernel stamps packets. If it does not support this, the program does.
+    /// The kernel stamps packets. If the kernel does not support this, the program stamps them.
     #[default]
     Kernel,
     /// The program stamps packets around its system calls. Required if the program reads another clock than the kernel.
@@ -43,7 +43,8 @@ pub(crate) struct ReceivedPacket {
     pub(crate) source: SocketAddr,
     /// Address of this machine to which the packet was sent; unspecified if the system did not report it.
     pub(crate) local: SocketAddr,
-    /// Kernel's stamp of the arrival, converted to the program's clock; `None` if there is none or it is ignored.
+    /// Kernel's stamp of the arrival, converted to the program's clock; `None` if the packet has no stamp, or if
+    /// stamps are ignored.
     pub(crate) kernel_stamp: Option<WallTime>,
 }
 
@@ -93,8 +94,8 @@ impl ProbeSocket {
         Ok(Self { inner: open_ip(address, mode, false)?, mode, clock, kernel_stamps_disabled: false })
     }
 
-    /// Opens a socket for sending to `target`. It is bound to any address and port of the same family, so that it
-    /// follows changes of the route.
+    /// Opens a socket for sending to `target`. The socket is bound to any address and port of the same family,
+    /// so that it follows changes of the route.
     pub(crate) fn open_for_target(
         target: SocketAddr,
         stamps: TimestampSource,

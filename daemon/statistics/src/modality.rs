@@ -45,10 +45,10 @@ struct Bin {
 }
 
 impl Summary {
-    /// Returns the two modes of the values above zero, if the values clearly have two modes. They do if the excess mass
-    /// of two modes over one (Müller and Sawitzki, *Excess mass estimates and tests for multimodality*, Journal of the
-    /// American Statistical Association 86, 1991) is larger than chance explains (p < 0.01) and is at least a twentieth
-    /// of the values.
+    /// Returns the two modes of the values above zero, if the values clearly have two modes. This is so if the excess
+    /// mass of two modes over one (Müller and Sawitzki, *Excess mass estimates and tests for multimodality*, Journal of
+    /// the American Statistical Association 86, 1991) is larger than chance explains (p < 0.01) and is at least a
+    /// twentieth of the values.
     ///
     /// The excess mass is twice the dip of Hartigan and Hartigan (The Annals of Statistics 13, 1985). As in their test,
     /// chance means samples of a uniform distribution. Distributions with a peak, such as log-normal distributions,
@@ -72,7 +72,8 @@ impl Summary {
 
 /// Returns the distribution as bins, with empty bins for gaps. Each bin of the sketch extends halfway to its
 /// neighbours, but at most by [`MAX_REACH`] or halfway to the next whole number, whichever is farther.
-// Without the rule for whole numbers, there would be valleys between them, for example between numbers of tokens.
+// Without the rule for whole numbers, there would be valleys between whole numbers, for example between numbers of
+// tokens.
 fn bins(positive: &[(f64, u64)], count: u64) -> Vec<Bin> {
     let logarithm = |index: usize| positive[index].0.ln();
     // The values of a sketch are known within 1 %.
@@ -181,7 +182,7 @@ mod tests {
         summary
     }
 
-    /// Draws 200 sets of `count` values, or 50 sets if they are large. Returns the fraction of the sets in which two
+    /// Draws 200 sets of `count` values, or 50 sets if `count` is large. Returns the fraction of the sets in which two
     /// modes are found.
     fn alarms(count: usize, seed: u64, mut value: impl FnMut(&mut SplitMix64) -> f64) -> f64 {
         let sets = if count > 1_000 { 50 } else { 200 };

@@ -68,8 +68,7 @@ impl<C: Merge + Default> RecentSeconds<C> {
     }
 
     /// Removes the cells of `second` and of all later seconds.
-    // After a clock was set back, it reaches these seconds again, and their old cells must not be mixed with new
-    // values.
+    // A clock that was set back reaches these seconds again. New values must not be mixed with the old cells.
     pub fn remove_from(&mut self, second: i64) {
         for slot in &mut self.cells {
             slot.take_if(|(cell_second, _)| *cell_second >= second);

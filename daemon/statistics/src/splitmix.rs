@@ -2,8 +2,8 @@
 
 /// The generator SplitMix64 (Steele, Lea and Flood, OOPSLA 2014).
 ///
-/// It is implemented here because a library's default generator may change between versions. That would change the
-/// arrivals and the order of runs that belong to a `seed` in a configuration.
+/// PEERNet has its own generator, because the default generator of a library may change between versions. A `seed` in a
+/// configuration would then stand for other arrival times and another order of runs.
 #[derive(Clone, Debug)]
 pub struct SplitMix64(u64);
 

@@ -101,7 +101,7 @@ impl Hosts {
         self.stored_hosts.get(&host).map(|host| host.seniority)
     }
 
-    /// Returns the host's secret, if one is known.
+    /// Returns the host's secret; `None` if no secret is known.
     pub(super) fn secret(&self, host: HostId) -> Option<&HostSecret> {
         match self.stored_hosts.get(&host) {
             Some(stored) => stored.secret.as_ref(),

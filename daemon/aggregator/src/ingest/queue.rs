@@ -139,7 +139,7 @@ mod tests {
         assert!(queue.reserve(1 << 20).is_none(), "the queue is full");
         let small = queue.reserve(1_000).expect("1,000 bytes fit");
         assert!(small.grow_to(1 << 20).is_none(), "a full queue has no capacity for a larger slot");
-        drop(receiver.try_recv().expect("the first"));
+        drop(receiver.try_recv().expect("the first item"));
         let grown = queue.reserve(1_000).and_then(|slot| slot.grow_to((1 << 20) - 1));
         grown.expect("there is room again").fill(work(), MonoTime::from_nanos(0));
     }

@@ -288,8 +288,8 @@ impl IngestSession {
         self.store.close();
     }
 
-    /// Handles the reopening of the database, which may be another one. Every agent has to send its hello again, so
-    /// that its spool is compared with the stored state. The writer drops work admitted before.
+    /// Handles the reopening of the database, which may be another database. Every agent has to send its hello again,
+    /// so that its spool is compared with the stored state. The writer drops work admitted before.
     fn handle_database_opened(&mut self, state: StoredState) {
         let StoredState { streams, runs, unnamed_runs, hosts, host_secrets } = state;
         self.receiving.forget_sessions();

@@ -44,7 +44,7 @@ const MAX_REFUSED: usize = 32;
 /// Time for which a refused host is shown.
 const REFUSAL_SHOWN_FOR: Span = Span::from_seconds(600);
 /// Maximum number of hosts outside the live state whose stored counts are kept for the totals.
-// The database has at most as many hosts: this is the largest value of `max_hosts`.
+// This is the largest permitted value of `max_hosts`, so the totals usually include all hosts in the database.
 const MAX_REMEMBERED_HOSTS: usize = 65_536;
 /// Maximum number of run numbers that are kept.
 const MAX_RUN_NUMBERS: usize = 10_000;
@@ -76,7 +76,7 @@ pub(crate) enum LiveEvent {
     Forget(HostId),
     /// A run of a host got its number in the store.
     Run(HostId, RunId, i64),
-    /// The database was reopened and may be another one.
+    /// The database was reopened and may be another database.
     Reopened {
         /// Numbers of the newest runs in the database, with their hosts.
         runs: Vec<(HostId, RunId, i64)>,

@@ -189,7 +189,7 @@ impl Pipeline {
         snapshot
     }
 
-    /// Returns the windows. They end at the agent's latest update, or at the present if the agent is silent.
+    /// Returns the windows. The windows end at the agent's latest update, or at the present if the agent is silent.
     fn windows(&self, now: Stamp) -> [Window; 3] {
         let silence = now.mono - self.last_seen.mono;
         let end = if silence > MAX_UPDATE_AGE { self.sent + silence } else { self.sent };

@@ -64,7 +64,7 @@ impl Presence {
         self.sent().map_or(Span::ZERO, |sent| sent - self.last_seen.wall)
     }
 
-    /// Records a process's hello. Returns whether it is the same process as before.
+    /// Records a process's hello. Returns whether the process is the same as before.
     pub(super) fn introduce(&mut self, process: u64, now: Stamp) -> bool {
         self.last_seen = now;
         let is_same_process = std::mem::replace(&mut self.process, process) == process;

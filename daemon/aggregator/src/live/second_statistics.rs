@@ -91,9 +91,9 @@ impl SecondStatistics {
         };
         let mut values: Vec<(Name, QuantityStatistics)> = self.values.iter().filter_map(statistics).collect();
         values.sort_by(|(a, _), (b, _)| rank(a).cmp(&rank(b)));
-        // A pipeline with a deadline reports a value of `DEADLINE_MISSED` for each answer: 1 for a late answer and 0 for
-        // any other. The sum of these values is the number of late answers. In a second without any answer, the name is
-        // reported without values: all iterations failed and missed the deadline.
+        // A pipeline with a deadline reports a value of `DEADLINE_MISSED` for each answer: 1 for a late answer and 0
+        // for any other. The sum of these values is the number of late answers. In a second without any answer, the
+        // name is reported without values: all iterations failed and missed the deadline.
         let deadline_missed = self.values.iter().find(|(name, _)| *name == *DEADLINE_MISSED);
         let late_answers = deadline_missed.map(|(_, summary)| summary.moments.sum().round() as u64);
         let misses = late_answers.map(|late| Misses::new(self.counts.ok, late, self.counts.all_failed()));

@@ -67,7 +67,7 @@ async fn readers_get_what_agents_sent() {
     let listed = store.runs(&RunFilter::default()).await.expect("answers");
     assert_eq!(listed.len(), 2);
     for summary in &listed {
-        let index = runs.iter().position(|run| *run == summary.id).expect("one of them");
+        let index = runs.iter().position(|run| *run == summary.id).expect("one of the two runs");
         assert_eq!(summary.counts.ok, sent[index].len() as u64);
         assert_eq!(summary.host, [first_agent.id, second_agent.id][index]);
         assert_eq!(summary.reason, Some(EndReason::Finished));

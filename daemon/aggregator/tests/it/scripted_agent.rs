@@ -97,7 +97,7 @@ impl ScriptedAgent {
         self.socket.send_frame(frame).await;
     }
 
-    /// Receives a message and asserts that it is the expected one.
+    /// Receives a message and asserts that the message is as expected.
     pub(crate) async fn expect(&self, expected: Reply) {
         let stream = self.stream;
         match (expected, self.socket.receive().await) {

@@ -35,8 +35,8 @@ pub struct ReflectorState {
     sessions: Option<Sessions>,
 }
 
-/// STAMP sessions of peers and of others. They are separate, so that forged source addresses only make the reflector
-/// forget sessions of others.
+/// STAMP sessions of peers and of others. The two maps are separate, so that forged source addresses only make the
+/// reflector forget sessions of others.
 #[derive(Debug)]
 struct Sessions {
     peers: RecentMap<SessionId, Session>,
@@ -117,7 +117,7 @@ impl PreparedReply {
 
 impl ReflectorState {
     /// Creates a reflector without any sessions. With a `key` it answers only requests that the key authenticates.
-    /// `stateful` makes it distinguish sessions. Its answers carry `instance`.
+    /// If it is `stateful`, it distinguishes sessions. Its answers contain `instance`.
     pub fn new(key: Option<Key>, instance: u64, max_per_source_hz: u32, stateful: bool) -> Self {
         let sessions = stateful.then(Sessions::new);
         let limiter = Limiter::new(max_per_source_hz);
@@ -133,8 +133,8 @@ impl ReflectorState {
         self
     }
 
-    /// Replaces the addresses of the peers that have a session with this host. Each of them has its own rate, which
-    /// others cannot use up.
+    /// Replaces the addresses of the peers that have a session with this host. Each peer has its own rate, which
+    /// other sources cannot use up.
     pub fn set_peers(&mut self, addresses: &[IpAddr]) {
         self.limiter.set_peers(addresses);
     }

@@ -70,7 +70,7 @@ pub struct Departure {
     /// Wall time of `sent` in the wire form; the answer must repeat it.
     timestamp: u64,
     sent: Stamp,
-    /// Random octets of the request, if it carries any.
+    /// Random octets of the request; `None` if requests carry no octets.
     nonce: Option<Nonce>,
     /// Difference wall clock minus free-running clock, read before the stamp.
     ahead: Interval,
@@ -108,7 +108,7 @@ struct AnsweredProbe {
 /// Arrival of a packet.
 #[derive(Clone, Copy, Debug)]
 pub struct ReplyArrival {
-    /// Kernel's stamp of the arrival, if it made one.
+    /// Kernel's stamp of the arrival; `None` if the kernel did not stamp the packet.
     pub kernel: Option<WallTime>,
     /// Clocks, read by the program after it received the packet.
     pub read: Stamp,
@@ -144,7 +144,7 @@ struct TlvValues {
 struct ReflectorTimes {
     received: RawTime,
     replied: RawTime,
-    /// Epoch of that clock; `None` if the reflector does not report it.
+    /// Epoch of the same clock; `None` if the reflector does not report it.
     epoch: Option<u32>,
     /// Number of an earlier reply, and its true departure.
     previous: Option<(u32, RawTime)>,
@@ -426,8 +426,8 @@ fn find_probe(pending: &mut VecDeque<PendingProbe>, sequence: u32) -> Option<&mu
 /// Sets the departure of the earlier reply `reply_sequence` to `departure` if that is later than the known departure.
 /// Returns the changed exchange. Ignores the reply to the request `reporting_request`, because that reply reports the
 /// departure.
-// A later stamp of a departure is closer to the true one. It was made between the readings of the two replies' epochs,
-// so it can be used only if both epochs are equal.
+// A later stamp of a departure is closer to the true departure. The stamp was made between the readings of the two
+// replies' epochs, so it can be used only if both epochs are equal.
 fn refine_departure(
     pending: &mut VecDeque<PendingProbe>,
     reporting_request: u32,

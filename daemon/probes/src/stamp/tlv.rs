@@ -39,7 +39,7 @@ pub struct TlvHeader {
     pub flags: u8,
     /// Type.
     pub kind: u8,
-    /// Range of the value. It ends at the end of the packet if the TLV claims to be longer.
+    /// Range of the value. The range ends at the end of the packet if the TLV claims to be longer.
     pub value: Range<usize>,
     /// `true` if the TLV claims to be longer than the packet.
     pub overruns: bool,
@@ -198,9 +198,9 @@ impl RawStamps {
     }
 }
 
-/// Returns whether TLVs are intact (RFC 8972, section 4.8). With a key, an [`HMAC`] must follow them, which
-/// authenticates them and the packet's sequence number; padding alone needs no [`HMAC`]. Without a key, there must be
-/// no [`HMAC`]. Only padding may follow an [`HMAC`].
+/// Returns whether TLVs are intact (RFC 8972, section 4.8). With a key, an [`HMAC`] must follow the
+/// TLVs and authenticate the TLVs and the packet's sequence number; padding alone needs no [`HMAC`]. Without a key,
+/// there must be no [`HMAC`]. Only padding may follow an [`HMAC`].
 pub fn are_intact(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> bool {
     let mut code = None;
     let mut needs_code = false;

@@ -2,7 +2,7 @@
 //!
 //! Hosts of different versions probe each other. Therefore a reflector must answer a stored request with the stored
 //! reply, and a sender must accept the stored reply as the answer to its request. `write_missing_fixtures` writes
-//! missing files and never changes an existing one.
+//! missing files and never changes an existing file.
 
 use std::fs;
 use std::net::SocketAddr;

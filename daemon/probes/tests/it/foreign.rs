@@ -23,7 +23,7 @@ fn stamp_suite() -> Command {
         program.display()
     );
     let mut command = Command::new(program);
-    // The variable is removed, because stamp-suite would read its key from it.
+    // The variable is removed, because stamp-suite would take its key from the variable.
     command.env_remove("STAMP_HMAC_KEY").env("RUST_LOG", "warn").stdin(Stdio::null());
     command
 }
@@ -85,8 +85,10 @@ async fn run_foreign_sender(
     if let Some(key) = key {
         key.add_arguments(&mut command);
     }
-    let output =
-        tokio::task::spawn_blocking(move || command.output()).await.expect("no panic").expect("it runs");
+    let output = tokio::task::spawn_blocking(move || command.output())
+        .await
+        .expect("no panic")
+        .expect("stamp-suite runs");
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     let errors = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{errors}");
@@ -160,7 +162,7 @@ async fn probe_foreign_reflector(
     if let Some(key) = key {
         key.add_arguments(&mut command);
     }
-    let _foreign = ForeignProcess(command.spawn().expect("it runs"));
+    let _foreign = ForeignProcess(command.spawn().expect("stamp-suite runs"));
     let mut config = prober_config(target);
     config.key = key.map(SharedKey::read_key);
     config.padding_bytes = 50;
@@ -172,7 +174,7 @@ async fn probe_foreign_reflector(
             results.push(probing.next().await);
         }
     };
-    tokio::time::timeout(MAX_WAIT, answered).await.expect("it answers");
+    tokio::time::timeout(MAX_WAIT, answered).await.expect("stamp-suite answers");
     probing.stop().await;
     results
 }

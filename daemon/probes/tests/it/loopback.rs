@@ -429,7 +429,7 @@ async fn prober_ends_when_receiver_is_dropped() {
     let (result_sender, results) = tokio::sync::mpsc::channel(1);
     let task = tokio::spawn(prober.run(rate_hz, result_sender, CancellationToken::new()));
     drop(results);
-    tokio::time::timeout(crate::support::MAX_WAIT, task).await.expect("it ends").expect("no panic");
+    tokio::time::timeout(crate::support::MAX_WAIT, task).await.expect("the prober ends").expect("no panic");
 }
 
 #[tokio::test]

@@ -137,7 +137,7 @@ impl Pair {
         let mut reply = reply.to_vec();
         let header =
             tlv::headers(&reply[44..]).find(|header| header.kind == tlv::ORIGIN).expect("we ask for it");
-        let mut origin = Origin::from_value(&reply[44..][header.value.clone()]).expect("ours");
+        let mut origin = Origin::from_value(&reply[44..][header.value.clone()]).expect("a value of PEERNet");
         change(&mut origin);
         reply[44..][header.value].copy_from_slice(&origin.to_value());
         reply
@@ -265,7 +265,7 @@ fn altered_reply_is_refused_and_altered_tlvs_ignored() {
     }
     let mut altered_reply = reply;
     *altered_reply.last_mut().expect("not empty") ^= 1;
-    let reply_result = pair.receive_reply(&altered_reply).expect("its base packet is authentic");
+    let reply_result = pair.receive_reply(&altered_reply).expect("the base packet is authentic");
     assert_eq!((reply_result.refined, answered(&reply_result).cloud_epoch), (None, None));
     assert_eq!(answered(&reply_result).exchange.uncertainty, uncertainty::OTHER_IMPLEMENTATION);
 }

@@ -1,9 +1,10 @@
-//! Numbers of values in logarithmic bins. All bins between the lowest and the highest bin in use are stored, also empty
-//! ones.
+//! Numbers of values in logarithmic bins. All bins between the lowest and the highest bin in use are stored, also the
+//! empty bins.
 
 use super::Sketch;
 
-/// Maximum number of bins for numbers of one sign. If more would be needed, the lowest bins are merged into one.
+/// Maximum number of bins for numbers of one sign. If more bins would be needed, the lowest bins are
+/// merged into one.
 pub(super) const MAX_BINS_PER_SIGN: usize = 2048;
 
 /// Ratio of the upper to the lower end of a bin.
@@ -81,7 +82,7 @@ impl Bins {
         self.total
     }
 
-    /// Iterates over the bins that are not empty, lowest lowest_key.
+    /// Iterates over the bins that are not empty, lowest key first.
     pub(super) fn iter(&self) -> impl DoubleEndedIterator<Item = (i32, u64)> + '_ {
         let with_keys =
             self.counts.iter().enumerate().map(|(index, count)| (self.lowest_key + index as i32, *count));

@@ -25,7 +25,7 @@ fn exact_p95(mut totals: Vec<f64>) -> f64 {
 
 #[test]
 fn percentile_covers_all_iterations_of_its_bucket() {
-    // Eight iterations a second of 9 to 13 ms, and one of 1.4 s in second 25.
+    // Each second has eight iterations of 9 to 13 ms, but one of the iterations in second 25 takes 1.4 s.
     let mut seconds: Vec<Vec<f64>> =
         (0..60).map(|at| (0..8).map(|n| 0.009 + 1e-4 * f64::from((7 * at + 5 * n) % 40)).collect()).collect();
     seconds[25][3] = 1.4;
@@ -83,7 +83,7 @@ fn incomplete_bucket_has_percentile_from_sixty_iterations() {
     }
     let point = newest(&mut testbed, 28.0).expect("the newest bucket holds 64 iterations");
     assert_eq!((point.at, point.count), (START + 20, 64));
-    // A repeated report of a second replaces it, also in a bucket that was drawn already.
+    // A repeated report of a second replaces the earlier report, also if the bucket has a percentile already.
     testbed.send(28.2, vec![second(12, &[0.050; 8], 0)]);
     let points = testbed.snapshot(28.2).pipelines[0].total_p95.points.clone();
     assert_eq!(points[1].count, 80);

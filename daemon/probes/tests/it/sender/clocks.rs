@@ -109,7 +109,8 @@ fn reply_without_requested_raw_stamps_is_refused() {
     let reply = pair.reflect(packet.clone());
     let header =
         tlv::headers(&reply[44..]).find(|header| header.kind == tlv::RAW_STAMPS).expect("we ask for it");
-    // Answers of a release that does not know the type, and of one that leaves it empty.
+    // Answers of a release that does not know the type, of a release that leaves the TLV empty, and of a reflector
+    // without TLVs.
     let mut reply_with_unrecognised_tlv = reply.clone();
     reply_with_unrecognised_tlv[44 + header.offset] = tlv::UNRECOGNISED;
     let mut reply_with_empty_tlv = reply.clone();
