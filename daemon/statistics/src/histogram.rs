@@ -228,6 +228,6 @@ mod tests {
             assert_eq!(summary.count_in(&binning), BinCounts { below: 0, counts: vec![40], above: 0 });
         }
         assert_eq!(Binning::of(&Summary::default(), MAX_BINS), None);
-        assert_eq!(Binning::of([1.0, 2.0, 3.0].as_slice(), 2).map(|bins| bins.count), Some(2));
+        assert_eq!(Binning::of([1.0_f64, 2.0, 3.0].as_slice(), 2).map(|bins| bins.count), Some(2));
     }
 }
