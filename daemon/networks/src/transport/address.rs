@@ -42,13 +42,13 @@ pub(crate) enum AddressForm {
         name: &'static str,
         /// Scheme of addresses that have a domain in place of host and port.
         domain_scheme: &'static str,
-        /// Function that returns the address of the listener with this name, from the environment of this process. The
-        /// number is the version of ROS, if it is configured.
+        /// Function that reads the environment variables of this process and returns the address of a listener. Its
+        /// arguments are the name of the listener and the configured version of ROS.
         find: fn(&str, Option<u64>) -> Result<String, ListenerLookupError>,
     },
 }
 
-/// Error: a listener cannot be looked up by its name, because the environment lacks or has invalid settings.
+/// Error: a listener cannot be looked up by its name, because a setting in the environment is missing or invalid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct ListenerLookupError(pub(crate) String);
@@ -149,7 +149,9 @@ pub enum AddressProblem {
     #[error("{0:?} is not a domain; ROS 2 has the domains 0 to {max}", max = Ros2Settings::MAX_DOMAIN_ID)]
     InvalidDomain(String),
     /// The listener's name cannot be part of a topic name.
-    #[error("the name {0:?} must begin with a letter and have only letters, digits and _")]
+    #[error(
+        "the name {0:?} must begin with a letter and have at most 63 characters, only letters, digits and _"
+    )]
     InvalidListenerName(String),
 }
 
@@ -230,7 +232,7 @@ impl Address {
         }
     }
 
-    /// Returns the port; 0 lets the system choose one. Meaningless in a domain.
+    /// Returns the port; 0 lets the system choose one. An address of a domain has no port and returns 0.
     pub const fn port(&self) -> u16 {
         self.port
     }
@@ -372,13 +374,13 @@ fn parse_host(host: &str) -> Result<Host, AddressProblem> {
     if host.bytes().all(|byte| byte.is_ascii_digit() || byte == b'.') {
         return Err(AddressProblem::InvalidIpv4(host.to_owned()));
     }
-    // Names of hosts have no underscores, but names of containers may, and are resolved like names of hosts.
+    // A host name has no underscore. The name of a container may have one, and is resolved like a host name.
     let is_valid_label = |label: &str| {
         (1..=63).contains(&label.len())
             && label.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"-_".contains(&byte))
     };
-    // These are limits of DNS (RFC 1035, section 2.3.4): 63 bytes for a label, and 255 bytes for an encoded name, whose
-    // text then has 253.
+    // These are limits of DNS (RFC 1035, section 2.3.4): 63 bytes for a label, and 255 bytes for an encoded name. The
+    // text of such a name has 253 bytes.
     if host.len() > 253 || !host.strip_suffix('.').unwrap_or(host).split('.').all(is_valid_label) {
         return Err(AddressProblem::InvalidName(host.to_owned()));
     }

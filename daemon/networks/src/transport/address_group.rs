@@ -18,8 +18,8 @@ impl AddressGroup {
         }
     }
 
-    /// Returns whether the address is this machine's loopback. Limits make an exception for it, because a local process
-    /// can do worse things than open connections.
+    /// Returns whether the group is this machine's loopback address. Limits make an exception for this address, because
+    /// a local process can do worse things than open connections.
     pub fn is_loopback(self) -> bool {
         self.0.is_loopback()
     }

@@ -11,14 +11,14 @@ type BoxedError = Box<dyn Error + Send + Sync>;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct HostChecks {
     /// Checks that this build can reach peers at an address of the network.
-    pub(crate) address: fn(&Address) -> Result<(), BoxedError>,
+    pub(crate) check_address: fn(&Address) -> Result<(), BoxedError>,
     /// Checks the settings that only this network has. An error names the key.
-    pub(crate) settings: fn(&SessionSettings) -> Result<(), (&'static str, BoxedError)>,
+    pub(crate) check_settings: fn(&SessionSettings) -> Result<(), (&'static str, BoxedError)>,
 }
 
 impl HostChecks {
     /// Checks of a network that works on every host.
-    pub(crate) const NONE: Self = Self { address: |_| Ok(()), settings: |_| Ok(()) };
+    pub(crate) const NONE: Self = Self { check_address: |_| Ok(()), check_settings: |_| Ok(()) };
 }
 
 /// Error: an address cannot be used on this host.
@@ -47,7 +47,7 @@ impl Address {
     /// # Errors
     /// If this build of the program does not support the network.
     pub fn check_usable_on_this_host(&self) -> Result<(), UnusableAddress> {
-        (self.network().host_checks().address)(self)
+        (self.network().host_checks().check_address)(self)
             .map_err(|problem| UnusableAddress { address: self.clone(), problem })
     }
 }

@@ -4,14 +4,14 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// A number of bytes that several users share: the sum of their reservations never exceeds it.
+/// A number of bytes that several reservations share: the sum of the reservations never exceeds it.
 #[derive(Debug)]
 pub(crate) struct MemoryBudget {
     limit: u64,
     reserved_bytes: AtomicU64,
 }
 
-/// Bytes reserved in a budget; dropping the reservation gives them back.
+/// Bytes reserved in a budget; dropping the reservation gives the bytes back.
 #[derive(Debug)]
 pub(crate) struct Reservation {
     budget: Arc<MemoryBudget>,
@@ -36,7 +36,7 @@ impl MemoryBudget {
             reserved_bytes.checked_add(bytes).filter(|reserved_bytes| *reserved_bytes <= self.limit)
         };
         self.reserved_bytes
-            // Relaxed is enough: only the sum counts, and no other memory depends on it.
+            // Relaxed is enough: only the sum of the reservations matters, and no other memory depends on the sum.
             .fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits)
             .map(drop)
             .map_err(|_| BudgetExhausted)
@@ -92,7 +92,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn reservations_share_their_budget_and_give_it_back() {
+    fn dropped_or_moved_reservation_frees_its_budget() {
         let (small, large) = (MemoryBudget::new(10), MemoryBudget::new(100));
         let (mut first, mut second) = (Reservation::empty(&small), Reservation::empty(&small));
         first.resize(&small, 7).expect("fits");

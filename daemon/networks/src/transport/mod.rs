@@ -80,7 +80,7 @@ macro_rules! networks {
                 match self { $(Self::$variant => $module::HOST_CHECKS),* }
             }
 
-            /// Binds a socket to an address of this network and closes it again. Blocks.
+            /// Binds a socket to an address of this network and closes the socket again. Blocks.
             ///
             /// # Errors
             /// The error of the system. A port that is in use has its own error kind.
@@ -98,8 +98,8 @@ macro_rules! networks {
                 match self { $(Self::$variant => $module::dial(address, settings, context).await),* }
             }
 
-            /// Listens on an address of this network. `ports` is the number of data ports of this process, which share
-            /// the descriptors for connections.
+            /// Listens on an address of this network. `ports` is the number of data ports of this process. The data
+            /// ports share the file descriptors for connections.
             pub(crate) async fn bind(
                 self,
                 address: &Address,
@@ -133,9 +133,10 @@ impl NetworkKind {
     /// Checks that this host supports the settings that only this network has.
     ///
     /// # Errors
-    /// If this host cannot use one of them.
+    /// If this host cannot use one of the settings.
     pub fn check_settings(self, settings: &SessionSettings) -> Result<(), UnusableSetting> {
-        (self.host_checks().settings)(settings).map_err(|(key, problem)| UnusableSetting { key, problem })
+        (self.host_checks().check_settings)(settings)
+            .map_err(|(key, problem)| UnusableSetting { key, problem })
     }
 
     /// Returns the address of the listener with this name. Uses the environment variables of this process and the
@@ -164,7 +165,7 @@ impl fmt::Display for NetworkKind {
 
 impl From<NetworkKind> for NetworkName {
     fn from(kind: NetworkKind) -> Self {
-        kind.name().parse().expect("the names of networks follow the rules of names")
+        kind.name().parse().expect("every network name is a valid name")
     }
 }
 
@@ -206,8 +207,8 @@ pub struct MessageLoss {
 impl fmt::Display for MessageLoss {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.total {
-            0 => f.write_str("nothing of it arrived"),
-            // A fragment that arrives without memory for it counts as received.
+            0 => f.write_str("no part of the message arrived"),
+            // A fragment counts as received even if the receiver had no memory for it.
             total if self.received == total => write!(
                 f,
                 "all of its {total} fragments arrived, but they were damaged (wrong checksum), or the receiver had no memory for them"
@@ -230,7 +231,7 @@ pub(crate) struct EdgeConnection {
     pub(crate) sender: Box<dyn EdgeSender>,
     /// Receives messages, in one task.
     pub(crate) receiver: Box<dyn EdgeReceiver>,
-    /// `true` if the other end has identified itself as a cloud. Otherwise another program may listen there.
+    /// `true` if the other end has identified itself as a cloud. If `false`, the other end may be another program.
     pub(crate) peer_is_cloud: bool,
 }
 
@@ -338,11 +339,12 @@ pub enum ListenerEvent {
     Moved(ConnectionId, SocketAddr),
     /// A connection ended, for this reason.
     Gone(ConnectionId, String),
-    /// Bytes that violate the transport's protocol arrived. A connection that sent them was dropped.
+    /// Bytes that violate the transport's protocol arrived from this address, for this reason. `zmq-tcp` has closed the
+    /// connection that sent the bytes.
     InvalidData(Option<SocketAddr>, String),
     /// A connection works, but worse than it could. The text says why, and what to do about it.
     Remark(ConnectionId, String),
-    /// An edge was refused: its claimed host, and the reason.
+    /// An edge was refused: the id of the host that the edge claims to be, and the reason.
     Refused(Option<HostId>, String),
 }
 
@@ -390,7 +392,7 @@ pub enum BindFailure {
 #[cfg(test)]
 mod tests {
     /// A module with the items of a transport, which only has to compile.
-    mod nowhere {
+    mod stub_transport {
         use std::io;
         use std::num::NonZeroUsize;
 
@@ -442,15 +444,15 @@ mod tests {
             Address, AddressForm, BindFailure, BoundPort, DialContext, DialFailure, EdgeConnection,
             HostChecks,
         };
-        use super::nowhere;
+        use super::stub_transport;
         use crate::SessionSettings;
 
         networks! {
             /// A network with one scheme.
             #[default]
-            Wire = "wire" at "wire" in nowhere;
+            Wire = "wire" at "wire" in stub_transport;
             /// A network with two schemes.
-            Robot = "robot" at "robot1" | "robot2" in nowhere;
+            Robot = "robot" at "robot1" | "robot2" in stub_transport;
         }
     }
 
@@ -489,7 +491,7 @@ mod tests {
         let bound = NetworkKind::Robot.bind(&address, &settings, NonZeroUsize::MIN, &clock).await;
         assert!(matches!(bound, Err(BindFailure::NotLocal)));
         assert!(NetworkKind::Robot.try_bind(&address).is_ok());
-        assert!((NetworkKind::Robot.host_checks().settings)(&settings).is_ok());
+        assert!((NetworkKind::Robot.host_checks().check_settings)(&settings).is_ok());
         assert!(matches!(NetworkKind::Robot.address_form(), AddressForm::HostPort));
     }
 }

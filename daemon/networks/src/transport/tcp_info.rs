@@ -35,8 +35,8 @@ enum TcpInfoError {
     Malformed(String),
 }
 
-/// Returns the kernel's statistics of the connection between these addresses. They are empty if the connection is gone
-/// or the system does not provide them; in the latter case the reason is logged once.
+/// Returns the kernel's statistics of the connection between these addresses. The statistics are empty if the
+/// connection is gone or the system does not provide statistics; in the latter case the reason is logged once.
 pub(super) fn tcp_statistics(addresses: &ConnectionAddresses) -> TransportStatistics {
     static IS_LOGGED: AtomicBool = AtomicBool::new(false);
     match query(addresses) {
@@ -54,8 +54,8 @@ pub(super) fn tcp_statistics(addresses: &ConnectionAddresses) -> TransportStatis
     }
 }
 
-/// Returns the bytes of the kernel's `struct tcp_info`. Their number depends on the version of the kernel. `None` if
-/// the connection is gone.
+/// Returns the bytes of the kernel's `struct tcp_info`. The number of bytes depends on the version of the kernel.
+/// `None` if the connection is gone.
 fn query(addresses: &ConnectionAddresses) -> Result<Option<Vec<u8>>, TcpInfoError> {
     let request_bytes = sock_diag_request(addresses);
     let (family, kind) = (AddressFamily::Netlink, SockType::Datagram);
@@ -130,7 +130,7 @@ fn find_tcp_info(addresses: &ConnectionAddresses, response: InetResponse) -> Opt
 }
 
 /// Reads the fields by their offsets in `struct tcp_info` of `linux/tcp.h`. Kernels only add fields at the end; fields
-/// that an older kernel does not have are unknown.
+/// that an older kernel does not have are `None`.
 fn parse_tcp_info(info: &[u8]) -> TransportStatistics {
     let field = |offset: usize| Some(u32::from_ne_bytes(*info.get(offset..)?.first_chunk()?));
     let total = |offset: usize| field(offset).map(u64::from);
@@ -140,7 +140,7 @@ fn parse_tcp_info(info: &[u8]) -> TransportStatistics {
     TransportStatistics {
         sent: DatagramStatistics {
             datagrams: total(156),     // tcpi_data_segs_out
-            lost: None,                // tcpi_lost is an estimate of now, not a total
+            lost: None,                // tcpi_lost estimates how many are lost now, it is no total
             duplicated: total(216),    // tcpi_dsack_dups
             reordered: total(220),     // tcpi_reord_seen
             retransmitted: total(100), // tcpi_total_retrans
@@ -175,15 +175,16 @@ mod tests {
     /// Returns a connection on which the accepting end has received and acknowledged 100 kB.
     fn used_connection(address: &str) -> (TcpStream, TcpStream) {
         let listener = TcpListener::bind(address).expect("a port");
-        let mut dialled = TcpStream::connect(listener.local_addr().expect("bound")).expect("it listens");
+        let mut dialled =
+            TcpStream::connect(listener.local_addr().expect("bound")).expect("the listener accepts");
         let (mut accepted, _) = listener.accept().expect("a connection");
         let mut received = vec![0; 100_000];
         std::thread::scope(|scope| {
-            scope.spawn(|| dialled.write_all(&[7; 100_000]).expect("it is read"));
-            accepted.read_exact(&mut received).expect("it is written");
+            scope.spawn(|| dialled.write_all(&[7; 100_000]).expect("the connection is open"));
+            accepted.read_exact(&mut received).expect("the connection is open");
         });
-        accepted.write_all(b"done").expect("it is read");
-        dialled.read_exact(&mut [0; 4]).expect("it is written");
+        accepted.write_all(b"done").expect("the connection is open");
+        dialled.read_exact(&mut [0; 4]).expect("the connection is open");
         (dialled, accepted)
     }
 
@@ -208,7 +209,10 @@ mod tests {
                 );
             }
             let sent = tcp_statistics(&addresses(&dialled)).sent.datagrams;
-            assert!(sent.is_some_and(|segments| segments >= 2), "100 kB do not fit into one: {sent:?}");
+            assert!(
+                sent.is_some_and(|segments| segments >= 2),
+                "100 kB do not fit into one segment: {sent:?}"
+            );
         }
     }
 
@@ -228,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn fields_missing_in_kernel_are_unknown() {
+    fn fields_missing_in_kernel_have_no_value() {
         let mut info = [0_u8; 104];
         info[68..72].copy_from_slice(&1_500_u32.to_ne_bytes());
         info[72..76].copy_from_slice(&300_u32.to_ne_bytes());
@@ -238,7 +242,7 @@ mod tests {
             (statistics.sent.retransmitted, statistics.sent.datagrams, statistics.sent.reordered),
             (Some(9), None, None)
         );
-        let trip = statistics.round_trip.expect("it was measured");
+        let trip = statistics.round_trip.expect("the kernel measured it");
         assert_eq!(
             (trip.min, trip.smoothed, trip.variation),
             (None, Span::from_micros(1_500), Span::from_micros(300))

@@ -1,8 +1,9 @@
 //! `zmq-tcp`: ZMTP 3.1 over TCP, a DEALER on the edge and a ROUTER on the cloud.
 //!
-//! The edge uses a socket of the ZeroMQ library, with its latency profile; the cloud uses [`zmtp`](super::zmtp). On
-//! both ends the sending task writes to the connection itself. Only the bytes that the kernel does not accept at once
-//! are left to the connection's own task. The library does not reconnect, because a session ends with its connection.
+//! The edge uses a socket of the ZeroMQ library, with the library's latency profile; the cloud uses
+//! [`zmtp`](super::zmtp). On both ends, the task that sends a message also writes the message to the connection. The
+//! connection's own task writes only the bytes that the kernel does not accept at once. The library does not reconnect,
+//! because a session ends with its connection.
 
 use std::io;
 use std::num::NonZeroUsize;
@@ -35,15 +36,16 @@ pub(crate) const ADDRESS_FORM: AddressForm = AddressForm::HostPort;
 /// This network works on every host.
 pub(crate) const HOST_CHECKS: HostChecks = HostChecks::NONE;
 
-/// Identity in the ZMTP handshake of a cloud's port, since version 0.3 of the program. It tells an edge whose hello is
-/// not answered that a cloud listens there and not another program, for example an aggregator, which has a ROUTER, too.
+/// Identity in the ZMTP handshake of a cloud's port, since version 0.3 of the program. If nobody answers an edge's
+/// hello, this identity tells the edge that a cloud listens at the address. Other programs have a ROUTER, too, for
+/// example an aggregator.
 const CLOUD_IDENTITY: &str = "peernet-serve";
 
 /// Smallest payload frame that is read from the kernel straight into a separate buffer. Bytes.
 const DIRECT_READ_BYTES: usize = 16 * 1024;
 
-/// Time after which the library would reconnect. It never passes: the session has ended with its connection, and the
-/// socket is closed long before.
+/// Time after which the library would reconnect. This time never passes: the session ends with its connection, and the
+/// socket is then closed.
 const RECONNECT_INTERVAL: Duration = Duration::from_secs(365 * 24 * 3600);
 
 /// Time limit for finding out why a connection attempt failed.
@@ -71,7 +73,7 @@ fn options(settings: &SessionSettings) -> Options {
         .recv_hwm(queue)
         .heartbeat_interval(settings.heartbeat_interval())
         .heartbeat_timeout(settings.heartbeat_timeout())
-        // Bytes that stay unacknowledged end the connection as silence does.
+        // The connection ends if the peer does not acknowledge bytes for this time, as it does if no heartbeat arrives.
         .tcp_user_timeout(settings.heartbeat_timeout())
         .reconnect(ReconnectPolicy::Fixed(RECONNECT_INTERVAL))
         .linger(Duration::ZERO)
@@ -164,7 +166,7 @@ fn unreachable_failure(error: Error) -> DialFailure {
     }
 }
 
-/// Finds out why a connection attempt failed by connecting once more, because the library does not return the reason.
+/// Connects once more to find out why a connection attempt failed, because the library does not return the reason.
 async fn diagnose(address: &Address) -> DialFailure {
     match tokio::time::timeout(DIAGNOSIS_TIMEOUT, tokio::net::TcpStream::connect(address.authority())).await {
         Ok(Err(error)) => DialFailure::Unreachable(error.to_string().to_lowercase()),
@@ -207,7 +209,7 @@ impl EdgeReceiver for DealerReceiver {
         Box::pin(async {
             let to_event = |message: &Message| Ok(EdgeEvent::Message(to_frames(message)));
             loop {
-                // Messages that arrived before the end are still returned.
+                // Messages that arrived before the end of the connection are still returned.
                 if let Some(reason) = &self.end_reason {
                     return self
                         .socket
@@ -215,7 +217,8 @@ impl EdgeReceiver for DealerReceiver {
                         .map_or_else(|_| Err(Disconnection(reason.clone())), |m| to_event(&m));
                 }
                 tokio::select! {
-                    // The choice is biased, so that messages are returned before the end that followed them.
+                    // The choice is biased, so that messages that arrived before the end of the connection are returned
+                    // first.
                     biased;
                     message = self.socket.recv() => {
                         return message.map_or_else(|error| Err(Disconnection(error.to_string())), |m| to_event(&m));
@@ -240,7 +243,7 @@ impl EdgeReceiver for DealerReceiver {
     }
 }
 
-/// Binds a socket and closes it again.
+/// Binds a socket and closes the socket again.
 pub(crate) fn try_bind(address: &Address) -> io::Result<()> {
     std::net::TcpListener::bind((address.host().as_str(), address.port())).map(drop)
 }

@@ -44,7 +44,7 @@ fn invalid_addresses_are_refused_with_the_reason() {
 fn error_proposes_form_of_given_scheme() {
     let advice = |text: &str| {
         let message = text.parse::<Address>().expect_err(text).to_string();
-        message.split_once("; write ").expect("it says what to write").1.to_owned()
+        message.split_once("; write ").expect("the message says what to write").1.to_owned()
     };
     assert_eq!(advice("tcp://10.0.0.2"), "tcp://host:port, IPv6 hosts in brackets");
     assert_eq!(advice("udp://10.0.0.2"), "udp://host:port, IPv6 hosts in brackets");
@@ -106,7 +106,7 @@ fn named_listeners_have_default_port_and_name() {
 
 proptest! {
     #[test]
-    fn any_parsed_address_parses_from_its_text(text in "((tcp|ros1|ros2)://)?[a-z0-9./:\\[\\]-]{0,24}") {
+    fn text_of_address_parses_to_same_address(text in "((tcp|ros1|ros2)://)?[a-z0-9./:\\[\\]-]{0,24}") {
         if let Ok(address) = text.parse::<Address>() {
             prop_assert_eq!(address.to_string().parse::<Address>(), Ok(address));
         }

@@ -27,7 +27,7 @@ pub(crate) struct ArrivalTotals {
     pub(crate) lost: u64,
     /// Datagrams that arrived more than once.
     pub(crate) duplicated: u64,
-    /// Datagrams that arrived after one that was sent later.
+    /// Datagrams that arrived after a datagram that was sent later.
     pub(crate) reordered: u64,
 }
 
@@ -130,19 +130,19 @@ impl ArrivalCounter {
         }
     }
 
-    /// Returns whether a number is plausible. If it confirms an earlier number beyond a gap, the datagram with that
-    /// earlier number was held back and is counted now.
+    /// Returns whether a number is plausible. If the number confirms an earlier number beyond a gap, the datagram with
+    /// that earlier number is counted now, because it was not counted when it arrived.
     fn is_plausible(&mut self, candidate: NextNumber, now: MonoTime) -> bool {
         let Some(confirmed) = self.gap_check.check(self.next_number, candidate, now) else { return false };
-        let held_back =
+        let uncounted =
             confirmed.filter(|next_number| next_number.has_arrived && next_number.number < candidate.number);
-        if let Some(held_back) = held_back {
-            self.record_next_arrival(held_back.number);
+        if let Some(uncounted) = uncounted {
+            self.record_next_arrival(uncounted.number);
         }
         true
     }
 
-    /// Counts a datagram whose number is not below the next one.
+    /// Counts a datagram whose number is the next number or above it.
     fn record_next_arrival(&mut self, number: u64) {
         self.advance(number + 1 - self.next_number);
         self.set_arrived(number);
@@ -152,7 +152,7 @@ impl ArrivalCounter {
     /// Notes that `count` more numbers were sent. None of them has arrived.
     fn advance(&mut self, count: u64) {
         self.next_number += count;
-        // A larger jump reuses all bits, which need to be cleared only once.
+        // A jump by more than the remembered numbers reuses all bits. Each bit needs to be cleared only once.
         for number in self.next_number - count.min(REMEMBERED_NUMBERS)..self.next_number {
             let (word, bit) = bit_position(number);
             self.arrival_bits[word] &= !bit;
@@ -225,23 +225,28 @@ mod tests {
     }
 
     #[test]
-    fn missing_number_is_lost_after_wait_and_late_one_is_not() {
+    fn number_missing_after_delay_counts_as_lost() {
         let mut counter = ArrivalCounter::new(at(0));
         for number in [0, 1, 4, 5, 4] {
             counter.record_arrival(number, at(10));
         }
         assert_eq!(counter.totals(at(900)), totals(0, 1, 0));
         counter.record_arrival(2, at(950));
-        // The first call starts the wait for what was sent before it, the second one ends it.
+        // The first call starts the delay for the numbers that were sent before this call. The second call ends the
+        // delay.
         assert_eq!(counter.totals(at(1_000)), totals(0, 1, 1));
         assert_eq!(counter.totals(at(2_000)), totals(1, 1, 1));
         counter.record_arrival(3, at(2_100));
-        assert_eq!(counter.totals(at(9_000)), totals(1, 1, 2), "no total falls");
+        assert_eq!(
+            counter.totals(at(9_000)),
+            totals(1, 1, 2),
+            "the datagram that arrives too late decreases no total"
+        );
         assert_eq!(counter.statistics(at(9_000)).datagrams, Some(7));
     }
 
     #[test]
-    fn lost_tail_is_counted_by_reported_number() {
+    fn losses_at_end_are_counted_from_reported_number() {
         let mut counter = ArrivalCounter::new(at(0));
         counter.record_arrival(0, at(0));
         counter.note_sent(10, at(10));
@@ -294,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn number_slightly_ahead_distorts_totals_by_its_gap_only() {
+    fn number_slightly_ahead_distorts_totals_by_at_most_gap() {
         let mut counter = ArrivalCounter::new(at(0));
         for number in [0, 1, 1 + MAX_GAP as u32] {
             counter.record_arrival(number, at(10));
@@ -321,26 +326,26 @@ mod tests {
                 random ^= random << 17;
                 random % 100 < percent
             };
-            let (mut wire, mut lost) = (Vec::new(), 0);
+            let (mut arrivals, mut lost) = (Vec::new(), 0);
             for number in 0..count {
                 if chance(loss) {
                     lost += 1;
                     continue;
                 }
                 for _ in 0..=u8::from(chance(doubled)) {
-                    wire.push((number as usize + if chance(20) { late } else { 0 }, number));
+                    arrivals.push((number as usize + if chance(20) { late } else { 0 }, number));
                 }
             }
-            wire.sort_by_key(|(when, _)| *when);
+            arrivals.sort_by_key(|(when, _)| *when);
             let mut counter = ArrivalCounter::new(at(0));
-            for (when, number) in &wire {
+            for (when, number) in &arrivals {
                 counter.record_arrival(*number, at(*when as i64 / 10));
             }
             counter.note_sent(count, at(1_000));
             counter.totals(at(2_000));
             let totals = counter.totals(at(3_000));
             prop_assert_eq!(totals.lost, lost);
-            prop_assert_eq!(counter.datagrams, wire.len() as u64);
+            prop_assert_eq!(counter.datagrams, arrivals.len() as u64);
             prop_assert_eq!(counter.datagrams + lost, u64::from(count) + totals.duplicated);
             prop_assert!(late > 0 || totals.reordered == 0);
         }

@@ -1,7 +1,7 @@
-//! A virtual connection, without I/O: both halves, heartbeats and the goodbye.
+//! One end of a virtual connection, without I/O: its sending half, its receiving half, heartbeats and the goodbye.
 //!
 //! An end sends a ping if nothing arrived for the heartbeat interval. It pings sooner while messages that it sent are
-//! not settled (delivered or counted as lost), because the answer says which of them never arrived. If nothing arrives
+//! not settled (delivered or counted as lost), because the answer says which messages never arrived. If nothing arrives
 //! for the heartbeat timeout, the connection ends. A connection is closed by a goodbye that is repeated until it is
 //! confirmed.
 
@@ -104,7 +104,7 @@ impl Connection {
         }
     }
 
-    /// Replaces the limits for incomplete messages that arrive.
+    /// Replaces the limits for incomplete messages from the other end.
     pub(crate) fn set_reassembly(&mut self, limits: ReassemblyLimits, budget: Arc<MemoryBudget>) {
         self.receiving.set_limits(limits, budget);
     }
@@ -215,7 +215,8 @@ impl Connection {
             return;
         }
         self.heartbeats.record_agreement();
-        // The two calls below check different fields, so an altered field of one does not hide the report of the other.
+        // The two calls below check different fields. Both calls are always made, so that a false claim in one field
+        // does not prevent the use of the other fields.
         let totals_claim = self.measurement.receive_report(
             heartbeat.number,
             heartbeat.arrivals,
@@ -227,7 +228,7 @@ impl Connection {
         self.report_false_claim(sent_claim);
     }
 
-    /// Reports a false claim as invalid data. A false claim has no other effect.
+    /// Reports a false claim as invalid data and returns `None`. Otherwise returns the result of the claim.
     fn report_false_claim<T>(&mut self, claim: Result<T, FalseClaim>) -> Option<T> {
         claim.map_err(|claim| self.events.push_back(Event::InvalidData(claim.to_string()))).ok()
     }
@@ -239,6 +240,7 @@ impl Connection {
 
     fn receive_bye(&mut self, next: u64, now: MonoTime) {
         let count = self.shutdown.receive_bye();
+        // The number of goodbyes so far identifies the packet of this claim.
         let sent_claim = self.receiving.note_sent(next, count.into(), now);
         self.report_false_claim(sent_claim);
         // The other end closes the connection soon, so its unfinished messages will never be completed.
@@ -260,7 +262,7 @@ impl Connection {
 
     /// Closes the connection at once, with a single goodbye.
     pub(crate) fn abandon(&mut self) {
-        // Answers are of no use to an end that is about to leave.
+        // This end is about to leave, so it does not need the answers to its queued packets any more.
         self.control.clear();
         self.send_bye();
         self.shutdown.close();
@@ -345,7 +347,8 @@ impl Connection {
 
     /// Appends datagrams that may be sent now. `None` if there are none.
     pub(crate) fn fill(&mut self, out: &mut Vec<u8>, max_datagrams: usize, now: MonoTime) -> Option<Batch> {
-        // Control packets come first, also after the end: they are short, and the other end waits for them.
+        // Control packets are sent first, also after the end of the connection: they are short, and the other end waits
+        // for them.
         if let Some(batch) = self.control.fill(out) {
             return Some(batch);
         }

@@ -35,7 +35,7 @@ use crate::transport::{AddressGroup, ConnectionId, Frames, ListenerEvent, Peer, 
 /// Shortest interval between two path challenges to new addresses of a connection.
 const PATH_CHALLENGE_INTERVAL: Span = Span::from_millis(100);
 
-/// Length of a path challenge. Only packets of at least this length are answered with one.
+/// Length of a path challenge. Only packets of at least this length are answered with a path challenge.
 // A shorter packet with a forged source address would make this port send more bytes to that address than it received.
 const PATH_CHALLENGE_BYTES: usize = 17;
 
@@ -51,7 +51,7 @@ pub(crate) struct EndpointLimits {
     /// Memory for the unfinished messages of all connections with a session. Bytes.
     pub(crate) max_unfinished_bytes: u64,
     pub(crate) max_connections: usize,
-    /// Time after which a connection is closed that has neither a session nor asked for one.
+    /// A connection that has no session and has not asked for one is closed after this time.
     pub(crate) hello_timeout: Span,
     /// Terms of this end.
     pub(crate) terms: Terms,
@@ -129,7 +129,7 @@ impl Endpoint {
                     return self.receive_from_connection(connection, reply_route, body.len(), packet, now);
                 }
                 match packet {
-                    // The connection has ended here. The other end repeats its goodbye until it is confirmed.
+                    // The connection has ended here. The other end repeats its goodbye until the goodbye is confirmed.
                     Packet::Bye { .. } => self.answers.push(reply_route, &Packet::ByeAck { connection }),
                     // A reset is sent only to an end that still uses the connection.
                     Packet::Data { .. } | Packet::Ping { .. } => {
@@ -186,7 +186,8 @@ impl Endpoint {
             }
         };
         let opened = Packet::Opened { nonce, connection: id, terms: Terms { datagram, ..local_terms } };
-        // Padded to the longest datagram that will be sent, so that a path with a smaller MTU is noticed at once.
+        // The answer is as long as the longest datagram that will be sent, so that a path with a smaller MTU is noticed
+        // at once.
         self.answers.push_padded(route, &opened, datagram.into());
         self.schedule(id, now);
     }
@@ -267,7 +268,7 @@ impl Endpoint {
             };
             self.deliveries.push(listener_event, reserved);
         }
-        // Each connection is in the queue at most once, so all get their turn.
+        // Each connection is in the queue at most once, so that every connection gets its turn.
         if !entry.is_ready {
             entry.is_ready = true;
             self.ready.push_back(id);
@@ -344,7 +345,7 @@ impl Endpoint {
         }
     }
 
-    /// Schedules the next timer call of a connection. Called after each change.
+    /// Schedules the next timer call of a connection. Must be called after each change of the connection.
     fn schedule(&mut self, id: u64, now: MonoTime) {
         if let Some(entry) = self.table.get(id) {
             let timer_time = entry.next_timer(self.limits.hello_timeout, now);

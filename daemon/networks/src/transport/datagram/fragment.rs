@@ -96,21 +96,21 @@ impl OutgoingMessage {
 
     /// Appends at most `max_bytes` of the next bytes to `out`. Returns their offset and number.
     pub(crate) fn take(&mut self, max_bytes: u16, out: &mut Vec<u8>) -> (u32, u16) {
-        let (offset, mut missing) = (self.offset, usize::from(max_bytes));
-        while missing > 0
+        let (offset, mut bytes_to_take) = (self.offset, usize::from(max_bytes));
+        while bytes_to_take > 0
             && let Some(part) = self.remaining_frames.get_mut(self.first_unused)
         {
-            let count = part.len().min(missing);
+            let count = part.len().min(bytes_to_take);
             out.extend_from_slice(&part[..count]);
             part.advance(count);
-            missing -= count;
+            bytes_to_take -= count;
             if part.is_empty() {
                 // The memory of a sent frame is freed before the whole message has been sent.
                 *part = Bytes::new();
                 self.first_unused += 1;
             }
         }
-        let fragment_bytes = max_bytes - missing as u16;
+        let fragment_bytes = max_bytes - bytes_to_take as u16;
         self.offset += u32::from(fragment_bytes);
         (offset, fragment_bytes)
     }
@@ -119,7 +119,7 @@ impl OutgoingMessage {
 /// Returns the frames of a whole message.
 ///
 /// # Errors
-/// If the lengths of its frames do not add up.
+/// If the lengths of the frames do not add up to the length of the message.
 pub(crate) fn split_frames(mut message: Bytes) -> Result<Frames, InvalidMessage> {
     let count = usize::from(message.try_get_u16().map_err(|_| InvalidMessage)?);
     if count > MAX_FRAMES || message.len() < 4 * count {

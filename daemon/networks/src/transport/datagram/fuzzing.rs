@@ -14,7 +14,7 @@ use crate::transport::{ConnectionId, ListenerEvent};
 
 const PREFIX: &[u8] = b"\x01x";
 const TERMS: Terms = Terms { window: 1 << 16, datagram: 600 };
-const MAX_UNFINISHED: u64 = 100_000;
+const MAX_UNFINISHED_BYTES: u64 = 100_000;
 
 /// A port with one open connection.
 struct Port {
@@ -61,7 +61,7 @@ impl Port {
                 timeout: Span::from_millis(100),
                 idle_timeout: Span::from_seconds(5),
             },
-            max_unfinished_bytes: MAX_UNFINISHED,
+            max_unfinished_bytes: MAX_UNFINISHED_BYTES,
             max_connections: 8,
             hello_timeout: Span::from_seconds(5),
             terms: TERMS,
@@ -98,7 +98,8 @@ impl Port {
     fn deliver(&mut self, from: SocketAddr, body: &[u8]) -> Vec<u8> {
         self.endpoint.receive(from, None, body, self.now);
         let (mut response, mut out) = (Vec::new(), Vec::new());
-        // The loop ends, because the control packets of a connection are bounded and its messages stop at the window.
+        // The loop ends, because the number of control packets of a connection is bounded, and its messages wait when
+        // the congestion window is full.
         while let Some((route, _)) = self.endpoint.fill(&mut out, 4, self.now) {
             if route.to == from {
                 response.extend_from_slice(&out);
@@ -110,7 +111,8 @@ impl Port {
         }
         let sent = self.endpoint.statistics(ConnectionId(self.connection), self.now).sent;
         assert!(sent.lost.max(sent.reordered) <= sent.datagrams, "{sent:?}");
-        assert!(self.endpoint.reserved_bytes() <= MAX_UNFINISHED + 16 * 1024 * 1024);
+        // Connections without a session have a separate budget of 16 MiB.
+        assert!(self.endpoint.reserved_bytes() <= MAX_UNFINISHED_BYTES + 16 * 1024 * 1024);
         response
     }
 
@@ -186,7 +188,7 @@ impl Port {
         if from == self.unverified_address {
             assert!(
                 response.len() <= PREFIX.len() + body.len(),
-                "{} bytes for {}",
+                "{} bytes answer a datagram of {} bytes",
                 response.len(),
                 body.len()
             );
@@ -213,6 +215,6 @@ mod tests {
             super::any_datagrams(&std::fs::read(entry.expect("an entry").path()).expect("readable"));
             count += 1;
         }
-        assert!(count >= 4, "the corpus has {count}");
+        assert!(count >= 4, "the corpus has {count} files");
     }
 }

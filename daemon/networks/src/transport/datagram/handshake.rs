@@ -1,9 +1,9 @@
 //! Opening of a virtual connection, without I/O.
 //!
 //! An edge sends a hello. The cloud answers with a cookie and keeps no state. An edge that returns the cookie has shown
-//! that it receives what is sent to its address, and gets a connection. Until then no answer is longer than its
-//! request. A sender therefore cannot make a cloud send more to an address than was sent from it, and cannot fill the
-//! cloud's memory from invented addresses. RFC 9147, section 5.1, does the same.
+//! that it receives what is sent to its address, and gets a connection. Before that, no answer is longer than the
+//! request. A sender that forges its address therefore cannot make a cloud send more bytes to that address than the
+//! sender sends, and cannot fill the cloud's memory. RFC 9147, section 5.1, does the same.
 
 use std::net::{IpAddr, SocketAddr};
 
@@ -14,8 +14,8 @@ use sha2::Sha256;
 use super::MIN_DATAGRAM_BYTES;
 use super::packet::{Cookie, Packet, ResetReason, Role, Terms, VERSION};
 
-/// Largest datagram that every path is assumed to carry: with its headers it is below IPv6's minimum MTU of 1,280
-/// bytes.
+/// Largest datagram that every path is assumed to carry: together with its headers, it is shorter than IPv6's minimum
+/// MTU of 1,280 bytes.
 pub(crate) const SAFE_DATAGRAM_BYTES: u16 = 1_200;
 
 /// Shortest time for which a cookie is accepted. The longest is twice that.
@@ -28,8 +28,8 @@ const RETRY_INTERVAL: Span = Span::from_millis(100);
 /// Maximum number of unanswered requests with large datagrams. A small datagram is tried afterwards.
 const MAX_LARGE_ATTEMPTS: u32 = 3;
 
-/// Maximum number of unanswered requests with small datagrams and the same cookie. They take about five seconds, which
-/// is less than the lifetime of a cookie.
+/// Maximum number of unanswered requests with small datagrams and the same cookie. These requests take about five
+/// seconds, which is less than the lifetime of a cookie.
 const MAX_ATTEMPTS: u32 = 8;
 
 /// The secret with which a cloud makes cookies and connection numbers.
@@ -154,12 +154,13 @@ impl DialState {
     /// Handles a packet from the cloud's address.
     pub(crate) fn receive(&mut self, packet: &Packet<'_>, now: MonoTime) -> Option<HandshakeOutcome> {
         match *packet {
-            // Only the first cookie counts: a duplicated one would restart the count of attempts.
+            // Only the first cookie is used: a duplicated cookie would restart the count of attempts.
             Packet::Cookie { nonce, cookie } if nonce == self.nonce && self.cookie.is_none() => {
                 (self.cookie, self.attempts, self.next_attempt) = (Some(cookie), 0, now);
                 None
             }
-            // No cloud states a smaller limit, so it was altered on the way. It must not apply to the whole session.
+            // No cloud states a limit below the minimum, so the limit was altered on the way. An altered limit must not
+            // apply to the whole session.
             Packet::Opened { terms, .. } if terms.datagram < MIN_DATAGRAM_BYTES => None,
             Packet::Opened { nonce, connection, terms } if nonce == self.nonce => {
                 let datagram = terms.datagram.min(self.terms.datagram);
@@ -186,8 +187,8 @@ impl DialState {
         Ok(())
     }
 
-    /// Returns the remark that the path carries only shorter datagrams, with advice. `None` if it carries datagrams of
-    /// the configured length.
+    /// Returns the remark that the path carries only shorter datagrams, with advice. `None` if the path carries
+    /// datagrams of the configured length.
     pub(crate) fn remark(&self) -> Option<String> {
         let bytes = self.too_long_bytes?;
         Some(format!(
@@ -196,10 +197,10 @@ impl DialState {
         ))
     }
 
-    /// Appends a packet if one is due. Returns whether a packet was appended.
+    /// Appends the next packet if the packet is due. Returns whether a packet was appended.
     ///
     /// # Errors
-    /// If the cloud answers short packets only.
+    /// If the cloud answers short packets, but no packet of the shortest length that is tried.
     pub(crate) fn fill(&mut self, out: &mut Vec<u8>, now: MonoTime) -> Result<bool, PathTooSmall> {
         if now < self.next_attempt {
             return Ok(false);

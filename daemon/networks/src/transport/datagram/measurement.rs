@@ -11,10 +11,10 @@ use super::arrival_counter::{ArrivalCounter, ArrivalTotals};
 use super::false_claim::FalseClaim;
 use crate::statistics::{DatagramStatistics, TransportStatistics};
 
-/// Measurements of one end.
+/// Measurements of a connection's path at one end.
 #[derive(Debug)]
 pub(super) struct PathMeasurement {
-    /// Datagrams of the other end, counted here.
+    /// Counter of the other end's datagrams that arrive at this end.
     arrivals: ArrivalCounter,
     /// Totals of this end's datagrams, as the other end reports them.
     reported: ReportedTotals,

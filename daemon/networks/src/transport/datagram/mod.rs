@@ -4,14 +4,14 @@
 //! connection* is opened by a [`handshake`], has heartbeats, and ends with a goodbye or after a silence of the other
 //! end ([`connection`]). A message is split into [fragments](fragment). At the other end, [`reassembly`] completes the
 //! message or counts it as lost and reports how many of its fragments arrived. A lost message is retransmitted only if
-//! it has no tag and at most 64 KiB. Requests and answers have a tag; all other messages have none.
+//! it has no tag and is at most 64 KiB long. Requests and answers have a tag; all other messages have none.
 //!
 //! [`window`] bounds the bytes in flight, [`arrival_counter`] counts the losses of datagrams, [`endpoint`] has all
 //! connections of a port, and [`packet`] describes the wire form.
 //!
-//! Any packet may have been altered or forged on the way. A number far ahead or a total is therefore believed only if a
-//! second packet agrees ([`receiving`], [`arrival_counter`], [`measurement`]). A packet that contradicts this end's own
-//! state makes a [`false_claim`], which has no effect.
+//! Any packet may have been altered or forged on the way. A number far above the expected number is therefore believed
+//! only if a second packet agrees, and so is a total ([`receiving`], [`arrival_counter`], [`measurement`]). A packet
+//! that contradicts this end's own state makes a [`false_claim`]. A single false claim has no effect.
 
 pub(crate) mod arrival_counter;
 pub(crate) mod connection;

@@ -1,14 +1,15 @@
 //! The wire form of packets: fixed layouts, integers in network byte order.
 //!
 //! The first byte is the kind. Its highest bit is set in packets of a cloud, so that a packet that is reflected to its
-//! sender is not valid there. Nonces and connections are random 64-bit numbers.
+//! sender is not valid there. Nonces and the numbers of connections are random. The table states the length of each
+//! field in bits.
 //!
 //! | kind | from | fields |
 //! | --- | --- | --- |
-//! | 1 hello | edge | version 8, nonce 64, reply port 16, zeros up to 64 bytes |
+//! | 1 hello | edge | version 8, nonce 64, reply port 16, zeros up to a length of 64 bytes |
 //! | 2 cookie | cloud | nonce 64, cookie 128 |
-//! | 3 open | edge | nonce 64, cookie 128, reply port 16, window 32, datagram 16, zeros up to a datagram |
-//! | 4 opened | cloud | nonce 64, connection 64, window 32, datagram 16, zeros up to a datagram |
+//! | 3 open | edge | nonce 64, cookie 128, reply port 16, window 32, longest datagram 16, zeros up to the length of the longest datagram |
+//! | 4 opened | cloud | nonce 64, connection 64, window 32, longest datagram 16, zeros up to the length of the longest datagram |
 //! | 5 data | both | connection 64, number 32, sequence 64, tag 64, offset 32, total 32, checksum 32, stride 16, lifetime 16, bytes |
 //! | 6 progress | both | connection 64, sequence 64, end 32 |
 //! | 7 lost | both | connection 64, sequence 64, received 32, total 32 |
@@ -71,7 +72,7 @@ pub(crate) struct Fragment<'a> {
     pub(crate) checksum: u32,
     /// Length of every fragment but the last. Bytes.
     pub(crate) stride: u16,
-    /// Time after which the message is of no use; 0 for none. Milliseconds.
+    /// Time after which the message is of no use; 0 if it stays useful. Milliseconds.
     pub(crate) lifetime_ms: u16,
     /// The bytes.
     pub(crate) bytes: &'a [u8],
@@ -106,21 +107,84 @@ pub(crate) enum ResetReason {
 /// A packet; each variant is one kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Packet<'a> {
-    Hello { version: u8, nonce: u64, reply_port: u16 },
-    Cookie { nonce: u64, cookie: Cookie },
-    Open { nonce: u64, cookie: Cookie, reply_port: u16, terms: Terms },
-    Opened { nonce: u64, connection: u64, terms: Terms },
-    Data { connection: u64, number: u32, fragment: Fragment<'a> },
-    Progress { connection: u64, sequence: u64, end: u32 },
-    Lost { connection: u64, sequence: u64, received: u32, total: u32 },
-    LostAck { connection: u64, sequence: u64, tag: u64, total: u32 },
-    Ping { connection: u64, heartbeat: Heartbeat },
-    Pong { connection: u64, heartbeat: Heartbeat },
-    Bye { connection: u64, next: u64 },
-    ByeAck { connection: u64 },
-    PathChallenge { connection: u64, token: u64 },
-    PathResponse { connection: u64, token: u64 },
-    Reset { id: u64, reason: ResetReason },
+    /// Asks for a cookie.
+    Hello {
+        version: u8,
+        nonce: u64,
+        reply_port: u16,
+    },
+    Cookie {
+        nonce: u64,
+        cookie: Cookie,
+    },
+    /// Returns the cookie and asks for a connection.
+    Open {
+        nonce: u64,
+        cookie: Cookie,
+        reply_port: u16,
+        terms: Terms,
+    },
+    Opened {
+        nonce: u64,
+        connection: u64,
+        terms: Terms,
+    },
+    /// A part of a message. `number` is the lower 32 bits of the datagram's number.
+    Data {
+        connection: u64,
+        number: u32,
+        fragment: Fragment<'a>,
+    },
+    /// Everything up to offset `end` of the message `sequence` has arrived or is lost.
+    Progress {
+        connection: u64,
+        sequence: u64,
+        end: u32,
+    },
+    /// The message `sequence` is lost. `received` of its `total` fragments arrived.
+    Lost {
+        connection: u64,
+        sequence: u64,
+        received: u32,
+        total: u32,
+    },
+    /// Confirms the report of a lost message. `total` is the number of its fragments.
+    LostAck {
+        connection: u64,
+        sequence: u64,
+        tag: u64,
+        total: u32,
+    },
+    Ping {
+        connection: u64,
+        heartbeat: Heartbeat,
+    },
+    Pong {
+        connection: u64,
+        heartbeat: Heartbeat,
+    },
+    /// Closes the connection. All messages below `next` have been sent.
+    Bye {
+        connection: u64,
+        next: u64,
+    },
+    ByeAck {
+        connection: u64,
+    },
+    /// Asks an edge at a new address to return the token from there.
+    PathChallenge {
+        connection: u64,
+        token: u64,
+    },
+    PathResponse {
+        connection: u64,
+        token: u64,
+    },
+    /// Ends the connection `id`, or refuses the connection that was requested with the nonce `id`.
+    Reset {
+        id: u64,
+        reason: ResetReason,
+    },
 }
 
 /// Error: bytes are not a packet.
@@ -147,8 +211,8 @@ impl Packet<'_> {
                 put(&[version]);
                 put(&nonce.to_be_bytes());
                 put(&reply_port.to_be_bytes());
-                // Padded, because the answer goes to an address that is not verified and must not be longer than the
-                // hello.
+                // The hello is padded, because the answer goes to an address that is not verified. The answer must not
+                // be longer than the hello.
                 out.resize(start + HELLO_BYTES, 0);
             }
             Self::Cookie { nonce, cookie } => {

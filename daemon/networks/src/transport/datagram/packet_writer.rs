@@ -2,7 +2,7 @@
 
 use super::packet::{DATA_HEADER_BYTES, Fragment, Packet, Role, write_data_header};
 
-/// Writes datagrams of a connection. Each begins with a prefix.
+/// Writes datagrams of a connection. Each datagram begins with a prefix.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PacketWriter {
     role: Role,
@@ -38,7 +38,7 @@ impl PacketWriter {
         out.len() - start
     }
 
-    /// Appends a datagram with data without the fragment's bytes, which the caller appends.
+    /// Appends the beginning of a datagram with data. The caller appends the fragment's bytes.
     pub(super) fn write_data_header(&self, number: u32, fragment: &Fragment<'_>, out: &mut Vec<u8>) {
         out.extend_from_slice(self.prefix);
         write_data_header(self.role, (self.connection, number), fragment, out);

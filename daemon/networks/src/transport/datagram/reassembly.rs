@@ -19,8 +19,8 @@ use crate::transport::memory::{BudgetExhausted, MemoryBudget, Reservation};
 /// Maximum number of message numbers whose state is stored.
 pub(crate) const MAX_SPAN: u64 = 1_024;
 
-/// A message that does not fit into [`MAX_SPAN`] states is accepted only if its number is less than this distance above
-/// the messages that are known to have been sent.
+/// A message whose number does not fit into [`MAX_SPAN`] states is accepted only if the number is less than this
+/// distance above the numbers that are known to have been sent.
 const MAX_AHEAD: u64 = 64;
 
 /// Limits of unfinished messages.

@@ -105,7 +105,7 @@ impl ReceivingHalf {
             return None;
         }
         self.unreported_bytes = 0;
-        // Reset, so that a number that was altered on the way goes into one report only.
+        // The end is reset, so that a number that was altered on the way is reported only once.
         let (sequence, end) = std::mem::take(&mut self.furthest);
         Some(Packet::Progress { connection: self.connection, sequence, end })
     }
@@ -147,8 +147,8 @@ impl ReceivingHalf {
         self.reassembly.give_up_all();
     }
 
-    /// Starts to report the losses since the last call to the other end. Returns the losses that the layer above can be
-    /// informed of at once, because their tag is known.
+    /// Starts to report the losses that have occurred since the last call of this function to the other end. Returns
+    /// the losses whose tag is known, because the layer above can be informed of these losses at once.
     pub(crate) fn take_lost(&mut self, now: MonoTime) -> Vec<MessageLoss> {
         let lost_messages = self.reassembly.take_lost();
         let mut identified_losses = Vec::new();

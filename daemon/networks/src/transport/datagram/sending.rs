@@ -64,7 +64,7 @@ impl SendingHalf {
     ) -> Self {
         Self {
             writer,
-            // At least one byte, whatever the other end claims to accept.
+            // The stride is at least one byte, whatever the other end claims to accept.
             stride: usize::from(terms.datagram).saturating_sub(writer.data_overhead()).max(1) as u16,
             window: SendWindow::new(terms, bits_per_second, now),
             queue: SendQueue::new(limits),
@@ -79,7 +79,7 @@ impl SendingHalf {
     /// Queues a message.
     ///
     /// # Errors
-    /// If too many messages wait already.
+    /// If too many messages wait already, or the message is too long.
     pub(crate) fn send(
         &mut self,
         frames: Frames,
@@ -104,7 +104,7 @@ impl SendingHalf {
         Ok(())
     }
 
-    /// Returns the message whose part is sent next, and the offset of that part.
+    /// Returns the number of the message whose part is sent next, and the offset of that part.
     fn send_position(&self) -> (u64, u32) {
         let queued_position = self.queue.front().map(|message| (message.sequence, message.offset));
         queued_position.unwrap_or_else(|| (self.outstanding.next_sequence(), 0))
@@ -135,7 +135,7 @@ impl SendingHalf {
         (self.outstanding.first() < self.next_sequence()).then_some(self.sent_at)
     }
 
-    /// Returns the time at which more can be sent if nothing arrives until then.
+    /// Returns the time at which more can be sent if nothing arrives until then; `None` if no message waits.
     pub(crate) fn opens_at(&self) -> Option<MonoTime> {
         (!self.queue.is_empty()).then(|| self.window.opens_at())
     }
@@ -184,7 +184,7 @@ impl SendingHalf {
         batch
     }
 
-    /// Drops the waiting messages whose deadline has passed. Returns their tags and numbers of fragments.
+    /// Drops the waiting messages whose deadline has passed. Returns these messages as losses.
     pub(crate) fn expire(&mut self, now: MonoTime) -> Vec<MessageLoss> {
         let expired = self.queue.expire(now);
         expired.into_iter().filter_map(|sequence| self.outstanding.mark_lost(sequence)).collect()
@@ -211,7 +211,7 @@ impl SendingHalf {
     /// Notes that the other end has settled all messages below this number.
     ///
     /// # Errors
-    /// If one of them was not sent.
+    /// If one of these messages was not sent.
     pub(crate) fn receive_settled(&mut self, below: u64) -> Result<(), FalseClaim> {
         let (current, offset) = self.send_position();
         // The other end may have given up a message of which only a part was sent.
@@ -267,8 +267,9 @@ impl SendingHalf {
         Ok((tag, fragments, Some(MessageLoss { tag: decode_tag(tag), received, total: fragments })))
     }
 
-    /// Returns whether the longest datagrams no longer arrive. `lost_datagrams` is the number of lost datagrams
-    /// that the other end has reported. It is needed because the other end may give up messages for other reasons.
+    /// Returns whether the longest datagrams no longer arrive. `lost_datagrams` is the number of lost datagrams that
+    /// the other end has reported. This number is needed because the other end may also give up messages for other
+    /// reasons.
     pub(crate) fn loses_all_long_datagrams(&self, lost_datagrams: u64, now: MonoTime) -> bool {
         self.long_losses.loses_all(lost_datagrams, now)
     }

@@ -71,8 +71,8 @@ proptest! {
         for event in &network.listener_events {
             match event {
                 ListenerEvent::Message(_, frames) => {
-                    let tag = (0..MESSAGES).find(|tag| frames[0] == payload(*tag)).expect("as it was sent");
-                    prop_assert!(arrived.insert(tag), "{} twice", tag);
+                    let tag = (0..MESSAGES).find(|tag| frames[0] == payload(*tag)).expect("the message is as it was sent");
+                    prop_assert!(arrived.insert(tag), "message {} arrives twice", tag);
                 }
                 ListenerEvent::Incomplete(_, loss) => prop_assert!(loss.received <= loss.total),
                 other => prop_assert!(false, "{:?}", other),
@@ -82,7 +82,7 @@ proptest! {
         for event in &network.events {
             match event {
                 Event::Lost(loss) => {
-                    prop_assert!(loss.received < loss.total && lost.insert(loss.tag.expect("it has one")));
+                    prop_assert!(loss.received < loss.total && lost.insert(loss.tag.expect("the loss has a tag")));
                 }
                 other => prop_assert!(false, "{:?}", other),
             }
@@ -131,7 +131,10 @@ fn silence_ends_connection_at_both_ends() {
     let mut network = SimulatedNetwork::new(UNIMPAIRED, 1);
     let id = network.open();
     network.steps(7_000);
-    assert!(network.listener_events.is_empty() && network.events.is_empty(), "heartbeats keep it open");
+    assert!(
+        network.listener_events.is_empty() && network.events.is_empty(),
+        "heartbeats keep the connection open"
+    );
     network.path.impairment.loss = 100;
     network.steps(6_000);
     assert!(matches!(network.listener_events[..], [ListenerEvent::Gone(gone, _)] if gone == id));
@@ -255,7 +258,7 @@ fn claimed_lengths_take_no_room_of_other_peers() {
     }
     assert!(
         network.cloud.reserved_bytes() <= 80 * 1_100,
-        "{} bytes are held",
+        "{} bytes are reserved",
         network.cloud.reserved_bytes()
     );
     let bytes = vec![9; 3_000_000];
@@ -272,7 +275,7 @@ fn claimed_lengths_take_no_room_of_other_peers() {
 }
 
 #[test]
-fn message_without_room_is_lost_before_fully_sent() {
+fn message_without_memory_is_lost_before_fully_sent() {
     let mut network = SimulatedNetwork::new(UNIMPAIRED, 1);
     network.open();
     let other_address = SocketAddr::from(([198, 51, 100, 1], 9));
@@ -304,7 +307,7 @@ fn message_without_room_is_lost_before_fully_sent() {
             break;
         }
     }
-    assert!(network.events.iter().any(lost), "{} bytes are held", network.cloud.reserved_bytes());
+    assert!(network.events.iter().any(lost), "{} bytes are reserved", network.cloud.reserved_bytes());
     network.send(Some(2), b"small");
     network.steps(50);
     let arrived =

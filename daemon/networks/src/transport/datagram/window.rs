@@ -1,4 +1,5 @@
-//! Flow control of one direction: the other end's socket buffer, recent arrivals, and a configured rate.
+//! Flow control of one direction. It depends on the size of the other end's socket buffer, on recent arrivals, and on a
+//! configured rate.
 //!
 //! The other end reports how many bytes may be in flight to it and how far it has received. Within that limit the
 //! window grows with the bytes that arrive and is halved when a message is lost, like the window of TCP (RFC 5681). The
@@ -137,7 +138,7 @@ mod tests {
             window.record_loss();
             fill(&mut window, at(1_000));
         }
-        assert_eq!(window.size(), MIN_WINDOW, "and never below the minimum");
+        assert_eq!(window.size(), MIN_WINDOW, "the window never shrinks below the minimum");
     }
 
     #[test]

@@ -95,9 +95,10 @@ impl Channel {
     /// Publishes a companion without frames for all subscribers. `kind` is a constant of [`MessageInfo`].
     pub(super) fn announce(&self, kind: u8) {
         let companion = self.new_companion(kind);
-        let states_buffer_size = matches!(kind, MessageInfo::HELLO | MessageInfo::WELCOME);
-        // The other end has no other way to know the size of these buffers.
-        let buffer = self.node.receive_buffer_bytes().filter(|_| states_buffer_size);
+        let is_greeting = matches!(kind, MessageInfo::HELLO | MessageInfo::WELCOME);
+        // The frame lengths of a hello and a welcome contain the size of this end's receive buffer, because the other
+        // end has no other way to know this size.
+        let buffer = self.node.receive_buffer_bytes().filter(|_| is_greeting);
         let frame_lengths =
             buffer.map(|bytes| u32::try_from(bytes).unwrap_or(u32::MAX)).into_iter().collect();
         self.publish_for_all(&MessageInfo { frame_lengths, ..companion });
@@ -136,8 +137,8 @@ impl Channel {
         }
     }
 
-    /// Publishes a message. Its first payload part is published on the payload topic if its type fits and the topic is
-    /// open. Everything else is published on the companions' topic.
+    /// Publishes a message. Its first payload part is published on the payload topic if the part has the type of the
+    /// topic and the topic is open. Everything else is published on the companions' topic.
     pub(super) fn send(&self, message: &[Bytes], options: SendOptions) -> Result<(), SendFailure> {
         let gone_failure = |reason: String| SendFailure::Gone(reason);
         let peer = self.peer.get().ok_or_else(|| gone_failure("the connection is not open".into()))?;
@@ -187,7 +188,7 @@ impl Channel {
         }
     }
 
-    /// Publishes the first payload part. Returns whether the peer receives it this way.
+    /// Publishes the first payload part on the payload topic. Returns whether the peer receives this topic.
     fn publish_payload(
         &self,
         state: &mut Connection,

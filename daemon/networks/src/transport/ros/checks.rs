@@ -8,7 +8,7 @@ use crate::transport::HostChecks;
 use crate::{Address, SessionSettings};
 
 /// The checks of this network.
-pub(crate) const HOST_CHECKS: HostChecks = HostChecks { address: check_address, settings: check_settings };
+pub(crate) const HOST_CHECKS: HostChecks = HostChecks { check_address, check_settings };
 
 fn check_address(address: &Address) -> Result<(), Box<dyn Error + Send + Sync>> {
     // Only addresses of ROS 2 have a domain.
@@ -42,7 +42,7 @@ mod tests {
             ..SessionSettings::default()
         };
         assert!(NetworkKind::Ros.check_settings(&SessionSettings::default()).is_ok());
-        let error = NetworkKind::Ros.check_settings(&settings).expect_err("there is none");
+        let error = NetworkKind::Ros.check_settings(&settings).expect_err("this host has no such interface");
         assert_eq!(error.key, "ros2.interfaces");
         assert!(error.to_string().contains("\"eth99\""), "{error}");
         assert!(NetworkKind::ZmqTcp.check_settings(&settings).is_ok());

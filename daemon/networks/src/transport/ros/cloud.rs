@@ -1,4 +1,4 @@
-//! The cloud's end of all connections of one name.
+//! The cloud's end of all connections to one listener name.
 //!
 //! An address names the master and the cloud, because a topic has no host. The cloud's node has a fixed name; the nodes
 //! of edges have random names.
@@ -73,7 +73,7 @@ pub(crate) async fn bind(
     let refusals = node.publish(&refusals_topic(name), refusals_kind, queue).await.map_err(bind_failure)?;
     let caveat = node.caveat().map(str::to_owned);
     let (delivery_sender, deliveries) = mpsc::channel(MAX_QUEUED_DELIVERIES);
-    // At least one, however few descriptors the process may open.
+    // At least one connection is allowed, however few descriptors the process may open.
     let max_connections =
         (DescriptorShare::DataPort.max_connections_per_port(ports) / SOCKETS_PER_CONNECTION).max(1);
     let tasks = CloudTasks::default();
@@ -186,7 +186,7 @@ impl CloudReceiver for RosCloudReceiver {
 
     fn close(mut self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()> {
         Box::pin(async move {
-            // Further deliveries are of no use, and the tasks must not wait until they are received.
+            // Further deliveries are of no use, and the tasks must not wait until the deliveries are received.
             self.deliveries.close();
             while self.deliveries.try_recv().is_ok() {}
             self.tasks.close(linger).await;

@@ -139,7 +139,8 @@ impl Connection {
         match info.kind {
             MessageInfo::DATA => self.assembly.receive_data(info, now, &mut self.events),
             MessageInfo::HELLO => {
-                // A hello and a welcome have no frames. The length in this place is the size of the receive buffer.
+                // A hello and a welcome have no frames. Their list of frame lengths contains the size of the other
+                // end's receive buffer.
                 self.peer.receive_buffer_bytes = info.frame_lengths.first().copied();
                 self.events.push(Event::Hello);
             }
@@ -176,7 +177,7 @@ impl Connection {
     }
 
     /// Ends the connection after a goodbye, once the payloads of all companions have arrived. The goodbye may overtake
-    /// them, because the two topics have no common order.
+    /// the payloads, because the two topics have no common order.
     fn end_after_payloads(&mut self) {
         let has_all_payloads = self.assembly.deliver_overtaking_messages(&mut self.events);
         if has_all_payloads && let Phase::Leaving(reason) = &mut self.phase {
@@ -196,7 +197,8 @@ impl Connection {
         self.end_after_payloads();
         if self.heartbeats.is_peer_silent(now) {
             let silence = || "the peer has been silent for too long".to_owned();
-            // A peer that has said goodbye is expected to be silent; its reason is more useful.
+            // A peer that has said goodbye is expected to be silent. The reason of its goodbye is more useful than a
+            // report of the silence.
             let goodbye = match &mut self.phase {
                 Phase::Leaving(reason) => Some(std::mem::take(reason)),
                 Phase::Open | Phase::Closed => None,
@@ -211,7 +213,7 @@ impl Connection {
         if self.is_closed() {
             return None;
         }
-        // Losses first: the other end's request waits for them.
+        // Losses are reported first, because a request of the other end waits for the report.
         if let Some(request) = self.events.pop_lost_request() {
             return Some(MessageInfo { request, ..self.new_companion(MessageInfo::LOST, wall, now) });
         }

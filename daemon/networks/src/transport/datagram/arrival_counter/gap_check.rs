@@ -1,17 +1,18 @@
-//! Plausibility check of datagram numbers beyond a gap, which may have been altered or forged on the way.
+//! Plausibility check of datagram numbers beyond a gap. Such a number may have been altered or forged on the way.
 
 use peernet_clock::MonoTime;
 
-/// Largest gap that a single packet may open: more than networks reorder.
+/// Largest gap that one packet may open without confirmation by the next packet. Networks reorder fewer packets than
+/// this.
 pub(in crate::transport::datagram) const MAX_GAP: u64 = 64;
 
 /// Maximum number of datagrams that a peer can send in a millisecond: more than 16 Gbit/s in datagrams of 512 bytes.
-const MAX_PER_MILLISECOND: u64 = 4_000;
+const MAX_DATAGRAMS_PER_MILLISECOND: u64 = 4_000;
 
 /// Decides whether a number beyond a gap is plausible.
 ///
-/// A long gap is plausible if the next packet has a number beyond it as well (RFC 3550, appendix A.1), and if the other
-/// end can have sent that many datagrams since the last plausible number.
+/// A long gap is plausible if the next packet has a number beyond the gap as well, close to the first number (RFC 3550,
+/// appendix A.1), and if the other end can have sent that many datagrams since the last plausible number.
 #[derive(Debug)]
 pub(super) struct GapCheck {
     /// Last number that was not plausible. The next packet may confirm it.
@@ -48,8 +49,8 @@ impl GapCheck {
             return Some(None);
         }
         let elapsed = u64::try_from((now - self.accepted_at).nanos() / 1_000_000).unwrap_or(0);
-        // One more is added, because the time was rounded down.
-        let is_possible = gap <= (elapsed + 1).saturating_mul(MAX_PER_MILLISECOND);
+        // One millisecond is added, because the time was rounded down.
+        let is_possible = gap <= (elapsed + 1).saturating_mul(MAX_DATAGRAMS_PER_MILLISECOND);
         let confirmed = self.suspect.filter(|suspect| is_possible && candidate.confirms(suspect));
         if confirmed.is_none() {
             self.suspect = Some(candidate);

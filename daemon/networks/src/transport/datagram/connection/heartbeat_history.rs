@@ -2,7 +2,7 @@
 
 use crate::transport::datagram::packet::Heartbeat;
 
-/// Number of successive contradicting heartbeats at which the connection ends.
+/// The connection ends after this number of successive heartbeats that contradict what was sent.
 // The connection would not recover, because the other end treats messages as settled that this end has not sent yet.
 const MAX_CONTRADICTIONS: u32 = 3;
 
@@ -15,7 +15,7 @@ pub(super) struct HeartbeatHistory {
 }
 
 impl HeartbeatHistory {
-    /// Stores a heartbeat. Returns whether it differs from the last one, which the network may have duplicated.
+    /// Stores a heartbeat. Returns `false` if the heartbeat equals the last one: the network has duplicated the packet.
     pub(super) fn record_if_new(&mut self, heartbeat: &Heartbeat) -> bool {
         std::mem::replace(&mut self.last, *heartbeat) != *heartbeat
     }
@@ -25,8 +25,8 @@ impl HeartbeatHistory {
         self.contradictions = 0;
     }
 
-    /// Notes that the heartbeat contradicts what was sent. Returns whether too many successive
-    /// heartbeats did.
+    /// Notes that the heartbeat contradicts what was sent. Returns whether too many successive heartbeats contradicted
+    /// what was sent.
     pub(super) fn record_contradiction(&mut self) -> bool {
         self.contradictions += 1;
         self.contradictions >= MAX_CONTRADICTIONS
@@ -50,7 +50,7 @@ mod tests {
     }
 
     #[test]
-    fn doubled_heartbeat_is_not_new() {
+    fn duplicated_heartbeat_is_not_new() {
         let (mut heartbeats, heartbeat) =
             (HeartbeatHistory::default(), Heartbeat { time: 1, ..Heartbeat::default() });
         assert!(heartbeats.record_if_new(&heartbeat) && !heartbeats.record_if_new(&heartbeat));

@@ -67,11 +67,15 @@ mod tests {
         assert_eq!((heartbeat.ping_at(None), heartbeat.expires_at()), (time_at(2_000), time_at(5_000)));
         heartbeat.record_arrival(time_at(500));
         assert_eq!((heartbeat.ping_at(None), heartbeat.expires_at()), (time_at(2_500), time_at(5_500)));
-        assert_eq!(heartbeat.ping_at(Some(time_at(600))), time_at(650), "after the last message");
+        assert_eq!(
+            heartbeat.ping_at(Some(time_at(600))),
+            time_at(650),
+            "a ping follows soon after the last message"
+        );
         assert_eq!(
             heartbeat.ping_at(Some(time_at(990))),
             time_at(1_000),
-            "once a second while they follow each other"
+            "a ping is sent once a second while messages follow each other"
         );
         heartbeat.record_ping(time_at(1_000));
         assert_eq!(heartbeat.ping_at(Some(time_at(990))), time_at(1_050));

@@ -98,7 +98,10 @@ mod tests {
         let time_at = |millis| MonoTime::default() + Span::from_millis(millis);
         let mut shutdown = Shutdown::new();
         shutdown.confirm();
-        assert!(shutdown.is_open() && shutdown.bye_at().is_none(), "nothing was said yet");
+        assert!(
+            shutdown.is_open() && shutdown.bye_at().is_none(),
+            "a confirmation without a goodbye has no effect"
+        );
         shutdown.start(time_at(10));
         assert_eq!(shutdown.bye_at(), Some(time_at(10)));
         shutdown.record_bye(time_at(20));

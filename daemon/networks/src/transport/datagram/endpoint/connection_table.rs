@@ -81,9 +81,9 @@ impl ConnectionTable {
     /// Returns whether a peer from a group of addresses may open one more connection; `max` is the largest number of
     /// connections.
     ///
-    /// If a limit is reached, the oldest connection without a session must be closed first: of the same group if a
-    /// limit per group is reached, otherwise of the group with the most connections without a session. One group
-    /// therefore cannot keep others out.
+    /// If a limit is reached, the oldest connection without a session must be closed first. If a limit per group is
+    /// reached, that connection belongs to the same group. Otherwise that connection belongs to the group with the most
+    /// connections without a session. One group therefore cannot keep the others out.
     pub(super) fn capacity(&self, group: AddressGroup, max: usize) -> Capacity {
         let max = max.max(1);
         // Number of connections of each group, and how many of them have no session.
@@ -95,6 +95,8 @@ impl ConnectionTable {
         }
         let (group_total, group_unadmitted) = groups.get(&group).copied().unwrap_or_default();
         let unadmitted: usize = groups.values().map(|(_, unadmitted)| unadmitted).sum();
+        // One group may have at most half of the connections, and at most a quarter without a session. Loopback is
+        // exempt from the first limit, because all connections may come from a proxy or a tunnel on this machine.
         let half = (max / 2).max(1);
         let replaced_group =
             if (!group.is_loopback() && group_total >= half) || group_unadmitted >= (max / 4).max(1) {
@@ -172,10 +174,14 @@ mod tests {
         assert_eq!(
             table.capacity(first_group, 8),
             Capacity::FreeAfterClosing(3),
-            "a quarter is of this address"
+            "a quarter of the connections comes from this group and has no session"
         );
         assert_eq!(table.capacity(second_group, 8), Capacity::Free);
-        assert_eq!(table.capacity(second_group, 3), Capacity::FreeAfterClosing(3), "all are taken");
+        assert_eq!(
+            table.capacity(second_group, 3),
+            Capacity::FreeAfterClosing(3),
+            "all connections are taken"
+        );
         assert_eq!(table.capacity(first_group, 1_000), Capacity::Free);
     }
 

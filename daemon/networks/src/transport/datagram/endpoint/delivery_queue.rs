@@ -46,7 +46,7 @@ mod tests {
     use crate::transport::ConnectionId;
 
     #[test]
-    fn full_delivery_queue_admits_connection_ends_only() {
+    fn full_delivery_queue_still_takes_connection_ends() {
         let mut queue = DeliveryQueue::default();
         for _ in 0..2 * MAX_DELIVERIES {
             queue.push(ListenerEvent::InvalidData(None, String::new()), None);

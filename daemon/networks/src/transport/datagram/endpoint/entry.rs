@@ -21,7 +21,7 @@ pub(super) enum Admission {
 #[derive(Debug)]
 pub(super) struct Entry {
     pub(super) connection: Connection,
-    /// Address from which its datagrams come.
+    /// Address from which the connection's datagrams come.
     pub(super) source: SocketAddr,
     /// Port to which answers are sent; 0 means the port of `source`.
     pub(super) reply_port: u16,

@@ -16,7 +16,7 @@ const MAX_UNADMITTED_MESSAGES: usize = 2;
 const MAX_ALL_UNADMITTED_BYTES: u64 = 16 * 1024 * 1024;
 
 /// Limits of each connection, and budgets that connections share. Connections without a session have a separate budget,
-/// so that they cannot exhaust the memory of the others.
+/// so that they cannot exhaust the memory of connections with a session.
 #[derive(Debug)]
 pub(super) struct ReassemblyBudgets {
     /// Limits of connections with a session.

@@ -51,18 +51,18 @@ mod tests {
     }
 
     #[test]
-    fn totals_are_lower_of_two_reports_and_never_fall() {
+    fn totals_are_minimum_of_two_reports_and_never_decrease() {
         let mut reported = ReportedTotals::default();
         assert_eq!(reported.receive(totals(1, 2, 3), 10), Ok(()));
         assert_eq!(reported.totals(), None);
         assert_eq!(reported.receive(totals(2, 2, 4), 10), Ok(()));
         assert_eq!(reported.totals(), Some(totals(1, 2, 3)));
         assert_eq!(reported.receive(totals(9, 9, 9), 10), Ok(()));
-        assert_eq!(reported.totals(), Some(totals(2, 2, 4)), "one packet alone is not believed");
+        assert_eq!(reported.totals(), Some(totals(2, 2, 4)), "a single high report is not believed");
         assert_eq!(reported.receive(totals(2, 3, 4), 10), Ok(()));
         assert_eq!(reported.totals(), Some(totals(2, 3, 4)));
         assert_eq!(reported.receive(totals(1, 1, 1), 10), Ok(()));
-        assert_eq!(reported.totals(), Some(totals(2, 3, 4)), "no total falls");
+        assert_eq!(reported.totals(), Some(totals(2, 3, 4)), "a lower report decreases no total");
     }
 
     #[test]
@@ -75,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn totals_slightly_above_what_was_sent_are_cut() {
+    fn totals_slightly_above_what_was_sent_are_reduced() {
         let mut reported = ReportedTotals::default();
         for _ in 0..2 {
             assert_eq!(reported.receive(totals(11, 0, 12), 10), Ok(()));

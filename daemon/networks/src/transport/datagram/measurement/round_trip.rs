@@ -6,9 +6,9 @@ use peernet_clock::{MonoTime, Span};
 
 use crate::statistics::TransportRoundTrip;
 
-/// Length of a period of the minimum.
-// The reported minimum covers the current and the previous period, because a path may change.
-const MINIMUM_PERIOD: Span = Span::from_seconds(150);
+/// Length of the periods for each of which the shortest round trip is stored.
+// The reported minimum covers only the current and the previous period, because a path may change.
+const PERIOD_OF_MINIMUM: Span = Span::from_seconds(150);
 
 /// Maximum number of unanswered heartbeats that are stored. A further heartbeat replaces the oldest.
 const MAX_UNANSWERED: usize = 64;
@@ -34,8 +34,8 @@ impl RoundTripEstimator {
         self.unanswered.push_back(now);
     }
 
-    /// Records the answer to the heartbeat that was sent at `sent_at`. Ignores an answer without an unanswered
-    /// heartbeat, because it was duplicated or altered on the way.
+    /// Records the answer to the heartbeat that was sent at `sent_at`. Ignores an answer that belongs to no unanswered
+    /// heartbeat, because such an answer was duplicated or altered on the way.
     pub(crate) fn record_pong(&mut self, sent_at: MonoTime, now: MonoTime) {
         if let Some(index) = self.unanswered.iter().position(|time| *time == sent_at) {
             self.unanswered.remove(index);
@@ -44,7 +44,7 @@ impl RoundTripEstimator {
     }
 
     fn measure(&mut self, round_trip: Span, now: MonoTime) {
-        if now - self.period_started_at >= MINIMUM_PERIOD {
+        if now - self.period_started_at >= PERIOD_OF_MINIMUM {
             self.minima = (None, self.minima.0);
             self.period_started_at = now;
         }
@@ -54,7 +54,7 @@ impl RoundTripEstimator {
             None => (nanos, nanos / 2),
             Some((smoothed, variation)) => {
                 let (smoothed, variation) = (smoothed.nanos(), variation.nanos());
-                // Computed from the old smoothed value, as RFC 6298 requires (section 2.3).
+                // The variation is computed from the old smoothed value, as RFC 6298 requires (section 2.3).
                 let variation = variation + ((smoothed - nanos).abs() - variation) / 4;
                 (smoothed + (nanos - smoothed) / 8, variation)
             }
@@ -82,7 +82,7 @@ mod tests {
         estimator.record_pong(time_at(11), time_at(30));
         assert_eq!(estimator.estimate(), None);
         estimator.record_pong(time_at(10), time_at(30));
-        let first = estimator.estimate().expect("it was answered");
+        let first = estimator.estimate().expect("the heartbeat was answered");
         assert_eq!(first.min, Some(Span::from_millis(20)));
         estimator.record_pong(time_at(10), time_at(40));
         assert_eq!(estimator.estimate(), Some(first), "an answer counts once");

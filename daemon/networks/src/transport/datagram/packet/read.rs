@@ -56,7 +56,7 @@ impl<'a> Packet<'a> {
     /// Decodes an untrusted body that arrived at an end of a connection.
     ///
     /// # Errors
-    /// If it is not exactly one packet that the other end sends.
+    /// If the body is not exactly one packet that the other end may send.
     pub(crate) fn read(receiver: Role, body: &'a [u8]) -> Result<Self, InvalidPacket> {
         let mut reader = Reader(body);
         let kind = reader.u8()?;

@@ -38,7 +38,7 @@ fn with_budget(budget: u64) -> Reassembly {
 }
 
 #[test]
-fn missing_fragment_loses_message_with_counts() {
+fn loss_states_number_of_received_fragments() {
     let mut reassembly = with_budget(1 << 20);
     let bytes = vec![7; 950];
     for (n, fragment) in fragments(0, &bytes, 100).iter().enumerate() {
@@ -47,7 +47,7 @@ fn missing_fragment_loses_message_with_counts() {
         }
     }
     reassembly.tick(time_at(1_000));
-    assert_eq!(reassembly.take_lost(), [], "perhaps the rest has not left yet");
+    assert_eq!(reassembly.take_lost(), [], "the other end may not have sent the missing fragment yet");
     reassembly.note_sent(1, time_at(1_000));
     reassembly.tick(time_at(1_099));
     assert_eq!(reassembly.take_lost(), []);
@@ -59,7 +59,7 @@ fn missing_fragment_loses_message_with_counts() {
 }
 
 #[test]
-fn unfinished_message_is_lost_after_timeout() {
+fn message_is_lost_if_no_fragment_follows_in_time() {
     let mut reassembly = with_budget(1 << 20);
     let bytes = [7; 200];
     reassembly.receive(&fragments(0, &bytes, 100)[0], time_at(0));
@@ -113,13 +113,13 @@ fn contradicting_fragments_change_nothing() {
     let ReassemblyOutcome::Message { bytes: message_bytes, .. } =
         reassembly.receive(&all_fragments[1], time_at(0))
     else {
-        panic!("it is whole")
+        panic!("the message is whole")
     };
     assert_eq!(&message_bytes[..], &bytes[..]);
 }
 
 #[test]
-fn damaged_bytes_are_inconsistent_and_lost() {
+fn message_with_damaged_bytes_counts_as_lost() {
     let mut reassembly = with_budget(1 << 20);
     let bytes = [7; 250];
     let mut all_fragments = fragments(0, &bytes, 100);
@@ -142,7 +142,7 @@ fn claimed_length_takes_no_memory_of_other_messages() {
         reassembly
             .receive(&fragments(sequence, &bytes, 1_000)[usize::from(sequence % 2 == 1) * 50], time_at(0));
     }
-    assert_eq!(reassembly.take_lost(), [], "eight messages of 90 kB are claimed, of 8 kB there are");
+    assert_eq!(reassembly.take_lost(), [], "eight messages claim 90 kB each, but only 8 kB have arrived");
     assert!(reassembly.budget.reserved_bytes() <= 9_000, "{}", reassembly.budget.reserved_bytes());
 }
 
@@ -156,7 +156,7 @@ fn memory_and_messages_are_bounded() {
             assert!(reassembly.budget.reserved_bytes() <= 50_000);
         }
     }
-    assert_eq!(reassembly.take_lost().len(), 4, "two find room");
+    assert_eq!(reassembly.take_lost().len(), 4, "two messages fit into the budget");
     let small = [7; 20];
     for sequence in 100..200 {
         reassembly.receive(&fragments(sequence, &small, 10)[0], time_at(0));
@@ -229,7 +229,7 @@ proptest! {
         let mut bytes = Vec::new();
         message.take(u16::MAX, &mut bytes);
         let mut all_fragments = fragments(0, &bytes, stride);
-        // A step width that is coprime to the count visits all fragments.
+        // The keys of the sort are pseudo-random, so the order of the fragments is arbitrary.
         let count = all_fragments.len() as u64;
         all_fragments.sort_by_key(|fragment| (u64::from(fragment.offset).wrapping_mul(order | 1)) % (count * 7 + 1));
         let mut reassembly = with_budget(1 << 20);

@@ -4,8 +4,8 @@ use peernet_clock::MonoTime;
 
 /// The number below which the peer has sent all messages.
 ///
-/// It is the highest number that two successive packets agreed on, so that a single altered packet does not move it.
-/// RTP also requires a second packet after a jump (RFC 3550, appendix A.1).
+/// The watermark is the highest number that two successive packets have claimed or exceeded, so that a single altered
+/// packet does not move the watermark. RTP also requires a second packet after a jump (RFC 3550, appendix A.1).
 #[derive(Debug, Default)]
 pub(super) struct SentWatermark {
     confirmed: u64,
@@ -23,8 +23,8 @@ struct Claim {
 
 impl SentWatermark {
     /// Handles the claim of a packet that all messages below `next` were sent. `packet` identifies the packet, so that
-    /// a duplicate does not count as a second packet. If the watermark moves, returns it and the time of the first
-    /// claim.
+    /// a duplicate does not count as a second packet. If the watermark moves, returns the new watermark and the time of
+    /// the first claim.
     pub(super) fn claim(&mut self, next: u64, packet: u64, now: MonoTime) -> Option<(u64, MonoTime)> {
         if (next, packet) == (self.last_claim.next, self.last_claim.packet) {
             return None;
@@ -35,7 +35,8 @@ impl SentWatermark {
             return None;
         }
         self.confirmed = confirmed;
-        // The time of the first claim, so that waiting for the second packet does not delay the detection of a loss.
+        // The time of the first claim is returned, so that waiting for the second packet does not delay the detection
+        // of a loss.
         Some((confirmed, previous.claimed_at))
     }
 
@@ -57,11 +58,11 @@ mod tests {
     }
 
     #[test]
-    fn second_packet_confirms_claim_since_the_first() {
+    fn confirmed_claim_has_time_of_first_packet() {
         let mut sent = SentWatermark::default();
         assert_eq!(sent.claim(5, 1, at(10)), None);
         assert_eq!(sent.claim(7, 2, at(20)), Some((5, at(10))));
-        assert_eq!(sent.claim(7, 2, at(25)), None, "a doubled packet");
+        assert_eq!(sent.claim(7, 2, at(25)), None, "a duplicated packet");
         assert_eq!(sent.claim(7, 3, at(30)), Some((7, at(20))));
         assert_eq!(sent.claim(6, 4, at(40)), None, "a late packet");
         assert_eq!(sent.claimed(), 6);
@@ -76,7 +77,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn single_false_claim_moves_nothing(count in 2_u64..60, false_claim_at: prop::sample::Index, claimed: u64) {
+        fn single_false_claim_does_not_raise_watermark(count in 2_u64..60, false_claim_at: prop::sample::Index, claimed: u64) {
             let mut sent = SentWatermark::default();
             let false_claim_at = false_claim_at.index(count as usize) as u64;
             for number in 0..count {

@@ -3,9 +3,10 @@
 use peernet_clock::{MonoTime, Span};
 
 /// Number of successive messages that must lose all their long datagrams before the path counts as broken for them.
-// With 30 % random loss and messages of two datagrams, this happens by chance once in 40,000 times.
+// With 30 % random loss and messages of two datagrams, this happens by chance in about one of 47,000 sequences of 16
+// messages.
 const MIN_MESSAGES: u32 = 16;
-/// Shortest time over which these messages must extend.
+/// The first of these messages must have been lost at least this long ago.
 const MIN_DURATION: Span = Span::from_seconds(1);
 
 /// Observes messages of several datagrams. All datagrams of a message except the last have the largest length.
@@ -49,8 +50,9 @@ impl LongLossDetector {
         }
     }
 
-    /// Returns whether the longest datagrams no longer arrive. `lost_datagrams` is the number of lost datagrams
-    /// that the other end has reported. It is needed because the other end may give up messages for other reasons.
+    /// Returns whether the longest datagrams no longer arrive. `lost_datagrams` is the number of lost datagrams that
+    /// the other end has reported. This number is needed because the other end may also give up messages for other
+    /// reasons.
     pub(super) fn loses_all(&self, lost_datagrams: u64, now: MonoTime) -> bool {
         self.losses.is_some_and(|losses| {
             losses.messages >= MIN_MESSAGES
@@ -77,9 +79,9 @@ mod tests {
     }
 
     #[test]
-    fn enough_lost_messages_for_long_enough_are_noticed() {
+    fn enough_losses_over_enough_time_are_detected() {
         assert!(after_losses(16).loses_all(16, at(1_000)));
-        assert!(!after_losses(16).loses_all(16, at(999)), "not for long enough");
+        assert!(!after_losses(16).loses_all(16, at(999)), "the first loss is less than a second ago");
         assert!(
             !after_losses(16).loses_all(15, at(1_000)),
             "too few lost datagrams: the other end gave up messages for another reason"
@@ -92,7 +94,7 @@ mod tests {
         let mut detector = after_losses(16);
         detector.record_arrival(1);
         detector.record_loss(1, 0, 0, at(500));
-        assert!(detector.loses_all(16, at(1_000)), "messages of one datagram say nothing");
+        assert!(detector.loses_all(16, at(1_000)), "messages of one datagram do not reset the losses");
         detector.record_arrival(2);
         assert!(!detector.loses_all(16, at(1_000)));
         let mut detector = after_losses(16);

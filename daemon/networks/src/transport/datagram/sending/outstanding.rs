@@ -90,7 +90,7 @@ mod tests {
         let expired = MessageLoss { tag: Some(0), received: 0, total: 2 };
         assert_eq!(outstanding.mark_lost(1), Some(expired));
         assert_eq!(outstanding.mark_lost(3), None);
-        assert_eq!(outstanding.settle(2).count(), 1, "the lost one did not arrive");
+        assert_eq!(outstanding.settle(2).count(), 1, "the lost message did not arrive");
         assert_eq!((outstanding.first(), outstanding.next_sequence()), (2, 3));
         assert!(outstanding.get_mut(1).is_none());
         assert_eq!(outstanding.get_mut(2).and_then(|message| decode_tag(message.tag)), Some(7));

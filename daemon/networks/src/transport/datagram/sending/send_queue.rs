@@ -15,7 +15,7 @@ pub(crate) struct QueueLimits {
     pub(crate) bytes: u64,
 }
 
-/// Messages in the order of their numbers. Only the first one may have been sent in part.
+/// Messages in the order of their numbers. Only the first message may have been sent in part.
 #[derive(Debug)]
 pub(super) struct SendQueue {
     limits: QueueLimits,
@@ -100,7 +100,7 @@ mod tests {
     fn queued_bytes_change_with_queued_taken_and_expired_messages() {
         let time_at = |millis| MonoTime::default() + Span::from_millis(millis);
         let mut queue = SendQueue::new(QueueLimits { messages: 3, bytes: 1_000 });
-        assert!(queue.accepts(5_000), "a single message is always taken");
+        assert!(queue.accepts(5_000), "an empty queue accepts a message of any size");
         // The wire form adds six bytes to each message.
         queue.push(message(0, 94, None));
         queue.push(message(1, 494, Some(time_at(10))));

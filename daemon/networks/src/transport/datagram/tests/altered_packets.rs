@@ -1,5 +1,5 @@
-//! Tests with altered or forged packets: one such packet affects no later message, and changes no total by
-//! more than one.
+//! Tests with altered or forged packets. A packet that is altered as in one of the [`CASES`] affects no later message
+//! and changes no total by more than one. An arbitrary altered bit loses at most one later message.
 
 use super::*;
 
@@ -84,9 +84,10 @@ impl SimulatedNetwork {
         self.send(Some(tag), &upload);
         let sent = self.cloud.send(id, vec![Bytes::copy_from_slice(&download)], Some(tag));
         self.steps(30);
-        let is_up = |event: &ListenerEvent| matches!(event, ListenerEvent::Message(_, frames) if frames[0] == upload[..]);
-        let is_down = |event: &Event| matches!(event, Event::Message(frames, _) if frames[0] == download[..]);
-        sent.is_ok() && self.listener_events.iter().any(is_up) && self.events.iter().any(is_down)
+        let is_upload = |event: &ListenerEvent| matches!(event, ListenerEvent::Message(_, frames) if frames[0] == upload[..]);
+        let is_download =
+            |event: &Event| matches!(event, Event::Message(frames, _) if frames[0] == download[..]);
+        sent.is_ok() && self.listener_events.iter().any(is_upload) && self.events.iter().any(is_download)
     }
 }
 
@@ -125,7 +126,7 @@ fn single_altered_packet_harms_no_later_message() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
     #[test]
-    fn any_altered_bit_loses_one_later_message_at_most(
+    fn any_altered_bit_loses_at_most_one_later_message(
         millis in 0_u64..200,
         datagram_index: prop::sample::Index,
         bit: prop::sample::Index,
@@ -146,13 +147,13 @@ proptest! {
             steps += 1;
         }
         let datagram_count = network.path.datagrams.len();
-        let datagram = network.path.datagrams.values_mut().nth(datagram_index.index(datagram_count)).expect("one");
+        let datagram = network.path.datagrams.values_mut().nth(datagram_index.index(datagram_count)).expect("a datagram in flight");
         let bit = 8 * PREFIX.len() + bit.index(8 * (datagram.2.len() - PREFIX.len()));
         datagram.2[bit / 8] ^= 1 << (bit % 8);
         network.path.impairment = UNIMPAIRED;
         network.steps(8_000);
         let lost: Vec<u64> = (100..130).filter(|tag| !network.exchange(id, *tag)).collect();
-        // A message whose own number was altered takes the place of a later one.
+        // A message whose number was altered takes the place of a later message.
         prop_assert!(lost.len() <= 1, "{:?}: {:?}", lost, network.events);
         let now = network.now;
         let edge = network.edge.as_mut().expect("open").statistics(now);
@@ -179,14 +180,14 @@ fn single_altered_packet_barely_changes_totals() {
             for direction in [edge.sent, edge.received, cloud.sent, cloud.received] {
                 let [lost, duplicated, reordered] =
                     [direction.lost, direction.duplicated, direction.reordered]
-                        .map(|total| total.expect("it is counted"));
+                        .map(|total| total.expect("a second report has arrived"));
                 assert!(
                     lost <= 1 && duplicated == 0 && reordered <= 1,
                     "{name}, {is_to_cloud}: {direction:?}"
                 );
             }
             for trip in [edge.round_trip, cloud.round_trip] {
-                let trip = trip.expect("it was measured");
+                let trip = trip.expect("a heartbeat was answered");
                 assert_eq!(trip.min, Some(Span::from_millis(10)), "{name}, {is_to_cloud}: {trip:?}");
                 assert!(trip.smoothed <= Span::from_millis(12), "{name}, {is_to_cloud}: {trip:?}");
             }
@@ -234,7 +235,7 @@ fn long_gap_does_not_end_connection() {
         sent += u32::from(edge.send(vec![Bytes::from_static(&[7; 100])], Some(sent.into()), None).is_ok());
         network.step();
     }
-    assert!(sent > 2_000, "{sent} were sent into nothing");
+    assert!(sent > 2_000, "{sent} messages were sent while the path lost all datagrams");
     network.path.impairment.loss = 0;
     network.steps(2_000);
     for tag in 10_000..10_010 {

@@ -33,6 +33,7 @@ pub(super) struct ImpairedPath {
     pub(super) max_bytes: (usize, usize),
     /// Datagrams by arrival: direction (`true` to the cloud), address of the edge, and bytes.
     pub(super) datagrams: BTreeMap<(MonoTime, u64), (bool, SocketAddr, Vec<u8>)>,
+    /// Number of datagrams that the path has carried.
     count: u64,
 }
 
@@ -79,7 +80,7 @@ pub(super) struct SimulatedNetwork {
     pub(super) edge: Option<Connection>,
     /// Number of the edge's connection, once it is open.
     edge_id: Option<u64>,
-    /// Arrivals at the cloud.
+    /// Events at the cloud.
     pub(super) listener_events: Vec<ListenerEvent>,
     /// Events at the edge.
     pub(super) events: Vec<Event>,
@@ -140,7 +141,9 @@ impl SimulatedNetwork {
             }
         }
         let mut out = PREFIX.to_vec();
-        if self.edge.is_none() && self.dialling.fill(&mut out, now).expect("some pass") {
+        if self.edge.is_none()
+            && self.dialling.fill(&mut out, now).expect("the path carries datagrams of this length")
+        {
             self.path.carry(true, self.edge_address, &out, now);
         }
         if let Some(edge) = &mut self.edge {

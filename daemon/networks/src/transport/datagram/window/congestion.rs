@@ -23,7 +23,7 @@ pub(super) struct CongestionWindow {
     threshold: u32,
     /// Time of the last arrival.
     progress_at: MonoTime,
-    /// Number of bytes that had been sent at the last loss. Losses among them do not shrink the window again.
+    /// Number of bytes that had been sent at the last loss. Losses among these bytes do not shrink the window again.
     recovery_point: u64,
 }
 
@@ -47,12 +47,13 @@ impl CongestionWindow {
 
     /// Grows the window because `arrived` bytes arrived; there must be at least one.
     pub(super) fn grow(&mut self, arrived: u64, now: MonoTime) {
-        // Growth by what arrives doubles the window with each round trip. Growth by time does not depend on the round
-        // trip.
+        // Growth by the number of arrived bytes doubles the window with each round trip. Growth by time does not depend
+        // on the round trip.
         let growth = if self.size < self.threshold {
             arrived
         } else {
-            // A pause of the sender is not counted as time in which the path could carry more.
+            // While the sender pauses, nothing shows that the path could carry more. A longer pause therefore counts as
+            // `FLIGHT_TIMEOUT`.
             let elapsed = (now - self.progress_at).min(FLIGHT_TIMEOUT).seconds();
             (f64::from(self.size) * GROWTH_AFTER_LOSS * elapsed).round() as u64
         };

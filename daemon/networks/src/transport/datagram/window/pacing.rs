@@ -28,7 +28,7 @@ impl Pacer {
     pub(super) fn record_sent(&mut self, bytes: u32, now: MonoTime) {
         if let Some(rate) = self.bytes_per_second {
             let nanos = u64::from(bytes).saturating_mul(1_000_000_000) / rate;
-            // A pause gives no credit; otherwise a long burst would follow it.
+            // A pause gives no credit; otherwise a long burst would follow the pause.
             self.next_at = self.next_at.max(now) + Span::from_nanos(i64::try_from(nanos).unwrap_or(i64::MAX));
         }
     }
@@ -39,7 +39,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pause_allows_one_burst_only() {
+    fn pause_allows_at_most_one_burst() {
         let time_at = |millis| MonoTime::default() + Span::from_millis(millis);
         let mut pacer = Pacer::new(Some(8_000_000), time_at(0));
         pacer.record_sent(1_000, time_at(5_000));

@@ -1,7 +1,7 @@
-//! The connections of a cloud, and the rules by which it opens more, without I/O.
+//! The connections of a cloud, and the rules by which the cloud opens further connections, without I/O.
 //!
-//! A pipeline has at most one connection. A new connection from the same host replaces it; a connection from another
-//! host is refused, because robots that shared topics would receive each other's answers.
+//! A pipeline has at most one connection. A new connection from the same host replaces the earlier connection; a
+//! connection from another host is refused, because robots that shared topics would receive each other's answers.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -94,7 +94,7 @@ impl ConnectionTable {
         table.next_id += 1;
         table.connections.insert(hello.pipeline.clone(), Arc::clone(&connection));
         if let Some(replaced) = &replaced {
-            // The topics are the same, so the earlier connection must release them.
+            // Both connections use the same topics, so the earlier connection must close its topics first.
             replaced.abort.cancel();
         }
         OpenOutcome::Started { connection, replaced }
@@ -110,7 +110,8 @@ impl ConnectionTable {
         group: AddressGroup,
     ) -> Option<&'static str> {
         if let Some(earlier) = replaced {
-            // A host may replace its connection only from the same address, because any node can claim its id.
+            // A host may replace its connection only from the same address, because any node can claim the id of a
+            // host.
             let is_same_host = earlier.host == host && earlier.group == group;
             return (!is_same_host).then_some(
                 "another host uses the topics of this pipeline, and keeps them until its connection has ended; give one of \
@@ -273,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn connections_are_bounded_by_admission_and_in_all() {
+    fn connections_are_bounded_with_and_without_session() {
         let table = ConnectionTable::new(3, 2);
         let open = |pipeline, address| open(&table, pipeline, ("a", address), pipeline);
         let refusal = |pipeline, address| match open(pipeline, address) {
@@ -282,7 +283,11 @@ mod tests {
         };
         let first = started(open("/1", "192.0.2.1"));
         let unadmitted = "too many other connections have no session yet; try again later";
-        assert_eq!(refusal("/2", "192.0.2.1"), unadmitted, "half is for other addresses");
+        assert_eq!(
+            refusal("/2", "192.0.2.1"),
+            unadmitted,
+            "half of the connections without a session is for other addresses"
+        );
         started(open("/2", "198.51.100.1"));
         assert_eq!(refusal("/3", "203.0.113.1"), unadmitted);
         first.set_admission(Admission::Admitted);

@@ -11,8 +11,8 @@ use crate::transport::ros::channel::Channel;
 use crate::transport::ros::interface::{SessionNode, SessionSubscriber, TopicPurpose};
 use crate::transport::ros::payload_topic::{MASTER_RETRY_INTERVAL, describe_open_failure};
 
-/// Subscription to the payloads of one connection. It is opened once and in the background, because the master must be
-/// asked and is perhaps not reachable.
+/// Subscription to the payloads of one connection. The subscription is opened once and in the background, because the
+/// master must be asked and may not be reachable.
 #[derive(Debug)]
 pub(super) enum PayloadSubscription {
     /// The connection has had no session yet. Its payload topic is not subscribed to before a session.
@@ -29,7 +29,7 @@ pub(super) enum PayloadSubscription {
 }
 
 impl PayloadSubscription {
-    /// Starts to subscribe, unless an earlier call has started it.
+    /// Starts to subscribe, unless an earlier call has started to subscribe.
     pub(super) fn start(&mut self, channel: &Arc<Channel>) {
         if let Self::Unused { node, topic, options } = self {
             let (node, topic, options) = (Arc::clone(node), std::mem::take(topic), options.clone());

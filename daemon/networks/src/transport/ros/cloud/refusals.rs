@@ -37,14 +37,14 @@ impl Refusals {
         let mut throttle = self.throttle.lock().unwrap_or_else(PoisonError::into_inner);
         let is_due = throttle.count_event(reason, address, self.clock.mono()).is_some();
         drop(throttle);
-        // Published each time, because an edge waits for the refusal of its own connection.
+        // The reason is published each time, because an edge waits for the refusal of its own connection.
         self.publish(hello, reason);
         if is_due {
             self.report(hello, edge, reason);
         }
     }
 
-    /// Refuses a connection whose opening failed. Reports every refusal to the layer above.
+    /// Refuses a connection whose opening failed. Reports every such refusal to the layer above.
     pub(super) fn refuse_after_failure(&self, hello: &SessionHello, edge: &RemoteNode, reason: &str) {
         self.publish(hello, reason);
         self.report(hello, edge, reason);

@@ -92,14 +92,14 @@ impl MessageAssembly {
             self.receive_half(stamp, MessageHalf::Info(Box::new(companion)), reserved, now, events);
             return;
         }
-        // Until the other end knows that payloads arrive on their topic, it sends each payload there and in the
-        // companion.
+        // Until the other end knows that payloads arrive on their topic, it sends each payload twice: on this topic and
+        // in the companion.
         self.last_whole_stamp = stamp.max(self.last_whole_stamp);
         self.pairing.drop_payload(stamp);
         let mut lost = Vec::new();
         self.pairing.note_message_without_payload(stamp, &mut lost);
         events.push_incomplete(lost);
-        // A message about the session may end it. Answers whose payloads arrive later would then be lost.
+        // A message about the session may end the session. Answers whose payloads arrive later would then be lost.
         if companion.request == MessageInfo::NO_REQUEST && self.pairing.awaits_payloads() {
             self.overtaking_messages.push((companion, reserved));
         } else {
@@ -154,7 +154,8 @@ impl MessageAssembly {
     pub(super) fn expire(&mut self, now: MonoTime, events: &mut EventQueue) {
         let mut lost = Vec::new();
         self.pairing.expire(now, &mut lost);
-        // The last companion of expired fragments was lost. The gap in the numbers of companions counts it already.
+        // The last companion of expired fragments was lost. The gap in the numbers of companions counts this loss
+        // already.
         let timeout = self.fragment_timeout;
         self.fragments = self.fragments.take().filter(|fragments| !fragments.is_overdue(now, timeout));
         events.push_incomplete(lost);
@@ -231,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn new_budget_holds_for_later_messages() {
+    fn new_budget_applies_to_later_messages() {
         let (small, mut events) = (MemoryBudget::new(1), EventQueue::default());
         let mut assembly = assembly(&small);
         assembly.receive_payload(1, Bytes::from_static(b"xx"), MonoTime::default(), &mut events);

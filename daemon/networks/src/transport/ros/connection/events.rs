@@ -8,7 +8,7 @@ use crate::transport::{Frames, MessageLoss};
 /// Event of a connection.
 #[derive(Debug)]
 pub(in crate::transport::ros) enum Event {
-    /// The edge said hello. It repeats the hello until it receives the welcome.
+    /// The edge said hello. An edge repeats the hello until it receives the welcome.
     Hello,
     /// The cloud answered the hello.
     Welcome,
