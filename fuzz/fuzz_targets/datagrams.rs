@@ -1,4 +1,4 @@
 //! Any datagrams at a cloud's port, with time passing in between.
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|data: &[u8]| peernet_networks::datagram::fuzzing::any_datagrams(data));
+libfuzzer_sys::fuzz_target!(|data: &[u8]| peernet_networks::datagram::fuzzing::run_datagram_script(data));

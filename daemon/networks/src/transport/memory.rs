@@ -54,6 +54,8 @@ impl Reservation {
     /// If the reservation would exceed `budget`. The reservation is then unchanged.
     pub(crate) fn resize(&mut self, budget: &Arc<MemoryBudget>, bytes: u64) -> Result<(), BudgetExhausted> {
         if !Arc::ptr_eq(&self.budget, budget) {
+            // The bytes are reserved in the new budget before they are released in the old budget, so that a failure
+            // changes nothing.
             let mut moved = Self::empty(budget);
             moved.resize(budget, bytes)?;
             *self = moved;

@@ -38,6 +38,7 @@ enum TcpInfoError {
 /// Returns the kernel's statistics of the connection between these addresses. The statistics are empty if the
 /// connection is gone or the system does not provide statistics; in the latter case the reason is logged once.
 pub(super) fn tcp_statistics(addresses: &ConnectionAddresses) -> TransportStatistics {
+    // Statistics are queried again and again, and the reason stays the same.
     static IS_LOGGED: AtomicBool = AtomicBool::new(false);
     match query(addresses) {
         Ok(info) => info.map_or_else(TransportStatistics::default, |info| parse_tcp_info(&info)),

@@ -76,6 +76,7 @@ fn options(settings: &SessionSettings) -> Options {
         // The connection ends if the peer does not acknowledge bytes for this time, as it does if no heartbeat arrives.
         .tcp_user_timeout(settings.heartbeat_timeout())
         .reconnect(ReconnectPolicy::Fixed(RECONNECT_INTERVAL))
+        // Only a socket that is dropped without `close` uses this value.
         .linger(Duration::ZERO)
 }
 
@@ -169,6 +170,7 @@ fn unreachable_failure(error: Error) -> DialFailure {
 /// Connects once more to find out why a connection attempt failed, because the library does not return the reason.
 async fn diagnose(address: &Address) -> DialFailure {
     match tokio::time::timeout(DIAGNOSIS_TIMEOUT, tokio::net::TcpStream::connect(address.authority())).await {
+        // The system's text begins with a capital letter, but becomes a part of a sentence.
         Ok(Err(error)) => DialFailure::Unreachable(error.to_string().to_lowercase()),
         Ok(Ok(_)) => DialFailure::Unreachable("the connection was lost while it was being opened".into()),
         Err(_) => DialFailure::TimedOut,

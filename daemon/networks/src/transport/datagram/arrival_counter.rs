@@ -181,6 +181,7 @@ impl ArrivalCounter {
     /// Returns the distance from the next number to `number`; negative for lower numbers. Its absolute value is at most
     /// half of the 32-bit range.
     fn distance_to(&self, number: u32) -> i64 {
+        // Serial number arithmetic (RFC 1982): the difference of the lower 32 bits tells whether a number is newer.
         i64::from(number.wrapping_sub(self.next_number as u32) as i32)
     }
 

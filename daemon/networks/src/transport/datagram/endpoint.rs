@@ -156,7 +156,8 @@ impl Endpoint {
         let route = Route { to, from: local };
         let local_terms = self.limits.terms;
         // The prefix and a fragment's header must leave room for a fragment.
-        let datagram = terms.datagram.min(local_terms.datagram).max(MIN_DATAGRAM_BYTES);
+        let max_datagram_bytes =
+            terms.max_datagram_bytes.min(local_terms.max_datagram_bytes).max(MIN_DATAGRAM_BYTES);
         // The edge repeats the request until the answer arrives, so the connection may exist already.
         let existing = self.table.find(to, nonce);
         if existing.is_none() && !self.make_room(AddressGroup::from_address(source)) {
@@ -167,28 +168,30 @@ impl Endpoint {
         let id = existing.unwrap_or_else(|| self.key.connection_number(self.table.opened_count() + 1));
         let connect = || {
             let writer = PacketWriter::new(Role::Cloud, id, self.prefix);
-            let terms = Terms { datagram, ..terms };
+            let terms = Terms { max_datagram_bytes, ..terms };
             Connection::new(writer, terms, self.limits.connection, self.budgets.unadmitted_limits(), now)
         };
-        let datagram = match self.table.get_mut(id) {
+        let max_datagram_bytes = match self.table.get_mut(id) {
             // An edge that gets no answer to a large datagram repeats the request with a smaller one.
-            Some(entry) if entry.datagram != datagram && !entry.has_delivered => {
-                (entry.connection, entry.datagram) = (connect(), datagram);
-                datagram
+            Some(entry) if entry.max_datagram_bytes != max_datagram_bytes && !entry.has_delivered => {
+                (entry.connection, entry.max_datagram_bytes) = (connect(), max_datagram_bytes);
+                max_datagram_bytes
             }
-            Some(entry) => entry.datagram,
+            Some(entry) => entry.max_datagram_bytes,
             None => {
                 // Every connection begins without a session and with the small limits of such connections.
                 let admission = Admission::Unadmitted { since: now };
-                let entry = Entry::new(connect(), (source, reply_port), local, nonce, datagram, admission);
+                let entry =
+                    Entry::new(connect(), (source, reply_port), local, nonce, max_datagram_bytes, admission);
                 self.table.insert(id, entry);
-                datagram
+                max_datagram_bytes
             }
         };
-        let opened = Packet::Opened { nonce, connection: id, terms: Terms { datagram, ..local_terms } };
+        let opened =
+            Packet::Opened { nonce, connection: id, terms: Terms { max_datagram_bytes, ..local_terms } };
         // The answer is as long as the longest datagram that will be sent, so that a path with a smaller MTU is noticed
         // at once.
-        self.answers.push_padded(route, &opened, datagram.into());
+        self.answers.push_padded(route, &opened, max_datagram_bytes.into());
         self.schedule(id, now);
     }
 
@@ -198,7 +201,7 @@ impl Endpoint {
             Capacity::Free => true,
             Capacity::Full => false,
             Capacity::FreeAfterClosing(id) => {
-                self.close_now(id, "a newer connection replaced it");
+                self.close_now(id, "a newer connection replaced this connection");
                 self.collect_events(id);
                 true
             }
@@ -355,6 +358,7 @@ impl Endpoint {
 
     fn close_now(&mut self, id: u64, reason: &str) {
         if let Some(entry) = self.table.get_mut(id) {
+            // `end` is called first, because `abandon` reports no event.
             entry.connection.end(reason);
             entry.connection.abandon();
         }

@@ -6,14 +6,14 @@
 pub(crate) enum FalseClaim {
     /// The packet reports on messages that this end has not sent.
     #[error("a packet reports a message that was never sent")]
-    Unsent,
+    UnsentMessage,
     /// The packet reports more fragments than the message has.
     #[error("a packet reports more fragments than the message has")]
-    Fragments,
+    TooManyFragments,
     /// The packet has a message number far above all numbers that are known to have been sent.
     #[error("a packet has a message number that is too far ahead")]
     TooFarAhead,
     /// The packet reports totals above what was sent.
     #[error("a packet reports more datagrams than were sent")]
-    Totals,
+    TooManyDatagrams,
 }

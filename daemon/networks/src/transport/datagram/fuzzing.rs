@@ -13,7 +13,7 @@ use super::sending::QueueLimits;
 use crate::transport::{ConnectionId, ListenerEvent};
 
 const PREFIX: &[u8] = b"\x01x";
-const TERMS: Terms = Terms { window: 1 << 16, datagram: 600 };
+const TERMS: Terms = Terms { window: 1 << 16, max_datagram_bytes: 600 };
 const MAX_UNFINISHED_BYTES: u64 = 100_000;
 
 /// A port with one open connection.
@@ -36,7 +36,7 @@ struct Port {
 /// - a connection moves to an unverified address,
 /// - messages take more memory than the limit, or
 /// - more datagrams count as lost or as reordered than were sent.
-pub fn any_datagrams(script: &[u8]) {
+pub fn run_datagram_script(script: &[u8]) {
     let Some(mut port) = Port::open() else { panic!("the handshake opens a connection") };
     let mut rest = script;
     while let [step_kind, length, step_and_rest @ ..] = rest {
@@ -203,7 +203,7 @@ mod tests {
     proptest! {
         #[test]
         fn invariants_hold_for_any_datagrams(script in proptest::collection::vec(any::<u8>(), 0..600)) {
-            super::any_datagrams(&script);
+            super::run_datagram_script(&script);
         }
     }
 
@@ -212,7 +212,7 @@ mod tests {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../fuzz/corpus/datagrams");
         let mut count = 0;
         for entry in std::fs::read_dir(folder).expect("the corpus") {
-            super::any_datagrams(&std::fs::read(entry.expect("an entry").path()).expect("readable"));
+            super::run_datagram_script(&std::fs::read(entry.expect("an entry").path()).expect("readable"));
             count += 1;
         }
         assert!(count >= 4, "the corpus has {count} files");

@@ -59,6 +59,7 @@ impl CookieKey {
         nonce: u64,
         now: MonoTime,
     ) -> bool {
+        // A cookie of the previous period is valid, too, so that a cookie from the end of a period can still be used.
         [period(now), period(now) - 1].iter().any(|period| self.cookie_at(address, nonce, *period) == *cookie)
     }
 
@@ -161,10 +162,10 @@ impl DialState {
             }
             // No cloud states a limit below the minimum, so the limit was altered on the way. An altered limit must not
             // apply to the whole session.
-            Packet::Opened { terms, .. } if terms.datagram < MIN_DATAGRAM_BYTES => None,
+            Packet::Opened { terms, .. } if terms.max_datagram_bytes < MIN_DATAGRAM_BYTES => None,
             Packet::Opened { nonce, connection, terms } if nonce == self.nonce => {
-                let datagram = terms.datagram.min(self.terms.datagram);
-                Some(HandshakeOutcome::Opened { connection, terms: Terms { datagram, ..terms } })
+                let max_datagram_bytes = terms.max_datagram_bytes.min(self.terms.max_datagram_bytes);
+                Some(HandshakeOutcome::Opened { connection, terms: Terms { max_datagram_bytes, ..terms } })
             }
             Packet::Reset { id, reason: ResetReason::Full } if id == self.nonce => {
                 Some(HandshakeOutcome::Refused)
@@ -178,12 +179,12 @@ impl DialState {
     /// # Errors
     /// If no shorter length remains to be tried.
     pub(crate) fn shorten(&mut self, now: MonoTime) -> Result<(), PathTooSmall> {
-        let bytes = self.terms.datagram;
+        let bytes = self.terms.max_datagram_bytes;
         if bytes <= SAFE_DATAGRAM_BYTES {
             return Err(PathTooSmall { bytes });
         }
         self.too_long_bytes = Some(bytes);
-        (self.terms.datagram, self.attempts, self.next_attempt) = (SAFE_DATAGRAM_BYTES, 0, now);
+        (self.terms.max_datagram_bytes, self.attempts, self.next_attempt) = (SAFE_DATAGRAM_BYTES, 0, now);
         Ok(())
     }
 
@@ -205,7 +206,7 @@ impl DialState {
         if now < self.next_attempt {
             return Ok(false);
         }
-        let is_large = self.terms.datagram > SAFE_DATAGRAM_BYTES;
+        let is_large = self.terms.max_datagram_bytes > SAFE_DATAGRAM_BYTES;
         if self.cookie.is_some() && self.attempts >= if is_large { MAX_LARGE_ATTEMPTS } else { MAX_ATTEMPTS }
         {
             if is_large || self.is_second_cookie {
@@ -224,7 +225,9 @@ impl DialState {
                 Packet::Open { nonce, cookie, reply_port, terms: self.terms }.write(Role::Edge, out);
                 // The packet is as long as the longest datagram that will be sent, so that a path with a smaller MTU is
                 // noticed here.
-                let padded_end = start + usize::from(self.terms.datagram) - self.prefix_bytes.min(64);
+                // The limit of 64 bytes keeps the difference positive for any prefix.
+                let padded_end =
+                    start + usize::from(self.terms.max_datagram_bytes) - self.prefix_bytes.min(64);
                 out.resize(out.len().max(padded_end), 0);
             }
         }

@@ -19,6 +19,12 @@
 //! | 12 bye-ack | both | connection 64 |
 //! | 13 path-challenge, 14 path-response | both | connection 64, token 64 |
 //! | 15 reset | cloud | connection or nonce 64, reason 8 |
+//!
+//! `number` is the lower 32 bits of the datagram's number, and `sequence` is the number of a message. A progress packet
+//! says that everything up to the offset `end` of a message has arrived or is lost. A lost packet says that a message
+//! is lost, and that `received` of its `total` fragments have arrived; `total` is 0 if none has arrived. The lost-ack
+//! packet confirms this loss, with the tag and the number of fragments of the message. A path challenge asks the end at
+//! a new address to return the token. A reset ends a connection, or refuses the connection with the nonce of its hello.
 
 use super::arrival_counter::ArrivalTotals;
 
@@ -54,7 +60,7 @@ pub(crate) struct Terms {
     /// Maximum number of bytes in flight to this end.
     pub(crate) window: u32,
     /// Largest datagram that may be sent to this end. Bytes.
-    pub(crate) datagram: u16,
+    pub(crate) max_datagram_bytes: u16,
 }
 
 /// A part of a message.
@@ -107,97 +113,34 @@ pub(crate) enum ResetReason {
 /// A packet; each variant is one kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Packet<'a> {
-    /// Asks for a cookie.
-    Hello {
-        version: u8,
-        nonce: u64,
-        reply_port: u16,
-    },
-    Cookie {
-        nonce: u64,
-        cookie: Cookie,
-    },
-    /// Returns the cookie and asks for a connection.
-    Open {
-        nonce: u64,
-        cookie: Cookie,
-        reply_port: u16,
-        terms: Terms,
-    },
-    Opened {
-        nonce: u64,
-        connection: u64,
-        terms: Terms,
-    },
-    /// A part of a message. `number` is the lower 32 bits of the datagram's number.
-    Data {
-        connection: u64,
-        number: u32,
-        fragment: Fragment<'a>,
-    },
-    /// Everything up to offset `end` of the message `sequence` has arrived or is lost.
-    Progress {
-        connection: u64,
-        sequence: u64,
-        end: u32,
-    },
-    /// The message `sequence` is lost. `received` of its `total` fragments arrived.
-    Lost {
-        connection: u64,
-        sequence: u64,
-        received: u32,
-        total: u32,
-    },
-    /// Confirms the report of a lost message. `total` is the number of its fragments.
-    LostAck {
-        connection: u64,
-        sequence: u64,
-        tag: u64,
-        total: u32,
-    },
-    Ping {
-        connection: u64,
-        heartbeat: Heartbeat,
-    },
-    Pong {
-        connection: u64,
-        heartbeat: Heartbeat,
-    },
-    /// Closes the connection. All messages below `next` have been sent.
-    Bye {
-        connection: u64,
-        next: u64,
-    },
-    ByeAck {
-        connection: u64,
-    },
-    /// Asks an edge at a new address to return the token from there.
-    PathChallenge {
-        connection: u64,
-        token: u64,
-    },
-    PathResponse {
-        connection: u64,
-        token: u64,
-    },
-    /// Ends the connection `id`, or refuses the connection that was requested with the nonce `id`.
-    Reset {
-        id: u64,
-        reason: ResetReason,
-    },
+    Hello { version: u8, nonce: u64, reply_port: u16 },
+    Cookie { nonce: u64, cookie: Cookie },
+    Open { nonce: u64, cookie: Cookie, reply_port: u16, terms: Terms },
+    Opened { nonce: u64, connection: u64, terms: Terms },
+    Data { connection: u64, number: u32, fragment: Fragment<'a> },
+    Progress { connection: u64, sequence: u64, end: u32 },
+    Lost { connection: u64, sequence: u64, received: u32, total: u32 },
+    LostAck { connection: u64, sequence: u64, tag: u64, total: u32 },
+    Ping { connection: u64, heartbeat: Heartbeat },
+    Pong { connection: u64, heartbeat: Heartbeat },
+    Bye { connection: u64, next: u64 },
+    ByeAck { connection: u64 },
+    PathChallenge { connection: u64, token: u64 },
+    PathResponse { connection: u64, token: u64 },
+    Reset { id: u64, reason: ResetReason },
 }
 
 /// Error: bytes are not a packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum InvalidPacket {
     #[error("a packet of an unknown kind")]
-    Kind,
+    UnknownKind,
     #[error("a packet of the other direction")]
-    Direction,
+    WrongDirection,
     #[error("a packet that is too short or too long")]
-    Length,
+    WrongLength,
     #[error("a fragment that does not fit its message")]
-    Fragment,
+    InvalidFragment,
 }
 
 impl Packet<'_> {
@@ -224,13 +167,13 @@ impl Packet<'_> {
                 put(&cookie);
                 put(&reply_port.to_be_bytes());
                 put(&terms.window.to_be_bytes());
-                put(&terms.datagram.to_be_bytes());
+                put(&terms.max_datagram_bytes.to_be_bytes());
             }
             Self::Opened { nonce, connection, terms } => {
                 put(&nonce.to_be_bytes());
                 put(&connection.to_be_bytes());
                 put(&terms.window.to_be_bytes());
-                put(&terms.datagram.to_be_bytes());
+                put(&terms.max_datagram_bytes.to_be_bytes());
             }
             Self::Data { connection, number, fragment } => {
                 put(&data_header(connection, number, &fragment));

@@ -65,7 +65,8 @@ impl SendingHalf {
         Self {
             writer,
             // The stride is at least one byte, whatever the other end claims to accept.
-            stride: usize::from(terms.datagram).saturating_sub(writer.data_overhead()).max(1) as u16,
+            stride: usize::from(terms.max_datagram_bytes).saturating_sub(writer.data_overhead()).max(1)
+                as u16,
             window: SendWindow::new(terms, bits_per_second, now),
             queue: SendQueue::new(limits),
             outstanding: OutstandingMessages::default(),
@@ -132,7 +133,7 @@ impl SendingHalf {
 
     /// Returns the time at which a part of a message was last sent; `None` if all messages that were sent are settled.
     pub(crate) fn unsettled_since(&self) -> Option<MonoTime> {
-        (self.outstanding.first() < self.next_sequence()).then_some(self.sent_at)
+        (self.outstanding.first_sequence() < self.next_sequence()).then_some(self.sent_at)
     }
 
     /// Returns the time at which more can be sent if nothing arrives until then; `None` if no message waits.
@@ -202,7 +203,7 @@ impl SendingHalf {
     ) -> Result<(), FalseClaim> {
         let (current, offset) = self.send_position();
         if sequence > current || (sequence == current && end > offset) {
-            return Err(FalseClaim::Unsent);
+            return Err(FalseClaim::UnsentMessage);
         }
         self.window.record_progress(sequence, end, now);
         Ok(())
@@ -216,7 +217,7 @@ impl SendingHalf {
         let (current, offset) = self.send_position();
         // The other end may have given up a message of which only a part was sent.
         if below > current + u64::from(offset > 0) {
-            return Err(FalseClaim::Unsent);
+            return Err(FalseClaim::UnsentMessage);
         }
         for message in self.outstanding.settle(below) {
             self.long_losses.record_arrival(message.fragments);
@@ -239,13 +240,13 @@ impl SendingHalf {
         let (current, offset) = self.send_position();
         // Only a message of which something was sent can be lost.
         if sequence > current || (sequence == current && offset == 0) {
-            return Err(FalseClaim::Unsent);
+            return Err(FalseClaim::UnsentMessage);
         }
         // If the message is settled or too old, the answer only makes the other end stop its reports.
         let Some(message) = self.outstanding.get_mut(sequence) else { return Ok((0, 0, None)) };
         let (tag, fragments) = (message.tag, message.fragments);
         if received > fragments {
-            return Err(FalseClaim::Fragments);
+            return Err(FalseClaim::TooManyFragments);
         }
         if sequence == current {
             // The other end has no memory for the message. Sending its remaining fragments would be useless and would

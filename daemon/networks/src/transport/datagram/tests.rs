@@ -21,7 +21,7 @@ mod simulated_network;
 use self::simulated_network::{Impairment, SimulatedNetwork, UNIMPAIRED};
 
 const PREFIX: &[u8] = b"\x01x";
-const TERMS: Terms = Terms { window: 1 << 20, datagram: 1_200 };
+const TERMS: Terms = Terms { window: 1 << 20, max_datagram_bytes: 1_200 };
 
 pub(super) fn limits() -> EndpointLimits {
     EndpointLimits {
@@ -318,7 +318,7 @@ fn message_without_memory_is_lost_before_fully_sent() {
 #[test]
 fn lost_large_datagrams_fall_back_to_small_ones() {
     let mut now = MonoTime::default();
-    let large_terms = Terms { datagram: 8_000, ..TERMS };
+    let large_terms = Terms { max_datagram_bytes: 8_000, ..TERMS };
     let mut dialling = DialState::new(1, 0, large_terms, PREFIX.len(), now);
     dialling.receive(&Packet::Cookie { nonce: 1, cookie: [1; 16] }, now);
     let mut lengths = Vec::new();

@@ -95,7 +95,7 @@ mod tests {
     use super::congestion::{INITIAL_WINDOW, MIN_WINDOW};
     use super::*;
 
-    const TERMS: Terms = Terms { window: 1 << 20, datagram: 1_200 };
+    const TERMS: Terms = Terms { window: 1 << 20, max_datagram_bytes: 1_200 };
 
     fn at(millis: i64) -> MonoTime {
         MonoTime::default() + Span::from_millis(millis)

@@ -31,9 +31,9 @@ pub(super) trait Sink: Send {
 /// Request of an edge or a cloud to the task of its connection.
 pub(super) enum Directive {
     /// Receive payloads from this subscriber.
-    Admit(Box<dyn SessionSubscriber>),
+    ReceivePayloads(Box<dyn SessionSubscriber>),
     /// Use these limits for companions.
-    Limit(ReceiveLimits),
+    SetLimits(ReceiveLimits),
     /// End the connection for this reason.
     End(String),
 }
@@ -97,7 +97,8 @@ impl<S: Sink> ConnectionTask<S> {
                 }
                 return;
             }
-            // Created before the publishers are checked, so that no change in between is missed.
+            // The views of the publishers are created before the publishers are checked, so that no change in between
+            // is missed.
             let info_publishers = self.companion_subscriber.watch();
             let payload_publishers = self.payload_subscriber.as_ref().map(|payload| payload.watch());
             let publisher_change =
@@ -138,8 +139,8 @@ impl<S: Sink> ConnectionTask<S> {
             let step = tokio::select! {
                 biased;
                 () = abort.cancelled() => {
-                    // The other end cannot notice the end by the topics and nodes, because a later connection may use
-                    // the same ones.
+                    // In ROS 2, the topics and nodes do not show the other end that this connection has ended, because
+                    // a later connection may use the same topics and nodes.
                     if channel.node.receive_buffer_bytes().is_some() {
                         channel.send_goodbye("the other end ended the connection without waiting");
                     }
@@ -147,8 +148,8 @@ impl<S: Sink> ConnectionTask<S> {
                 }
                 () = stop.cancelled(), if !is_closing && !channel.lock().is_closed() => {
                     channel.send_goodbye(goodbye);
-                    // In ROS 2, topics may end without their last messages. The other end's goodbye confirms that it
-                    // has all of them.
+                    // In ROS 2, topics may end without their last messages. The other end's goodbye confirms that all
+                    // messages have arrived.
                     if channel.node.receive_buffer_bytes().is_none() || channel.peer().is_none() {
                         return;
                     }
@@ -202,8 +203,8 @@ impl<S: Sink> ConnectionTask<S> {
             Step::Companion(Err(error)) | Step::Payload(Err(error)) => {
                 self.channel.lock().end(error.to_string());
             }
-            Step::Directive(Directive::Admit(payload)) => self.payload_subscriber = Some(payload),
-            Step::Directive(Directive::Limit(limits)) => {
+            Step::Directive(Directive::ReceivePayloads(payload)) => self.payload_subscriber = Some(payload),
+            Step::Directive(Directive::SetLimits(limits)) => {
                 self.companion_subscriber.set_message_limits(limits.max_message_bytes, limits.memory());
                 self.channel.lock().set_budget(limits.budget);
             }
@@ -256,7 +257,8 @@ impl<S: Sink> ConnectionTask<S> {
         })
     }
 
-    /// Returns whether a message is from the node at the other end. There is one remark on each other node.
+    /// Returns whether a message is from the node at the other end. If not, adds a remark on the node that sent the
+    /// message, once for each node.
     fn is_of_peer(
         &self,
         message: &TopicMessage,
@@ -365,7 +367,7 @@ fn wait_for_publisher_change<'a>(
     }
 }
 
-/// Returns whether the peer's messages arrive.
+/// Returns whether messages of the peer arrive through this subscriber.
 fn is_connected(subscriber: &dyn SessionSubscriber, channel: &Channel) -> bool {
     channel.peer().is_some_and(|peer| subscriber.is_connected(&peer.node))
 }

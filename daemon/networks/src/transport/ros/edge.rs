@@ -29,7 +29,7 @@ use crate::transport::{
 };
 use crate::{Address, SessionSettings};
 
-/// First interval between two hellos of an edge. It doubles until the cloud answers.
+/// First interval between two hellos of an edge. The interval doubles with each hello until the cloud answers.
 // The hello is repeated because a ROS 2 publisher does not know whether the other end has found it. Messages that are
 // published before that are lost.
 const MIN_HELLO_INTERVAL: Duration = Duration::from_millis(10);
@@ -53,8 +53,8 @@ pub(crate) async fn dial(
     let id = uuid::Uuid::new_v4().simple().to_string();
     let hello = context.hello;
     let prefix = edge_node_prefix(hello.name.as_str(), hello.pipeline.as_str());
-    // Each connection has another name, because a master shuts a node down when another one registers with its name.
-    // `strip_connection_id` recognizes the eight digits.
+    // Each connection has a node with a different name, because a master shuts a node down when another node registers
+    // under the same name. `strip_connection_id` recognizes the eight digits.
     let name = format!("{prefix}{}", &id[..8]);
     let node = open_node(address, &name, settings, context.clock).await?;
     // The guard ends the node even if opening the connection fails, so that the master is informed.
@@ -90,6 +90,7 @@ pub(crate) async fn dial(
         (&cloud, hello_message),
     )
     .await?;
+    // After the welcome, the cloud refuses this connection no more.
     drop(refusals);
     let (channel, (delivery_sender, deliveries)) = (Arc::new(channel), mpsc::channel(MAX_QUEUED_DELIVERIES));
     let (stop, abort) = (CancellationToken::new(), CancellationToken::new());
@@ -300,7 +301,7 @@ impl EdgeReceiver for RosEdgeReceiver {
 
     fn close(mut self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()> {
         Box::pin(async move {
-            // Further deliveries are of no use, and the task must not wait until they are received.
+            // Further deliveries are of no use, and the task must not wait until the deliveries are received.
             self.deliveries.close();
             while self.deliveries.try_recv().is_ok() {}
             self.stop.cancel();

@@ -1,4 +1,4 @@
-//! Fragments of the frames of a message that are too long for one companion message (`mod.rs`). No I/O.
+//! Fragments of a message whose frames are too long for one companion (`mod.rs`). No I/O.
 
 use std::sync::Arc;
 
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn fragments_of_another_message_or_beyond_a_bound_are_dropped() {
+    fn fragments_of_another_message_or_beyond_limit_are_dropped() {
         let budget = MemoryBudget::new(5);
         let fragments =
             FrameFragments::with_fragment(None, (&fragment(1, b"abc"), MonoTime::default()), &budget, 10);

@@ -1,5 +1,5 @@
-//! Interface to both versions of ROS for sessions: a node, its publishers and its subscribers. Its users do not depend
-//! on the version.
+//! Interface to both versions of ROS for sessions: a node, its publishers and its subscribers. Code that uses this
+//! interface does not depend on the version.
 
 #[cfg(test)]
 pub(super) mod test_node;
@@ -128,8 +128,8 @@ pub(super) trait SessionNode: Debug + Send + Sync {
     fn check_cloud_name<'a>(&'a self, cloud: &'a str) -> BoxFuture<'a, Result<(), NodeFailure>>;
 
     /// Returns the size of this node's socket buffers, in bytes. The other end does not send longer payload messages.
-    /// `None` if payloads of any length arrive. Such a node also knows which nodes receive its messages, so that
-    /// those nodes need not confirm that they do.
+    /// `None` if payloads of any length arrive. Such a node also knows which nodes receive its messages, so that the
+    /// other nodes need not confirm that messages arrive.
     fn receive_buffer_bytes(&self) -> Option<usize>;
 
     /// Returns the largest number of bytes of frames in one companion.
@@ -178,7 +178,7 @@ pub(super) trait SessionPublisher: Debug + Send + Sync {
 
     /// Returns why `node` receives nothing although it subscribes to the topic, with advice; `None` if no reason is
     /// known.
-    fn refusal(&self, node: &str) -> Option<String>;
+    fn describe_mismatch(&self, node: &str) -> Option<String>;
 }
 
 /// Receives a topic until it is dropped.

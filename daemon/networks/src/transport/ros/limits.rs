@@ -48,7 +48,8 @@ pub(super) struct ReceiveLimits {
 }
 
 impl ReceiveLimits {
-    /// Returns the options of a subscription. Its queue is short, so that further messages wait at the publisher.
+    /// Returns the options of a subscription. The queue of the subscription is short, so that further messages wait at
+    /// the publisher.
     pub(super) fn subscriber_options(
         &self,
         settings: &SessionSettings,

@@ -5,12 +5,12 @@
 //! except the *payload*, which is the first part of a sample. The payload is sent on `PIPELINE/request` or
 //! `PIPELINE/response` as a message of a standard type, which ROS tools can display, once the other end has subscribed
 //! to that topic. Control messages have no payload, and a part whose type does not fit the topic is sent in the
-//! companion. The first payload determines the type of a payload topic; the topic is opened in the background and
-//! nothing waits for it.
+//! companion. The first payload determines the type of a payload topic; the topic is opened in the background, and no
+//! message waits until the topic is open.
 //!
 //! [`connection`] and [`pairing`] have the protocol without I/O. [`channel`] and [`connection_task`] are one end of a
-//! connection, which [`edge`] and [`cloud`] open. They use nodes, publishers and subscribers through [`interface`],
-//! which [`ros1`] and [`ros2`] implement.
+//! connection, which [`edge`] and [`cloud`] open. All of them use nodes, publishers and subscribers through
+//! [`interface`], which [`ros1`] and [`ros2`] implement.
 //!
 //! Decisions:
 //!
@@ -21,8 +21,8 @@
 //! - The two topics of a direction have no common order, but each is in order. A later message on one topic therefore
 //!   proves that the partner of an earlier message is lost. If no later message arrives, a deadline ends the wait. A
 //!   goodbye, and a message about the session itself, waits for the payloads whose companions arrived before it.
-//! - If a peer leaves one topic, the connection waits 500 ms for the peer's last messages on the other topic. Then it
-//!   ends even if the peer has returned, because messages may have been lost.
+//! - If a peer leaves one topic, the connection waits 500 ms for the peer's last messages on the other topic. Then the
+//!   connection ends even if the peer has returned, because messages may have been lost.
 
 mod channel;
 mod checks;

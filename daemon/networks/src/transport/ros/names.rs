@@ -15,8 +15,8 @@ pub(super) fn refusals_topic(name: &str) -> String {
     format!("/{name}/refusals")
 }
 
-/// Returns the first part of the names of an edge's nodes for a pipeline, without namespace. The identifier of the
-/// connection follows it.
+/// Returns the first part of the names of an edge's nodes for a pipeline, without namespace. The rest of such a name is
+/// the identifier of the connection.
 pub(super) fn edge_node_prefix(host: &str, pipeline: &str) -> String {
     format!("peernet_{}_{}_", to_ros_name(host), to_ros_name(pipeline))
 }
@@ -28,7 +28,7 @@ pub(super) fn strip_connection_id(node: &str) -> Option<&str> {
     (is_edge && identifier.bytes().all(|digit| digit.is_ascii_hexdigit())).then_some(prefix)
 }
 
-/// Returns the text with characters that ROS names cannot have replaced by underscores.
+/// Replaces all characters that are not allowed in a ROS name by underscores. Returns the result.
 pub(super) fn to_ros_name(text: &str) -> String {
     let replace = |char: char| if char.is_ascii_alphanumeric() { char } else { '_' };
     let replaced: String = text.chars().map(replace).collect();

@@ -1,4 +1,4 @@
-//! Joins each payload with its companion, the message that has its header and tree. No I/O.
+//! Joins each payload with its companion, which carries the header and the tree of the message. No I/O.
 //!
 //! Payloads and companions are on separate topics, each of which is in order. A payload waits for its companion, and a
 //! companion for its payload. If a later message arrives on the other topic first, the awaited message is certainly
@@ -90,13 +90,14 @@ impl Pairing {
                     _ => return None,
                 }
             }
-            // Two halves of the same kind have the same stamp. Which one is right is unknown; the newer one replaces
-            // the older.
+            // Two halves of the same kind have the same stamp. Which half is right is unknown; the newer half replaces
+            // the older half.
             Some(waiting) => lost.push(waiting.half.loss()),
             None => {}
         }
         self.pending.insert(stamp, PendingHalf { half, deadline: now + self.timeout, reserved });
-        // Only one half arrives if one of the topics has another publisher; memory stays bounded.
+        // If one of the topics has another publisher, many halves may wait for a partner that never arrives. The limit
+        // bounds their memory.
         if self.pending.len() > self.max_pending
             && let Some((_, oldest)) = self.pending.pop_first()
         {
@@ -137,7 +138,7 @@ impl Pairing {
     }
 
     /// Returns whether any companion waits for its payload.
-    pub(super) fn awaits_payloads(&self) -> bool {
+    pub(super) fn awaits_any_payload(&self) -> bool {
         self.pending.values().any(|pending| pending.half.is_info())
     }
 
@@ -188,7 +189,11 @@ mod tests {
     fn halves_are_joined_in_either_order() {
         let mut test = PairingTest::new();
         assert!(test.payload(1).is_none() && test.info(2).is_none());
-        assert_eq!(test.lost, [loss(None)], "a companion of 2 says that the one of 1 is lost");
+        assert_eq!(
+            test.lost,
+            [loss(None)],
+            "the companion with stamp 2 shows that the companion with stamp 1 is lost"
+        );
         assert!(test.payload(2).is_some());
         assert!(test.payload(3).is_none());
         let pair = test.info(3).expect("whole");
@@ -206,13 +211,13 @@ mod tests {
     }
 
     #[test]
-    fn waiting_is_bounded_in_number_and_time() {
+    fn waiting_halves_are_bounded_in_number_and_time() {
         let mut test = PairingTest::new();
         for stamp in 1..=4 {
             assert!(test.info(stamp).is_none());
         }
         assert_eq!(test.lost, [loss(Some(1))]);
-        let end = test.pairing.next_timer().expect("three wait");
+        let end = test.pairing.next_timer().expect("three halves wait");
         test.pairing.expire(end, &mut test.lost);
         assert_eq!((test.lost.len(), test.budget.reserved_bytes()), (4, 0));
         assert_eq!(test.pairing.next_timer(), None);

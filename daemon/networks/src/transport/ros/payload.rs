@@ -83,7 +83,7 @@ pub(super) fn encode(
         }
         PayloadType::Bytes => {
             let size = u32::try_from(data.len()).map_err(|_| EncodeError::TooLong { length: data.len() })?;
-            // This type has no header, so that the label carries the connection and the stamp.
+            // This type has no header, so the label carries the connection and the stamp.
             let label = format!("{} {}", header.frame_id, header.stamp.as_nanos());
             let dim = vec![MultiArrayDimension { label, size, stride: size }];
             UInt8MultiArray { layout: MultiArrayLayout { dim, data_offset: 0 }, data }.encode(form)
@@ -91,8 +91,8 @@ pub(super) fn encode(
     }
 }
 
-/// Decodes a payload message of a type. Returns the connection, the stamp of its companion message (`mod.rs`), and the
-/// payload.
+/// Decodes a payload message of a type. Returns the identifier of the connection, the stamp of the payload's companion
+/// (`mod.rs`), and the payload.
 pub(super) fn decode(
     form: WireForm,
     type_name: &str,
@@ -114,7 +114,8 @@ pub(super) fn decode(
             let label = array.layout.dim.first().and_then(|dimension| dimension.label.split_once(' '));
             let (connection, stamp) = label.ok_or(PayloadError::NoStamp)?;
             let stamp: i64 = stamp.parse().map_err(|_| PayloadError::NoStamp)?;
-            // Converted as the stamp of a header would be, so that both are equal.
+            // The stamp is converted as the stamp of a header is, so that a payload and its companion have the same
+            // stamp.
             Ok((connection.to_owned(), Time::from_nanos(stamp).as_nanos(), array.data))
         }
     }
@@ -125,7 +126,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn payloads_are_read_as_written_with_types_of_tools() {
+    fn payloads_are_read_as_written_in_standard_types() {
         let jpeg = Description::unshaped(MediaType::Jpeg);
         let cases = [
             (jpeg, 30, "sensor_msgs/CompressedImage"),
@@ -148,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn foreign_messages_are_refused() {
+    fn messages_without_stamp_or_of_other_type_are_invalid() {
         let array = |label: &str| {
             let dim = vec![MultiArrayDimension { label: label.into(), size: 0, stride: 0 }];
             let layout = MultiArrayLayout { dim, data_offset: 0 };

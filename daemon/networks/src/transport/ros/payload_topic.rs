@@ -29,14 +29,14 @@ pub(super) struct PayloadTopic {
     queue: QueueLimits,
     state: Mutex<TopicState>,
     /// Signals that the topic must be opened.
-    requested: Notify,
+    open_requested: Notify,
 }
 
 #[derive(Debug, Default)]
 struct TopicState {
     phase: TopicPhase,
     /// `true` if a remark has said that the QoS of the other end does not fit.
-    has_remarked_refusal: bool,
+    has_remarked_mismatch: bool,
     /// `true` if a remark has said that payloads are too long for the topic.
     has_remarked_size: bool,
 }
@@ -65,7 +65,7 @@ pub(super) struct Payload<'a> {
 
 impl PayloadTopic {
     pub(super) fn new(name: String, queue: QueueLimits) -> Self {
-        Self { name, queue, state: Mutex::default(), requested: Notify::new() }
+        Self { name, queue, state: Mutex::default(), open_requested: Notify::new() }
     }
 
     fn state(&self) -> MutexGuard<'_, TopicState> {
@@ -77,7 +77,8 @@ impl PayloadTopic {
         &self.name
     }
 
-    /// Publishes a payload. Returns whether the peer receives it this way, so that it need not be in the companion.
+    /// Publishes a payload. Returns `true` if the peer receives the payload on this topic, so that the companion need
+    /// not carry the payload.
     ///
     /// # Errors
     /// If the queue for a peer that receives the topic is full, or the topic has ended.
@@ -91,12 +92,12 @@ impl PayloadTopic {
         let Payload { header, part, data } = *payload;
         let kind = PayloadType::from_part(part, data.len());
         let mut state = self.state();
-        let TopicState { phase, has_remarked_refusal, has_remarked_size } = &mut *state;
+        let TopicState { phase, has_remarked_mismatch, has_remarked_size } = &mut *state;
         let (topic_type, publisher) = match phase {
             TopicPhase::Open(topic_type, publisher) => (topic_type, publisher),
             TopicPhase::Unused => {
                 *phase = TopicPhase::Requested(kind);
-                self.requested.notify_one();
+                self.open_requested.notify_one();
                 return Ok(false);
             }
             // Companions carry the payloads until the topic is open.
@@ -116,13 +117,13 @@ impl PayloadTopic {
         // In ROS 1 a publisher knows its connections; in ROS 2 the peer confirms that payloads arrive on the topic.
         let is_confirmed = max_bytes.is_none() || peer_state.is_subscribed;
         if !is_confirmed
-            && !*has_remarked_refusal
-            && let Some(reason) = publisher.refusal(peer)
+            && !*has_remarked_mismatch
+            && let Some(reason) = publisher.describe_mismatch(peer)
         {
-            *has_remarked_refusal = true;
+            *has_remarked_mismatch = true;
             remark(format!("payloads travel in their companions as well: {reason}"));
         }
-        // A value that this version of ROS cannot encode is sent in the companion.
+        // A payload that this version of ROS cannot encode is sent in its companion.
         let Ok(message) = payload::encode(node.form(), header, part, data) else {
             return Ok(false);
         };
@@ -146,14 +147,14 @@ impl PayloadTopic {
                     return kind;
                 }
             }
-            self.requested.notified().await;
+            self.open_requested.notified().await;
         }
     }
 
     /// Opens the topic.
     ///
     /// # Errors
-    /// If the master does not answer or refuses.
+    /// If the master does not answer, or refuses the registration.
     pub(super) async fn open(&self, node: &dyn SessionNode, kind: PayloadType) -> Result<(), NodeFailure> {
         let publisher =
             node.publish(&self.name, (TopicPurpose::Payloads, kind.topic_type()), self.queue).await?;

@@ -215,8 +215,8 @@ impl SessionPublisher for Publisher {
         Ok(Delivery::Accepted)
     }
 
-    // Nothing is refused here: the master and the headers of connections detect such problems earlier.
-    fn refusal(&self, _node: &str) -> Option<String> {
+    // There is never a mismatch here: the master and the headers of connections detect such problems earlier.
+    fn describe_mismatch(&self, _node: &str) -> Option<String> {
         None
     }
 }

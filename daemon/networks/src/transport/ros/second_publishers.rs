@@ -34,7 +34,7 @@ impl SecondPublishers {
         (peer, node): (&str, &dyn SessionNode),
         now: Instant,
     ) -> Option<String> {
-        // Bounded, because every host on the network can publish the topic.
+        // The number of second publishers is bounded, because every host on the network can publish the topic.
         let is_below_limit = self.reported.len() + self.unnamed.len() < MAX_SECOND_PUBLISHERS;
         if self.reported.contains(second) || !is_below_limit && !self.unnamed.contains_key(second) {
             return None;
@@ -47,7 +47,7 @@ impl SecondPublishers {
             return None;
         }
         self.unnamed.remove(second);
-        // An earlier connection of the same pipeline ends by itself.
+        // There is no remark on an earlier connection of the same pipeline, because that connection ends by itself.
         let peer_names = node.names(peer);
         let peer_pipelines: BTreeSet<&str> =
             peer_names.iter().filter_map(|name| strip_connection_id(name)).collect();
@@ -60,7 +60,7 @@ impl SecondPublishers {
         let (second, first) = (node.describe(second), node.describe(peer));
         Some(format!(
             "topic {topic} has two publishers: the messages of {second} are dropped, because the session belongs to {first}; \
-             stop the former, or give the pipeline another name"
+             stop {second}, or give the pipeline another name"
         ))
     }
 

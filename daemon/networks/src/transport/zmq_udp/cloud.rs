@@ -26,7 +26,7 @@ use crate::transport::{
 };
 use crate::{Address, SessionSettings};
 
-/// Binds a socket and closes it again.
+/// Binds a socket and closes the socket again.
 pub(crate) fn try_bind(address: &Address) -> io::Result<()> {
     std::net::UdpSocket::bind((address.host().as_str(), address.port())).map(drop)
 }
@@ -87,7 +87,7 @@ impl Machine for CloudEnd {
         self.endpoint.receive(source, local, body, now);
     }
 
-    // Ignored, because anyone can forge such reports. A peer that is gone is noticed by its silence.
+    // Such reports are ignored, because anyone can forge them. A peer that is gone is noticed by its silence.
     fn handle_port_unreachable(&mut self) {}
 
     fn tick(&mut self, now: MonoTime) {
@@ -164,7 +164,7 @@ impl CloudReceiver for UdpCloudReceiver {
 
     fn close(mut self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()> {
         Box::pin(async move {
-            // Further deliveries are of no use, and the task must not wait until they are received.
+            // Further deliveries are of no use, and the task must not wait until the deliveries are received.
             self.deliveries.close();
             while self.deliveries.try_recv().is_ok() {}
             self.port.close(linger).await;

@@ -71,8 +71,8 @@ struct State<M> {
     machine: M,
     /// Datagrams that are being sent.
     out: Vec<u8>,
-    /// Route of the datagrams in `out` if the socket has not accepted them.
-    blocked: Option<(Route, Batch)>,
+    /// Route and batch of the datagrams in `out` if the socket has not accepted these datagrams.
+    blocked_batch: Option<(Route, Batch)>,
     /// Time until which the task sleeps if nothing wakes it.
     asleep_until: MonoTime,
 }
@@ -89,7 +89,7 @@ impl<M: Machine> Port<M> {
             state: Mutex::new(State {
                 machine,
                 out: Vec::new(),
-                blocked: None,
+                blocked_batch: None,
                 asleep_until: MonoTime::default(),
             }),
             wake: Notify::new(),
@@ -117,10 +117,10 @@ impl<M: Machine> Port<M> {
         let now = self.time(Instant::now());
         let result = action(&mut state.machine, now);
         self.flush(&mut state);
-        // The task is woken only if it must send the rest, run an earlier timer or report the end. A needless wake-up
-        // would take longer than sending the message.
+        // The task is woken only if it must send the rest, run an earlier timer or report the end of the connection. A
+        // needless wake-up would take longer than sending the message.
         let next_timer = state.machine.next_timer(now);
-        if state.blocked.is_some() || next_timer.is_none_or(|time| time < state.asleep_until) {
+        if state.blocked_batch.is_some() || next_timer.is_none_or(|time| time < state.asleep_until) {
             self.wake.notify_one();
         }
         result
@@ -138,9 +138,9 @@ impl<M: Machine> Port<M> {
 
     /// Sends until nothing may be sent or the socket accepts no more.
     fn flush(&self, state: &mut State<M>) {
-        let State { machine, out, blocked, .. } = state;
+        let State { machine, out, blocked_batch, .. } = state;
         loop {
-            let (route, batch) = match blocked.take() {
+            let (route, batch) = match blocked_batch.take() {
                 Some(batch) => batch,
                 None => {
                     out.clear();
@@ -150,7 +150,8 @@ impl<M: Machine> Port<M> {
                 }
             };
             let mut result = self.socket.try_send(route, out, batch);
-            // If the source address does not belong to this machine any more, the system chooses another one.
+            // If the source address does not belong to this machine any more, the system chooses another source
+            // address.
             if let Err(error) = &result
                 && route.from.is_some()
                 && !matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::ConnectionRefused)
@@ -160,15 +161,15 @@ impl<M: Machine> Port<M> {
             match result {
                 Ok(()) => {}
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                    *blocked = Some((route, batch));
+                    *blocked_batch = Some((route, batch));
                     return;
                 }
                 Err(error) => {
                     if error.kind() == io::ErrorKind::ConnectionRefused {
                         machine.handle_port_unreachable();
                     }
-                    // Only logged: datagrams may be lost anyway, and if a path never carries them, silence ends the
-                    // connection.
+                    // The error is only logged: datagrams may be lost anyway, and if a path never carries datagrams,
+                    // silence ends the connection.
                     tracing::debug!(%error, to = %route.to, "cannot send datagrams");
                 }
             }
@@ -189,7 +190,7 @@ impl<M: Machine> Port<M> {
                     queued_deliveries.push_back(delivery);
                 }
                 let now = self.time(Instant::now());
-                // At least the resolution of the runtime's timers, at most an hour.
+                // The sleep is at least as long as the resolution of the runtime's timers, and at most an hour.
                 let next_timer = state
                     .machine
                     .next_timer(now)
@@ -198,7 +199,7 @@ impl<M: Machine> Port<M> {
                 state.asleep_until = next_timer;
                 (
                     self.start + (next_timer - MonoTime::default()).to_duration(),
-                    state.blocked.is_some(),
+                    state.blocked_batch.is_some(),
                     state.machine.is_finished(),
                 )
             };
@@ -237,8 +238,9 @@ impl<M: Machine> Port<M> {
         }
         let mut state = self.lock();
         state.machine.abandon();
-        // The blocked datagrams would be sent before the goodbye, or prevent it if the socket still accepts nothing.
-        state.blocked = None;
+        // The blocked batch would be sent before the goodbye, or would prevent the goodbye if the socket still accepts
+        // nothing.
+        state.blocked_batch = None;
         self.flush(&mut state);
         drop(state);
         self.ended.cancel();
@@ -251,7 +253,8 @@ impl<M: Machine> Port<M> {
             let now = self.time(Instant::now());
             let machine = &mut state.machine;
             let received = self.socket.try_receive(buffers, |source, local, datagram| {
-                // An empty body is an invalid packet: the datagram is of another group or another program.
+                // A datagram of another group or of another program is handled as an empty body, which is an invalid
+                // packet.
                 let body = radio::body(datagram).unwrap_or_default();
                 machine.receive(source, local, body, now);
             });

@@ -31,7 +31,7 @@ use crate::transport::{
 use crate::{Address, SessionSettings};
 
 /// Number of unfinished messages of the largest length that may be held at the same time.
-const UNFINISHED_MESSAGES: u64 = 4;
+const MAX_UNFINISHED_MESSAGES: u64 = 4;
 
 /// Opens a virtual connection to a cloud's port.
 pub(crate) async fn dial(
@@ -42,7 +42,8 @@ pub(crate) async fn dial(
     let resolved = tokio::net::lookup_host(address.authority()).await;
     let resolved = resolved.map_err(|error| unreachable_failure(&error))?.next();
     let peer = resolved.ok_or_else(|| DialFailure::Unreachable("the name has no address".into()))?;
-    // Not connected to the cloud, which may send from another port (as a RADIO does) and may get another address.
+    // The socket is not connected to the cloud, because the cloud may send from another port (as a RADIO does) and may
+    // get another address.
     let socket = UdpPort::bind(SocketAddr::new(unspecified_address(peer), 0), socket_bytes(settings));
     let socket = socket.map_err(|error| unreachable_failure(&error))?;
     // With these reports, a closed port of the cloud ends the connection at once and not by silence.
@@ -50,7 +51,7 @@ pub(crate) async fn dial(
     let start = Instant::now();
     let (id, terms, remark) = open(&socket, peer, local_terms(settings, &socket), start).await?;
     let largest_message_bytes = u64::from(reassembly_limits(settings).max_message_bytes);
-    let budget = MemoryBudget::new(largest_message_bytes.saturating_mul(UNFINISHED_MESSAGES));
+    let budget = MemoryBudget::new(largest_message_bytes.saturating_mul(MAX_UNFINISHED_MESSAGES));
     let now = time_since(start, Instant::now());
     let connection = Connection::new(
         PacketWriter::new(Role::Edge, id, PREFIX),
@@ -72,11 +73,12 @@ pub(crate) async fn dial(
 }
 
 fn unreachable_failure(error: &io::Error) -> DialFailure {
+    // The system's text begins with a capital letter, but becomes a part of a sentence.
     DialFailure::Unreachable(error.to_string().to_lowercase())
 }
 
-/// Runs the handshake until the cloud has opened a connection. Returns the number of the connection, the cloud's
-/// terms, and a remark if the path passes only smaller datagrams than configured.
+/// Runs the handshake until the cloud has opened a connection. Returns the number of the connection, the cloud's terms,
+/// and a remark if the path carries only shorter datagrams than configured.
 async fn open(
     socket: &UdpPort,
     peer: SocketAddr,
@@ -130,7 +132,7 @@ async fn open(
             }
             Some(HandshakeOutcome::Refused) => {
                 return Err(DialFailure::Refused(
-                    "it has too many connections already; close some, or raise the limit of open files (LimitNOFILE) there".into(),
+                    "the cloud has too many connections already; close some, or raise the limit of open files (LimitNOFILE) on the cloud".into(),
                 ));
             }
             None => {}
@@ -148,8 +150,8 @@ struct EdgeEnd {
     remark: Option<String>,
     /// Descriptions of invalid packets, for the layer above.
     invalid_packets: VecDeque<String>,
-    /// Random number for a path check: a sender that repeats it has proved that it receives what is sent to its
-    /// address.
+    /// Random number for a path check: a sender that repeats this number has proved that it receives what is sent to
+    /// its address.
     token: u64,
     /// Check of another address whose sender claims to be the cloud: the address, the time at which the check began,
     /// and whether the token must still be sent to the address.
@@ -175,8 +177,8 @@ impl Machine for EdgeEnd {
                 self.peer = SocketAddr::new(source.ip(), self.peer.port());
                 tracing::info!(peer = %self.peer, "the cloud has another address");
             }
-            // The sender knows the connection and may be the cloud. It gets a token, and its packets are ignored until
-            // it returns the token.
+            // The sender knows the connection and may be the cloud. This sender gets a token, and its packets are
+            // ignored until it returns the token.
             Ok(packet) if is_other_address && packet.connection() == Some(self.id) => {
                 if self.path_check.is_none_or(|(_, at, _)| now - at >= PATH_CHECK_INTERVAL) {
                     self.path_check = Some((SocketAddr::new(source.ip(), self.peer.port()), now, true));
@@ -301,7 +303,7 @@ impl EdgeReceiver for UdpEdgeReceiver {
 
     fn close(mut self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()> {
         Box::pin(async move {
-            // Further deliveries are of no use, and the task must not wait until they are received.
+            // Further deliveries are of no use, and the task must not wait until the deliveries are received.
             self.deliveries.close();
             while self.deliveries.try_recv().is_ok() {}
             self.port.close(linger).await;

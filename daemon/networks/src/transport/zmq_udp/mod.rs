@@ -4,9 +4,9 @@
 //! socket ([`socket`]) and the task that serves it ([`driver`]). A sending task writes to the socket at once if the
 //! window allows it.
 //!
-//! libzmq's UDP engine has no handshake, reads at most 8,192 bytes and does not report addresses to its users. The
-//! protocol is therefore in the body. Each of our ends has one socket. A peer made of libzmq's sockets has two, and its
-//! hello names the port of its DISH.
+//! libzmq's UDP engine has no handshake, reads at most 8,192 bytes and does not report addresses to the program that
+//! uses it. The protocol between the ends is therefore in the bodies of the datagrams. Each of our ends has one socket.
+//! A peer made of libzmq's sockets has two sockets, and its hello names the port of its DISH.
 
 mod cloud;
 mod driver;
@@ -67,8 +67,11 @@ fn connection_limits(settings: &SessionSettings) -> ConnectionLimits {
 }
 
 fn local_terms(settings: &SessionSettings, socket: &UdpPort) -> Terms {
-    let datagram = u16::try_from(settings.datagram_bytes).unwrap_or(MAX_DATAGRAM_BYTES);
-    Terms { window: socket.window(), datagram: datagram.clamp(MIN_DATAGRAM_BYTES, MAX_DATAGRAM_BYTES) }
+    let datagram_bytes = u16::try_from(settings.datagram_bytes).unwrap_or(MAX_DATAGRAM_BYTES);
+    Terms {
+        window: socket.window(),
+        max_datagram_bytes: datagram_bytes.clamp(MIN_DATAGRAM_BYTES, MAX_DATAGRAM_BYTES),
+    }
 }
 
 fn socket_bytes(settings: &SessionSettings) -> usize {

@@ -6,7 +6,7 @@ pub(super) const PREFIX: &[u8] = b"\x07peernet";
 /// Largest datagram that libzmq sends and receives (`MAX_UDP_MSG`). Bytes.
 pub(super) const MAX_DATAGRAM_BYTES: u16 = 8_192;
 
-/// Returns the body of a datagram, which may be empty; `None` if the group is missing or another one.
+/// Returns the body of a datagram, which may be empty; `None` if the datagram has no group or another group.
 pub(super) fn body(datagram: &[u8]) -> Option<&[u8]> {
     datagram.strip_prefix(PREFIX)
 }

@@ -61,7 +61,7 @@ pub(super) const fn unspecified_address(peer: SocketAddr) -> IpAddr {
 }
 
 impl UdpPort {
-    /// Binds a socket to an address of this machine, with buffers of `buffer_bytes` if the system allows it.
+    /// Binds a socket to an address of this machine, with buffers of `buffer_bytes` if the system allows this size.
     ///
     /// # Errors
     /// If the port is in use or the address does not belong to this machine.
@@ -74,7 +74,7 @@ impl UdpPort {
         let options = SockRef::from(&socket);
         options.set_recv_buffer_size(buffer_bytes)?;
         options.set_send_buffer_size(buffer_bytes)?;
-        // Linux sets twice the requested size, because it counts its own overhead (socket(7)).
+        // Linux sets twice the requested size, because Linux includes its own overhead (socket(7)).
         let receive_buffer = options.recv_buffer_size()?;
         let address = socket.local_addr()?;
         let buffers =
@@ -179,7 +179,7 @@ impl UdpPort {
             return Ok(());
         }
         let mut refusal = None;
-        // All errors are read, because the socket counts as in error until none is left.
+        // All errors are read, because the socket reports an error until no error is left.
         let drained: io::Result<()> = self.socket.try_io(Interest::ERROR, || {
             while let Some(reported) = self.state.recv_transport_error((&self.socket).into())? {
                 let error = io::Error::from_raw_os_error(reported.raw_errno);

@@ -65,7 +65,7 @@ pub(super) struct Codec {
     /// Offset of the end of each queued message in the stream of all bytes ever queued.
     message_ends: VecDeque<u64>,
     /// Number of bytes that the kernel has accepted.
-    written: u64,
+    written_bytes: u64,
     /// Memory of the queued bytes.
     reserved: Reservation,
     budget: Arc<MemoryBudget>,
@@ -93,7 +93,7 @@ impl ZmtpConnection {
         let codec = Codec {
             zmtp: Connection::new(config),
             message_ends: VecDeque::new(),
-            written: 0,
+            written_bytes: 0,
             reserved: Reservation::empty(output),
             budget: Arc::clone(output),
         };
@@ -168,7 +168,7 @@ impl ZmtpConnection {
             codec.reserve(queued_bytes + bytes).map_err(|_| SendFailure::Full)?;
         }
         codec.zmtp.send_message(&message).map_err(|error| gone_failure(&error))?;
-        let end = codec.written + codec.zmtp.pending_transmit_size() as u64;
+        let end = codec.written_bytes + codec.zmtp.pending_transmit_size() as u64;
         codec.message_ends.push_back(end);
         if queued_bytes > 0 {
             // The connection's task writes the message after the queued messages.
@@ -212,20 +212,20 @@ impl ZmtpConnection {
 impl Codec {
     fn advance(&mut self, written: usize) {
         self.zmtp.advance_transmit(written);
-        self.written += written as u64;
-        while self.message_ends.front().is_some_and(|end| *end <= self.written) {
+        self.written_bytes += written as u64;
+        while self.message_ends.front().is_some_and(|end| *end <= self.written_bytes) {
             self.message_ends.pop_front();
         }
     }
 
     /// Reserves memory for `queued_bytes` queued bytes.
     fn reserve(&mut self, queued_bytes: usize) -> io::Result<()> {
-        let full = |_| {
+        let memory_error = |_| {
             io::Error::new(
                 io::ErrorKind::OutOfMemory,
                 "the memory for messages that peers have not read yet is used up",
             )
         };
-        self.reserved.resize(&self.budget, queued_bytes as u64).map_err(full)
+        self.reserved.resize(&self.budget, queued_bytes as u64).map_err(memory_error)
     }
 }

@@ -24,7 +24,7 @@ use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{Frames, ListenerEvent, Peer};
 
 /// Maximum number of bytes of one read while no long frame is expected.
-// They are read into the stack and copied into frames, so that an idle connection has no buffer.
+// These bytes are read into the stack and copied into frames, so that an idle connection has no buffer.
 const READ_BYTES: usize = 16 * 1024;
 
 /// Reading pauses while more bytes of PONGs wait to be written. This stops a peer that sends PINGs and reads nothing.
@@ -180,7 +180,7 @@ impl Driver {
             Phase::Closing => Some(ConnectionEnd::Closed),
             Phase::Replaced => Some(ConnectionEnd::Rejected(
                 Rejection::Replaced,
-                "a newer connection replaced it because the largest number of connections was open".into(),
+                "a newer connection replaced this connection, because the largest number of connections was open".into(),
             )),
             _ => None,
         }
@@ -206,7 +206,7 @@ impl Driver {
             codec.zmtp.handle_input(bytes).map_err(|error| classify_violation(&error, self.is_ready))?;
             while let Some(event) = codec.zmtp.poll_event() {
                 if let Event::HandshakeSucceeded { peer_properties, .. } = event {
-                    // A connection could otherwise claim the routing id of another one.
+                    // A connection could otherwise claim the routing id of another connection.
                     if peer_properties.identity.as_ref().is_some_and(|identity| !identity.is_empty()) {
                         let text = "the peer chose its own routing id, which is not allowed".into();
                         return Err((Rejection::Handshake, text));
@@ -225,8 +225,8 @@ impl Driver {
         Ok(())
     }
 
-    /// Hands complete messages to the listener, and waits while its queue is full. Returns `false` if the listener is
-    /// gone.
+    /// Hands complete messages to the listener, and waits while the listener's queue is full. Returns `false` if the
+    /// listener is gone.
     async fn deliver(&mut self) -> bool {
         while let Some((message, reserved)) = self.messages.pop_front() {
             let frames: Frames = message.iter().collect();
@@ -327,8 +327,8 @@ impl Input {
     async fn read(&mut self, connection: &ZmtpConnection) -> ReadOutcome {
         let Self { reader, framer, allowance, pieces } = self;
         std::future::poll_fn(|cx| {
-            // The phase is read at each poll: the peer's first bytes after its acceptance may arrive before this task
-            // is woken because of the acceptance.
+            // The phase is read at each poll: the peer's first bytes after its admission may arrive before the
+            // admission wakes this task.
             allowance.stage = stage_of_phase(connection.phase());
             poll_read(cx, reader, framer, allowance, pieces)
         })

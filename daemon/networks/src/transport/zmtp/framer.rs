@@ -21,18 +21,18 @@ const LONG: u8 = 0x02;
 const COMMAND: u8 = 0x04;
 
 /// Maximum number of bytes that are reserved at the start of a frame, before and after admission.
-const FIRST_BYTES_UNADMITTED: usize = 4 * 1024;
-const FIRST_BYTES: usize = 64 * 1024;
+const INITIAL_BUFFER_BYTES_UNADMITTED: usize = 4 * 1024;
+const INITIAL_BUFFER_BYTES: usize = 64 * 1024;
 
 /// Maximum number of bytes that are reserved at the start of a frame on a connection that has already sent frames of
 /// this length. A stream of images then does not need growing buffers.
-const MAX_FIRST_BYTES: usize = 2 * 1024 * 1024;
+const MAX_INITIAL_BUFFER_BYTES: usize = 2 * 1024 * 1024;
 
 /// Smallest remainder of a frame that is read from the kernel straight into the frame's buffer. Bytes.
 const DIRECT_READ_BYTES: usize = 8 * 1024;
 
 /// Maximum number of bytes of one read into a frame's buffer.
-// While the kernel copies to this process, it receives nothing for the connection, and the sender waits.
+// While the kernel copies to this process, the kernel receives nothing for the connection, and the sender waits.
 const MAX_DIRECT_READ_BYTES: usize = 64 * 1024;
 
 /// Limits on what a connection may send at present.
@@ -202,8 +202,8 @@ impl Framer {
         // The codec checks the flags before memory is reserved.
         out.push(Piece { bytes: Bytes::copy_from_slice(header), message_memory: None });
         let initial = match allowance.stage {
-            Stage::Admitted => FIRST_BYTES.max(self.largest_frame.min(MAX_FIRST_BYTES)),
-            Stage::Handshake | Stage::Unadmitted => FIRST_BYTES_UNADMITTED,
+            Stage::Admitted => INITIAL_BUFFER_BYTES.max(self.largest_frame.min(MAX_INITIAL_BUFFER_BYTES)),
+            Stage::Handshake | Stage::Unadmitted => INITIAL_BUFFER_BYTES_UNADMITTED,
         };
         let mut buffer = Vec::new();
         grow(&mut buffer, length.min(initial), self.finished_bytes, &mut self.reserved, allowance)?;
@@ -270,7 +270,7 @@ impl Framer {
         length: usize,
         allowance: &Allowance,
     ) -> Result<Option<Reservation>, Violation> {
-        // Commands may stand between the frames of a message and are not part of it.
+        // Commands may stand between the frames of a message, but do not belong to the message.
         if flags & COMMAND == 0 {
             self.finished_bytes = self.finished_bytes.saturating_add(length + FRAME_OVERHEAD_BYTES);
         }

@@ -52,14 +52,14 @@ pub struct ZmtpSender {
 struct ListenerState {
     table: ConnectionTable,
     limits: ListenerLimits,
-    /// Identity of the handshake, which tells peers what listens here; empty for none.
+    /// Identity of the handshake, which tells peers what listens here; empty if there is no identity.
     identity: &'static str,
     budgets: Budgets,
     rejections: Arc<RejectionCounts>,
     stop: CancellationToken,
     tasks: TaskTracker,
-    /// Time until which connections may still send their queues when the port is closed. Set before `stop` is
-    /// cancelled.
+    /// Time until which connections may still send their queues when the port is closed. This time is set before `stop`
+    /// is cancelled.
     close_deadline: Mutex<Option<Instant>>,
 }
 
@@ -250,7 +250,7 @@ async fn accept_connections(
                 for replaced_connection in replaced {
                     replaced_connection.advance(Phase::Replaced);
                 }
-                // Closing may have gone through all connections just before this one was added.
+                // `close` may have visited all connections just before this connection was added.
                 if state.stop.is_cancelled() {
                     connection.advance(Phase::Closing);
                 }
@@ -259,14 +259,14 @@ async fn accept_connections(
                 state.tasks.spawn(serve_connection(driver, Arc::clone(&state), deliveries.clone()));
             }
             Err(reason) => {
-                let text = "the largest number of connections is open, and all of them are admitted";
+                let text = "the largest number of connections (in all, or of this address) is open, and no connection can be replaced, because all are admitted";
                 state.rejections.record(reason, Some(address), text);
             }
         }
     }
 }
 
-/// Waits for the next connection. Returns it with its permit to be open.
+/// Waits for the next connection. Returns the connection with its permit to be open.
 async fn accept_one(
     listener: &TcpListener,
     permits: &Arc<Semaphore>,
@@ -321,6 +321,6 @@ async fn serve_connection(mut driver: Driver, state: Arc<ListenerState>, deliver
         // A connection that delivered no message is unknown to the layer above, which needs no event about its end.
         (false, true) => return,
     };
-    // Fails only while the listener is closing.
+    // Sending fails only while the listener is closing.
     let _ended = deliveries.send(Delivery { event, _reserved: None }).await;
 }

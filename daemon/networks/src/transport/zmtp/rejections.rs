@@ -15,7 +15,7 @@ const LOG_INTERVAL: Duration = Duration::from_secs(60);
 pub enum Rejection {
     /// The largest number of connections was open.
     TooMany,
-    /// The largest number of connections of its address was open.
+    /// The largest number of connections of the peer's address was open.
     TooManyOfAddress,
     /// The connection was not admitted, and a newer connection replaced it because a limit was reached.
     Replaced,
@@ -27,7 +27,7 @@ pub enum Rejection {
     LargeBeforeHello,
     /// The connection sent or claimed a message that is larger than allowed.
     TooLarge,
-    /// There was no memory for its unfinished message.
+    /// There was no memory for the connection's unfinished message.
     NoMemory,
     /// The connection sent nothing for longer than the heartbeat timeout.
     Silent,
@@ -74,7 +74,7 @@ pub struct RejectionCounts {
     listener_address: String,
     counts: [AtomicU64; Rejection::ALL.len()],
     /// Time of the last log line of each reason, and the count at that time.
-    logged: Mutex<[Option<(Instant, u64)>; Rejection::ALL.len()]>,
+    last_lines: Mutex<[Option<(Instant, u64)>; Rejection::ALL.len()]>,
 }
 
 impl RejectionCounts {
@@ -82,7 +82,7 @@ impl RejectionCounts {
         Self {
             listener_address,
             counts: Default::default(),
-            logged: Mutex::new([None; Rejection::ALL.len()]),
+            last_lines: Mutex::new([None; Rejection::ALL.len()]),
         }
     }
 
@@ -95,14 +95,14 @@ impl RejectionCounts {
     pub(super) fn record(&self, reason: Rejection, from: Option<SocketAddr>, detail: &str) {
         let count = self.counts[reason as usize].fetch_add(1, Ordering::Relaxed) + 1;
         let now = Instant::now();
-        let mut logged = self.logged.lock().unwrap_or_else(PoisonError::into_inner);
-        let last_line = &mut logged[reason as usize];
+        let mut last_lines = self.last_lines.lock().unwrap_or_else(PoisonError::into_inner);
+        let last_line = &mut last_lines[reason as usize];
         if last_line.is_some_and(|(logged_at, _)| now - logged_at < LOG_INTERVAL) {
             return;
         }
         let since_last_line = count - last_line.map_or(0, |(_, count)| count);
         *last_line = Some((now, count));
-        drop(logged);
+        drop(last_lines);
         let from = from.map_or_else(|| "an unknown address".to_owned(), |from| from.to_string());
         tracing::warn!(
             from,

@@ -50,9 +50,9 @@ impl ConnectionTable {
         self.entries().open.values().cloned().collect()
     }
 
-    /// Adds a new connection. If a limit is reached, removes the oldest connection that is not admitted: of the same
-    /// address if a limit per address is reached, otherwise of the address with the most connections that are not
-    /// admitted.
+    /// Adds a new connection. If a limit is reached, removes the oldest connection that is not admitted. If a limit per
+    /// address is reached, this is a connection of the same address. Otherwise it is a connection of the address with
+    /// the most connections that are not admitted.
     ///
     /// # Errors
     /// If all connections that could make room are admitted.
@@ -72,10 +72,10 @@ impl ConnectionTable {
         } else if entries.open.len() >= self.limits.max_connections
             || entries.unadmitted.len() >= self.limits.max_unadmitted()
         {
-            let most_crowded =
+            let fullest_group =
                 entries.groups.iter().max_by_key(|(_, count)| count.unadmitted).map(|(group, _)| *group);
             let oldest =
-                most_crowded.and_then(|group| entries.oldest_unadmitted(group)).ok_or(Rejection::TooMany)?;
+                fullest_group.and_then(|group| entries.oldest_unadmitted(group)).ok_or(Rejection::TooMany)?;
             replaced.extend(entries.remove(oldest));
         }
         entries.last_id += 1;

@@ -96,7 +96,7 @@ impl ConnectionTable {
         let (group_total, group_unadmitted) = groups.get(&group).copied().unwrap_or_default();
         let unadmitted: usize = groups.values().map(|(_, unadmitted)| unadmitted).sum();
         // One group may have at most half of the connections, and at most a quarter without a session. Loopback is
-        // exempt from the first limit, because all connections may come from a proxy or a tunnel on this machine.
+        // exempt from the first limit, because all programs of this machine share the loopback address.
         let half = (max / 2).max(1);
         let replaced_group =
             if (!group.is_loopback() && group_total >= half) || group_unadmitted >= (max / 4).max(1) {
@@ -139,7 +139,7 @@ mod tests {
         let limits = limits();
         let connection = Connection::new(
             PacketWriter::new(Role::Cloud, nonce, b""),
-            Terms { window: 1 << 20, datagram: 1_200 },
+            Terms { window: 1 << 20, max_datagram_bytes: 1_200 },
             limits.connection,
             (limits.reassembly, MemoryBudget::new(1)),
             MonoTime::default(),

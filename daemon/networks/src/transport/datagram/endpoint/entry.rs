@@ -30,7 +30,7 @@ pub(super) struct Entry {
     /// Random number of the edge's hello.
     pub(super) nonce: u64,
     /// Longest datagram that is sent to the other end. Bytes.
-    pub(super) datagram: u16,
+    pub(super) max_datagram_bytes: u16,
     pub(super) admission: Admission,
     /// Time of the last path challenge; `None` if there was none.
     pub(super) path_challenged_at: Option<MonoTime>,
@@ -48,7 +48,7 @@ impl Entry {
         (source, reply_port): (SocketAddr, u16),
         local: Option<IpAddr>,
         nonce: u64,
-        datagram: u16,
+        max_datagram_bytes: u16,
         admission: Admission,
     ) -> Self {
         Self {
@@ -57,7 +57,7 @@ impl Entry {
             reply_port,
             local,
             nonce,
-            datagram,
+            max_datagram_bytes,
             admission,
             path_challenged_at: None,
             has_delivered: false,

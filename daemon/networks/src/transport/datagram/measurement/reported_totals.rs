@@ -27,7 +27,7 @@ impl ReportedTotals {
         // The other end may have believed one altered number. Its report is then slightly wrong, and not a false claim.
         if lost.max(reordered) > sent.saturating_add(MAX_GAP) || duplicated > sent.saturating_mul(MAX_COPIES)
         {
-            return Err(FalseClaim::Totals);
+            return Err(FalseClaim::TooManyDatagrams);
         }
         let totals = ArrivalTotals { lost: lost.min(sent), duplicated, reordered: reordered.min(sent) };
         if let Some(previous) = self.last_report.replace(totals) {
@@ -69,7 +69,7 @@ mod tests {
     fn totals_above_what_was_sent_are_refused() {
         let mut reported = ReportedTotals::default();
         for impossible in [totals(75, 0, 0), totals(0, 161, 0), totals(0, 0, 75), totals(u64::MAX, 0, 0)] {
-            assert_eq!(reported.receive(impossible, 10), Err(FalseClaim::Totals));
+            assert_eq!(reported.receive(impossible, 10), Err(FalseClaim::TooManyDatagrams));
         }
         assert_eq!(reported.totals(), None);
     }

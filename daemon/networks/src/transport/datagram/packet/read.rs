@@ -10,7 +10,7 @@ struct Reader<'a>(&'a [u8]);
 
 impl<'a> Reader<'a> {
     fn take<const N: usize>(&mut self) -> Result<[u8; N], InvalidPacket> {
-        let (bytes, rest) = self.0.split_first_chunk().ok_or(InvalidPacket::Length)?;
+        let (bytes, rest) = self.0.split_first_chunk().ok_or(InvalidPacket::WrongLength)?;
         self.0 = rest;
         Ok(*bytes)
     }
@@ -32,7 +32,7 @@ impl<'a> Reader<'a> {
     }
 
     fn terms(&mut self) -> Result<Terms, InvalidPacket> {
-        Ok(Terms { window: self.u32()?, datagram: self.u16()? })
+        Ok(Terms { window: self.u32()?, max_datagram_bytes: self.u16()? })
     }
 
     fn heartbeat(&mut self) -> Result<Heartbeat, InvalidPacket> {
@@ -61,10 +61,10 @@ impl<'a> Packet<'a> {
         let mut reader = Reader(body);
         let kind = reader.u8()?;
         if (kind & FROM_CLOUD != 0) != (receiver == Role::Edge) {
-            return Err(InvalidPacket::Direction);
+            return Err(InvalidPacket::WrongDirection);
         }
         let packet = read_fields(kind & !FROM_CLOUD, receiver, &mut reader, body.len())?;
-        if reader.0.is_empty() { Ok(packet) } else { Err(InvalidPacket::Length) }
+        if reader.0.is_empty() { Ok(packet) } else { Err(InvalidPacket::WrongLength) }
     }
 }
 
@@ -81,7 +81,7 @@ fn read_fields<'a>(
                 Packet::Hello { version: reader.u8()?, nonce: reader.u64()?, reply_port: reader.u16()? };
             reader.skip_padding();
             // The answer to a shorter hello would be longer than the hello.
-            if length < HELLO_BYTES { Err(InvalidPacket::Length) } else { Ok(packet) }
+            if length < HELLO_BYTES { Err(InvalidPacket::WrongLength) } else { Ok(packet) }
         }
         (2, Role::Edge) => Ok(Packet::Cookie { nonce: reader.u64()?, cookie: reader.take()? }),
         (3, Role::Cloud) => {
@@ -129,11 +129,11 @@ fn read_fields<'a>(
                 1 => ResetReason::Unknown,
                 2 => ResetReason::Full,
                 3 => ResetReason::LongLost,
-                _ => return Err(InvalidPacket::Kind),
+                _ => return Err(InvalidPacket::UnknownKind),
             };
             Ok(Packet::Reset { id, reason })
         }
-        _ => Err(InvalidPacket::Kind),
+        _ => Err(InvalidPacket::UnknownKind),
     }
 }
 
@@ -145,10 +145,10 @@ fn read_fragment<'a>(reader: &mut Reader<'a>) -> Result<Fragment<'a>, InvalidPac
     let is_aligned = stride > 0 && offset % u32::from(stride) == 0;
     // The highest number is refused, because there is no number after it.
     if !is_aligned || offset >= total || sequence == u64::MAX {
-        return Err(InvalidPacket::Fragment);
+        return Err(InvalidPacket::InvalidFragment);
     }
     if bytes.len() as u64 != u64::from((total - offset).min(u32::from(stride))) {
-        return Err(InvalidPacket::Fragment);
+        return Err(InvalidPacket::InvalidFragment);
     }
     Ok(Fragment { sequence, tag, offset, total, checksum, stride, lifetime_ms, bytes })
 }

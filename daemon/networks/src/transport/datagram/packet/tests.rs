@@ -10,14 +10,14 @@ fn round_trip_bytes(from: Role, packet: Packet<'_>) -> usize {
     let mut wire = Vec::new();
     packet.write(from, &mut wire);
     assert_eq!(Packet::read(to, &wire), Ok(packet));
-    assert_eq!(Packet::read(from, &wire), Err(InvalidPacket::Direction));
+    assert_eq!(Packet::read(from, &wire), Err(InvalidPacket::WrongDirection));
     wire.len()
 }
 
 #[test]
 fn encoded_packets_decode_to_same_packets() {
     let (nonce, connection, cookie) = (7, u64::MAX, [9; 16]);
-    let terms = Terms { window: 1 << 20, datagram: 1_200 };
+    let terms = Terms { window: 1 << 20, max_datagram_bytes: 1_200 };
     let hello = round_trip_bytes(Role::Edge, Packet::Hello { version: 1, nonce, reply_port: 5_552 });
     let cookie_length = round_trip_bytes(Role::Cloud, Packet::Cookie { nonce, cookie });
     assert!(cookie_length <= hello, "no response is larger than its request");

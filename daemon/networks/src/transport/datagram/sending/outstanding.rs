@@ -18,11 +18,11 @@ pub(super) struct OutstandingMessage {
     pub(super) is_lost: bool,
 }
 
-/// The messages with the numbers from [`first`](Self::first) on, without a gap. There are at most [`MAX_SPAN`], because
-/// the other end stores no more states.
+/// The messages with the numbers from [`first_sequence`](Self::first_sequence) on, without a gap. There are at most
+/// [`MAX_SPAN`], because the other end stores no more states.
 #[derive(Debug, Default)]
 pub(super) struct OutstandingMessages {
-    first: u64,
+    first_sequence: u64,
     messages: VecDeque<OutstandingMessage>,
 }
 
@@ -38,34 +38,34 @@ pub(in crate::transport::datagram) fn decode_tag(encoded: u64) -> Option<u64> {
 
 impl OutstandingMessages {
     /// Returns the number below which all messages are settled or too old to be reported.
-    pub(super) const fn first(&self) -> u64 {
-        self.first
+    pub(super) const fn first_sequence(&self) -> u64 {
+        self.first_sequence
     }
 
     /// Returns the number of the next message.
     pub(super) fn next_sequence(&self) -> u64 {
-        self.first + self.messages.len() as u64
+        self.first_sequence + self.messages.len() as u64
     }
 
     /// Adds a message, which gets the number [`next_sequence`](Self::next_sequence).
     pub(super) fn push(&mut self, tag: u64, fragments: u32, retransmission: Option<Frames>) {
         if self.messages.len() as u64 >= MAX_SPAN {
             self.messages.pop_front();
-            self.first += 1;
+            self.first_sequence += 1;
         }
         self.messages.push_back(OutstandingMessage { tag, fragments, retransmission, is_lost: false });
     }
 
     /// Returns the message with this number unless it is settled.
     pub(super) fn get_mut(&mut self, sequence: u64) -> Option<&mut OutstandingMessage> {
-        let index = usize::try_from(sequence.checked_sub(self.first)?).ok()?;
+        let index = usize::try_from(sequence.checked_sub(self.first_sequence)?).ok()?;
         self.messages.get_mut(index)
     }
 
     /// Removes the messages below a number. Returns the messages that arrived.
     pub(super) fn settle(&mut self, below: u64) -> impl Iterator<Item = OutstandingMessage> + '_ {
-        let count = below.saturating_sub(self.first).min(self.messages.len() as u64);
-        self.first += count;
+        let count = below.saturating_sub(self.first_sequence).min(self.messages.len() as u64);
+        self.first_sequence += count;
         self.messages.drain(..count as usize).filter(|message| !message.is_lost)
     }
 
@@ -91,11 +91,11 @@ mod tests {
         assert_eq!(outstanding.mark_lost(1), Some(expired));
         assert_eq!(outstanding.mark_lost(3), None);
         assert_eq!(outstanding.settle(2).count(), 1, "the lost message did not arrive");
-        assert_eq!((outstanding.first(), outstanding.next_sequence()), (2, 3));
+        assert_eq!((outstanding.first_sequence(), outstanding.next_sequence()), (2, 3));
         assert!(outstanding.get_mut(1).is_none());
         assert_eq!(outstanding.get_mut(2).and_then(|message| decode_tag(message.tag)), Some(7));
         assert_eq!(outstanding.settle(9).count(), 1);
-        assert_eq!((outstanding.first(), outstanding.next_sequence()), (3, 3));
+        assert_eq!((outstanding.first_sequence(), outstanding.next_sequence()), (3, 3));
     }
 
     #[test]
@@ -104,7 +104,7 @@ mod tests {
         for tag in 0..=MAX_SPAN {
             outstanding.push(tag, 1, None);
         }
-        assert_eq!((outstanding.first(), outstanding.next_sequence()), (1, MAX_SPAN + 1));
+        assert_eq!((outstanding.first_sequence(), outstanding.next_sequence()), (1, MAX_SPAN + 1));
         assert_eq!(outstanding.get_mut(1).map(|message| message.tag), Some(1));
     }
 }

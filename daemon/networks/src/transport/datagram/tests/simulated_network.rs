@@ -155,7 +155,7 @@ impl SimulatedNetwork {
             let Some(batch) = self.edge.as_mut().and_then(|edge| edge.fill(&mut out, 10, now)) else { break };
             let address = self.edge_address;
             for datagram in out.clone().chunks(batch.segment) {
-                assert!(datagram.len() <= TERMS.datagram.into());
+                assert!(datagram.len() <= TERMS.max_datagram_bytes.into());
                 self.path.carry(true, address, datagram, now);
             }
         }

@@ -64,6 +64,7 @@ impl CongestionWindow {
     /// Shrinks the window after the loss of a message. `sent` is the number of bytes sent so far, `arrived_or_lost` the
     /// number of bytes that are no longer in flight.
     pub(super) fn shrink(&mut self, sent: u64, arrived_or_lost: u64) {
+        // All losses among the bytes of one flight halve the window only once, as in TCP (RFC 6582).
         if arrived_or_lost < self.recovery_point {
             return;
         }

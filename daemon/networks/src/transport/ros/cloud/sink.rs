@@ -43,10 +43,10 @@ impl CloudSink {
     fn apply_admission(&mut self, admission: Admission, channel: &Arc<Channel>) -> Directive {
         self.deadline = (admission == Admission::Unadmitted).then(|| Instant::now() + self.hello_timeout);
         if admission != Admission::Admitted {
-            return Directive::Limit(self.unadmitted_limits.clone());
+            return Directive::SetLimits(self.unadmitted_limits.clone());
         }
         self.payloads.start(channel);
-        Directive::Limit(self.admitted_limits.clone())
+        Directive::SetLimits(self.admitted_limits.clone())
     }
 }
 
@@ -86,7 +86,7 @@ impl Sink for CloudSink {
         };
         tokio::select! {
             subscriber = self.payloads.wait_until_open() => match subscriber {
-                Ok(subscriber) => Directive::Admit(subscriber),
+                Ok(subscriber) => Directive::ReceivePayloads(subscriber),
                 Err(error) => Directive::End(error.to_string()),
             },
             changed = self.admission.changed() => {

@@ -100,7 +100,7 @@ impl MessageAssembly {
         self.pairing.note_message_without_payload(stamp, &mut lost);
         events.push_incomplete(lost);
         // A message about the session may end the session. Answers whose payloads arrive later would then be lost.
-        if companion.request == MessageInfo::NO_REQUEST && self.pairing.awaits_payloads() {
+        if companion.request == MessageInfo::NO_REQUEST && self.pairing.awaits_any_payload() {
             self.overtaking_messages.push((companion, reserved));
         } else {
             deliver(&companion, None, vec![reserved], events);
@@ -164,7 +164,7 @@ impl MessageAssembly {
     /// Delivers the messages that overtook payloads, unless a companion still waits for its payload. Returns `true` if
     /// no companion waits.
     pub(super) fn deliver_overtaking_messages(&mut self, events: &mut EventQueue) -> bool {
-        if self.pairing.awaits_payloads() {
+        if self.pairing.awaits_any_payload() {
             return false;
         }
         for (companion, reserved) in std::mem::take(&mut self.overtaking_messages) {

@@ -31,7 +31,7 @@ impl OutgoingSequence {
         self.last_stamp = if wall <= MAX_STAMP { wall.max(min_stamp) } else { min_stamp };
         let sequence = self.next_number();
         let stamp = Time::from_nanos(self.last_stamp);
-        // The field of the header has 32 bits. Receivers use `sequence`.
+        // This field of the header has only 32 bits. Receivers use the field `sequence` instead.
         let seq = u32::try_from(sequence & u64::from(u32::MAX)).unwrap_or_default();
         let header = Header { seq, stamp, frame_id: self.connection.clone() };
         MessageInfo { header, kind, sequence, request: MessageInfo::NO_REQUEST, ..MessageInfo::default() }

@@ -42,13 +42,15 @@ fn sender_is_notified_of_missing_payload() {
     receiver.receive_companion(lost_companion, time_at(0));
     receiver.receive_companion(info.clone(), time_at(0));
     receiver.receive_payload(info.header.stamp.as_nanos(), payload, time_at(0));
-    let Some(Event::Incomplete(loss)) = receiver.next_event() else { panic!("the first is lost") };
+    let Some(Event::Incomplete(loss)) = receiver.next_event() else { panic!("the first message is lost") };
     assert_eq!(loss.tag, Some(7));
-    let Some(Event::Message(frames, _)) = receiver.next_event() else { panic!("the second is whole") };
+    let Some(Event::Message(frames, _)) = receiver.next_event() else {
+        panic!("the second message is whole")
+    };
     assert_eq!(frames.concat(), b"headertreepayload");
     let notice = receiver.next_notice(0, time_at(0)).expect("the sender is notified");
     sender.receive_companion(notice, time_at(0));
-    let Some(Event::Lost(loss)) = sender.next_event() else { panic!("the sender knows") };
+    let Some(Event::Lost(loss)) = sender.next_event() else { panic!("the sender is notified of the loss") };
     assert_eq!(loss.tag, Some(7));
 }
 
@@ -56,7 +58,7 @@ fn sender_is_notified_of_missing_payload() {
 fn heartbeats_keep_connection_and_silence_ends_it() {
     let (mut sender, mut receiver) = (new_connection(), new_connection());
     for second in 1..20 {
-        let heartbeat = sender.next_notice(0, time_at(second)).expect("one each second");
+        let heartbeat = sender.next_notice(0, time_at(second)).expect("a heartbeat is due each second");
         receiver.receive_companion(heartbeat, time_at(second));
         receiver.tick(time_at(second));
         assert!(sender.next_notice(0, time_at(second)).is_none() && receiver.next_event().is_none());
@@ -115,7 +117,7 @@ fn goodbye_without_payload_still_ends_connection() {
 }
 
 #[test]
-fn payload_that_travels_twice_is_taken_once_and_confirmed() {
+fn payload_that_arrives_twice_is_delivered_once_and_confirmed() {
     let limits = ConnectionLimits { confirms_payloads: true, ..LIMITS };
     let confirming_connection =
         || Connection::new("ab".into(), limits, MemoryBudget::new(10_000), MonoTime::default());
@@ -140,7 +142,7 @@ fn payload_that_travels_twice_is_taken_once_and_confirmed() {
         sender.receive_companion(receiver.next_notice(0, time_at(0)).expect("a confirmation"), time_at(0));
         assert!(sender.peer().is_subscribed && receiver.next_notice(0, time_at(0)).is_none());
         receiver.tick(time_at(4));
-        assert!(receiver.next_event().is_none(), "nothing is waited for");
+        assert!(receiver.next_event().is_none(), "no companion and no payload is awaited");
     }
 }
 
@@ -168,7 +170,7 @@ fn fragments_are_assembled_and_unfinished_messages_dropped() {
     assert_eq!(
         (receiver.next_event().is_none(), receiver.missing_companions()),
         (true, 1),
-        "the companion of the first never came"
+        "the last companion of the first message never arrived"
     );
 }
 
@@ -181,7 +183,7 @@ enum Step {
         kind: u8,
         changes: Vec<(prop::sample::Index, u8)>,
     },
-    /// A companion with arbitrary claims.
+    /// A companion with arbitrary fields.
     Claims {
         kind: u8,
         sequence: u64,
@@ -199,7 +201,7 @@ enum Step {
 }
 
 fn any_step() -> impl Strategy<Value = Step> {
-    // All kinds, and an unknown one.
+    // All kinds, and an unknown kind.
     let kind = || 0..=MessageInfo::PART + 1;
     let form = prop::sample::select(vec![WireForm::Ros1, WireForm::Cdr]);
     // There are few stamps, so some coincide.
@@ -223,7 +225,7 @@ fn apply_step(step: Step, sender: &mut Connection, receiver: &mut Connection, no
         Step::Damaged { form, kind, changes } => {
             let (info, _) = message(sender, 1, 0);
             let info = MessageInfo { kind, ..info };
-            let mut bytes = info.encode(form).expect("it is short").into_bytes().to_vec();
+            let mut bytes = info.encode(form).expect("the companion is short").into_bytes().to_vec();
             for (index, byte) in changes {
                 let index = index.index(bytes.len());
                 bytes[index] = byte;
@@ -287,7 +289,7 @@ proptest! {
                 receiver.receive_payload(stamp, payload, time_at(0));
             }
         }
-        // Neither heartbeats nor the time limit of halves may expire in between.
+        // After 40 s the time limit of all halves has passed. The heartbeat timeout must not end the connection before.
         receiver.heartbeats.note_received(time_at(40));
         receiver.tick(time_at(40));
         let (mut arrived, mut incomplete) = (0, 0);
@@ -324,7 +326,7 @@ proptest! {
                 let bytes: usize = frames.iter().map(Bytes::len).sum();
                 prop_assert!(bytes as u64 <= LIMITS.max_message_bytes, "{bytes} bytes");
             }
-            // The halves that were given up at once, and the end.
+            // One step may give up all halves and end the connection.
             prop_assert!(events <= LIMITS.max_incomplete + 3, "{events} events of one step");
             while receiver.next_notice(0, now).is_some() {}
         }

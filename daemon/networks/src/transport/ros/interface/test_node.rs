@@ -49,7 +49,7 @@ impl SessionPublisher for TestNode {
         Ok(Delivery::Accepted)
     }
 
-    fn refusal(&self, node: &str) -> Option<String> {
+    fn describe_mismatch(&self, node: &str) -> Option<String> {
         Some(format!("the QoS of {node} does not fit"))
     }
 }

@@ -41,7 +41,7 @@ impl SendingTest {
 }
 
 #[tokio::test]
-async fn first_payload_requests_its_type_once() {
+async fn first_payload_requests_topic_of_its_type_once() {
     let mut sending = SendingTest::new();
     assert!(sending.topic.take_request().now_or_never().is_none());
     sending.open().await;
@@ -62,7 +62,7 @@ async fn subscribed_peer_gets_payloads_on_the_topic_only() {
 }
 
 #[tokio::test]
-async fn long_payloads_and_refusals_are_remarked_once() {
+async fn long_payloads_and_mismatches_are_remarked_once() {
     let mut sending = SendingTest::new();
     sending.open().await;
     for _ in 0..2 {
@@ -72,7 +72,7 @@ async fn long_payloads_and_refusals_are_remarked_once() {
     sending.peer.receive_buffer_bytes = Some(5);
     assert!(!sending.publish(MediaType::Jpeg, 6));
     assert_eq!(sending.node.published_count(), 2);
-    let [size_remark, refusal_remark] = &sending.remarks[..] else { panic!("{:?}", sending.remarks) };
+    let [size_remark, mismatch_remark] = &sending.remarks[..] else { panic!("{:?}", sending.remarks) };
     assert!(size_remark.starts_with("a payload of 11 bytes is longer than the 10 bytes"), "{size_remark}");
-    assert!(refusal_remark.ends_with("the QoS of /cloud does not fit"), "{refusal_remark}");
+    assert!(mismatch_remark.ends_with("the QoS of /cloud does not fit"), "{mismatch_remark}");
 }

@@ -13,11 +13,12 @@ use super::ros2_name;
 use crate::transport::ros::interface::{EdgeTopics, NodeFailure};
 use crate::transport::ros::names::sessions_topic;
 
-/// Time for which another cloud with the same name is searched.
+/// Duration of the search for another cloud with the same name.
 // Discovery takes less than a second where multicast works.
 const OTHER_CLOUD_SEARCH_TIME: Duration = Duration::from_secs(1);
 
-/// Time for which other programs that use the topics of a pipeline are searched after the cloud was found.
+/// Duration of the search for other programs that use the topics of a pipeline. This search follows the search for the
+/// cloud.
 const OTHER_PROGRAM_SEARCH_TIME: Duration = Duration::from_millis(250);
 
 /// Waits until discovery has found the cloud of an edge, and checks that no other program uses the topics. Returns the
@@ -114,7 +115,7 @@ pub(super) async fn check_cloud_name(participant: &Participant, cloud: &str) -> 
     }
 }
 
-/// Returns the other participants that subscribe to requests for connections.
+/// Returns the other participants that subscribe to the topic on which edges ask for connections.
 fn visible_clouds(node: &Ros2Node, sessions: &str) -> BTreeSet<ParticipantId> {
     let expected = ros2_name(SessionHello::DEFINITION.name);
     let is_cloud = |role, kind: &str| role == EndpointRole::Subscription && kind == expected;

@@ -10,8 +10,9 @@
 //!   `net.core.rmem_max` at 4 MiB (of which the kernel makes 8 MiB), messages of 8 MB arrive at once, and messages of
 //!   10 MB and more do not arrive within 5 s. Each end therefore states the size of its socket buffers in hello and
 //!   welcome. A larger payload is sent as companions of 64 KiB ([`PART`](peernet_ros::messages::MessageInfo::PART)), of
-//!   which at most 1 MiB is unacknowledged. Other programs do not see it as a picture, but it arrives as fast as a
-//!   payload that fits. Without the split, the slow retransmission of one large message would delay all later messages.
+//!   which at most 1 MiB is unacknowledged. Other programs do not see such a payload as a picture, but it arrives as
+//!   fast as a payload that fits. Without the split, the slow retransmission of one large message would delay all later
+//!   messages.
 //! - An end that closes a connection waits for the other end's goodbye before it leaves, because `rustdds` drops unread
 //!   messages of a publisher that has left.
 
@@ -90,11 +91,11 @@ impl Ros2SessionNode {
         let namespace = var("ROS_NAMESPACE").unwrap_or_default();
         let namespace = format!("/{}", namespace.trim_matches('/'));
         // Names in ROS 2 cannot have two successive underscores.
-        let words: Vec<&str> = name.split('_').filter(|word| !word.is_empty()).collect();
+        let name_parts: Vec<&str> = name.split('_').filter(|part| !part.is_empty()).collect();
         let participant = Participant::join(Ros2Settings {
             domain_id: address.ros_domain(),
             interfaces: settings.ros2.interfaces.clone(),
-            node_name: words.join("_"),
+            node_name: name_parts.join("_"),
             namespace: namespace.clone(),
             socket_buffer_bytes: usize::try_from(settings.socket_buffer_bytes).unwrap_or(usize::MAX),
             ..Ros2Settings::default()

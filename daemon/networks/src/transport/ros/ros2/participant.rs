@@ -8,7 +8,7 @@ use peernet_ros::ros2::{ParticipantId, Ros2Node, Ros2Settings};
 use crate::transport::ros::interface::NodeFailure;
 
 /// Participants of this process. On a pipeline's topics there may still be publishers of this process's earlier
-/// connections; they are not taken for another program.
+/// connections; such publishers are not taken for another program.
 static LOCAL_PARTICIPANTS: Mutex<BTreeSet<ParticipantId>> = Mutex::new(BTreeSet::new());
 
 fn local_participants() -> MutexGuard<'static, BTreeSet<ParticipantId>> {
@@ -20,7 +20,7 @@ pub(super) fn is_local_participant(id: ParticipantId) -> bool {
     local_participants().contains(&id)
 }
 
-/// A participant of this process. It is registered as such until it has left its domain.
+/// A participant of this process. It is one of the [`LOCAL_PARTICIPANTS`] until it leaves its domain.
 pub(super) struct Participant {
     /// `None` after the participant has left.
     node: Mutex<Option<Arc<Ros2Node>>>,

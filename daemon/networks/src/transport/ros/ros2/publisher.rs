@@ -94,7 +94,7 @@ impl Ros2SessionPublisher {
         }
         for message in messages {
             let message = message.clone().into_bytes();
-            // Published at once if nothing is queued, because a switch to another task would take time.
+            // A message is published at once if nothing is queued, because a switch to another task would take time.
             if queue.messages.is_empty() && !queue.is_busy && state.publish(&mut queue, &message)? {
                 continue;
             }
@@ -170,7 +170,8 @@ impl PublisherState {
                 if subscription_count > 1 { SHARED_TOPIC_TIMEOUT } else { MAX_UNACKNOWLEDGED_TIME };
             match timeout(ack_timeout, self.publisher.wait_for_acknowledgment(ack_timeout)).await {
                 Ok(Ok(())) => self.queue().unacknowledged_bytes = 0,
-                // Messages that another program misses are kept for it, but do not stop the others.
+                // Messages that another program has not acknowledged stay stored for that program, but do not stop the
+                // other subscriptions.
                 Ok(Err(Ros2Error::Unacknowledged { .. })) | Err(_) => self.publisher.forget_unacknowledged(),
                 Ok(Err(error)) => return Err(error.into()),
             }
@@ -178,7 +179,7 @@ impl PublisherState {
             if started_at.elapsed() >= MAX_UNACKNOWLEDGED_TIME || unacknowledged > MAX_UNACKNOWLEDGED_BYTES {
                 return Err(NodeFailure(format!(
                     "{subscription_count} subscriptions of topic {} do not acknowledge what was published ({unacknowledged} bytes); stop programs that \
-                     only watch it and do not keep up, or raise net.core.rmem_max on their hosts",
+                     only watch the topic and do not keep up, or raise net.core.rmem_max on their hosts",
                     self.topic
                 )));
             }
@@ -215,19 +216,19 @@ impl SessionPublisher for Ros2SessionPublisher {
         }
     }
 
-    // The result is never `NotConnected`: DDS does not report whether the other end has found this publisher. Payload
-    // topics are used only after companions have confirmed them, and the end of a node is noticed by the end of its own
-    // topics.
+    // The result is never `NotConnected`: DDS does not report whether the other end has found this publisher. A payload
+    // is sent on its topic alone only after a companion of the other end has confirmed the topic. The end of a node is
+    // noticed by the end of that node's own topics.
     fn publish_to(&self, _node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
         self.offer(messages)
     }
 
-    fn refusal(&self, node: &str) -> Option<String> {
+    fn describe_mismatch(&self, node: &str) -> Option<String> {
         let peers = self.state.publisher.peers();
         let peers = peers.borrow();
-        let (_, refusal) = peers.refused.iter().find(|(id, _)| is_endpoint_of(**id, node))?;
+        let (_, mismatch) = peers.refused.iter().find(|(id, _)| is_endpoint_of(**id, node))?;
         Some(format!(
-            "the other end does not receive topic {}: {refusal}; give both ends the same keys in session.ros2",
+            "the other end does not receive topic {}: {mismatch}; give both ends the same keys in session.ros2",
             self.state.topic
         ))
     }

@@ -41,7 +41,7 @@ impl SessionQos {
                 deadline_ms: self.deadline_ms.map(|ms| ms as f64),
                 ..QosProfile::default()
             },
-            // The deadline is offered and not requested, so that the two ends need not agree on one.
+            // The deadline is offered and not requested, so that the two ends need not agree on a deadline.
             (TopicPurpose::Payloads, EndpointRole::Subscription) => {
                 QosProfile { reliability: self.reliability, depth: self.depth, ..QosProfile::default() }
             }

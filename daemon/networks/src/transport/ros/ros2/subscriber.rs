@@ -179,8 +179,8 @@ impl SubscriberTask {
     /// Receives until there are only publishers of another type, or until the subscriber is dropped.
     async fn run(&mut self, mut subscription: Ros2Subscription, type_name: Arc<str>) -> SubscriptionEnd {
         let mut peers = subscription.peers();
-        // Messages may arrive before discovery finds their publisher, even after it has reported that the previous
-        // publisher is gone.
+        // Messages may arrive before discovery finds their publisher, even after discovery has reported that the
+        // previous publisher is gone.
         let mut unmatched_writers: BTreeSet<EndpointId> = BTreeSet::new();
         loop {
             let (matched, is_refused) = {
@@ -260,7 +260,7 @@ impl SubscriberTask {
 
     /// Hands the failure of the subscription to the subscriber.
     async fn fail(&self, failure: NodeFailure) {
-        // Fails if nothing receives any more.
+        // Sending fails if nothing receives messages any more.
         let _ = self.messages.send(Err(failure)).await;
     }
 }
@@ -296,6 +296,7 @@ impl SessionSubscriber for Ros2SessionSubscriber {
 
     fn watch(&self) -> Box<dyn PublisherChanges> {
         let mut publishers = self.publishers.clone();
+        // The view reports only changes that follow its creation.
         publishers.mark_unchanged();
         Box::new(WatchedPublishers(publishers))
     }

@@ -43,18 +43,18 @@ fn claimed_length_reserves_no_memory() {
     let allowance = allowance(Stage::Admitted);
     let mut framer = greeted_framer(&allowance);
     framer.receive(&header(0, 1_000_000), &allowance, &mut Vec::new()).expect("is allowed");
-    assert!(allowance.admitted.reserved_bytes() <= (FIRST_BYTES + FRAME_OVERHEAD_BYTES) as u64);
+    assert!(allowance.admitted.reserved_bytes() <= (INITIAL_BUFFER_BYTES + FRAME_OVERHEAD_BYTES) as u64);
     drop(framer);
     assert_eq!(allowance.admitted.reserved_bytes(), 0);
 }
 
 #[test]
-fn claims_before_the_hello_are_refused_above_64_kib() {
+fn frames_above_64_kib_are_refused_before_hello() {
     let allowance = allowance(Stage::Unadmitted);
     for claimed_bytes in [MAX_UNADMITTED_BYTES as u64, 60_000_000, u64::MAX] {
         let result =
             greeted_framer(&allowance).receive(&header(0, claimed_bytes), &allowance, &mut Vec::new());
-        assert_eq!(result.expect_err("is too much").0, Rejection::LargeBeforeHello);
+        assert_eq!(result.expect_err("the frame is too long").0, Rejection::LargeBeforeHello);
     }
     let mut framer = greeted_framer(&allowance);
     let part = frame(MORE, &[0; 1_000]);
@@ -63,7 +63,7 @@ fn claims_before_the_hello_are_refused_above_64_kib() {
     assert_eq!(
         accepted_count,
         MAX_UNADMITTED_BYTES / (1_000 + FRAME_OVERHEAD_BYTES),
-        "parts of a message count together"
+        "all frames of a message count together"
     );
 }
 
@@ -79,7 +79,7 @@ fn connection_that_exceeds_budget_ends() {
     assert!(matches!(&failures[..], [(Rejection::NoMemory, _)]), "{failures:?}");
     framers.truncate(1);
     let mut out = Vec::new();
-    framers[0].receive(&[1], &allowance, &mut out).expect("the others go on");
+    framers[0].receive(&[1], &allowance, &mut out).expect("the other connections continue");
     assert!(out[0].message_memory.is_some());
 }
 
@@ -113,7 +113,7 @@ fn long_frame_is_read_into_own_buffer() {
         out.last().map(|piece| (piece.bytes.len(), piece.message_memory.is_some())),
         Some((300_000, true))
     );
-    assert_eq!(reads, 5, "64 KiB each");
+    assert_eq!(reads, 5, "each read takes at most 64 KiB");
     // The next frame of this length gets its whole buffer at once.
     framer.receive(&header(0, 300_000), &allowance, &mut out).expect("is allowed");
     let capacity =
