@@ -194,7 +194,7 @@ impl Connection {
         Heartbeat {
             time,
             next: self.sending.next_sequence(),
-            settled: self.receiving.settled(),
+            settled: self.receiving.settled_below(),
             number: self.sending.datagrams() as u32,
             arrivals: self.measurement.totals(now),
         }
@@ -307,8 +307,8 @@ impl Connection {
             return;
         }
         if self.timer.expires_at() <= now {
-            let seconds = self.timer.timeout().seconds();
-            self.end(format!("nothing was received from the peer for {seconds} s"));
+            let timeout_seconds = self.timer.timeout().seconds();
+            self.end(format!("nothing was received from the peer for {timeout_seconds} s"));
             return;
         }
         if self.ping_at() <= now {

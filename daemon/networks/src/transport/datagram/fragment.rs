@@ -22,10 +22,10 @@ pub(crate) enum UnsendableMessage {
 #[error("the lengths of the frames do not add up to the length of the message")]
 pub(crate) struct InvalidMessage;
 
-/// Returns the number of fragments of a message of `total` bytes, if each fragment has `stride` bytes. The last
+/// Returns the number of fragments of a message of `total_bytes` bytes, if each fragment has `stride` bytes. The last
 /// fragment may be shorter.
-pub(crate) fn fragment_count(total: u32, stride: u16) -> u32 {
-    total.div_ceil(u32::from(stride.max(1)))
+pub(crate) fn fragment_count(total_bytes: u32, stride: u16) -> u32 {
+    total_bytes.div_ceil(u32::from(stride.max(1)))
 }
 
 /// A message that is being sent. Its wire form is the number of frames (16 bits), their lengths (32 bits each), and the
@@ -36,7 +36,7 @@ pub(crate) struct OutgoingMessage {
     /// Tag in its wire form: the sender's number plus one, 0 for none.
     pub(crate) tag: u64,
     /// Length of the wire form. Bytes.
-    pub(crate) total: u32,
+    pub(crate) total_bytes: u32,
     /// CRC-32 of the wire form.
     pub(crate) checksum: u32,
     pub(crate) deadline: Option<MonoTime>,
@@ -68,14 +68,14 @@ impl OutgoingMessage {
         let mut remaining_frames = Vec::with_capacity(frames.len() + 1);
         remaining_frames.push(Bytes::from(header));
         remaining_frames.extend(frames);
-        let bytes: u64 = remaining_frames.iter().map(|part| part.len() as u64).sum();
-        let total = u32::try_from(bytes).map_err(|_| UnsendableMessage::TooLong)?;
+        let bytes: u64 = remaining_frames.iter().map(|piece| piece.len() as u64).sum();
+        let total_bytes = u32::try_from(bytes).map_err(|_| UnsendableMessage::TooLong)?;
         let mut checksum = crc32fast::Hasher::new();
-        remaining_frames.iter().for_each(|part| checksum.update(part));
+        remaining_frames.iter().for_each(|piece| checksum.update(piece));
         Ok(Self {
             sequence,
             tag,
-            total,
+            total_bytes,
             checksum: checksum.finalize(),
             deadline,
             remaining_frames,
@@ -86,27 +86,27 @@ impl OutgoingMessage {
 
     /// Returns whether all bytes were taken.
     pub(crate) const fn is_done(&self) -> bool {
-        self.offset >= self.total
+        self.offset >= self.total_bytes
     }
 
     /// Returns the number of bytes that were not taken yet.
     pub(crate) const fn remaining(&self) -> u32 {
-        self.total - self.offset
+        self.total_bytes - self.offset
     }
 
     /// Appends at most `max_bytes` of the next bytes to `out`. Returns their offset and number.
     pub(crate) fn take(&mut self, max_bytes: u16, out: &mut Vec<u8>) -> (u32, u16) {
         let (offset, mut bytes_to_take) = (self.offset, usize::from(max_bytes));
         while bytes_to_take > 0
-            && let Some(part) = self.remaining_frames.get_mut(self.first_unused)
+            && let Some(piece) = self.remaining_frames.get_mut(self.first_unused)
         {
-            let count = part.len().min(bytes_to_take);
-            out.extend_from_slice(&part[..count]);
-            part.advance(count);
+            let count = piece.len().min(bytes_to_take);
+            out.extend_from_slice(&piece[..count]);
+            piece.advance(count);
             bytes_to_take -= count;
-            if part.is_empty() {
+            if piece.is_empty() {
                 // The memory of a sent frame is freed before the whole message has been sent.
-                *part = Bytes::new();
+                *piece = Bytes::new();
                 self.first_unused += 1;
             }
         }
@@ -158,7 +158,7 @@ mod tests {
                 prop_assert!(fragment_bytes == stride || message.is_done());
                 fragments += 1;
             }
-            prop_assert_eq!(fragments, fragment_count(message.total, stride));
+            prop_assert_eq!(fragments, fragment_count(message.total_bytes, stride));
             prop_assert_eq!(crc32fast::hash(&joined), message.checksum);
             prop_assert_eq!(split_frames(joined.into()), Ok(frames));
         }

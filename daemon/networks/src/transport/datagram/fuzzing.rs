@@ -52,7 +52,7 @@ impl Port {
             connection: ConnectionLimits {
                 heartbeat_interval: Span::from_seconds(1),
                 heartbeat_timeout: Span::from_seconds(5),
-                queue: QueueLimits { messages: 4, bytes: 10_000 },
+                queue: QueueLimits { max_messages: 4, max_bytes: 10_000 },
                 bits_per_second: None,
             },
             reassembly: ReassemblyLimits {
@@ -124,7 +124,7 @@ impl Port {
             sequence: number(0),
             tag: number(1),
             offset: number(2) as u32 * number(4) as u32,
-            total: number(3) as u32 * 16,
+            total_bytes: number(3) as u32 * 16,
             checksum: number(5) as u32,
             stride: number(4) as u16,
             lifetime_ms: number(6) as u16,

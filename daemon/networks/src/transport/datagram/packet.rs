@@ -10,10 +10,10 @@
 //! | 2 cookie | cloud | nonce 64, cookie 128 |
 //! | 3 open | edge | nonce 64, cookie 128, reply port 16, window 32, longest datagram 16, zeros up to the length of the longest datagram |
 //! | 4 opened | cloud | nonce 64, connection 64, window 32, longest datagram 16, zeros up to the length of the longest datagram |
-//! | 5 data | both | connection 64, number 32, sequence 64, tag 64, offset 32, total 32, checksum 32, stride 16, lifetime 16, bytes |
+//! | 5 data | both | connection 64, number 32, sequence 64, tag 64, offset 32, total bytes 32, checksum 32, stride 16, lifetime 16, bytes |
 //! | 6 progress | both | connection 64, sequence 64, end 32 |
-//! | 7 lost | both | connection 64, sequence 64, received 32, total 32 |
-//! | 8 lost-ack | both | connection 64, sequence 64, tag 64, total 32 |
+//! | 7 lost | both | connection 64, sequence 64, received fragments 32, total fragments 32 |
+//! | 8 lost-ack | both | connection 64, sequence 64, tag 64, total fragments 32 |
 //! | 9 ping, 10 pong | both | connection 64, time 64, next sequence 64, settled sequence 64, next number 32, lost 64, duplicated 64, reordered 64 |
 //! | 11 bye | both | connection 64, next sequence 64 |
 //! | 12 bye-ack | both | connection 64 |
@@ -73,7 +73,7 @@ pub(crate) struct Fragment<'a> {
     /// Offset of the bytes in the message; a multiple of the stride.
     pub(crate) offset: u32,
     /// Length of the whole message. Bytes.
-    pub(crate) total: u32,
+    pub(crate) total_bytes: u32,
     /// CRC-32 of the whole message.
     pub(crate) checksum: u32,
     /// Length of every fragment but the last. Bytes.
@@ -280,7 +280,7 @@ fn data_header(connection: u64, number: u32, fragment: &Fragment<'_>) -> [u8; DA
     header[12..20].copy_from_slice(&fragment.sequence.to_be_bytes());
     header[20..28].copy_from_slice(&fragment.tag.to_be_bytes());
     header[28..32].copy_from_slice(&fragment.offset.to_be_bytes());
-    header[32..36].copy_from_slice(&fragment.total.to_be_bytes());
+    header[32..36].copy_from_slice(&fragment.total_bytes.to_be_bytes());
     header[36..40].copy_from_slice(&fragment.checksum.to_be_bytes());
     header[40..42].copy_from_slice(&fragment.stride.to_be_bytes());
     header[42..].copy_from_slice(&fragment.lifetime_ms.to_be_bytes());

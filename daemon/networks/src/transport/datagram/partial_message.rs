@@ -17,7 +17,7 @@ const FRAGMENT_OVERHEAD: u64 = 96;
 /// message.
 #[derive(Debug)]
 pub(super) struct PartialMessage {
-    total: u32,
+    total_bytes: u32,
     /// Bytes from the beginning up to the first gap.
     contiguous: Vec<u8>,
     /// Fragments beyond that gap, by offset.
@@ -41,10 +41,10 @@ pub(super) enum AddOutcome {
 }
 
 impl PartialMessage {
-    /// Creates a message of `total` bytes, of which none has arrived.
-    pub(super) fn new(total: u32, budget: &Arc<MemoryBudget>) -> Self {
+    /// Creates a message of `total_bytes` bytes, of which none has arrived.
+    pub(super) fn new(total_bytes: u32, budget: &Arc<MemoryBudget>) -> Self {
         Self {
-            total,
+            total_bytes,
             contiguous: Vec::new(),
             beyond_gap: BTreeMap::new(),
             beyond_gap_bytes: 0,
@@ -53,8 +53,8 @@ impl PartialMessage {
     }
 
     /// Returns the length of the whole message.
-    pub(super) const fn total(&self) -> u32 {
-        self.total
+    pub(super) const fn total_bytes(&self) -> u32 {
+        self.total_bytes
     }
 
     /// Adds a fragment. Fragments of one message do not overlap and do not extend beyond its end.
@@ -94,7 +94,7 @@ impl PartialMessage {
         if needed > self.contiguous.capacity() {
             // A full buffer at least doubles, so that a long message is copied seldom. The buffer is never longer than
             // twice the bytes that have arrived.
-            let capacity = needed.max(self.contiguous.len() * 2).min(self.total as usize);
+            let capacity = needed.max(self.contiguous.len() * 2).min(self.total_bytes as usize);
             self.reserved.resize(budget, capacity as u64 + self.beyond_gap_bytes)?;
             self.contiguous.reserve_exact(capacity - self.contiguous.len());
         }

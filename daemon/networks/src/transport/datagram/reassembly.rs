@@ -182,12 +182,12 @@ impl Reassembly {
         fragment: &Fragment<'_>,
         now: MonoTime,
     ) -> Result<ReassemblyOutcome, BudgetExhausted> {
-        let total_fragments = fragment_count(fragment.total, fragment.stride);
+        let total_fragments = fragment_count(fragment.total_bytes, fragment.stride);
         let mut unfinished = UnfinishedMessage {
             tag: fragment.tag,
             checksum: fragment.checksum,
             stride: fragment.stride,
-            message: PartialMessage::new(fragment.total, &self.budget),
+            message: PartialMessage::new(fragment.total_bytes, &self.budget),
             received_fragments: 0,
             total_fragments,
             deadline: (fragment.lifetime_ms > 0)
@@ -197,7 +197,7 @@ impl Reassembly {
         };
         // A message that is too long counts as lost, like a message for which there is no memory, so that its sender is
         // informed.
-        let outcome = if fragment.total > self.limits.max_message_bytes {
+        let outcome = if fragment.total_bytes > self.limits.max_message_bytes {
             unfinished.received_fragments = 1;
             Err(BudgetExhausted)
         } else {
@@ -369,7 +369,7 @@ impl UnfinishedMessage {
     ) -> Result<ReassemblyOutcome, BudgetExhausted> {
         let is_consistent = (fragment.tag, fragment.checksum, fragment.stride)
             == (self.tag, self.checksum, self.stride)
-            && fragment.total == self.message.total();
+            && fragment.total_bytes == self.message.total_bytes();
         if !is_consistent {
             return Ok(ReassemblyOutcome::Inconsistent);
         }

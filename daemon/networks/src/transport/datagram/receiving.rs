@@ -36,7 +36,7 @@ pub(crate) struct ReceivingHalf {
     watermark: SentWatermark,
     /// Furthest end of a fragment since the last report of progress: message number, and offset of the end in the
     /// message. It is reset after each report, so that a number that was altered on the way is not kept.
-    furthest: (u64, u32),
+    furthest_end: (u64, u32),
     /// Bytes that arrived since the last report of progress.
     unreported_bytes: u32,
     reports: Vec<LossReport>,
@@ -67,7 +67,7 @@ impl ReceivingHalf {
             connection,
             reassembly: Reassembly::new(limits, budget),
             watermark: SentWatermark::default(),
-            furthest: (0, 0),
+            furthest_end: (0, 0),
             unreported_bytes: 0,
             reports: Vec::new(),
         }
@@ -84,7 +84,7 @@ impl ReceivingHalf {
         let outcome = self.reassembly.receive(fragment, now);
         if !matches!(outcome, ReassemblyOutcome::TooFarAhead) {
             let end = fragment.offset + fragment.bytes.len() as u32;
-            self.furthest = self.furthest.max((fragment.sequence, end));
+            self.furthest_end = self.furthest_end.max((fragment.sequence, end));
             self.unreported_bytes = self.unreported_bytes.saturating_add(fragment.bytes.len() as u32);
         }
         match outcome {
@@ -106,7 +106,7 @@ impl ReceivingHalf {
         }
         self.unreported_bytes = 0;
         // The end is reset, so that a number that was altered on the way is reported only once.
-        let (sequence, end) = std::mem::take(&mut self.furthest);
+        let (sequence, end) = std::mem::take(&mut self.furthest_end);
         Some(Packet::Progress { connection: self.connection, sequence, end })
     }
 
@@ -129,7 +129,7 @@ impl ReceivingHalf {
     }
 
     /// Returns the number below which all messages are settled and the other end has confirmed the losses.
-    pub(crate) fn settled(&self) -> u64 {
+    pub(crate) fn settled_below(&self) -> u64 {
         let unconfirmed = self.reports.iter().map(|report| report.lost.sequence);
         unconfirmed.chain([self.reassembly.floor()]).min().unwrap_or_default()
     }
@@ -138,7 +138,7 @@ impl ReceivingHalf {
     pub(crate) fn is_settled(&self) -> bool {
         // A goodbye may be the only packet that reports the last messages. Its claim is then never confirmed, so the
         // unconfirmed claim counts here.
-        let is_claim_settled = self.watermark.claimed() <= self.reassembly.floor();
+        let is_claim_settled = self.watermark.last_claimed_number() <= self.reassembly.floor();
         is_claim_settled && self.reassembly.is_settled() && self.reports.is_empty()
     }
 

@@ -99,8 +99,8 @@ impl SendingHalf {
         let retransmission = (tag == 0).then(|| frames.clone());
         let message = OutgoingMessage::new(frames, self.outstanding.next_sequence(), tag, deadline)
             .map_err(|error| SendFailure::Gone(error.to_string()))?;
-        let retransmission = retransmission.filter(|_| message.total <= MAX_RETRANSMITTED_BYTES);
-        self.outstanding.push(tag, fragment_count(message.total, self.stride), retransmission);
+        let retransmission = retransmission.filter(|_| message.total_bytes <= MAX_RETRANSMITTED_BYTES);
+        self.outstanding.push(tag, fragment_count(message.total_bytes, self.stride), retransmission);
         self.queue.push(message);
         Ok(())
     }
@@ -161,7 +161,7 @@ impl SendingHalf {
                 sequence: message.sequence,
                 tag: message.tag,
                 offset: message.offset,
-                total: message.total,
+                total_bytes: message.total_bytes,
                 checksum: message.checksum,
                 stride: self.stride,
                 lifetime_ms,

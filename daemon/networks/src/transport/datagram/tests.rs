@@ -29,7 +29,7 @@ pub(super) fn limits() -> EndpointLimits {
             // Short enough that 30 % loss in both directions never loses all heartbeats of a timeout by chance.
             heartbeat_interval: Span::from_millis(100),
             heartbeat_timeout: Span::from_seconds(5),
-            queue: QueueLimits { messages: 100, bytes: 10_000_000 },
+            queue: QueueLimits { max_messages: 100, max_bytes: 10_000_000 },
             bits_per_second: None,
         },
         reassembly: ReassemblyLimits {
@@ -246,7 +246,7 @@ fn claimed_lengths_take_no_room_of_other_peers() {
             sequence,
             tag: 1,
             offset: if sequence % 2 == 0 { 0 } else { 1_000_000 },
-            total: claimed_bytes,
+            total_bytes: claimed_bytes,
             checksum: 0,
             stride: 1_000,
             lifetime_ms: 0,
@@ -289,7 +289,7 @@ fn message_without_memory_is_lost_before_fully_sent() {
             sequence: u64::from(number % 2),
             tag: 1,
             offset: (number / 2 + 1) * 1_000,
-            total: limits().reassembly.max_message_bytes,
+            total_bytes: limits().reassembly.max_message_bytes,
             checksum: 0,
             stride: 1_000,
             lifetime_ms: 0,

@@ -71,15 +71,15 @@ impl SendWindow {
 
     /// Handles a report of the other end's progress.
     pub(crate) fn record_progress(&mut self, sequence: u64, end: u32, now: MonoTime) {
-        let arrived = self.in_flight.record_progress((sequence, end), now);
-        if arrived > 0 {
-            self.congestion.grow(arrived, now);
+        let progress_bytes = self.in_flight.record_progress((sequence, end), now);
+        if progress_bytes > 0 {
+            self.congestion.grow(progress_bytes, now);
         }
     }
 
     /// Records that a message was lost.
     pub(crate) fn record_loss(&mut self) {
-        self.congestion.shrink(self.in_flight.sent(), self.in_flight.arrived_or_lost());
+        self.congestion.shrink(self.in_flight.sent_bytes(), self.in_flight.arrived_or_lost());
     }
 
     /// Treats bytes in flight as arrived or lost after a long silence.

@@ -90,7 +90,7 @@ pub(crate) async fn dial(
         (&cloud, hello_message),
     )
     .await?;
-    // After the welcome, the cloud refuses this connection no more.
+    // After its welcome, the cloud does not refuse this connection any more.
     drop(refusals);
     let (channel, (delivery_sender, deliveries)) = (Arc::new(channel), mpsc::channel(MAX_QUEUED_DELIVERIES));
     let (stop, abort) = (CancellationToken::new(), CancellationToken::new());

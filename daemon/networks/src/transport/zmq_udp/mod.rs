@@ -59,8 +59,8 @@ fn connection_limits(settings: &SessionSettings) -> ConnectionLimits {
         heartbeat_timeout: Span::from(settings.heartbeat_timeout()),
         // Room for every request in flight, and for the few messages that open and close a session.
         queue: QueueLimits {
-            messages: settings.max_in_flight as usize + 16,
-            bytes: u64::from(max_wire_message_bytes(settings)),
+            max_messages: settings.max_in_flight as usize + 16,
+            max_bytes: u64::from(max_wire_message_bytes(settings)),
         },
         bits_per_second: (settings.max_send_bits_per_second > 0).then_some(settings.max_send_bits_per_second),
     }

@@ -259,7 +259,8 @@ async fn accept_connections(
                 state.tasks.spawn(serve_connection(driver, Arc::clone(&state), deliveries.clone()));
             }
             Err(reason) => {
-                let text = "the largest number of connections (in all, or of this address) is open, and no connection can be replaced, because all are admitted";
+                let text = "the largest number of connections (in all, or of this address) is open, and no connection can be \
+                            replaced, because all are admitted";
                 state.rejections.record(reason, Some(address), text);
             }
         }

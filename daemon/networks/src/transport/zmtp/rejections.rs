@@ -72,7 +72,7 @@ impl Rejection {
 pub struct RejectionCounts {
     /// Address of the listener, for log lines.
     listener_address: String,
-    counts: [AtomicU64; Rejection::ALL.len()],
+    occurrences: [AtomicU64; Rejection::ALL.len()],
     /// Time of the last log line of each reason, and the count at that time.
     last_lines: Mutex<[Option<(Instant, u64)>; Rejection::ALL.len()]>,
 }
@@ -81,19 +81,19 @@ impl RejectionCounts {
     pub(super) fn new(listener_address: String) -> Self {
         Self {
             listener_address,
-            counts: Default::default(),
+            occurrences: Default::default(),
             last_lines: Mutex::new([None; Rejection::ALL.len()]),
         }
     }
 
     /// Returns how often a reason has occurred since the listener was bound.
     pub fn count(&self, reason: Rejection) -> u64 {
-        self.counts[reason as usize].load(Ordering::Relaxed)
+        self.occurrences[reason as usize].load(Ordering::Relaxed)
     }
 
     /// Counts a connection, and logs it unless that reason was logged in the last minute.
     pub(super) fn record(&self, reason: Rejection, from: Option<SocketAddr>, detail: &str) {
-        let count = self.counts[reason as usize].fetch_add(1, Ordering::Relaxed) + 1;
+        let count = self.occurrences[reason as usize].fetch_add(1, Ordering::Relaxed) + 1;
         let now = Instant::now();
         let mut last_lines = self.last_lines.lock().unwrap_or_else(PoisonError::into_inner);
         let last_line = &mut last_lines[reason as usize];

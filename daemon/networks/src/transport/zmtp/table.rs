@@ -19,7 +19,7 @@ pub(super) struct ConnectionTable {
 struct Entries {
     last_id: u64,
     /// All open connections by id.
-    open: HashMap<ConnectionId, Arc<ZmtpConnection>>,
+    connections: HashMap<ConnectionId, Arc<ZmtpConnection>>,
     /// Connections that are not admitted, oldest first, because ids increase.
     unadmitted: BTreeSet<ConnectionId>,
     /// Number of connections of each address.
@@ -29,7 +29,7 @@ struct Entries {
 /// Number of connections of one address.
 #[derive(Clone, Copy, Debug, Default)]
 struct ConnectionCount {
-    open: usize,
+    total: usize,
     unadmitted: usize,
 }
 
@@ -43,11 +43,11 @@ impl ConnectionTable {
     }
 
     pub(super) fn get(&self, id: ConnectionId) -> Option<Arc<ZmtpConnection>> {
-        self.entries().open.get(&id).cloned()
+        self.entries().connections.get(&id).cloned()
     }
 
     pub(super) fn connections(&self) -> Vec<Arc<ZmtpConnection>> {
-        self.entries().open.values().cloned().collect()
+        self.entries().connections.values().cloned().collect()
     }
 
     /// Adds a new connection. If a limit is reached, removes the oldest connection that is not admitted. If a limit per
@@ -65,11 +65,11 @@ impl ConnectionTable {
         let mut replaced = Vec::new();
         let group_count = entries.groups.get(&group).copied().unwrap_or_default();
         // All programs of this machine share the loopback address.
-        let is_group_full = !group.is_loopback() && group_count.open >= self.limits.max_per_address();
+        let is_group_full = !group.is_loopback() && group_count.total >= self.limits.max_per_address();
         if is_group_full || group_count.unadmitted >= self.limits.max_unadmitted_per_address() {
             let oldest = entries.oldest_unadmitted(group).ok_or(Rejection::TooManyOfAddress)?;
             replaced.extend(entries.remove(oldest));
-        } else if entries.open.len() >= self.limits.max_connections
+        } else if entries.connections.len() >= self.limits.max_connections
             || entries.unadmitted.len() >= self.limits.max_unadmitted()
         {
             let fullest_group =
@@ -81,10 +81,10 @@ impl ConnectionTable {
         entries.last_id += 1;
         let id = ConnectionId(entries.last_id);
         let connection = new_connection(id);
-        entries.open.insert(id, Arc::clone(&connection));
+        entries.connections.insert(id, Arc::clone(&connection));
         entries.unadmitted.insert(id);
         let count = entries.groups.entry(group).or_default();
-        count.open += 1;
+        count.total += 1;
         count.unadmitted += 1;
         Ok(InsertedConnection { connection, replaced })
     }
@@ -107,7 +107,7 @@ impl ConnectionTable {
 
     fn set_phase(&self, id: ConnectionId, phase: Phase) {
         let mut entries = self.entries();
-        let Some(connection) = entries.open.get(&id).cloned() else { return };
+        let Some(connection) = entries.connections.get(&id).cloned() else { return };
         connection.advance(phase);
         let is_admitted = phase == Phase::Admitted;
         let changed =
@@ -131,16 +131,19 @@ pub(super) struct InsertedConnection {
 
 impl Entries {
     fn oldest_unadmitted(&self, group: AddressGroup) -> Option<ConnectionId> {
-        self.unadmitted.iter().copied().find(|id| self.open.get(id).is_some_and(|open| open.group == group))
+        self.unadmitted
+            .iter()
+            .copied()
+            .find(|id| self.connections.get(id).is_some_and(|connection| connection.group == group))
     }
 
     fn remove(&mut self, id: ConnectionId) -> Option<Arc<ZmtpConnection>> {
-        let connection = self.open.remove(&id)?;
+        let connection = self.connections.remove(&id)?;
         let was_unadmitted = self.unadmitted.remove(&id);
         if let Some(count) = self.groups.get_mut(&connection.group) {
-            count.open -= 1;
+            count.total -= 1;
             count.unadmitted -= usize::from(was_unadmitted);
-            if count.open == 0 {
+            if count.total == 0 {
                 self.groups.remove(&connection.group);
             }
         }

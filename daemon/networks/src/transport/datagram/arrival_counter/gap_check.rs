@@ -90,7 +90,11 @@ mod tests {
         let mut check = GapCheck::new(at(0));
         assert_eq!(check.check(5, datagram(5 + MAX_GAP), at(0)), Some(None));
         assert_eq!(check.check(5, datagram(1_000), at(1)), None);
-        assert_eq!(check.check(5, datagram(1_000), at(1)), None, "a doubled datagram");
+        assert_eq!(
+            check.check(5, datagram(1_000), at(1)),
+            None,
+            "a duplicated datagram does not confirm itself"
+        );
         assert_eq!(check.check(5, datagram(1_003), at(1)), Some(Some(datagram(1_000))));
         assert_eq!(check.check(5, datagram(1_000), at(2)), None);
         assert_eq!(check.check(5, datagram(6), at(2)), Some(None));

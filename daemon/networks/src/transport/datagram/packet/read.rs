@@ -139,16 +139,16 @@ fn read_fields<'a>(
 
 fn read_fragment<'a>(reader: &mut Reader<'a>) -> Result<Fragment<'a>, InvalidPacket> {
     let (sequence, tag) = (reader.u64()?, reader.u64()?);
-    let (offset, total, checksum) = (reader.u32()?, reader.u32()?, reader.u32()?);
+    let (offset, total_bytes, checksum) = (reader.u32()?, reader.u32()?, reader.u32()?);
     let (stride, lifetime_ms) = (reader.u16()?, reader.u16()?);
     let bytes = reader.read_rest();
     let is_aligned = stride > 0 && offset % u32::from(stride) == 0;
     // The highest number is refused, because there is no number after it.
-    if !is_aligned || offset >= total || sequence == u64::MAX {
+    if !is_aligned || offset >= total_bytes || sequence == u64::MAX {
         return Err(InvalidPacket::InvalidFragment);
     }
-    if bytes.len() as u64 != u64::from((total - offset).min(u32::from(stride))) {
+    if bytes.len() as u64 != u64::from((total_bytes - offset).min(u32::from(stride))) {
         return Err(InvalidPacket::InvalidFragment);
     }
-    Ok(Fragment { sequence, tag, offset, total, checksum, stride, lifetime_ms, bytes })
+    Ok(Fragment { sequence, tag, offset, total_bytes, checksum, stride, lifetime_ms, bytes })
 }

@@ -30,7 +30,7 @@ fn encoded_packets_decode_to_same_packets() {
             sequence: 5,
             tag: 6,
             offset: 8,
-            total: 11,
+            total_bytes: 11,
             checksum: 12,
             stride: 4,
             lifetime_ms: 13,

@@ -18,13 +18,13 @@ fn time_at(millis: i64) -> MonoTime {
 
 /// Splits a message's bytes into fragments of `stride` bytes.
 fn fragments(sequence: u64, bytes: &[u8], stride: u16) -> Vec<Fragment<'_>> {
-    let total = bytes.len() as u32;
+    let total_bytes = bytes.len() as u32;
     let checksum = crc32fast::hash(bytes);
     let fragment_at = |(index, bytes)| Fragment {
         sequence,
         tag: sequence + 1,
         offset: index as u32 * u32::from(stride),
-        total,
+        total_bytes,
         checksum,
         stride,
         lifetime_ms: 0,
@@ -103,7 +103,7 @@ fn contradicting_fragments_change_nothing() {
     for contradiction in [
         Fragment { checksum: 1, ..all_fragments[1] },
         Fragment { tag: 9, ..all_fragments[1] },
-        Fragment { total: 300, ..all_fragments[1] },
+        Fragment { total_bytes: 300, ..all_fragments[1] },
         Fragment { stride: 50, bytes: &bytes[..50], ..all_fragments[1] },
     ] {
         assert!(matches!(reassembly.receive(&contradiction, time_at(0)), ReassemblyOutcome::Inconsistent));
@@ -162,8 +162,11 @@ fn memory_and_messages_are_bounded() {
         reassembly.receive(&fragments(sequence, &small, 10)[0], time_at(0));
         assert!(reassembly.unfinished_count <= LIMITS.max_unfinished_messages);
     }
-    let oversized =
-        Fragment { sequence: 200, total: LIMITS.max_message_bytes + 1, ..fragments(0, &bytes, 1_000)[0] };
+    let oversized = Fragment {
+        sequence: 200,
+        total_bytes: LIMITS.max_message_bytes + 1,
+        ..fragments(0, &bytes, 1_000)[0]
+    };
     reassembly.receive(&oversized, time_at(0));
     assert!(reassembly.take_lost().iter().any(|lost| lost.sequence == 200));
 }

@@ -8,7 +8,7 @@ use peernet_clock::MonoTime;
 /// packet does not move the watermark. RTP also requires a second packet after a jump (RFC 3550, appendix A.1).
 #[derive(Debug, Default)]
 pub(super) struct SentWatermark {
-    confirmed: u64,
+    confirmed_number: u64,
     last_claim: Claim,
 }
 
@@ -31,17 +31,17 @@ impl SentWatermark {
         }
         let previous = std::mem::replace(&mut self.last_claim, Claim { next, packet, claimed_at: now });
         let confirmed = next.min(previous.next);
-        if confirmed <= self.confirmed {
+        if confirmed <= self.confirmed_number {
             return None;
         }
-        self.confirmed = confirmed;
+        self.confirmed_number = confirmed;
         // The time of the first claim is returned, so that waiting for the second packet does not delay the detection
         // of a loss.
         Some((confirmed, previous.claimed_at))
     }
 
     /// Returns the claim of the last packet.
-    pub(super) const fn claimed(&self) -> u64 {
+    pub(super) const fn last_claimed_number(&self) -> u64 {
         self.last_claim.next
     }
 }
@@ -65,7 +65,7 @@ mod tests {
         assert_eq!(sent.claim(7, 2, at(25)), None, "a duplicated packet");
         assert_eq!(sent.claim(7, 3, at(30)), Some((7, at(20))));
         assert_eq!(sent.claim(6, 4, at(40)), None, "a late packet");
-        assert_eq!(sent.claimed(), 6);
+        assert_eq!(sent.last_claimed_number(), 6);
     }
 
     #[test]

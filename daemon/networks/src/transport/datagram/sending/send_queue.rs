@@ -10,9 +10,9 @@ use crate::transport::datagram::fragment::OutgoingMessage;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct QueueLimits {
     /// Maximum number of messages.
-    pub(crate) messages: usize,
+    pub(crate) max_messages: usize,
     /// Maximum number of bytes. An empty queue accepts a message of any size.
-    pub(crate) bytes: u64,
+    pub(crate) max_bytes: u64,
 }
 
 /// Messages in the order of their numbers. Only the first message may have been sent in part.
@@ -21,12 +21,12 @@ pub(super) struct SendQueue {
     limits: QueueLimits,
     messages: VecDeque<OutgoingMessage>,
     /// Number of bytes of the queued messages that remain to be sent.
-    bytes: u64,
+    remaining_bytes: u64,
 }
 
 impl SendQueue {
     pub(super) const fn new(limits: QueueLimits) -> Self {
-        Self { limits, messages: VecDeque::new(), bytes: 0 }
+        Self { limits, messages: VecDeque::new(), remaining_bytes: 0 }
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -35,13 +35,14 @@ impl SendQueue {
 
     /// Returns whether a message of `bytes` bytes may be queued.
     pub(super) fn accepts(&self, bytes: u64) -> bool {
-        let is_full = self.messages.len() >= self.limits.messages || self.bytes + bytes > self.limits.bytes;
+        let is_full = self.messages.len() >= self.limits.max_messages
+            || self.remaining_bytes + bytes > self.limits.max_bytes;
         self.messages.is_empty() || !is_full
     }
 
     /// Queues a message even if the limits are exceeded.
     pub(super) fn push(&mut self, message: OutgoingMessage) {
-        self.bytes += u64::from(message.remaining());
+        self.remaining_bytes += u64::from(message.remaining());
         self.messages.push_back(message);
     }
 
@@ -55,7 +56,7 @@ impl SendQueue {
     pub(super) fn take(&mut self, max_bytes: u16, out: &mut Vec<u8>) -> Option<(u64, u32)> {
         let message = self.messages.front_mut()?;
         let (_, fragment_bytes) = message.take(max_bytes, out);
-        self.bytes -= u64::from(fragment_bytes);
+        self.remaining_bytes -= u64::from(fragment_bytes);
         let end = (message.sequence, message.offset);
         if message.is_done() {
             self.messages.pop_front();
@@ -66,17 +67,17 @@ impl SendQueue {
     /// Drops the remainder of the first message.
     pub(super) fn drop_front(&mut self) {
         if let Some(message) = self.messages.pop_front() {
-            self.bytes -= u64::from(message.remaining());
+            self.remaining_bytes -= u64::from(message.remaining());
         }
     }
 
     /// Drops the messages whose deadline has passed. Returns their numbers.
     pub(super) fn expire(&mut self, now: MonoTime) -> Vec<u64> {
-        let (mut expired, bytes) = (Vec::new(), &mut self.bytes);
+        let (mut expired, remaining_bytes) = (Vec::new(), &mut self.remaining_bytes);
         self.messages.retain(|message| {
             let is_pending = message.deadline.is_none_or(|deadline| now < deadline);
             if !is_pending {
-                *bytes -= u64::from(message.remaining());
+                *remaining_bytes -= u64::from(message.remaining());
                 expired.push(message.sequence);
             }
             is_pending
@@ -99,7 +100,7 @@ mod tests {
     #[test]
     fn queued_bytes_change_with_queued_taken_and_expired_messages() {
         let time_at = |millis| MonoTime::default() + Span::from_millis(millis);
-        let mut queue = SendQueue::new(QueueLimits { messages: 3, bytes: 1_000 });
+        let mut queue = SendQueue::new(QueueLimits { max_messages: 3, max_bytes: 1_000 });
         assert!(queue.accepts(5_000), "an empty queue accepts a message of any size");
         // The wire form adds six bytes to each message.
         queue.push(message(0, 94, None));
@@ -123,7 +124,7 @@ mod tests {
 
     #[test]
     fn number_of_messages_is_bounded() {
-        let mut queue = SendQueue::new(QueueLimits { messages: 2, bytes: 1_000 });
+        let mut queue = SendQueue::new(QueueLimits { max_messages: 2, max_bytes: 1_000 });
         queue.push(message(0, 1, None));
         assert!(queue.accepts(1));
         queue.push(message(1, 1, None));

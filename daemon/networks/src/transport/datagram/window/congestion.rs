@@ -45,12 +45,13 @@ impl CongestionWindow {
         self.size
     }
 
-    /// Grows the window because `arrived` bytes arrived; there must be at least one.
-    pub(super) fn grow(&mut self, arrived: u64, now: MonoTime) {
-        // Growth by the number of arrived bytes doubles the window with each round trip. Growth by time does not depend
-        // on the round trip.
+    /// Grows the window after a report of progress. `progress_bytes` is the number of bytes that have arrived or were
+    /// lost since the last report; there must be at least one.
+    pub(super) fn grow(&mut self, progress_bytes: u64, now: MonoTime) {
+        // Growth by the number of reported bytes doubles the window with each round trip. Growth by time does not
+        // depend on the round trip.
         let growth = if self.size < self.threshold {
-            arrived
+            progress_bytes
         } else {
             // While the sender pauses, nothing shows that the path could carry more. A longer pause therefore counts as
             // `FLIGHT_TIMEOUT`.

@@ -12,8 +12,8 @@ pub(super) const FLIGHT_TIMEOUT: Span = Span::from_millis(200);
 #[derive(Debug)]
 pub(super) struct BytesInFlight {
     /// Number of bytes that were sent.
-    sent: u64,
-    /// Number of sent bytes that are no longer in flight. At most `sent`.
+    sent_bytes: u64,
+    /// Number of sent bytes that are no longer in flight. At most `sent_bytes`.
     arrived_or_lost: u64,
     /// Datagrams in flight, in the order in which they were sent.
     datagrams: VecDeque<DatagramInFlight>,
@@ -32,17 +32,17 @@ struct DatagramInFlight {
 
 impl BytesInFlight {
     pub(super) const fn new(now: MonoTime) -> Self {
-        Self { sent: 0, arrived_or_lost: 0, datagrams: VecDeque::new(), progress_at: now }
+        Self { sent_bytes: 0, arrived_or_lost: 0, datagrams: VecDeque::new(), progress_at: now }
     }
 
     /// Returns the number of bytes in flight.
     pub(super) const fn bytes(&self) -> u64 {
-        self.sent - self.arrived_or_lost
+        self.sent_bytes - self.arrived_or_lost
     }
 
     /// Returns the number of bytes that were sent.
-    pub(super) const fn sent(&self) -> u64 {
-        self.sent
+    pub(super) const fn sent_bytes(&self) -> u64 {
+        self.sent_bytes
     }
 
     /// Returns the number of sent bytes that are no longer in flight.
@@ -61,28 +61,28 @@ impl BytesInFlight {
         if self.bytes() == 0 {
             self.progress_at = now;
         }
-        self.sent += u64::from(bytes);
-        self.datagrams.push_back(DatagramInFlight { end, sent_total: self.sent });
+        self.sent_bytes += u64::from(bytes);
+        self.datagrams.push_back(DatagramInFlight { end, sent_total: self.sent_bytes });
     }
 
-    /// Handles a report of progress. Returns the number of bytes that arrived since the last report.
+    /// Handles a report of progress. Returns the number of bytes that have arrived or were lost since the last report.
     pub(super) fn record_progress(&mut self, end: (u64, u32), now: MonoTime) -> u64 {
         let arrived_before = self.arrived_or_lost;
         // Reports are cumulative: progress up to `end` includes all datagrams sent before.
         while let Some(datagram) = self.datagrams.pop_front_if(|datagram| datagram.end <= end) {
             self.arrived_or_lost = datagram.sent_total;
         }
-        let arrived = self.arrived_or_lost - arrived_before;
-        if arrived > 0 {
+        let progress_bytes = self.arrived_or_lost - arrived_before;
+        if progress_bytes > 0 {
             self.progress_at = now;
         }
-        arrived
+        progress_bytes
     }
 
     /// Treats the bytes in flight as arrived or lost after a long silence.
     pub(super) fn tick(&mut self, now: MonoTime) {
         if self.bytes() > 0 && now >= self.expires_at() {
-            self.arrived_or_lost = self.sent;
+            self.arrived_or_lost = self.sent_bytes;
             self.datagrams.clear();
         }
     }
@@ -107,7 +107,7 @@ mod tests {
         assert_eq!(in_flight.record_progress((0, 300), at(3)), 0, "a repeated report changes nothing");
         assert_eq!((in_flight.bytes(), in_flight.expires_at()), (110, at(202)));
         assert_eq!(in_flight.record_progress((1, 50), at(4)), 110);
-        assert_eq!((in_flight.sent(), in_flight.arrived_or_lost()), (330, 330));
+        assert_eq!((in_flight.sent_bytes(), in_flight.arrived_or_lost()), (330, 330));
     }
 
     #[test]

@@ -289,7 +289,8 @@ proptest! {
                 receiver.receive_payload(stamp, payload, time_at(0));
             }
         }
-        // After 40 s the time limit of all halves has passed. The heartbeat timeout must not end the connection before.
+        // After 40 s the time limit of all halves has passed. The heartbeat timeout must not end the connection before
+        // the halves expire.
         receiver.heartbeats.note_received(time_at(40));
         receiver.tick(time_at(40));
         let (mut arrived, mut incomplete) = (0, 0);

@@ -57,9 +57,9 @@ fn frames_above_64_kib_are_refused_before_hello() {
         assert_eq!(result.expect_err("the frame is too long").0, Rejection::LargeBeforeHello);
     }
     let mut framer = greeted_framer(&allowance);
-    let part = frame(MORE, &[0; 1_000]);
+    let message_frame = frame(MORE, &[0; 1_000]);
     let accepted_count =
-        (0..100).map_while(|_| framer.receive(&part, &allowance, &mut Vec::new()).ok()).count();
+        (0..100).map_while(|_| framer.receive(&message_frame, &allowance, &mut Vec::new()).ok()).count();
     assert_eq!(
         accepted_count,
         MAX_UNADMITTED_BYTES / (1_000 + FRAME_OVERHEAD_BYTES),
