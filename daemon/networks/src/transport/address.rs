@@ -336,8 +336,8 @@ fn parse_name(name: &str) -> Result<String, AddressProblem> {
     if is_name { Ok(name.to_owned()) } else { Err(AddressProblem::InvalidListenerName(name.to_owned())) }
 }
 
-/// Returns the forms of addresses of these networks, for error texts. If `text` has the scheme of one of them, returns
-/// only the form of that scheme.
+/// Returns the forms of addresses of these networks, for error texts. If `text` has the scheme of one of these
+/// networks, returns only the form of that scheme.
 fn suggested_forms(text: &str, networks: &[NetworkKind]) -> String {
     let scheme = text.split_once("://").and_then(|(scheme, _)| Scheme::find(scheme));
     let scheme = scheme.filter(|scheme| networks.contains(&scheme.network));

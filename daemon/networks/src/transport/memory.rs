@@ -48,7 +48,7 @@ impl Reservation {
         Self { budget: Arc::clone(budget), bytes: 0 }
     }
 
-    /// Grows or shrinks the reservation to `bytes` of `budget`. A reservation in another budget moves to this one.
+    /// Grows or shrinks the reservation to `bytes` of `budget`. A reservation in another budget moves to this budget.
     ///
     /// # Errors
     /// If the reservation would exceed `budget`. The reservation is then unchanged.

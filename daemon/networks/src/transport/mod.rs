@@ -83,7 +83,7 @@ macro_rules! networks {
             /// Binds a socket to an address of this network and closes the socket again. Blocks.
             ///
             /// # Errors
-            /// The error of the system. A port that is in use has its own error kind.
+            /// The error of the system. Its kind is `AddrInUse` if the port is in use.
             pub fn try_bind(self, address: &Address) -> io::Result<()> {
                 match self { $(Self::$variant => $module::try_bind(address)),* }
             }
@@ -224,8 +224,8 @@ pub(crate) struct DialContext<'a> {
     pub(crate) clock: &'a SharedClock,
 }
 
-/// The edge's end of one connection. A transport never re-establishes it, because a session exists exactly as long as
-/// its connection.
+/// The edge's end of one connection. A transport never re-establishes a connection, because a session exists exactly as
+/// long as its connection.
 pub(crate) struct EdgeConnection {
     /// Sends messages, from any task or thread.
     pub(crate) sender: Box<dyn EdgeSender>,

@@ -136,7 +136,7 @@ pub(crate) async fn dial(
             Ok(MonitorEvent::Disconnected { reason, .. } | MonitorEvent::ConnectStopped { reason, .. }) => {
                 return Err(DialFailure::Unreachable(reason_text(&reason)));
             }
-            // The attempt failed, and the library waits for the next one.
+            // The attempt failed, and the library waits until its next attempt.
             Ok(MonitorEvent::ConnectDelayed { .. }) => return Err(diagnose(address).await),
             Ok(_) => {}
             Err(error) => return Err(DialFailure::Unreachable(error.to_string())),

@@ -16,8 +16,8 @@ use crate::statistics::DatagramStatistics;
 /// Shortest time after which a missing number counts as lost. The longest is twice that.
 const LOSS_DELAY: Span = Span::from_seconds(1);
 
-/// Number of the latest datagram numbers for which it is stored whether their datagram has arrived. A datagram with an
-/// older number is not counted, because it may be a duplicate.
+/// Number of the latest datagram numbers that are remembered: for each, one bit says whether its datagram has arrived.
+/// A datagram with an older number is not counted, because it may be a duplicate.
 const REMEMBERED_NUMBERS: u64 = 4_096;
 
 /// Totals that the receiving end of a direction reports to its sending end.

@@ -36,7 +36,8 @@ use crate::transport::{AddressGroup, ConnectionId, Frames, ListenerEvent, Peer, 
 const PATH_CHALLENGE_INTERVAL: Span = Span::from_millis(100);
 
 /// Length of a path challenge. Only packets of at least this length are answered with a path challenge.
-// A shorter packet with a forged source address would make this port send more bytes to that address than it received.
+// A shorter packet with a forged source address would make this port send more bytes to that address than this port
+// received.
 const PATH_CHALLENGE_BYTES: usize = 17;
 
 /// Shortest interval between two timer calls of a connection.
@@ -172,7 +173,7 @@ impl Endpoint {
             Connection::new(writer, terms, self.limits.connection, self.budgets.unadmitted_limits(), now)
         };
         let max_datagram_bytes = match self.table.get_mut(id) {
-            // An edge that gets no answer to a large datagram repeats the request with a smaller one.
+            // An edge that gets no answer to a large datagram repeats the request with a smaller datagram.
             Some(entry) if entry.max_datagram_bytes != max_datagram_bytes && !entry.has_delivered => {
                 (entry.connection, entry.max_datagram_bytes) = (connect(), max_datagram_bytes);
                 max_datagram_bytes
@@ -309,7 +310,7 @@ impl Endpoint {
         }
     }
 
-    /// Returns the statistics of a connection; empty ones if it is over.
+    /// Returns the statistics of a connection; empty statistics if the connection is over.
     pub(crate) fn statistics(&mut self, id: ConnectionId, now: MonoTime) -> TransportStatistics {
         let entry = self.table.get_mut(id.0);
         entry.map(|entry| entry.connection.statistics(now)).unwrap_or_default()

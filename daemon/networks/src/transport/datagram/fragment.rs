@@ -150,7 +150,7 @@ mod tests {
             stride in 1_u16..2_000,
         ) {
             let frames: Frames = sizes.iter().map(|size| Bytes::from(vec![*size as u8; *size])).collect();
-            let mut message = OutgoingMessage::new(frames.clone(), 0, 0, None).expect("small");
+            let mut message = OutgoingMessage::new(frames.clone(), 0, 0, None).expect("the message is small");
             let (mut joined, mut fragments) = (Vec::new(), 0);
             while !message.is_done() {
                 let (offset, fragment_bytes) = message.take(stride, &mut joined);

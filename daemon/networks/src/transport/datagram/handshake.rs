@@ -3,7 +3,7 @@
 //! An edge sends a hello. The cloud answers with a cookie and keeps no state. An edge that returns the cookie has shown
 //! that it receives what is sent to its address, and gets a connection. Before that, no answer is longer than the
 //! request. A sender that forges its address therefore cannot make a cloud send more bytes to that address than the
-//! sender sends, and cannot fill the cloud's memory. RFC 9147, section 5.1, does the same.
+//! sender sends, and cannot fill the cloud's memory. RFC 9147, section 5.1, describes the same protection.
 
 use std::net::{IpAddr, SocketAddr};
 

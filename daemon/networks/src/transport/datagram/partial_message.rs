@@ -29,7 +29,7 @@ pub(super) struct PartialMessage {
 
 /// Largest memory of a message as a multiple of its length, in whatever order its fragments arrive. Does not
 /// include [`FRAGMENT_OVERHEAD`], which is small compared to a fragment of a usual length.
-// Up to twice the bytes before the gap are reserved, and the bytes beyond it are stored separately.
+// Up to twice the bytes before the gap are reserved, and the bytes beyond the gap are stored separately.
 pub(super) const PEAK_MEMORY_FACTOR: u64 = 2;
 
 /// Effect of a fragment.
@@ -115,7 +115,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn claimed_length_reserves_nothing() {
+    fn claimed_length_alone_reserves_no_memory() {
         let budget = MemoryBudget::new(1 << 20);
         for offset in [0, 1_000, 3_999_999_000] {
             let mut message = PartialMessage::new(4_000_000_000, &budget);

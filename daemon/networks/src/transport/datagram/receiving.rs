@@ -1,4 +1,4 @@
-//! The receiving half of a virtual connection: arrivals, and the reports of them to the other end.
+//! The receiving half of a virtual connection: fragments that arrive, and reports about them to the other end.
 
 mod watermark;
 
@@ -35,7 +35,7 @@ pub(crate) struct ReceivingHalf {
     reassembly: Reassembly,
     watermark: SentWatermark,
     /// Furthest end of a fragment since the last report of progress: message number, and offset of the end in the
-    /// message. It is reset after each report, so that a number that was altered on the way is not kept.
+    /// message. The furthest end is reset after each report, so that a number that was altered on the way is not kept.
     furthest_end: (u64, u32),
     /// Bytes that arrived since the last report of progress.
     unreported_bytes: u32,
@@ -153,7 +153,7 @@ impl ReceivingHalf {
         let lost_messages = self.reassembly.take_lost();
         let mut identified_losses = Vec::new();
         for lost in lost_messages {
-            // If no fragment has arrived, the tag is unknown here. The confirmation of the other end contains it.
+            // If no fragment has arrived, the tag is unknown here. The confirmation of the other end contains the tag.
             if let Some(tag) = lost.tag {
                 identified_losses.push(MessageLoss {
                     tag: decode_tag(tag),

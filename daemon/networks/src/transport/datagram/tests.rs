@@ -100,7 +100,7 @@ proptest! {
         )).count();
         prop_assert_eq!(answers, 1);
         let now = network.now;
-        network.edge.as_mut().expect("open").close(now);
+        network.edge.as_mut().expect("the connection is open").close(now);
         network.steps(8_000);
         prop_assert_eq!(network.cloud.len(), 0);
         let gone = network.listener_events.iter().filter(|event| matches!(event, ListenerEvent::Gone(..))).count();
@@ -153,7 +153,7 @@ fn restarted_cloud_reports_unknown_connection() {
 }
 
 #[test]
-fn moved_peer_is_followed_after_confirmation() {
+fn edge_keeps_connection_after_check_of_new_address() {
     let mut network = SimulatedNetwork::new(UNIMPAIRED, 1);
     let id = network.open();
     network.edge_address = "192.0.2.77:7".parse().expect("an address");
@@ -232,7 +232,7 @@ fn connections_without_session_are_bounded_and_end() {
 }
 
 #[test]
-fn claimed_lengths_take_no_room_of_other_peers() {
+fn claimed_lengths_take_no_memory_of_other_peers() {
     let mut network = SimulatedNetwork::new(UNIMPAIRED, 1);
     network.open();
     let other_address = SocketAddr::from(([198, 51, 100, 1], 9));
@@ -316,7 +316,7 @@ fn message_without_memory_is_lost_before_fully_sent() {
 }
 
 #[test]
-fn lost_large_datagrams_fall_back_to_small_ones() {
+fn handshake_falls_back_to_short_datagrams() {
     let mut now = MonoTime::default();
     let large_terms = Terms { max_datagram_bytes: 8_000, ..TERMS };
     let mut dialling = DialState::new(1, 0, large_terms, PREFIX.len(), now);

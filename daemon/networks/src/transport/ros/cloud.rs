@@ -90,7 +90,7 @@ pub(crate) async fn bind(
     Ok(BoundPort { address: address.clone(), caveat, sender, receiver })
 }
 
-/// Opens a connection for each edge that asks for one.
+/// Opens a connection for each edge that asks for a connection.
 async fn accept_connections(
     peers: Arc<Peers>,
     node: Arc<dyn SessionNode>,

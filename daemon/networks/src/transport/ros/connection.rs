@@ -191,7 +191,7 @@ impl Connection {
         self.assembly.set_budget(budget);
     }
 
-    /// Handles the timers that have expired. [`next_timer`](Self::next_timer) returns the next one.
+    /// Handles the timers that have expired. [`next_timer`](Self::next_timer) returns the time of the next timer.
     pub(super) fn tick(&mut self, now: MonoTime) {
         self.assembly.expire(now, &mut self.events);
         self.end_after_payloads();

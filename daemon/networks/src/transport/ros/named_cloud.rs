@@ -34,7 +34,7 @@ fn find_address_with(
     Ok(format!("ros1://{host}:{}/{name}", master.port()))
 }
 
-/// Returns the requested version; ROS 1 if neither the configuration nor the environment states one.
+/// Returns the requested version; ROS 1 if neither the configuration nor the environment states a version.
 fn requested_version(
     requested: Option<u64>,
     variable: impl Fn(&str) -> Option<String>,
@@ -75,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn unusable_settings_are_named() {
+    fn error_names_unusable_setting() {
         for number in [3, 300] {
             let error = address(Some(number), &[]).expect_err("no such version").to_string();
             assert!(error.contains("ros_version"), "{error}");

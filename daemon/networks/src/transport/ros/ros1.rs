@@ -255,7 +255,7 @@ impl SessionSubscriber for Subscriber {
 }
 
 impl PublisherChanges for PublisherWatch {
-    // The inner future is created at once, because it reports changes from then on.
+    // The inner future is created at once, because it reports the changes since its creation.
     fn changed(&self) -> BoxFuture<'_, ()> {
         Self::changed(self).boxed()
     }

@@ -86,7 +86,7 @@ mod tests {
     const TOPIC: &str = "/line/request_info";
 
     #[test]
-    fn node_is_remarked_once_when_its_name_is_known_or_late() {
+    fn second_publisher_is_remarked_once_with_or_without_name() {
         let (mut node, mut second_publishers, start) =
             (TestNode::default(), SecondPublishers::default(), Instant::now());
         for id in ["named", "unnamed"] {

@@ -30,7 +30,7 @@ const READ_BYTES: usize = 16 * 1024;
 /// Reading pauses while more bytes of PONGs wait to be written. This stops a peer that sends PINGs and reads nothing.
 const MAX_QUEUED_PONG_BYTES: usize = 16 * 1024;
 
-/// Time limit for a peer to close its end after everything was sent to it.
+/// Time limit for a peer to close its end after everything was sent to the peer.
 const CLOSE_TIMEOUT: Duration = Duration::from_millis(200);
 
 /// Reason for the end of a connection.
@@ -260,7 +260,7 @@ impl Driver {
         if codec.zmtp.peer_minor() == 0 || codec.zmtp.has_pending_transmit() {
             return;
         }
-        // With a TTL of 0 the peer's own settings determine when it gives up the connection.
+        // With a TTL of 0 the peer's own settings determine when the peer gives up the connection.
         let ping = Command::Ping { ttl_deciseconds: 0, context: bytes::Bytes::new() };
         if let Err(error) = codec.zmtp.send_command(&ping) {
             tracing::debug!(%error, "cannot send a heartbeat");

@@ -263,7 +263,7 @@ impl Framer {
         Ok(())
     }
 
-    /// Counts a complete frame. Returns the memory of the message if it ends with this frame.
+    /// Counts a complete frame. Returns the memory of the message if the message ends with this frame.
     fn complete_frame(
         &mut self,
         flags: u8,
@@ -282,7 +282,7 @@ impl Framer {
     }
 }
 
-/// Returns the length that a frame announces. At least its header must have arrived.
+/// Returns the length that a frame announces. At least the frame's header must have arrived.
 fn frame_length(frame: &[u8]) -> usize {
     let big_endian = |bytes: &[u8]| bytes.iter().fold(0, |length, byte| length << 8 | u64::from(*byte));
     let announced = big_endian(&frame[1..header_length(frame[0])]);

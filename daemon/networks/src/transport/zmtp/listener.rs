@@ -63,7 +63,7 @@ struct ListenerState {
     close_deadline: Mutex<Option<Instant>>,
 }
 
-/// An event, and the reservation of its memory until it is received.
+/// An event, and the reservation of its memory until the event is received.
 #[derive(Debug)]
 pub(super) struct Delivery {
     pub(super) event: ListenerEvent,
@@ -167,7 +167,7 @@ impl ZmtpSender {
         self.state.table.greet(connection);
     }
 
-    /// Notes that the connection's hello was accepted. It may send large messages.
+    /// Notes that the connection's hello was accepted. The connection may then send large messages.
     pub fn admit(&self, connection: ConnectionId) {
         self.state.table.admit(connection);
     }

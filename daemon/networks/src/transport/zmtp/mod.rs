@@ -11,8 +11,10 @@
 //! | unadmitted | the layer above accepts a hello | 64 KiB | the hello timeout, a newer connection |
 //! | admitted | its session or host has gone | the listener's budget | silence |
 //!
+//! While the layer above decides on a hello, the hello timeout does not apply.
+//!
 //! [`limits`] has the numbers, [`framer`] counts bytes, [`table`] counts connections and decides which connection is
-//! closed for a new one, [`deadlines`] watches times, [`driver`] is the task of a connection.
+//! closed for a new connection, [`deadlines`] watches times, [`driver`] is the task of a connection.
 //!
 //! Routing ids that peers choose are refused, because a session belongs to one connection.
 

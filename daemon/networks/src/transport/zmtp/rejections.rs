@@ -91,7 +91,7 @@ impl RejectionCounts {
         self.occurrences[reason as usize].load(Ordering::Relaxed)
     }
 
-    /// Counts a connection, and logs it unless that reason was logged in the last minute.
+    /// Counts a rejected connection, and logs the rejection unless the same reason was logged in the last minute.
     pub(super) fn record(&self, reason: Rejection, from: Option<SocketAddr>, detail: &str) {
         let count = self.occurrences[reason as usize].fetch_add(1, Ordering::Relaxed) + 1;
         let now = Instant::now();

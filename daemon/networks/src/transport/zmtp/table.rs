@@ -1,4 +1,4 @@
-//! The open connections of a listener, and the choice of the connection that is closed for a new one.
+//! The open connections of a listener, and the choice of the connection that is closed for a new connection.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -122,7 +122,8 @@ impl ConnectionTable {
     }
 }
 
-/// A connection that was added, and the connections that were removed for it, which the caller must close.
+/// A connection that was added, and the connections that were removed for it. The caller must close the removed
+/// connections.
 #[derive(Debug)]
 pub(super) struct InsertedConnection {
     pub(super) connection: Arc<ZmtpConnection>,

@@ -1,5 +1,5 @@
 //! The connections of a port, by number and by the hello that opened them, and the choice of the connection that is
-//! closed for a new one.
+//! closed for a new connection.
 
 use std::collections::HashMap;
 use std::net::{IpAddr, SocketAddr};

@@ -95,7 +95,7 @@ fn missing_message_is_lost_with_zero_fragments() {
 }
 
 #[test]
-fn contradicting_fragments_change_nothing() {
+fn contradicting_fragments_do_not_change_message() {
     let mut reassembly = with_budget(1 << 20);
     let bytes: Vec<u8> = (0..=255).collect();
     let all_fragments = fragments(0, &bytes, 100);
@@ -147,7 +147,7 @@ fn claimed_length_takes_no_memory_of_other_messages() {
 }
 
 #[test]
-fn memory_and_messages_are_bounded() {
+fn unfinished_messages_and_their_memory_are_bounded() {
     let mut reassembly = with_budget(50_000);
     let bytes = vec![7; 20_000];
     for sequence in 0..6 {
@@ -228,7 +228,7 @@ proptest! {
         stride in 1_u16..500,
         order in any::<u64>(),
     ) {
-        let mut message = OutgoingMessage::new(vec![frame.into()], 0, 0, None).expect("small");
+        let mut message = OutgoingMessage::new(vec![frame.into()], 0, 0, None).expect("the message is small");
         let mut bytes = Vec::new();
         message.take(u16::MAX, &mut bytes);
         let mut all_fragments = fragments(0, &bytes, stride);

@@ -2,7 +2,8 @@
 
 use peernet_clock::{MonoTime, Span};
 
-/// Number of successive messages that must lose all their long datagrams before the path counts as broken for them.
+/// Number of successive messages that must lose all their long datagrams before the path counts as broken for long
+/// datagrams.
 // With 30 % random loss and messages of two datagrams, this happens by chance in about one of 47,000 sequences of 16
 // messages.
 const MIN_MESSAGES: u32 = 16;
@@ -37,7 +38,7 @@ impl LongLossDetector {
     /// Notes that a message was lost. `received` of its `fragments` fragments arrived. `lost_datagrams` is the number
     /// of datagrams that the other end has reported as lost.
     pub(super) fn record_loss(&mut self, fragments: u32, received: u32, lost_datagrams: u64, now: MonoTime) {
-        // A single fragment that arrived may be the last one, which is shorter than the others.
+        // A single fragment that arrived may be the last fragment, which is shorter than the others.
         if received > 1 {
             self.losses = None;
         } else if fragments > 1 {

@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn oldest_message_is_replaced() {
+    fn oldest_outstanding_message_is_dropped_when_full() {
         let mut outstanding = OutstandingMessages::default();
         for tag in 0..=MAX_SPAN {
             outstanding.push(tag, 1, None);

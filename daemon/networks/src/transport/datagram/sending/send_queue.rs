@@ -94,7 +94,8 @@ mod tests {
     use super::*;
 
     fn message(sequence: u64, size: usize, deadline: Option<MonoTime>) -> OutgoingMessage {
-        OutgoingMessage::new(vec![Bytes::from(vec![7; size])], sequence, 0, deadline).expect("small")
+        OutgoingMessage::new(vec![Bytes::from(vec![7; size])], sequence, 0, deadline)
+            .expect("the message is small")
     }
 
     #[test]

@@ -156,7 +156,7 @@ proptest! {
         // A message whose number was altered takes the place of a later message.
         prop_assert!(lost.len() <= 1, "{:?}: {:?}", lost, network.events);
         let now = network.now;
-        let edge = network.edge.as_mut().expect("open").statistics(now);
+        let edge = network.edge.as_mut().expect("the connection is open").statistics(now);
         let cloud = network.cloud.statistics(id, now);
         for direction in [edge.sent, edge.received, cloud.sent, cloud.received] {
             // At most the losses of the path and the numbers that one altered number skips.
@@ -175,7 +175,7 @@ fn single_altered_packet_barely_changes_totals() {
             network.alter_next(is_to_cloud, alter);
             network.steps(6_000);
             let now = network.now;
-            let edge = network.edge.as_mut().expect("open").statistics(now);
+            let edge = network.edge.as_mut().expect("the connection is open").statistics(now);
             let cloud = network.cloud.statistics(id, now);
             for direction in [edge.sent, edge.received, cloud.sent, cloud.received] {
                 let [lost, duplicated, reordered] =
@@ -231,7 +231,7 @@ fn long_gap_does_not_end_connection() {
     network.path.impairment.loss = 100;
     let mut sent = 0;
     for _ in 0..3_000 {
-        let edge = network.edge.as_mut().expect("open");
+        let edge = network.edge.as_mut().expect("the connection is open");
         sent += u32::from(edge.send(vec![Bytes::from_static(&[7; 100])], Some(sent.into()), None).is_ok());
         network.step();
     }

@@ -91,7 +91,7 @@ impl Peers {
         }
     }
 
-    /// Opens a connection that an edge asks for. An edge repeats its request until it is answered.
+    /// Opens a connection that an edge asks for. An edge repeats its request until the request is answered.
     pub(super) fn open(self: &Arc<Self>, hello: SessionHello, edge: &RemoteNode) {
         let group = AddressGroup::from_address(edge.remote);
         let (connection, replaced) = match self.table.open(&hello, group, self.tasks.abort_token()) {
@@ -116,7 +116,7 @@ impl Peers {
         });
     }
 
-    /// Opens the topics of a connection, and runs it until its end.
+    /// Opens the topics of a connection, and runs the connection until its end.
     async fn serve(
         &self,
         connection: &CloudConnection,

@@ -20,7 +20,7 @@ use crate::transport::{ListenerEvent, Peer};
 pub(super) struct CloudSink {
     peer: Peer,
     admission: watch::Receiver<Admission>,
-    /// Time limit for opening a session on a connection without one.
+    /// Time limit for opening a session on a connection that has no session.
     hello_timeout: Duration,
     /// Time at which the connection ends; `None` while it has a session or has asked for one.
     deadline: Option<Instant>,

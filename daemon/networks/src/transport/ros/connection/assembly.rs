@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn message_beyond_the_budget_is_lost_and_counts_no_memory() {
+    fn message_beyond_budget_is_lost_and_reserves_no_memory() {
         let (budget, mut events) = (MemoryBudget::new(10), EventQueue::default());
         let mut assembly = assembly(&budget);
         assembly.receive_data(companion(1), MonoTime::default(), &mut events);

@@ -23,7 +23,7 @@ impl PayloadConfirmation {
         }
     }
 
-    /// Returns whether the confirmation is due. It counts as sent afterwards.
+    /// Returns whether the confirmation is due. The confirmation then counts as sent.
     pub(super) fn take_if_due(&mut self) -> bool {
         let is_due = *self == Self::Due;
         if is_due {

@@ -52,7 +52,7 @@ mod tests {
     }
 
     #[test]
-    fn timer_is_the_earlier_of_both_deadlines() {
+    fn next_timer_is_earlier_of_heartbeat_and_timeout() {
         let mut heartbeats = Heartbeats::new(Span::from_seconds(1), Span::from_seconds(5), at(0));
         assert_eq!(heartbeats.next_timer(), at(1));
         assert!(!heartbeats.is_due(at(0)) && heartbeats.is_due(at(1)));

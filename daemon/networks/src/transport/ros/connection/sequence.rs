@@ -59,18 +59,18 @@ impl OutgoingSequence {
 /// Numbers of the companions that arrive.
 #[derive(Debug, Default)]
 pub(super) struct IncomingSequence {
-    /// Number of the next companion; unknown before the first one.
+    /// Number of the next companion; unknown before the first companion.
     next_expected: Option<u64>,
     missing: u64,
 }
 
 impl IncomingSequence {
-    /// Counts the companions that are missing before the companion that arrived. If its number is lower than expected,
-    /// counts none.
+    /// Counts the companions that are missing before the companion that arrived. Counts none if the companion that
+    /// arrived has a lower number than expected.
     pub(super) fn receive(&mut self, number: u64) {
         let next_expected = self.next_expected.unwrap_or(number);
         self.missing += number.saturating_sub(next_expected);
-        // The peer chooses the number, which may be the largest one.
+        // The peer chooses the number, which may be the largest possible number.
         self.next_expected = Some(number.saturating_add(1).max(next_expected));
     }
 

@@ -3,11 +3,11 @@
 //! `rustdds` sends a message as fast as it can, and slowly retransmits what does not fit into a receive buffer. The
 //! number of unacknowledged bytes is therefore limited. Further messages wait in a queue for a task.
 //!
-//! A reliable subscription that does not keep up must not stop the others. `rustdds` stores up to 1,024 messages that
-//! such a subscription has not acknowledged, and then refuses further messages. If other programs subscribe as well,
-//! the task waits at most 50 ms for acknowledgments. The topic ends if a message waits for 5 s, or if 256 MiB are
-//! unacknowledged; the edge then opens another session. Messages that only a viewer misses do not matter to the
-//! session. A viewer with
+//! A reliable subscription that does not keep up must not stop the other subscriptions. `rustdds` stores up to 1,024
+//! messages that such a subscription has not acknowledged, and then refuses further messages. If other programs
+//! subscribe as well, the task waits at most 50 ms for acknowledgments. The topic ends if a message waits for 5 s, or
+//! if 256 MiB are unacknowledged; the edge then opens another session. Messages that only a viewer misses do not matter
+//! to the session. A viewer with
 //! *keep last*, the default in ROS 2, acknowledges what arrives, whether or not its program reads it.
 
 use std::collections::VecDeque;

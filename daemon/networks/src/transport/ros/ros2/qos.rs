@@ -67,7 +67,7 @@ mod tests {
     }
 
     #[test]
-    fn settings_concern_payloads_and_deadline_is_only_offered() {
+    fn settings_apply_to_payloads_and_deadline_to_publisher() {
         let qos = qos(Reliability::BestEffort, Some(50));
         for role in [EndpointRole::Publisher, EndpointRole::Subscription] {
             let companions = qos.profile(role, TopicPurpose::Companions);

@@ -68,7 +68,7 @@ fn frames_above_64_kib_are_refused_before_hello() {
 }
 
 #[test]
-fn connection_that_exceeds_budget_ends() {
+fn connection_that_exceeds_memory_budget_is_closed() {
     let allowance = allowance(Stage::Admitted);
     let mut framers: Vec<Framer> = (0..5).map(|_| greeted_framer(&allowance)).collect();
     let unfinished = [header(0, 1_000_000), vec![1; 999_999]].concat();
