@@ -236,6 +236,7 @@ impl Endpoint {
         {
             entry.path_challenged_at = Some(now);
             let to = reply_address(reply_route.to, entry.reply_port);
+            // The token is a cookie of the new address, so that this end stores nothing about an unverified address.
             let token = first_u64(&self.key.cookie(to, id, now));
             self.answers
                 .push(Route { to, from: reply_route.from }, &Packet::PathChallenge { connection: id, token });

@@ -65,6 +65,7 @@ impl CookieKey {
 
     /// Returns an unpredictable number for a connection.
     pub(crate) fn connection_number(&self, count: u64) -> u64 {
+        // A sender that does not receive the cloud's packets must not be able to guess the number of a connection.
         first_u64(&self.mac(b"connection", &[&count.to_be_bytes()]))
     }
 

@@ -259,6 +259,7 @@ impl SendingHalf {
         let retransmission = message.retransmission.take();
         self.window.record_loss();
         self.long_losses.record_loss(fragments, received, lost_datagrams, now);
+        // A retransmitted message gets a new number, because the other end has settled the old number.
         if let Some(frames) = retransmission
             && self.enqueue(frames, 0, None).is_ok()
         {

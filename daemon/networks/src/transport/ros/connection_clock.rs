@@ -17,6 +17,7 @@ impl ConnectionClock {
 
     /// Returns the current time for the state machine.
     pub(super) fn now(&self) -> MonoTime {
+        // The time is taken from tokio's clock, because tokio's timers run on this clock.
         MonoTime::default() + Span::from(self.start.elapsed())
     }
 

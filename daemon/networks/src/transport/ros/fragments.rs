@@ -51,6 +51,7 @@ impl FrameFragments {
 
     /// Returns whether the fragments belong to the message of this companion.
     pub(super) fn belong_to(&self, info: &MessageInfo) -> bool {
+        // The stamps of a connection increase, so a stamp identifies one message.
         self.stamp == info.header.stamp
     }
 
