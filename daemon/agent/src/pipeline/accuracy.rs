@@ -68,7 +68,7 @@ pub(super) fn record_accuracy(log: &mut Recorder, label: &str, answer: &Sample) 
     let matches_label = |class: &str| normalized_label(class) == label;
     let is_best = matches_label(&best);
     log.record_value(TOP_1, as_number(is_best), Unit::NONE);
-    // If the list has fewer than five classes, the label might be in it only because the model has so few.
+    // If the list has fewer than five classes, the label might be in the list only because the model has so few classes.
     if let Some(top) = top.filter(|top| top.len() >= TOP_5_CLASSES) {
         // A list in another order must not make `top-5` lower than `top-1`.
         let is_in_top = is_best || top.iter().take(TOP_5_CLASSES).any(|class| matches_label(&class.label));
@@ -99,7 +99,7 @@ fn record_segmentation(log: &mut Recorder, label: &MaskLabel, sample: &Sample) {
     let has_unknown_class = |count: usize| {
         mask.pixels().iter().any(|class| *class != IGNORED_CLASS && usize::from(*class) >= count)
     };
-    // The model does not receive the mask, so it cannot mark the class as unknown by itself.
+    // The model does not receive the mask, so the model cannot mark a class as unknown itself.
     if class_count(sample).is_some_and(has_unknown_class) {
         log.record_value(UNKNOWN_LABEL, 1.0, Unit::NONE);
         return;
@@ -178,13 +178,13 @@ mod tests {
         let objects = r#"{"label":"a","box":[0,0,10,10]},{"label":"b","box":[20,0,30,10]}"#;
         let label = &*format!(r#"{{"objects":[{objects}],"width":30,"height":10}}"#);
         let answer = |found: &str| format!(r#"{{"detections":[{found}],"width":30,"height":10}}"#);
-        let half = answer(r#"{"label":"a","score":0.9,"box":[0,0,8,10]}"#);
-        let log = recorded(label, &half);
+        let one_of_two = answer(r#"{"label":"a","score":0.9,"box":[0,0,8,10]}"#);
+        let log = recorded(label, &one_of_two);
         assert_eq!((value(&log, "map-50"), value(&log, "mean-iou")), (Some(0.5), Some(0.8)));
         let log = recorded(label, &answer(""));
         assert_eq!((value(&log, "map-50"), value(&log, "mean-iou")), (Some(0.0), None));
         // A label of another kind says nothing about the answer.
-        assert_eq!(value(&recorded("a", &half), "map-50"), None);
+        assert_eq!(value(&recorded("a", &one_of_two), "map-50"), None);
         assert_eq!(top_scores(label, r#"{"label":"a","top":[]}"#), (None, None));
     }
 
@@ -194,9 +194,9 @@ mod tests {
         let file = folder.path().join("mask.png");
         // A grey file: its levels are the numbers of the classes, and 255 is not scored.
         image::GrayImage::from_raw(3, 2, vec![0, 0, 1, 1, 1, 255])
-            .expect("fits")
+            .expect("six pixels")
             .save(&file)
-            .expect("written");
+            .expect("the mask is written");
         let label = MaskLabel { mask: file.to_str().expect("is UTF-8").to_owned() }.format();
         let answer = |classes: Vec<u8>| {
             let mut answer = Sample::from_part(Description::unshaped(MediaType::Json), "{}".into());
@@ -211,7 +211,7 @@ mod tests {
             value(&log, "mean-iou")
         };
         assert_eq!(recorded(&label, &answer(vec![0, 0, 1, 1, 1, 7])), Some(1.0));
-        // Class 0: 2 of 3 pixels; class 1: 2 of 3.
+        // Class 0 has an intersection of 2 pixels and a union of 3; so has class 1.
         assert_eq!(recorded(&label, &answer(vec![0, 0, 1, 1, 0, 7])), Some(2.0 / 3.0));
         assert_eq!(recorded("road", &answer(vec![0; 6])), None, "the label is no mask");
         // The mask has the classes 0 and 1; the model has one class, and then two.
@@ -227,8 +227,8 @@ mod tests {
         }
         let json = Sample::from_part(Description::unshaped(MediaType::Json), r#"{"label":"a"}"#.into());
         assert_eq!(recorded(&label, &json), None, "the answer is no segmentation");
-        std::fs::remove_file(file).expect("is there");
-        assert_eq!(recorded(&label, &answer(vec![0; 6])), None, "the mask is gone");
+        std::fs::remove_file(file).expect("the mask is removed");
+        assert_eq!(recorded(&label, &answer(vec![0; 6])), None, "the file of the mask is missing");
     }
 
     #[test]
@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn folder_spelling_does_not_matter() {
+    fn folder_name_matches_class_in_other_spelling() {
         let answer = r#"{"label":"golden retriever"}"#;
         assert_eq!(top_scores("Golden_Retriever", answer), (Some(1.0), None));
         assert_eq!(top_scores("golden", answer), (Some(0.0), None));

@@ -49,8 +49,8 @@ pub(super) struct ActuatorExecutor {
     /// `true` if the actuator may block. It then runs on a thread of its own, so that it delays no iteration in flight.
     blocks: bool,
     /// `true` if the actuator has to be reset before each episode.
-    resets: bool,
-    /// Facts about the actuator that are known only once it is built.
+    needs_resets: bool,
+    /// Facts about the actuator that are known only after it was opened.
     facts: Arc<[(String, String)]>,
 }
 
@@ -64,7 +64,7 @@ struct OrderedActuator {
 }
 
 impl ActuatorExecutor {
-    /// Opens the actuator. `None` if the configuration has none; then no node is recorded.
+    /// Opens the actuator. `None` if the pipeline has no actuator; its iterations then have no node `actuation`.
     ///
     /// # Errors
     /// When the actuator cannot be set up.
@@ -73,19 +73,24 @@ impl ActuatorExecutor {
             return Ok(None);
         }
         let actuator = config.build(clock)?;
-        let (blocks, resets, facts) = (actuator.blocks(), actuator.resets(), actuator.facts().into());
+        let (blocks, needs_resets, facts) = (actuator.blocks(), actuator.resets(), actuator.facts().into());
         let ordered_actuator = OrderedActuator { actuator, last_acted: None, ended_episode: None };
-        Ok(Some(Self { ordered_actuator: Arc::new(Mutex::new(ordered_actuator)), blocks, resets, facts }))
+        Ok(Some(Self {
+            ordered_actuator: Arc::new(Mutex::new(ordered_actuator)),
+            blocks,
+            needs_resets,
+            facts,
+        }))
     }
 
-    /// Returns facts about the actuator that are known only once it is built.
+    /// Returns facts about the actuator that are known only after it was opened.
     pub(super) fn facts(&self) -> &[(String, String)] {
         &self.facts
     }
 
     /// Returns whether the actuator has to be reset before each episode.
-    pub(super) fn resets(&self) -> bool {
-        self.resets
+    pub(super) fn needs_resets(&self) -> bool {
+        self.needs_resets
     }
 
     /// Acts on an answer, and records `actuation` and the feedback. If the answer is superseded, does not act but
@@ -96,7 +101,7 @@ impl ActuatorExecutor {
         answered: AnsweredSample<'_>,
         answer: &Sample,
     ) -> (Recorder, Result<Feedback, ActError>) {
-        // An owned guard, because it moves into the thread below.
+        // The guard is owned, because it moves into the thread below.
         let mut ordered_actuator = Arc::clone(&self.ordered_actuator).lock_owned().await;
         if !ordered_actuator.accepts(&answered) {
             log.record_value(SUPERSEDED, 1.0, Unit::NONE);
@@ -106,7 +111,7 @@ impl ActuatorExecutor {
             let feedback = ordered_actuator.act(&mut log, answered, answer);
             return (log, feedback.map_err(ActError::from));
         }
-        // If the thread panics, its recorder is lost; this copy has what was recorded before.
+        // If the thread panics, its recorder is lost. This copy has the nodes that were recorded before.
         let log_backup = log.clone();
         let (run, position) = (answered.run, answered.position);
         let (source, answer) = (answered.source.to_owned(), answer.clone());
@@ -133,7 +138,8 @@ impl OrderedActuator {
     /// answer to a newer sample, and must not continue an episode that has ended.
     fn accepts(&self, answered: &AnsweredSample<'_>) -> bool {
         let Position { number, episode, .. } = answered.position;
-        let is_older = self.last_acted.is_some_and(|(run, last)| run == answered.run && number < last);
+        let is_older =
+            self.last_acted.is_some_and(|(run, last_number)| run == answered.run && number < last_number);
         !is_older && self.ended_episode != Some((answered.run, episode))
     }
 
@@ -145,7 +151,7 @@ impl OrderedActuator {
         answer: &Sample,
     ) -> Result<Feedback, ActuatorError> {
         let AnsweredSample { run, position: Position { number, episode, step, .. }, source } = answered;
-        // This applies also if the action fails: a part of it may have been done.
+        // The field is set before the action, because a failed action may have been carried out in part.
         self.last_acted = Some((run, number));
         let action = Action { answer, source, iteration: number, episode, step };
         let feedback = self.actuator.act(action, &mut log.time(stage::ACTUATION))?;

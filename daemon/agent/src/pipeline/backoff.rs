@@ -1,12 +1,13 @@
-//! Pauses of a closed loop while every iteration fails. No I/O.
+//! Pauses while every iteration of a closed loop, or every preparation, fails. No I/O.
 
 use peernet_clock::{MonoTime, Span};
 use peernet_stream::Outcome;
 
-/// Pause after each failed iteration of a closed loop; it grows with the number of consecutive failures.
+/// Pause after each failed iteration of a closed loop, or after each failed preparation. The pause grows with the number
+/// of consecutive failures.
 ///
-/// Without the pause the loop would fail as fast as it can, for example while a model's queue is full or no image can
-/// be read.
+/// Without the pause the loop would repeat the failures as fast as it can, for example while a model's queue is full or
+/// no image can be read.
 #[derive(Debug, Default)]
 pub(super) struct FailureBackoff {
     consecutive_failures: u32,
@@ -18,7 +19,7 @@ impl FailureBackoff {
     const FAILURES_BEFORE_PAUSE: u32 = 3;
     const MAX_PAUSE: Span = Span::from_seconds(1);
 
-    /// Records the outcome of an iteration that ended at `now`.
+    /// Records the outcome of an iteration or a preparation that ended at `now`.
     pub(super) fn record_outcome(&mut self, outcome: &Outcome, now: MonoTime) {
         if *outcome == Outcome::Ok {
             *self = Self::default();

@@ -18,9 +18,9 @@ pub(crate) struct PipelineContext {
     /// Models of this host.
     pub(crate) bank: Arc<Bank>,
     pub(crate) links: Links,
-    /// Stamps of the messages that this host's pipelines observe, which peers may query.
+    /// Stamps of the messages that this host's pipelines observe. Peers may query these stamps.
     pub(crate) observed: ObservedPipelines,
-    /// Key of the fingerprints of programs' arguments.
+    /// Secret key for the fingerprint that stands for a program's arguments in the facts of a run.
     pub(crate) fingerprints: FingerprintKey,
     /// Settings of the inspection of this host's conditions before a run.
     pub(crate) inspection: Arc<InspectionSettings>,

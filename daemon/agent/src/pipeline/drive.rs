@@ -26,12 +26,12 @@ pub(super) async fn drive(
 ) -> LoopEnd {
     let timeout = resources.config.timeout();
     let mut pipeline_loop = PipelineLoop::new(resources, run, context);
-    // Polled in this task and not spawned: an answer then wakes one task instead of two.
+    // The iterations in flight are polled in this task and not spawned: an answer then wakes one task instead of two.
     let mut executing = FuturesUnordered::new();
     let mut stopping = pin!(stop.cancelled());
     let mut connection_closed = pin!(placement.closed());
     let mut drain_deadline = pin!(tokio::time::sleep(Duration::ZERO));
-    let (mut is_stopping, mut is_closed) = (false, false);
+    let (mut is_stopping, mut is_disconnected) = (false, false);
     loop {
         if let Some(queued_sample) = pipeline_loop.dequeue_sample() {
             executing.push(queued_sample.execute(
@@ -41,7 +41,7 @@ pub(super) async fn drive(
             ));
         }
         if pipeline_loop.start_iteration() {
-            // Without this, a loop in which no part waits would never yield its thread to other tasks.
+            // Without this call, a loop in which no part waits would never yield its thread to other tasks.
             tokio::task::consume_budget().await;
             continue;
         }
@@ -61,13 +61,13 @@ pub(super) async fn drive(
                 drain_deadline.as_mut().reset(tokio::time::Instant::now() + drain_timeout);
                 pipeline_loop.end(LoopEnd::Stopped);
             }
-            reason = &mut connection_closed, if !is_closed => {
-                is_closed = true;
+            reason = &mut connection_closed, if !is_disconnected => {
+                is_disconnected = true;
                 pipeline_loop.end(LoopEnd::Disconnected(reason.to_string()));
             }
             Some(completed) = executing.next() => pipeline_loop.complete(completed),
-            Some(sensed) = await_if_some(sensing) => match sensed {
-                Ok(sensed) => pipeline_loop.handle_sensed(sensed),
+            Some(output) = await_if_some(sensing) => match output {
+                Ok(output) => pipeline_loop.handle_sensor_output(output),
                 Err(_) => pipeline_loop.handle_sensor_death(),
             },
             Some(result) = await_if_some(preparing) => pipeline_loop.handle_preparation(result),

@@ -10,8 +10,8 @@ use crate::live::{EPISODE_RETURN, EPISODE_SUCCESS};
 #[derive(Debug, Default)]
 pub(super) struct EpisodeScores {
     open: Vec<OpenEpisode>,
-    /// `true` once the actuator has reported a success or its absence in this run. From then on, an episode without
-    /// such a report is no success.
+    /// `true` once the actuator has reported a success or a failure of an episode in this run. From then on, an episode
+    /// without such a report is no success.
     reports_success: bool,
     /// `true` once the actuator has reported a reward in this run.
     reports_reward: bool,
@@ -47,8 +47,8 @@ impl EpisodeScores {
         self.open.push(OpenEpisode::new(number, is_after_warm_up, true));
     }
 
-    /// Begins an episode whose reset failed. It is no success, and it has no return: 0 may be a better return than that
-    /// of every other episode.
+    /// Begins an episode whose reset failed. The episode is no success, and it has no return: a return of 0 might be
+    /// better than the return of every other episode.
     pub(super) fn begin_unprepared(&mut self, number: u32, is_after_warm_up: bool) {
         self.open.push(OpenEpisode::new(number, is_after_warm_up, false));
     }
@@ -63,8 +63,8 @@ impl EpisodeScores {
         }
     }
 
-    /// Ends an episode and returns its result. `None` if it has ended before, belongs to the warm-up, or has no result
-    /// because the actuator reports none.
+    /// Ends an episode and returns its result. `None` if the episode has already ended, if it belongs to the warm-up, or
+    /// if the actuator reports neither success nor rewards.
     pub(super) fn close(&mut self, number: u32) -> Option<EpisodeResult> {
         let index = self.open.iter().position(|episode| episode.number == number)?;
         let OpenEpisode { is_after_warm_up, was_reset, success, total_reward, .. } = self.open.remove(index);
@@ -86,7 +86,7 @@ impl EpisodeResult {
     pub(super) fn remark(&self, pipeline: &Slug, number: u32) -> Option<String> {
         let sum = self.total_reward.filter(|total| !total.is_finite())?;
         Some(format!(
-            "pipeline {pipeline}: the rewards of episode {number} add up to {sum}, so it has no episode-return; make the actuator \
+            "pipeline {pipeline}: the rewards of episode {number} add up to {sum}, so the episode has no episode-return; make the actuator \
              report smaller rewards"
         ))
     }
@@ -126,30 +126,30 @@ mod tests {
         }
         let result = Some(EpisodeResult { success: Some(true), total_reward: Some(-1.5) });
         assert_eq!(scores.close(0), result);
-        assert_eq!(scores.close(0), None, "it has ended");
+        assert_eq!(scores.close(0), None, "the episode has already ended");
         scores.add(0, &reward(7.0));
         scores.begin(1, true);
-        let nothing_reported = Some(EpisodeResult { success: Some(false), total_reward: Some(0.0) });
-        assert_eq!(scores.close(1), nothing_reported);
+        let result_without_reports = Some(EpisodeResult { success: Some(false), total_reward: Some(0.0) });
+        assert_eq!(scores.close(1), result_without_reports);
         scores.begin(2, true);
-        [1e308, 1e308].iter().for_each(|each| scores.add(2, &reward(*each)));
+        [1e308, 1e308].iter().for_each(|value| scores.add(2, &reward(*value)));
         let pipeline = "line".parse().expect("a name");
         scores.begin_unprepared(3, true);
         assert_eq!(scores.close(3), Some(EpisodeResult { success: Some(false), total_reward: None }));
-        let infinite = scores.close(2).expect("has a success");
-        let remark = infinite.remark(&pipeline, 2).expect("the sum is infinite");
+        let infinite_result = scores.close(2).expect("the episode has a result");
+        let remark = infinite_result.remark(&pipeline, 2).expect("the sum is infinite");
         assert!(remark.contains("episode 2 add up to inf"), "{remark}");
-        assert_eq!(nothing_reported.and_then(|result| result.remark(&pipeline, 1)), None);
+        assert_eq!(result_without_reports.and_then(|result| result.remark(&pipeline, 1)), None);
     }
 
     #[test]
-    fn warm_up_and_unreported_episodes_have_no_result() {
+    fn episodes_of_warm_up_or_without_any_report_have_no_result() {
         let mut scores = EpisodeScores::default();
         scores.begin(0, true);
         assert_eq!(scores.close(0), None, "the actuator reports nothing");
         scores.begin(1, false);
         scores.add(1, &success(true));
-        assert_eq!(scores.close(1), None, "warm-up");
+        assert_eq!(scores.close(1), None, "the episode belongs to the warm-up");
         scores.begin(2, true);
         scores.begin(3, true);
         scores.add(3, &success(true));

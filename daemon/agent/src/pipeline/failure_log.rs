@@ -5,8 +5,8 @@
 use peernet_clock::{MonoTime, Span};
 use peernet_stream::Outcome;
 
-/// Time between two lines about one kind of failure.
-const INTERVAL: Span = Span::from_seconds(60);
+/// Shortest time between two log lines about one kind of failure.
+const MIN_INTERVAL: Span = Span::from_seconds(60);
 
 /// The failures of a run, by kind.
 #[derive(Debug, Default)]
@@ -29,7 +29,8 @@ struct UnloggedFailures {
 impl FailureLog {
     /// Records the outcome of iteration `number`. Returns the log lines that are due.
     ///
-    /// A successful iteration can make a summary due as well, because no further failure may occur.
+    /// A summary may be due after a successful iteration as well. Otherwise the summary would wait for a further failure,
+    /// which may never occur.
     pub(super) fn record(&mut self, number: u64, outcome: &Outcome, now: MonoTime) -> Vec<String> {
         match outcome {
             Outcome::Ok => {}
@@ -47,11 +48,8 @@ impl FailureLog {
 
     /// Returns a log line for each kind with unlogged failures for which `is_due` is `true`.
     fn take_lines(&mut self, is_due: impl Fn(&UnloggedFailures) -> bool, now: MonoTime) -> Vec<String> {
-        let kinds = [
-            (&mut self.failed, "failed"),
-            (&mut self.lost, "lost"),
-            (&mut self.timed_out, "without an answer in time"),
-        ];
+        let kinds =
+            [(&mut self.failed, "failed"), (&mut self.lost, "lost"), (&mut self.timed_out, "timed out")];
         let due_kinds = kinds.into_iter().filter(|(kind, _)| kind.count > 0 && is_due(kind));
         due_kinds.filter_map(|(kind, description)| kind.take_line(description, now)).collect()
     }
@@ -64,10 +62,10 @@ impl UnloggedFailures {
     }
 
     fn is_due(&self, now: MonoTime) -> bool {
-        self.logged_at.is_none_or(|logged_at| now - logged_at >= INTERVAL)
+        self.logged_at.is_none_or(|logged_at| now - logged_at >= MIN_INTERVAL)
     }
 
-    /// Returns a log line about the failures since the last one; `None` if there are none.
+    /// Returns a log line about the failures since the previous log line; `None` if there are no failures.
     fn take_line(&mut self, description: &str, now: MonoTime) -> Option<String> {
         let (number, reason) = self.latest.take()?;
         let count = std::mem::take(&mut self.count);
@@ -79,7 +77,7 @@ impl UnloggedFailures {
                 let seconds = (now - previous_logged_at).seconds();
                 let iterations = if count == 1 { "iteration" } else { "iterations" };
                 format!(
-                    "{count} more {iterations} {description} in {seconds:.0} s; the latest, iteration {number}{reason}"
+                    "{count} more {iterations} {description} in {seconds:.0} s; the latest is iteration {number}{reason}"
                 )
             }
         })
@@ -105,7 +103,7 @@ mod tests {
         assert_eq!(log.record(3, &failed, at(2)), NO_LINES);
         assert_eq!(
             log.record(4, &Outcome::Timeout("no answer".into()), at(3)),
-            ["iteration 4: without an answer in time: no answer"]
+            ["iteration 4: timed out: no answer"]
         );
         let lost = Outcome::Lost("the connection broke".to_owned());
         assert_eq!(log.record(5, &lost, at(4)), ["iteration 5: lost: the connection broke"]);
@@ -119,21 +117,21 @@ mod tests {
         let lines: Vec<String> = (2..=600)
             .flat_map(|n| log.record(n, &failed(&format!("reason {n}")), at(n.cast_signed() / 10)))
             .collect();
-        assert_eq!(lines, ["599 more iterations failed in 60 s; the latest, iteration 600: reason 600"]);
+        assert_eq!(lines, ["599 more iterations failed in 60 s; the latest is iteration 600: reason 600"]);
         assert_eq!(log.record(601, &failed("last"), at(61)), NO_LINES);
         assert_eq!(
             log.record(602, &Outcome::Ok, at(120)),
-            ["1 more iteration failed in 60 s; the latest, iteration 601: last"]
+            ["1 more iteration failed in 60 s; the latest is iteration 601: last"]
         );
         assert_eq!(log.take_remaining(at(121)), NO_LINES);
     }
 
     #[test]
-    fn end_of_a_run_logs_what_is_left() {
+    fn end_of_run_logs_remaining_failures() {
         let mut log = FailureLog::default();
         log.record(1, &Outcome::Timeout(String::new()), at(0));
         log.record(2, &Outcome::Timeout(String::new()), at(5));
-        let line = "1 more iteration without an answer in time in 10 s; the latest, iteration 2";
+        let line = "1 more iteration timed out in 10 s; the latest is iteration 2";
         assert_eq!(log.take_remaining(at(10)), [line]);
     }
 }

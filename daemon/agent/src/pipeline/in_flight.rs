@@ -42,7 +42,7 @@ pub(super) struct CompletedIteration {
     pub(super) outcome: Outcome,
     /// The answer, if there was one.
     pub(super) answer: Option<Sample>,
-    /// Feedback of the actuator; without any field if it did not act or reported nothing.
+    /// Feedback of the actuator; all fields are empty if the actuator did not act or reported nothing.
     pub(super) feedback: Feedback,
     /// Sum of upload and download, if it is known.
     pub(super) transport: Option<Span>,

@@ -67,12 +67,13 @@ fn add_totals(
 /// Returns the sum of the stages; `None` if the duration of a stage is unknown.
 ///
 /// Upload and download have no values if the two clocks are not related, or if one of them was stepped. `transport`
-/// then replaces their sum: it is the edge's waiting time minus the time on the cloud. Each is measured by one clock,
-/// so the offset of the clocks has no effect.
+/// then replaces their sum: it is the edge's waiting time minus the time on the cloud. The edge's clock measures the
+/// former, and the cloud's clock the latter, so the offset of the clocks has no effect.
 fn stages_total(tree: &Tree, transport: Option<Span>) -> Option<Span> {
     let mut sum = Span::ZERO;
     let mut transit_sum = Some(Span::ZERO);
-    // Deeper nodes with the name of a stage, such as those of a model inside another, are parts of a stage.
+    // Only children of the root are summed up. A deeper node with the name of a stage, such as the node of a model that
+    // another model calls, is already part of a stage.
     for (_, node) in tree.children(NodeId::ROOT).filter(|(_, node)| stage::ORDER.contains(&node.name)) {
         match &node.measure {
             Measure::Timer(Some(span)) => sum += *span,
@@ -103,8 +104,9 @@ mod tests {
     const STEP: Span = Span::from_millis(1);
 
     /// Returns the tree of an iteration that began 3 ms late, sensed for 1 ms, took 1 ms each for upload, download
-    /// and actuation and 2 ms on a cloud whose wall clock is `ahead`; 1 ms passed outside of all stages.
-    fn iteration(ahead: Span, judge: fn(Span) -> OneWayDelay, transport: Option<Span>) -> Tree {
+    /// and actuation and 2 ms on a cloud; 1 ms passed after the download, outside of all stages. The cloud's wall clock
+    /// is ahead of the edge's by `cloud_offset`.
+    fn iteration(cloud_offset: Span, judge: fn(Span) -> OneWayDelay, transport: Option<Span>) -> Tree {
         let clock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system")));
         let pass = |steps: i64| clock.advance(Span::from_nanos(STEP.nanos() * steps));
@@ -118,17 +120,17 @@ mod tests {
         }
         let up = log.start_transit(stage::UPLOAD, clock.stamp());
         pass(1);
-        log.end_transit(up, clock.wall() + ahead);
+        log.end_transit(up, clock.wall() + cloud_offset);
         {
             let _inference = log.time(stage::INFERENCE);
             pass(2);
         }
-        let sent = Stamp { wall: clock.wall() + ahead, ..clock.stamp() };
+        let sent = Stamp { wall: clock.wall() + cloud_offset, ..clock.stamp() };
         let down = log.start_transit(stage::DOWNLOAD, sent);
         pass(1);
         log.end_transit(down, clock.wall());
-        correct(log.tree_mut(), up, Direction::Up, judge(STEP + ahead));
-        correct(log.tree_mut(), down, Direction::Down, judge(STEP - ahead));
+        correct(log.tree_mut(), up, Direction::Up, judge(STEP + cloud_offset));
+        correct(log.tree_mut(), down, Direction::Down, judge(STEP - cloud_offset));
         pass(1);
         {
             let _actuation = log.time(stage::ACTUATION);
@@ -170,17 +172,18 @@ mod tests {
     }
 
     #[test]
-    fn sum_is_independent_of_peers_clock() {
-        for ahead in [Span::from_seconds(3600), Span::from_seconds(-5)] {
-            let tree = iteration(ahead, OneWayDelay::unsynchronised, Some(STEP + STEP));
-            assert_eq!(millis(&tree, "upload"), None, "not known");
+    fn stages_total_is_independent_of_peers_clock() {
+        for cloud_offset in [Span::from_seconds(3600), Span::from_seconds(-5)] {
+            let tree = iteration(cloud_offset, OneWayDelay::unsynchronised, Some(STEP + STEP));
+            assert_eq!(millis(&tree, "upload"), None, "the clocks are not related");
             assert_eq!(millis(&tree, "stages-total"), Some(6.0));
         }
     }
 
     #[test]
-    fn sum_is_unknown_without_both_directions() {
-        // A transport of an hour is longer than the iteration, and so is not used.
+    fn stages_total_is_unknown_if_one_direction_is_unknown() {
+        // The delay of the upload is unknown, because it would be negative. A transport of an hour is not used, because it
+        // is longer than the iteration.
         for transport in [None, Some(Span::from_seconds(3600))] {
             let tree = iteration(Span::from_seconds(-1), OneWayDelay::same_clock, transport);
             assert_eq!((millis(&tree, "total"), millis(&tree, "stages-total")), (Some(10.0), None));

@@ -20,7 +20,7 @@ pub(crate) struct Schedule {
     due: VecDeque<MonoTime>,
     /// Maximum number of starts in `due`.
     max_due: usize,
-    /// Number of starts that were skipped since the last taken one.
+    /// Number of starts that were skipped since the latest start was taken.
     skipped: u64,
 }
 
@@ -37,7 +37,7 @@ enum StartPlan {
 pub(crate) struct Start {
     /// Time at which the iteration should start.
     pub(crate) intended: MonoTime,
-    /// Number of starts before it that were skipped.
+    /// Number of starts that were skipped between the previous start and this start.
     pub(crate) skipped: u64,
 }
 
@@ -68,7 +68,7 @@ impl Schedule {
         matches!(self.plan, StartPlan::Closed)
     }
 
-    /// Takes the next start if one is due. In a closed loop one is always due, because the caller waits for each
+    /// Takes the next start if a start is due. In a closed loop a start is always due, because the caller waits for each
     /// answer.
     pub(crate) fn take(&mut self, now: MonoTime) -> Option<Start> {
         if self.is_closed() {
@@ -79,8 +79,8 @@ impl Schedule {
         Some(Start { intended, skipped: std::mem::take(&mut self.skipped) })
     }
 
-    /// Continues the schedule at `now`, as if no time had passed since the last taken start. Starts that had come due
-    /// in between are neither taken nor skipped.
+    /// Restarts the schedule at `now`, as if it were created now. The waiting starts are dropped: they are neither
+    /// returned nor counted as skipped.
     pub(crate) fn resume_at(&mut self, now: MonoTime) {
         self.due.clear();
         match &mut self.plan {
@@ -109,7 +109,7 @@ impl Schedule {
         }
     }
 
-    /// Returns the number of skipped starts since the last taken one.
+    /// Returns the number of starts that were skipped since the latest start was taken.
     pub(crate) const fn unreported_skips(&self) -> u64 {
         self.skipped
     }
@@ -121,7 +121,7 @@ impl Schedule {
     }
 
     /// Moves the starts that have come due by `now` to the queue of due starts. A caller that takes no start for a long
-    /// time calls it periodically, so that each call is short.
+    /// time should call this method periodically, so that each call is short.
     pub(crate) fn catch_up(&mut self, now: MonoTime) {
         while let Some(at) = self.plan.next_at().filter(|at| *at <= now) {
             self.plan.advance();
@@ -201,7 +201,7 @@ mod tests {
     #[test]
     fn stall_keeps_latest_starts_and_counts_skipped_ones() {
         let mut schedule = ten_hertz_schedule(2);
-        // Due by then: 0, 100, …, 900, of which two may wait.
+        // The starts at 0, 100, …, 900 ms have come due. Two of them may wait, and eight are skipped.
         assert_eq!(schedule.take(at(950)), Some(Start { intended: at(800), skipped: 8 }));
         assert_eq!(schedule.take(at(951)), Some(Start { intended: at(900), skipped: 0 }));
         assert_eq!(schedule.take(at(952)), None);
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn resumed_schedule_neither_makes_up_nor_skips_starts() {
+    fn starts_before_resumption_are_neither_returned_nor_counted() {
         let mut schedule = ten_hertz_schedule(2);
         assert_eq!(schedule.take(at(350)), Some(Start { intended: at(200), skipped: 2 }));
         schedule.resume_at(at(5040));
@@ -217,11 +217,11 @@ mod tests {
         assert_eq!(schedule.next_at(at(5050)), at(5140));
         let mut poisson = Schedule::new(&LoadConfig::Poisson { hz: 10.0, seed: 1 }, 2, at(0));
         poisson.resume_at(at(5040));
-        assert!(poisson.next_at(at(5040)) > at(5040), "an interval begins anew");
+        assert!(poisson.next_at(at(5040)) > at(5040), "a new interval precedes the first start");
     }
 
     #[test]
-    fn postponed_schedule_counts_starts_before_pause_only() {
+    fn only_starts_before_pause_are_counted_as_skipped() {
         let mut schedule = ten_hertz_schedule(4);
         assert_eq!(schedule.take(at(0)), Some(Start { intended: at(0), skipped: 0 }));
         schedule.skip_due(at(250));
@@ -235,8 +235,8 @@ mod tests {
     }
 
     #[test]
-    fn equal_seeds_give_equal_arrivals_at_mean_rate() {
-        let arrivals = |seed| {
+    fn equal_seeds_give_equal_starts_at_mean_rate() {
+        let starts = |seed| {
             let mut schedule = Schedule::new(&LoadConfig::Poisson { hz: 100.0, seed }, 1, at(0));
             (0..2000)
                 .map(|_| {
@@ -245,14 +245,14 @@ mod tests {
                 })
                 .collect::<Vec<_>>()
         };
-        assert_eq!(arrivals(1), arrivals(1));
-        assert_ne!(arrivals(1), arrivals(2));
-        let mean = (arrivals(1)[1999] - at(0)).seconds() / 2000.0;
+        assert_eq!(starts(1), starts(1));
+        assert_ne!(starts(1), starts(2));
+        let mean = (starts(1)[1999] - at(0)).seconds() / 2000.0;
         assert!((mean - 0.01).abs() < 0.001, "{mean}");
     }
 
     proptest! {
-        /// Every start is taken, skipped or still waiting, at whatever moments the schedule is asked.
+        /// Each start is taken, skipped or still waiting, no matter at which times the starts are taken.
         #[test]
         fn every_start_is_returned_or_counted_as_skipped(
             hz in 0.5..500.0f64,
@@ -260,21 +260,21 @@ mod tests {
             waits in prop::collection::vec(0i64..2000, 1..40),
         ) {
             let mut schedule = Schedule::new(&LoadConfig::Rate { hz }, max_due, at(0));
-            let (mut now, mut seen, mut last) = (0, 0u64, None);
+            let (mut now, mut taken_or_skipped, mut latest) = (0, 0u64, None);
             for wait in waits {
                 now += wait;
                 if let Some(start) = schedule.take(at(now)) {
                     prop_assert!(start.intended <= at(now));
-                    prop_assert!(last < Some(start.intended));
-                    last = Some(start.intended);
-                    seen += 1 + start.skipped;
+                    prop_assert!(latest < Some(start.intended));
+                    latest = Some(start.intended);
+                    taken_or_skipped += 1 + start.skipped;
                 }
             }
             schedule.catch_up(at(now));
             let waiting = schedule.due.len() as u64;
             prop_assert!(waiting <= max_due as u64);
             let planned = (0u64..).take_while(|k| (*k as f64 * 1e9 / hz).round() as i64 <= now * 1_000_000);
-            prop_assert_eq!(seen + waiting + schedule.skipped, planned.count() as u64);
+            prop_assert_eq!(taken_or_skipped + waiting + schedule.skipped, planned.count() as u64);
         }
     }
 }

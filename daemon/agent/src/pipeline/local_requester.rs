@@ -11,7 +11,7 @@ use tokio_util::sync::CancellationToken;
 #[derive(Debug, Default)]
 pub(super) struct LocalRequester {
     is_cancelled: Mutex<bool>,
-    // The model waits on a thread, where it cannot await `cancellation`.
+    // `wait` blocks a thread of the model, which cannot await `cancellation`.
     cancelled: Condvar,
     cancellation: CancellationToken,
 }

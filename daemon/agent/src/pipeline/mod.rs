@@ -5,8 +5,9 @@
 //! it, and runs it to its end. `observe` is the loop of a pipeline that only observes a ROS system.
 //!
 //! Before the first sample of an episode the actuator and the sensor are reset. Before every further sample a simulated
-//! sensor is advanced by the time of the last iteration. Both happen between iterations (`preparation`). The feedback
-//! of the actuator may end an episode early, and is summed up over the episode (`episode_scores`).
+//! sensor is advanced by the duration of the previous iteration. The reset and the advance happen between iterations
+//! (`preparation`). The feedback of the actuator may end an episode early. `episode_scores` sums up the feedback over
+//! the episode.
 //!
 //! The order of one iteration: `load` returns its intended start, which is the start of the root of its tree. `sensing`
 //! requests a sample from the sensor and applies the transforms. The sample waits until fewer iterations than the

@@ -33,7 +33,7 @@ pub(super) enum LoopEnd {
     Limit,
     /// The sensor has no more samples.
     NoMoreSamples,
-    /// A new day began.
+    /// A new day (UTC) began.
     Midnight,
     /// The connection to the peer is lost; the text is the reason.
     Disconnected(String),
@@ -76,8 +76,8 @@ pub(super) struct PipelineLoop<'a> {
     /// Reason for the end; set once no further iteration starts.
     end_reason: Option<LoopEnd>,
     backoff: FailureBackoff,
-    /// Failures of the sensor since its last sample.
-    sensor_failures: u32,
+    /// Number of failures of the sensor since its latest sample.
+    consecutive_sensor_failures: u32,
     /// Pauses between preparations that fail.
     preparation_backoff: FailureBackoff,
 }
@@ -97,7 +97,7 @@ impl<'a> PipelineLoop<'a> {
             in_flight,
             end_reason: None,
             backoff,
-            sensor_failures: 0,
+            consecutive_sensor_failures: 0,
             preparation_backoff: FailureBackoff::default(),
         };
         pipeline_loop.resume_pending_sample();
@@ -124,8 +124,8 @@ impl<'a> PipelineLoop<'a> {
         let Some(PendingSample { run, start, started_at, .. }) = self.resources.pending_sample.take() else {
             return;
         };
-        // The end of the sensor, a failure of the sensor and a sample of an earlier run are handled as if there were a
-        // connection.
+        // The end of the sensor's samples, a failure of the sensor, and a sample of an earlier run are handled as if
+        // there had been a connection.
         if !matches!(sample, Ok(Some(_))) || run != self.run.id() {
             return self.accept_sample(run, (start, started_at), SensorOutput { log, sample });
         }
@@ -178,7 +178,7 @@ impl<'a> PipelineLoop<'a> {
         let (log, started_at) = iteration::start(clock, self.context.host.id, start.intended);
         self.resources.is_reset = false;
         match self.resources.sensor.request_sample(log) {
-            SensorResponse::Done(sensed) => self.accept_sample(self.run.id(), (start, started_at), sensed),
+            SensorResponse::Done(output) => self.accept_sample(self.run.id(), (start, started_at), output),
             SensorResponse::Pending(sample) => {
                 self.resources.pending_sample =
                     Some(PendingSample { run: self.run.id(), start, started_at, sample });
@@ -213,10 +213,10 @@ impl<'a> PipelineLoop<'a> {
     }
 
     /// Handles the output of the sensor's thread.
-    pub(super) fn handle_sensed(&mut self, sensed: SensorOutput) {
+    pub(super) fn handle_sensor_output(&mut self, output: SensorOutput) {
         if let Some(PendingSample { run, start, started_at, .. }) = self.resources.pending_sample.take() {
             self.resources.live_state.set_sensor_busy_since(None);
-            self.accept_sample(run, (start, started_at), sensed);
+            self.accept_sample(run, (start, started_at), output);
         }
     }
 
@@ -244,7 +244,7 @@ impl<'a> PipelineLoop<'a> {
     pub(super) fn abandon(&mut self, reason: &str) {
         let queued = self.queued.take().map(|queued| queued.iteration);
         for iteration in std::mem::take(&mut self.in_flight).into_iter().chain(queued) {
-            // The peer or the model still has the recorder with the measurements, so a new one starts here.
+            // The peer or the model still has the recorder with the measurements, so a new recorder is started here.
             let (log, _) =
                 iteration::start(&self.context.host.clock, self.context.host.id, iteration.start.intended);
             self.finish(iteration, log, Outcome::Lost(reason.to_owned()), Feedback::default(), None);
@@ -254,16 +254,17 @@ impl<'a> PipelineLoop<'a> {
     /// Returns whether the next iteration, or the preparation for it, may start as soon as it is due.
     fn can_start(&self) -> bool {
         let is_idle = self.end_reason.is_none()
-            && !self.awaits_sample()
+            && !self.has_outstanding_sample()
             && self.resources.pending_preparation.is_none();
-        // A closed loop, or a simulation, starts the next iteration when the last one is complete; an open loop starts
-        // it also while others are in flight, unless these have to end before a preparation.
+        // A closed loop and a simulation start the next iteration when the previous iteration is complete. An open loop
+        // starts the next iteration also while others are in flight, unless a preparation is due: all iterations in
+        // flight have to end before the preparation.
         let may_overlap = self.resources.iterations_may_overlap() && self.due_preparation().is_none();
         is_idle && (self.in_flight.is_empty() || may_overlap)
     }
 
     /// Returns whether a sample is requested from the sensor, or waits in the queue.
-    fn awaits_sample(&self) -> bool {
+    fn has_outstanding_sample(&self) -> bool {
         self.resources.pending_sample.is_some() || self.queued.is_some()
     }
 
@@ -287,23 +288,23 @@ impl<'a> PipelineLoop<'a> {
             let pipeline = &self.resources.config.name;
             return tracing::info!(%pipeline, "dropped a sample that the previous run had requested");
         }
-        let mut start_iteration =
+        let mut new_iteration =
             || StartedIteration { position: self.run.assign_position(start.intended), start, started_at };
         match sample {
-            // No iteration is numbered, because there is no sample.
+            // No number is assigned, because without a sample there is no iteration.
             Ok(None) => self.end(LoopEnd::NoMoreSamples),
             Ok(Some(sample)) => {
-                let iteration = start_iteration();
-                self.sensor_failures = 0;
+                let iteration = new_iteration();
+                self.consecutive_sensor_failures = 0;
                 let closed_loop = self.resources.schedule.is_closed();
                 self.queued = Some(QueuedSample::new(self.run.id(), iteration, log, sample, closed_loop));
             }
             Err(error) => {
-                let iteration = start_iteration();
+                let iteration = new_iteration();
                 let reason = printable_line(&error.to_string()).into_owned();
-                self.sensor_failures = self.sensor_failures.saturating_add(1);
+                self.consecutive_sensor_failures = self.consecutive_sensor_failures.saturating_add(1);
                 // Reported exactly at the threshold, so that a series of failures is one incident.
-                if self.sensor_failures == FAILURES_FOR_INCIDENT {
+                if self.consecutive_sensor_failures == FAILURES_FOR_INCIDENT {
                     self.report_sensor_failures(&reason);
                 }
                 let reason = format!("the sensor failed: {reason}");

@@ -12,7 +12,7 @@ use peernet_networks::{
     SessionSettings,
 };
 use peernet_sample::Sample;
-use peernet_stream::{Condition, FaultyHost, Outcome, Placement as Description, PlacementKind};
+use peernet_stream::{Condition, FaultyHost, Outcome, Placement as PlacementDescription, PlacementKind};
 use tokio::sync::{oneshot, watch};
 
 use super::context::PipelineContext;
@@ -51,7 +51,7 @@ pub(super) enum OpenFailure {
     /// The model of this host cannot be loaded. Only a change of the configuration helps.
     Model(LoadError),
     /// The server of a model of this host cannot be reached at present.
-    ModelAway(LoadError),
+    ModelServerUnreachable(LoadError),
     /// The thread that loaded the model panicked.
     Panicked,
     /// The peer cannot be reached, or did not answer in time.
@@ -73,13 +73,13 @@ impl Placement {
                 let loading = tokio::task::spawn_blocking(move || bank.load(&model, None));
                 let pool = loading.await.map_err(|_| OpenFailure::Panicked)?;
                 pool.map(Self::Local).map_err(|error| match error.is_transient() {
-                    true => OpenFailure::ModelAway(error),
+                    true => OpenFailure::ModelServerUnreachable(error),
                     false => OpenFailure::Model(error),
                 })
             }
             PlacementConfig::Remote(remote) => {
-                // The pipeline bounds the iterations in flight itself. With a lower bound of the session, iterations
-                // would wait inside the session, where no stage records the wait.
+                // The pipeline itself limits the iterations in flight. With a lower limit in the session, iterations would
+                // wait inside the session, where no stage records the wait.
                 let pipeline_maximum = u32::try_from(config.max_in_flight.get()).unwrap_or(u32::MAX);
                 let max_in_flight = remote.session.max_in_flight.max(pipeline_maximum);
                 let settings = SessionSettings { max_in_flight, ..remote.session.clone() };
@@ -97,8 +97,8 @@ impl Placement {
         pipeline: &Slug,
         context: &PipelineContext,
     ) -> Result<Self, OpenFailure> {
-        // The socket is opened before the hello that names it, because a cloud on this machine connects before it
-        // accepts the session.
+        // The socket is opened before the hello with its name is sent, because a cloud on this machine connects to the
+        // socket before the cloud accepts the session.
         let clock_socket = ClockSocket::listen(&*context.host.clock);
         let hello = SessionHello {
             versions: SESSION_VERSIONS,
@@ -118,7 +118,8 @@ impl Placement {
         Ok(Self::Remote { session, link, config: Box::new(remote.clone()) })
     }
 
-    /// Judges the delays of messages that were observed here and at the peer; `None` without a peer.
+    /// Returns the judged delays, up and down, of messages that were observed here and at the peer; `None` without a
+    /// peer.
     pub(super) fn judge_stamps(&self, up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
         match self {
             Self::Local(_) | Self::None => [None, None],
@@ -137,7 +138,7 @@ impl Placement {
             Self::Local(pool) => compute_locally(pool, log, sample, timeout).await,
             Self::Remote { session, link, config } => {
                 let mut completed = session.request(log, sample, timeout).await;
-                // Corrected now and not when the run is read, because live statistics show the delays.
+                // The delays are corrected now and not when the run is read, because live statistics show them.
                 let transport = link.correct(&mut completed);
                 let outcome = |error| match error {
                     RequestError::Timeout(awaited) => {
@@ -155,7 +156,7 @@ impl Placement {
         }
     }
 
-    /// Waits until the session with the peer ends, and returns the reason. Never returns for a local placement.
+    /// Waits until the session with the peer ends, and returns the reason. Never returns without a peer.
     pub(super) async fn closed(&self) -> CloseReason {
         match self {
             Self::Local(_) | Self::None => std::future::pending().await,
@@ -218,7 +219,8 @@ impl Placement {
     /// opened.
     ///
     /// `is_continuation` is `true` if the run directly continues another run. The pipeline then measures during the
-    /// inspection, so the competing threads are counted only once and the inspection does not sleep.
+    /// inspection. The competing threads are then counted only once, so that the inspection does not sleep between
+    /// several counts.
     pub(super) async fn conditions(
         &self,
         context: &PipelineContext,
@@ -241,9 +243,9 @@ impl Placement {
     }
 
     /// Returns the description for the store and the pages.
-    pub(super) fn describe(&self) -> Description {
+    pub(super) fn describe(&self) -> PlacementDescription {
         match self {
-            Self::Local(pool) => Description {
+            Self::Local(pool) => PlacementDescription {
                 kind: PlacementKind::Local,
                 peer: None,
                 network: None,
@@ -251,13 +253,13 @@ impl Placement {
                 model: pool.name().clone(),
                 device: Some(pool.device()),
             },
-            Self::Remote { session, config, .. } => Description {
+            Self::Remote { session, config, .. } => PlacementDescription {
                 peer: Some(session.accepted().name.clone()),
                 model: session.accepted().model.clone(),
                 device: Some(session.accepted().device.clone()),
                 ..describe_remote(config)
             },
-            Self::None => Description::sensor_alone(),
+            Self::None => PlacementDescription::sensor_alone(),
         }
     }
 }
@@ -280,9 +282,9 @@ pub(super) async fn conditions(
 }
 
 /// Returns the part of the description for the store and the pages that the configuration determines.
-pub(crate) fn describe_planned(config: &PlacementConfig) -> Description {
+pub(crate) fn describe_planned(config: &PlacementConfig) -> PlacementDescription {
     match config {
-        PlacementConfig::Local { model } => Description {
+        PlacementConfig::Local { model } => PlacementDescription {
             kind: PlacementKind::Local,
             peer: None,
             network: None,
@@ -291,26 +293,26 @@ pub(crate) fn describe_planned(config: &PlacementConfig) -> Description {
             device: None,
         },
         PlacementConfig::Remote(config) => describe_remote(config),
-        PlacementConfig::None {} => Description::sensor_alone(),
+        PlacementConfig::None {} => PlacementDescription::sensor_alone(),
         PlacementConfig::Observe(config) => describe_observed(config, None),
     }
 }
 
 /// Returns the description of an observed system. `peer` is the name of the other host whose agent observes it, once
 /// it is known.
-pub(super) fn describe_observed(config: &ObserveConfig, peer: Option<Slug>) -> Description {
-    let Some(address) = &config.peer else { return Description::observed() };
-    Description {
+pub(super) fn describe_observed(config: &ObserveConfig, peer: Option<Slug>) -> PlacementDescription {
+    let Some(address) = &config.peer else { return PlacementDescription::observed() };
+    PlacementDescription {
         kind: PlacementKind::Remote,
         peer,
         network: Some(address.network().name().to_owned()),
         address: Some(address.to_string()),
-        ..Description::observed()
+        ..PlacementDescription::observed()
     }
 }
 
-fn describe_remote(config: &RemoteConfig) -> Description {
-    Description {
+fn describe_remote(config: &RemoteConfig) -> PlacementDescription {
+    PlacementDescription {
         kind: PlacementKind::Remote,
         peer: None,
         network: Some(config.peer.network().name().to_owned()),
@@ -328,12 +330,12 @@ async fn compute_locally(
     timeout: Duration,
 ) -> ComputationResult {
     let (reply, mut done) = oneshot::channel();
-    // The recorder moves to the model's thread. If the thread does not return it, this copy has what was recorded
-    // before. It has a few nodes, so copying takes a fraction of a microsecond.
+    // The recorder moves to the model's thread. If the thread does not return the recorder, this copy has the nodes that
+    // were recorded before. There are only a few nodes, so copying takes a fraction of a microsecond.
     let log_backup = log.clone();
     let received = log.clock().mono();
     let reply = Box::new(move |finished: FinishedJob| {
-        // The receiver is gone after a timeout.
+        // After a timeout the receiver no longer exists, so the send fails and the late answer is dropped.
         let _ = reply.send(finished);
     });
     let requester = Arc::<LocalRequester>::default();
@@ -382,7 +384,8 @@ async fn compute_locally(
     }
 }
 
-/// Advice after a timeout. It names an option, too, because the commands of the paper have no configuration file.
+/// Advice after a timeout. The advice names an option, too, because the commands of the paper have no configuration
+/// file.
 const RAISE_TIMEOUT: &str =
     "if it needs longer, raise timeout_ms of the pipeline (or the option --timeout of peernet --client)";
 
@@ -394,8 +397,8 @@ fn describe_timeout(awaited: AwaitedEvent, config: &RemoteConfig, cloud: &Slug, 
         AwaitedEvent::Answer => {
             format!("no answer of cloud {cloud}{model} within {within} ms: {RAISE_TIMEOUT}")
         }
-        AwaitedEvent::RestOfAnswer(parts) => format!(
-            "no complete answer of cloud {cloud}{model} within {within} ms, after partial answer {parts}: {RAISE_TIMEOUT}"
+        AwaitedEvent::RestOfAnswer(partial_answers) => format!(
+            "no complete answer of cloud {cloud}{model} within {within} ms, after partial answer {partial_answers}: {RAISE_TIMEOUT}"
         ),
         AwaitedEvent::Slot => format!(
             "nothing was sent to cloud {cloud}{model} within {within} ms, because earlier requests held all slots in flight: \

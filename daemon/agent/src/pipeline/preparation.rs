@@ -1,5 +1,5 @@
 //! Preparation of the sensor and the actuator between two iterations: the reset before an episode, and the advance of a
-//! simulation by the time that the last iteration took.
+//! simulation by the time that the previous iteration took.
 
 use futures::future::{BoxFuture, FutureExt};
 use peernet_clock::Span;
@@ -13,7 +13,7 @@ use super::sensing::PreparationSender;
 pub(super) enum Preparation {
     /// Resets sensor and actuator for an episode.
     Reset,
-    /// Advances the simulation that the sensor observes by the duration of the last iteration.
+    /// Advances the simulation that the sensor observes by the duration of the previous iteration.
     Advance(Span),
 }
 
@@ -37,7 +37,8 @@ pub(super) enum PreparationError {
     SensorDied,
 }
 
-/// Prepares the actuator, then the sensor: so the sensor's first sample shows the system that the actuator has reset.
+/// Prepares the actuator first and then the sensor, so that the first sample shows the system after the actuator's
+/// reset.
 pub(super) fn prepare(
     preparation: Preparation,
     actuator: Option<ActuatorExecutor>,

@@ -25,117 +25,125 @@ pub(crate) struct Progress {
     warm_up: WarmUp,
     episode_steps: Option<NonZeroU32>,
     limit: Limit,
-    /// `true` if the run directly continues another. Caches and connections are warm then.
+    /// `true` if the run directly continues another run. Caches and connections are then warm already.
     is_continuation: bool,
     /// Number of iterations so far.
-    started: u64,
+    started_iterations: u64,
     /// Number of iterations so far that are not warm-up.
-    measured: u64,
+    measured_iterations: u64,
     /// Episode and step of the next iteration.
-    next: (u32, u32),
+    next_step: (u32, u32),
     /// Intended start of the first iteration that is not warm-up.
     measuring_since: Option<MonoTime>,
 }
 
 impl Progress {
-    /// Creates the progress of a new run; `is_continuation` is `true` if it directly continues another.
+    /// Creates the progress of a new run. `is_continuation` is `true` if the run directly continues another run.
     pub(crate) fn new(config: &PipelineConfig, is_continuation: bool) -> Self {
         Self {
             warm_up: config.warm_up,
             episode_steps: config.episode_steps,
             limit: config.limit,
             is_continuation,
-            started: 0,
-            measured: 0,
-            next: (0, 0),
+            started_iterations: 0,
+            measured_iterations: 0,
+            next_step: (0, 0),
             measuring_since: None,
         }
     }
 
     /// Returns whether an iteration with this intended start would exceed the run's limit.
     pub(crate) fn is_limit_reached(&self, intended: MonoTime) -> bool {
-        let iterations_reached = self.limit.iterations.is_some_and(|limit| self.measured >= limit.get());
-        let total_reached = self.limit.total.is_some_and(|limit| self.started >= limit.get());
+        let iterations_reached =
+            self.limit.iterations.is_some_and(|limit| self.measured_iterations >= limit.get());
+        let total_reached = self.limit.total.is_some_and(|limit| self.started_iterations >= limit.get());
         let duration_reached = match (self.measuring_since, self.limit.duration_s) {
-            (Some(since), Some(seconds)) => intended >= since + Span::from_seconds_f64(seconds),
+            (Some(since), Some(limit)) => intended >= since + Span::from_seconds_f64(limit),
             _ => false,
         };
-        let (episode, _) = self.next;
+        let (episode, _) = self.next_step;
         let episodes_reached = self.limit.episodes.is_some_and(|limit| episode >= limit.get());
         iterations_reached || total_reached || duration_reached || episodes_reached
     }
 
     /// Returns the number of iterations so far.
-    pub(crate) const fn started(&self) -> u64 {
-        self.started
+    pub(crate) const fn started_iterations(&self) -> u64 {
+        self.started_iterations
     }
 
-    /// Returns the number of iterations that the run has by its limits on iterations; the number so far if it has no
-    /// such limit.
+    /// Returns the number of iterations after which the run reaches a limit on iterations; the number so far if the run
+    /// has no such limit.
     pub(crate) fn planned_iterations(&self) -> u64 {
-        let remaining = self.limit.iterations.map(|limit| limit.get().saturating_sub(self.measured));
-        let by_iterations = remaining.map(|remaining| remaining.saturating_add(self.started));
-        by_iterations.into_iter().chain(self.limit.total.map(NonZeroU64::get)).min().unwrap_or(self.started)
+        let remaining =
+            self.limit.iterations.map(|limit| limit.get().saturating_sub(self.measured_iterations));
+        let by_iterations = remaining.map(|remaining| remaining.saturating_add(self.started_iterations));
+        by_iterations
+            .into_iter()
+            .chain(self.limit.total.map(NonZeroU64::get))
+            .min()
+            .unwrap_or(self.started_iterations)
     }
 
     /// Assigns number, episode and step to the next iteration.
     pub(crate) fn assign_position(&mut self, intended: MonoTime) -> Position {
-        let is_episode_start = self.episode_steps.is_some() && self.next.1 < self.warm_up.steps;
-        self.assign(intended, is_episode_start)
+        let is_episode_warm_up = self.episode_steps.is_some() && self.next_step.1 < self.warm_up.steps;
+        self.assign(intended, is_episode_warm_up)
     }
 
-    /// Assigns number, episode and step to an iteration whose preparation failed. It is no warm-up of its episode.
-    // Otherwise no count of a run would show that an episode could not begin.
+    /// Assigns number, episode and step to an iteration whose preparation failed. The iteration is not part of the
+    /// warm-up of its episode.
+    // Statistics leave out warm-up, but they must show that an episode could not begin.
     pub(crate) fn assign_unprepared_position(&mut self, intended: MonoTime) -> Position {
         self.assign(intended, false)
     }
 
     fn assign(&mut self, intended: MonoTime, is_episode_warm_up: bool) -> Position {
-        let (episode, step) = self.next;
+        let (episode, step) = self.next_step;
         let warm_up = self.is_run_warm_up(episode) || is_episode_warm_up;
-        self.started += 1;
-        // A u32 can hold neither the episode nor the step of a run of years: they stop at the largest value.
-        self.next = match self.episode_steps {
+        self.started_iterations += 1;
+        // A run of several years may have more episodes or steps than a u32 can count. The numbers then stay at the largest
+        // value.
+        self.next_step = match self.episode_steps {
             Some(steps) if step.saturating_add(1) >= steps.get() => (episode.saturating_add(1), 0),
             _ => (episode, step.saturating_add(1)),
         };
         if !warm_up {
-            self.measured += 1;
-            // The intended start counts, so that a late first iteration does not prolong the run.
+            self.measured_iterations += 1;
+            // The duration counts from the intended start, so that a late first iteration does not prolong the run.
             self.measuring_since.get_or_insert(intended);
         }
-        Position { number: self.started, episode, step, warm_up }
+        Position { number: self.started_iterations, episode, step, warm_up }
     }
 
     /// Returns whether the next iteration is the first of its episode.
     pub(crate) const fn begins_episode(&self) -> bool {
-        self.next.1 == 0
+        self.next_step.1 == 0
     }
 
-    /// Returns whether the next iteration belongs to the warm-up at the start of the run, by the number of iterations
+    /// Returns whether the next iteration belongs to the warm-up at the start of the run, which has a number of iterations
     /// or of episodes.
-    pub(crate) fn is_next_run_warm_up(&self) -> bool {
-        self.is_run_warm_up(self.next.0)
+    pub(crate) fn next_is_run_warm_up(&self) -> bool {
+        self.is_run_warm_up(self.next_step.0)
     }
 
     /// Returns whether no further iteration of an episode starts.
-    pub(crate) const fn has_left(&self, episode: u32) -> bool {
-        self.next.0 > episode
+    pub(crate) const fn has_passed_episode(&self, episode: u32) -> bool {
+        self.next_step.0 > episode
     }
 
-    /// Ends an episode before its last step: the next iteration is the first one of the next episode.
+    /// Ends an episode before its last step: the next iteration is the first iteration of the next episode.
     pub(crate) fn end_episode(&mut self, episode: u32) {
-        // Iterations of the next episode may have started while the end of this one was on its way.
-        if self.next.0 == episode {
-            self.next = (episode.saturating_add(1), 0);
+        // Iterations of the next episode may have started before the actuator reported the end of this episode.
+        if self.next_step.0 == episode {
+            self.next_step = (episode.saturating_add(1), 0);
         }
     }
 
     /// Returns whether the next iteration, which belongs to `episode`, is within the warm-up at the start of the run.
     fn is_run_warm_up(&self, episode: u32) -> bool {
-        let is_warm_up = self.started < self.warm_up.iterations
+        let is_warm_up = self.started_iterations < self.warm_up.iterations
             || self.episode_steps.is_some() && episode < self.warm_up.episodes;
-        // The warm-up of each episode still applies to a continuation.
+        // A continuation has no warm-up at its start. The warm-up of each episode is not affected.
         is_warm_up && !self.is_continuation
     }
 }
@@ -157,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn limit_excludes_warm_up() {
+    fn limit_of_iterations_excludes_warm_up() {
         let mut progress = progress("warm_up = { iterations = 2 }\nlimit = { iterations = 3 }", false);
         let mut warm_up = Vec::new();
         while !progress.is_limit_reached(at(0)) {
@@ -167,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn total_includes_warm_up() {
+    fn limit_of_total_includes_warm_up() {
         let mut progress =
             progress("warm_up = { iterations = 2 }\nlimit = { total = 3, iterations = 9 }", false);
         let mut warm_up = Vec::new();
@@ -178,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn planned_iterations_are_known_beforehand() {
+    fn planned_iterations_follow_from_limits() {
         let planned_iterations = |keys: &str| {
             let mut progress = progress(keys, false);
             for _ in 0..7 {
@@ -198,7 +206,7 @@ mod tests {
     fn duration_begins_at_first_measured_iteration() {
         let mut progress = progress("warm_up = { iterations = 1 }\nlimit = { duration_s = 2.5 }", false);
         progress.assign_position(at(10));
-        assert!(!progress.is_limit_reached(at(1000)), "still warming up");
+        assert!(!progress.is_limit_reached(at(1000)), "no iteration after the warm-up has started");
         assert_eq!(
             progress.assign_position(at(20)),
             Position { number: 2, episode: 0, step: 1, warm_up: false }
@@ -208,14 +216,14 @@ mod tests {
     }
 
     #[test]
-    fn episodes_and_their_first_steps_warm_up() {
+    fn first_episode_and_first_steps_are_warm_up() {
         let keys = "episode_steps = 3\nwarm_up = { iterations = 0, episodes = 1, steps = 1 }";
         let mut progress = progress(keys, false);
         let positions: Vec<_> = (0..7).map(|_| progress.assign_position(at(0))).collect();
-        let shape: Vec<_> =
+        let steps: Vec<_> =
             positions.iter().map(|position| (position.episode, position.step, position.warm_up)).collect();
         assert_eq!(
-            shape,
+            steps,
             [
                 (0, 0, true),
                 (0, 1, true),
@@ -230,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn ended_episode_is_followed_by_next_one() {
+    fn reported_end_of_episode_begins_next_episode() {
         let mut progress = progress("episode_steps = 3\nlimit = { episodes = 3 }", false);
         let mut steps = Vec::new();
         while !progress.is_limit_reached(at(0)) {
@@ -238,17 +246,20 @@ mod tests {
             let position = progress.assign_position(at(0));
             assert_eq!(begins, position.step == 0);
             steps.push((position.episode, position.step));
-            // The first episode ends after its last step and the second one after its second step.
+            // An end is reported after the last step of the first episode, and after the second step of the second episode.
             if [(0, 2), (1, 1)].contains(&(position.episode, position.step)) {
                 progress.end_episode(position.episode);
-                assert!(progress.has_left(position.episode) && !progress.has_left(position.episode + 1));
+                assert!(
+                    progress.has_passed_episode(position.episode)
+                        && !progress.has_passed_episode(position.episode + 1)
+                );
             }
         }
         assert_eq!(steps, [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)]);
     }
 
     #[test]
-    fn without_steps_only_feedback_ends_episodes() {
+    fn without_episode_steps_only_feedback_ends_episodes() {
         let mut progress = progress("", false);
         for number in 0..100 {
             assert_eq!((progress.assign_position(at(0)).step, progress.begins_episode()), (number, false));
@@ -259,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn continuing_run_has_no_warm_up() {
+    fn continuing_run_has_no_warm_up_at_start() {
         assert!(!progress("", true).assign_position(at(0)).warm_up);
         assert!(progress("", false).assign_position(at(0)).warm_up);
     }

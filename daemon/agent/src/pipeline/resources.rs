@@ -42,7 +42,8 @@ pub(super) enum AssembleError {
 }
 
 /// The parts of a pipeline that outlive a run and a connection: its configuration and live state, the sensor with its
-/// transforms, the actuator, and the schedule of the starts. Only the placement is not among them.
+/// transforms, the actuator, and the schedule of the starts. The placement is not one of these parts, because it ends
+/// with its connection.
 pub(super) struct PipelineResources {
     pub(super) config: Arc<PipelineConfig>,
     pub(super) live_state: Arc<PipelineLiveState>,
@@ -52,15 +53,15 @@ pub(super) struct PipelineResources {
     /// `None` if the pipeline has no actuator.
     pub(super) actuator: Option<ActuatorExecutor>,
     /// `true` if the sensor or the actuator has to be reset before each episode.
-    resets: bool,
+    needs_resets: bool,
     /// `true` if the sensor observes a simulation that is advanced by the duration of each iteration.
-    advances: bool,
+    needs_advances: bool,
     /// The preparation in progress. It cannot be cancelled, so it may outlive the connection.
     pub(super) pending_preparation: Option<PendingPreparation>,
     /// `true` from a reset until the first sample after it.
     pub(super) is_reset: bool,
-    /// Time by which the simulation is advanced before the next sample: the duration of the last iteration.
-    /// `None` if there was none, or without a simulation.
+    /// Time by which the simulation is advanced before the next sample: the sum of the durations of the iterations
+    /// since the previous preparation. `None` if no iteration has ended since then, or if there is no simulation.
     pending_advance: Option<Span>,
     /// Start of the advance in progress.
     advance_started_at: Option<MonoTime>,
@@ -98,14 +99,14 @@ impl PipelineResources {
         facts.extend(config.actuator.facts());
         facts.extend(actuator.iter().flat_map(|actuator| actuator.facts().iter().cloned()));
         facts.extend(config.actuator.arguments_fact(fingerprints));
-        let resets = sensor.resets() || actuator.as_ref().is_some_and(ActuatorExecutor::resets);
-        let advances = sensor.advances();
+        let needs_resets = sensor.resets() || actuator.as_ref().is_some_and(ActuatorExecutor::needs_resets);
+        let needs_advances = sensor.advances();
         let sensor = SensorExecutor::new(SensorChain { sensor, transforms }, &config.name)
             .map_err(AssembleError::Thread)?;
         Ok(Self {
             actuator,
-            resets,
-            advances,
+            needs_resets,
+            needs_advances,
             pending_preparation: None,
             is_reset: false,
             pending_advance: None,
@@ -122,15 +123,16 @@ impl PipelineResources {
 
     /// Restarts the schedule for a run.
     pub(super) fn restart_schedule(&mut self, now: MonoTime) {
-        // The latencies of the run must not contain starts that came due before it, and an advance that began before
-        // the run must not postpone its starts.
+        // Starts that came due before the run must not count in its latencies. An advance that began before the run
+        // must not postpone the starts of the run.
         self.advance_started_at = None;
         self.schedule = Schedule::new(&self.config.load, self.config.max_in_flight.get(), now);
     }
 
-    /// Returns what must precede the next iteration. `begins_episode` says whether that is the first one of an episode.
+    /// Returns the preparation that must precede the next iteration, if there is one. `begins_episode` is `true` if the
+    /// next iteration is the first of an episode.
     pub(super) fn due_preparation(&self, begins_episode: bool) -> Option<Preparation> {
-        if begins_episode && self.resets {
+        if begins_episode && self.needs_resets {
             return (!self.is_reset).then_some(Preparation::Reset);
         }
         self.pending_advance.map(Preparation::Advance)
@@ -138,7 +140,7 @@ impl PipelineResources {
 
     /// Adds the duration of an iteration to the time by which the simulation is advanced before the next sample.
     pub(super) fn extend_pending_advance(&mut self, duration: Span) {
-        if self.advances {
+        if self.needs_advances {
             self.pending_advance = Some(self.pending_advance.unwrap_or(Span::ZERO) + duration);
         }
     }
@@ -147,20 +149,21 @@ impl PipelineResources {
     /// request at a time.
     pub(super) fn start_preparation(&mut self, preparation: Preparation, now: MonoTime) {
         if matches!(preparation, Preparation::Advance(_)) {
-            // The starts that are due now are skipped: an iteration that counts from one of them would contain time by
-            // which the simulation is advanced now.
+            // The latency of an iteration counts from its intended start. With a start that is due already, the latency
+            // would contain time by which the simulation is advanced now, so these starts are skipped.
             self.schedule.skip_due(now);
             self.advance_started_at = Some(now);
         }
-        // For an advance, `preparation` contains this time. A reset begins a new simulation, in which the time of
-        // earlier iterations does not pass.
+        // `Preparation::Advance` contains the pending time. A reset begins a new simulation, in which the time of earlier
+        // iterations does not pass.
         self.pending_advance = None;
-        let actuator = self.actuator.clone().filter(ActuatorExecutor::resets);
+        let actuator = self.actuator.clone().filter(ActuatorExecutor::needs_resets);
         let request = self.sensor.preparation_sender();
         self.pending_preparation = Some(preparation::prepare(preparation, actuator, request));
     }
 
-    /// Continues the schedule after a preparation, which ended at `now`. Its time belongs to no iteration.
+    /// Continues the schedule after a preparation that ended at `now`. The duration of the preparation belongs to no
+    /// iteration.
     pub(super) fn resume_schedule(&mut self, now: MonoTime) {
         match self.advance_started_at.take() {
             // The intervals between the iterations of an episode are as if the advance had taken no time.
@@ -174,15 +177,15 @@ impl PipelineResources {
         self.facts.iter().cloned().chain(model_facts).collect()
     }
 
-    /// Returns the largest number of iterations in flight: one in a closed loop.
+    /// Returns the maximum number of iterations in flight: one in a closed loop.
     pub(super) fn max_in_flight(&self) -> usize {
         if self.schedule.is_closed() { 1 } else { self.config.max_in_flight.get() }
     }
 
-    /// Returns whether a sample may be taken while an iteration is in flight. A simulation has to be advanced by the
-    /// time of that iteration before the sample.
+    /// Returns whether a sample may be taken while an iteration is in flight. With a simulation it may not, because the
+    /// simulation has to be advanced by the duration of that iteration first.
     pub(super) fn iterations_may_overlap(&self) -> bool {
-        !self.schedule.is_closed() && !self.advances
+        !self.schedule.is_closed() && !self.needs_advances
     }
 }
 

@@ -22,14 +22,14 @@ const SECONDS_PER_DAY: i64 = 86_400;
 pub(super) struct Run {
     id: RunId,
     pipeline: Slug,
-    /// Day of its start, in days since the Unix epoch; `None` if the run does not end at midnight.
+    /// Day on which the run started, in days since the Unix epoch; `None` if the run does not end at midnight.
     start_day: Option<i64>,
     placement: Placement,
     deadline: Option<Span>,
     progress: Progress,
     failures: FailureLog,
     scores: EpisodeScores,
-    /// Episode whose end the actuator has reported, until the next one begins.
+    /// Episode whose end the actuator has reported; `None` once the next episode may begin.
     ended_episode: Option<u32>,
 }
 
@@ -63,7 +63,7 @@ impl Run {
         Self {
             id,
             pipeline: config.name.clone(),
-            // A run with a limit ends at its limit only, so that a measurement over midnight is one run.
+            // A run with a limit does not end at midnight, so that a measurement over midnight is one run.
             start_day: config.limit.is_none().then(|| day_number(started)),
             placement,
             deadline: config.deadline().map(Span::from),
@@ -78,7 +78,7 @@ impl Run {
         self.id
     }
 
-    /// Returns whether this is the run's placement.
+    /// Returns whether the run computes at this placement.
     pub(super) fn has_placement(&self, placement: &Placement) -> bool {
         self.placement == *placement
     }
@@ -95,7 +95,7 @@ impl Run {
 
     /// Assigns number, episode and step to the next iteration.
     pub(super) fn assign_position(&mut self, intended: MonoTime) -> Position {
-        let is_after_warm_up = !self.progress.is_next_run_warm_up();
+        let is_after_warm_up = !self.progress.next_is_run_warm_up();
         let position = self.progress.assign_position(intended);
         if position.step == 0 {
             self.scores.begin(position.episode, is_after_warm_up);
@@ -105,7 +105,7 @@ impl Run {
 
     /// Assigns number, episode and step to an iteration whose preparation failed.
     pub(super) fn assign_unprepared_position(&mut self, intended: MonoTime) -> Position {
-        let is_after_warm_up = !self.progress.is_next_run_warm_up();
+        let is_after_warm_up = !self.progress.next_is_run_warm_up();
         let position = self.progress.assign_unprepared_position(intended);
         if position.step == 0 {
             self.scores.begin_unprepared(position.episode, is_after_warm_up);
@@ -138,7 +138,7 @@ impl Run {
         if feedback.episode_ended {
             self.ended_episode = Some(episode);
         }
-        let is_over = feedback.episode_ended || self.progress.has_left(episode) && !has_pending;
+        let is_over = feedback.episode_ended || self.progress.has_passed_episode(episode) && !has_pending;
         let result = is_over.then(|| self.scores.close(episode)).flatten()?;
         if let Some(text) = result.remark(&self.pipeline, episode) {
             remark(&text);
@@ -146,12 +146,12 @@ impl Run {
         Some(result)
     }
 
-    /// Returns the planned number of iterations of a run whose loop ended for `reason`. `None` if the run was stopped
-    /// or lost its peer, because the run may continue then.
+    /// Returns the planned number of iterations of a run whose loop ended for `reason`. `None` if the run was stopped, or
+    /// if it lost its peer and continues after a reconnect.
     pub(super) fn planned_iterations(&self, reason: &LoopEnd) -> Option<u64> {
         match reason {
-            // No further iteration starts, so the number so far is the planned one.
-            LoopEnd::Limit | LoopEnd::Midnight => Some(self.progress.started()),
+            // No further iteration starts, so the number of iterations so far is the planned number.
+            LoopEnd::Limit | LoopEnd::Midnight => Some(self.progress.started_iterations()),
             LoopEnd::NoMoreSamples | LoopEnd::Broken(_) => Some(self.progress.planned_iterations()),
             LoopEnd::Stopped | LoopEnd::Disconnected(_) => None,
         }
@@ -170,8 +170,8 @@ impl Run {
         if let Some(deadline) = self.deadline {
             deadline::record_deadline(&mut tree, &outcome, deadline);
         }
-        // Warm-up iterations are stored, but left out of statistics, except for the results of episodes: an episode
-        // that ends during its warm-up has a result like any other.
+        // Warm-up iterations are stored, but statistics leave them out. The results of episodes are the exception: an
+        // episode that ends during its own warm-up has a result like any other episode.
         if position.warm_up {
             live_state.record_warm_up(ended.wall.unix_seconds(), &tree);
         } else {

@@ -1,6 +1,6 @@
 //! The life of a pipeline: set up, connect, run, end.
 //!
-//! After a reconnect the same run continues if peer, model and device are the same.
+//! After a reconnect the run continues if the peer, the model and the device are the same as before.
 
 use std::any::Any;
 use std::panic::AssertUnwindSafe;
@@ -12,7 +12,7 @@ use peernet_inference::LoadError;
 use peernet_logger::{HostId, RunId};
 use peernet_networks::Address;
 use peernet_stream::{
-    Condition, EndReason, FaultyHost, IncidentKind, PipelineState, Placement as Description,
+    Condition, EndReason, FaultyHost, IncidentKind, PipelineState, Placement as PlacementDescription,
 };
 use tokio_util::sync::CancellationToken;
 
@@ -92,7 +92,7 @@ impl ConnectProblem {
         }
     }
 
-    /// Returns the text about the retries.
+    /// Returns a text that says how often the agent retries.
     fn retry_text(&self) -> String {
         let (shortest, longest) =
             (ReconnectBackoff::MIN_PAUSE.as_secs_f64(), ReconnectBackoff::MAX_PAUSE.as_secs());
@@ -211,11 +211,11 @@ impl Runner {
         self.start_run(facts, placement.describe(), conditions, is_continuation)
     }
 
-    /// Starts a run and reports its start; `is_continuation` is `true` if it directly continues another.
+    /// Starts a run and reports its start. `is_continuation` is `true` if the run directly continues another run.
     pub(super) fn start_run(
         &self,
         mut facts: Vec<(String, String)>,
-        placement: Description,
+        placement: PlacementDescription,
         conditions: Vec<Condition>,
         is_continuation: bool,
     ) -> Run {
@@ -245,8 +245,8 @@ impl Runner {
         run: Option<RunId>,
     ) -> Result<Option<Placement>, PipelineError> {
         let mut reconnect_backoff = ReconnectBackoff::new(self.context.host.id);
-        // A problem is reported when it first occurs and not at every attempt. During a run the loss of the peer has
-        // been reported already.
+        // A problem is reported when it first occurs and not at every attempt. If a run is in progress, the loss of its
+        // peer has already been reported.
         let mut reported_problem = run.map(|_| ConnectProblem::Unreachable);
         loop {
             let opening = self.stop.run_until_cancelled(Placement::open(&self.config, &self.context));
@@ -255,14 +255,14 @@ impl Runner {
             resources.schedule.catch_up(self.context.host.clock.mono());
             let (problem, error, pause) = match opening_result {
                 Ok(placement) => {
-                    let was_away = run.is_none() && reported_problem.is_some();
-                    self.report_connected(&placement, run, was_away);
+                    let ends_reported_problem = run.is_none() && reported_problem.is_some();
+                    self.report_connected(&placement, run, ends_reported_problem);
                     return Ok(Some(placement));
                 }
                 // A retry cannot help: only a change of the configuration can.
                 Err(OpenFailure::Model(error)) => return Err(error.into()),
                 Err(OpenFailure::Panicked) => return Err(PipelineError::ModelPanicked),
-                Err(OpenFailure::ModelAway(error)) => {
+                Err(OpenFailure::ModelServerUnreachable(error)) => {
                     (ConnectProblem::Unreachable, error.to_string(), reconnect_backoff.next_pause())
                 }
                 Err(OpenFailure::Unreachable(error)) => {
@@ -284,11 +284,11 @@ impl Runner {
         }
     }
 
-    /// Reports that the connection to a peer is open. A local model is reported only if its server could not be reached
-    /// before: `was_away` is `true` if an earlier attempt was reported as failed.
-    fn report_connected(&self, placement: &Placement, run: Option<RunId>, was_away: bool) {
+    /// Reports that the connection to a peer is open. A local model is reported only after its server could not be
+    /// reached. `ends_reported_problem` is `true` if a failed attempt was reported before the run.
+    fn report_connected(&self, placement: &Placement, run: Option<RunId>, ends_reported_problem: bool) {
         let description = placement.describe();
-        if was_away && placement.peer().is_none() {
+        if ends_reported_problem && placement.peer().is_none() {
             let text = format!("model {} is loaded, because its server answers now", description.model);
             let subject = IncidentSubject { pipeline: Some(&self.config.name), run, peer: None };
             self.context.events.incidents.report(IncidentKind::Connected, subject, text);
@@ -308,15 +308,15 @@ impl Runner {
         self.live_state.set_placement(description);
     }
 
-    /// Reports the transport's remarks about the connection while it is open.
+    /// Reports the transport's remarks about the connection as long as the connection is open.
     fn follow_remarks(&self, placement: &Placement, peer: HostId) {
         let Some(mut remarks) = placement.remarks() else { return };
         let (incidents, pipeline) = (self.context.events.incidents.clone(), self.config.name.clone());
         tokio::spawn(async move {
             let mut reported_remarks = 0;
             while remarks.changed().await.is_ok() {
-                let all = remarks.borrow_and_update().clone();
-                for text in all.get(reported_remarks..).unwrap_or_default() {
+                let all_remarks = remarks.borrow_and_update().clone();
+                for text in all_remarks.get(reported_remarks..).unwrap_or_default() {
                     let subject = IncidentSubject { pipeline: Some(&pipeline), run: None, peer: Some(peer) };
                     incidents.remark(
                         IncidentKind::Connected,
@@ -324,7 +324,7 @@ impl Runner {
                         format!("pipeline {pipeline}: {text}"),
                     );
                 }
-                reported_remarks = all.len();
+                reported_remarks = all_remarks.len();
             }
         });
     }

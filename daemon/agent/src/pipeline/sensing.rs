@@ -13,7 +13,7 @@ use tokio::sync::oneshot;
 
 use super::preparation::Preparation;
 
-/// Longest wait for the end of a sensor. A program of a user has a second to end, and is killed after it.
+/// Longest wait for the end of a sensor. A sensor that is custom code has a second to end and is then killed.
 const END_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Output of a sensor for one request.
@@ -51,7 +51,7 @@ pub(super) enum SensorResponse {
     Pending(oneshot::Receiver<SensorOutput>),
 }
 
-/// Request to the thread.
+/// Request to the thread of a sensor.
 pub(super) enum SensorRequest {
     /// Asks for one sample.
     Sample { log: Recorder, reply: oneshot::Sender<SensorOutput> },
@@ -96,7 +96,7 @@ impl SensorChain {
 }
 
 impl SensorExecutor {
-    /// Starts a thread for the chain if it blocks or computes.
+    /// Starts a thread for the chain if the sensor blocks or the chain has transforms.
     ///
     /// # Errors
     /// When the operating system refuses a thread.
@@ -128,7 +128,8 @@ impl SensorExecutor {
         }
     }
 
-    /// Returns the sender of a request for a preparation; `None` for a sensor without a thread, which needs none.
+    /// Returns the sender of a request for a preparation; `None` for a sensor without a thread, which needs no
+    /// preparation.
     pub(super) fn preparation_sender(&self) -> Option<PreparationSender> {
         match self {
             Self::Inline(_) => None,
@@ -160,7 +161,7 @@ fn serve_requests(mut chain: SensorChain, requests: &Receiver<SensorRequest>) {
             }
             SensorRequest::Prepare { preparation, reply } => {
                 let _ = reply.send(match preparation {
-                    // Only the actuator may need the reset.
+                    // In this case only the actuator needs the reset.
                     Preparation::Reset if !chain.sensor.resets() => Ok(()),
                     Preparation::Reset => chain.sensor.reset(),
                     Preparation::Advance(time) => chain.sensor.advance(time),

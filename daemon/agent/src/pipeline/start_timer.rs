@@ -38,8 +38,8 @@ impl StartTimer {
         Ok(Self { timer, clock, armed_for: None })
     }
 
-    /// Waits until `at`; returns at once if that has passed. If the wait is cancelled and repeated for the same time,
-    /// the timer is not set again.
+    /// Waits until `at`; returns at once if `at` has passed. If the wait is cancelled and repeated for the same time, the
+    /// timer is not set again.
     ///
     /// # Errors
     /// When the kernel refuses to set the timer.
@@ -82,7 +82,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn timer_never_fires_early_and_can_be_reset() {
+    async fn timer_never_fires_early_and_can_be_set_again() {
         let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
         let mut start_timer = StartTimer::new(Arc::clone(&clock)).expect("a timer");
         for millis in [3, 1, 0, -5, 2] {

@@ -10,21 +10,21 @@ use crate::pipeline::load::Start;
 use crate::pipeline::preparation::{Preparation, PreparationError};
 
 impl PipelineLoop<'_> {
-    /// Returns how the sensor and the actuator have to be prepared before the next iteration.
+    /// Returns the preparation of the sensor and the actuator that must precede the next iteration, if there is one.
     pub(super) fn due_preparation(&self) -> Option<Preparation> {
         self.resources.due_preparation(self.run.begins_episode())
     }
 
-    /// Ends the episode whose end the actuator has reported. A sample that was requested before belongs to that
-    /// episode, so the next episode begins after it.
+    /// Ends the episode whose end the actuator has reported, unless a sample is outstanding. An outstanding sample still
+    /// belongs to that episode.
     pub(super) fn end_reported_episode(&mut self) {
-        if !self.awaits_sample() {
+        if !self.has_outstanding_sample() {
             self.run.end_reported_episode();
         }
     }
 
-    /// Handles the end of a preparation. If it failed, an iteration fails with the reason, and its episode ends: no
-    /// step of an episode may be taken without a reset, or with a simulation whose time is unknown.
+    /// Handles the end of a preparation. If the preparation failed, a failed iteration with the reason is recorded, and
+    /// its episode ends: no step of an episode may follow a failed reset, or use a simulation whose time is unknown.
     pub(in crate::pipeline) fn handle_preparation(&mut self, result: Result<(), PreparationError>) {
         self.resources.pending_preparation = None;
         let clock = &self.context.host.clock;

@@ -1,4 +1,4 @@
-//! Tests of pipelines with a part that panics.
+//! Tests of pipelines in which a part panics, or whose sensor returns a sample while there is no connection.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
@@ -26,14 +26,15 @@ use crate::runs::Runs;
 
 const PIPELINE: &str = "line";
 
-/// A clock that panics once, when it is broken, for one kind of reader.
+/// A clock that panics once for one kind of reader, at the first reading after `panics_next` is set.
 #[derive(Debug)]
 struct PanickingClock {
     clock: SystemClock,
-    broken: AtomicBool,
+    panics_next: AtomicBool,
     reader: Reader,
 }
 
+/// Thread for which the clock panics.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Reader {
     Any,
@@ -48,7 +49,7 @@ impl Clock for PanickingClock {
 
     fn mono(&self) -> MonoTime {
         let is_reader = self.reader == Reader::Any || thread::current().name() == Some(PIPELINE);
-        assert!(!(is_reader && self.broken.swap(false, Ordering::Relaxed)), "as planned");
+        assert!(!(is_reader && self.panics_next.swap(false, Ordering::Relaxed)), "as planned");
         self.clock.mono()
     }
 
@@ -71,12 +72,12 @@ fn context(
          [[pipeline]]\nname = '{PIPELINE}'\nsensor = {sensor}\n\
          placement = {{ kind = 'local', model = 'echo' }}\nload = {{ mode = 'rate', hz = 100.0 }}"
     );
-    let config: AgentConfig = toml::from_str(&tables).expect("reads");
+    let config: AgentConfig = toml::from_str(&tables).expect("a valid configuration");
     let aggregator = Some("tcp://127.0.0.1:1".parse().expect("an address"));
     let host_config = HostConfig { aggregator, ..HostConfig::default() };
     let (event_queue, receiver) = crate::event_queue::create(&host_config, &clock, EventCounter::default());
     let incidents = Incidents::new(Arc::clone(&clock), event_queue.clone());
-    let (_publish, host_clock) = watch::channel(PeerClock::default());
+    let (_host_clock_sender, host_clock) = watch::channel(PeerClock::default());
     let link_context = LinkContext {
         name: "edge".parse().expect("a name"),
         clock: Arc::clone(&clock),
@@ -99,19 +100,20 @@ fn context(
         observed: crate::observed::ObservedPipelines::default(),
         inspection: Arc::default(),
     };
-    let pipeline = Arc::new(config.pipelines.into_iter().next().expect("one"));
+    let pipeline = Arc::new(config.pipelines.into_iter().next().expect("one pipeline"));
     let placement = crate::pipeline::describe_planned(&pipeline.placement);
     let live_state =
         Arc::new(PipelineLiveState::new(pipeline.name.clone(), pipeline.load.describe(), placement));
     (context, pipeline, live_state, receiver.expect("there is an aggregator"))
 }
 
-/// Runs a pipeline until the clock panics for this reader. Returns the reason of the run's end, after checking that
-/// it is shown and reported as well.
+/// Runs a pipeline until the clock panics for this reader. Returns the reason for the end of the run, after checking
+/// that the live state and an incident give the same reason.
 async fn reason_after_panic(sensor: &str, reader: Reader) -> String {
     let system = SystemClock::new(ClockIdentity::new("boot", "system"));
-    let fragile = Arc::new(PanickingClock { clock: system, broken: AtomicBool::new(false), reader });
-    let clock: SharedClock = Arc::<PanickingClock>::clone(&fragile);
+    let panicking_clock =
+        Arc::new(PanickingClock { clock: system, panics_next: AtomicBool::new(false), reader });
+    let clock: SharedClock = Arc::<PanickingClock>::clone(&panicking_clock);
     let (context, pipeline, live_state, mut receiver) = context(sensor, clock);
     let running =
         run(pipeline, Arc::clone(&live_state), context, CancellationToken::new(), Duration::from_secs(1));
@@ -124,8 +126,8 @@ async fn reason_after_panic(sensor: &str, reader: Reader) -> String {
             _ => {}
         }
     }
-    fragile.broken.store(true, Ordering::Relaxed);
-    running.await.expect("the panic ends nothing but the pipeline");
+    panicking_clock.panics_next.store(true, Ordering::Relaxed);
+    running.await.expect("the panic ends only the pipeline");
 
     let (mut ended, mut incident) = (None, None);
     while ended.is_none() || incident.is_none() {
@@ -135,12 +137,12 @@ async fn reason_after_panic(sensor: &str, reader: Reader) -> String {
             _ => {}
         }
     }
-    let ended = ended.expect("seen");
+    let ended = ended.expect("the loop has received the end of the run");
     assert_eq!(Some(ended.run), started);
-    let reason = ended.reason.failure().expect("it broke off").to_owned();
-    assert_eq!(incident.expect("seen").text, reason);
-    let (shown, _) = crate::live::LiveStatistics::new(vec![live_state]).snapshot();
-    assert_eq!(shown[0].state, PipelineState::Failed(reason.clone()));
+    let reason = ended.reason.failure().expect("the run failed").to_owned();
+    assert_eq!(incident.expect("the loop has received the incident").text, reason);
+    let (pipelines, _) = crate::live::LiveStatistics::new(vec![live_state]).snapshot();
+    assert_eq!(pipelines[0].state, PipelineState::Failed(reason.clone()));
     reason
 }
 
@@ -151,7 +153,7 @@ async fn panic_fails_pipeline_with_reason_and_ends_run() {
 }
 
 #[tokio::test]
-async fn dead_sensor_thread_ends_pipeline_and_is_named() {
+async fn sensor_panic_fails_pipeline_and_is_given_as_reason() {
     let reason = reason_after_panic("{ kind = 'text', length = 5000 }", Reader::Sensor).await;
     assert!(reason.contains("the sensor's thread has panicked"), "{reason}");
 }
@@ -168,7 +170,7 @@ async fn outcomes_after_reconnect(requesting_run: impl FnOnce(RunId) -> RunId) -
         Arc::clone(&clock),
         &context.fingerprints,
     )
-    .expect("sound");
+    .expect("a sensor that can be opened");
     let description = crate::pipeline::describe_planned(&pipeline.placement);
     let mut run = Run::start(&pipeline, description, (Vec::new(), Vec::new()), false, &context, &live_state);
 
@@ -178,7 +180,7 @@ async fn outcomes_after_reconnect(requesting_run: impl FnOnce(RunId) -> RunId) -
     let arrived_sample = Sample::from_part(Description::bytes(), "x".into());
     assert!(
         sample_sender.send(SensorOutput { log, sample: Ok(Some(arrived_sample)) }).is_ok(),
-        "before the connection is back"
+        "the receiver of the sample exists"
     );
     resources.pending_sample =
         Some(PendingSample { run: requesting_run(run.id()), start, started_at, sample });
@@ -196,7 +198,7 @@ async fn outcomes_after_reconnect(requesting_run: impl FnOnce(RunId) -> RunId) -
 }
 
 #[tokio::test]
-async fn sample_without_connection_is_recorded_as_lost() {
+async fn sample_that_arrives_without_connection_is_recorded_as_lost() {
     let outcomes = outcomes_after_reconnect(|current| current).await;
     assert!(
         matches!(outcomes.as_slice(), [Outcome::Lost(reason)] if reason.contains("no connection")),
@@ -205,6 +207,6 @@ async fn sample_without_connection_is_recorded_as_lost() {
 }
 
 #[tokio::test]
-async fn sample_requested_by_earlier_run_is_no_iteration() {
+async fn sample_requested_by_earlier_run_is_not_recorded() {
     assert_eq!(outcomes_after_reconnect(|_| RunId::random()).await, []);
 }

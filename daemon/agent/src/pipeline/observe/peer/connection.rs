@@ -171,7 +171,7 @@ impl PeerConnector {
                 PeerProblem { is_refusal: true, text: with_advice(error.to_string()) }
             }
             // These failures cannot occur here, because a remote placement loads no model on this host.
-            OpenFailure::Model(_) | OpenFailure::ModelAway(_) | OpenFailure::Panicked => {
+            OpenFailure::Model(_) | OpenFailure::ModelServerUnreachable(_) | OpenFailure::Panicked => {
                 let text = format!("cannot open a session with {}", self.remote.peer);
                 PeerProblem { is_refusal: false, text }
             }
