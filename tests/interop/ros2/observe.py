@@ -67,7 +67,7 @@ def check_errors(started, peernetd, folder):
         observer.stop()
     elsewhere = dict(os.environ, ROS_DOMAIN_ID="9")
     with Observer(peernetd, folder, pipeline("nobody", 2, "/words", "/answers"), elsewhere) as observer:
-        parts = ["no node publishes /words; no node publishes /answers since 10 s", "its ROS_DOMAIN_ID 9"]
+        parts = ["after 10 s of waiting: no node publishes /words; no node publishes /answers", "its ROS_DOMAIN_ID 9"]
         wait_until(lambda: all(map(observer.has_error, parts)), "the log names topics and domain")
         observer.stop()
     print("ok      topics without header and a wrong domain are named", flush=True)

@@ -127,7 +127,10 @@ fn unanswered_input_messages_are_lost_iterations() {
     assert_eq!(count("ok") + count("lost"), 40, "{detail}");
     assert_eq!(count("lost"), 10, "{detail}");
     let iterations = api.json(&format!("/api/v1/runs/{run}/iterations?unsuccessful=true")).to_string();
-    assert!(iterations.contains("no message of /out with its header.stamp within 500 ms"), "{iterations}");
+    assert!(
+        iterations.contains("no message of /out with the same header.stamp within 500 ms"),
+        "{iterations}"
+    );
 }
 
 #[test]

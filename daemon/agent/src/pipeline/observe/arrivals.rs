@@ -2,11 +2,11 @@
 
 use peernet_clock::{MonoTime, Span};
 
-/// Arrival times of a topic's latest messages.
+/// Latest arrival and latest period of a topic's messages.
 #[derive(Debug, Default)]
 pub(super) struct Arrivals {
-    last_arrival: Option<MonoTime>,
-    last_period: Option<Span>,
+    latest_arrival: Option<MonoTime>,
+    latest_period: Option<Span>,
 }
 
 /// Period and jitter at the arrival of one message.
@@ -21,9 +21,10 @@ pub(super) struct Arrival {
 impl Arrivals {
     /// Records the arrival of a message.
     pub(super) fn record(&mut self, at: MonoTime) -> Arrival {
-        let period = self.last_arrival.replace(at).map(|last| at - last);
-        let last_period = std::mem::replace(&mut self.last_period, period);
-        let jitter = period.zip(last_period).map(|(period, last)| (period - last).abs());
+        let period = self.latest_arrival.replace(at).map(|previous_arrival| at - previous_arrival);
+        let previous_period = std::mem::replace(&mut self.latest_period, period);
+        let jitter =
+            period.zip(previous_period).map(|(period, previous_period)| (period - previous_period).abs());
         Arrival { period, jitter }
     }
 }

@@ -9,8 +9,8 @@ use crate::config::PairBy;
 /// Header, length and reception time of a message of an observed topic.
 #[derive(Clone, Debug)]
 pub(super) struct TopicMessage {
-    /// Time at which the agent received its last byte.
-    pub(super) received: Stamp,
+    /// Time at which the agent received the last byte of the message.
+    pub(super) received_at: Stamp,
     /// Length of the serialised message in bytes.
     pub(super) length: usize,
     /// `header.stamp` in nanoseconds since the epoch of the publisher's clock; `None` if there is no header, or the
@@ -18,8 +18,8 @@ pub(super) struct TopicMessage {
     pub(super) stamp: Option<i64>,
     /// `header.seq`: the publisher's number of the message, one more than the number of the previous message.
     pub(super) sequence: Option<i64>,
-    /// Number of messages of the same publisher that are missing before it, according to their sequence numbers.
-    pub(super) missing: u64,
+    /// Number of messages of the same publisher that are missing before this message, according to the sequence numbers.
+    pub(super) missing_before: u64,
 }
 
 impl TopicMessage {
@@ -29,7 +29,7 @@ impl TopicMessage {
             PairBy::Stamp => self
                 .stamp
                 .map(Some)
-                .ok_or("its header.stamp is 0 or missing; set pair_by = \"order\", which does not use it"),
+                .ok_or("its header.stamp is 0 or missing; set pair_by = \"order\", which needs no stamp"),
             PairBy::Sequence => {
                 self.sequence.map(Some).ok_or("it has no sequence number; choose another pair_by")
             }
@@ -43,16 +43,16 @@ impl TopicMessage {
 pub(super) fn begins_with_header(definition: &str) -> bool {
     let lines = definition.lines().map(|line| line.split('#').next().unwrap_or_default().trim());
     // A line with `=` defines a constant, which is not a field.
-    let first = lines.into_iter().find(|line| !line.is_empty() && !line.contains('='));
-    let kind = first.and_then(|line| line.split_whitespace().next());
+    let first_field = lines.into_iter().find(|line| !line.is_empty() && !line.contains('='));
+    let kind = first_field.and_then(|line| line.split_whitespace().next());
     kind.is_some_and(|kind| ["Header", "std_msgs/Header", "roslib/Header"].contains(&kind))
 }
 
 /// Reads the header at the beginning of a message; `None` if its first bytes are not a header.
 pub(super) fn read_header(form: WireForm, message: &Bytes) -> Option<Header> {
     let mut reader = Reader::new(form, message.clone()).ok()?;
-    // In ROS 2 the fields of a type are unknown to the subscriber, so the bytes are checked for plausibility: the
-    // second field of a time is below 1e9 (nanoseconds of a second); the second field of another value rarely is.
+    // In ROS 2 the subscriber does not know the fields of a type, so it checks whether the bytes can be a header: in a
+    // header's time the nanoseconds are below 1e9. In other types the number at this place is rarely below 1e9.
     Header::read(&mut reader).ok().filter(|header| header.stamp.nanosec < 1_000_000_000)
 }
 
@@ -82,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn message_of_ros_2_without_header_has_none() {
+    fn ros_2_message_without_header_is_recognised() {
         let header = |body: &[u8]| {
             read_header(WireForm::Cdr, &[&[0, 1, 0, 0][..], body].concat().into()).map(|header| header.stamp)
         };

@@ -9,8 +9,8 @@ mod tests;
 
 /// Pairs the messages of two topics.
 ///
-/// A message with a key is paired with the oldest message of the other topic that has the same key. Either may arrive
-/// first, because the observed node may receive the input before the agent does. Messages without a key are paired in
+/// A message with a key is paired with the oldest message of the other topic that has the same key. The output
+/// message may arrive before its input message, because the observed node may receive the input before the agent does. Messages without a key are paired in
 /// the order of arrival.
 #[derive(Debug)]
 pub(super) struct Pairing<I, O> {
@@ -26,7 +26,7 @@ pub(super) struct Pairing<I, O> {
 #[derive(Debug)]
 struct UnpairedMessage<T> {
     key: Option<i64>,
-    since: MonoTime,
+    received_at: MonoTime,
     message: T,
 }
 
@@ -46,7 +46,7 @@ pub(super) enum Resolution<I, O> {
 pub(super) enum UnansweredCause {
     /// No output message arrived in time.
     Expired,
-    /// Too many input messages arrived after it.
+    /// Too many newer input messages arrived while the input message waited.
     Displaced,
 }
 
@@ -56,20 +56,21 @@ impl<I, O> Pairing<I, O> {
         Self { timeout, capacity, inputs: VecDeque::new(), outputs: VecDeque::new() }
     }
 
-    /// Adds an input message that was received at `at`. Returns the pair that it completes, or the oldest input message
-    /// if there are now more than `capacity`.
+    /// Adds an input message that was received at `at`. Returns the pair that the message completes. If more than
+    /// `capacity` input messages wait, returns the oldest of them.
     pub(super) fn add_input(&mut self, key: Option<i64>, at: MonoTime, input: I) -> Option<Resolution<I, O>> {
-        // The waiting output messages all have a key: one without a key would be paired with a later input message.
+        // Only output messages with a key wait. Without a key, a waiting output message would be paired with an input
+        // message that was received later.
         if let Some(output) = remove(&mut self.outputs, key) {
             return Some(Resolution::Paired { input, output });
         }
-        self.inputs.push_back(UnpairedMessage { key, since: at, message: input });
+        self.inputs.push_back(UnpairedMessage { key, received_at: at, message: input });
         let displaced = (self.inputs.len() > self.capacity).then(|| self.inputs.pop_front()).flatten()?;
         Some(Resolution::Unanswered { input: displaced.message, cause: UnansweredCause::Displaced })
     }
 
-    /// Adds an output message that was received at `at`. Returns the pair that it completes, or an output message that
-    /// remains without a pair.
+    /// Adds an output message that was received at `at`. Returns the pair that the message completes, or an output
+    /// message that remains without a pair.
     pub(super) fn add_output(
         &mut self,
         key: Option<i64>,
@@ -78,7 +79,7 @@ impl<I, O> Pairing<I, O> {
     ) -> Option<Resolution<I, O>> {
         if key.is_none() {
             // An input message that was received later cannot be the cause of this output message.
-            let oldest = self.inputs.pop_front_if(|oldest| oldest.since <= at);
+            let oldest = self.inputs.pop_front_if(|oldest| oldest.received_at <= at);
             return Some(match oldest {
                 Some(UnpairedMessage { message: input, .. }) => Resolution::Paired { input, output },
                 None => Resolution::Unmatched(output),
@@ -87,30 +88,31 @@ impl<I, O> Pairing<I, O> {
         if let Some(input) = remove(&mut self.inputs, key) {
             return Some(Resolution::Paired { input, output });
         }
-        self.outputs.push_back(UnpairedMessage { key, since: at, message: output });
+        self.outputs.push_back(UnpairedMessage { key, received_at: at, message: output });
         let displaced = (self.outputs.len() > self.capacity).then(|| self.outputs.pop_front()).flatten()?;
         Some(Resolution::Unmatched(displaced.message))
     }
 
-    /// Removes a message whose timeout has passed by `now`. The caller repeats this until it returns `None`.
+    /// Removes a message whose timeout has passed by `now`. The caller calls this method until it returns
+    /// `None`.
     pub(super) fn expire(&mut self, now: MonoTime) -> Option<Resolution<I, O>> {
         let timeout = self.timeout;
-        if let Some(oldest) = self.inputs.pop_front_if(|oldest| now - oldest.since >= timeout) {
+        if let Some(oldest) = self.inputs.pop_front_if(|oldest| now - oldest.received_at >= timeout) {
             return Some(Resolution::Unanswered { input: oldest.message, cause: UnansweredCause::Expired });
         }
-        let oldest = self.outputs.pop_front_if(|oldest| now - oldest.since >= timeout)?;
+        let oldest = self.outputs.pop_front_if(|oldest| now - oldest.received_at >= timeout)?;
         Some(Resolution::Unmatched(oldest.message))
     }
 
-    /// Returns the time at which the next message expires.
+    /// Returns the time at which the next message expires; `None` if no message waits.
     pub(super) fn next_deadline(&self) -> Option<MonoTime> {
-        let input = self.inputs.front().map(|oldest| oldest.since);
-        let output = self.outputs.front().map(|oldest| oldest.since);
-        input.into_iter().chain(output).min().map(|since| since + self.timeout)
+        let input = self.inputs.front().map(|oldest| oldest.received_at);
+        let output = self.outputs.front().map(|oldest| oldest.received_at);
+        input.into_iter().chain(output).min().map(|received_at| received_at + self.timeout)
     }
 
     /// Returns whether no input message waits.
-    pub(super) fn is_settled(&self) -> bool {
+    pub(super) fn has_no_unpaired_inputs(&self) -> bool {
         self.inputs.is_empty()
     }
 

@@ -16,10 +16,11 @@ use crate::pipeline::load::Start;
 use crate::pipeline::progress::Position;
 
 /// Largest difference between `header.stamp` and this host's clock that is recorded as the age of a message. A larger
-/// one means that the stamp is of another clock, for example of a simulation.
+/// difference means that another clock made the stamp, for example the clock of a simulation.
 const MAX_AGE: Span = Span::from_seconds(3600);
 
-/// Name of the count of output messages without an input message since the previous iteration. Absent if it is zero.
+/// Name of the number of output messages without an input message since the previous answered iteration. Absent if the
+/// number is zero.
 const OUTPUT_UNMATCHED: Name = Name::from_static("output-unmatched");
 
 /// A message with period and jitter of its topic.
@@ -27,7 +28,7 @@ const OUTPUT_UNMATCHED: Name = Name::from_static("output-unmatched");
 pub(super) struct ReceivedMessage {
     pub(super) message: TopicMessage,
     pub(super) arrival: Arrival,
-    /// Stamp of its reception by this host's clocks, from which its delay is computed.
+    /// Stamp of the message's reception by this host's clocks, from which the delay of the message is computed.
     pub(super) host_stamp: HostStamp,
 }
 
@@ -35,14 +36,17 @@ pub(super) struct ReceivedMessage {
 #[derive(Debug)]
 pub(super) struct Input {
     pub(super) position: Position,
-    pub(super) received: ReceivedMessage,
+    pub(super) received_message: ReceivedMessage,
 }
 
-/// Counts of messages without an iteration, since the last answered iteration.
+/// Counts of messages without an iteration, since the previous answered iteration.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct UnpairedCounts {
+    /// Number of input messages that this agent did not receive, according to their sequence numbers.
     pub(super) input_missing: u64,
+    /// Number of output messages that this agent did not receive, according to their sequence numbers.
     pub(super) output_missing: u64,
+    /// Number of received output messages without an input message.
     pub(super) output_unmatched: u64,
 }
 
@@ -53,7 +57,7 @@ struct TopicNames {
     age: Name,
     /// Time since the previous message of the topic.
     period: Name,
-    /// Difference between two periods in a row.
+    /// Absolute difference between two consecutive periods.
     jitter: Name,
     /// Size of the serialised message.
     bytes: Name,
@@ -96,9 +100,9 @@ pub(super) fn tree_of_pair(
 
 /// Returns the times at which the iteration of a pair began and ended.
 fn start_and_end(input: &Input, output: &ReceivedMessage) -> (Stamp, Stamp) {
-    let (started, output_received) = (input.received.message.received, output.message.received);
-    // The observed node may receive the input, and even answer it, before the agent receives the input. Then the agent
-    // cannot measure the latency, and records 0.
+    let (started, output_received) = (input.received_message.message.received_at, output.message.received_at);
+    // The observed node may receive the input message, and even answer it, before the agent receives the input message.
+    // Then the agent cannot measure the latency, and records 0.
     (started, if output_received.mono < started.mono { started } else { output_received })
 }
 
@@ -110,7 +114,7 @@ fn add_topics(
     at: Span,
     unpaired_counts: UnpairedCounts,
 ) {
-    add_topic(tree, &INPUT, &input.received, Span::ZERO, unpaired_counts.input_missing);
+    add_topic(tree, &INPUT, &input.received_message, Span::ZERO, unpaired_counts.input_missing);
     add_topic(tree, &OUTPUT, output, at, unpaired_counts.output_missing);
     if unpaired_counts.output_unmatched > 0 {
         add_count(tree, OUTPUT_UNMATCHED, at, unpaired_counts.output_unmatched);
@@ -125,16 +129,22 @@ pub(super) fn tree_without_output(
     input: &ReceivedMessage,
     ended: Stamp,
 ) -> Tree {
-    let started = input.message.received;
+    let started = input.message.received_at;
     let mut log = Recorder::starting_at(SharedClock::clone(clock), host, started);
-    // Missing messages are counted with the next answered iteration.
+    // The next answered iteration records the number of missing messages.
     add_topic(log.tree_mut(), &INPUT, input, Span::ZERO, 0);
     iteration::close(log, &started_iteration(position, started), ended.mono, true, None)
 }
 
 /// Adds the values of one message and of its topic to a tree, at `at` after the start of the iteration.
-fn add_topic(tree: &mut Tree, names: &TopicNames, received: &ReceivedMessage, at: Span, missing: u64) {
-    let ReceivedMessage { message, arrival, .. } = received;
+fn add_topic(
+    tree: &mut Tree,
+    names: &TopicNames,
+    received_message: &ReceivedMessage,
+    at: Span,
+    missing: u64,
+) {
+    let ReceivedMessage { message, arrival, .. } = received_message;
     let mut add_seconds = |name: &Name, span: Option<Span>| {
         if let Some(span) = span {
             tree.add(NodeId::ROOT, name.clone(), at, Measure::Value(span.seconds(), Unit::SECONDS));
@@ -156,7 +166,7 @@ fn add_count(tree: &mut Tree, name: Name, at: Span, count: u64) {
 
 /// Returns the time from `header.stamp` to the reception; `None` without a stamp, or beyond [`MAX_AGE`].
 fn message_age(message: &TopicMessage) -> Option<Span> {
-    let age = message.received.wall - WallTime::from_unix_nanos(message.stamp?);
+    let age = message.received_at.wall - WallTime::from_unix_nanos(message.stamp?);
     // A stamp of a simulation or of a stopped clock would make the age meaningless.
     (age.abs() <= MAX_AGE).then_some(age)
 }
@@ -179,8 +189,8 @@ mod tests {
 
     const POSITION: Position = Position { number: 1, episode: 0, step: 0, warm_up: false };
 
-    fn received(at: Stamp, stamp: Option<i64>) -> ReceivedMessage {
-        let message = TopicMessage { received: at, length: 10, stamp, sequence: None, missing: 0 };
+    fn received_message(at: Stamp, stamp: Option<i64>) -> ReceivedMessage {
+        let message = TopicMessage { received_at: at, length: 10, stamp, sequence: None, missing_before: 0 };
         let arrival = Arrival { period: Some(Span::from_millis(40)), jitter: None };
         ReceivedMessage {
             message,
@@ -205,9 +215,10 @@ mod tests {
         let clock = clock();
         let captured = clock.wall().unix_nanos();
         clock.advance(Span::from_millis(3));
-        let input = Input { position: POSITION, received: received(clock.stamp(), Some(captured)) };
+        let input =
+            Input { position: POSITION, received_message: received_message(clock.stamp(), Some(captured)) };
         clock.advance(Span::from_millis(20));
-        let output = received(clock.stamp(), Some(captured));
+        let output = received_message(clock.stamp(), Some(captured));
         let unpaired_counts = UnpairedCounts { input_missing: 2, output_missing: 0, output_unmatched: 1 };
         let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
         let (tree, ended) = tree_of_pair(&shared, HostId::random(), &input, &output, unpaired_counts);
@@ -223,27 +234,27 @@ mod tests {
         let value = |name: &str| tree.find(&[name]).and_then(|(_, node)| node.measure.value());
         assert_eq!((value("input-missing"), value("output-missing")), (Some(2.0), None));
         assert_eq!((value("output-unmatched"), value("input-period")), (Some(1.0), Some(0.04)));
-        assert_eq!(ended, output.message.received);
+        assert_eq!(ended, output.message.received_at);
     }
 
     #[test]
-    fn output_that_came_first_has_no_latency() {
+    fn output_received_before_input_has_latency_zero() {
         let clock = clock();
-        let output = received(clock.stamp(), None);
+        let output = received_message(clock.stamp(), None);
         clock.advance(Span::from_millis(1));
-        let input = Input { position: POSITION, received: received(clock.stamp(), None) };
+        let input = Input { position: POSITION, received_message: received_message(clock.stamp(), None) };
         let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
         let (tree, ended) =
             tree_of_pair(&shared, HostId::random(), &input, &output, UnpairedCounts::default());
         assert_eq!(millis(&tree, "inference"), Some(0.0));
-        assert_eq!(ended, input.received.message.received);
+        assert_eq!(ended, input.received_message.message.received_at);
     }
 
     #[test]
-    fn stamp_of_a_simulated_clock_is_no_age() {
+    fn age_by_clock_of_simulation_is_not_recorded() {
         let clock = clock();
         let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
-        let input = received(clock.stamp(), Some(5_000_000_000));
+        let input = received_message(clock.stamp(), Some(5_000_000_000));
         clock.advance(Span::from_millis(1000));
         let tree = tree_without_output(&shared, HostId::random(), POSITION, &input, clock.stamp());
         assert_eq!((millis(&tree, "input-age"), millis(&tree, "total")), (None, Some(1000.0)));

@@ -31,7 +31,7 @@ const CHECK_INTERVAL: Span = Span::from_seconds(1);
 pub(super) enum SessionEnd {
     /// The run reached its limit.
     Limit,
-    /// A new day began.
+    /// A new day (UTC) began.
     Midnight,
     /// The agent stops.
     Stopped,
@@ -44,11 +44,11 @@ pub(super) struct Observation<'a> {
     config: &'a ObserveConfig,
     timeout: Span,
     pairing: Pairing<Input, ReceivedMessage>,
-    input: Arrivals,
-    output: Arrivals,
+    input_arrivals: Arrivals,
+    output_arrivals: Arrivals,
     unpaired_counts: UnpairedCounts,
     /// Start of the observation. Messages received earlier belong to no run and are ignored.
-    since: MonoTime,
+    started_at: MonoTime,
     /// `true` once output messages without a key have been reported.
     has_warned_of_unpairable_output: bool,
     stamps: MessageStamps,
@@ -67,10 +67,10 @@ impl<'a> Observation<'a> {
             config,
             timeout,
             pairing: Pairing::new(timeout, MAX_UNPAIRED),
-            input: Arrivals::default(),
-            output: Arrivals::default(),
+            input_arrivals: Arrivals::default(),
+            output_arrivals: Arrivals::default(),
             unpaired_counts: UnpairedCounts::default(),
-            since: host.clock.mono(),
+            started_at: host.clock.mono(),
             has_warned_of_unpairable_output: false,
             stamps,
             peer,
@@ -90,7 +90,7 @@ impl<'a> Observation<'a> {
         let mut drain_deadline = pin!(tokio::time::sleep(Duration::ZERO));
         let mut ending: Option<SessionEnd> = None;
         let mut problem: Option<String> = None;
-        let mut dropped = source.input.dropped() + source.output.dropped();
+        let mut reported_drops = source.input.dropped() + source.output.dropped();
         let mut next_check_at = clock.mono();
         loop {
             let now = clock.mono();
@@ -103,10 +103,10 @@ impl<'a> Observation<'a> {
                 if current_problem != problem {
                     let problem_with_advice =
                         current_problem.as_ref().map(|problem| source.with_advice(problem));
-                    super::life::report_problem(runner, run.id(), problem_with_advice.as_deref());
+                    super::lifecycle::report_problem(runner, run.id(), problem_with_advice.as_deref());
                     problem = current_problem;
                 }
-                report_dropped(source, &mut dropped);
+                report_dropped(source, &mut reported_drops);
             }
             if ending.is_none() {
                 if run.is_limit_reached(now) {
@@ -117,8 +117,8 @@ impl<'a> Observation<'a> {
             }
             // The session ends only when all iterations that have started are complete, so that both messages of a pair
             // belong to the same run.
-            if self.pairing.is_settled()
-                && self.peer.as_ref().is_none_or(PeerStamps::is_settled)
+            if self.pairing.has_no_unpaired_inputs()
+                && self.peer.as_ref().is_none_or(PeerStamps::has_no_waiting_pairs)
                 && let Some(ending) = ending.take()
             {
                 return ending;
@@ -148,7 +148,7 @@ impl<'a> Observation<'a> {
                     }
                     Err(error) => return SessionEnd::SourceLost(error.into()),
                 },
-                settled = next_settled(&mut self.peer) => record_pair(settled, run, runner),
+                settled_pair = next_settled(&mut self.peer) => record_pair(settled_pair, run, runner),
                 () = pause => {}
                 () = &mut drain_deadline, if is_stopping => {
                     self.abandon("the agent stopped before the output message came", run, runner).await;
@@ -159,7 +159,7 @@ impl<'a> Observation<'a> {
     }
 
     /// Records the unpaired input messages as lost. The pairs that wait for the peer are recorded with the stamps that
-    /// it has sent so far.
+    /// the peer has sent so far.
     pub(super) async fn abandon(&mut self, reason: &str, run: &mut Run, runner: &Runner) {
         for input in self.pairing.take_unpaired_inputs() {
             record_lost(&input, reason.to_owned(), run, runner);
@@ -176,11 +176,11 @@ impl<'a> Observation<'a> {
         }
     }
 
-    /// Handles the input messages that have been received already.
+    /// Handles the input messages that have already been received.
     fn handle_received_inputs(&mut self, input: &mut Topic, run: &mut Run, runner: &Runner) {
         // An error is not lost: the next wait for a message returns it again.
         while let Some(Ok(message)) = input.next().now_or_never() {
-            if !run.is_limit_reached(message.received.mono) {
+            if !run.is_limit_reached(message.received_at.mono) {
                 self.handle_input(message, run, runner);
             }
         }
@@ -188,20 +188,20 @@ impl<'a> Observation<'a> {
 
     /// Handles an input message: starts an iteration.
     fn handle_input(&mut self, message: TopicMessage, run: &mut Run, runner: &Runner) {
-        let at = message.received.mono;
-        if at < self.since {
+        let at = message.received_at.mono;
+        if at < self.started_at {
             return;
         }
-        let arrival = self.input.record(at);
-        self.unpaired_counts.input_missing += message.missing;
-        // The position is assigned to the input message, so that an input without an output is an iteration, too.
+        let arrival = self.input_arrivals.record(at);
+        self.unpaired_counts.input_missing += message.missing_before;
+        // The input message gets the position, so that an input message without an output message is an iteration, too.
         let position = run.assign_position(at);
         let key = message.key(self.config.pair_by);
         let host_stamp = self.stamps.stamp(Side::Input, &message, key.ok().flatten());
-        let received = ReceivedMessage { message, arrival, host_stamp };
+        let received_message = ReceivedMessage { message, arrival, host_stamp };
         match key {
             Ok(key) => {
-                let input = Input { position, received };
+                let input = Input { position, received_message };
                 if let Some(resolution) = self.pairing.add_input(key, at, input) {
                     self.settle(resolution, run, runner);
                 }
@@ -209,7 +209,8 @@ impl<'a> Observation<'a> {
             Err(reason) => {
                 let host = &runner.context.host;
                 let ended = host.clock.stamp();
-                let tree = trees::tree_without_output(&host.clock, host.id, position, &received, ended);
+                let tree =
+                    trees::tree_without_output(&host.clock, host.id, position, &received_message, ended);
                 let outcome =
                     Outcome::Failed(format!("a message of {} cannot be paired: {reason}", self.config.input));
                 run.record(position, outcome, tree, ended, &runner.context, &runner.live_state);
@@ -219,12 +220,12 @@ impl<'a> Observation<'a> {
 
     /// Handles an output message: completes the iteration of its input message.
     fn handle_output(&mut self, message: TopicMessage, run: &mut Run, runner: &Runner) {
-        let at = message.received.mono;
-        if at < self.since {
+        let at = message.received_at.mono;
+        if at < self.started_at {
             return;
         }
-        let arrival = self.output.record(at);
-        self.unpaired_counts.output_missing += message.missing;
+        let arrival = self.output_arrivals.record(at);
+        self.unpaired_counts.output_missing += message.missing_before;
         match message.key(self.config.pair_by) {
             Ok(key) => {
                 let host_stamp = self.stamps.stamp(Side::Output, &message, key);
@@ -246,7 +247,7 @@ impl<'a> Observation<'a> {
         }
     }
 
-    /// Records the iteration that a resolution completes, or queries the peer for its stamps first.
+    /// Records the iteration that a resolution completes. If there is a peer, queries the peer for its stamps before.
     fn settle(&mut self, resolution: Resolution<Input, ReceivedMessage>, run: &mut Run, runner: &Runner) {
         match resolution {
             Resolution::Paired { input, output } => {
@@ -254,7 +255,7 @@ impl<'a> Observation<'a> {
                 let unpaired_counts = std::mem::take(&mut self.unpaired_counts);
                 let host = &runner.context.host;
                 if let Some(peer) = &mut self.peer {
-                    let key = input.received.message.key(self.config.pair_by).ok().flatten();
+                    let key = input.received_message.message.key(self.config.pair_by).ok().flatten();
                     let pair = Pair { input, output, unpaired_counts };
                     let unqueried_pair = match key {
                         Some(key) => peer.query(key, pair).err(),
@@ -274,19 +275,20 @@ impl<'a> Observation<'a> {
                 let (key_name, millis) = (pair_by.describe(), self.timeout.nanos() / 1_000_000);
                 let reason = match cause {
                     UnansweredCause::Expired => {
-                        format!("no message of {output} with its {key_name} within {millis} ms")
+                        format!("no message of {output} with the same {key_name} within {millis} ms")
                     }
                     UnansweredCause::Displaced => {
                         format!(
-                            "{MAX_UNPAIRED} newer input messages arrived before a message of {output} with its {key_name}"
+                            "{MAX_UNPAIRED} newer input messages arrived before a message of {output} with the same {key_name}"
                         )
                     }
                 };
                 record_lost(&input, reason, run, runner);
             }
             Resolution::Unmatched(output) => {
-                // The first output messages may belong to input messages that preceded the run.
-                if output.message.received.mono - self.since >= self.timeout {
+                // The first output messages may belong to input messages that preceded the observation, so they are not
+                // counted as unmatched.
+                if output.message.received_at.mono - self.started_at >= self.timeout {
                     self.unpaired_counts.output_unmatched += 1;
                 }
             }
@@ -311,21 +313,22 @@ fn record_pair(SettledPair { position, tree, ended }: SettledPair, run: &mut Run
 fn record_lost(input: &Input, reason: String, run: &mut Run, runner: &Runner) {
     let host = &runner.context.host;
     let ended = host.clock.stamp();
-    let tree = trees::tree_without_output(&host.clock, host.id, input.position, &input.received, ended);
+    let tree =
+        trees::tree_without_output(&host.clock, host.id, input.position, &input.received_message, ended);
     run.record(input.position, Outcome::Lost(reason), tree, ended, &runner.context, &runner.live_state);
 }
 
 /// Logs that this agent dropped messages, so that they are not taken for messages that the observed nodes lost.
-fn report_dropped(source: &Source, reported: &mut u64) {
+fn report_dropped(source: &Source, reported_drops: &mut u64) {
     let dropped = source.input.dropped() + source.output.dropped();
-    if dropped > *reported {
+    if dropped > *reported_drops {
         let (input, output) = (source.input.name(), source.output.name());
         tracing::warn!(
             input,
             output,
-            dropped_since_last_report = dropped - *reported,
+            dropped_since_last_report = dropped - *reported_drops,
             "this agent was too slow and dropped messages of observed topics; stop other programs on this host, or observe fewer pipelines"
         );
-        *reported = dropped;
+        *reported_drops = dropped;
     }
 }

@@ -63,7 +63,7 @@ impl From<NodeError> for SourceError {
 
 /// A node that subscribes to the two observed topics, and does nothing else.
 pub(super) struct Source {
-    // Fields are dropped in this order: the topics before their node.
+    // The fields are dropped in this order, so that the subscriptions end before their node.
     pub(super) input: Topic,
     pub(super) output: Topic,
     node: SourceNode,
@@ -132,7 +132,7 @@ impl Source {
     /// # Errors
     /// When a topic's type has no header.
     pub(super) fn check_types(&self, pair_by: PairBy) -> Result<(), SourceError> {
-        // The sequence number is also in the header.
+        // The stamp and the sequence number are in the header. Only pairing by order needs no header.
         if pair_by == PairBy::Order {
             return Ok(());
         }
@@ -177,15 +177,16 @@ impl Source {
     }
 }
 
-/// Returns the name of a pipeline's node, unique per host and pipeline: a second node of the same name would end the
-/// first one.
+/// Returns the name of a pipeline's node. The name is unique per host and pipeline, because a second node with the same
+/// name would end the first node.
 pub(super) fn node_name(host: &Slug, pipeline: &Slug) -> String {
-    // ROS allows only letters, digits and underscores in a name. The first word is fixed, because a name must
+    // ROS allows only letters, digits and underscores in a name. The prefix `peernet` is fixed, because a name must
     // begin with a letter.
-    let words = ["peernet", host.as_str(), pipeline.as_str()];
-    let parts =
-        words.iter().flat_map(|word| word.split(|character: char| !character.is_ascii_alphanumeric()));
-    parts.filter(|part| !part.is_empty()).collect::<Vec<_>>().join("_")
+    let components = ["peernet", host.as_str(), pipeline.as_str()];
+    let alphanumeric_parts = components
+        .iter()
+        .flat_map(|component| component.split(|character: char| !character.is_ascii_alphanumeric()));
+    alphanumeric_parts.filter(|part| !part.is_empty()).collect::<Vec<_>>().join("_")
 }
 
 #[cfg(test)]

@@ -23,9 +23,9 @@ impl MessageStamps {
 
     /// Returns the stamp of a message that was received a moment ago, and publishes it under `key`.
     pub(super) fn stamp(&mut self, side: Side, message: &TopicMessage, key: Option<i64>) -> HostStamp {
-        let stamp = self.epochs.stamp(&*self.clock, message.received);
+        let stamp = self.epochs.stamp(&*self.clock, message.received_at);
         if let (Some(published), Some(key)) = (&self.published, key) {
-            published.record(side, key, stamp, message.received.mono);
+            published.record(side, key, stamp, message.received_at.mono);
         }
         stamp
     }

@@ -1,4 +1,4 @@
-//! Tests of pairing: each message is resolved once, whatever its order of arrival.
+//! Tests of pairing: each message is resolved once, no matter in which order the messages arrive.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -29,10 +29,10 @@ fn equal_keys_are_paired_in_any_order_of_arrival() {
     assert_eq!(pairing.add_input(Some(10), at(0), 1), None);
     assert_eq!(pairing.add_input(Some(20), at(1), 2), None);
     assert_eq!(pairing.add_output(Some(20), at(2), 12), paired(2, 12));
-    assert_eq!(pairing.add_output(Some(30), at(3), 13), None, "its input message may still come");
+    assert_eq!(pairing.add_output(Some(30), at(3), 13), None, "the input message may still arrive");
     assert_eq!(pairing.add_input(Some(30), at(4), 3), paired(3, 13));
     assert_eq!(pairing.add_output(Some(10), at(5), 11), paired(1, 11));
-    assert!(pairing.is_settled());
+    assert!(pairing.has_no_unpaired_inputs());
 }
 
 #[test]
@@ -57,18 +57,18 @@ fn input_without_output_is_given_up_at_its_deadline() {
 }
 
 #[test]
-fn order_pairs_oldest_input_and_never_a_later_one() {
+fn order_pairs_oldest_input_received_before_output() {
     let mut pairing = pairing();
     assert_eq!(pairing.add_output(None, at(0), 10), Some(Resolution::Unmatched(10)));
     pairing.add_input(None, at(1), 1);
     pairing.add_input(None, at(2), 2);
     assert_eq!(pairing.add_output(None, at(3), 11), paired(1, 11));
-    // Passed on late: it was received before the input message that waits.
+    // This output message is handled late: the agent received it before the waiting input message.
     assert_eq!(pairing.add_output(None, at(1), 12), Some(Resolution::Unmatched(12)));
     assert_eq!(pairing.add_output(None, at(4), 13), paired(2, 13));
 }
 
-/// An event of a generated history.
+/// A message of a topic, with its key, or a check for expired messages.
 #[derive(Clone, Copy, Debug)]
 enum TopicEvent {
     Input(Option<i64>),
@@ -107,14 +107,14 @@ fn settle(
     match resolution {
         Resolution::Paired { input, output } => {
             let (input, output) = (inputs.remove(input), outputs.remove(output));
-            let (Some((key, since)), Some((other, at))) = (input, output) else {
+            let (Some((key, received_at)), Some((output_key, output_received_at))) = (input, output) else {
                 return Err(TestCaseError::fail("a message was resolved twice"));
             };
-            prop_assert_eq!(key, other);
-            prop_assert!(key.is_some() || since <= at);
+            prop_assert_eq!(key, output_key);
+            prop_assert!(key.is_some() || received_at <= output_received_at);
         }
         Resolution::Unanswered { input, cause } => {
-            let waited = inputs.remove(input).map(|(_, since)| now - since);
+            let waited = inputs.remove(input).map(|(_, received_at)| now - received_at);
             let Some(waited) = waited else { return Err(TestCaseError::fail("an input was resolved twice")) };
             match cause {
                 UnansweredCause::Expired => prop_assert!(waited >= TIMEOUT),
@@ -156,21 +156,21 @@ proptest! {
                 }
                 prop_assert!(pairing.next_deadline().is_none_or(|deadline| deadline > now));
             }
-            // No message is lost, and no more wait than the capacity.
+            // No message is lost, and at most `CAPACITY` messages of each topic wait.
             prop_assert!(inputs.len() <= CAPACITY && outputs.len() <= CAPACITY);
             prop_assert_eq!(pairing.inputs.len(), inputs.len());
             prop_assert_eq!(pairing.outputs.len(), outputs.len());
-            prop_assert_eq!(pairing.is_settled(), inputs.is_empty());
+            prop_assert_eq!(pairing.has_no_unpaired_inputs(), inputs.is_empty());
             // Messages that could be paired do not wait.
-            let waiting: BTreeSet<i64> = inputs.values().filter_map(|(key, _)| *key).collect();
-            prop_assert!(outputs.values().all(|(key, _)| key.is_some_and(|key| !waiting.contains(&key))));
+            let waiting_keys: BTreeSet<i64> = inputs.values().filter_map(|(key, _)| *key).collect();
+            prop_assert!(outputs.values().all(|(key, _)| key.is_some_and(|key| !waiting_keys.contains(&key))));
         }
-        let left: Vec<u32> = pairing.take_unpaired_inputs().collect();
-        prop_assert_eq!(left, inputs.keys().copied().collect::<Vec<_>>());
+        let unpaired_inputs: Vec<u32> = pairing.take_unpaired_inputs().collect();
+        prop_assert_eq!(unpaired_inputs, inputs.keys().copied().collect::<Vec<_>>());
     }
 
     #[test]
-    fn order_keeps_the_sequence_of_both_topics(is_input in proptest::collection::vec(any::<bool>(), 0..100)) {
+    fn pairs_by_order_keep_sequence_of_both_topics(is_input in proptest::collection::vec(any::<bool>(), 0..100)) {
         let mut pairing = pairing();
         let mut pairs = Vec::new();
         for (number, is_input) in (0_u32..).zip(is_input) {
@@ -183,6 +183,6 @@ proptest! {
                 pairs.push((input, output));
             }
         }
-        prop_assert!(pairs.is_sorted_by(|one, next| one.0 < next.0 && one.1 < next.1));
+        prop_assert!(pairs.is_sorted_by(|pair, next| pair.0 < next.0 && pair.1 < next.1));
     }
 }

@@ -220,8 +220,8 @@ impl PeerConnection {
         let refusal = |reason: String| PeerProblem { is_refusal: true, ..failure(reason) };
         let request = StampRequest::new(self.peer_pipeline.clone(), self.pair_by, keys);
         let sample = request.to_sample().map_err(|error| refusal(error.to_string()))?;
-        // The recorder is required but belongs to no iteration, so its tree is dropped. What counts is the answer, and
-        // the exchange of time stamps, from which the clock relation of the link learns.
+        // The recorder is required but belongs to no iteration, so its tree is dropped. The request
+        // has two uses: its answer, and the exchange of time stamps, from which the clock relation of the link learns.
         let log = Recorder::new(Arc::clone(&self.clock), self.own_host);
         match self.placement.compute(log, &sample, self.timeout).await.result {
             Ok(answer) => {
@@ -270,12 +270,12 @@ impl PeerConnection {
     }
 }
 
-/// Returns the text of a refusal with advice, where the peer itself does not give it.
+/// Returns the text of a refusal. Adds advice if the text of the peer contains none.
 fn with_advice(refusal: String) -> String {
-    // An agent of an earlier release treats the request as one for a model of this name.
+    // An agent of an earlier release treats the query as a request for a model with the name `MODEL`.
     if refusal.contains(&format!("no model named {MODEL}")) {
         return format!(
-            "{refusal}; its agent must be PEERNet 0.3 or later, with a [[pipeline]] that observes the same messages"
+            "{refusal}; the agent of the peer must be PEERNet 0.3 or later, with a [[pipeline]] that observes the same messages"
         );
     }
     refusal
@@ -303,7 +303,7 @@ mod tests {
         for part in ["tcp://rack:5551", "PEERNet 0.3 or later", "[[pipeline]]"] {
             assert!(text.contains(part), "{text}");
         }
-        let own = refused("host rack observes no topics".to_owned());
-        assert!(own.ends_with("observes no topics"), "{own}");
+        let current_release = refused("host rack observes no topics".to_owned());
+        assert!(current_release.ends_with("observes no topics"), "{current_release}");
     }
 }

@@ -10,7 +10,7 @@
 
 mod connection;
 mod pending;
-mod silence;
+mod reception;
 mod task;
 
 use std::net::IpAddr;
@@ -29,7 +29,8 @@ use crate::host::Host;
 use crate::pipeline::progress::Position;
 use crate::pipeline::runner::Runner;
 
-/// Maximum number of pairs that wait for the peer. Further pairs are recorded without its stamps.
+/// Maximum number of pairs that wait for the peer. Further pairs are recorded without the peer's
+/// stamps.
 const MAX_PENDING: usize = 1024;
 
 /// An input message and the output message that belongs to it.
@@ -40,7 +41,7 @@ pub(in crate::pipeline::observe) struct Pair {
     pub(in crate::pipeline::observe) unpaired_counts: UnpairedCounts,
 }
 
-/// The tree of a pair, with the stamps of the pair that the peer has sent, if any.
+/// The tree of a pair, with those stamps of the pair that the peer has sent.
 #[derive(Debug)]
 pub(super) struct SettledPair {
     pub(super) position: Position,
@@ -53,9 +54,9 @@ pub(super) struct SettledPair {
 pub(super) struct PeerStamps {
     /// Channel of pairs to query, each with its key; `None` once no further pairs are queried.
     queries: Option<mpsc::Sender<(i64, Pair)>>,
-    settled: mpsc::Receiver<SettledPair>,
+    settled_pairs: mpsc::Receiver<SettledPair>,
     /// Number of pairs that were sent to the task and are not settled.
-    waiting: usize,
+    waiting_pairs: usize,
     peer_description: PeerDescription,
     task: JoinHandle<()>,
 }
@@ -86,55 +87,56 @@ impl PeerStamps {
         let connection = connector.connect_first(runner).await?;
         let peer_description = connection.peer_description().await;
         let (queries, query_receiver) = mpsc::channel(MAX_PENDING);
-        let (settled_sender, settled) = mpsc::channel(MAX_PENDING);
+        let (settled_sender, settled_pairs) = mpsc::channel(MAX_PENDING);
         let task = tokio::spawn(PeerTask::new(connector, query_receiver, settled_sender).run(connection));
-        Some(Self { queries: Some(queries), settled, waiting: 0, peer_description, task })
+        Some(Self { queries: Some(queries), settled_pairs, waiting_pairs: 0, peer_description, task })
     }
 
     pub(super) const fn peer_description(&self) -> &PeerDescription {
         &self.peer_description
     }
 
-    /// Queries the peer for the stamps of a pair. Returns the pair if too many wait, or if the task has ended.
+    /// Queries the peer for the stamps of a pair. Returns the pair as an error if too many pairs wait, or if the task has
+    /// ended.
     pub(super) fn query(&mut self, key: i64, pair: Pair) -> Result<(), Box<Pair>> {
-        // The task takes pairs out of the channel while they wait, so the capacity of the channel does not bound their
-        // number.
-        let Some(queries) = self.queries.as_ref().filter(|_| self.waiting < MAX_PENDING) else {
+        // The task takes waiting pairs out of the channel, so the capacity of the channel does not limit the number of
+        // waiting pairs.
+        let Some(queries) = self.queries.as_ref().filter(|_| self.waiting_pairs < MAX_PENDING) else {
             return Err(Box::new(pair));
         };
         queries.try_send((key, pair)).map_err(|unsent| Box::new(unsent.into_inner().1))?;
-        self.waiting += 1;
+        self.waiting_pairs += 1;
         Ok(())
     }
 
     /// Waits for the next pair that the peer has answered or that has expired. Cancel-safe.
     pub(super) async fn next(&mut self) -> SettledPair {
-        if self.waiting > 0
-            && let Some(settled_pair) = self.settled.recv().await
+        if self.waiting_pairs > 0
+            && let Some(settled_pair) = self.settled_pairs.recv().await
         {
-            self.waiting -= 1;
+            self.waiting_pairs -= 1;
             return settled_pair;
         }
-        if self.waiting > 0 {
+        if self.waiting_pairs > 0 {
             // The task has panicked, which is logged: no further answers will arrive.
-            (self.queries, self.waiting) = (None, 0);
+            (self.queries, self.waiting_pairs) = (None, 0);
         }
         std::future::pending().await
     }
 
     /// Returns whether no pair waits for the peer.
-    pub(super) const fn is_settled(&self) -> bool {
-        self.waiting == 0
+    pub(super) const fn has_no_waiting_pairs(&self) -> bool {
+        self.waiting_pairs == 0
     }
 
-    /// Ends the wait of all pairs. Returns them with the stamps that the peer has sent so far.
+    /// Ends the wait of all pairs. Returns the pairs with the stamps that the peer has sent so far.
     pub(super) async fn abandon(&mut self) -> Vec<SettledPair> {
         self.queries = None;
-        let mut settled_pairs = Vec::with_capacity(self.waiting);
-        while let Some(pair) = self.settled.recv().await {
+        let mut settled_pairs = Vec::with_capacity(self.waiting_pairs);
+        while let Some(pair) = self.settled_pairs.recv().await {
             settled_pairs.push(pair);
         }
-        self.waiting = 0;
+        self.waiting_pairs = 0;
         settled_pairs
     }
 

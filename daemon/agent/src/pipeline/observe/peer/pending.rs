@@ -7,8 +7,8 @@ use peernet_logger::HostId;
 
 use crate::observed::ObservedPair;
 
-/// Time after which the peer is queried again for a message that it had not received, because it may receive messages
-/// later than this host.
+/// Time after which the peer is queried again for a message that the peer had not received. The peer may receive
+/// messages later than this host.
 const RETRY_INTERVAL: Span = Span::from_millis(100);
 
 /// Pairs of messages that wait for the peer's stamps.
@@ -49,7 +49,8 @@ impl<P> PendingPairs<P> {
         self.pairs.push_back(PendingPair { key, query_at: now, expires_at, answer: None, pair });
     }
 
-    /// Returns up to `max_keys` keys that are due to be queried at `now`. They are due again after [`RETRY_INTERVAL`].
+    /// Returns up to `max_keys` keys that are due to be queried at `now`. These keys are due again after
+    /// [`RETRY_INTERVAL`].
     pub(super) fn take_due(&mut self, now: MonoTime, max_keys: usize) -> Vec<i64> {
         let due_pairs = self.pairs.iter_mut().filter(|pending| pending.query_at <= now).take(max_keys);
         due_pairs
@@ -60,7 +61,7 @@ impl<P> PendingPairs<P> {
             .collect()
     }
 
-    /// Returns the time at which the next pair is due.
+    /// Returns the time at which the next query is due; `None` if no pair waits.
     pub(super) fn next_due(&self) -> Option<MonoTime> {
         self.pairs.iter().map(|pending| pending.query_at).min()
     }
@@ -84,14 +85,14 @@ impl<P> PendingPairs<P> {
     }
 
     /// Removes a pair whose timeout has passed by `now`, and returns it with the latest answer about it. The caller
-    /// repeats this until it returns `None`.
+    /// calls this method until it returns `None`.
     pub(super) fn expire(&mut self, now: MonoTime) -> Option<(P, Option<PeerAnswer>)> {
         // All pairs have the same timeout, so they expire in the order in which they were added.
         let oldest = self.pairs.pop_front_if(|oldest| oldest.expires_at <= now)?;
         Some((oldest.pair, oldest.answer))
     }
 
-    /// Returns the time at which the next pair expires.
+    /// Returns the time at which the next pair expires; `None` if no pair waits.
     pub(super) fn next_expiry(&self) -> Option<MonoTime> {
         self.pairs.front().map(|oldest| oldest.expires_at)
     }
@@ -122,22 +123,22 @@ mod tests {
     }
 
     #[test]
-    fn pair_is_asked_for_again_until_both_messages_are_known() {
+    fn pair_is_queried_again_until_peer_has_both_messages() {
         let mut pending = PendingPairs::new(Span::from_seconds(5));
         pending.add(7, "seven", at(0));
         pending.add(8, "eight", at(10));
-        assert_eq!(pending.take_due(at(10), 1), [7], "no more than wanted");
+        assert_eq!(pending.take_due(at(10), 1), [7], "at most one key");
         assert_eq!(pending.take_due(at(10), 9), [8]);
-        assert!(pending.take_due(at(50), 9).is_empty(), "just asked");
+        assert!(pending.take_due(at(50), 9).is_empty(), "queried 40 ms ago");
         assert!(pending.take_answer(&answer(7, false)).is_empty());
         assert_eq!(pending.next_due(), Some(at(110)));
         assert_eq!(pending.take_due(at(110), 9), [7, 8]);
         assert_eq!(pending.take_answer(&answer(7, true)), ["seven"]);
-        assert!(pending.take_answer(&answer(7, true)).is_empty(), "an answer settles once");
+        assert!(pending.take_answer(&answer(7, true)).is_empty(), "the pair was already removed");
     }
 
     #[test]
-    fn abandoned_pair_has_stamps_that_peer_knew() {
+    fn expired_pair_has_stamps_that_peer_sent() {
         let mut pending = PendingPairs::new(Span::from_millis(500));
         pending.add(7, "seven", at(0));
         pending.add(8, "eight", at(100));

@@ -1,4 +1,4 @@
-//! The task that queries the peer for the stamps of observed pairs, and owns the connection to it.
+//! The task that queries the peer for the stamps of observed pairs. It owns the connection to the peer.
 
 use std::pin::pin;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use tokio::sync::mpsc;
 
 use super::connection::{PeerConnection, PeerConnector};
 use super::pending::{PeerAnswer, PendingPairs};
-use super::silence::{SilenceReport, SilenceWatch};
+use super::reception::{ReceptionReport, ReceptionWatch};
 use super::{Pair, SettledPair, record_without_peer};
 use crate::host::Host;
 use crate::link::Crossing;
@@ -27,7 +27,7 @@ pub(super) struct PeerTask {
     queries: mpsc::Receiver<(i64, Pair)>,
     settled_sender: mpsc::Sender<SettledPair>,
     pending: PendingPairs<Pair>,
-    silence: SilenceWatch,
+    reception: ReceptionWatch,
     throttle: LogThrottle,
 }
 
@@ -35,8 +35,8 @@ pub(super) struct PeerTask {
 enum WaitResult<T> {
     /// The awaited future is ready.
     Ready(T),
-    /// A pair was added, or one has expired.
-    Woken,
+    /// A pair was added, or a pair has expired.
+    PairsChanged,
     /// The observer has closed its channel.
     ChannelClosed,
 }
@@ -48,40 +48,40 @@ impl PeerTask {
         settled_sender: mpsc::Sender<SettledPair>,
     ) -> Self {
         let pending = PendingPairs::new(Span::from(connector.timeout()));
-        let (silence, throttle) = (SilenceWatch::default(), LogThrottle::default());
+        let (reception, throttle) = (ReceptionWatch::default(), LogThrottle::default());
         Self {
             connector: Arc::new(connector),
             connection: None,
             queries,
             settled_sender,
             pending,
-            silence,
+            reception,
             throttle,
         }
     }
 
     /// Queries the peer until the observer closes its channel. A lost connection is reopened.
-    pub(super) async fn run(mut self, first: PeerConnection) {
-        let mut next = Some(first);
-        while let Some(connection) = next.map(Arc::new) {
+    pub(super) async fn run(mut self, first_connection: PeerConnection) {
+        let mut next_connection = Some(first_connection);
+        while let Some(connection) = next_connection.map(Arc::new) {
             self.connection = Some(Arc::clone(&connection));
             let Some(reason) = self.query_through(&connection).await else {
                 self.abandon();
-                // Dropping the channels lets the observer continue: it need not wait for the goodbye.
+                // Dropping the channels lets the observer continue, so that the observer need not wait for the goodbye.
                 drop(self);
                 connection.close().await;
                 return;
             };
             self.connection = None;
-            self.silence.record_disconnect();
+            self.reception.record_disconnect();
             let name = &connection.name;
             let text = format!(
-                "lost the connection to {name}: {reason}; until it is reconnected, iterations are recorded without its stamps \
+                "lost the connection to {name}: {reason}; until the connection is reopened, iterations are recorded without the peer's stamps \
                  (peer-unanswered)"
             );
             self.connector.report(IncidentKind::Disconnected, Some(connection.host), text);
             drop(connection);
-            next = self.reconnect().await;
+            next_connection = self.reconnect().await;
         }
         self.abandon();
     }
@@ -95,12 +95,12 @@ impl PeerTask {
             let keys = self.pending.take_due(self.now(), MAX_KEYS);
             if !keys.is_empty() {
                 match self.wait_for(connection.query(keys)).await? {
-                    // A peer may answer with more pairs than were requested. Pairs beyond the largest number that one
-                    // request may ask for are ignored.
+                    // A faulty peer may answer with more pairs than were requested. Pairs beyond the maximum number of keys
+                    // in a request are ignored.
                     Ok(answer) => answer.pairs.iter().take(MAX_KEYS).for_each(|stamps| {
                         self.take_answer(&PeerAnswer { peer: connection.host, stamps: *stamps });
                     }),
-                    Err(problem) => self.log(problem.text()),
+                    Err(problem) => self.log_failed_query(problem.text()),
                 }
                 continue;
             }
@@ -113,7 +113,7 @@ impl PeerTask {
             };
             match self.wait(idle).await {
                 WaitResult::Ready(Some(reason)) => return Some(reason),
-                WaitResult::Ready(None) | WaitResult::Woken => {}
+                WaitResult::Ready(None) | WaitResult::PairsChanged => {}
                 WaitResult::ChannelClosed => return None,
             }
         }
@@ -123,7 +123,7 @@ impl PeerTask {
     async fn reconnect(&mut self) -> Option<PeerConnection> {
         let connector = Arc::clone(&self.connector);
         let mut reconnect_backoff = ReconnectBackoff::new(connector.host().id);
-        let mut reported = None;
+        let mut reported_problem = None;
         loop {
             let problem = match self.wait_for(connector.open()).await? {
                 Ok(connection) => return Some(connection),
@@ -131,9 +131,9 @@ impl PeerTask {
             };
             let pause = problem.pause(&mut reconnect_backoff);
             // The loss of the connection has been reported already; only a refusal is new information.
-            if problem.is_refusal() && reported.as_ref() != Some(&problem) {
+            if problem.is_refusal() && reported_problem.as_ref() != Some(&problem) {
                 connector.report(problem.kind(), None, problem.describe());
-                reported = Some(problem);
+                reported_problem = Some(problem);
             }
             self.wait_for(tokio::time::sleep(pause)).await?;
         }
@@ -146,7 +146,7 @@ impl PeerTask {
             self.expire();
             match self.wait(future.as_mut()).await {
                 WaitResult::Ready(output) => return Some(output),
-                WaitResult::Woken => {}
+                WaitResult::PairsChanged => {}
                 WaitResult::ChannelClosed => return None,
             }
         }
@@ -161,18 +161,18 @@ impl PeerTask {
             query = self.queries.recv() => match query {
                 Some((key, pair)) => {
                     self.pending.add(key, pair, self.now());
-                    WaitResult::Woken
+                    WaitResult::PairsChanged
                 }
                 None => WaitResult::ChannelClosed,
             },
-            () = connector.sleep_until(expiry) => WaitResult::Woken,
+            () = connector.sleep_until(expiry) => WaitResult::PairsChanged,
         }
     }
 
     /// Records the pairs that an answer of the peer completes.
     fn take_answer(&mut self, answer: &PeerAnswer) {
         for pair in self.pending.take_answer(answer) {
-            self.record_silence(true);
+            self.record_reception(true);
             self.settle_with(&pair, answer);
         }
     }
@@ -195,11 +195,11 @@ impl PeerTask {
         }
     }
 
-    /// Records a pair of which the peer has not sent all stamps.
+    /// Records a pair for which the peer has not sent all stamps.
     fn settle_incomplete(&mut self, pair: &Pair, answer: Option<&PeerAnswer>) {
         match answer {
             Some(answer) => {
-                self.record_silence(false);
+                self.record_reception(false);
                 self.settle_with(pair, answer);
             }
             None => self.settle(record_without_peer(self.connector.host(), pair)),
@@ -214,34 +214,36 @@ impl PeerTask {
         let judge = |up: &Crossing, down: Option<&Crossing>| {
             connection.map_or([None, None], |connection| connection.judge(up, down))
         };
-        self.settle(record_by_peer(self.connector.host(), pair, answer, judge));
+        self.settle(record_with_peer(self.connector.host(), pair, answer, judge));
     }
 
     /// Passes a recorded pair to the observer.
-    fn settle(&self, settled: SettledPair) {
+    fn settle(&self, settled_pair: SettledPair) {
         // The channel has capacity for all waiting pairs (`MAX_PENDING`), so sending fails only if the pipeline has
         // ended.
-        if self.settled_sender.try_send(settled).is_err() {
+        if self.settled_sender.try_send(settled_pair).is_err() {
             tracing::debug!("an observed iteration was dropped: its pipeline has ended");
         }
     }
 
     /// Records whether the peer received both messages of a pair, and reports a change. Nothing is reported without a
     /// connection.
-    fn record_silence(&mut self, has_both: bool) {
+    fn record_reception(&mut self, has_both: bool) {
         let Some(connection) = &self.connection else { return };
         let (name, peer) = (connection.name.to_string(), connection.host);
-        let Some(report) = self.silence.record(has_both, self.connector.host().clock.mono()) else { return };
+        let Some(report) = self.reception.record(has_both, self.connector.host().clock.mono()) else {
+            return;
+        };
         let peer_pipeline = self.connector.peer_pipeline();
         let (kind, text) = match report {
-            SilenceReport::Began => (
+            ReceptionReport::Stopped => (
                 IncidentKind::Disconnected,
                 format!(
                     "{name} received none of the pairs of messages of the last 10 s; check on its page that its pipeline \
                      {peer_pipeline} runs and observes the same topics, and that the nodes copy the field by which messages are paired"
                 ),
             ),
-            SilenceReport::Ended => (
+            ReceptionReport::Resumed => (
                 IncidentKind::Connected,
                 format!("{name} receives the same messages with its pipeline {peer_pipeline} again"),
             ),
@@ -250,7 +252,7 @@ impl PeerTask {
     }
 
     /// Logs why a query failed. The query is repeated.
-    fn log(&mut self, problem: &str) {
+    fn log_failed_query(&mut self, problem: &str) {
         let now = self.now();
         if let Some(times) = self.throttle.count_event("ask", None, now) {
             tracing::warn!(
@@ -265,7 +267,7 @@ impl PeerTask {
     }
 }
 
-fn record_by_peer(
+fn record_with_peer(
     host: &Host,
     pair: &Pair,
     answer: &PeerAnswer,

@@ -15,7 +15,7 @@ use crate::pipeline::observe::peer::Pair;
 const PEER_INPUT_MISSING: Name = Name::from_static("peer-input-missing");
 /// Name of the number of output messages that the peer did not receive.
 const PEER_OUTPUT_MISSING: Name = Name::from_static("peer-output-missing");
-/// Name of the count of iterations for which the peer was not queried or did not answer.
+/// Name of the value that is 1 if the peer was not queried for the iteration, or did not answer.
 const PEER_UNANSWERED: Name = Name::from_static("peer-unanswered");
 
 /// Index of the peer in the tree's list of hosts: 0 is this host, 1 the peer.
@@ -35,25 +35,25 @@ pub(in crate::pipeline::observe) fn tree_with_peer_stamps(
     let total = ended.mono - started.mono;
     let mut recorder = Recorder::starting_at(SharedClock::clone(clock), host, started);
     let mut transport = None;
-    if let Some(arrived) = peer_stamps.input() {
-        let up = Crossing { sender: input.received.host_stamp, receiver: arrived };
-        let down = |departed| Crossing { sender: departed, receiver: output.host_stamp };
+    if let Some(arrival_stamp) = peer_stamps.input() {
+        let up = Crossing { sender: input.received_message.host_stamp, receiver: arrival_stamp };
+        let down = |departure_stamp| Crossing { sender: departure_stamp, receiver: output.host_stamp };
         let return_path = peer_stamps
             .output()
             .zip(peer_stamps.elapsed())
-            .map(|(departed, elapsed)| (down(departed), elapsed));
+            .map(|(departure_stamp, elapsed)| (down(departure_stamp), elapsed));
         let [up_delay, down_delay] = judge(&up, return_path.as_ref().map(|(down, _)| down));
         let upload = recorder.start_transit(stage::UPLOAD, started);
         let nodes = return_path.map(|(down, elapsed)| peer_nodes(&down, elapsed, down_delay));
-        // The sum of both directions needs no clock relation: this host's waiting time minus the peer's elapsed time,
-        // each by its own monotonic clock.
+        // The sum of both directions needs no clock relation. It is this host's waiting time minus the time that elapsed at
+        // the peer. Each host measures its time by its own monotonic clock.
         transport = return_path.map(|(_, elapsed)| total - elapsed);
         let base = u32::try_from(recorder.tree().nodes().len()).unwrap_or(u32::MAX);
         let delta = TreeDelta {
             base,
-            anchor: Anchor { host: peer, wall: arrived.wall },
+            anchor: Anchor { host: peer, wall: arrival_stamp.wall },
             others: Vec::new(),
-            closed: (upload, arrived.wall),
+            closed: (upload, arrival_stamp.wall),
             nodes: nodes.into_iter().flatten().collect(),
         };
         match recorder.tree_mut().apply_delta(delta) {
@@ -68,9 +68,13 @@ pub(in crate::pipeline::observe) fn tree_with_peer_stamps(
             }
         }
     }
-    let missing = [(PEER_INPUT_MISSING, peer_stamps.input()), (PEER_OUTPUT_MISSING, peer_stamps.output())];
-    // Counted only if the peer answered. Without an answer it is not known which messages the peer received.
-    for (name, _) in missing.into_iter().filter(|(_, stamp): &(Name, Option<HostStamp>)| stamp.is_none()) {
+    let stamps_by_name =
+        [(PEER_INPUT_MISSING, peer_stamps.input()), (PEER_OUTPUT_MISSING, peer_stamps.output())];
+    // These messages are counted only here, where the peer has answered. Without an answer it is unknown which messages
+    // the peer received.
+    for (name, _) in
+        stamps_by_name.into_iter().filter(|(_, stamp): &(Name, Option<HostStamp>)| stamp.is_none())
+    {
         add_count(recorder.tree_mut(), name, total, 1);
     }
     close(recorder, pair, ended, transport)
@@ -89,7 +93,7 @@ pub(in crate::pipeline::observe) fn tree_without_peer_stamps(
 
 /// Returns the nodes `inference` and `download`, which the peer's stamps determine.
 fn peer_nodes(down: &Crossing, elapsed: Span, delay: Option<OneWayDelay>) -> [Node; 2] {
-    // Negative if the observed node answered before the peer's agent received the input.
+    // The elapsed time is negative if the observed node answered before the peer's agent received the input message.
     let elapsed = elapsed.max(Span::ZERO);
     let node = |name, start, measure| Node { parent: Some(NodeId::ROOT), name, host: PEER, start, measure };
     [
@@ -100,7 +104,7 @@ fn peer_nodes(down: &Crossing, elapsed: Span, delay: Option<OneWayDelay>) -> [No
 
 /// Closes the tree. `transport` is the sum of upload and download; without it the sum of the stages is unknown.
 fn close(mut recorder: Recorder, pair: &Pair, ended: Stamp, transport: Option<Span>) -> (Tree, Stamp) {
-    let started = pair.input.received.message.received;
+    let started = pair.input.received_message.message.received_at;
     add_topics(
         recorder.tree_mut(),
         &pair.input,
@@ -132,16 +136,17 @@ mod tests {
     use crate::pipeline::observe::record::{Input, ReceivedMessage, UnpairedCounts};
     use crate::pipeline::progress::Position;
 
-    /// Offset of the peer's clock.
-    const BEHIND: Span = Span::from_seconds(-8);
+    /// Offset of the peer's clock from this host's clock.
+    const PEER_CLOCK_OFFSET: Span = Span::from_seconds(-8);
 
     fn clock() -> Arc<ManualClock> {
         let wall = WallTime::from_unix_nanos(1_000_000_000_000_000_000);
         Arc::new(ManualClock::new(wall, ClockIdentity::new("boot", "system")))
     }
 
-    fn received(at: Stamp) -> ReceivedMessage {
-        let message = TopicMessage { received: at, length: 10, stamp: Some(7), sequence: None, missing: 0 };
+    fn received_message(at: Stamp) -> ReceivedMessage {
+        let message =
+            TopicMessage { received_at: at, length: 10, stamp: Some(7), sequence: None, missing_before: 0 };
         ReceivedMessage {
             message,
             arrival: Arrival::default(),
@@ -152,26 +157,27 @@ mod tests {
     /// Returns a pair whose input took 30 ms to the peer; 20 ms passed there, and the output took 5 ms back.
     fn pair(clock: &ManualClock) -> (Pair, ObservedPair) {
         let peer_stamp = |clock: &ManualClock| HostStamp {
-            wall: clock.wall() + BEHIND,
-            raw: clock.raw() + BEHIND,
+            wall: clock.wall() + PEER_CLOCK_OFFSET,
+            raw: clock.raw() + PEER_CLOCK_OFFSET,
             epoch: Some(0),
         };
         let position = Position { number: 1, episode: 0, step: 0, warm_up: false };
-        let input = Input { position, received: received(clock.stamp()) };
+        let input = Input { position, received_message: received_message(clock.stamp()) };
         clock.advance(Span::from_millis(30));
-        let arrived = peer_stamp(clock);
+        let arrival_stamp = peer_stamp(clock);
         clock.advance(Span::from_millis(20));
-        let departed = peer_stamp(clock);
+        let departure_stamp = peer_stamp(clock);
         clock.advance(Span::from_millis(5));
-        let output = received(clock.stamp());
-        let seen = ObservedPair::new(7, Some(arrived), Some(departed), Some(Span::from_millis(20)));
-        (Pair { input, output, unpaired_counts: UnpairedCounts::default() }, seen)
+        let output = received_message(clock.stamp());
+        let peer_stamps =
+            ObservedPair::new(7, Some(arrival_stamp), Some(departure_stamp), Some(Span::from_millis(20)));
+        (Pair { input, output, unpaired_counts: UnpairedCounts::default() }, peer_stamps)
     }
 
     /// Judges delays like a relation that knows the offset exactly.
     fn judge(up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
-        let up = up.receiver.wall - up.sender.wall - BEHIND;
-        let down = down.map(|down| down.receiver.wall - down.sender.wall + BEHIND);
+        let up = up.receiver.wall - up.sender.wall - PEER_CLOCK_OFFSET;
+        let down = down.map(|down| down.receiver.wall - down.sender.wall + PEER_CLOCK_OFFSET);
         [Some(OneWayDelay::same_clock(up)), down.map(OneWayDelay::same_clock)]
     }
 
@@ -180,12 +186,12 @@ mod tests {
     }
 
     #[test]
-    fn stages_of_both_hosts_are_the_total() {
+    fn stages_of_both_hosts_add_up_to_total() {
         let clock = clock();
-        let (pair, seen) = pair(&clock);
+        let (pair, peer_stamps) = pair(&clock);
         let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
         let (host, peer) = (HostId::random(), HostId::random());
-        let (tree, ended) = tree_with_peer_stamps((&shared, host), peer, &pair, &seen, judge);
+        let (tree, ended) = tree_with_peer_stamps((&shared, host), peer, &pair, &peer_stamps, judge);
         for (name, expected) in [
             ("upload", 30.0),
             ("inference", 20.0),
@@ -196,30 +202,30 @@ mod tests {
         ] {
             assert_eq!(millis(&tree, name), Some(expected), "{name}");
         }
-        assert_eq!(ended, pair.output.message.received);
+        assert_eq!(ended, pair.output.message.received_at);
         let host_of = |name| tree.find(&[name]).map(|(_, node)| node.host);
         assert_eq!((host_of("upload"), host_of("inference")), (Some(HostIndex::EDGE), Some(PEER)));
         assert_eq!(tree.anchors().get(1).map(|anchor| anchor.host), Some(peer));
         let Some((_, upload)) = tree.find(&["upload"]) else { panic!("{tree:?}") };
         let Measure::Transit(transit) = &upload.measure else { panic!("{upload:?}") };
-        let raw = transit.received.expect("it arrived") - transit.sent;
-        assert_eq!(raw, Span::from_millis(30) + BEHIND, "the stamps are recorded unchanged");
+        let raw = transit.received.expect("the stamp of the arrival") - transit.sent;
+        assert_eq!(raw, Span::from_millis(30) + PEER_CLOCK_OFFSET, "the stamps are recorded unchanged");
     }
 
     #[test]
-    fn rows_have_verdicts_of_observed_delays() {
+    fn rows_have_bounds_and_verdicts_of_observed_delays() {
         let clock = clock();
-        let (pair, seen) = pair(&clock);
+        let (pair, peer_stamps) = pair(&clock);
         let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
         let limited = |value: Span| OneWayDelay {
             value: Some(value),
             bounds: Some(Interval { lo: value - Span::from_millis(40), hi: value + Span::from_millis(2) }),
             verdict: Verdict::Limited,
-            ..OneWayDelay::unsynchronised(value + BEHIND)
+            ..OneWayDelay::unsynchronised(value + PEER_CLOCK_OFFSET)
         };
         let delays = [Some(limited(Span::from_millis(30))), Some(limited(Span::from_millis(5)))];
         let (host, peer) = (HostId::random(), HostId::random());
-        let (tree, _) = tree_with_peer_stamps((&shared, host), peer, &pair, &seen, |_, _| delays);
+        let (tree, _) = tree_with_peer_stamps((&shared, host), peer, &pair, &peer_stamps, |_, _| delays);
         let iteration = Iteration {
             run: RunId::random(),
             number: 1,
@@ -236,20 +242,24 @@ mod tests {
     }
 
     #[test]
-    fn message_that_the_peer_missed_is_counted() {
+    fn message_that_peer_did_not_receive_is_counted() {
         let clock = clock();
-        let (pair, seen) = pair(&clock);
+        let (pair, peer_stamps) = pair(&clock);
         let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
         let tree = |input, output, elapsed| {
-            let seen = ObservedPair::new(7, input, output, elapsed);
-            tree_with_peer_stamps((&shared, HostId::random()), HostId::random(), &pair, &seen, judge).0
+            let peer_stamps = ObservedPair::new(7, input, output, elapsed);
+            tree_with_peer_stamps((&shared, HostId::random()), HostId::random(), &pair, &peer_stamps, judge).0
         };
-        let without_output = tree(seen.input(), None, None);
+        let without_output = tree(peer_stamps.input(), None, None);
         let names = ["upload", "inference", "download", "stages-total", "peer-input-missing"];
         let values = names.map(|name| millis(&without_output, name));
         assert_eq!(values, [Some(30.0), None, None, None, None]);
-        assert_eq!(millis(&without_output, "peer-output-missing"), Some(1000.0), "one");
-        let without_input = tree(None, seen.output(), None);
+        assert_eq!(
+            millis(&without_output, "peer-output-missing"),
+            Some(1000.0),
+            "a count of 1, as `millis` returns it"
+        );
+        let without_input = tree(None, peer_stamps.output(), None);
         assert_eq!((millis(&without_input, "upload"), millis(&without_input, "total")), (None, Some(55.0)));
         assert!(without_input.find(&["peer-input-missing"]).is_some());
         let (unanswered, _) = tree_without_peer_stamps((&shared, HostId::random()), &pair);
@@ -258,25 +268,24 @@ mod tests {
     }
 
     #[test]
-    fn receivers_that_were_late_give_negative_differences() {
+    fn late_reception_of_input_gives_negative_upload() {
         let clock = clock();
-        let (mut pair, seen) = pair(&clock);
+        let (mut pair, peer_stamps) = pair(&clock);
         // This host received the input message 31 ms later than the peer did, 61 ms after it was sent.
-        let late = pair.input.received.message.received;
-        let late = late + Span::from_millis(61);
-        pair.input.received = received(late);
+        let late = pair.input.received_message.message.received_at + Span::from_millis(61);
+        pair.input.received_message = received_message(late);
         let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
         let judge = |up: &Crossing, down: Option<&Crossing>| {
             let exact = |difference| OneWayDelay {
                 value: Some(difference),
                 ..OneWayDelay::unsynchronised(difference)
             };
-            let up = up.receiver.wall - up.sender.wall - BEHIND;
-            let down = down.map(|down| down.receiver.wall - down.sender.wall + BEHIND);
+            let up = up.receiver.wall - up.sender.wall - PEER_CLOCK_OFFSET;
+            let down = down.map(|down| down.receiver.wall - down.sender.wall + PEER_CLOCK_OFFSET);
             [Some(exact(up)), down.map(exact)]
         };
         let (tree, _) =
-            tree_with_peer_stamps((&shared, HostId::random()), HostId::random(), &pair, &seen, judge);
+            tree_with_peer_stamps((&shared, HostId::random()), HostId::random(), &pair, &peer_stamps, judge);
         let names = ["upload", "inference", "download", "total"];
         let values = names.map(|name| millis(&tree, name));
         assert_eq!(values, [Some(-31.0), Some(20.0), Some(5.0), Some(0.0)]);

@@ -21,7 +21,7 @@ pub(super) enum Topic {
 pub(super) struct ObservedType {
     /// Name in the notation of its version of ROS.
     pub(super) name: String,
-    /// `true` if its messages begin with a `std_msgs/Header`; `None` if the type alone does not show it.
+    /// `true` if messages of this type begin with a `std_msgs/Header`; `None` if this cannot be seen from the type alone.
     pub(super) has_header: Option<bool>,
 }
 
@@ -30,7 +30,7 @@ pub(super) struct ObservedType {
 pub(super) struct PublisherLocation {
     /// Name of the node, or of the endpoint if the node has none.
     pub(super) node: String,
-    /// Address of its host; `None` for this host.
+    /// Address of the publisher's host; `None` for this host.
     pub(super) host: Option<String>,
 }
 

@@ -38,12 +38,12 @@ impl Ros1Topic {
         let header = has_header.then(|| read_header(WireForm::Ros1, &bytes)).flatten();
         let sequence = header.as_ref().map(|header| header.seq.into());
         Ok(TopicMessage {
-            received,
+            received_at: received,
             length: bytes.len(),
-            // A node that sets no stamp leaves it 0.
+            // If a node does not set the stamp, the stamp is 0.
             stamp: header.map(|header| header.stamp.as_nanos()).filter(|stamp| *stamp != 0),
             sequence,
-            missing: sequence.map_or(0, |sequence| self.gaps.record(&publisher.uri, sequence)),
+            missing_before: sequence.map_or(0, |sequence| self.gaps.record(&publisher.uri, sequence)),
         })
     }
 

@@ -14,12 +14,12 @@ use tokio::sync::watch;
 use super::{ObservedType, PublisherLocation};
 use crate::pipeline::observe::message::{TopicMessage, read_header};
 
-/// Maximum number of unread messages. They are in memory: images of 1 MB need 64 MB.
+/// Maximum number of unread messages. Unread messages are in memory: 64 images of 1 MB need 64 MB.
 const DEPTH: u32 = 64;
 
-/// A topic of ROS 2. It is subscribed to once a publisher shows its type.
+/// A topic of ROS 2. The agent subscribes to it once a publisher shows the type of the messages.
 pub(in crate::pipeline::observe) struct Ros2Topic {
-    // Fields are dropped in this order: the subscription before its node.
+    // The fields are dropped in this order, so that the subscription ends before its node.
     subscription: Option<TypedSubscription>,
     node: Arc<Ros2Node>,
     /// Absolute name of the topic.
@@ -39,7 +39,7 @@ struct TypedSubscription {
 }
 
 impl Ros2Topic {
-    /// Creates a topic of a node's domain. It is not subscribed to before a publisher is found.
+    /// Creates a topic of a node's domain. The agent does not subscribe before a publisher is found.
     ///
     /// # Errors
     /// When the name is not allowed.
@@ -81,7 +81,7 @@ impl Ros2Topic {
         if !self.discovery.has_changed().unwrap_or(false) {
             return Ok(());
         }
-        // Before the publishers are read, so that a later change is not missed.
+        // The change is marked as handled before the publishers are read, so that a later change is not missed.
         self.discovery.mark_unchanged();
         let publishers = self.node.publishers_of(&self.name);
         let current = self.subscription.as_ref().map(|subscription| subscription.type_name.as_str());
@@ -119,7 +119,7 @@ impl Ros2Topic {
     pub(super) fn kind(&self) -> Option<ObservedType> {
         let name = self.subscription.as_ref()?.type_name.clone();
         // DDS does not transmit the fields of a type. In std_msgs only the type Header has a header. For types of other
-        // packages only the messages can show it.
+        // packages only the messages show whether there is a header.
         let has_header = name.starts_with("std_msgs/msg/").then(|| name == "std_msgs/msg/Header");
         Some(ObservedType { name, has_header })
     }
@@ -181,19 +181,19 @@ fn type_to_subscribe<'a>(publishers: &'a [DiscoveredPublisher], current: Option<
 fn message_from_sample(sample: &ReceivedSample, clock: &SharedClock) -> TopicMessage {
     let header = read_header(WireForm::Cdr, &sample.payload);
     TopicMessage {
-        received: stamp_of(clock.apply_faults(sample.received_time), clock.stamp()),
+        received_at: stamp_of(clock.apply_faults(sample.received_time), clock.stamp()),
         length: sample.payload.len(),
-        // A node that sets no stamp leaves it 0.
+        // If a node does not set the stamp, the stamp is 0.
         stamp: header.map(|header| header.stamp.as_nanos()).filter(|stamp| *stamp != 0),
         // The header of ROS 2 has no sequence number.
         sequence: None,
-        missing: sample.missing_before,
+        missing_before: sample.missing_before,
     }
 }
 
 /// Returns the stamp of all clocks at the wall-clock time `wall`, shortly before `now`.
 fn stamp_of(wall: WallTime, now: Stamp) -> Stamp {
-    // If the wall clock was set back in between, the message would be in the future.
+    // If the wall clock was set back after the reception, the reception would be in the future.
     let age = (now.wall - wall).max(Span::ZERO);
     now - age
 }
@@ -213,16 +213,20 @@ mod tests {
     #[test]
     fn subscription_follows_the_type_of_the_publishers() {
         let (image, text) = (publisher("sensor_msgs/msg/Image"), publisher("std_msgs/msg/String"));
-        let both = [image.clone(), text];
+        let image_and_text = [image.clone(), text];
         assert_eq!(type_to_subscribe(&[], None), None);
-        assert_eq!(type_to_subscribe(&both, None), Some("sensor_msgs/msg/Image"));
-        assert_eq!(type_to_subscribe(&both, Some("std_msgs/msg/String")), None, "one of them is enough");
+        assert_eq!(type_to_subscribe(&image_and_text, None), Some("sensor_msgs/msg/Image"));
+        assert_eq!(
+            type_to_subscribe(&image_and_text, Some("std_msgs/msg/String")),
+            None,
+            "one publisher of the type is enough"
+        );
         assert_eq!(type_to_subscribe(&[image], Some("std_msgs/msg/String")), Some("sensor_msgs/msg/Image"));
-        assert_eq!(type_to_subscribe(&[], Some("std_msgs/msg/String")), None, "it may come back");
+        assert_eq!(type_to_subscribe(&[], Some("std_msgs/msg/String")), None, "a publisher may return");
     }
 
     #[test]
-    fn missing_messages_and_header_of_a_sample_are_kept() {
+    fn message_has_header_and_missing_count_of_sample() {
         let now = WallTime::from_unix_nanos(1_000_000_000_000_000_000);
         let clock: SharedClock = Arc::new(ManualClock::new(now, ClockIdentity::new("boot", "system")));
         let sample = ReceivedSample {
@@ -235,12 +239,12 @@ mod tests {
             missing_before: 2,
         };
         let message = message_from_sample(&sample, &clock);
-        assert_eq!((message.stamp, message.missing, message.length), (Some(3_000_000_005), 2, 18));
-        assert_eq!((message.received.wall, message.sequence), (now, None));
+        assert_eq!((message.stamp, message.missing_before, message.length), (Some(3_000_000_005), 2, 18));
+        assert_eq!((message.received_at.wall, message.sequence), (now, None));
     }
 
     #[test]
-    fn message_is_stamped_when_it_was_received() {
+    fn stamp_is_time_of_reception_and_never_in_future() {
         let now = Stamp {
             wall: WallTime::from_unix_nanos(5_000),
             mono: MonoTime::from_nanos(700),

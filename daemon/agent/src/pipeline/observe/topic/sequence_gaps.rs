@@ -7,21 +7,23 @@ use std::sync::Arc;
 /// be bounded.
 const MAX_PUBLISHERS: usize = 256;
 
-/// The last sequence number of each publisher of a topic.
+/// The latest sequence number of each publisher of a topic.
 #[derive(Debug, Default)]
 pub(super) struct SequenceGaps(BTreeMap<Arc<str>, i64>);
 
 impl SequenceGaps {
-    /// Records the sequence number of a message. Returns the number of missing messages of the same publisher before
-    /// it.
+    /// Records the sequence number of a message. Returns the number of messages of the same publisher that are missing
+    /// before this message.
     pub(super) fn record(&mut self, publisher: &Arc<str>, sequence: i64) -> u64 {
         if self.0.len() >= MAX_PUBLISHERS && !self.0.contains_key(publisher) {
-            // A publisher that is forgotten loses the count of one gap at most.
+            // Afterwards at most one gap of each known publisher is not counted.
             self.0.clear();
         }
-        let last = self.0.insert(Arc::clone(publisher), sequence);
+        let previous = self.0.insert(Arc::clone(publisher), sequence);
         // A lower number means that the node was restarted.
-        last.and_then(|last| u64::try_from(sequence.checked_sub(last)?.checked_sub(1)?).ok()).unwrap_or(0)
+        previous
+            .and_then(|previous| u64::try_from(sequence.checked_sub(previous)?.checked_sub(1)?).ok())
+            .unwrap_or(0)
     }
 }
 
@@ -34,7 +36,11 @@ mod tests {
         let mut gaps = SequenceGaps::default();
         let (left, right): (Arc<str>, Arc<str>) = (Arc::from("/left"), Arc::from("/right"));
         let mut missing = |node, sequence| gaps.record(node, sequence);
-        assert_eq!((missing(&left, 7), missing(&right, 100)), (0, 0), "nothing is known of what was before");
+        assert_eq!(
+            (missing(&left, 7), missing(&right, 100)),
+            (0, 0),
+            "the first message of a publisher shows no gap"
+        );
         assert_eq!((missing(&left, 8), missing(&right, 104)), (0, 3));
         assert_eq!((missing(&left, 0), missing(&left, 2)), (0, 1), "the node was restarted");
     }

@@ -1,4 +1,4 @@
-//! The life of a pipeline that observes: connect, wait for publishers, run, end.
+//! The lifecycle of a pipeline that observes: connect, wait for publishers, run, end.
 
 use std::time::Duration;
 
@@ -15,11 +15,11 @@ use crate::pipeline::run::Run;
 use crate::pipeline::runner::{PipelineError, Runner};
 use crate::reconnect_backoff::ReconnectBackoff;
 
-/// Time without a publisher after which a topic is reported.
+/// Time without a publisher of both topics after which the missing publishers are reported.
 const PUBLISHER_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Observes until the run reaches its limit or the agent stops. If the node ends, for example because the ROS master is
-/// unreachable, the pipeline subscribes again.
+/// Observes until the run reaches its limit or the agent stops. If the agent's ROS node ends, for example because the
+/// ROS master is unreachable, the pipeline subscribes again.
 ///
 /// # Errors
 /// When the topics cannot be observed without a change of the configuration or of their types.
@@ -28,11 +28,11 @@ pub(in crate::pipeline) async fn run_to_end(
     config: &ObserveConfig,
 ) -> Result<(), PipelineError> {
     config.check_peer().map_err(SourceError::from)?;
-    let mut active: Option<(Run, Observation<'_>)> = None;
+    let mut active_run: Option<(Run, Observation<'_>)> = None;
     loop {
-        let Some(mut source) = connect(runner, config, active.as_ref().map(|(run, _)| run.id())).await?
+        let Some(mut source) = connect(runner, config, active_run.as_ref().map(|(run, _)| run.id())).await?
         else {
-            if let Some((mut run, mut observation)) = active {
+            if let Some((mut run, mut observation)) = active_run {
                 let reason = "the agent stopped before the output message came";
                 observation.abandon(reason, &mut run, runner).await;
                 run.end(EndReason::Stopped, &runner.context);
@@ -40,17 +40,17 @@ pub(in crate::pipeline) async fn run_to_end(
             }
             return Ok(());
         };
-        let (run, observation) = match &mut active {
-            Some(active) => active,
+        let (run, observation) = match &mut active_run {
+            Some(active_run) => active_run,
             None => {
                 let peer = PeerStamps::open(runner, config).await;
                 if peer.is_none() && config.peer.is_some() {
-                    // `open` retries until the agent stops.
+                    // `open` retries until it succeeds, so a missing peer means that the agent stops.
                     source.close().await;
                     return Ok(());
                 }
                 let run = start_run(runner, config, &source, peer.as_ref(), false).await;
-                active.insert((run, Observation::new(config, runner, peer)))
+                active_run.insert((run, Observation::new(config, runner, peer)))
             }
         };
         runner.live_state.set_state(PipelineState::Running);
@@ -73,7 +73,7 @@ pub(in crate::pipeline) async fn run_to_end(
         source.close().await;
         if let Some(reason) = reason {
             run.end(reason, &runner.context);
-            if let Some((_, observation)) = active {
+            if let Some((_, observation)) = active_run {
                 observation.close().await;
             }
             return Ok(());
@@ -156,7 +156,7 @@ async fn connect(
             return Err(error);
         }
         let text = error.to_string();
-        // A reason is reported once and not with every attempt.
+        // The same error is reported once and not at every attempt.
         if reported_error != text {
             runner.report(IncidentKind::Disconnected, run, format!("{text} (retrying)"));
             reported_error.clone_from(&text);
@@ -180,7 +180,7 @@ async fn await_publishers(
     let mut is_reported = false;
     loop {
         source.follow_publishers()?;
-        // Created before the check, so that a change during the check is not missed.
+        // The futures are created before the check, so that a change during the check is not missed.
         let (input, output) = (source.input.publishers_changed(), source.output.publishers_changed());
         source.check_types(config.pair_by)?;
         let Some(problem) = source.problem().filter(|_| run.is_none()) else { return Ok(true) };
@@ -192,8 +192,8 @@ async fn await_publishers(
             () = runner.stop.cancelled() => return Ok(false),
             () = &mut report_timer, if !is_reported => {
                 is_reported = true;
-                let since = format!("{problem} since {} s", PUBLISHER_TIMEOUT.as_secs());
-                let text = format!("{}; the run starts when both topics have a publisher", source.with_advice(&since));
+                let problem = format!("after {} s of waiting: {problem}", PUBLISHER_TIMEOUT.as_secs());
+                let text = format!("{}; the run starts when both topics have a publisher", source.with_advice(&problem));
                 runner.report(IncidentKind::Disconnected, None, text);
             }
         }
