@@ -11,15 +11,17 @@ use zeromq::{
     TrySendError,
 };
 
-/// Number of messages that the socket buffers. It is small, because a live update waits behind them.
+/// Maximum number of messages that the socket buffers. The number is small, because a live update waits behind these
+/// messages.
 const MAX_QUEUED_MESSAGES: u32 = 8;
 const HEARTBEAT_INTERVAL: Duration = Duration::from_secs(1);
 /// Time without received data after which the peer counts as unreachable.
 const SILENCE_TIMEOUT: Duration = Duration::from_secs(5);
-/// Longest time for determining why a connection failed.
+/// Longest time for the attempt that determines why a connection failed.
 const DIAGNOSIS_TIMEOUT: Duration = Duration::from_secs(1);
 const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
-/// Reconnect interval of the library, so long that the library never reconnects: its queue may have old messages.
+/// Reconnect interval of the library. The interval is so long that the library never reconnects by itself, because its
+/// queue may contain messages of the lost connection.
 const RECONNECT_NEVER: Duration = Duration::from_secs(365 * 24 * 3600);
 
 /// Reason why a connection failed or ended.
@@ -34,7 +36,7 @@ pub(super) enum ConnectionError {
     /// The peer does not speak ZMTP.
     #[error("another program answers there ({0})")]
     Handshake(String),
-    /// The system refused the connection, or it failed.
+    /// The operating system reports that the connection failed, for example because the peer refused it.
     #[error("no program answers there ({})", .0.to_string().to_lowercase())]
     Refused(#[source] io::Error),
     /// The connection was not established in time.
@@ -71,7 +73,8 @@ impl Connection {
             .tcp_user_timeout(SILENCE_TIMEOUT)
             .handshake_timeout(HANDSHAKE_TIMEOUT)
             .reconnect(ReconnectPolicy::Fixed(RECONNECT_NEVER))
-            // Batches that are lost with the connection are sent again.
+            // The socket need not wait for unsent batches when it is closed: they are sent again over the next
+            // connection.
             .linger(Duration::ZERO);
         let socket = Socket::try_new(SocketType::Dealer, options)?;
         let mut monitor = socket.monitor();
@@ -110,8 +113,8 @@ impl Connection {
         }
     }
 
-    /// Waits for the next message, or for the end of the connection. With `is_blocked` it also waits for space in the
-    /// socket's queue, and returns `None` once there is space. Cancel-safe.
+    /// Waits for the next message, or for the end of the connection. If `is_blocked` is `true`, also waits for space
+    /// in the socket's queue, and returns `None` once there is space. Cancel-safe.
     pub(super) async fn receive(&mut self, is_blocked: bool) -> Result<Option<Message>, ConnectionError> {
         loop {
             tokio::select! {
@@ -127,7 +130,7 @@ impl Connection {
         }
     }
 
-    /// Closes the connection after the queued frames were sent, at the latest after `linger`.
+    /// Closes the connection when the queued frames are sent, and after `linger` at the latest.
     pub(super) async fn close(self, linger: Duration) {
         if let Err(error) = self.socket.close_with_linger(Some(linger)).await {
             tracing::debug!(%error, "closing the connection to the aggregator did not end cleanly");
@@ -138,7 +141,7 @@ impl Connection {
 /// Connects to an aggregator once, and closes the connection.
 ///
 /// # Errors
-/// Returns the reason for people if no aggregator can be reached within five seconds.
+/// When no aggregator can be reached within five seconds. The error is a text that gives the reason.
 pub async fn reach_aggregator(address: &Address) -> Result<(), String> {
     match tokio::time::timeout(HANDSHAKE_TIMEOUT, Connection::open(address)).await {
         Ok(Ok(connection)) => {
@@ -150,7 +153,7 @@ pub async fn reach_aggregator(address: &Address) -> Result<(), String> {
     }
 }
 
-/// Determines why a connection failed by connecting again, because the library does not report the reason.
+/// Connects again to determine why a connection failed, because the library does not report the reason.
 async fn diagnose(address: &Address) -> ConnectionError {
     match tokio::time::timeout(DIAGNOSIS_TIMEOUT, TcpStream::connect(address.authority())).await {
         Ok(Err(error)) => ConnectionError::Refused(error),

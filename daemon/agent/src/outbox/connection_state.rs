@@ -13,22 +13,25 @@ use super::connection::{Connection, ConnectionError};
 /// State of the connection.
 pub(super) enum ConnectionState {
     /// Waiting for the next attempt, or connecting.
-    Dialling(BoxFuture<'static, Result<Connection, ConnectionError>>),
+    Connecting(BoxFuture<'static, Result<Connection, ConnectionError>>),
     /// A connection is open.
     Open(Connection),
 }
 
 impl fmt::Debug for ConnectionState {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(if matches!(self, Self::Open(_)) { "Open" } else { "Dialling" })
+        f.write_str(if matches!(self, Self::Open(_)) { "Open" } else { "Connecting" })
     }
 }
 
 /// Event of the connection.
 pub(super) enum ConnectionEvent {
     Connected(Connection),
+    /// The attempt to connect failed.
     Failed(ConnectionError),
+    /// The open connection was lost.
     Lost(ConnectionError),
+    /// A frame was received.
     Message(Bytes),
     /// The socket can take frames again.
     SendReady,
@@ -36,19 +39,19 @@ pub(super) enum ConnectionEvent {
 
 impl ConnectionState {
     /// Starts a connection attempt after a pause.
-    pub(super) fn dial(address: &Address, pause: Duration) -> Self {
+    pub(super) fn start_connecting(address: &Address, pause: Duration) -> Self {
         let address = address.clone();
         let connecting = async move {
             tokio::time::sleep(pause).await;
             Connection::open(&address).await
         };
-        Self::Dialling(connecting.boxed())
+        Self::Connecting(connecting.boxed())
     }
 
     /// Waits for the next event. [`ConnectionEvent::SendReady`] is returned only if `is_blocked`. Cancel-safe.
     pub(super) async fn next(&mut self, is_blocked: bool) -> ConnectionEvent {
         match self {
-            Self::Dialling(connecting) => match connecting.await {
+            Self::Connecting(connecting) => match connecting.await {
                 Ok(connection) => ConnectionEvent::Connected(connection),
                 Err(reason) => ConnectionEvent::Failed(reason),
             },

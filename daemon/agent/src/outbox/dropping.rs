@@ -9,8 +9,8 @@ const MAX_QUIET_TIME: Span = Span::from_seconds(5);
 /// Watches the number of dropped events.
 #[derive(Debug, Default)]
 pub(super) struct DroppingWatch {
-    /// Total number of dropped events at the last update.
-    last_total: Option<u64>,
+    /// Total number of dropped events at the previous update.
+    previous_total: Option<u64>,
     period: Option<DroppingPeriod>,
 }
 
@@ -19,37 +19,37 @@ pub(super) struct DroppingWatch {
 struct DroppingPeriod {
     /// Total number of dropped events before the period.
     total_before: u64,
-    /// Time at which the last dropped event was noticed.
-    last_drop: MonoTime,
+    /// Time of the latest update with further dropped events.
+    latest_drop: MonoTime,
     reported_at: MonoTime,
 }
 
 /// Report for the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum DroppingReport {
-    /// Events are being dropped, so far this number in this period.
+    /// Events are being dropped; the number is the number of dropped events in this period so far.
     Dropping(u64),
-    /// The period has ended; the number is its total.
+    /// The period has ended; the number is the number of dropped events in the period.
     Ended(u64),
 }
 
 impl DroppingWatch {
     /// Updates the total number of dropped events (`dropped`) at `now`. Returns a report if a report is due.
     pub(super) fn update(&mut self, dropped: u64, now: MonoTime) -> Option<DroppingReport> {
-        let last_total = self.last_total.replace(dropped).unwrap_or(dropped);
+        let previous_total = self.previous_total.replace(dropped).unwrap_or(dropped);
         match &mut self.period {
-            None if dropped > last_total => {
+            None if dropped > previous_total => {
                 self.period =
-                    Some(DroppingPeriod { total_before: last_total, last_drop: now, reported_at: now });
-                Some(DroppingReport::Dropping(dropped - last_total))
+                    Some(DroppingPeriod { total_before: previous_total, latest_drop: now, reported_at: now });
+                Some(DroppingReport::Dropping(dropped - previous_total))
             }
             None => None,
             Some(period) => {
-                if dropped > last_total {
-                    period.last_drop = now;
+                if dropped > previous_total {
+                    period.latest_drop = now;
                 }
                 let count = dropped - period.total_before;
-                if now - period.last_drop >= MAX_QUIET_TIME {
+                if now - period.latest_drop >= MAX_QUIET_TIME {
                     self.period = None;
                     return Some(DroppingReport::Ended(count));
                 }
@@ -67,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn dropping_is_reported_at_begin_minutes_and_end() {
+    fn dropping_is_reported_at_begin_every_minute_and_at_end() {
         let at = |seconds: i64| MonoTime::from_nanos(0) + Span::from_seconds(seconds);
         let mut dropping = DroppingWatch::default();
         // Events that were dropped before the start are not reported.

@@ -1,4 +1,4 @@
-//! Sources of the live update.
+//! Sources of a live update.
 
 use peernet_clock::WallTime;
 use peernet_logger::HostId;

@@ -3,11 +3,11 @@
 //! Tasks add their events to the [`EventQueue`](crate::event_queue::EventQueue) and continue. The outbox task takes the
 //! events from the queue and owns the connection. The task drives the sending end of the event stream
 //! (`peernet_stream::Sending`), a state machine that batches, numbers and resends. A second task owns the [spool], the
-//! file in which batches are safe until the aggregator has stored them. So neither the outbox nor a live update waits
-//! for a disk.
+//! file in which batches are safe until the aggregator has stored them. Therefore neither the outbox nor a
+//! live update waits for a disk.
 //!
-//! A batch is sent after it was written to the spool. While the spool's disk fails, batches are sent from memory;
-//! otherwise nothing would store them.
+//! A batch is sent after it was written to the spool. While the spool's disk fails, batches are sent from memory,
+//! because otherwise the batches would be stored nowhere.
 //!
 //! The queue, the batches in memory, the spool and the batches in flight are bounded. If all are full, the newest event
 //! is dropped and counted by run, and a gap is inserted. At all times `produced = stored + waiting + dropped`.
@@ -54,8 +54,8 @@ use crate::tasks::{Failure, FailureCause};
 // The number keeps the aggregator busy for a round trip and a write to its disk. It is so small that a live update
 // behind these batches is still current.
 const WINDOW: u32 = 32;
-/// Number of events in memory for which room is reserved, for events other than iterations.
-const RESERVE: u64 = 1024;
+/// Capacity in memory that is reserved for events other than iterations, as a number of events.
+const RESERVED_EVENTS: u64 = 1024;
 
 /// Opens the spool of this host; returns `None` without an aggregator.
 ///
@@ -84,7 +84,7 @@ pub(crate) struct OutboxContext {
     pub(crate) live: LiveSources,
 }
 
-/// The outbox task. Dropping this aborts the task, as a crash would.
+/// Handle of the outbox task. Dropping the handle aborts the task, as a crash would.
 #[derive(Debug)]
 pub(crate) struct Outbox {
     task: AbortOnDropHandle<Result<(), SpoolTaskError>>,
@@ -113,13 +113,16 @@ impl Outbox {
         if was_empty {
             reports.report_empty_spool(file.path());
         }
-        let process = Uuid::new_v4().as_u64_pair().0;
+        // The spool records which process sent which batch. The number is random, because process ids of the operating
+        // system are used again.
+        let process_number = Uuid::new_v4().as_u64_pair().0;
         let reconnect_backoff = ReconnectBackoff::new(description.id);
-        let machine = Sending::new(sending_config(config), description, secret, process, state);
-        let (publish_accounting, accounting) = watch::channel(machine.accounting());
+        let state_machine = Sending::new(sending_config(config), description, secret, process_number, state);
+        let (accounting_sender, accounting) = watch::channel(state_machine.accounting());
         let ((stop, stop_receiver), ended) = (oneshot::channel(), CancellationToken::new());
         let spool = SpoolTask::start(file, config.spool.sync_interval());
-        let sender = Sender::new(machine, spool, receiver, publish_accounting, reports, clock, (runs, live));
+        let sender =
+            Sender::new(state_machine, spool, receiver, accounting_sender, reports, clock, (runs, live));
         // The future is boxed, because it contains the large state machine.
         let work = Box::pin(sender.run(address, reconnect_backoff, stop_receiver));
         let cancel_on_end = ended.clone().drop_guard();
@@ -140,8 +143,9 @@ impl Outbox {
         self.accounting.borrow().clone()
     }
 
-    /// Waits until the aggregator has stored all events, or has stored none for `patience`, or the task has ended.
-    pub(crate) async fn wait_until_delivered(&self, patience: Duration) {
+    /// Waits until the aggregator has stored all events, until it has stored no event for `progress_timeout`, or until
+    /// the task has ended.
+    pub(crate) async fn wait_until_delivered(&self, progress_timeout: Duration) {
         let mut accounting = self.accounting.clone();
         loop {
             let Accounting { stored, waiting, .. } = *accounting.borrow_and_update();
@@ -149,14 +153,15 @@ impl Outbox {
                 return;
             }
             let progress = accounting.wait_for(|current| current.waiting == 0 || current.stored > stored);
-            // Other changes, such as further attempts to send, are no progress.
-            if !matches!(tokio::time::timeout(patience, progress).await, Ok(Ok(_))) {
+            // Other changes of the counts, such as new waiting events, are no progress.
+            if !matches!(tokio::time::timeout(progress_timeout, progress).await, Ok(Ok(_))) {
                 return;
             }
         }
     }
 
-    /// Stops the task: writes all events to the spool, sends events until `deadline`, and sends a goodbye.
+    /// Stops the task. The task writes all events to the spool, sends events until `deadline` at most, and sends a
+    /// goodbye.
     pub(crate) async fn close(self, deadline: Instant) -> Result<(), Failure> {
         // If the task has already ended, the send fails, and the task's result below is the reason.
         let _ = self.stop.send(deadline);
@@ -176,8 +181,8 @@ fn sending_config(config: &AgentConfig) -> SendingConfig {
         window: WINDOW,
         spool_bytes: spool.limit_bytes.get(),
         memory,
-        // A small configured memory must still have room for iterations.
-        reserve_events: RESERVE.min(memory.events / 8),
+        // If the configured memory is small, most of it must remain for iterations.
+        reserve_events: RESERVED_EVENTS.min(memory.events / 8),
         compression: spool.compression.into(),
         // Pauses before batches are sent again to an aggregator whose queue is full; longer than the round trip of any
         // link.

@@ -39,16 +39,16 @@ pub(super) struct Welcome {
     pub(super) unreported_ends: u64,
 }
 
-/// Reports each problem once.
+/// Reports the problems of the outbox, each problem once.
 #[derive(Debug)]
 pub(super) struct Reports {
     incidents: Incidents,
-    /// Text of the last reported problem of the connection.
+    /// Text of the latest reported problem of the connection; `None` after the aggregator accepted the agent.
     reported_problem: Option<String>,
-    /// Text of the last reported damage in the spool.
+    /// Text of the latest reported damage in the spool.
     reported_damage: Option<String>,
     dropping: DroppingWatch,
-    /// Limits the lines about the secret.
+    /// Limits the number of log lines about sending the secret.
     enrollments: LogThrottle,
 }
 
@@ -70,11 +70,11 @@ impl Reports {
         self.reported_problem = None;
         let stored_text = match stored {
             0 => String::new(),
-            stored => format!("; its newest batch is number {stored}"),
+            stored => format!("; the newest batch that it stored is number {stored}"),
         };
         let lost_text = if lacks_batches {
-            "; it lacks batches that it once acknowledged: another aggregator has them, or its database is new or was restored \
-             from an old copy"
+            "; the aggregator lacks batches that were acknowledged: another aggregator acknowledged them, or the database \
+             is new or was restored from an old copy"
         } else {
             ""
         };
@@ -99,8 +99,8 @@ impl Reports {
         self.incidents.report(IncidentKind::Connected, IncidentSubject::default(), text);
     }
 
-    /// Logs that the aggregator has no secret of this host, so that the agent sends it.
-    /// A refused agent does so at every attempt, therefore only the first attempt is logged at once.
+    /// Logs that the agent sends the secret of this host, because the aggregator does not have it. A refused agent
+    /// sends the secret at every attempt, so only the first attempt is logged at once.
     pub(super) fn report_enrollment(&mut self, aggregator: &Slug, now: MonoTime) {
         match self.enrollments.count_event(aggregator.as_str(), None, now) {
             None => {}
@@ -124,7 +124,7 @@ impl Reports {
 
     /// Reports that the connection was lost or cannot be opened.
     pub(super) fn report_unreachable(&mut self, address: &Address, reason: &impl fmt::Display) {
-        // Reported once until the next welcome: the reason may differ from attempt to attempt.
+        // Only the first reason is reported until the next welcome, because each attempt may fail for another reason.
         if self.reported_problem.is_none() {
             let text = format!(
                 "no connection to the aggregator at {address}: {reason}; measuring continues, events wait, \
@@ -137,7 +137,7 @@ impl Reports {
     }
 
     /// Reports that the peer accepts connections but does not speak the protocol.
-    pub(super) fn report_silent(&mut self, address: &Address) {
+    pub(super) fn report_silent_peer(&mut self, address: &Address) {
         let text = format!(
             "connected to {address}, but no aggregator answers there; check that it is the event port (5550) of an \
              aggregator; events wait, retrying"
@@ -186,26 +186,26 @@ impl Reports {
     /// Reports that the file of the spool existed and was empty.
     pub(super) fn report_empty_spool(&self, path: &Path) {
         let text = format!(
-            "the spool {} was an empty file, and a new spool was created in it; if it had events that the aggregator had not stored, they \
-             are lost: a power cut or a program truncated it; check the disk",
+            "the spool {} was an empty file, and a new spool was created in the file; a power cut or a program truncated \
+             the file, and events in it that the aggregator had not stored are lost; check the disk",
             path.display()
         );
         self.incidents.report(IncidentKind::Gap, IncidentSubject::default(), text);
     }
 
-    /// Logs when events are dropped, and when this ends. The aggregator learns of dropped events from the gaps in the
-    /// stream.
-    pub(super) fn report_dropping(&mut self, account: &Accounting, now: MonoTime) {
+    /// Logs that events are dropped, and when no more events are dropped. The aggregator learns of dropped events from
+    /// the gaps in the stream.
+    pub(super) fn report_dropping(&mut self, accounting: &Accounting, now: MonoTime) {
         let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
-        match self.dropping.update(account.dropped, now) {
+        match self.dropping.update(accounting.dropped, now) {
             None => {}
             Some(DroppingReport::Dropping(events)) => tracing::warn!(
                 events,
-                "dropping events; gaps give the reasons; the spool has {:.1} of {:.1} MiB ([spool] limit_bytes), and {:.1} MiB \
+                "dropping events; gaps give the reasons; the spool uses {:.1} of {:.1} MiB ([spool] limit_bytes), and {:.1} MiB \
                  wait in memory",
-                mib(account.spool_bytes),
-                mib(account.spool_limit_bytes),
-                mib(account.memory_bytes)
+                mib(accounting.spool_bytes),
+                mib(accounting.spool_limit_bytes),
+                mib(accounting.memory_bytes)
             ),
             Some(DroppingReport::Ended(events)) => {
                 tracing::info!(events, "events are no longer dropped; gaps report the dropped events");
@@ -221,8 +221,8 @@ impl Reports {
     }
 }
 
-/// Describes a damaged spool that was replaced: how much of it was set aside, where, what is still sent, and what to
-/// do.
+/// Describes a damaged spool that was replaced: the path to which its file was moved, the batches that are recovered
+/// and lost, and what to do.
 fn describe_quarantine(quarantined: &QuarantinedSpool) -> String {
     let QuarantinedSpool { reason, new_path, bytes, recovered } = quarantined;
     let path = new_path.display();
@@ -238,8 +238,8 @@ fn describe_quarantine(quarantined: &QuarantinedSpool) -> String {
     );
     let Some(RecoveredBatches { batches, events, lost_batches, lost_events }) = recovered else {
         return format!(
-            "{moved}, and an empty spool was created, because no batch could be read before the damage: events in it that the aggregator \
-             had not stored are lost; {advice}"
+            "{moved}, and an empty spool was created, because no batch could be read before the damage: events in the damaged file \
+             that the aggregator had not stored are lost; {advice}"
         );
     };
     let lost = match lost_batches {
@@ -263,7 +263,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quarantine_report_counts_what_was_set_aside() {
+    fn quarantine_report_counts_recovered_and_lost_batches() {
         let mut quarantined = QuarantinedSpool {
             reason: "the spool s is damaged: malformed".to_owned(),
             new_path: "/var/s.damaged-5".into(),

@@ -4,16 +4,16 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-/// Shutdown of the outbox. All events are written to the spool, and sent to the aggregator as long as it stores them in
-/// time.
+/// Shutdown of the outbox. All events are written to the spool. The events are also sent to the aggregator, as long as
+/// the aggregator stores events in time.
 #[derive(Debug)]
 pub(super) struct Shutdown {
     deadline: Instant,
-    /// Longest time without progress at the aggregator.
+    /// Longest time in which the aggregator stores no event.
     progress_timeout: Duration,
-    /// Time at which the aggregator last stored something.
-    last_progress: Instant,
-    /// Number of events that were stored by that time.
+    /// Time at which the aggregator was last seen to store an event.
+    latest_progress: Instant,
+    /// Number of events that the aggregator had stored by that time.
     stored: u64,
 }
 
@@ -31,29 +31,29 @@ pub(super) struct OutboxState {
 }
 
 impl Shutdown {
-    /// Starts a shutdown at `now` that ends by `deadline`; `stored` events are already stored.
+    /// Starts a shutdown at `now` that ends at `deadline` at the latest; `stored` events are already stored.
     pub(super) fn start(now: Instant, deadline: Instant, stored: u64) -> Self {
         Self {
             deadline,
             progress_timeout: deadline.saturating_duration_since(now) / 2,
-            last_progress: now,
+            latest_progress: now,
             stored,
         }
     }
 
     /// Returns the time until which sending continues. The caller must call this method again at that time. `None` when
     /// the shutdown is complete.
-    pub(super) fn next(&mut self, now: Instant, state: OutboxState) -> Option<Instant> {
+    pub(super) fn continue_until(&mut self, now: Instant, state: OutboxState) -> Option<Instant> {
         let OutboxState { is_spooled, is_unreachable, stored, waiting } = state;
         if stored > self.stored {
-            (self.stored, self.last_progress) = (stored, now);
+            (self.stored, self.latest_progress) = (stored, now);
         }
         let end = match (is_spooled, is_unreachable) {
-            // Events that are only in memory would be lost.
+            // The outbox waits for the spool, because events that are only in memory would be lost.
             (false, _) => self.deadline,
             (true, true) => now,
-            // The next start sends the remaining events from the spool.
-            (true, false) => self.deadline.min(self.last_progress + self.progress_timeout),
+            // Waiting longer has no use: the next start of the agent sends the remaining events from the spool.
+            (true, false) => self.deadline.min(self.latest_progress + self.progress_timeout),
         };
         (waiting > 0 && now < end).then_some(end)
     }
@@ -75,21 +75,36 @@ mod tests {
         let now = Instant::now();
         let at = |after: f64| now + seconds(after);
         let mut shutdown = Shutdown::start(now, at(4.0), 10);
-        assert_eq!(shutdown.next(now, SPOOLED), Some(at(2.0)));
-        assert_eq!(shutdown.next(at(1.9), OutboxState { stored: 20, ..SPOOLED }), Some(at(3.9)));
-        assert_eq!(shutdown.next(at(3.4), OutboxState { stored: 30, ..SPOOLED }), Some(at(4.0)));
-        assert_eq!(shutdown.next(at(3.5), OutboxState { stored: 100, waiting: 0, ..SPOOLED }), None);
-        assert_eq!(shutdown.next(at(4.0), OutboxState { stored: 31, ..SPOOLED }), None, "the deadline");
+        assert_eq!(shutdown.continue_until(now, SPOOLED), Some(at(2.0)));
+        assert_eq!(shutdown.continue_until(at(1.9), OutboxState { stored: 20, ..SPOOLED }), Some(at(3.9)));
+        assert_eq!(shutdown.continue_until(at(3.4), OutboxState { stored: 30, ..SPOOLED }), Some(at(4.0)));
+        assert_eq!(
+            shutdown.continue_until(at(3.5), OutboxState { stored: 100, waiting: 0, ..SPOOLED }),
+            None
+        );
+        assert_eq!(
+            shutdown.continue_until(at(4.0), OutboxState { stored: 31, ..SPOOLED }),
+            None,
+            "the deadline has passed"
+        );
     }
 
     #[tokio::test]
-    async fn spooled_events_end_wait_for_silent_aggregator() {
+    async fn spooled_events_do_not_wait_for_silent_or_unreachable_aggregator() {
         let now = Instant::now();
         let at = |after: f64| now + seconds(after);
         let mut shutdown = Shutdown::start(now, at(4.0), 10);
-        assert_eq!(shutdown.next(at(2.0), SPOOLED), None, "silent");
-        assert_eq!(shutdown.next(at(0.1), OutboxState { is_unreachable: true, ..SPOOLED }), None, "away");
-        assert_eq!(Shutdown::start(now, now, 0).next(now, SPOOLED), None, "no time at all");
+        assert_eq!(shutdown.continue_until(at(2.0), SPOOLED), None, "no progress in half of the time");
+        assert_eq!(
+            shutdown.continue_until(at(0.1), OutboxState { is_unreachable: true, ..SPOOLED }),
+            None,
+            "the aggregator is unreachable"
+        );
+        assert_eq!(
+            Shutdown::start(now, now, 0).continue_until(now, SPOOLED),
+            None,
+            "the deadline has already passed"
+        );
     }
 
     #[tokio::test]
@@ -98,8 +113,8 @@ mod tests {
         let at = |after: f64| now + seconds(after);
         let mut shutdown = Shutdown::start(now, at(4.0), 10);
         let unspooled = OutboxState { is_spooled: false, is_unreachable: true, ..SPOOLED };
-        assert_eq!(shutdown.next(at(3.9), unspooled), Some(at(4.0)));
-        assert_eq!(shutdown.next(at(3.95), OutboxState { is_spooled: true, ..unspooled }), None);
-        assert_eq!(shutdown.next(at(4.0), unspooled), None);
+        assert_eq!(shutdown.continue_until(at(3.9), unspooled), Some(at(4.0)));
+        assert_eq!(shutdown.continue_until(at(3.95), OutboxState { is_spooled: true, ..unspooled }), None);
+        assert_eq!(shutdown.continue_until(at(4.0), unspooled), None);
     }
 }

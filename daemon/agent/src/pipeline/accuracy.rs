@@ -68,7 +68,8 @@ pub(super) fn record_accuracy(log: &mut Recorder, label: &str, answer: &Sample) 
     let matches_label = |class: &str| normalized_label(class) == label;
     let is_best = matches_label(&best);
     log.record_value(TOP_1, as_number(is_best), Unit::NONE);
-    // If the list has fewer than five classes, the label might be in the list only because the model has so few classes.
+    // If the list has fewer than five classes, the label might be in the list only because the model has so few
+    // classes.
     if let Some(top) = top.filter(|top| top.len() >= TOP_5_CLASSES) {
         // A list in another order must not make `top-5` lower than `top-1`.
         let is_in_top = is_best || top.iter().take(TOP_5_CLASSES).any(|class| matches_label(&class.label));

@@ -3,8 +3,8 @@
 use peernet_clock::{MonoTime, Span};
 use peernet_stream::Outcome;
 
-/// Pause after each failed iteration of a closed loop, or after each failed preparation. The pause grows with the number
-/// of consecutive failures.
+/// Pause after each failed iteration of a closed loop, or after each failed preparation. The pause grows with the
+/// number of consecutive failures.
 ///
 /// Without the pause the loop would repeat the failures as fast as it can, for example while a model's queue is full or
 /// no image can be read.

@@ -63,8 +63,8 @@ impl EpisodeScores {
         }
     }
 
-    /// Ends an episode and returns its result. `None` if the episode has already ended, if it belongs to the warm-up, or
-    /// if the actuator reports neither success nor rewards.
+    /// Ends an episode and returns its result. `None` if the episode has already ended, if it belongs to the warm-up,
+    /// or if the actuator reports neither success nor rewards.
     pub(super) fn close(&mut self, number: u32) -> Option<EpisodeResult> {
         let index = self.open.iter().position(|episode| episode.number == number)?;
         let OpenEpisode { is_after_warm_up, was_reset, success, total_reward, .. } = self.open.remove(index);

@@ -29,8 +29,8 @@ struct UnloggedFailures {
 impl FailureLog {
     /// Records the outcome of iteration `number`. Returns the log lines that are due.
     ///
-    /// A summary may be due after a successful iteration as well. Otherwise the summary would wait for a further failure,
-    /// which may never occur.
+    /// A summary may be due after a successful iteration as well. Otherwise the summary would wait for a further
+    /// failure, which may never occur.
     pub(super) fn record(&mut self, number: u64, outcome: &Outcome, now: MonoTime) -> Vec<String> {
         match outcome {
             Outcome::Ok => {}

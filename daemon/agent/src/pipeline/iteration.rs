@@ -182,8 +182,8 @@ mod tests {
 
     #[test]
     fn stages_total_is_unknown_if_one_direction_is_unknown() {
-        // The delay of the upload is unknown, because it would be negative. A transport of an hour is not used, because it
-        // is longer than the iteration.
+        // The delay of the upload is unknown, because it would be negative. A transport of an hour is not used, because
+        // it is longer than the iteration.
         for transport in [None, Some(Span::from_seconds(3600))] {
             let tree = iteration(Span::from_seconds(-1), OneWayDelay::same_clock, transport);
             assert_eq!((millis(&tree, "total"), millis(&tree, "stages-total")), (Some(10.0), None));

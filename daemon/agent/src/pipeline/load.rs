@@ -68,8 +68,8 @@ impl Schedule {
         matches!(self.plan, StartPlan::Closed)
     }
 
-    /// Takes the next start if a start is due. In a closed loop a start is always due, because the caller waits for each
-    /// answer.
+    /// Takes the next start if a start is due. In a closed loop a start is always due, because the caller waits for
+    /// each answer.
     pub(crate) fn take(&mut self, now: MonoTime) -> Option<Start> {
         if self.is_closed() {
             return Some(Start { intended: now, skipped: 0 });

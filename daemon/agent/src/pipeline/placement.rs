@@ -78,8 +78,8 @@ impl Placement {
                 })
             }
             PlacementConfig::Remote(remote) => {
-                // The pipeline itself limits the iterations in flight. With a lower limit in the session, iterations would
-                // wait inside the session, where no stage records the wait.
+                // The pipeline itself limits the iterations in flight. With a lower limit in the session, iterations
+                // would wait inside the session, where no stage records the wait.
                 let pipeline_maximum = u32::try_from(config.max_in_flight.get()).unwrap_or(u32::MAX);
                 let max_in_flight = remote.session.max_in_flight.max(pipeline_maximum);
                 let settings = SessionSettings { max_in_flight, ..remote.session.clone() };
@@ -330,8 +330,8 @@ async fn compute_locally(
     timeout: Duration,
 ) -> ComputationResult {
     let (reply, mut done) = oneshot::channel();
-    // The recorder moves to the model's thread. If the thread does not return the recorder, this copy has the nodes that
-    // were recorded before. There are only a few nodes, so copying takes a fraction of a microsecond.
+    // The recorder moves to the model's thread. If the thread does not return the recorder, this copy has the nodes
+    // that were recorded before. There are only a few nodes, so copying takes a fraction of a microsecond.
     let log_backup = log.clone();
     let received = log.clock().mono();
     let reply = Box::new(move |finished: FinishedJob| {

@@ -101,8 +101,8 @@ impl Progress {
         let (episode, step) = self.next_step;
         let warm_up = self.is_run_warm_up(episode) || is_episode_warm_up;
         self.started_iterations += 1;
-        // A run of several years may have more episodes or steps than a u32 can count. The numbers then stay at the largest
-        // value.
+        // A run of several years may have more episodes or steps than a u32 can count. The numbers then stay at the
+        // largest value.
         self.next_step = match self.episode_steps {
             Some(steps) if step.saturating_add(1) >= steps.get() => (episode.saturating_add(1), 0),
             _ => (episode, step.saturating_add(1)),
@@ -120,8 +120,8 @@ impl Progress {
         self.next_step.1 == 0
     }
 
-    /// Returns whether the next iteration belongs to the warm-up at the start of the run, which has a number of iterations
-    /// or of episodes.
+    /// Returns whether the next iteration belongs to the warm-up at the start of the run, which has a number of
+    /// iterations or of episodes.
     pub(crate) fn next_is_run_warm_up(&self) -> bool {
         self.is_run_warm_up(self.next_step.0)
     }
@@ -246,7 +246,8 @@ mod tests {
             let position = progress.assign_position(at(0));
             assert_eq!(begins, position.step == 0);
             steps.push((position.episode, position.step));
-            // An end is reported after the last step of the first episode, and after the second step of the second episode.
+            // An end is reported after the last step of the first episode, and after the second step of the second
+            // episode.
             if [(0, 2), (1, 1)].contains(&(position.episode, position.step)) {
                 progress.end_episode(position.episode);
                 assert!(

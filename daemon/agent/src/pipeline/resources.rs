@@ -154,8 +154,8 @@ impl PipelineResources {
             self.schedule.skip_due(now);
             self.advance_started_at = Some(now);
         }
-        // `Preparation::Advance` contains the pending time. A reset begins a new simulation, in which the time of earlier
-        // iterations does not pass.
+        // `Preparation::Advance` contains the pending time. A reset begins a new simulation, in which the time of
+        // earlier iterations does not pass.
         self.pending_advance = None;
         let actuator = self.actuator.clone().filter(ActuatorExecutor::needs_resets);
         let request = self.sensor.preparation_sender();

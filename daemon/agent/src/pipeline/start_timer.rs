@@ -38,8 +38,8 @@ impl StartTimer {
         Ok(Self { timer, clock, armed_for: None })
     }
 
-    /// Waits until `at`; returns at once if `at` has passed. If the wait is cancelled and repeated for the same time, the
-    /// timer is not set again.
+    /// Waits until `at`; returns at once if `at` has passed. If the wait is cancelled and repeated for the same time,
+    /// the timer is not set again.
     ///
     /// # Errors
     /// When the kernel refuses to set the timer.

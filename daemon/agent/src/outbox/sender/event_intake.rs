@@ -14,18 +14,18 @@ const IDLE_AFTER: Span = Span::from_millis(500);
 pub(super) struct EventIntake {
     receiver: QueueReceiver,
     runs: Runs,
-    /// Time at which an event was last received.
-    last_event: MonoTime,
+    /// Time at which the latest event was received.
+    latest_event: MonoTime,
 }
 
 impl EventIntake {
     pub(super) const fn new(receiver: QueueReceiver, runs: Runs, now: MonoTime) -> Self {
-        Self { receiver, runs, last_event: now }
+        Self { receiver, runs, latest_event: now }
     }
 
     /// Returns whether no event was received for [`IDLE_AFTER`].
     pub(super) fn is_quiet(&self, now: MonoTime) -> bool {
-        now - self.last_event >= IDLE_AFTER
+        now - self.latest_event >= IDLE_AFTER
     }
 
     /// Waits for the next event.
@@ -34,51 +34,51 @@ impl EventIntake {
     }
 
     /// Passes a received event to the state machine.
-    pub(super) fn offer(&mut self, machine: &mut Sending, event: &Event, now: Stamp) {
-        self.last_event = now.mono;
-        machine.offer(event, now);
+    pub(super) fn offer(&mut self, state_machine: &mut Sending, event: &Event, now: Stamp) {
+        self.latest_event = now.mono;
+        state_machine.offer(event, now);
     }
 
     /// Passes all queued events to the state machine, records the events that did not fit into the queue, and advances
     /// the state machine's time.
-    pub(super) fn drain(&mut self, machine: &mut Sending, now: Stamp) {
+    pub(super) fn drain(&mut self, state_machine: &mut Sending, now: Stamp) {
         while let Ok(event) = self.receiver.queue.try_recv() {
-            self.offer(machine, &event, now);
+            self.offer(state_machine, &event, now);
         }
         for gap in self.receiver.overflow.take_gaps() {
-            machine.record_loss(&gap, now);
+            state_machine.record_loss(&gap, now);
         }
-        machine.tick(now);
+        state_machine.tick(now);
     }
 
-    /// Offers the starts of the runs in progress again, because the aggregator's database has lost these starts.
-    // An iteration is of little use without the start of its run.
-    pub(super) fn repeat_run_starts(&self, machine: &mut Sending, now: Stamp) {
+    /// Offers the starts of the runs in progress again, because the aggregator may not have these starts.
+    // Without the start of its run, the configuration of an iteration is unknown.
+    pub(super) fn repeat_run_starts(&self, state_machine: &mut Sending, now: Stamp) {
         for event in self.runs.start_events() {
             let pipeline =
                 if let Event::RunStarted(started) = &event { Some(&started.pipeline) } else { None };
             // The state machine gets this event a second time, so it is counted a second time.
             self.receiver.counter.count(pipeline, event.run(), now.wall);
-            machine.offer(&event, now);
+            state_machine.offer(&event, now);
         }
     }
 
     /// Frees the counter's records of ended runs whose events are all in the spool, stored or dropped.
-    pub(super) fn release_runs(&self, machine: &mut Sending) {
-        for (run, events) in machine.settled_runs() {
+    pub(super) fn release_runs(&self, state_machine: &mut Sending) {
+        for (run, events) in state_machine.settled_runs() {
             if self.receiver.counter.release(run, events) {
-                machine.forget_run(run);
+                state_machine.forget_run(run);
             }
         }
     }
 
-    /// Adds the events that have not reached the state machine to the counts of the state machine.
-    pub(super) fn add_to(&self, account: &mut Accounting) {
+    /// Adds the events of the queue, which have not reached the state machine, to the counts of the state machine.
+    pub(super) fn add_queue_counts(&self, accounting: &mut Accounting) {
         let (queued_events, dropped_events) =
             (self.receiver.queue.len() as u64, self.receiver.overflow.dropped());
-        account.produced += queued_events + dropped_events;
-        account.waiting += queued_events;
-        account.dropped += dropped_events;
+        accounting.produced += queued_events + dropped_events;
+        accounting.waiting += queued_events;
+        accounting.dropped += dropped_events;
     }
 
     /// Records, in the counter's file, a batch that is sent without being in the spool.
@@ -92,7 +92,7 @@ impl EventIntake {
     }
 
     /// Returns whether the events are counted in a file that survives the process.
-    pub(super) fn is_counted(&self) -> bool {
+    pub(super) fn has_counter_file(&self) -> bool {
         self.receiver.counter.total().is_some()
     }
 

@@ -16,8 +16,8 @@ pub(super) struct LiveLane {
     /// `true` if the due update waits for the socket. A due update that does not wait for the socket waits for the flow
     /// control.
     is_blocked: bool,
-    /// Number of sessions that had ended when the last update was sent. The aggregator stores the totals of these
-    /// sessions' connections from earlier updates.
+    /// Number of sessions with clouds that had ended when the latest update was sent. The aggregator has the final
+    /// totals of these sessions' connections.
     reported_ends: u64,
 }
 
@@ -51,38 +51,38 @@ impl LiveLane {
         self.sources.links.ended_sessions().saturating_sub(self.reported_ends)
     }
 
-    /// Marks all seconds as not sent, because the aggregator may have been restarted.
+    /// Marks all one-second summaries as not sent, because the aggregator may have been restarted.
     pub(super) fn mark_all_unsent(&self) {
         self.sources.live_statistics.mark_all_unsent();
     }
 
-    /// Sends a live update if the flow control allows it. The update is sent before all waiting frames, because it
-    /// would be useless later. It is composed only when it can be sent.
+    /// Sends a live update if the flow control allows it. The update is sent before all waiting frames, because a late
+    /// update is useless. The update is composed only when the flow control allows it, so that it is current.
     pub(super) fn send_update(
         &mut self,
-        machine: &mut Sending,
+        state_machine: &mut Sending,
         connection: &Connection,
         sent: WallTime,
-        account: Accounting,
+        accounting: Accounting,
     ) {
-        if !machine.is_up() {
+        if !state_machine.is_up() {
             // Without a session the aggregator accepts no update.
             self.is_due = false;
             return;
         }
         self.is_blocked = false;
-        if !machine.may_send_live() {
+        if !state_machine.may_send_live() {
             return;
         }
         // The number is read before the update is composed, so that a session that ends in between counts as
         // unreported.
         let ended_sessions = self.sources.links.ended_sessions();
-        let (frame, receipt) = self.update(machine, sent, account);
+        let (frame, receipt) = self.update(state_machine, sent, accounting);
         let bytes = frame.len();
         self.is_blocked = connection.send(frame).is_err();
         if !self.is_blocked {
             (self.is_due, self.reported_ends) = (false, ended_sessions);
-            machine.record_live_sent(bytes);
+            state_machine.record_live_sent(bytes);
             self.sources.live_statistics.mark_sent(&receipt);
         }
     }
@@ -90,13 +90,13 @@ impl LiveLane {
     /// Returns the frame of an update of the current state.
     pub(super) fn update(
         &self,
-        machine: &Sending,
+        state_machine: &Sending,
         sent: WallTime,
-        account: Accounting,
+        accounting: Accounting,
     ) -> (Vec<u8>, Receipt) {
-        let (update, receipt) = self.sources.update(machine.host(), sent, account);
+        let (update, receipt) = self.sources.update(state_machine.host(), sent, accounting);
         let message = ToAggregator::Live(update);
-        let frame = if machine.is_compressing() {
+        let frame = if state_machine.is_compressing() {
             codec::encode_compressed(&message)
         } else {
             codec::encode(&message)

@@ -37,45 +37,45 @@ const WELCOME_TIMEOUT: Duration = Duration::from_secs(5);
 /// send them.
 const LAST_FRAMES_TIMEOUT: Duration = Duration::from_millis(250);
 
-/// Longest time for recording losses, sending the last frames and closing the spool together. The spool's content is
-/// safe even if it is not closed.
+/// Longest time for three steps together: recording losses, sending the last frames, and closing the spool. The content
+/// of the spool is safe even if the spool is not closed.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// State of the outbox task.
 #[derive(Debug)]
 pub(super) struct Sender {
     /// Sending end of the event stream.
-    machine: Sending,
+    state_machine: Sending,
     spool: SpoolTask,
     intake: EventIntake,
-    live: LiveLane,
-    accounting: watch::Sender<Accounting>,
+    live_lane: LiveLane,
+    accounting_sender: watch::Sender<Accounting>,
     clock: SharedClock,
     reports: Reports,
-    /// Frames that the socket could not take yet; at most a window of batches.
+    /// Frames that the socket could not take yet; at most the frames of one window of batches.
     unsent_frames: VecDeque<Vec<u8>>,
-    /// `true` if the last attempt to reach the aggregator failed.
+    /// `true` if the latest attempt to reach the aggregator failed, or if the connection was lost.
     is_unreachable: bool,
 }
 
 impl Sender {
     pub(super) fn new(
-        machine: Sending,
+        state_machine: Sending,
         spool: SpoolTask,
         receiver: QueueReceiver,
-        accounting: watch::Sender<Accounting>,
+        accounting_sender: watch::Sender<Accounting>,
         reports: Reports,
         clock: SharedClock,
         (runs, live): (Runs, LiveSources),
     ) -> Self {
         let intake = EventIntake::new(receiver, runs, clock.mono());
-        let (live, unsent_frames) = (LiveLane::new(live), VecDeque::new());
+        let (live_lane, unsent_frames) = (LiveLane::new(live), VecDeque::new());
         Self {
-            machine,
+            state_machine,
             spool,
             intake,
-            live,
-            accounting,
+            live_lane,
+            accounting_sender,
             clock,
             reports,
             unsent_frames,
@@ -83,8 +83,8 @@ impl Sender {
         }
     }
 
-    /// Sends until `stop` names a deadline. Then the remaining events are written to the spool, and sent as long as
-    /// the aggregator stores them.
+    /// Sends events until `stop` receives a deadline. Then writes the remaining events to the spool, and sends them as
+    /// long as the aggregator stores events in time.
     ///
     /// # Errors
     /// When the spool's task has ended.
@@ -106,18 +106,18 @@ impl Sender {
         let mut welcome_timeout = pin!(tokio::time::sleep(Duration::ZERO));
         // `true` while a connection is open on which no message has been received yet.
         let mut awaits_welcome = false;
-        let mut connection_state = ConnectionState::dial(&address, Duration::ZERO);
+        let mut connection_state = ConnectionState::start_connecting(&address, Duration::ZERO);
         loop {
-            let is_blocked = self.live.is_blocked() || !self.unsent_frames.is_empty();
+            let is_blocked = self.live_lane.is_blocked() || !self.unsent_frames.is_empty();
             let is_quiet = self.intake.is_quiet(self.clock.mono());
             tokio::select! {
                 biased;
                 deadline = &mut stop_deadline, if shutdown.is_none() => {
-                    shutdown = Some(Shutdown::start(Instant::now(), deadline, self.machine.accounting().stored));
+                    shutdown = Some(Shutdown::start(Instant::now(), deadline, self.state_machine.accounting().stored));
                     self.drain_queue();
                 }
                 _ = live_updates.tick() => {
-                    self.live.mark_due();
+                    self.live_lane.mark_due();
                     self.intake.recreate_counter_if_deleted();
                     self.drain_queue();
                 }
@@ -129,19 +129,19 @@ impl Sender {
                         awaits_welcome = true;
                         welcome_timeout.as_mut().reset(Instant::now() + WELCOME_TIMEOUT);
                         self.is_unreachable = false;
-                        self.machine.on_connected(self.clock.mono());
+                        self.state_machine.on_connected(self.clock.mono());
                         connection_state = ConnectionState::Open(connection);
                     }
                     ConnectionEvent::Failed(reason) => {
                         self.handle_lost_connection();
                         self.reports.report_unreachable(&address, &reason);
-                        connection_state = ConnectionState::dial(&address, reconnect_backoff.next_pause());
+                        connection_state = ConnectionState::start_connecting(&address, reconnect_backoff.next_pause());
                     }
                     ConnectionEvent::Lost(reason) => {
                         awaits_welcome = false;
                         self.handle_lost_connection();
                         self.reports.report_unreachable(&address, &reason);
-                        connection_state = ConnectionState::dial(&address, reconnect_backoff.next_pause());
+                        connection_state = ConnectionState::start_connecting(&address, reconnect_backoff.next_pause());
                     }
                     ConnectionEvent::Message(frame) => {
                         // Only a valid message proves that an aggregator answers: other programs accept connections as
@@ -157,26 +157,26 @@ impl Sender {
                 () = &mut welcome_timeout, if awaits_welcome => {
                     awaits_welcome = false;
                     self.handle_lost_connection();
-                    self.reports.report_silent(&address);
-                    connection_state = ConnectionState::dial(&address, reconnect_backoff.next_pause());
+                    self.reports.report_silent_peer(&address);
+                    connection_state = ConnectionState::start_connecting(&address, reconnect_backoff.next_pause());
                 }
                 _ = polls.tick(), if !is_quiet => self.drain_queue(),
                 Some(event) = self.intake.next(), if is_quiet => {
-                    self.intake.offer(&mut self.machine, &event, self.clock.stamp());
+                    self.intake.offer(&mut self.state_machine, &event, self.clock.stamp());
                     self.drain_queue();
                 }
-                // Only wakes the loop, which then checks the time of the shutdown.
+                // The timer wakes the loop; `continue_until` below then decides whether the shutdown is complete.
                 () = &mut shutdown_timer, if shutdown.is_some() => {}
             }
             if shutdown.is_some() {
                 // During shutdown an event does not wait for its batch to fill.
                 self.drain_queue();
-                self.machine.flush(self.clock.wall());
+                self.state_machine.flush(self.clock.wall());
             }
             self.perform_actions(&connection_state)?;
             self.publish();
             if let Some(shutdown) = &mut shutdown {
-                match shutdown.next(Instant::now(), self.state()) {
+                match shutdown.continue_until(Instant::now(), self.outbox_state()) {
                     Some(end) => shutdown_timer.as_mut().reset(end),
                     None => break,
                 }
@@ -188,14 +188,14 @@ impl Sender {
 
     /// Moves all queued events to the state machine, and advances its time.
     fn drain_queue(&mut self) {
-        self.intake.drain(&mut self.machine, self.clock.stamp());
+        self.intake.drain(&mut self.state_machine, self.clock.stamp());
     }
 
     /// Handles the loss of the connection, or a failed attempt.
     fn handle_lost_connection(&mut self) {
-        self.machine.on_disconnected();
+        self.state_machine.on_disconnected();
         self.unsent_frames.clear();
-        self.live.reset();
+        self.live_lane.reset();
         self.is_unreachable = true;
     }
 
@@ -203,16 +203,16 @@ impl Sender {
     async fn close(mut self, connection_state: ConnectionState) {
         let close_deadline = Instant::now() + CLOSE_TIMEOUT;
         self.record_losses(close_deadline).await;
-        let account = self.current_accounting();
-        if account.waiting > 0 {
+        let accounting = self.current_accounting();
+        if accounting.waiting > 0 {
             tracing::info!(
-                events = account.waiting,
+                events = accounting.waiting,
                 "stopped; the events in the spool are sent after the next start"
             );
         }
-        let connections = self.live.unreported_ends();
+        let connections = self.live_lane.unreported_ends();
         // If a session is up, the last update contains the final totals of these connections.
-        if connections > 0 && !self.machine.is_up() {
+        if connections > 0 && !self.state_machine.is_up() {
             tracing::warn!(
                 connections,
                 "stopped while no aggregator answered; the traffic of these connections to clouds since the last live update is not \
@@ -229,7 +229,7 @@ impl Sender {
         self.publish();
         match tokio::time::timeout_at(close_deadline, self.spool.close()).await {
             Ok(Ok(())) => {
-                self.intake.remove_counter(self.machine.settled_events());
+                self.intake.remove_counter(self.state_machine.settled_events());
             }
             Ok(Err(reason)) => tracing::warn!("{reason}"),
             Err(_) => tracing::warn!(
@@ -242,30 +242,32 @@ impl Sender {
     /// Returns the last frames of a session: a live update, then the goodbye. The aggregator shows the state of this
     /// update until the host connects again, including the number of waiting events.
     fn last_frames(&mut self) -> Vec<Vec<u8>> {
-        let update = || self.live.update(&self.machine, self.clock.wall(), self.current_accounting()).0;
-        let update = self.machine.is_up().then(update);
-        update.into_iter().chain(self.machine.goodbye()).collect()
+        let update =
+            || self.live_lane.update(&self.state_machine, self.clock.wall(), self.current_accounting()).0;
+        let update = self.state_machine.is_up().then(update);
+        update.into_iter().chain(self.state_machine.goodbye()).collect()
     }
 
     /// Handles the events that are only in memory at the end. If some of these events were sent, the aggregator may
-    /// have stored them; the next start finds out and reports the others as lost. If none was sent, all are lost. Their
-    /// number is written to the spool, if the spool can be written, and the next start reports this number.
+    /// have stored them. The next start of the agent determines which events are stored, and reports the other events
+    /// as lost. If no event was sent, all these events are lost. Their number is written to the spool, if the spool can
+    /// be written, and the next start of the agent reports this number.
     async fn record_losses(&mut self, deadline: Instant) {
-        if self.machine.is_spooled() {
+        if self.state_machine.is_spooled() {
             return;
         }
         self.drain_queue();
-        if self.machine.is_appending() {
+        if self.state_machine.is_appending() {
             // A write in progress may still succeed.
             let append_result = self.wait_for_append(deadline).await;
             self.handle_spool_result(SpoolResult::Appended(append_result));
         }
-        if self.machine.is_spooled() {
+        if self.state_machine.is_spooled() {
             return;
         }
-        let is_counted = self.intake.is_counted();
-        let unspooled_events = self.machine.unspooled_events();
-        if is_counted && self.machine.has_sent_unspooled() {
+        let has_counter_file = self.intake.has_counter_file();
+        let unspooled_events = self.state_machine.unspooled_events();
+        if has_counter_file && self.state_machine.has_sent_unspooled() {
             // Only the aggregator knows which of these events it stored, so they must not be recorded as lost.
             tracing::warn!(
                 events = unspooled_events,
@@ -274,13 +276,13 @@ impl Sender {
             );
             return;
         }
-        let dropped_before = self.machine.accounting().dropped;
-        let totals = self.machine.give_up();
+        let dropped_before = self.state_machine.accounting().dropped;
+        let totals = self.state_machine.give_up();
         let events = totals.dropped - dropped_before;
         let request = SpoolRequest::Append { batches: Vec::new(), totals };
         let append_result = match self.spool.request(request) {
             Ok(()) => self.wait_for_append(deadline).await,
-            refusal => refusal,
+            failure => failure,
         };
         match append_result {
             Ok(()) => tracing::warn!(
@@ -288,7 +290,7 @@ impl Sender {
                 "stopped before these events were in the spool or stored: they are lost; a gap reports them after the next \
                  start"
             ),
-            Err(reason) if is_counted => tracing::warn!(
+            Err(reason) if has_counter_file => tracing::warn!(
                 events,
                 %reason,
                 "stopped before these events were in the spool or stored: they are lost; a gap reports them after the next \
@@ -315,7 +317,7 @@ impl Sender {
     }
 }
 
-/// Waits for the deadline that `stop` receives. If the sender of `stop` is dropped, it waits for ever.
+/// Waits for the deadline that `stop` receives. Waits for ever if the sender of `stop` is dropped.
 async fn deadline_of(stop: oneshot::Receiver<Instant>) -> Instant {
     match stop.await {
         Ok(deadline) => deadline,

@@ -14,18 +14,18 @@ impl Sender {
         &mut self,
         connection_state: &ConnectionState,
     ) -> Result<(), SpoolTaskError> {
-        if self.live.is_due()
+        if self.live_lane.is_due()
             && let ConnectionState::Open(connection) = connection_state
         {
-            let account = self.current_accounting();
-            self.live.send_update(&mut self.machine, connection, self.clock.wall(), account);
+            let accounting = self.current_accounting();
+            self.live_lane.send_update(&mut self.state_machine, connection, self.clock.wall(), accounting);
         }
-        while let Some(action) = self.machine.next(self.clock.mono()) {
+        while let Some(action) = self.state_machine.next(self.clock.mono()) {
             let request = match action {
                 Action::Send(frame) => {
-                    // The batch is recorded before it is sent. If the process is killed in between, the aggregator is
-                    // queried for a batch that it does not have, which does no harm.
-                    if let Some(sent) = self.machine.sent_unspooled() {
+                    // The batch is recorded before it is sent. If the process is killed between these two steps, the
+                    // next process queries the aggregator for a batch that it does not have, which does no harm.
+                    if let Some(sent) = self.state_machine.sent_unspooled() {
                         self.intake.record_sent_unspooled(sent);
                     }
                     self.unsent_frames.push_back(frame);
@@ -55,28 +55,30 @@ impl Sender {
         let now = self.clock.stamp();
         let notice = match result {
             SpoolResult::Appended(Ok(())) => {
-                let notice = self.machine.on_appended(now);
-                self.intake.release_runs(&mut self.machine);
+                let notice = self.state_machine.on_appended(now);
+                self.intake.release_runs(&mut self.state_machine);
                 notice
             }
-            SpoolResult::Appended(Err(reason)) => self.machine.on_append_failed(reason.to_string(), now),
+            SpoolResult::Appended(Err(reason)) => {
+                self.state_machine.on_append_failed(reason.to_string(), now)
+            }
             SpoolResult::Loaded(Ok(loaded)) => {
                 if let Some(damage) = loaded.damage {
                     self.reports.report_damage(damage);
                 }
-                self.machine.on_loaded(loaded.batches, now)
+                self.state_machine.on_loaded(loaded.batches, now)
             }
-            SpoolResult::Loaded(Err(reason)) => self.machine.on_load_failed(reason.to_string(), now),
+            SpoolResult::Loaded(Err(reason)) => self.state_machine.on_load_failed(reason.to_string(), now),
             SpoolResult::Deleted(Ok(())) => {
-                self.machine.on_deleted();
+                self.state_machine.on_deleted();
                 None
             }
-            SpoolResult::Deleted(Err(reason)) => self.machine.on_delete_failed(reason.to_string(), now),
+            SpoolResult::Deleted(Err(reason)) => self.state_machine.on_delete_failed(reason.to_string(), now),
             SpoolResult::Renewed(Ok(())) => {
-                self.machine.on_renewed(now);
+                self.state_machine.on_renewed(now);
                 None
             }
-            SpoolResult::Renewed(Err(reason)) => self.machine.on_renew_failed(reason.to_string(), now),
+            SpoolResult::Renewed(Err(reason)) => self.state_machine.on_renew_failed(reason.to_string(), now),
         };
         if let Some(notice) = notice {
             self.handle_notice(notice);
@@ -92,13 +94,13 @@ impl Sender {
                 return false;
             }
         };
-        if let Some(notice) = self.machine.on_message(&message, self.clock.stamp()) {
+        if let Some(notice) = self.state_machine.on_message(&message, self.clock.stamp()) {
             self.handle_notice(notice);
         }
         true
     }
 
-    /// Reports a notice of the state machine, and does what it requires.
+    /// Reports a notice of the state machine, and does what the notice requires.
     fn handle_notice(&mut self, notice: Notice) {
         match notice {
             Notice::Welcomed { aggregator, stored, aggregator_lost_batches } => {
@@ -106,12 +108,12 @@ impl Sender {
                     stored,
                     lacks_batches: aggregator_lost_batches,
                     waiting: self.current_accounting().waiting,
-                    unreported_ends: self.live.unreported_ends(),
+                    unreported_ends: self.live_lane.unreported_ends(),
                 };
                 self.reports.report_welcome(&aggregator, &welcome);
-                self.live.mark_all_unsent();
+                self.live_lane.mark_all_unsent();
                 if aggregator_lost_batches {
-                    self.intake.repeat_run_starts(&mut self.machine, self.clock.stamp());
+                    self.intake.repeat_run_starts(&mut self.state_machine, self.clock.stamp());
                 }
             }
             Notice::Enrolling { aggregator } => {
@@ -120,7 +122,7 @@ impl Sender {
             Notice::Refused(reason) => self.reports.report_refusal(&reason),
             Notice::StreamRenewed { stored, newest } => {
                 self.reports.report_renewal(stored, newest);
-                self.intake.repeat_run_starts(&mut self.machine, self.clock.stamp());
+                self.intake.repeat_run_starts(&mut self.state_machine, self.clock.stamp());
             }
             Notice::SpoolFailed(reason) => self.reports.report_spool_failure(&reason),
             Notice::SpoolRecovered => self.reports.report_spool_recovery(),
@@ -128,30 +130,30 @@ impl Sender {
     }
 
     /// Returns the state on which the end of the shutdown depends.
-    pub(super) fn state(&self) -> OutboxState {
-        let account = self.machine.accounting();
+    pub(super) fn outbox_state(&self) -> OutboxState {
+        let accounting = self.state_machine.accounting();
         OutboxState {
-            is_spooled: self.machine.is_spooled(),
+            is_spooled: self.state_machine.is_spooled(),
             is_unreachable: self.is_unreachable,
-            stored: account.stored,
-            waiting: account.waiting,
+            stored: accounting.stored,
+            waiting: accounting.waiting,
         }
     }
 
     /// Returns the counts of the state machine, plus the events that are still in the queue.
     pub(super) fn current_accounting(&self) -> Accounting {
-        let mut account = self.machine.accounting();
-        self.intake.add_to(&mut account);
-        account
+        let mut accounting = self.state_machine.accounting();
+        self.intake.add_queue_counts(&mut accounting);
+        accounting
     }
 
     /// Publishes the counts of events if they changed, and logs when events are dropped.
     pub(super) fn publish(&mut self) {
-        let account = self.current_accounting();
-        self.reports.report_dropping(&account, self.clock.mono());
-        self.accounting.send_if_modified(|published| {
-            let is_changed = *published != account;
-            *published = account;
+        let accounting = self.current_accounting();
+        self.reports.report_dropping(&accounting, self.clock.mono());
+        self.accounting_sender.send_if_modified(|published| {
+            let is_changed = *published != accounting;
+            *published = accounting;
             is_changed
         });
     }

@@ -35,15 +35,15 @@ pub enum SpoolError {
         source: io::Error,
     },
     /// Another agent has locked the spool.
-    #[error("another agent uses the spool {}; stop it, or configure a separate [spool] file for each agent", .0.display())]
+    #[error("another agent uses the spool {}; stop that agent, or configure a separate [spool] file for each agent", .0.display())]
     InUse(PathBuf),
     /// The file is not a spool.
-    #[error("the file {} {objection}", .path.display())]
+    #[error("the file {} {refusal_reason}", .path.display())]
     NotASpool {
         /// Path of the file.
         path: PathBuf,
         /// Text that says what the file is, and what to do.
-        objection: &'static str,
+        refusal_reason: &'static str,
     },
     /// The spool was written by a newer version.
     #[error("the spool {} was written by a newer version (schema {found}; this version supports {known}); update this program, or choose another file with [spool] file", .path.display())]
@@ -68,7 +68,7 @@ pub enum SpoolError {
     OtherHost {
         /// Path of the spool.
         path: PathBuf,
-        /// Id of the host whose events it holds.
+        /// Id of the host whose events are in the spool.
         found: String,
         /// Id of this host.
         own: HostId,
@@ -88,23 +88,23 @@ pub enum SpoolError {
 pub enum SpoolDefect {
     /// An earlier process found the file damaged and created the damage flag with the reason.
     #[error("{0}")]
-    Condemned(String),
-    /// The id of its stream cannot be read.
-    #[error("{0:?} is not a stream id")]
+    Flagged(String),
+    /// The id of the spool's stream cannot be read.
+    #[error("its stream id {0:?} is invalid")]
     StreamId(String),
     /// A chain has the wrong length.
-    #[error("a chain has {0} bytes, not 16")]
+    #[error("one of its chains has {0} bytes instead of 16")]
     ChainLength(usize),
-    /// The numbers of its batches are inconsistent.
+    /// The numbers of the spool's batches are inconsistent.
     #[error(
         "its batch numbers are inconsistent: first {first}, acknowledged {acknowledged}, newest {newest}"
     )]
     BatchNumbers {
-        /// First batch of the stream.
+        /// Number of the first batch of the stream.
         first: i64,
-        /// Last batch that the aggregator acknowledged.
+        /// Number of the newest batch that the aggregator acknowledged.
         acknowledged: u64,
-        /// Last batch that was written.
+        /// Number of the newest batch that was written.
         newest: u64,
     },
 }
@@ -130,8 +130,8 @@ impl SpoolError {
         }
     }
 
-    /// Returns whether the cause may be a full disk. SQLite reports an I/O error or an error of opening if the index of
-    /// its log does not fit.
+    /// Returns whether the cause may be a full disk. SQLite reports an I/O error, or that it cannot open the file, if
+    /// the index of its write-ahead log does not fit on the disk.
     pub(super) fn may_be_full_disk(&self) -> bool {
         matches!(
             self,

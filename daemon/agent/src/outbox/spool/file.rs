@@ -63,8 +63,8 @@ impl SpoolFile {
     }
 
     /// Writes batches, together with the totals up to the last of these batches, in one transaction. Without batches
-    /// the totals are synced to the disk. Only in this case the reserve may be used on a full disk: the batches can be
-    /// lost, but the number of lost events must not be lost as well.
+    /// the totals are synced to the disk. On a full disk, only this case may use the reserve: batches may be lost, but
+    /// the number of lost events must not be lost as well.
     pub(in crate::outbox) async fn append(
         &mut self,
         batches: &[SpooledBatch],
@@ -110,7 +110,7 @@ impl SpoolFile {
     ) -> Result<LoadedBatches, SpoolFileError> {
         let mut loaded = LoadedBatches { batches: Vec::new(), damage: None };
         let mut size = 0;
-        // If the chain before `from` is on a damaged page, the first batch is read without a check, as after a gap.
+        // If the chain before `from` is on a damaged page, the chain of the first batch is not checked, as after a gap.
         let mut previous_chain = match self.chain_before(from).await {
             Err(SpoolFileError::Corrupt { .. }) => None,
             chain => chain?,
@@ -158,7 +158,8 @@ impl SpoolFile {
         }
     }
 
-    /// Changes the file to another stream, whose first batch is `first`, after `events_before` events.
+    /// Changes the file to another stream. The first batch of this stream has the number `first`, and `events_before`
+    /// events precede it.
     pub(in crate::outbox) async fn renew(
         &mut self,
         stream: StreamId,
@@ -183,7 +184,8 @@ impl SpoolFile {
         self.sync(ACTION).await
     }
 
-    /// Gives some of the unused pages back to the file system, after a backlog. Returns whether there may be more.
+    /// Returns some of the unused pages to the file system, after a backlog. Returns whether further pages may be
+    /// returned.
     pub(in crate::outbox) async fn shrink(&mut self) -> Result<bool, SpoolFileError> {
         let result = vacuum(&mut self.connection).await;
         match result.map_err(self.file_error("shrink")) {
@@ -197,7 +199,7 @@ impl SpoolFile {
     }
 
     /// Returns SQLite's write-ahead log, to which every change is written before it is moved to the file.
-    pub(in crate::outbox) fn log(&self) -> WriteAheadLog {
+    pub(in crate::outbox) fn write_ahead_log(&self) -> WriteAheadLog {
         WriteAheadLog(with_suffix(&self.path, "-wal"))
     }
 
@@ -207,7 +209,7 @@ impl SpoolFile {
         self.connection.close().await.map_err(|source| SpoolFileError::new("close", path, source))
     }
 
-    /// Returns the connection, for tests that limit the size of the file.
+    /// Returns the connection, for tests that change the file or its settings.
     #[cfg(test)]
     pub(super) fn connection(&mut self) -> &mut SqliteConnection {
         &mut self.connection
@@ -282,7 +284,7 @@ impl SpoolFile {
         let Some((since, events, stored_chain, body)) = row else { return Ok(Err(BatchDamage::Missing)) };
         let since = WallTime::from_unix_nanos(since);
         Ok(match chain_from_column(&stored_chain) {
-            // The first batch after a gap cannot be checked here; the next batch can.
+            // The chain of the first batch after a gap cannot be checked; the chain of the next batch can.
             Ok(chain) if previous_chain.is_none_or(|previous| previous.next(events, &body) == chain) => {
                 Ok(SpooledBatch { number, since, events, chain, body: Bytes::from(body) })
             }
@@ -296,7 +298,7 @@ impl SpoolFile {
 
     /// Waits until the write-ahead log is on the disk.
     async fn sync(&mut self, action: &'static str) -> Result<(), SpoolFileError> {
-        let result = wait_for_sync(&mut self.log().sync()).await;
+        let result = wait_for_sync(&mut self.write_ahead_log().sync()).await;
         result.map_err(|error| self.file_error(action)(sqlx::Error::Io(error)))
     }
 

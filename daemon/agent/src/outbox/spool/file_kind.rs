@@ -13,7 +13,7 @@ const MAGIC: &[u8] = b"SQLite format 3\0";
 const ID_OFFSET: usize = 68;
 /// Offset of the number of cells in the first page, two bytes; 0 means that the database has no table.
 const CELLS_OFFSET: usize = 103;
-/// Number of bytes that are read.
+/// Number of bytes that are read from the start of a file.
 const HEADER_BYTES: usize = 105;
 
 /// Kind of a file, by its first bytes.
@@ -47,7 +47,7 @@ impl FileKind {
         if !header.iter().zip(MAGIC).all(|(actual, expected)| actual == expected) {
             return Self::Other;
         }
-        // A truncated header counts as the header of an SQLite file.
+        // A file with a truncated header may be a damaged spool. Opening it as a spool shows the damage.
         let Some((id, cells)) =
             header.get(ID_OFFSET..ID_OFFSET + 4).zip(header.get(CELLS_OFFSET..HEADER_BYTES))
         else {
@@ -89,7 +89,11 @@ mod tests {
         header[ID_OFFSET..ID_OFFSET + 4].copy_from_slice(b"PNsp");
         assert_eq!(FileKind::from_header(&header), FileKind::Spool);
         header[ID_OFFSET] = b'X';
-        assert_eq!(FileKind::from_header(&header), FileKind::Database, "another program's");
+        assert_eq!(
+            FileKind::from_header(&header),
+            FileKind::Database,
+            "the application id of another program"
+        );
         for (text, expected) in
             [("", FileKind::Spool), ("SQLite for", FileKind::Spool), ("d3adb33f\n", FileKind::Other)]
         {

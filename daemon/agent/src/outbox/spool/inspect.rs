@@ -1,4 +1,4 @@
-//! Inspection of a spool by another program, with or without a running agent.
+//! Inspection of a spool by another program, whether the agent of the spool runs or not.
 
 use std::path::Path;
 use std::time::Duration;
@@ -22,14 +22,14 @@ pub struct Inspection {
     pub host: String,
     /// Id of the stream.
     pub stream: String,
-    /// Number of the last batch that the aggregator has acknowledged.
+    /// Number of the newest batch that the aggregator has acknowledged.
     pub acknowledged: i64,
     /// Number of waiting batches.
     pub batches: u64,
-    /// Numbers of the first and the last waiting batch.
+    /// Numbers of the oldest and the newest waiting batch; `None` if no batch waits.
     #[serde(rename = "waiting")]
     pub waiting_range: Option<(i64, i64)>,
-    /// Start time of the first waiting batch, nanoseconds since 1970 UTC.
+    /// Start time of the oldest waiting batch, in nanoseconds since 1970 UTC.
     pub oldest_ns: Option<i64>,
     /// Number of events in the waiting batches.
     pub events: u64,
@@ -39,8 +39,8 @@ pub struct Inspection {
     pub produced: i64,
     /// Number of these events that were dropped and counted in gaps.
     pub dropped: i64,
-    /// Number of dropped events that were in the memory of a killed agent; the other dropped events did not fit. `None`
-    /// in a spool of an earlier release, which did not count them separately.
+    /// Number of dropped events that were lost because the agent was killed. `None` in a spool of an earlier release,
+    /// which did not count these events separately.
     pub lost_when_killed: Option<i64>,
     /// All damage that was found.
     #[serde(skip)]
@@ -51,14 +51,14 @@ pub struct Inspection {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SpoolDamage {
     /// SQLite finds the file damaged.
-    #[error("the spool is damaged in {places} places; the first: {first}")]
+    #[error("SQLite reports damage at {places} places of the spool; the first report is: {first}")]
     Pages {
-        /// Number of findings, at most 100.
+        /// Number of damaged places that SQLite reports, at most 100.
         places: usize,
-        /// SQLite's text of the first finding.
+        /// SQLite's text about the first damaged place.
         first: String,
     },
-    /// SQLite cannot read further.
+    /// SQLite cannot read the file or the rest of the file.
     #[error("the spool is damaged, or the file is not a spool: {0}")]
     Unreadable(String),
     /// The spool has no row for its stream and its host.
@@ -67,9 +67,9 @@ pub enum SpoolDamage {
     /// Batches do not match their hashes.
     #[error("{batches} batches were changed after they were spooled; the first is number {first}")]
     Altered {
-        /// Number of these batches.
+        /// Total number of changed batches.
         batches: usize,
-        /// Number of the first of them.
+        /// Number of the first changed batch.
         first: i64,
     },
     /// Batches are missing before this number.
@@ -174,14 +174,14 @@ impl Inspection {
         let mut connection = read_only_options(path).connect().await?;
         // All reads are in one transaction, so that concurrent writes of the agent do not look like damage.
         sqlx::query("BEGIN").execute(&mut connection).await?;
-        // Checked within the transaction; the result is returned after the connection is closed.
-        let is_spool = check_is_spool(&mut connection).await;
-        if is_spool.is_ok() {
+        // The kind is checked within the transaction. The result is returned after the connection is closed.
+        let kind_result = check_is_spool(&mut connection).await;
+        if kind_result.is_ok() {
             self.check_pages(&mut connection).await?;
             self.read_batches(&mut connection).await?;
         }
         connection.close().await?;
-        is_spool
+        kind_result
     }
 
     async fn check_pages(&mut self, connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
@@ -212,27 +212,27 @@ impl Inspection {
             "SELECT number, since_ns, events, chain, body FROM batch ORDER BY number",
         )
         .fetch(connection);
-        let (mut altered, mut gaps) = (Vec::new(), Vec::new());
+        let (mut altered_numbers, mut numbers_after_gaps) = (Vec::new(), Vec::new());
         while let Some(batch) = rows.try_next().await? {
             let is_consecutive = batch.number == previous_number + 1;
             let stored_chain = chain_from_bytes(&batch.chain);
             if !is_consecutive {
-                gaps.push(batch.number);
+                numbers_after_gaps.push(batch.number);
             }
             // A batch after a missing batch cannot be checked, because the hash of the missing batch is unknown.
             if stored_chain.is_none()
                 || (is_consecutive
                     && previous_chain.is_some_and(|previous| batch.chain_after(previous) != stored_chain))
             {
-                altered.push(batch.number);
+                altered_numbers.push(batch.number);
             }
             (previous_number, previous_chain) = (batch.number, stored_chain);
             self.count_batch(&batch);
         }
-        if let Some(first) = altered.first() {
-            self.damages.push(SpoolDamage::Altered { batches: altered.len(), first: *first });
+        if let Some(first) = altered_numbers.first() {
+            self.damages.push(SpoolDamage::Altered { batches: altered_numbers.len(), first: *first });
         }
-        self.damages.extend(gaps.first().copied().map(SpoolDamage::Missing));
+        self.damages.extend(numbers_after_gaps.first().copied().map(SpoolDamage::Missing));
         Ok(())
     }
 
@@ -257,7 +257,7 @@ fn chain_from_bytes(bytes: &[u8]) -> Option<Chain> {
     bytes.try_into().ok().map(Chain::from_bytes)
 }
 
-/// Checks by the application id that the file is a spool. The tables of another file determine the returned error.
+/// Checks by the application id that the file is a spool. If it is not, the tables of the file determine the error.
 async fn check_is_spool(connection: &mut SqliteConnection) -> Result<(), InspectError> {
     let id: i32 = sqlx::query_scalar("PRAGMA application_id").fetch_one(&mut *connection).await?;
     if id == APPLICATION_ID {

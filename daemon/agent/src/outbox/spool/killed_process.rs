@@ -1,5 +1,5 @@
-//! Losses of an earlier process that was killed. They are determined when the spool is opened, and this process reports
-//! them.
+//! Losses of an earlier process that was killed. The losses are determined when the spool is opened, and this process
+//! reports them.
 
 use peernet_clock::WallTime;
 use peernet_logger::RunId;
@@ -11,9 +11,9 @@ use crate::event_queue::counter::{self, CountOwner, EventCounter};
 /// State that the previous process left in the file.
 #[derive(FromRow)]
 struct PreviousProcess {
-    /// Name of its file of counts.
+    /// Name of the file in which the process counted its events.
     counter: Option<String>,
-    /// Counts of its settled events by run, as encoded by [`encode_counts`].
+    /// Counts of the process's settled events by run, as encoded by [`encode_counts`].
     #[sqlx(rename = "counted")]
     settled_counts: Option<Vec<u8>>,
     #[sqlx(rename = "taken")]
@@ -24,7 +24,7 @@ struct PreviousProcess {
 
 #[derive(FromRow)]
 struct UnresolvedRow {
-    /// Name of the process's file of counts.
+    /// Name of the file in which the process counted its events.
     counter: String,
     #[sqlx(rename = "counted")]
     settled_counts: Vec<u8>,
@@ -48,7 +48,7 @@ struct UnreportedLoss {
     reason: String,
 }
 
-/// Encodes counts for a column.
+/// Encodes counts for a column: the total, then the id and the number of events of each run.
 pub(super) fn encode_counts(counts: &RunCounts) -> Vec<u8> {
     let mut bytes = counts.total.to_be_bytes().to_vec();
     for (run, events) in &counts.runs {
@@ -87,9 +87,9 @@ pub(super) async fn read_unreported(connection: &mut SqliteConnection) -> Result
     Ok(rows.into_iter().map(gap).collect())
 }
 
-/// Returns the unresolved batches of an earlier process, whose losses only the aggregator can determine. `None` if the
-/// process's file of counts no longer exists because the machine was restarted, or if the file belongs to the spool of
-/// which this spool is a copy.
+/// Returns the unresolved batches of an earlier process: only the aggregator knows whether they are lost. `None` if
+/// there are none, if the process's file of counts no longer exists because the host was restarted, or if this spool is
+/// a copy and the file belongs to the original spool.
 pub(super) async fn read_unresolved(
     connection: &mut SqliteConnection,
     owner: &CountOwner,
@@ -120,7 +120,7 @@ pub(super) async fn unresolved_counter(
 }
 
 /// Determines which events the previous process lost, records them, and starts a new counter. The record is one
-/// transaction, so that each loss is reported exactly once, no matter at which moment a process is killed. If shared
+/// transaction, so that each loss is reported exactly once, no matter when a process is killed. If shared
 /// memory is unavailable, events are not counted. A copy of a spool does not use the counts of the original spool,
 /// whose agent reports the losses itself.
 pub(super) async fn start_counter(
@@ -168,8 +168,8 @@ pub(super) async fn start_counter(
     }
     match (lost_events, &previous.counter) {
         (None, _) => tracing::warn!(
-            "the agent was killed while it sent events that its spool could not store: the aggregator reports which of them are \
-             stored, and a gap reports the others"
+            "the agent was killed while it sent events that its spool could not store: the aggregator reports which of these events \
+             are stored, and a gap reports the other events"
         ),
         (Some(lost_events), Some(name)) => {
             // The file is removed after the commit: if this process is killed before the commit, the next process needs
@@ -184,10 +184,11 @@ pub(super) async fn start_counter(
         }
         (Some(_), None) => {}
     }
-    // Files of counts whose spool was deleted would stay in shared memory until the machine restarts.
-    let (unresolved, current) = (unresolved_counter(connection).await?, counter.name());
-    let needed: Vec<&str> = [&unresolved, &current].into_iter().filter_map(Option::as_deref).collect();
-    counter::remove_abandoned(owner, &needed);
+    // Files of counts whose spool was deleted would stay in shared memory until the host restarts.
+    let (unresolved_file, current_file) = (unresolved_counter(connection).await?, counter.name());
+    let needed_files: Vec<&str> =
+        [&unresolved_file, &current_file].into_iter().filter_map(Option::as_deref).collect();
+    counter::remove_abandoned(owner, &needed_files);
     Ok(counter)
 }
 
@@ -234,7 +235,7 @@ async fn write_unreported(
     mut reported_through: u64,
     unreported: &[Gap],
 ) -> Result<(), sqlx::Error> {
-    // Losses that are already in the table were added to the column when they were inserted.
+    // Losses that are already in the table are subtracted: the column has contained them since they were inserted.
     let lost_when_killed: u64 =
         unreported.iter().filter(|gap| gap.reason == KILLED_REASON).map(|gap| gap.count).sum();
     sqlx::query(

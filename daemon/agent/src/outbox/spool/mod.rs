@@ -6,7 +6,7 @@
 //! process is killed.
 //!
 //! A crash of the process loses no appended batch. A power cut loses at most the batches that were appended since
-//! SQLite's log was last synced. The write-ahead log is synced every sync interval and not after each batch, because
+//! SQLite's write-ahead log was last synced. The log is synced every sync interval and not after each batch, because
 //! five syncs per second wear out the flash memory of a robot.
 
 mod error;

@@ -28,9 +28,9 @@ pub(super) static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations/spool"
 
 /// Longest wait for another program that reads the file.
 const BUSY_TIMEOUT: Duration = Duration::from_secs(1);
-/// SQLite's log is moved to the file when it has this number of pages: 1 MiB.
-const LOG_PAGES: &str = "256";
-/// Length to which the write-ahead log is truncated after a large transaction, in bytes.
+/// Number of pages, as text, at which SQLite moves the write-ahead log to the file: 1 MiB.
+const CHECKPOINT_WAL_PAGES: &str = "256";
+/// Length in bytes, as text, to which the write-ahead log is truncated after a large transaction.
 const TRUNCATED_WAL_BYTES: &str = "8388608";
 
 /// A spool that is ready for use.
@@ -47,9 +47,9 @@ pub(crate) struct OpenSpool {
 }
 
 impl OpenSpool {
-    /// Opens the spool of a host, and creates it if missing. A damaged spool is quarantined. At the default path
-    /// (`is_default_path`) a file that is not a spool is quarantined, too; at a configured path it is an error, because
-    /// it may be other data.
+    /// Opens the spool of a host, and creates the spool if it does not exist. A damaged spool is quarantined. At the
+    /// default path (`is_default_path`) a file that is not an SQLite file is quarantined, too. At a configured path
+    /// such a file is an error, because it may contain data of the user.
     ///
     /// # Errors
     /// When the spool cannot be opened, the file is not a spool, or the spool belongs to another host.
@@ -66,8 +66,8 @@ impl OpenSpool {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
         let folder = folder.unwrap_or_else(|| Path::new("."));
         fs::create_dir_all(folder).map_err(io("create", folder))?;
-        // The lock is on a separate file, because closing a second descriptor of the spool would release SQLite's locks
-        // on it.
+        // The lock is on a separate file, because closing a second descriptor of the spool would release the locks that
+        // SQLite has on the spool.
         let lock_file = with_suffix(path, "-lock");
         let lock = FileLock::try_acquire(&lock_file).map_err(io("lock", &lock_file))?;
         let lock = lock.ok_or_else(|| SpoolError::InUse(path.to_owned()))?;
@@ -75,9 +75,9 @@ impl OpenSpool {
         // The file is checked before SQLite opens it, because SQLite may change it.
         let file_kind = FileKind::from_path(path).map_err(io("read", path))?;
         if !(is_default_path && file_kind == FileKind::Other)
-            && let Some(objection) = file_kind.refusal_reason()
+            && let Some(refusal_reason) = file_kind.refusal_reason()
         {
-            return Err(SpoolError::NotASpool { path: path.to_owned(), objection });
+            return Err(SpoolError::NotASpool { path: path.to_owned(), refusal_reason });
         }
         let mut reserve = Reserve::new(with_suffix(path, "-reserve"));
         let was_empty = is_empty_file(path).map_err(io("read", path))?;
@@ -108,7 +108,7 @@ impl OpenSpool {
     }
 }
 
-/// Returns whether a file exists without any content, and without a log that has the content.
+/// Returns whether a file exists, and neither the file nor its write-ahead log has any content.
 fn is_empty_file(path: &Path) -> io::Result<bool> {
     let length = |path: &Path| match fs::metadata(path) {
         Ok(metadata) => Ok(Some(metadata.len())),
@@ -120,8 +120,8 @@ fn is_empty_file(path: &Path) -> io::Result<bool> {
 
 /// Returns the settings of the connection.
 ///
-/// With WAL and `synchronous=NORMAL` SQLite syncs only when it moves the log to the file. A crash of the process loses
-/// nothing. A power cut loses the transactions since the spool's task last synced the log.
+/// With a write-ahead log and `synchronous=NORMAL`, SQLite syncs only when it moves the log to the file. A crash of the
+/// process loses no transaction. A power cut loses the transactions since the spool's task last synced the log.
 pub(super) fn settings(path: &Path) -> SqliteConnectOptions {
     SqliteConnectOptions::new()
         .filename(path)
@@ -130,7 +130,7 @@ pub(super) fn settings(path: &Path) -> SqliteConnectOptions {
         .journal_mode(SqliteJournalMode::Wal)
         .synchronous(SqliteSynchronous::Normal)
         .pragma("journal_size_limit", TRUNCATED_WAL_BYTES)
-        .pragma("wal_autocheckpoint", LOG_PAGES)
+        .pragma("wal_autocheckpoint", CHECKPOINT_WAL_PAGES)
         .busy_timeout(BUSY_TIMEOUT)
         .disable_statement_logging()
 }
@@ -138,8 +138,8 @@ pub(super) fn settings(path: &Path) -> SqliteConnectOptions {
 /// A connection, the state in the file, and the counter of this process.
 type ConnectedSpool = (SqliteConnection, SpoolState, EventCounter);
 
-/// Connects to the spool. If the disk is full, the reserve is released first. If the disk is still full, this process
-/// does not count its events, and a later start determines the losses of the previous process.
+/// Connects to the spool. If the disk is full, the reserve is released. If the disk is still full, this process does
+/// not count its events, and a later start of the agent determines the losses of the previous process.
 async fn connect_despite_full_disk(
     path: &Path,
     host: HostId,
@@ -162,7 +162,7 @@ async fn connect_despite_full_disk(
 /// Opens the connection and prepares the file, or closes the connection if that fails.
 async fn connect(path: &Path, host: HostId, counts_events: bool) -> Result<ConnectedSpool, SpoolError> {
     if let Some(reason) = quarantine_reason(path) {
-        return Err(SpoolError::Damaged { path: path.to_owned(), defect: SpoolDefect::Condemned(reason) });
+        return Err(SpoolError::Damaged { path: path.to_owned(), defect: SpoolDefect::Flagged(reason) });
     }
     let cannot_open = |source| SpoolError::Open { path: path.to_owned(), source };
     let mut connection = settings(path).connect().await.map_err(cannot_open)?;
@@ -200,7 +200,7 @@ async fn prepare(
         source => SpoolError::Migrate { path: path.to_owned(), source },
     })?;
     let row = read_or_create_stream(connection, host).await.map_err(cannot_open)?;
-    // Otherwise this host would send the events of the other host as its own.
+    // A spool of another host is refused, because this host would send the events of the other host as its own.
     if row.host != host.to_string() {
         return Err(SpoolError::OtherHost { path: path.to_owned(), found: row.host, own: host });
     }
@@ -223,7 +223,7 @@ async fn prepare(
 }
 
 /// Sets the application id of an empty database before its tables are created. The file is then recognised as a spool
-/// even if the disk becomes full in between.
+/// even if the disk becomes full before the tables exist.
 pub(super) async fn set_application_id(
     path: &Path,
     connection: &mut SqliteConnection,
@@ -238,8 +238,8 @@ pub(super) async fn set_application_id(
     if id == APPLICATION_ID {
         return Ok(());
     }
-    if let (true, Some(objection)) = (id != 0 || tables != 0, FileKind::Database.refusal_reason()) {
-        return Err(SpoolError::NotASpool { path: path.to_owned(), objection });
+    if let (true, Some(refusal_reason)) = (id != 0 || tables != 0, FileKind::Database.refusal_reason()) {
+        return Err(SpoolError::NotASpool { path: path.to_owned(), refusal_reason });
     }
     let set_id = AssertSqlSafe(format!("PRAGMA application_id = {APPLICATION_ID}"));
     sqlx::query(set_id).execute(connection).await.map(drop).map_err(cannot_open)

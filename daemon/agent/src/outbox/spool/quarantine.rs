@@ -19,14 +19,14 @@ pub(in crate::outbox) struct QuarantinedSpool {
     pub(in crate::outbox) reason: String,
     /// New path of the file.
     pub(in crate::outbox) new_path: PathBuf,
-    /// Length of the file with its log, bytes.
+    /// Length of the file and its write-ahead log, in bytes.
     pub(in crate::outbox) bytes: u64,
-    /// Content that the new spool has; `None` if nothing was recovered.
+    /// Batches that were recovered and lost; `None` if no batch was recovered.
     pub(in crate::outbox) recovered: Option<RecoveredBatches>,
 }
 
-/// Renames the spool with its log and its shared memory (`-wal`, `-shm`), from which the `sqlite3` shell may recover
-/// data. The spool must not be open.
+/// Renames the spool, its write-ahead log (`-wal`) and its shared memory (`-shm`). The `sqlite3` shell may recover data
+/// from these files. The spool must not be open.
 pub(super) fn quarantine(spool: &Path, reason: String, now: WallTime) -> io::Result<QuarantinedSpool> {
     let unused_path = |seconds: i64| {
         let path = with_suffix(spool, &format!(".damaged-{seconds}"));
@@ -37,7 +37,8 @@ pub(super) fn quarantine(spool: &Path, reason: String, now: WallTime) -> io::Res
         (first_seconds..=i64::MAX).find_map(unused_path).unwrap_or_else(|| with_suffix(spool, ".damaged"));
     let length = |suffix| fs::metadata(with_suffix(spool, suffix)).map_or(0, |metadata| metadata.len());
     let bytes = length("") + length("-wal");
-    // The file comes last: SQLite would apply a log that stayed behind to the next spool.
+    // The spool itself is renamed last. If renaming is interrupted earlier, no new spool is created beside an old log,
+    // which SQLite would apply to the new spool.
     for suffix in ["-wal", "-shm", ""] {
         match fs::rename(with_suffix(spool, suffix), with_suffix(&new_path, suffix)) {
             Err(error) if error.kind() != io::ErrorKind::NotFound || suffix.is_empty() => return Err(error),
@@ -71,7 +72,7 @@ pub(super) fn quarantine_reason(spool: &Path) -> Option<String> {
 }
 
 fn damage_flag_path(spool: &Path) -> PathBuf {
-    // The suffix stays as it is: an earlier version may have created the flag.
+    // The suffix must not change, because an earlier version may have created the flag.
     with_suffix(spool, "-condemned")
 }
 

@@ -1,4 +1,4 @@
-//! Logs which iterations are in the spool. Tests compare this with the aggregator after a crash.
+//! Logs which iterations are in the spool. After a crash, tests compare these log lines with the aggregator's database.
 
 use std::collections::BTreeMap;
 
@@ -15,15 +15,15 @@ pub(super) fn log_ranges(batches: &[SpooledBatch]) {
         return;
     }
     for batch in batches {
-        for (run, first, last) in ranges(batch) {
+        for (run, first, last) in iteration_ranges(batch) {
             let count = last - first + 1;
             tracing::debug!(target: TARGET, batch = batch.number, %run, first, last, count, "spooled");
         }
     }
 }
 
-/// Returns the iterations of a batch as ranges by run.
-pub(super) fn ranges(batch: &SpooledBatch) -> Vec<(RunId, u64, u64)> {
+/// Returns the numbers of a batch's iterations as contiguous ranges: the run, the first and the last number.
+pub(super) fn iteration_ranges(batch: &SpooledBatch) -> Vec<(RunId, u64, u64)> {
     let events = match codec::decode_events(&batch.body, batch.events) {
         Ok(events) => events,
         Err(error) => {

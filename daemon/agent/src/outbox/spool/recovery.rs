@@ -1,9 +1,9 @@
 //! Recovers the intact batches of a quarantined spool.
 //!
-//! The batches before the first damaged one are copied to a new spool of the same stream. For both ends of the event
-//! stream this is a spool that lost its end, as in a power failure: they compare the chains at the aggregator's mark
-//! before anything is sent, so that no recovered batch is stored twice. Batches behind the damage are not copied,
-//! because nothing proves that they follow.
+//! The batches before the first damaged batch are copied to a new spool of the same stream. Agent and aggregator treat
+//! this spool like a spool that lost its newest batches in a power cut: they compare the chains at the aggregator's
+//! mark before a batch is sent, so that no recovered batch is stored twice. Batches behind the damage are not copied,
+//! because without the damaged batches their chains cannot be checked.
 
 use std::fs;
 use std::io;
@@ -20,20 +20,21 @@ use super::quarantine::with_suffix;
 
 /// Tables that are copied whole: the state of the stream.
 const STATE_TABLES: [&str; 4] = ["stream", "reached", "unreported", "unresolved"];
-/// Minimum number of bytes that a batch takes in a file. It bounds the number of batches that a damaged file may
-/// claim.
+/// Minimum number of bytes that a batch takes in a file. A damaged file may contain a wrong number of batches; a number
+/// that does not fit into the length of the file is ignored.
 const MIN_BATCH_BYTES: u64 = 16;
 
-/// Content of a quarantined spool.
+/// Batches of a quarantined spool: recovered and lost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(in crate::outbox) struct RecoveredBatches {
     /// Number of intact batches, which are in the new spool.
     pub(in crate::outbox) batches: u64,
     /// Number of events in these batches.
     pub(in crate::outbox) events: u64,
-    /// Number of batches that are only in the quarantined file; `None` if it cannot be read.
+    /// Number of batches that are only in the quarantined file; `None` if this number cannot
+    /// be read.
     pub(in crate::outbox) lost_batches: Option<u64>,
-    /// Number of events in the lost batches whose number can be read.
+    /// Number of events in those lost batches for which the number of events can be read.
     pub(in crate::outbox) lost_events: u64,
 }
 
@@ -54,8 +55,7 @@ pub(super) enum RecoveryError {
     OtherHost,
 }
 
-/// Creates a spool with the state and the intact batches of a damaged one. Without any intact batch no spool is
-/// created.
+/// Creates a spool with the state and the intact batches of a damaged spool. If no batch is intact, creates no spool.
 ///
 /// # Errors
 /// When the state of the stream cannot be read, no batch is intact, or the new spool cannot be written.
@@ -71,13 +71,13 @@ pub(super) async fn recover(
         tracing::debug!(%error, "closing the quarantined spool failed");
     }
     if result.is_err() {
-        remove(spool);
+        remove_incomplete_spool(spool);
     }
     result
 }
 
 /// Removes an incomplete new spool.
-fn remove(spool: &Path) {
+fn remove_incomplete_spool(spool: &Path) {
     for suffix in ["-wal", "-shm", ""] {
         match fs::remove_file(with_suffix(spool, suffix)) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => {
@@ -88,7 +88,7 @@ fn remove(spool: &Path) {
     }
 }
 
-/// Creates the new spool, if the damaged one belongs to `host`.
+/// Creates the new spool, if the damaged spool belongs to `host`.
 async fn create(
     source: &mut SqliteConnection,
     file_bytes: u64,
@@ -127,7 +127,8 @@ async fn fill(
     Ok(recovered)
 }
 
-/// Copies all rows of a table. A spool of an earlier version has fewer columns; the missing ones get their defaults.
+/// Copies all rows of a table. A spool of an earlier version has fewer columns; the missing columns get their
+/// default values.
 async fn copy_table(
     source: &mut SqliteConnection,
     target: &mut SqliteConnection,
@@ -143,7 +144,8 @@ async fn copy_table(
     if shared_columns.is_empty() {
         return Ok(());
     }
-    // SQLite's function returns each value as a literal of SQL. The names are those of this program's own schema.
+    // `quote()` of SQLite returns each value as an SQL literal. All names come from this program's own schema, so they
+    // are safe in a statement.
     let literals: Vec<String> = shared_columns.iter().map(|name| format!("quote({name})")).collect();
     let select = format!("SELECT {} FROM {table}", literals.join(" || ',' || "));
     let rows: Vec<String> = sqlx::query_scalar(AssertSqlSafe(select)).fetch_all(source).await?;
@@ -154,7 +156,7 @@ async fn copy_table(
     Ok(())
 }
 
-/// Copies the batches up to the first one that cannot be read or does not match its hash.
+/// Copies the batches before the first batch that cannot be read or does not match its chain.
 async fn copy_batches(
     source: &mut SqliteConnection,
     target: &mut SqliteConnection,
@@ -212,8 +214,9 @@ async fn copy_batches(
     Ok(recovered)
 }
 
-/// Counts the events of lost batches as dropped, so that they do not count as stored. An incident reports them, so no
-/// gap must. Losses of earlier processes that are not reported yet depend on these counts, which then stay as they are.
+/// Counts the events of lost batches as dropped, so that they do not count as stored. The events also count as
+/// reported, because an incident reports them and no gap must report them again. If losses of earlier processes are not
+/// reported yet, the counts stay as they are, because these losses refer to the counts.
 async fn count_losses(target: &mut SqliteConnection, lost_events: u64) -> Result<(), sqlx::Error> {
     sqlx::query(
         "UPDATE stream SET dropped = dropped + ?1, told = told + ?1

@@ -13,10 +13,10 @@ use std::path::PathBuf;
 use rustix::fs::{FallocateFlags, fallocate};
 use rustix::io::Errno;
 
-/// Size of the reserve in bytes: the largest log (256 pages and the largest transaction), and the pages that a deletion
-/// adds to it.
+/// Size of the reserve in bytes: the largest write-ahead log (256 pages and the largest transaction), and the pages
+/// that a deletion adds to this log.
 const RESERVE_BYTES: u64 = 6 << 20;
-/// Step in bytes in which the reserve is allocated on a disk with less free space.
+/// Step in bytes by which the reserve grows on a disk that has less free space than [`RESERVE_BYTES`].
 const ALLOCATION_STEP_BYTES: u64 = 128 << 10;
 /// Unit of `st_blocks` in bytes (undefined in POSIX; 512 in Linux).
 const BLOCK_BYTES: u64 = 512;
@@ -25,7 +25,7 @@ const BLOCK_BYTES: u64 = 512;
 #[derive(Debug)]
 pub(super) struct Reserve {
     file: PathBuf,
-    /// Number of allocated bytes. Below [`RESERVE_BYTES`] only deletions and totals may be written.
+    /// Number of allocated bytes. While it is below [`RESERVE_BYTES`], only deletions and totals may be written.
     allocated: u64,
     /// `true` if the file system cannot allocate space.
     is_unsupported: bool,
@@ -39,7 +39,7 @@ impl Reserve {
         Self { file, allocated, is_unsupported: false }
     }
 
-    /// Releases the space. Returns whether any space was released.
+    /// Releases the space by removing the file. Returns whether any space was released.
     pub(super) fn release(&mut self) -> bool {
         if self.allocated == 0 {
             return false;

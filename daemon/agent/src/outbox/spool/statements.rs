@@ -6,15 +6,15 @@ use sqlx::SqliteConnection;
 
 use super::killed_process;
 
-/// Number of newest processes whose last batch is recorded. Each start of the agent is a process.
+/// Maximum number of processes whose newest sent batch is recorded. Each start of the agent is a process.
 pub(super) const MAX_PROCESSES: i64 = 64;
 
 /// Number of unused pages that are kept for the next batches: 8 MiB.
 const SPARE_PAGES: i64 = 2048;
 
-/// Starts a transaction that inserts these batches. `counts_events` is `true` if the process counts the events that it
-/// queues.
-// A batch replaces itself if a commit that seemed to fail had succeeded.
+/// Starts a transaction that inserts these batches and updates the totals. The caller ends the transaction.
+/// `counts_events` is `true` if the process counts the events that it queues.
+// `OR REPLACE` is needed if a commit seemed to fail but succeeded: the same batches are then inserted again.
 pub(super) async fn insert(
     connection: &mut SqliteConnection,
     batches: &[SpooledBatch],
@@ -64,7 +64,7 @@ pub(super) async fn insert(
         .map(drop)
 }
 
-/// Starts a transaction that deletes the batches up to number `through`.
+/// Starts a transaction that deletes the batches up to number `through`. The caller ends the transaction.
 pub(super) async fn delete(
     connection: &mut SqliteConnection,
     through: u64,
@@ -93,12 +93,13 @@ async fn begin(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     sqlx::query("BEGIN IMMEDIATE").execute(connection).await.map(drop)
 }
 
-/// Returns some unused pages to the file system if more than half of the file is unused. Returns whether there may be
-/// more.
+/// Returns some unused pages to the file system if the unused pages outnumber the used pages by more than
+/// [`SPARE_PAGES`]. Returns whether further pages may be returned.
 ///
-/// If less of the file is unused, the pages at its end would have to be moved, and the next batches need the space.
+/// With fewer unused pages, SQLite would have to move many used pages from the end of the file, and the next batches
+/// would need the space again.
 pub(super) async fn vacuum(connection: &mut SqliteConnection) -> Result<bool, sqlx::Error> {
-    let (unused_pages, all_pages) = pages(connection).await?;
+    let (unused_pages, all_pages) = count_pages(connection).await?;
     if unused_pages <= all_pages - unused_pages + SPARE_PAGES {
         return Ok(false);
     }
@@ -108,7 +109,7 @@ pub(super) async fn vacuum(connection: &mut SqliteConnection) -> Result<bool, sq
 
 /// Returns all unused pages and the write-ahead log to the file system.
 pub(super) async fn vacuum_all(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
-    while pages(connection).await?.0 > 0 {
+    while count_pages(connection).await?.0 > 0 {
         vacuum_step(connection).await?;
         checkpoint(connection).await?;
     }
@@ -121,13 +122,13 @@ pub(super) async fn checkpoint(connection: &mut SqliteConnection) -> Result<(), 
 }
 
 /// Returns the numbers of unused pages and of all pages.
-async fn pages(connection: &mut SqliteConnection) -> Result<(i64, i64), sqlx::Error> {
+async fn count_pages(connection: &mut SqliteConnection) -> Result<(i64, i64), sqlx::Error> {
     sqlx::query_as("SELECT freelist_count, page_count FROM pragma_freelist_count(), pragma_page_count()")
         .fetch_one(connection)
         .await
 }
 
-/// Returns at most 1024 pages (4 MiB) to the file system, so that nothing waits long.
+/// Returns at most 1024 pages (4 MiB) to the file system, so that no request waits long.
 async fn vacuum_step(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     sqlx::query("PRAGMA incremental_vacuum(1024)").execute(connection).await.map(drop)
 }

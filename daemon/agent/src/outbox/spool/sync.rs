@@ -9,15 +9,15 @@ use super::file::WriteAheadLog;
 /// State of syncing the write-ahead log.
 #[derive(Debug)]
 pub(super) struct Syncing {
-    log: WriteAheadLog,
+    write_ahead_log: WriteAheadLog,
     /// `true` if a transaction was written since the last sync started.
     is_dirty: bool,
     running_sync: Option<JoinHandle<io::Result<()>>>,
 }
 
 impl Syncing {
-    pub(super) const fn new(log: WriteAheadLog) -> Self {
-        Self { log, is_dirty: false, running_sync: None }
+    pub(super) const fn new(write_ahead_log: WriteAheadLog) -> Self {
+        Self { write_ahead_log, is_dirty: false, running_sync: None }
     }
 
     /// Records that a transaction was written.
@@ -29,11 +29,11 @@ impl Syncing {
     pub(super) fn start(&mut self) {
         if self.is_dirty && self.running_sync.is_none() {
             self.is_dirty = false;
-            self.running_sync = Some(self.log.sync());
+            self.running_sync = Some(self.write_ahead_log.sync());
         }
     }
 
-    /// Returns whether a sync is in progress, for whose end [`wait`](Self::wait) waits.
+    /// Returns whether a sync is in progress.
     pub(super) const fn is_running(&self) -> bool {
         self.running_sync.is_some()
     }

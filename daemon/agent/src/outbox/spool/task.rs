@@ -60,7 +60,7 @@ pub(in crate::outbox) enum SpoolTaskError {
     Panicked(#[from] JoinError),
 }
 
-/// Handle of the task. Dropping it aborts the task.
+/// Handle of the task. Dropping the handle aborts the task.
 #[derive(Debug)]
 pub(in crate::outbox) struct SpoolTask {
     requests: mpsc::Sender<SpoolRequest>,
@@ -111,10 +111,11 @@ async fn run(
 ) -> Result<(), SpoolFileError> {
     let mut ticks = tokio::time::interval(sync_interval);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut syncing = Syncing::new(file.log());
+    let mut syncing = Syncing::new(file.write_ahead_log());
     loop {
         tokio::select! {
-            // Requests come last, because they may follow each other without a pause.
+            // Requests are the last branch, because they may follow each other without a pause and would delay the
+            // syncs.
             biased;
             result = syncing.wait(), if syncing.is_running() => log_failed_sync(&file, result),
             _ = ticks.tick() => {
@@ -125,7 +126,7 @@ async fn run(
             request = requests.recv() => {
                 let Some(request) = request else { break };
                 let result = execute(&mut file, &mut syncing, request).await;
-                // Sending fails only if the outbox has ended; the request is done nevertheless.
+                // Sending the result fails only if the outbox has ended.
                 let _ = results.send(result).await;
             }
         }
@@ -162,7 +163,7 @@ async fn execute(file: &mut SpoolFile, syncing: &mut Syncing, request: SpoolRequ
 /// Flags the file as damaged if SQLite reports damage, so that the next start quarantines it.
 fn flag_if_corrupt(file: &SpoolFile, result: Result<(), SpoolFileError>) -> Result<(), SpoolTaskError> {
     if let Err(SpoolFileError::Corrupt { action, source, .. }) = &result {
-        // Without the advice to restart the agent, which the next start follows.
+        // The text omits the advice to restart the agent, because it is read after the restart.
         flag_as_damaged(file.path(), &format!("an agent could not {action} it: {source}"));
     }
     Ok(result?)

@@ -18,7 +18,8 @@ pub(super) struct TopicMessage {
     pub(super) stamp: Option<i64>,
     /// `header.seq`: the publisher's number of the message, one more than the number of the previous message.
     pub(super) sequence: Option<i64>,
-    /// Number of messages of the same publisher that are missing before this message, according to the sequence numbers.
+    /// Number of messages of the same publisher that are missing before this message, according to the sequence
+    /// numbers.
     pub(super) missing_before: u64,
 }
 

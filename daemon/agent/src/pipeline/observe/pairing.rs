@@ -9,9 +9,9 @@ mod tests;
 
 /// Pairs the messages of two topics.
 ///
-/// A message with a key is paired with the oldest message of the other topic that has the same key. The output
-/// message may arrive before its input message, because the observed node may receive the input before the agent does. Messages without a key are paired in
-/// the order of arrival.
+/// A message with a key is paired with the oldest message of the other topic that has the same key. The output message
+/// may arrive before its input message, because the observed node may receive the input before the agent does. Messages
+/// without a key are paired in the order of arrival.
 #[derive(Debug)]
 pub(super) struct Pairing<I, O> {
     /// Longest time that a message waits for its counterpart.

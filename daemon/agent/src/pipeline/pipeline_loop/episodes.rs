@@ -15,8 +15,8 @@ impl PipelineLoop<'_> {
         self.resources.due_preparation(self.run.begins_episode())
     }
 
-    /// Ends the episode whose end the actuator has reported, unless a sample is outstanding. An outstanding sample still
-    /// belongs to that episode.
+    /// Ends the episode whose end the actuator has reported, unless a sample is outstanding. An outstanding sample
+    /// still belongs to that episode.
     pub(super) fn end_reported_episode(&mut self) {
         if !self.has_outstanding_sample() {
             self.run.end_reported_episode();

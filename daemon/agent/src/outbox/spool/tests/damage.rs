@@ -22,7 +22,9 @@ async fn invalid_database_is_quarantined_and_replaced() {
     let quarantined = quarantined.expect("is quarantined");
     assert_eq!(quarantined.new_path, spool_folder.folder.path().join("spool.sqlite.damaged-5"));
     assert!(quarantined.reason.contains("spool.sqlite"), "{}", quarantined.reason);
-    assert!(fs::read(&quarantined.new_path).expect("kept").starts_with(b"this is no database"));
+    assert!(
+        fs::read(&quarantined.new_path).expect("the file still exists").starts_with(b"this is no database")
+    );
     file.append(&batches(Chain::START, 1..=2, 10), &totals(6)).await.expect("appends");
     drop(file.close().await);
 
@@ -34,7 +36,7 @@ async fn invalid_database_is_quarantined_and_replaced() {
     assert_eq!(
         second.new_path,
         spool_folder.folder.path().join("spool.sqlite.damaged-6"),
-        "none is overwritten"
+        "the earlier quarantined file is not overwritten"
     );
 }
 
@@ -45,28 +47,35 @@ async fn file_of_another_program_is_kept() {
     fs::write(&notes, "not for you").expect("written");
     let error = OpenSpool::open(&notes, host(), false, &clock()).await.expect_err("no spool").to_string();
     assert!(error.contains("notes is not a spool") && error.contains("[spool] file"), "{error}");
-    assert_eq!(fs::read(&notes).expect("there"), b"not for you");
+    assert_eq!(fs::read(&notes).expect("the file exists"), b"not for you");
 
-    // The database of another program is refused, also at the default path, and also while all of it is in its log.
+    // The database of another program is refused also at the default path. In the first round its only table is still
+    // in its write-ahead log; in the second round the table is in the file.
     let options = SqliteConnectOptions::new().filename(spool_folder.path()).create_if_missing(true);
     let options = options.journal_mode(SqliteJournalMode::Wal);
-    let mut other = options.connect().await.expect("opens");
-    sqlx::query("CREATE TABLE theirs (id)").execute(&mut other).await.expect("makes a table");
+    let mut other_database = options.connect().await.expect("opens");
+    sqlx::query("CREATE TABLE theirs (id)").execute(&mut other_database).await.expect("creates a table");
     for _ in 0..2 {
         let error = spool_folder.open().await.expect_err("no spool").to_string();
         assert!(error.contains("another program"), "{error}");
-        sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut other).await.expect("moves the log");
+        sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)")
+            .execute(&mut other_database)
+            .await
+            .expect("moves the log");
     }
-    let tables: Vec<String> =
-        sqlx::query_scalar("SELECT name FROM sqlite_schema").fetch_all(&mut other).await.expect("reads");
+    let tables: Vec<String> = sqlx::query_scalar("SELECT name FROM sqlite_schema")
+        .fetch_all(&mut other_database)
+        .await
+        .expect("reads");
     assert_eq!(tables, ["theirs"]);
     assert_eq!(list_files(spool_folder.folder.path()), ["notes", "spool.sqlite"]);
 }
 
 #[tokio::test]
-async fn spool_that_is_only_in_log_is_recognised() {
+async fn spool_whose_tables_are_only_in_write_ahead_log_is_recognised() {
     let spool_folder = SpoolFolder::new();
     let (file, state) = spool_folder.open_undamaged().await;
+    // A copy without a checkpoint is what a killed process leaves.
     let killed = SpoolFolder::new();
     for ending in ["", "-wal"] {
         fs::copy(with_suffix(&spool_folder.path(), ending), with_suffix(&killed.path(), ending))
@@ -83,8 +92,8 @@ async fn file_with_broken_tables_is_quarantined() {
     let (mut file, _) = spool_folder.open_undamaged().await;
     file.append(&batches(Chain::START, 1..=20, 1000), &totals(60)).await.expect("appends");
     drop(file.close().await);
-    // All pages but the first, which has the header.
-    let length = fs::metadata(spool_folder.path()).expect("there").len();
+    // All pages except the first page, which has the header, are overwritten.
+    let length = fs::metadata(spool_folder.path()).expect("the file exists").len();
     let mut damaged_file = fs::File::options().write(true).open(spool_folder.path()).expect("opens");
     damaged_file.seek(SeekFrom::Start(4096)).expect("seeks");
     damaged_file.write_all(&vec![0xa5; (length - 4096) as usize]).expect("written");
@@ -96,7 +105,7 @@ async fn file_with_broken_tables_is_quarantined() {
     assert_eq!(list_files(spool_folder.folder.path()), ["spool.sqlite", "spool.sqlite.damaged-5"]);
 }
 
-/// Damages pages of the spool's file from byte `from` on.
+/// Overwrites `bytes` bytes of the spool's file from byte `from` on.
 fn overwrite(path: &std::path::Path, from: u64, bytes: usize) {
     let mut damaged_file = fs::File::options().write(true).open(path).expect("opens");
     damaged_file.seek(SeekFrom::Start(from)).expect("seeks");
@@ -111,18 +120,18 @@ async fn intact_batches_of_damaged_spool_are_kept() {
     file.append(&written_batches, &totals(602)).await.expect("appends");
     file.delete_through(10, written_batches[9].chain).await.expect("deletes");
     drop(file.close().await);
-    // Pages in the middle of the file, as a failing memory card leaves them.
-    let length = fs::metadata(spool_folder.path()).expect("there").len();
+    // Three pages in the middle of the file are damaged, as by a failing memory card.
+    let length = fs::metadata(spool_folder.path()).expect("the file exists").len();
     overwrite(&spool_folder.path(), length / 2 / 4096 * 4096, 3 * 4096);
 
     flag_as_damaged(&spool_folder.path(), "a page was broken");
     let OpenSpool { mut file, state, quarantined, counter, .. } = spool_folder.open().await.expect("opens");
     counter.remove();
-    let recovered = quarantined.expect("it is damaged").recovered.expect("some batches are intact");
+    let recovered = quarantined.expect("is quarantined").recovered.expect("some batches are intact");
     assert!((1..190).contains(&recovered.batches), "{recovered:?}");
     assert_eq!(recovered.events, 3 * recovered.batches);
     assert_eq!(recovered.lost_batches, Some(190 - recovered.batches));
-    // The aggregator knows this stream, so that it stores no batch twice.
+    // The stream is unchanged, so the aggregator recognises the recovered batches and stores no batch twice.
     assert_eq!(
         (state.stream, state.oldest, state.chain_before_oldest),
         (before.stream, 11, written_batches[9].chain)
@@ -146,18 +155,18 @@ async fn batches_of_another_host_are_not_recovered() {
     drop(file.close().await);
     flag_as_damaged(&spool_folder.path(), "a page was broken");
     let OpenSpool { state, quarantined, .. } = spool_folder.open().await.expect("opens");
-    assert_eq!(quarantined.expect("it is flagged").recovered, None);
+    assert_eq!(quarantined.expect("is quarantined").recovered, None);
     assert_eq!(state.newest, (0, Chain::START));
 }
 
 #[tokio::test]
-async fn empty_file_is_reported() {
+async fn empty_file_is_distinguished_from_new_spool() {
     let spool_folder = SpoolFolder::new();
-    assert!(!spool_folder.open().await.expect("opens").was_empty, "there was none");
+    assert!(!spool_folder.open().await.expect("opens").was_empty, "the file did not exist");
     let emptied = SpoolFolder::new();
     fs::write(emptied.path(), "").expect("written");
     assert!(emptied.open().await.expect("opens").was_empty);
-    assert!(!emptied.open().await.expect("opens").was_empty, "it has a spool now");
+    assert!(!emptied.open().await.expect("opens").was_empty, "the file now has a spool");
 }
 
 #[tokio::test]
@@ -179,7 +188,7 @@ async fn damaged_batch_ends_list_and_is_named() {
     assert_eq!(
         file.load(4, usize::MAX).await.expect("loads").batches,
         written_batches[3..],
-        "the batches after it are intact"
+        "the batches after the damaged batch are intact"
     );
 }
 
@@ -193,11 +202,11 @@ async fn missing_batch_ends_list() {
     assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written_batches[..2]);
     let loaded = file.load(3, usize::MAX).await.expect("loads");
     assert!(loaded.batches.is_empty());
-    assert!(loaded.damage.expect("is reported").contains("batch 3"), "named");
+    assert!(loaded.damage.expect("is reported").contains("batch 3"), "the damage names the batch");
     assert_eq!(
         file.load(4, usize::MAX).await.expect("loads").batches,
         written_batches[3..],
-        "the batches after it"
+        "the batches after the missing batch"
     );
     drop(file.close().await);
     let (_, state) = spool_folder.open_undamaged().await;
@@ -216,7 +225,7 @@ async fn spool_of_newer_version_is_refused_and_kept() {
     .await
     .expect("changed");
     drop(file.close().await);
-    let error = spool_folder.open().await.expect_err("too new").to_string();
+    let error = spool_folder.open().await.expect_err("the schema is too new").to_string();
     assert!(error.contains("newer version") && error.contains('9'), "{error}");
     assert_eq!(list_files(spool_folder.folder.path()), ["spool.sqlite"]);
 }
@@ -228,7 +237,7 @@ async fn damaged_page_loses_only_its_batches() {
     let written_batches = batches(Chain::START, 1..=200, 2000);
     file.append(&written_batches, &totals(600)).await.expect("appends");
     for statement in ["PRAGMA wal_checkpoint(TRUNCATE)", "PRAGMA shrink_memory"] {
-        sqlx::query(statement).execute(file.connection()).await.expect("brings all to the file");
+        sqlx::query(statement).execute(file.connection()).await.expect("moves all pages to the file");
     }
     let mut damaged_file = fs::File::options().write(true).open(spool_folder.path()).expect("opens");
     damaged_file.seek(SeekFrom::Start(50 * 4096)).expect("seeks");
@@ -236,7 +245,7 @@ async fn damaged_page_loses_only_its_batches() {
 
     let (mut readable, mut damaged_count, mut next) = (Vec::new(), 0, 1);
     while next <= 200 {
-        let loaded = file.load(next, usize::MAX).await.expect("what can be read is read");
+        let loaded = file.load(next, usize::MAX).await.expect("damage is not an error");
         next += loaded.batches.len() as u64;
         readable.extend(loaded.batches);
         if loaded.damage.is_some() {
@@ -245,7 +254,7 @@ async fn damaged_page_loses_only_its_batches() {
     }
     assert!(
         (1..=3).contains(&damaged_count) && readable.len() == 200 - damaged_count,
-        "{} sound, {damaged_count} not",
+        "{} readable, {damaged_count} damaged",
         readable.len()
     );
     assert!(readable.iter().all(|batch| written_batches.contains(batch)));

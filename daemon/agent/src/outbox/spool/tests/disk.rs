@@ -16,20 +16,28 @@ async fn limit_growth(file: &mut SpoolFile, pages: i64) {
 }
 
 #[tokio::test]
-async fn appends_are_refused_whole_while_disk_is_full() {
+async fn append_to_full_disk_writes_no_batch() {
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
     let written_batches = batches(Chain::START, 1..=40, 10_000);
     file.append(&written_batches[..2], &totals(6)).await.expect("appends");
     limit_growth(&mut file, 10).await;
-    let error = file.append(&written_batches[2..], &totals(120)).await.expect_err("no room").to_string();
+    let error = file
+        .append(&written_batches[2..], &totals(120))
+        .await
+        .expect_err("the batches do not fit")
+        .to_string();
     assert!(error.contains("the disk is full") && error.contains("spool.sqlite"), "{error}");
-    assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written_batches[..2], "none of them");
+    assert_eq!(
+        file.load(1, usize::MAX).await.expect("loads").batches,
+        written_batches[..2],
+        "no batch of the refused append"
+    );
 
-    file.append(&written_batches[2..4], &totals(12)).await.expect("two fit");
-    file.append(&written_batches[4..7], &totals(21)).await.expect_err("no more do");
+    file.append(&written_batches[2..4], &totals(12)).await.expect("two batches fit");
+    file.append(&written_batches[4..7], &totals(21)).await.expect_err("three more batches do not fit");
     file.delete_through(2, written_batches[1].chain).await.expect("deletes");
-    file.append(&written_batches[4..6], &totals(18)).await.expect("there is room again");
+    file.append(&written_batches[4..6], &totals(18)).await.expect("two batches fit after the deletion");
     assert_eq!(file.load(3, usize::MAX).await.expect("loads").batches, written_batches[2..6]);
     drop(file.close().await);
     let (_, state) = spool_folder.open_undamaged().await;
@@ -40,9 +48,9 @@ async fn appends_are_refused_whole_while_disk_is_full() {
 async fn reserve_for_deleting_survives_restart() {
     let spool_folder = SpoolFolder::new();
     let reserve_file = || {
-        let reserved = fs::metadata(spool_folder.folder.path().join("spool.sqlite-reserve"));
+        let metadata = fs::metadata(spool_folder.folder.path().join("spool.sqlite-reserve"));
         // `None` on a file system that cannot allocate space.
-        reserved.ok().map(|reserved| (reserved.ino(), reserved.blocks()))
+        metadata.ok().map(|metadata| (metadata.ino(), metadata.blocks()))
     };
     let (file, _) = spool_folder.open_undamaged().await;
     let reserved = reserve_file();
@@ -52,7 +60,7 @@ async fn reserve_for_deleting_survives_restart() {
     assert_eq!(
         reserve_file(),
         reserved,
-        "not released in between, when another program could take the space"
+        "the space is never released, because another program could take it"
     );
     file.close().await.expect("closes");
     assert_eq!(reserve_file(), reserved);
@@ -64,20 +72,20 @@ async fn moved_file_is_not_written_until_moved_back() {
     let (mut file, _) = spool_folder.open_undamaged().await;
     let written_batches = batches(Chain::START, 1..=2, 10);
     file.append(&written_batches[..1], &totals(3)).await.expect("appends");
-    let moved = spool_folder.folder.path().join("away");
-    fs::rename(spool_folder.path(), &moved).expect("moved");
+    let new_path = spool_folder.folder.path().join("away");
+    fs::rename(spool_folder.path(), &new_path).expect("moved");
     let error = file.append(&written_batches[1..], &totals(6)).await.expect_err("moved").to_string();
     assert!(error.contains("deleted, moved or replaced"), "{error}");
     file.delete_through(1, written_batches[0].chain).await.expect_err("moved");
     fs::write(spool_folder.path(), b"something else").expect("written");
     file.append(&written_batches[1..], &totals(6)).await.expect_err("replaced");
-    fs::rename(&moved, spool_folder.path()).expect("moved back");
+    fs::rename(&new_path, spool_folder.path()).expect("moved back");
     file.append(&written_batches[1..], &totals(6)).await.expect("appends");
     assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written_batches);
 }
 
 #[tokio::test]
-async fn folder_that_cannot_be_created_is_named() {
+async fn error_says_that_folder_cannot_be_created() {
     let spool_folder = SpoolFolder::new();
     fs::write(spool_folder.folder.path().join("file"), b"").expect("written");
     let path = spool_folder.folder.path().join("file").join("spool.sqlite");

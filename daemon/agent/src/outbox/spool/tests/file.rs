@@ -43,18 +43,18 @@ async fn batches_totals_and_deletions_survive_reopening() {
 
     let all = file.load(4, usize::MAX).await.expect("loads");
     assert_eq!((all.batches.as_slice(), all.damage), (&written_batches[3..], None));
-    let some = file.load(6, 150).await.expect("loads");
+    let limited = file.load(6, 150).await.expect("loads");
     assert_eq!(
-        (some.batches.as_slice(), some.damage),
+        (limited.batches.as_slice(), limited.damage),
         (&written_batches[5..7], None),
-        "until they exceed it"
+        "batches are read until their length reaches 150 bytes"
     );
     let single = file.load(6, 0).await.expect("loads");
-    assert_eq!(single.batches.as_slice(), &written_batches[5..6], "one at least");
+    assert_eq!(single.batches.as_slice(), &written_batches[5..6], "at least one batch is read");
 }
 
 #[tokio::test]
-async fn emptied_spool_keeps_its_position() {
+async fn emptied_spool_keeps_batch_number_and_chain() {
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
     let written_batches = batches(Chain::START, 1..=2, 10);
@@ -71,7 +71,7 @@ async fn emptied_spool_keeps_its_position() {
 }
 
 #[tokio::test]
-async fn batches_stored_without_spool_leave_no_gap() {
+async fn batches_that_were_never_spooled_are_not_missing() {
     // While the disk failed, batches 3 to 5 were sent from memory and acknowledged.
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
@@ -104,25 +104,26 @@ async fn renewed_spool_keeps_batches_under_new_stream_id() {
 }
 
 #[tokio::test]
-async fn senders_from_file_are_remembered() {
+async fn newest_sent_batch_of_each_process_survives_reopening() {
     let spool_folder = SpoolFolder::new();
     let (mut file, fresh) = spool_folder.open_undamaged().await;
     assert_eq!(fresh.newest_sent, []);
     let written_batches = batches(Chain::START, 1..=6, 10);
-    let totals_of_sender = |process, number| {
+    let totals_of_process = |process, number| {
         let newest_sent = NewestSentBatch { process, number };
         (newest_sent, Totals { newest_sent: Some(newest_sent), ..totals(9) })
     };
-    let ((first, as_first), (second, as_second)) = (totals_of_sender(u64::MAX, 2), totals_of_sender(5, 4));
-    file.append(&written_batches[..2], &as_first).await.expect("appends");
-    file.append(&[], &totals_of_sender(5, 2).1).await.expect("appends");
-    file.append(&written_batches[2..4], &as_second).await.expect("appends");
-    file.append(&written_batches[4..], &totals(18)).await.expect("appends out of contact");
+    let ((first, totals_of_first), (second, totals_of_second)) =
+        (totals_of_process(u64::MAX, 2), totals_of_process(5, 4));
+    file.append(&written_batches[..2], &totals_of_first).await.expect("appends");
+    file.append(&[], &totals_of_process(5, 2).1).await.expect("appends");
+    file.append(&written_batches[2..4], &totals_of_second).await.expect("appends");
+    file.append(&written_batches[4..], &totals(18)).await.expect("appends without a connection");
     file.close().await.expect("closes");
     let (mut file, state) = spool_folder.open_undamaged().await;
     assert_eq!(state.newest_sent, [second, first]);
     for process in 100..200 {
-        file.append(&[], &totals_of_sender(process, 6).1).await.expect("appends");
+        file.append(&[], &totals_of_process(process, 6).1).await.expect("appends");
     }
     file.delete_through(6, written_batches[5].chain).await.expect("deletes");
     file.close().await.expect("closes");
@@ -139,22 +140,22 @@ async fn repeated_append_replaces_batches() {
     let (mut file, _) = spool_folder.open_undamaged().await;
     let written_batches = batches(Chain::START, 1..=2, 10);
     file.append(&written_batches[..1], &totals(3)).await.expect("appends");
-    file.append(&written_batches, &totals(6)).await.expect("appends what seemed to have failed");
+    file.append(&written_batches, &totals(6)).await.expect("appends the first batch again");
     assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written_batches);
 }
 
 #[tokio::test]
-async fn second_agent_and_other_hosts_spool_are_refused() {
+async fn spool_in_use_and_spool_of_other_host_are_refused() {
     let spool_folder = SpoolFolder::new();
     let (file, _) = spool_folder.open_undamaged().await;
-    let error = spool_folder.open().await.expect_err("one has it").to_string();
+    let error = spool_folder.open().await.expect_err("the spool is in use").to_string();
     assert!(error.contains("another agent uses") && error.contains("spool.sqlite"), "{error}");
     drop(file.close().await);
-    let other = HostId::from_bytes([8; 16]);
-    let error = OpenSpool::open(&spool_folder.path(), other, true, &clock())
+    let other_host = HostId::from_bytes([8; 16]);
+    let error = OpenSpool::open(&spool_folder.path(), other_host, true, &clock())
         .await
-        .expect_err("another host's")
+        .expect_err("the spool of another host")
         .to_string();
-    assert!(error.contains(&host().to_string()) && error.contains(&other.to_string()), "{error}");
-    spool_folder.open().await.expect("nothing was changed");
+    assert!(error.contains(&host().to_string()) && error.contains(&other_host.to_string()), "{error}");
+    spool_folder.open().await.expect("the refused attempts changed nothing");
 }

@@ -1,8 +1,8 @@
-//! Tests that read the spools in `tests/fixtures/spools`, one of each migration, as SQL text: events that wait in
-//! them must still be sent.
+//! Tests that read the spools in `tests/fixtures/spools`. There is one spool of each migration, as SQL text. Events
+//! that wait in a spool of an earlier release must still be sent.
 //!
-//! After a new migration, `cargo test -p peernet-agent write_missing_fixtures -- --ignored` writes its file. An
-//! existing file is never overwritten.
+//! After a new migration was added, `cargo test -p peernet-agent write_missing_fixtures -- --ignored` writes its spool.
+//! An existing file is never overwritten.
 
 use std::borrow::Cow;
 use std::fs;
@@ -44,13 +44,13 @@ fn event(text: &str) -> Event {
     })
 }
 
-/// Copies the spool to a file with the schema of an earlier migration.
-async fn copy_as_version(new: &Path, old: &Path, version: i64) {
-    let mut connection = connect(old).await;
+/// Copies the spool to the file `copy`, with the schema of the migration `version`.
+async fn copy_as_version(spool: &Path, copy: &Path, version: i64) {
+    let mut connection = connect(copy).await;
     let migrations = MIGRATIONS.iter().filter(|migration| migration.version <= version).cloned().collect();
     let migrator = Migrator { migrations: Cow::Owned(migrations), ..Migrator::DEFAULT };
-    migrator.run_direct(None, &mut connection, false).await.expect("makes the old schema");
-    let attached = sqlx::query("ATTACH ? AS new").bind(new.to_string_lossy().into_owned());
+    migrator.run_direct(None, &mut connection, false).await.expect("creates the earlier schema");
+    let attached = sqlx::query("ATTACH ? AS new").bind(spool.to_string_lossy().into_owned());
     attached.execute(&mut connection).await.expect("opens");
     let tables: Vec<(String, String)> = sqlx::query_as(
         "SELECT s.name, (SELECT group_concat(name, ', ') FROM pragma_table_info(s.name, 'main')) \
@@ -60,8 +60,8 @@ async fn copy_as_version(new: &Path, old: &Path, version: i64) {
     .await
     .expect("lists");
     for (table, columns) in tables {
-        let copy = format!("INSERT INTO main.{table} ({columns}) SELECT {columns} FROM new.{table}");
-        sqlx::raw_sql(AssertSqlSafe(copy)).execute(&mut connection).await.expect("copies");
+        let insert = format!("INSERT INTO main.{table} ({columns}) SELECT {columns} FROM new.{table}");
+        sqlx::raw_sql(AssertSqlSafe(insert)).execute(&mut connection).await.expect("copies");
     }
     connection.close().await.expect("closes");
 }
@@ -76,9 +76,9 @@ async fn write_missing_fixtures() {
     file.close().await.expect("closes");
     fs::create_dir_all(fixture_folder()).expect("a folder");
     for migration in MIGRATIONS.iter().filter(|migration| !fixture(migration.version).exists()) {
-        let old = spool_folder.folder.path().join(format!("{}.sqlite", migration.version));
-        copy_as_version(&spool_folder.path(), &old, migration.version).await;
-        let dump = Command::new("sqlite3").arg(&old).arg(".dump").output().expect("sqlite3 is installed");
+        let copy = spool_folder.folder.path().join(format!("{}.sqlite", migration.version));
+        copy_as_version(&spool_folder.path(), &copy, migration.version).await;
+        let dump = Command::new("sqlite3").arg(&copy).arg(".dump").output().expect("sqlite3 is installed");
         assert!(dump.status.success(), "{}", String::from_utf8_lossy(&dump.stderr));
         let text = String::from_utf8(dump.stdout).expect("SQL is text");
         let text = format!("PRAGMA application_id = {APPLICATION_ID};\n{text}");
@@ -93,7 +93,7 @@ async fn spool_of_each_migration_is_readable() {
         let text = text.unwrap_or_else(|error| panic!("the fixture of {}: {error}", migration.version));
         let spool_folder = SpoolFolder::new();
         let mut connection = connect(&spool_folder.path()).await;
-        sqlx::raw_sql(AssertSqlSafe(text)).execute(&mut connection).await.expect("is SQL");
+        sqlx::raw_sql(AssertSqlSafe(text)).execute(&mut connection).await.expect("the fixture is SQL");
         connection.close().await.expect("closes");
 
         let (mut file, state) = spool_folder.open_undamaged().await;

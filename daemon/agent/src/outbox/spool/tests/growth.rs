@@ -22,10 +22,10 @@ async fn file_size_follows_content_and_shrinks_after_backlog() {
     }
     let full_size = file_bytes(&mut file).await;
     assert!((40 * MIB..42 * MIB).contains(&full_size), "{full_size}");
-    assert!(!file.shrink().await.expect("looks"), "nothing is free");
+    assert!(!file.shrink().await.expect("shrinks"), "no page is unused");
 
     file.delete_through(39, written_batches[38].chain).await.expect("deletes");
-    assert_eq!(file_bytes(&mut file).await, full_size, "free pages are kept for the next batches");
+    assert_eq!(file_bytes(&mut file).await, full_size, "deleting alone does not shrink the file");
     let mut steps = 0;
     while file.shrink().await.expect("shrinks") {
         steps += 1;
@@ -35,7 +35,7 @@ async fn file_size_follows_content_and_shrinks_after_backlog() {
     assert!(size <= 12 * MIB, "{size}");
     assert_eq!(file.load(40, usize::MAX).await.expect("loads").batches, written_batches[39..]);
     file.close().await.expect("closes");
-    assert!(std::fs::metadata(spool_folder.path()).expect("there").len() <= 12 * MIB);
+    assert!(std::fs::metadata(spool_folder.path()).expect("the file exists").len() <= 12 * MIB);
 }
 
 #[tokio::test]
@@ -44,8 +44,10 @@ async fn sqlite_settings_keep_durability_promise() {
     let (mut file, _) = spool_folder.open_undamaged().await;
     for (pragma, expected) in [("auto_vacuum", "2"), ("journal_mode", "wal"), ("synchronous", "1")] {
         let query = format!("SELECT CAST({pragma} AS TEXT) FROM pragma_{pragma}");
-        let value: String =
-            sqlx::query_scalar(sqlx::AssertSqlSafe(query)).fetch_one(file.connection()).await.expect("asks");
+        let value: String = sqlx::query_scalar(sqlx::AssertSqlSafe(query))
+            .fetch_one(file.connection())
+            .await
+            .expect("reads the setting");
         assert_eq!(value, expected, "{pragma}");
     }
 }

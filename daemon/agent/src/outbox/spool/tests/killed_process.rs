@@ -16,7 +16,7 @@ fn count_events(counter: &EventCounter, run: RunId, events: u64) {
     (0..events).for_each(|nanos| counter.count(Some(&pipeline), Some(run), at(nanos.cast_signed())));
 }
 
-/// Returns totals after `events` further events of a run are in batches and `reported` lost events are in gaps.
+/// Returns the totals `before` with `events` further batched events of a run; gaps report `reported` lost events.
 fn totals_after(run: RunId, events: u64, reported: u64, before: &Totals) -> Totals {
     let mut submitted = SubmittedEvents { last: Some(at(1)), ..SubmittedEvents::default() };
     submitted.batched.add(Some(run), events);
@@ -33,36 +33,36 @@ async fn losses_of_killed_process_stay_until_reported() {
         .expect("appends");
     drop((file, counter));
 
-    let second = RunId::random();
+    let second_run = RunId::random();
     let OpenSpool { file, state, counter, .. } = spool_folder.open().await.expect("opens");
-    let lost = |state: &SpoolState| -> Vec<_> {
+    let losses_of = |state: &SpoolState| -> Vec<_> {
         state.unreported.iter().map(|gap| (gap.run, gap.count, gap.reason.clone())).collect()
     };
     assert_eq!((state.totals.produced, state.totals.dropped, state.totals.reported_drops), (10, 4, 0));
-    assert_eq!(lost(&state), [(Some(run), 4, KILLED_REASON.to_owned())]);
+    assert_eq!(losses_of(&state), [(Some(run), 4, KILLED_REASON.to_owned())]);
     assert_eq!((state.unreported[0].from, state.unreported[0].to), (at(1), at(9)));
-    // The second process is killed, too, before it could report the loss. It lost one event itself.
-    count_events(&counter, second, 1);
+    // The second process is also killed before it reports the loss. The second process loses one event.
+    count_events(&counter, second_run, 1);
     drop((file, counter));
 
     let OpenSpool { mut file, state, counter, .. } = spool_folder.open().await.expect("opens");
-    let losses = [(Some(run), 4, KILLED_REASON.to_owned()), (Some(second), 1, KILLED_REASON.to_owned())];
-    assert_eq!((lost(&state), state.totals.dropped), (losses.to_vec(), 5));
+    let losses = [(Some(run), 4, KILLED_REASON.to_owned()), (Some(second_run), 1, KILLED_REASON.to_owned())];
+    assert_eq!((losses_of(&state), state.totals.dropped), (losses.to_vec(), 5));
     assert_eq!(spool_folder.lost_when_killed().await, Some(5));
-    let third = RunId::random();
-    count_events(&counter, third, 3);
-    file.append(&batches(state.newest.1, 3..=3, 10), &totals_after(third, 3, 4, &state.totals))
+    let third_run = RunId::random();
+    count_events(&counter, third_run, 3);
+    file.append(&batches(state.newest.1, 3..=3, 10), &totals_after(third_run, 3, 4, &state.totals))
         .await
         .expect("appends");
     drop((file, counter));
 
     let (_, state) = spool_folder.open_undamaged().await;
-    assert_eq!(lost(&state), losses[1..], "a reported loss is not reported again");
+    assert_eq!(losses_of(&state), losses[1..], "a reported loss is not reported again");
     assert_eq!(spool_folder.lost_when_killed().await, Some(5), "reported losses stay counted");
 }
 
 #[tokio::test]
-async fn unspooled_sends_stay_open_until_resolved() {
+async fn batches_sent_without_spool_stay_unresolved_until_aggregator_answers() {
     let (spool_folder, run) = (SpoolFolder::new(), RunId::random());
     let OpenSpool { mut file, state, counter, .. } = spool_folder.open().await.expect("opens");
     count_events(&counter, run, 10);
@@ -83,7 +83,7 @@ async fn unspooled_sends_stay_open_until_resolved() {
     assert_eq!((unresolved.counted.total, unresolved.settled.events.events_of(run)), (10, 6));
     assert_eq!((unresolved.settled.batched, unresolved.events), (6, 6));
     assert_eq!((state.totals.dropped, state.unreported.len()), (0, 0));
-    // Killed before the aggregator answered.
+    // This process is killed before the aggregator has answered. It loses one event.
     count_events(&counter, run, 1);
     drop((file, counter));
 
@@ -113,7 +113,7 @@ async fn missing_counter_file_reports_no_loss() {
 }
 
 #[tokio::test]
-async fn copied_spool_leaves_count_to_original() {
+async fn only_original_spool_reports_loss_and_not_its_copy() {
     let (spool_folder, copy, run) = (SpoolFolder::new(), SpoolFolder::new(), RunId::random());
     let OpenSpool { mut file, state, counter, .. } = spool_folder.open().await.expect("opens");
     file.append(&batches(Chain::START, 1..=2, 10), &totals_after(run, 6, 0, &state.totals))
@@ -136,8 +136,8 @@ async fn copied_spool_leaves_count_to_original() {
 async fn counts_of_deleted_spools_are_removed_at_start() {
     let (deleted, spool_folder) = (SpoolFolder::new(), SpoolFolder::new());
     let OpenSpool { file, counter, .. } = deleted.open().await.expect("opens");
-    let count = Path::new("/dev/shm").join(counter.name().expect("counts"));
+    let counter_file = Path::new("/dev/shm").join(counter.name().expect("the counter has a file"));
     drop((file, counter, deleted));
     spool_folder.open_undamaged().await;
-    assert!(!count.exists());
+    assert!(!counter_file.exists());
 }

@@ -48,7 +48,7 @@ impl SpoolFolder {
     async fn open_undamaged(&self) -> (SpoolFile, SpoolState) {
         let OpenSpool { file, state, quarantined, counter, was_empty: _ } = self.open().await.expect("opens");
         assert_eq!(quarantined, None);
-        // The counter's file is left behind only by a process that is killed.
+        // Without the counter's file, the next start does not look like a start after a killed process.
         counter.remove();
         (file, state)
     }
@@ -62,22 +62,27 @@ fn clock() -> SharedClock {
     Arc::new(ManualClock::new(WallTime::from_unix_nanos(5_000_000_000), ClockIdentity::new("boot", "system")))
 }
 
-/// Returns batches with these numbers, whose chain continues `before`.
-fn batches(mut before: Chain, numbers: impl IntoIterator<Item = u64>, bytes: usize) -> Vec<SpooledBatch> {
+/// Returns batches with these numbers and bodies of `bytes` bytes, whose chains continue `previous_chain`.
+fn batches(
+    mut previous_chain: Chain,
+    numbers: impl IntoIterator<Item = u64>,
+    bytes: usize,
+) -> Vec<SpooledBatch> {
     let batch = |number: u64| {
         let body = Bytes::from(vec![number as u8; bytes]);
-        before = before.next(3, &body);
+        previous_chain = previous_chain.next(3, &body);
         SpooledBatch {
             number,
             since: WallTime::from_unix_nanos(number as i64),
             events: 3,
-            chain: before,
+            chain: previous_chain,
             body,
         }
     };
     numbers.into_iter().map(batch).collect()
 }
 
+/// Returns totals with this number of produced events, of which two were dropped and reported in a gap.
 fn totals(produced: u64) -> Totals {
     Totals { produced, dropped: 2, gaps: 1, reported_drops: 2, ..Totals::default() }
 }
@@ -86,7 +91,7 @@ fn totals(produced: u64) -> Totals {
 fn list_files(folder: &Path) -> Vec<String> {
     let entries = std::fs::read_dir(folder).expect("can be listed");
     let name = |entry: std::io::Result<std::fs::DirEntry>| {
-        entry.expect("can be listed").file_name().into_string().expect("text")
+        entry.expect("can be listed").file_name().into_string().expect("the name is UTF-8")
     };
     let mut names: Vec<String> = entries.map(name).collect();
     names.retain(|name| !["-shm", "-wal", "-lock", "-reserve"].iter().any(|ending| name.ends_with(ending)));

@@ -6,7 +6,7 @@ use peernet_stream::{
     Action, Event, HostDescription, Iteration, Outcome, Sending, SendingConfig, SpoolState,
 };
 
-use super::super::range_log::ranges;
+use super::super::range_log::iteration_ranges;
 use super::*;
 use crate::telemetry;
 
@@ -46,18 +46,18 @@ pub(super) fn batch(clock: &SharedClock, state: SpoolState, events: &[Event]) ->
 }
 
 #[tokio::test]
-async fn each_iteration_of_batch_is_in_one_range() {
+async fn consecutive_iterations_of_run_are_one_range() {
     let (clock, spool_folder) = (clock(), SpoolFolder::new());
     let (_, state) = spool_folder.open_undamaged().await;
     let mut runs = [RunId::random(), RunId::random()];
     runs.sort();
     let [first, second] = runs;
-    // Iterations in flight end in any order, and some are missing.
+    // Iterations in flight end in any order, and some iterations are not in the batch.
     let iterations = [(second, 7), (first, 4), (first, 2), (second, 6), (first, 3), (first, 9)];
     let events: Vec<Event> =
         iterations.iter().map(|(run, number)| iteration(&clock, *run, *number)).collect();
     let batch = batch(&clock, state, &events);
-    assert_eq!(ranges(&batch), [(first, 2, 4), (first, 9, 9), (second, 6, 7)]);
-    let damaged = SpooledBatch { events: 99, ..batch };
-    assert!(ranges(&damaged).is_empty(), "what cannot be read is not claimed");
+    assert_eq!(iteration_ranges(&batch), [(first, 2, 4), (first, 9, 9), (second, 6, 7)]);
+    let undecodable = SpooledBatch { events: 99, ..batch };
+    assert!(iteration_ranges(&undecodable).is_empty(), "a batch that cannot be decoded has no ranges");
 }

@@ -96,8 +96,8 @@ impl PeerStamps {
         &self.peer_description
     }
 
-    /// Queries the peer for the stamps of a pair. Returns the pair as an error if too many pairs wait, or if the task has
-    /// ended.
+    /// Queries the peer for the stamps of a pair. Returns the pair as an error if too many pairs wait, or if the task
+    /// has ended.
     pub(super) fn query(&mut self, key: i64, pair: Pair) -> Result<(), Box<Pair>> {
         // The task takes waiting pairs out of the channel, so the capacity of the channel does not limit the number of
         // waiting pairs.

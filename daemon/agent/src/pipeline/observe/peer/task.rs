@@ -86,7 +86,8 @@ impl PeerTask {
         self.abandon();
     }
 
-    /// Queries the peer through one connection. Returns the reason for its end, or `None` if the observer has closed its channel.
+    /// Queries the peer through one connection. Returns the reason for its end, or `None` if the observer has closed
+    /// its channel.
     async fn query_through(&mut self, connection: &PeerConnection) -> Option<CloseReason> {
         let connector = Arc::clone(&self.connector);
         let mut closed = pin!(connection.closed());
@@ -95,8 +96,8 @@ impl PeerTask {
             let keys = self.pending.take_due(self.now(), MAX_KEYS);
             if !keys.is_empty() {
                 match self.wait_for(connection.query(keys)).await? {
-                    // A faulty peer may answer with more pairs than were requested. Pairs beyond the maximum number of keys
-                    // in a request are ignored.
+                    // A faulty peer may answer with more pairs than were requested. Pairs beyond the maximum number of
+                    // keys in a request are ignored.
                     Ok(answer) => answer.pairs.iter().take(MAX_KEYS).for_each(|stamps| {
                         self.take_answer(&PeerAnswer { peer: connection.host, stamps: *stamps });
                     }),

@@ -45,8 +45,8 @@ pub(in crate::pipeline::observe) fn tree_with_peer_stamps(
         let [up_delay, down_delay] = judge(&up, return_path.as_ref().map(|(down, _)| down));
         let upload = recorder.start_transit(stage::UPLOAD, started);
         let nodes = return_path.map(|(down, elapsed)| peer_nodes(&down, elapsed, down_delay));
-        // The sum of both directions needs no clock relation. It is this host's waiting time minus the time that elapsed at
-        // the peer. Each host measures its time by its own monotonic clock.
+        // The sum of both directions needs no clock relation. It is this host's waiting time minus the time that
+        // elapsed at the peer. Each host measures its time by its own monotonic clock.
         transport = return_path.map(|(_, elapsed)| total - elapsed);
         let base = u32::try_from(recorder.tree().nodes().len()).unwrap_or(u32::MAX);
         let delta = TreeDelta {

@@ -21,7 +21,8 @@ pub(super) enum Topic {
 pub(super) struct ObservedType {
     /// Name in the notation of its version of ROS.
     pub(super) name: String,
-    /// `true` if messages of this type begin with a `std_msgs/Header`; `None` if this cannot be seen from the type alone.
+    /// `true` if messages of this type begin with a `std_msgs/Header`; `None` if this cannot be seen from the type
+    /// alone.
     pub(super) has_header: Option<bool>,
 }
 
