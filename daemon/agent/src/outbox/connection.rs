@@ -14,6 +14,7 @@ use zeromq::{
 /// Maximum number of messages that the socket buffers. The number is small, because a live update waits behind these
 /// messages.
 const MAX_QUEUED_MESSAGES: u32 = 8;
+// Several heartbeats fit into `SILENCE_TIMEOUT`, so that a single late heartbeat does not end the connection.
 const HEARTBEAT_INTERVAL: Duration = Duration::from_secs(1);
 /// Time without received data after which the peer counts as unreachable.
 const SILENCE_TIMEOUT: Duration = Duration::from_secs(5);
@@ -113,8 +114,8 @@ impl Connection {
         }
     }
 
-    /// Waits for the next message, or for the end of the connection. If `is_blocked` is `true`, also waits for space
-    /// in the socket's queue, and returns `None` once there is space. Cancel-safe.
+    /// Waits for the next message, or for the end of the connection. If `is_blocked` is `true`, also waits for space in
+    /// the socket's queue, and returns `None` once there is space. Cancel-safe.
     pub(super) async fn receive(&mut self, is_blocked: bool) -> Result<Option<Message>, ConnectionError> {
         loop {
             tokio::select! {

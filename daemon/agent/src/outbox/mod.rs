@@ -3,8 +3,8 @@
 //! Tasks add their events to the [`EventQueue`](crate::event_queue::EventQueue) and continue. The outbox task takes the
 //! events from the queue and owns the connection. The task drives the sending end of the event stream
 //! (`peernet_stream::Sending`), a state machine that batches, numbers and resends. A second task owns the [spool], the
-//! file in which batches are safe until the aggregator has stored them. Therefore neither the outbox nor a
-//! live update waits for a disk.
+//! file in which batches are safe until the aggregator has stored them. Therefore neither the outbox nor a live update
+//! waits for a disk.
 //!
 //! A batch is sent after it was written to the spool. While the spool's disk fails, batches are sent from memory,
 //! because otherwise the batches would be stored nowhere.

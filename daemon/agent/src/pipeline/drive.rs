@@ -30,6 +30,7 @@ pub(super) async fn drive(
     let mut executing = FuturesUnordered::new();
     let mut stopping = pin!(stop.cancelled());
     let mut connection_closed = pin!(placement.closed());
+    // The deadline is set when the agent stops; it is not polled before.
     let mut drain_deadline = pin!(tokio::time::sleep(Duration::ZERO));
     let (mut is_stopping, mut is_disconnected) = (false, false);
     loop {

@@ -6,6 +6,7 @@ use peernet_clock::{MonoTime, Span};
 use peernet_stream::Outcome;
 
 /// Shortest time between two log lines about one kind of failure.
+// Without the limit, a pipeline that fails at a high rate would fill the log.
 const MIN_INTERVAL: Span = Span::from_seconds(60);
 
 /// The failures of a run, by kind.

@@ -10,6 +10,7 @@ use super::in_flight::StartedIteration;
 /// Starts the tree of an iteration with its root at `intended`. Also returns the actual start.
 pub(super) fn start(clock: &SharedClock, host: HostId, intended: MonoTime) -> (Recorder, MonoTime) {
     let now = clock.stamp();
+    // All clocks of the stamp are moved back by the lateness, so that the wall clock also shows the intended start.
     let at = now - (now.mono - intended);
     (Recorder::starting_at(SharedClock::clone(clock), host, at), now.mono)
 }
@@ -103,9 +104,9 @@ mod tests {
 
     const STEP: Span = Span::from_millis(1);
 
-    /// Returns the tree of an iteration that began 3 ms late, sensed for 1 ms, took 1 ms each for upload, download
-    /// and actuation and 2 ms on a cloud; 1 ms passed after the download, outside of all stages. The cloud's wall clock
-    /// is ahead of the edge's by `cloud_offset`.
+    /// Returns the tree of an iteration that began 3 ms late, sensed for 1 ms, took 1 ms each for upload, download and
+    /// actuation and 2 ms on a cloud; 1 ms passed after the download, outside of all stages. The cloud's wall clock is
+    /// ahead of the edge's by `cloud_offset`.
     fn iteration(cloud_offset: Span, judge: fn(Span) -> OneWayDelay, transport: Option<Span>) -> Tree {
         let clock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system")));

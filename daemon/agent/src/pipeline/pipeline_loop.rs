@@ -24,6 +24,7 @@ use super::sensing::{SensorOutput, SensorResponse};
 use crate::incidents::IncidentSubject;
 
 /// Number of consecutive sensor failures after which an incident is reported.
+// A few consecutive failures may come from bad samples of a data set. They are recorded as failed iterations only.
 const FAILURES_FOR_INCIDENT: u32 = 10;
 
 /// Reason for the end of the loop.

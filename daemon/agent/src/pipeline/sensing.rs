@@ -38,6 +38,7 @@ pub(super) enum SensorExecutor {
     Thread {
         requests: SyncSender<SensorRequest>,
         /// Closed when the thread has ended and the sensor is dropped.
+        // `Infallible` has no values, so that the type shows that nothing is ever sent.
         ended: oneshot::Receiver<Infallible>,
     },
 }

@@ -111,6 +111,8 @@ impl Sender {
             let is_blocked = self.live_lane.is_blocked() || !self.unsent_frames.is_empty();
             let is_quiet = self.intake.is_quiet(self.clock.mono());
             tokio::select! {
+                // The stop is the first branch and the event queue one of the last, so that a stream of events delays
+                // neither the stop nor live updates.
                 biased;
                 deadline = &mut stop_deadline, if shutdown.is_none() => {
                     shutdown = Some(Shutdown::start(Instant::now(), deadline, self.state_machine.accounting().stored));

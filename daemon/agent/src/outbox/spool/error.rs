@@ -86,9 +86,9 @@ pub enum SpoolError {
 /// Defect of a spool that SQLite can read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SpoolDefect {
-    /// An earlier process found the file damaged and created the damage flag with the reason.
+    /// An earlier process found the file damaged and created the damage flag. The text of the flag is the reason.
     #[error("{0}")]
-    Flagged(String),
+    DamageFlag(String),
     /// The id of the spool's stream cannot be read.
     #[error("its stream id {0:?} is invalid")]
     StreamId(String),
@@ -201,5 +201,6 @@ pub(super) fn is_corrupt(error: &sqlx::Error) -> bool {
 /// Returns SQLite's primary result code; `None` if the error does not come from SQLite.
 fn code(error: &sqlx::Error) -> Option<i32> {
     let code: i32 = error.as_database_error()?.code()?.parse().ok()?;
+    // The lowest byte of an extended result code is the primary result code.
     Some(code & 0xff)
 }

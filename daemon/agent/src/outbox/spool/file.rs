@@ -27,6 +27,7 @@ use crate::lock::FileLock;
 pub(in crate::outbox) struct SpoolFile {
     path: PathBuf,
     /// Device and inode of the open file.
+    // Both numbers are needed, because an inode number is unique only within one file system.
     identity: (u64, u64),
     connection: SqliteConnection,
     reserve: Reserve,

@@ -51,7 +51,7 @@ pub struct Inspection {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SpoolDamage {
     /// SQLite finds the file damaged.
-    #[error("SQLite reports damage at {places} places of the spool; the first report is: {first}")]
+    #[error("SQLite reports damage in the spool (damaged places: {places}); the first report is: {first}")]
     Pages {
         /// Number of damaged places that SQLite reports, at most 100.
         places: usize,

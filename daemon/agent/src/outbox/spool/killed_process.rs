@@ -120,9 +120,9 @@ pub(super) async fn unresolved_counter(
 }
 
 /// Determines which events the previous process lost, records them, and starts a new counter. The record is one
-/// transaction, so that each loss is reported exactly once, no matter when a process is killed. If shared
-/// memory is unavailable, events are not counted. A copy of a spool does not use the counts of the original spool,
-/// whose agent reports the losses itself.
+/// transaction, so that each loss is reported exactly once, no matter when a process is killed. If shared memory is
+/// unavailable, events are not counted. A copy of a spool does not use the counts of the original spool, whose agent
+/// reports the losses itself.
 pub(super) async fn start_counter(
     connection: &mut SqliteConnection,
     state: &mut SpoolState,

@@ -162,7 +162,7 @@ async fn connect_despite_full_disk(
 /// Opens the connection and prepares the file, or closes the connection if that fails.
 async fn connect(path: &Path, host: HostId, counts_events: bool) -> Result<ConnectedSpool, SpoolError> {
     if let Some(reason) = quarantine_reason(path) {
-        return Err(SpoolError::Damaged { path: path.to_owned(), defect: SpoolDefect::Flagged(reason) });
+        return Err(SpoolError::Damaged { path: path.to_owned(), defect: SpoolDefect::DamageFlag(reason) });
     }
     let cannot_open = |source| SpoolError::Open { path: path.to_owned(), source };
     let mut connection = settings(path).connect().await.map_err(cannot_open)?;

@@ -28,6 +28,7 @@ pub(in crate::outbox) struct QuarantinedSpool {
 /// Renames the spool, its write-ahead log (`-wal`) and its shared memory (`-shm`). The `sqlite3` shell may recover data
 /// from these files. The spool must not be open.
 pub(super) fn quarantine(spool: &Path, reason: String, now: WallTime) -> io::Result<QuarantinedSpool> {
+    // A spool that was quarantined in the same second must not be overwritten.
     let unused_path = |seconds: i64| {
         let path = with_suffix(spool, &format!(".damaged-{seconds}"));
         (!path.exists()).then_some(path)

@@ -11,6 +11,7 @@ const TARGET: &str = "peernet_agent::outbox::spool";
 
 /// Logs the iterations of batches that are in the spool: one line per batch, run and contiguous range of numbers.
 pub(super) fn log_ranges(batches: &[SpooledBatch]) {
+    // Decoding all batches takes time, so the batches are decoded only if the lines are logged.
     if !tracing::enabled!(target: TARGET, Level::DEBUG) {
         return;
     }

@@ -31,8 +31,7 @@ pub(in crate::outbox) struct RecoveredBatches {
     pub(in crate::outbox) batches: u64,
     /// Number of events in these batches.
     pub(in crate::outbox) events: u64,
-    /// Number of batches that are only in the quarantined file; `None` if this number cannot
-    /// be read.
+    /// Number of batches that are only in the quarantined file; `None` if this number cannot be read.
     pub(in crate::outbox) lost_batches: Option<u64>,
     /// Number of events in those lost batches for which the number of events can be read.
     pub(in crate::outbox) lost_events: u64,
@@ -127,8 +126,8 @@ async fn fill(
     Ok(recovered)
 }
 
-/// Copies all rows of a table. A spool of an earlier version has fewer columns; the missing columns get their
-/// default values.
+/// Copies all rows of a table. A spool of an earlier version has fewer columns; the missing columns get their default
+/// values.
 async fn copy_table(
     source: &mut SqliteConnection,
     target: &mut SqliteConnection,

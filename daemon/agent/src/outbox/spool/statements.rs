@@ -7,6 +7,7 @@ use sqlx::SqliteConnection;
 use super::killed_process;
 
 /// Maximum number of processes whose newest sent batch is recorded. Each start of the agent is a process.
+// The limit keeps the table small even if the agent restarts again and again without an aggregator.
 pub(super) const MAX_PROCESSES: i64 = 64;
 
 /// Number of unused pages that are kept for the next batches: 8 MiB.

@@ -28,6 +28,7 @@ impl Syncing {
     /// Starts a sync if a transaction was written and no sync is in progress.
     pub(super) fn start(&mut self) {
         if self.is_dirty && self.running_sync.is_none() {
+            // The flag is cleared before the sync starts. A transaction that is written during the sync sets it again.
             self.is_dirty = false;
             self.running_sync = Some(self.write_ahead_log.sync());
         }

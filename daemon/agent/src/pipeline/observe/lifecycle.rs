@@ -16,6 +16,7 @@ use crate::pipeline::runner::{PipelineError, Runner};
 use crate::reconnect_backoff::ReconnectBackoff;
 
 /// Time without a publisher of both topics after which the missing publishers are reported.
+// Discovery may take several seconds, so missing publishers are not reported at once.
 const PUBLISHER_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Observes until the run reaches its limit or the agent stops. If the agent's ROS node ends, for example because the

@@ -46,6 +46,7 @@ pub(super) fn begins_with_header(definition: &str) -> bool {
     // A line with `=` defines a constant, which is not a field.
     let first_field = lines.into_iter().find(|line| !line.is_empty() && !line.contains('='));
     let kind = first_field.and_then(|line| line.split_whitespace().next());
+    // `Header` without a package and `roslib/Header` are older names of `std_msgs/Header`.
     kind.is_some_and(|kind| ["Header", "std_msgs/Header", "roslib/Header"].contains(&kind))
 }
 

@@ -93,8 +93,7 @@ impl<I, O> Pairing<I, O> {
         Some(Resolution::Unmatched(displaced.message))
     }
 
-    /// Removes a message whose timeout has passed by `now`. The caller calls this method until it returns
-    /// `None`.
+    /// Removes a message whose timeout has passed by `now`. The caller calls this method until it returns `None`.
     pub(super) fn expire(&mut self, now: MonoTime) -> Option<Resolution<I, O>> {
         let timeout = self.timeout;
         if let Some(oldest) = self.inputs.pop_front_if(|oldest| now - oldest.received_at >= timeout) {

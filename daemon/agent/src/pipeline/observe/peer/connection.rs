@@ -220,8 +220,8 @@ impl PeerConnection {
         let refusal = |reason: String| PeerProblem { is_refusal: true, ..failure(reason) };
         let request = StampRequest::new(self.peer_pipeline.clone(), self.pair_by, keys);
         let sample = request.to_sample().map_err(|error| refusal(error.to_string()))?;
-        // The recorder is required but belongs to no iteration, so its tree is dropped. The request
-        // has two uses: its answer, and the exchange of time stamps, from which the clock relation of the link learns.
+        // The recorder is required but belongs to no iteration, so its tree is dropped. The request has two uses: its
+        // answer, and the exchange of time stamps, from which the clock relation of the link learns.
         let log = Recorder::new(Arc::clone(&self.clock), self.own_host);
         match self.placement.compute(log, &sample, self.timeout).await.result {
             Ok(answer) => {
@@ -303,7 +303,7 @@ mod tests {
         for part in ["tcp://rack:5551", "PEERNet 0.3 or later", "[[pipeline]]"] {
             assert!(text.contains(part), "{text}");
         }
-        let current_release = refused("host rack observes no topics".to_owned());
-        assert!(current_release.ends_with("observes no topics"), "{current_release}");
+        let other_refusal = refused("host rack observes no topics".to_owned());
+        assert!(other_refusal.ends_with("observes no topics"), "{other_refusal}");
     }
 }

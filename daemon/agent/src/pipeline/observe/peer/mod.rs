@@ -29,8 +29,7 @@ use crate::host::Host;
 use crate::pipeline::progress::Position;
 use crate::pipeline::runner::Runner;
 
-/// Maximum number of pairs that wait for the peer. Further pairs are recorded without the peer's
-/// stamps.
+/// Maximum number of pairs that wait for the peer. Further pairs are recorded without the peer's stamps.
 const MAX_PENDING: usize = 1024;
 
 /// An input message and the output message that belongs to it.
