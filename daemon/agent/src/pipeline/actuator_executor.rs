@@ -45,7 +45,8 @@ pub(super) struct AnsweredSample<'a> {
 /// Runs a pipeline's actuator on one answer at a time, in the order of the samples.
 #[derive(Clone)]
 pub(super) struct ActuatorExecutor {
-    // The lock is held during the action, which may take long, so waiting for the lock must not block a thread of tokio.
+    // The lock is held during the action, which may take long, so waiting for the lock must not block a thread of
+    // tokio.
     ordered_actuator: Arc<Mutex<OrderedActuator>>,
     /// `true` if the actuator may block. It then runs on a thread of its own, so that it delays no iteration in flight.
     blocks: bool,

@@ -131,7 +131,10 @@ impl Runner {
             // A peer that returns with another model or device is another configuration. Statistics of two
             // configurations must not be mixed, so a new run starts.
             if let Some(mut outdated_run) = run.take_if(|run| !run.has_placement(&placement.describe())) {
-                self.end_run(Some(&mut outdated_run), EndReason::Failed("the peer changed".to_owned()));
+                self.end_run(
+                    Some(&mut outdated_run),
+                    EndReason::Failed("the peer, its model or its device changed".to_owned()),
+                );
             }
             let current_run = match &mut run {
                 Some(run) => run,

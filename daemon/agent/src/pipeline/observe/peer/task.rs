@@ -76,8 +76,8 @@ impl PeerTask {
             self.reception.record_disconnect();
             let name = &connection.name;
             let text = format!(
-                "lost the connection to {name}: {reason}; until the connection is reopened, iterations are recorded without the peer's stamps \
-                 (peer-unanswered)"
+                "lost the connection to {name}: {reason}; until the connection is reopened, iterations are recorded \
+                 without the peer's stamps (peer-unanswered)"
             );
             self.connector.report(IncidentKind::Disconnected, Some(connection.host), text);
             drop(connection);
