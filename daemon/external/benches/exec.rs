@@ -1,4 +1,4 @@
-//! Benchmark of calls of an external program: a program in C that answers with the received bytes.
+//! Benchmark of calls of an external program, which is written in C and answers with the received bytes.
 //!
 //!     cargo bench -p peernet-external --bench exec -- [--json] [ROUNDS]
 

@@ -1,10 +1,10 @@
-//! Benchmark of what a call of a Python object takes outside custom code, compared with the same bytes through bare
-//! pipes.
+//! Benchmark of the time that a call of a Python object takes outside custom code, compared with the time that the same
+//! bytes take through bare pipes.
 //!
 //!     cargo bench -p peernet-external --bench python -- [--json] [ROUNDS]
 //!
-//! *bytes* and *array* are passed to an object that returns its argument. *cat* is the same process harness around
-//! `cat`: the least that two pipes and two process switches cost.
+//! *bytes* and *array* are passed to an object that returns its argument. *cat* passes the bytes to the program `cat` in
+//! the same process harness. Its time is the least that two pipes and two process switches cost.
 
 use std::fs;
 use std::sync::Arc;
@@ -97,7 +97,8 @@ fn measure_cat(content: &Bytes, rounds: usize, clock: &SharedClock) -> [f64; 2] 
     quantiles(durations)
 }
 
+/// Returns the p50 and p99 of durations.
 fn quantiles(mut durations: Vec<f64>) -> [f64; 2] {
     durations.sort_by(f64::total_cmp);
-    [0.5, 0.99].map(|share| durations[((durations.len() - 1) as f64 * share) as usize])
+    [0.5, 0.99].map(|p| durations[((durations.len() - 1) as f64 * p) as usize])
 }

@@ -10,7 +10,7 @@ use sha2::{Digest, Sha256};
 use peernet_sample::printable_line;
 
 /// Size of the largest file of custom code that is hashed, bytes (256 MiB).
-// Facts are read before a run, which a larger file would delay by more than a second.
+// Facts are read before a run. Hashing a larger file would delay the run by more than a second.
 const MAX_HASHED_BYTES: u64 = 256 << 20;
 
 /// Returns the SHA-256 (FIPS 180-4) of everything that `reader` yields, in hexadecimal.
@@ -50,8 +50,8 @@ pub fn describe_with_hash(file: &Path) -> String {
 
 /// Returns `SHA-256 …`, or the size of a file that is too large to be hashed.
 fn hash_file(file: &Path) -> io::Result<String> {
-    // The type is checked before opening, because opening a device may have effects, and after it, because the file
-    // may have been replaced.
+    // The type is checked twice: before opening, because opening a device may have effects, and after opening, because
+    // the file may have been replaced in between.
     let regular_length = |metadata: Metadata| match metadata.is_file() {
         true => Ok(metadata.len()),
         false => Err(io::Error::other("it is not a regular file")),
@@ -80,14 +80,14 @@ mod tests {
         File::create(&large).and_then(|file| file.set_len(MAX_HASHED_BYTES + 1)).expect("writable");
         let missing = folder.path().join("none");
         let files = [file.clone(), large.clone(), missing.clone()];
-        let (name, description) = files_fact("Sensor", &files).expect("there are some");
+        let (name, description) = files_fact("Sensor", &files).expect("three files are described");
         assert_eq!(name, "Sensor files");
-        let parts: Vec<&str> = description.split(", ").collect();
+        let entries: Vec<&str> = description.split(", ").collect();
         // Example in FIPS 180-4.
         let expected_hash = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
-        assert_eq!(parts[0], format!("{} SHA-256 {expected_hash}", file.display()));
+        assert_eq!(entries[0], format!("{} SHA-256 {expected_hash}", file.display()));
         assert_eq!(
-            &parts[1..],
+            &entries[1..],
             [
                 format!("{} of 268435457 bytes", large.display()).as_str(),
                 "not hashed",
@@ -105,8 +105,8 @@ mod tests {
         rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, Mode::RWXU).expect("can be made");
         let expected = format!("{} (cannot be read: it is not a regular file)", pipe.display());
         assert_eq!(describe_with_hash(&pipe), expected);
-        // The length of this file is 0 although it has contents. Reading the kernel's messages would wait for the
-        // next one.
+        // The length of `/proc/self/status` is 0, although the file has contents. Reading `/proc/kmsg` would wait for
+        // the kernel's next message.
         let empty_hash = sha256(io::empty()).expect("reads");
         let description = describe_with_hash(Path::new("/proc/self/status"));
         assert_eq!(description, format!("/proc/self/status SHA-256 {empty_hash}"));

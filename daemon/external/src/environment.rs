@@ -5,9 +5,9 @@ use std::env;
 
 use peernet_sample::printable_line;
 
-/// Variables of PEERNet, Python, the dynamic loader, thread pools and GPUs. Others are not recorded, because they may
-/// be secret.
-const NAMES: [&str; 26] = [
+/// Recorded variables: those of PEERNet, Python, the dynamic loader, thread pools and GPUs. The values of other variables
+/// may be secret.
+const RECORDED_VARIABLES: [&str; 26] = [
     "PEERNET_PYTHON",
     "PEERNET_MODELS",
     "ORT_DYLIB_PATH",
@@ -35,8 +35,9 @@ const NAMES: [&str; 26] = [
     "NVIDIA_TF32_OVERRIDE",
     "PYTORCH_CUDA_ALLOC_CONF",
 ];
-/// Variable of custom code in an experiment: the seed for a repeat, a user, and the sensor, the actuator or the models;
-/// a number of at most 53 bits. A *user* of an experiment is one of the edges that use the cloud at the same time.
+/// Variable of custom code in an experiment: a seed, which is a number of at most 53 bits. It depends on the repeat, on the
+/// user, and on whether the custom code is the sensor, the actuator or a model. A *user* of an experiment is one of the
+/// edges that use the cloud at the same time.
 pub const SEED_VARIABLE: &str = "PEERNET_SEED";
 /// Variable of custom code in an experiment: the number of the repeat, from 1.
 pub const REPEAT_VARIABLE: &str = "PEERNET_REPEAT";
@@ -47,19 +48,19 @@ const MAX_VALUE_CHARS: usize = 1000;
 /// Text that replaces a configured value.
 const HIDDEN_VALUE: &str = "(not told)";
 
-/// Returns the variables of this program that influence the results of custom code, with their values; its processes
-/// inherit them.
+/// Returns the variables of this program that influence the results of custom code, with their values. The processes of
+/// custom code inherit these variables.
 pub fn environment() -> BTreeMap<String, String> {
-    let recorded = |name: &&str| {
+    let value_of = |name: &&str| {
         let value = env::var_os(name)?.to_string_lossy().chars().take(MAX_VALUE_CHARS).collect::<String>();
         Some(((*name).to_owned(), printable_line(&value).into_owned()))
     };
-    NAMES.iter().filter_map(recorded).collect()
+    RECORDED_VARIABLES.iter().filter_map(value_of).collect()
 }
 
-/// Replaces the values of configured variables (`env`), for a configuration that is published: they may be secret. The
-/// numbers of a run ([`SEED_VARIABLE`], [`REPEAT_VARIABLE`], [`USER_VARIABLE`]) stay, because they are needed to repeat
-/// it.
+/// Replaces the values of configured variables (`env`) in a configuration that is published, because the values may be
+/// secret. The numbers of a run ([`SEED_VARIABLE`], [`REPEAT_VARIABLE`], [`USER_VARIABLE`]) stay, because they are needed to
+/// repeat the run.
 pub fn hide_values(variables: &mut BTreeMap<String, String>) {
     let is_number_of_run = |name: &str, value: &str| {
         [SEED_VARIABLE, REPEAT_VARIABLE, USER_VARIABLE].contains(&name) && value.parse::<u64>().is_ok()

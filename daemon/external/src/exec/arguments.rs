@@ -14,19 +14,19 @@ use super::CommandLine;
 /// probability 2⁻⁴⁸.
 const FINGERPRINT_DIGITS: usize = 12;
 
-/// Prefix of the value of the fact about a program.
+/// Text with which the fact about a program begins (`the program ./blur`).
 const PROGRAM_FACT_PREFIX: &str = "the program ";
 
 /// Names of the facts about programs.
 const FACT_NAMES: [&str; 3] = ["Sensor", "Model", "Actuator"];
 
-/// Tables of a pipeline in which earlier builds could name a program.
-const TABLES: [&str; 2] = ["sensor", "actuator"];
+/// Tables of a pipeline's configuration in which earlier builds could name a program.
+const PROGRAM_TABLES: [&str; 2] = ["sensor", "actuator"];
 
 /// Key for fingerprints of commands. Equal commands have equal fingerprints.
 ///
 /// The key is secret and stays on its host. Without the key, nobody can find a short secret among the arguments by
-/// trying values. A plain hash would allow that.
+/// trying values. A plain hash would allow such a search.
 #[derive(Clone)]
 pub struct FingerprintKey([u8; 32]);
 
@@ -79,7 +79,7 @@ thread_local! {
 /// At any other time a command is serialized as its program and the number of its arguments, whatever the name of the
 /// field that holds the command.
 pub fn with_arguments<T>(write: impl FnOnce() -> T) -> T {
-    /// Restores the previous mode, also when `write` panics.
+    /// Restores the previous value of `SHOWS_ARGUMENTS`, also when `write` panics.
     struct ShowsArgumentsGuard(bool);
 
     impl Drop for ShowsArgumentsGuard {
@@ -119,25 +119,25 @@ impl Serialize for CommandLine {
 /// Each command is replaced with its program and the number of its arguments. Text that is not TOML is replaced as a
 /// whole if it contains the word `command`.
 pub fn hide_arguments(configuration: &str) -> String {
-    // Most tables have no command and stay exactly as they were written.
+    // Most configurations have no command and stay exactly as they were written.
     if !configuration.contains("command") {
         return configuration.to_owned();
     }
     let Ok(mut table) = configuration.parse::<Table>() else {
-        return "# cannot be shown: it is not TOML, and may contain arguments of programs\n".to_owned();
+        return "# this configuration cannot be shown: it is not TOML, and may contain arguments of programs\n".to_owned();
     };
-    for name in TABLES {
+    for name in PROGRAM_TABLES {
         let command = table.get_mut(name).and_then(|inner| inner.get_mut("command"));
         if let Some(command) = command
             && let Ok(command_line) = command.clone().try_into::<CommandLine>()
         {
             match Value::try_from(PublicCommand::from(&command_line)) {
-                Ok(public) => *command = public,
-                Err(error) => return format!("# cannot be written down: {error}\n"),
+                Ok(public_command) => *command = public_command,
+                Err(error) => return format!("# this configuration cannot be shown: {error}\n"),
             }
         }
     }
-    toml::to_string(&table).unwrap_or_else(|error| format!("# cannot be written down: {error}\n"))
+    toml::to_string(&table).unwrap_or_else(|error| format!("# this configuration cannot be shown: {error}\n"))
 }
 
 /// Removes the arguments from facts that name a program with its arguments, as earlier builds stored them.
@@ -195,13 +195,13 @@ mod tests {
         assert_eq!(table["sensor"]["command"]["arguments"].as_integer(), Some(2));
         assert_eq!(table["sensor"]["timeout_ms"].as_integer(), Some(5));
         assert_eq!(table["actuator"]["command"]["program"].as_str(), Some("sh"));
-        assert_eq!(hide_arguments(&shown_text), shown_text, "once is enough");
+        assert_eq!(hide_arguments(&shown_text), shown_text, "hiding the arguments again changes nothing");
         assert!(!hide_arguments("command = hunter2").contains("hunter"));
     }
 
     #[test]
-    fn arguments_are_hidden_under_any_key_of_command() {
-        /// Kind of program with other keys.
+    fn arguments_of_command_are_hidden_under_any_key() {
+        /// Configuration whose keys for commands have other names than `command`.
         #[derive(Serialize)]
         #[serde(tag = "kind", rename_all = "kebab-case")]
         enum Kind {
@@ -231,7 +231,7 @@ mod tests {
 
         let full_table: Table = with_arguments(write).parse().expect("TOML");
         assert_eq!(full_table["sensor"]["launch"].clone().try_into(), Ok(launch));
-        assert_eq!(write(), shown_text, "only within the call");
+        assert_eq!(write(), shown_text, "arguments are shown only within `with_arguments`");
     }
 
     #[test]

@@ -147,7 +147,7 @@ impl ExecConfig {
             Role::Sensor | Role::Model => words,
             Role::Actuator => program.map(str::to_owned).into_iter().chain(script.clone()).collect(),
         };
-        // A program without a slash runs from `PATH`, even if the folder has a file of that name.
+        // A program without a slash runs from `PATH`, even if the folder has a file of that name. Its word is skipped here.
         let named_files = words.into_iter().skip(program_in_path.iter().count());
         let named_files = named_files.filter(|word| is_file(word) && (is_code(word) || is_public(word)));
         program_in_path
@@ -157,8 +157,8 @@ impl ExecConfig {
             .collect()
     }
 
-    /// Returns whether the shell itself has a command of this name, or finds it with the program's environment. Runs
-    /// the shell only.
+    /// Returns whether a name that is not in this program's `PATH` is a builtin command of the shell, or a program that
+    /// the shell finds with the configured variables (`env`). Runs the shell, but not the named program.
     fn is_shell_command(&self, name: &str) -> bool {
         let is_unknown_name = !name.contains('/') && find_program(OsStr::new(name)).is_none();
         is_unknown_name
@@ -192,9 +192,9 @@ impl ExecConfig {
             CommandLine::Shell(line) => {
                 // A single program replaces the shell. A shell that waits for the program would keep the pipes open
                 // when the program closes them. It would also turn a signal that kills the program into an exit status.
-                let is_single =
+                let is_single_program =
                     single_program(line).is_some_and(|program| self.check_program(program).is_ok());
-                let line = if is_single { format!("exec {line}") } else { line.clone() };
+                let line = if is_single_program { format!("exec {line}") } else { line.clone() };
                 ("sh".to_owned(), vec!["-c".to_owned(), line])
             }
             CommandLine::Words(words) => {
@@ -257,7 +257,7 @@ mod tests {
 
     #[test]
     fn single_program_replaces_its_shell() {
-        for (line, is_single) in [
+        for (line, is_single_program) in [
             ("cat -u", true),
             ("  cat \"$HOME\" 2> /dev/null", true),
             ("/bin/cat", true),
@@ -269,7 +269,7 @@ mod tests {
             (". /etc/profile", false),
             ("~/own", false),
         ] {
-            let expected = if is_single { format!("exec {line}") } else { line.to_owned() };
+            let expected = if is_single_program { format!("exec {line}") } else { line.to_owned() };
             assert_eq!(
                 ExecConfig::new(CommandLine::Shell(line.to_owned())).program_and_arguments().1[1],
                 expected
@@ -282,7 +282,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join("own.sh"), "abc").expect("writable");
         let script_entry = "/own.sh SHA-256 ba7816bf";
-        for (command, files) in [
+        for (command, expected_files) in [
             ("['sh', 'own.sh', '--fast']", &["/sh SHA-256", script_entry][..]),
             ("['./own.sh', 'none']", &[script_entry]),
             ("'sh own.sh 2> /dev/null'", &["/sh SHA-256", script_entry]),
@@ -293,15 +293,15 @@ mod tests {
             let config = read(&format!("command = {command}\nfolder = {:?}", folder.path())).expect("reads");
             let facts = config.facts_for(Role::Sensor);
             assert!(facts[0].0 == "Sensor" && facts[0].1.starts_with("the program "), "{facts:?}");
-            let recorded = facts.get(1).map_or("", |(name, recorded)| {
+            let files_fact = facts.get(1).map_or("", |(name, fact)| {
                 assert_eq!(name, "Sensor files");
-                recorded
+                fact
             });
-            let recorded: Vec<&str> = recorded.split(", ").filter(|part| !part.is_empty()).collect();
-            assert_eq!(recorded.len(), files.len(), "{command}: {recorded:?}");
+            let files: Vec<&str> = files_fact.split(", ").filter(|file| !file.is_empty()).collect();
+            assert_eq!(files.len(), expected_files.len(), "{command}: {files:?}");
             assert!(
-                recorded.iter().zip(files).all(|(recorded, file)| recorded.contains(file)),
-                "{command}: {recorded:?}"
+                files.iter().zip(expected_files).all(|(file, expected)| file.contains(expected)),
+                "{command}: {files:?}"
             );
         }
     }
@@ -313,7 +313,7 @@ mod tests {
             std::fs::write(folder.path().join(file), "abc").expect("writable");
         }
         let script_entry = "/act.sh SHA-256 ba7816bf";
-        for (command, files) in [
+        for (command, expected_files) in [
             ("['sh', 'act.sh', 'answers.txt']", &["/sh SHA-256", script_entry][..]),
             ("['sh', '-e', 'act.sh', 'answers.txt']", &["/sh SHA-256", script_entry]),
             ("['/bin/sh', 'act.sh', 'answers.txt']", &["/bin/sh SHA-256", script_entry]),
@@ -328,12 +328,12 @@ mod tests {
         ] {
             let config = read(&format!("command = {command}\nfolder = {:?}", folder.path())).expect("reads");
             let facts = config.facts_for(Role::Actuator);
-            let recorded = facts.get(1).map_or("", |(_, recorded)| recorded);
-            let recorded: Vec<&str> = recorded.split(", ").filter(|part| !part.is_empty()).collect();
-            assert_eq!(recorded.len(), files.len(), "{command}: {recorded:?}");
+            let files_fact = facts.get(1).map_or("", |(_, fact)| fact);
+            let files: Vec<&str> = files_fact.split(", ").filter(|file| !file.is_empty()).collect();
+            assert_eq!(files.len(), expected_files.len(), "{command}: {files:?}");
             assert!(
-                recorded.iter().zip(files).all(|(recorded, file)| recorded.contains(file)),
-                "{command}: {recorded:?}"
+                files.iter().zip(expected_files).all(|(file, expected)| file.contains(expected)),
+                "{command}: {files:?}"
             );
         }
     }
@@ -358,7 +358,7 @@ mod tests {
 
     #[test]
     fn unrunnable_command_is_found_by_check() {
-        for (text, part) in [
+        for (text, expected_part) in [
             ("command = ''", "empty"),
             ("command = []", "empty"),
             ("command = ['no-such-program-anywhere']", "PATH"),
@@ -371,7 +371,7 @@ mod tests {
             ("command = 'x'\nresets = true", "a model has no episodes"),
         ] {
             let error = read(text).expect("reads").check_for(Role::Model).expect_err(text);
-            assert!(error.to_string().contains(part), "{error}");
+            assert!(error.to_string().contains(expected_part), "{error}");
         }
     }
 }

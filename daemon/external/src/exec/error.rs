@@ -37,11 +37,11 @@ pub enum FramingError {
         /// The expected form.
         form: &'static str,
     },
-    /// The payload is larger than the limit.
-    #[error("it announced {0} bytes; a sample has at most {MAX_SAMPLE_BYTES}")]
+    /// The sample or answer is larger than the limit.
+    #[error("it announced {0} bytes; a sample or answer has at most {MAX_SAMPLE_BYTES}")]
     TooLarge(u64),
-    /// The payload's length does not match its shape.
-    #[error("it announced {bytes} bytes, but its shape and type need {expected}")]
+    /// The length of a part does not match the part's shape.
+    #[error("it announced {bytes} bytes, but its shape and type need {expected} bytes")]
     Shape {
         /// Announced length, bytes.
         bytes: u64,
@@ -51,8 +51,8 @@ pub enum FramingError {
     /// The reply has too many lines.
     #[error("it wrote more than {MAX_LINES} lines for one reply")]
     TooManyLines,
-    /// The sample has too many parts.
-    #[error("it announced more than {MAX_PARTS} parts of one sample")]
+    /// The sample or answer has too many parts.
+    #[error("it announced more than {MAX_PARTS} parts of one sample or answer")]
     TooManyParts,
     /// The name is reserved.
     #[error(
@@ -60,7 +60,7 @@ pub enum FramingError {
          inference and postprocessing"
     )]
     Name(String),
-    /// The name is that of feedback, for which an actuator has a line.
+    /// The name belongs to feedback, which an actuator reports with a line of its own.
     #[error("it reported {name:?}, which is a reserved name; an actuator writes the line: {form}")]
     FeedbackName {
         /// The name.
@@ -68,7 +68,7 @@ pub enum FramingError {
         /// Form of the line.
         form: &'static str,
     },
-    /// A line that a reply has at most once occurs again.
+    /// A line that a reply may have once occurs a second time.
     #[error("it wrote the line {0} more than once in one reply; write it once")]
     Repeated(&'static str),
     /// The program uses an unknown version of the framing.
@@ -97,10 +97,10 @@ pub enum CommandError {
     /// The command is empty.
     #[error("the command is empty")]
     Empty,
-    /// A word contains a zero byte, at which the system would end it.
+    /// A word of the command contains a zero byte. The system would end the word there.
     #[error("the command of {program:?} contains a zero byte")]
     ZeroByte {
-        /// The first word.
+        /// The first word of the command.
         program: String,
     },
     /// The path of the program leads to no file.
@@ -114,7 +114,7 @@ pub enum CommandError {
     NotInPath(String),
 }
 
-/// Reason that a program did not reply to a request.
+/// Reason that a request to a program failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ProgramCallError {
     /// The request was cancelled; the program was killed.
@@ -133,7 +133,7 @@ pub enum ProgramCallError {
     #[error("{0}; it is restarted")]
     Process(#[from] ProcessError),
     /// The program ended in the middle of a payload.
-    #[error("it had sent {received} of the {announced} bytes that it announced when {end}; it is restarted")]
+    #[error("it announced {announced} bytes, but had sent only {received} bytes when {end}; it is restarted")]
     Incomplete {
         /// Number of bytes that arrived.
         received: usize,
@@ -145,7 +145,7 @@ pub enum ProgramCallError {
     /// The program did not follow the framing.
     #[error("{0} (it is killed and restarted; docs/external-programs.md describes the framing)")]
     Framing(#[from] FramingError),
-    /// The program wrote more than its reply.
+    /// The program wrote output before a request.
     #[error(
         "it wrote {0:?} without a request; write one reply for each request, and nothing else, to standard output (it is \
          killed and restarted)"
@@ -153,44 +153,44 @@ pub enum ProgramCallError {
     UnsolicitedOutput(String),
     /// The program did not reply before its timeout.
     #[error(
-        "it gave no complete reply within {after:?}{stderr_suffix}; it is killed and restarted (timeout_ms, or --timeout of \
+        "it gave no complete reply within {timeout:?}{stderr_suffix}; it is killed and restarted (timeout_ms, or --timeout of \
          peernet --server, sets the time limit)"
     )]
     TooSlow {
         /// The timeout.
-        after: Duration,
+        timeout: Duration,
         /// The last lines of its standard error as a suffix for a message; may be empty.
         stderr_suffix: String,
     },
     /// The program failed several times in a row and is not restarted yet.
-    #[error("it failed repeatedly; it is restarted in {left:.1?}; last failure: {last}")]
+    #[error("it failed repeatedly; it is restarted in {remaining_delay:.1?}; last failure: {last_failure}")]
     RestartDelayed {
         /// Time until the next start.
-        left: Duration,
-        /// Reason of the last failure.
-        last: String,
+        remaining_delay: Duration,
+        /// Text of the last failure.
+        last_failure: String,
     },
     /// The sum of the reported stages is longer than the whole call.
     #[error(
-        "the stages that it reported add up to {stages:?}, but it replied within {whole:?}; report seconds with at least six decimals"
+        "the stages that it reported add up to {stages:?}, but it replied within {call:?}; report seconds with at least six decimals"
     )]
-    Stages {
+    StagesTooLong {
         /// Sum of the stages.
         stages: Duration,
         /// Time from the request to the reply.
-        whole: Duration,
+        call: Duration,
     },
     /// A reported stage is longer than the whole call.
     #[error(
-        "the stage {name} that it reported takes {stage:?}, but it replied within {whole:?}; report seconds with at least six decimals"
+        "the stage {name} that it reported takes {stage:?}, but it replied within {call:?}; report seconds with at least six decimals"
     )]
-    LongStage {
+    StageTooLong {
         /// Name of the stage.
         name: String,
         /// Duration of the stage.
         stage: Duration,
         /// Time from the request to the reply.
-        whole: Duration,
+        call: Duration,
     },
 }
 

@@ -12,8 +12,8 @@
 //! from an actuator  done | error TEXT
 //! ```
 //!
-//! A sensor sends its sample as `answer`, as a model sends its answer. A sensor or an actuator may be sent `reset` before
-//! an episode, and replies with `done | error TEXT`.
+//! A sensor, like a model, begins its reply with the word `answer`. PEERNet may send `reset` to a sensor or an actuator
+//! before an episode; the program replies with `done | error TEXT`.
 //!
 //! `part` instead of `sample` or `answer` announces that another part of the same sample or answer follows. `partial`
 //! announces a partial answer: the whole answer follows later. Before its reply a program may write lines that begin
@@ -46,9 +46,9 @@ pub const VERSION: u32 = 1;
 pub const MAX_LINE_BYTES: usize = 4096;
 /// Maximum number of lines in one reply.
 pub const MAX_LINES: usize = 256;
-/// Maximum number of parts of one sample.
+/// Maximum number of parts of one sample or answer.
 pub const MAX_PARTS: usize = 16;
-/// Largest size of one sample, bytes (1 GiB).
+/// Largest size of one sample or answer, bytes (1 GiB).
 pub const MAX_SAMPLE_BYTES: u64 = 1 << 30;
 
 /// Role of a program in a pipeline.

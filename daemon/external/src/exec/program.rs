@@ -21,11 +21,12 @@ pub struct Program {
     launch: Launch,
     timeout: Span,
     clock: SharedClock,
+    /// `None` after a failure, until the program is restarted.
     process: Option<Process>,
     restart_backoff: RestartBackoff,
     /// Text of the last failure, returned to callers while the program is not restarted.
     last_failure: String,
-    /// `true` after a sensor has reported its end; it is not asked again.
+    /// `true` after a sensor has reported that it has no more samples. The sensor is not asked again.
     is_finished: bool,
 }
 
@@ -45,7 +46,7 @@ pub struct ProgramCall {
 }
 
 impl Program {
-    /// Starts the program. `name` says in log messages what runs it, such as `model quality-control`.
+    /// Starts the program. `name` is the owner of the program in log messages, such as `model quality-control`.
     ///
     /// # Errors
     /// If the configuration is wrong or the system cannot start the program.
@@ -94,8 +95,8 @@ impl Program {
     }
 
     /// Sends a request as [`call`](Self::call) does, and passes each partial answer of a model to `on_partial_answer`
-    /// when it arrives. `on_partial_answer` returns whether somebody still waits for the answer; if not, the program
-    /// is killed. The timeout begins again with each partial answer.
+    /// when it arrives. `on_partial_answer` returns whether somebody still waits for the answer. If nobody waits, the
+    /// program is killed. The timeout begins again with each partial answer.
     ///
     /// # Errors
     /// As [`call`](Self::call), and [`ProgramCallError::Cancelled`] if `on_partial_answer` returns `false`.
@@ -121,8 +122,8 @@ impl Program {
             None => self.restart()?,
         };
         let started_at = self.clock.mono();
-        let deadline = || self.clock.mono() + self.timeout;
-        let result = send_and_receive(&mut process, request, self.role, &deadline, on_partial_answer);
+        let new_deadline = || self.clock.mono() + self.timeout;
+        let result = send_and_receive(&mut process, request, self.role, &new_deadline, on_partial_answer);
         let ended_at = self.clock.mono();
         match result {
             Ok(Reply { notes, outcome }) => {
@@ -146,7 +147,7 @@ impl Program {
                         return Err(error);
                     }
                     ProgramCallError::Process(ProcessError::TimedOut) => ProgramCallError::TooSlow {
-                        after: self.timeout.to_duration(),
+                        timeout: self.timeout.to_duration(),
                         stderr_suffix: process.kill().stderr_suffix(),
                     },
                     error => {
@@ -168,10 +169,10 @@ impl Program {
     }
 
     fn restart(&mut self) -> Result<Process, ProgramCallError> {
-        if let Some(left) = self.restart_backoff.remaining_delay(self.clock.mono()) {
+        if let Some(remaining_delay) = self.restart_backoff.remaining_delay(self.clock.mono()) {
             return Err(ProgramCallError::RestartDelayed {
-                left: left.to_duration(),
-                last: self.last_failure.clone(),
+                remaining_delay: remaining_delay.to_duration(),
+                last_failure: self.last_failure.clone(),
             });
         }
         tracing::info!(name = self.launch.name, "restarting the program");
@@ -190,8 +191,8 @@ impl Program {
 impl Drop for Program {
     fn drop(&mut self) {
         if let Some(process) = self.process.take() {
-            let ended = process.end(STOP_TIMEOUT);
-            tracing::debug!(name = self.launch.name, %ended, "stopped the program");
+            let end = process.end(STOP_TIMEOUT);
+            tracing::debug!(name = self.launch.name, ended = %end, "stopped the program");
         }
     }
 }
@@ -201,18 +202,18 @@ fn send_and_receive(
     process: &mut Process,
     request: Request<'_>,
     role: Role,
-    deadline: &dyn Fn() -> MonoTime,
+    new_deadline: &dyn Fn() -> MonoTime,
     on_partial_answer: &mut dyn FnMut(Part) -> bool,
 ) -> Result<Reply, ProgramCallError> {
-    let mut deadline_at = deadline();
-    // Output that precedes the request would be mistaken for the reply to it, and from then on each reply for the
-    // reply to the next request.
-    if process.has_more() {
+    let mut deadline = new_deadline();
+    // Output that precedes the request would be mistaken for the reply to this request. From then on, each reply would
+    // be mistaken for the reply to the next request.
+    if process.has_unread_output() {
         return Err(ProgramCallError::UnsolicitedOutput(shorten(&process.peek_line())));
     }
     let pieces = request.pieces();
     let slices: Vec<&[u8]> = pieces.iter().map(Bytes::as_ref).collect();
-    process.write(&slices, deadline_at)?;
+    process.write(&slices, deadline)?;
     let mut assembler = match request {
         Request::Reset => ReplyAssembler::for_reset(role),
         _ => ReplyAssembler::new(role),
@@ -220,23 +221,21 @@ fn send_and_receive(
     let mut step = AssemblyStep::ReadLine;
     loop {
         step = match step {
-            AssemblyStep::ReadLine => {
-                assembler.push_line(&process.read_line(MAX_LINE_BYTES, deadline_at)?)?
-            }
+            AssemblyStep::ReadLine => assembler.push_line(&process.read_line(MAX_LINE_BYTES, deadline)?)?,
             AssemblyStep::DeliverPartialAnswer(part) => {
                 if !on_partial_answer(part) {
                     return Err(ProgramCallError::Cancelled);
                 }
-                deadline_at = deadline();
+                deadline = new_deadline();
                 AssemblyStep::ReadLine
             }
             AssemblyStep::ReadBytes(0) => assembler.push_bytes(Bytes::new()),
             // The count is at most `MAX_SAMPLE_BYTES`, which fits into a usize.
             AssemblyStep::ReadBytes(count) => {
                 let announced = count as usize;
-                let bytes = process.read_exact(announced, deadline_at).map_err(|error| match error {
+                let bytes = process.read_exact(announced, deadline).map_err(|error| match error {
                     ProcessError::ProcessEnd(end) => {
-                        ProgramCallError::Incomplete { received: process.incomplete_bytes(), announced, end }
+                        ProgramCallError::Incomplete { received: process.received_bytes(), announced, end }
                     }
                     error => error.into(),
                 });

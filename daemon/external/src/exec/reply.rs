@@ -55,7 +55,7 @@ pub struct ReplyNotes {
     pub episode_ended: bool,
 }
 
-/// Next step of the caller of a [`ReplyAssembler`].
+/// Step that the caller of a [`ReplyAssembler`] takes next.
 #[derive(Clone, Debug, PartialEq)]
 pub enum AssemblyStep {
     /// Read a line, up to `\n`.
@@ -72,13 +72,13 @@ pub enum AssemblyStep {
 #[derive(Debug)]
 pub struct ReplyAssembler {
     role: Role,
-    /// `true` if the request was a reset: its reply has no notes and no sample.
+    /// `true` if the request was a reset. The reply to a reset has no notes and no sample.
     is_reset: bool,
     notes: ReplyNotes,
     parts: Vec<Part>,
     line_count: usize,
     /// Number of bytes of all parts so far.
-    bytes: u64,
+    byte_count: u64,
     /// Description of the part whose bytes are expected next, and its position.
     pending_part: Option<(peernet_sample::Description, Position)>,
 }
@@ -103,7 +103,7 @@ impl ReplyAssembler {
             notes: ReplyNotes::default(),
             parts: Vec::new(),
             line_count: 0,
-            bytes: 0,
+            byte_count: 0,
             pending_part: None,
         }
     }
@@ -192,9 +192,10 @@ impl ReplyAssembler {
         let part = Part { description, bytes };
         match position {
             Position::Partial => {
-                // An answer may have any number of partial answers, which do not add up in memory.
+                // An answer may have any number of partial answers. None of them stays in memory, so they do not count towards
+                // the limits of lines and bytes.
                 self.line_count -= 1;
-                self.bytes -= part.bytes.len() as u64;
+                self.byte_count -= part.bytes.len() as u64;
                 return AssemblyStep::DeliverPartialAnswer(part);
             }
             Position::Inner => self.parts.push(part),
@@ -207,7 +208,8 @@ impl ReplyAssembler {
         AssemblyStep::ReadLine
     }
 
-    /// Parses `BYTES [MEDIA-TYPE [SHAPE]]`. The error `None` means that the line does not have this form.
+    /// Parses `BYTES [MEDIA-TYPE [SHAPE]]` and asks for the bytes. The error `None` means that the line does not have
+    /// this form.
     fn announce_part(
         &mut self,
         rest: &str,
@@ -216,17 +218,17 @@ impl ReplyAssembler {
         let mut words = rest.split_ascii_whitespace();
         let bytes: u64 = words.next().and_then(|word| word.parse().ok()).ok_or(None)?;
         let media = words.next().map_or(MediaType::Bytes, MediaType::from_iana);
-        let (description, expected) =
+        let (description, bytes_of_shape) =
             shape::read(media, words.next().unwrap_or(shape::NOTHING)).ok_or(None)?;
         if words.next().is_some() {
             return Err(None);
         }
-        // Checked before the bytes arrive, because the reader allocates the announced length.
-        self.bytes = self.bytes.saturating_add(bytes);
-        if self.bytes > MAX_SAMPLE_BYTES {
-            return Err(Some(FramingError::TooLarge(self.bytes)));
+        // The size is checked before the bytes arrive, because the reader allocates the announced length.
+        self.byte_count = self.byte_count.saturating_add(bytes);
+        if self.byte_count > MAX_SAMPLE_BYTES {
+            return Err(Some(FramingError::TooLarge(self.byte_count)));
         }
-        if let Some(expected) = expected.filter(|expected| *expected != bytes) {
+        if let Some(expected) = bytes_of_shape.filter(|expected| *expected != bytes) {
             return Err(Some(FramingError::Shape { bytes, expected }));
         }
         if self.parts.len() == MAX_PARTS {
@@ -251,7 +253,7 @@ impl ReplyAssembler {
     }
 }
 
-/// Forms of lines, which errors quote.
+// Forms of lines. Errors quote these forms.
 const STAGE_FORM: &str = "stage NAME SECONDS";
 const REWARD_FORM: &str = "reward NUMBER";
 const SUCCESS_FORM: &str = "success 0, or success 1";
@@ -267,6 +269,7 @@ fn parse_stage(rest: &str) -> Option<(&str, Span)> {
 }
 
 /// Parses `NAME NUMBER [UNIT]`.
+// The limits of names and units are below the limit of the logger (`MAX_NAME_BYTES`), which truncates longer texts.
 fn parse_value(rest: &str) -> Option<(&str, f64, &str)> {
     let (name, rest) = split_name(rest)?;
     let (number, unit) = split_first_word(rest);

@@ -15,7 +15,7 @@ pub enum Request<'a> {
     Next,
     /// Asks a model to answer a sample.
     Sample(&'a Sample),
-    /// Hands an actuator an answer to the sample that came from `source`.
+    /// Gives an actuator the answer to the sample that came from `source`.
     Answer {
         /// The answer.
         answer: &'a Sample,
@@ -27,7 +27,7 @@ pub enum Request<'a> {
 }
 
 impl Request<'_> {
-    /// Returns the message as pieces to be written one after the other; payloads are not copied.
+    /// Returns the request as pieces to be written one after the other; payloads are not copied.
     pub fn pieces(&self) -> Vec<Bytes> {
         match self {
             Self::Next => vec![Bytes::from_static(b"next\n")],
@@ -40,7 +40,7 @@ impl Request<'_> {
 
 /// Returns the parts of a sample as pieces, each after a line that announces it.
 fn sample_pieces(word: &str, sample: &Sample, source: &str) -> Vec<Bytes> {
-    // A line feed in the name would end the line.
+    // A line feed in the source would end the line.
     let source = printable_line(source);
     let source = if source.trim().is_empty() { NOTHING } else { &source };
     let Some((last, other_parts)) = sample.parts.split_last() else {
@@ -48,7 +48,7 @@ fn sample_pieces(word: &str, sample: &Sample, source: &str) -> Vec<Bytes> {
     };
     let parts = other_parts.iter().map(|part| ("part", part)).chain([(word, last)]);
     let pieces = parts.flat_map(|(word, part)| {
-        // A space in the name would shift the words after it.
+        // A space in the media type would shift the words after the media type.
         let media = printable_line(&part.description.media.iana()).replace(' ', "?");
         let media = if media.is_empty() { BYTES } else { &media };
         let shape = shape::write(&part.description);
@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn all_parts_except_last_announce_another() {
+    fn all_parts_except_last_begin_with_word_part() {
         let pixels = Description::pixels(PixelFormat::Rgb8, 2, 1);
         let mut sample = Sample::from_part(pixels, Bytes::from_static(b"rgbrgb"));
         sample.parts.push(Part { description: Description::bytes(), bytes: Bytes::from_static(b"d") });

@@ -36,8 +36,8 @@ pub(super) fn split(line: &str) -> Vec<String> {
     words
 }
 
-/// Programs that run the first file among their arguments; names without a version. The second value of each has the
-/// letters of the options that are followed by code on the command line instead of a file.
+/// Programs that run the first file among their arguments. Each entry has the name of the program without a version, and
+/// the letters of the options with which the program runs code from its command line instead of a file.
 const INTERPRETERS: [(&str, &str); 20] = [
     ("sh", "c"),
     ("bash", "c"),
@@ -78,8 +78,8 @@ pub(super) fn script(words: &[String], is_file: impl Fn(&str) -> bool) -> Option
         letters.is_some_and(|letters| letters.contains(|letter| code_letters.contains(letter)))
             || INLINE_CODE_OPTIONS.iter().any(|option| argument.starts_with(option))
     };
-    let before_code = arguments.iter().take_while(|argument| !announces_code(argument));
-    before_code.into_iter().find(|argument| is_file(argument))
+    let arguments_before_code = arguments.iter().take_while(|argument| !announces_code(argument));
+    arguments_before_code.into_iter().find(|argument| is_file(argument))
 }
 
 #[cfg(test)]
@@ -87,7 +87,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn words_are_what_a_shell_makes_of_them() {
+    fn line_is_split_into_words_like_by_shell() {
         for (line, words) in [
             ("sh own.sh  --fast", &["sh", "own.sh", "--fast"][..]),
             ("python3 'my model.py' \"a \\\"b\\\"\"", &["python3", "my model.py", "a \"b\""]),

@@ -1,4 +1,4 @@
-//! Placement of a model's stages between request and reply.
+//! Times of a model's stages between the request and the reply.
 
 use peernet_clock::{MonoTime, Span};
 
@@ -6,13 +6,13 @@ use super::{ProgramCall, ProgramCallError};
 
 /// Stages of a model that count towards the sum of the stages.
 const SUMMED_STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
-/// Stage of the time that is not spent in the program: sending the request and receiving the reply.
+/// Stage for the time that is not spent in the program: sending the request and receiving the reply.
 const IPC: &str = "ipc";
 /// Node that takes the place of `ipc` in the first reply after a restart; it includes the start of the program.
 const RESTART: &str = "restart";
-/// Largest excess of reported stages over the whole that is attributed to rounding, whatever the length of the whole.
+/// Largest time by which reported stages may be longer than the whole call. Such an excess is attributed to rounding.
 const MAX_ROUNDING: Span = Span::from_millis(1);
-/// Share of the whole, as a divisor, up to which an excess is attributed to rounding.
+/// The excess is at most the duration of the whole call divided by this number, too.
 const ROUNDING_DIVISOR: i64 = 10;
 
 /// Stage with its beginning and end.
@@ -41,23 +41,23 @@ impl ProgramCall {
     /// Checks the stages of an actuator, all of which are parts of its action.
     ///
     /// # Errors
-    /// [`ProgramCallError::LongStage`] if a stage is longer than the whole.
+    /// [`ProgramCallError::StageTooLong`] if a stage is longer than the whole call.
     pub fn check_stages_of_action(&self) -> Result<(), ProgramCallError> {
-        let limit = self.longest_plausible();
+        let limit = self.max_plausible_duration();
         match self.notes.stages.iter().find(|(_, span)| *span > limit) {
-            Some((name, span)) => Err(ProgramCallError::LongStage {
+            Some((name, span)) => Err(ProgramCallError::StageTooLong {
                 name: name.clone(),
                 stage: span.to_duration(),
-                whole: self.duration().to_duration(),
+                call: self.duration().to_duration(),
             }),
             None => Ok(()),
         }
     }
 
-    /// Returns the largest sum of the stages that rounding can explain.
-    fn longest_plausible(&self) -> Span {
-        let whole = self.duration();
-        whole + Span::from_nanos(whole.nanos() / ROUNDING_DIVISOR).min(MAX_ROUNDING)
+    /// Returns the longest reported duration, of one stage or of all stages together, that rounding can explain.
+    fn max_plausible_duration(&self) -> Span {
+        let duration = self.duration();
+        duration + Span::from_nanos(duration.nanos() / ROUNDING_DIVISOR).min(MAX_ROUNDING)
     }
 
     /// Returns the stages of a model.
@@ -70,15 +70,15 @@ impl ProgramCall {
     /// `restart`.
     ///
     /// # Errors
-    /// [`ProgramCallError::Stages`] if the stages add up to more than the whole.
+    /// [`ProgramCallError::StagesTooLong`] if the stages add up to more than the whole call.
     pub fn stages(&self) -> Result<Vec<TimedStage>, ProgramCallError> {
         let timed_stage = |name: &str, from, to| TimedStage { name: name.to_owned(), from, to };
         let is_stage = |name: &String| SUMMED_STAGES.contains(&name.as_str());
         let summed = self.notes.stages.iter().filter(|(name, _)| is_stage(name));
         let reported_sum: Span = summed.map(|(_, span)| *span).sum();
-        if reported_sum > self.longest_plausible() {
-            let (stages, whole) = (reported_sum.to_duration(), self.duration().to_duration());
-            return Err(ProgramCallError::Stages { stages, whole });
+        if reported_sum > self.max_plausible_duration() {
+            let (stages, call) = (reported_sum.to_duration(), self.duration().to_duration());
+            return Err(ProgramCallError::StagesTooLong { stages, call });
         }
         let stages_start = match self.restart_began_at {
             Some(from) => from + (self.ended_at - from - reported_sum).max(Span::ZERO),
@@ -116,7 +116,7 @@ mod tests {
         stages_after_restart(None, reported)
     }
 
-    /// Returns the stages of a program that was restarted the given number of milliseconds before the request.
+    /// Returns the stages of a program whose restart began the given number of milliseconds before the request.
     fn stages_after_restart(
         restart_age: Option<i64>,
         reported: &[(&str, i64)],
@@ -136,14 +136,14 @@ mod tests {
     }
 
     #[test]
-    fn unreported_time_is_split_before_and_after_stages() {
+    fn unreported_time_follows_stages_as_ipc() {
         let reported = stages(&[("preprocessing", 1), ("inference", 6), ("warm", 3)]).expect("adds up");
         let expected = [("preprocessing", 0, 1), ("inference", 1, 7), ("warm", 0, 3), ("ipc", 7, 10)];
         assert_eq!(reported, expected.map(|(name, from, to)| (name.to_owned(), from, to)));
     }
 
     #[test]
-    fn program_without_stages_is_all_inference() {
+    fn whole_call_is_inference_without_reported_stages() {
         assert_eq!(stages(&[]).expect("adds up"), [("inference".to_owned(), 0, 10)]);
         assert_eq!(stages(&[("warm", 3)]).expect("adds up")[1], ("inference".to_owned(), 0, 10));
     }
@@ -157,13 +157,13 @@ mod tests {
         assert_eq!(stages_after_restart(Some(2), &[]).expect("adds up"), [("restart".to_owned(), -2, 10)]);
         assert!(
             stages_after_restart(Some(90_000), &[("inference", 11_500)]).is_err(),
-            "it replied within 10 ms"
+            "the call took 10 ms from request to reply"
         );
     }
 
     #[test]
     fn stages_beyond_rounding_tolerance_are_refused() {
         assert_eq!(stages(&[("inference", 11)]).expect("is rounded")[1], ("ipc".to_owned(), 10, 10));
-        assert!(matches!(stages(&[("inference", 80_000)]), Err(ProgramCallError::Stages { .. })));
+        assert!(matches!(stages(&[("inference", 80_000)]), Err(ProgramCallError::StagesTooLong { .. })));
     }
 }

@@ -23,7 +23,7 @@ pub enum ProcessError {
     TimedOut,
     /// The process sent a line of more than the given number of bytes.
     #[error("it sent a line of more than {0} bytes")]
-    TooLong(usize),
+    LineTooLong(usize),
     /// Reading from or writing to a pipe failed for another reason.
     #[error("its pipe failed: {0}")]
     Pipe(io::Error),

@@ -27,7 +27,7 @@ pub(super) struct Group {
 #[derive(Debug)]
 struct Watcher {
     child: Child,
-    /// Write end of the watcher's standard input. It is only kept open: nothing is written.
+    /// Write end of the watcher's standard input. The pipe is only kept open: nothing is written.
     _stdin: Option<ChildStdin>,
 }
 
@@ -64,8 +64,8 @@ impl Group {
         self.signal(Signal::TERM);
     }
 
-    /// Kills the rest of the group, then collects the leader's status.
-    // The group is killed first: once the status is collected, the number may belong to another process.
+    /// Kills all processes of the group, then collects the leader's status.
+    // The group is killed first: after the status is collected, the system may give the group's number to another process.
     pub(super) fn finish(&mut self) -> Option<ExitStatus> {
         self.signal(Signal::KILL);
         // Ends a leader that moved to another group. For a leader that has already ended the error does not matter.
@@ -92,7 +92,7 @@ impl Watcher {
         let mut command = Command::new("/bin/sh");
         command.args(["-c", WATCHER_SCRIPT, "peernet-watcher"]).process_group(group).current_dir("/");
         command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
-        // Any thread may start it: it needs no parent-death signal, because it ends with its standard input.
+        // Any thread may start the watcher. It needs no parent-death signal, because it ends with its standard input.
         let mut child = command.spawn()?;
         Ok(Self { _stdin: child.stdin.take(), child })
     }

@@ -20,7 +20,7 @@ use super::StderrLog;
 pub struct Launch {
     /// Owner of the process, for the log: `the sensor of pipeline camera`.
     pub name: String,
-    /// Log target of its standard error.
+    /// Log target of the process's standard error.
     pub stderr_log: StderrLog,
     /// The program: a path, or a name that is searched in `PATH`.
     pub program: OsString,
@@ -84,8 +84,8 @@ pub(crate) fn invalid_variable(environment: &BTreeMap<String, String>) -> Option
     environment.iter().find(is_invalid).map(|(name, _)| name.as_str())
 }
 
-/// Returns the file of a program: `name` itself if it is a path to a file, otherwise the first executable file of
-/// that name in the folders of `PATH`.
+/// Returns the file of a program; `None` if there is no such file. A name with a slash is the path of the file. For any
+/// other name, the file is the first executable file of that name in the folders of `PATH`.
 pub fn find_program(name: &OsStr) -> Option<PathBuf> {
     if Path::new(name).components().count() > 1 {
         return Some(PathBuf::from(name)).filter(|path| path.is_file());
@@ -93,10 +93,10 @@ pub fn find_program(name: &OsStr) -> Option<PathBuf> {
     env::split_paths(&env::var_os("PATH")?).map(|folder| folder.join(name)).find(|path| is_executable(path))
 }
 
-/// Returns whether a path leads to a file that anybody may execute.
+/// Returns whether a path leads to a file that its owner, its group or others may execute.
 pub(crate) fn is_executable(path: &Path) -> bool {
     path.metadata().is_ok_and(|file| file.is_file() && file.permissions().mode() & EXECUTE != 0)
 }
 
-/// Permission bits: owner, group or others may execute the file.
+/// Permission bits: the owner, the group and others may execute the file.
 const EXECUTE: u32 = 0o111;

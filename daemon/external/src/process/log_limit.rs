@@ -12,7 +12,7 @@ const MAX_LINES: u64 = 200;
 const MAX_PERIOD_BYTES: u64 = 32 << 10;
 
 /// Limit of the lines and bytes that one process writes to the log in each period. A program that prints in a loop
-/// would otherwise fill the disk with its log, and hide the lines of all other parts.
+/// would otherwise fill the disk with its log, and hide the log lines of everything else.
 #[derive(Debug, Default)]
 pub(super) struct LogLimit {
     /// End of the current period; `None` before the first line.
@@ -23,7 +23,7 @@ pub(super) struct LogLimit {
     omitted: LogVolume,
 }
 
-/// Number of lines and of their bytes.
+/// Number of lines, and number of bytes of these lines.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct LogVolume {
     pub(super) lines: u64,
@@ -38,7 +38,7 @@ impl LogVolume {
 }
 
 impl LogLimit {
-    /// Returns whether a line may be logged at `now`, and counts it.
+    /// Returns whether a line may be logged at `now`. Counts the line as logged or as left out.
     pub(super) fn admit(&mut self, line: &str, now: MonoTime) -> bool {
         if self.period_end.is_none_or(|end| end <= now) {
             self.period_end = Some(now + PERIOD);

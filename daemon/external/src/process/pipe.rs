@@ -27,10 +27,10 @@ const MAX_SLICES_PER_WRITE: usize = 64;
 /// Reason that a pipe cannot be used any more.
 #[derive(Debug)]
 pub(super) enum PipeError {
-    /// The other end is closed; `None` if the process has ended.
+    /// The process closed its end of the pipe, which is a fault; `None` if the process has ended.
     Closed(Option<Fault>),
     TimedOut,
-    TooLong(usize),
+    LineTooLong(usize),
     Failed(io::Error),
 }
 
@@ -50,7 +50,7 @@ impl PipeError {
         match self {
             Self::Closed(fault) => Err(fault),
             Self::TimedOut => Ok(ProcessError::TimedOut),
-            Self::TooLong(limit) => Ok(ProcessError::TooLong(limit)),
+            Self::LineTooLong(limit) => Ok(ProcessError::LineTooLong(limit)),
             Self::Failed(error) => Ok(ProcessError::Pipe(error)),
         }
     }
@@ -73,15 +73,15 @@ pub(super) struct Wait<'a> {
     pub(super) deadline: MonoTime,
     /// Descriptor that becomes readable when the process at the other end ends (pidfd_open(2)), if the kernel
     /// supports it.
-    // The pipe alone does not show the end, because a child of the process may keep it open.
-    pub(super) process: Option<BorrowedFd<'a>>,
+    // The pipe alone does not show the end of the process, because a child of the process may keep the pipe open.
+    pub(super) pidfd: Option<BorrowedFd<'a>>,
 }
 
 impl Wait<'_> {
     /// Waits until one of the pipes is ready. Returns for each pipe whether it is ready.
     fn until_ready<const N: usize>(&self, pipes: [(&OwnedFd, PollFlags); N]) -> Result<[bool; N], PipeError> {
         let mut poll_fds: Vec<_> = pipes.iter().map(|(fd, events)| PollFd::new(*fd, *events)).collect();
-        poll_fds.extend(self.process.map(|process| PollFd::from_borrowed_fd(process, PollFlags::IN)));
+        poll_fds.extend(self.pidfd.map(|pidfd| PollFd::from_borrowed_fd(pidfd, PollFlags::IN)));
         self.poll(&mut poll_fds)?;
         if poll_fds[..N].iter().all(|pipe| pipe.revents().is_empty()) {
             // The process has ended; its last output is in the pipe by now.
@@ -108,26 +108,26 @@ impl Wait<'_> {
         }
     }
 
-    /// Waits for the end of the process. Returns `false` if it still runs at the deadline, or if the kernel cannot
-    /// tell.
+    /// Waits for the end of the process. Returns `false` if the process still runs at the deadline, or if the kernel
+    /// has no pidfd.
     pub(super) fn wait_for_exit(&self) -> bool {
-        let has_ended = |process| self.poll(&mut [PollFd::from_borrowed_fd(process, PollFlags::IN)]).is_ok();
-        self.process.is_some_and(has_ended)
+        let has_ended = |pidfd| self.poll(&mut [PollFd::from_borrowed_fd(pidfd, PollFlags::IN)]).is_ok();
+        self.pidfd.is_some_and(has_ended)
     }
 }
 
-/// Writes all parts in order, and at the same time reads what the process writes.
+/// Writes all pieces in order, and at the same time reads what the process writes.
 // If this function only wrote, both sides would wait for each other when the process answers before it has read
 // everything.
 pub(super) fn write(
     fd: &OwnedFd,
-    parts: &[&[u8]],
+    pieces: &[&[u8]],
     output: &mut Reader,
     wait: Wait<'_>,
 ) -> Result<(), PipeError> {
-    let mut slices: Vec<IoSlice<'_>> = parts.iter().map(|part| IoSlice::new(part)).collect();
+    let mut slices: Vec<IoSlice<'_>> = pieces.iter().map(|piece| IoSlice::new(piece)).collect();
     let mut remaining = slices.as_mut_slice();
-    // Removes empty parts at the beginning: if all parts are empty, nothing is written.
+    // Removes empty pieces at the beginning: if all pieces are empty, nothing is written.
     IoSlice::advance_slices(&mut remaining, 0);
     while !remaining.is_empty() {
         match rustix::io::writev(fd, &remaining[..remaining.len().min(MAX_SLICES_PER_WRITE)]) {
@@ -158,16 +158,16 @@ pub(super) struct Reader {
     buffer: Vec<u8>,
     /// Number of bytes of `buffer` that were returned already.
     consumed: usize,
-    /// Number of bytes that the last `read_exact` got.
-    incomplete_bytes: usize,
+    /// Number of bytes that the last `read_exact` received.
+    received_bytes: usize,
 }
 
 impl Reader {
     pub(super) fn new(fd: OwnedFd) -> Self {
-        Self { fd, buffer: Vec::with_capacity(READ_CHUNK_BYTES), consumed: 0, incomplete_bytes: 0 }
+        Self { fd, buffer: Vec::with_capacity(READ_CHUNK_BYTES), consumed: 0, received_bytes: 0 }
     }
 
-    /// Returns whether the limit of read-ahead is reached.
+    /// Returns whether the buffer holds as many bytes as may be read ahead.
     fn is_full(&self) -> bool {
         self.buffered_bytes().len() >= MAX_READ_AHEAD_BYTES
     }
@@ -178,12 +178,12 @@ impl Reader {
     }
 
     /// Returns whether a byte can be read without waiting.
-    pub(super) fn has_more(&self) -> bool {
+    pub(super) fn has_unread_output(&self) -> bool {
         let no_wait = Timespec { tv_sec: 0, tv_nsec: 0 };
         let mut fds = [PollFd::from_borrowed_fd(self.fd.as_fd(), PollFlags::IN)];
-        let polled = self.buffered_bytes().is_empty().then(|| poll(&mut fds, Some(&no_wait)));
+        let poll_result = self.buffered_bytes().is_empty().then(|| poll(&mut fds, Some(&no_wait)));
         // A closed pipe holds nothing; the next write or read returns the error.
-        polled.is_none_or(|polled| polled.is_ok() && fds[0].revents().contains(PollFlags::IN))
+        poll_result.is_none_or(|poll_result| poll_result.is_ok() && fds[0].revents().contains(PollFlags::IN))
     }
 
     /// Reads once into the spare capacity of a vector; waits until there is something to read.
@@ -199,7 +199,8 @@ impl Reader {
         }
     }
 
-    /// Reads once into the buffer, after bytes that were returned already are removed where that makes room.
+    /// Reads once into the buffer. Before that, removes bytes that were returned already, if the buffer has no other
+    /// bytes or is full.
     fn read_more(&mut self, wait: Wait<'_>) -> Result<(), PipeError> {
         if self.consumed == self.buffer.len() {
             self.buffer.clear();
@@ -229,16 +230,16 @@ impl Reader {
         self.buffered_bytes().split(|byte| *byte == b'\n').next().unwrap_or_default()
     }
 
-    /// Returns the number of bytes that the last [`read_exact`](Self::read_exact) got before it failed.
-    pub(super) const fn incomplete_bytes(&self) -> usize {
-        self.incomplete_bytes
+    /// Returns the number of bytes that the last [`read_exact`](Self::read_exact) received, also if it failed.
+    pub(super) const fn received_bytes(&self) -> usize {
+        self.received_bytes
     }
 
     /// Reads exactly `length` bytes.
     pub(super) fn read_exact(&mut self, length: usize, wait: Wait<'_>) -> Result<Bytes, PipeError> {
         let mut bytes = Vec::with_capacity(length);
         let result = self.fill(&mut bytes, length, wait);
-        self.incomplete_bytes = bytes.len();
+        self.received_bytes = bytes.len();
         result.map(|()| bytes.into())
     }
 
@@ -268,18 +269,19 @@ impl Reader {
         max_length: usize,
         wait: Wait<'_>,
     ) -> Result<Bytes, PipeError> {
-        let mut searched = 0;
+        let mut searched_bytes = 0;
         loop {
-            if let Some(offset) = self.buffered_bytes()[searched..].iter().position(|byte| *byte == delimiter)
+            if let Some(offset) =
+                self.buffered_bytes()[searched_bytes..].iter().position(|byte| *byte == delimiter)
             {
-                let length = searched + offset;
+                let length = searched_bytes + offset;
                 let bytes = Bytes::copy_from_slice(&self.buffered_bytes()[..length]);
                 self.consumed += length + 1;
-                return if length > max_length { Err(PipeError::TooLong(max_length)) } else { Ok(bytes) };
+                return if length > max_length { Err(PipeError::LineTooLong(max_length)) } else { Ok(bytes) };
             }
-            searched = self.buffered_bytes().len();
-            if searched > max_length {
-                return Err(PipeError::TooLong(max_length));
+            searched_bytes = self.buffered_bytes().len();
+            if searched_bytes > max_length {
+                return Err(PipeError::LineTooLong(max_length));
             }
             self.read_more(wait)?;
         }

@@ -11,10 +11,10 @@ use rustix::process::Signal;
 pub struct ProcessEnd {
     /// Exit status or signal; `None` if the system did not report it.
     pub status: Option<ExitStatus>,
-    /// Misbehaviour after which the process had to be ended; `None` if it ended without one.
+    /// Misbehaviour because of which this program ended the process; `None` if the process did not misbehave.
     pub fault: Option<Fault>,
     /// `true` if this program killed the process.
-    pub killed: bool,
+    pub was_killed: bool,
     /// `true` if this program had asked the process to end (SIGTERM).
     pub termination_requested: bool,
     /// Last lines of its standard error, oldest first.
@@ -60,7 +60,7 @@ impl ProcessEnd {
     pub fn status_text(&self) -> String {
         match self.status {
             Some(status) => match (status.code(), status.signal()) {
-                // A shell reports a program that a signal ended as 128 + the number of the signal.
+                // If a signal ends a program, a shell reports 128 + the number of the signal as exit status.
                 (Some(code), _) => match signal_name(code - 128) {
                     Some(name) => format!(
                         "exit status {code} (from a shell: signal {}, {name}{})",
@@ -92,7 +92,7 @@ impl fmt::Display for ProcessEnd {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("the process ")?;
         match self.fault.map(Fault::description) {
-            Some(fault) if self.killed => write!(f, "{fault} and was killed")?,
+            Some(fault) if self.was_killed => write!(f, "{fault} and was killed")?,
             Some(fault) => write!(f, "{fault} and ended with {}", self.status_text())?,
             None => write!(f, "ended with {}", self.status_text())?,
         }

@@ -35,7 +35,7 @@ pub struct Process {
     clock: SharedClock,
     status: Option<ExitStatus>,
     fault: Option<Fault>,
-    killed: bool,
+    was_killed: bool,
     termination_requested: bool,
 }
 
@@ -61,12 +61,12 @@ impl Process {
             clock: SharedClock::clone(clock),
             status: None,
             fault: None,
-            killed: false,
+            was_killed: false,
             termination_requested: false,
         })
     }
 
-    /// Returns standard input and output of the process, and starts the thread that reads the standard error.
+    /// Returns the pipes of the standard input and output, and starts the thread that reads the standard error.
     fn take_pipes(
         group: &mut Group,
         launch: &Launch,
@@ -83,16 +83,16 @@ impl Process {
         Ok((input, output, stderr_log))
     }
 
-    /// Writes all parts to the standard input of the process, without joining them in one buffer.
+    /// Writes all pieces to the standard input of the process, without joining the pieces in one buffer.
     ///
     /// # Errors
     /// If the process has ended, or does not read everything before the deadline. No write succeeds after such
     /// an error.
-    pub fn write(&mut self, parts: &[&[u8]], deadline: MonoTime) -> Result<(), ProcessError> {
+    pub fn write(&mut self, pieces: &[&[u8]], deadline: MonoTime) -> Result<(), ProcessError> {
         let result = match &self.input {
             Some(input) => {
                 let wait = wait_until(&self.clock, self.pidfd.as_ref(), deadline);
-                pipe::write(input, parts, &mut self.output, wait)
+                pipe::write(input, pieces, &mut self.output, wait)
             }
             None => Err(PipeError::Closed(None)),
         };
@@ -108,9 +108,9 @@ impl Process {
         self.output.read_exact(length, wait).map_err(|error| self.convert_pipe_error(error))
     }
 
-    /// Returns the number of bytes that arrived for the last [`read_exact`](Self::read_exact), if it failed.
-    pub const fn incomplete_bytes(&self) -> usize {
-        self.output.incomplete_bytes()
+    /// Returns the number of bytes that the last [`read_exact`](Self::read_exact) received, also if it failed.
+    pub const fn received_bytes(&self) -> usize {
+        self.output.received_bytes()
     }
 
     /// Reads the next line of the standard output, without the line feed. The line has at most `max_length` bytes.
@@ -132,8 +132,8 @@ impl Process {
     }
 
     /// Returns whether there is output that was not read yet.
-    pub fn has_more(&self) -> bool {
-        self.output.has_more()
+    pub fn has_unread_output(&self) -> bool {
+        self.output.has_unread_output()
     }
 
     /// Returns what the process has written of its next line so far, without waiting. For messages only.
@@ -184,7 +184,7 @@ impl Process {
         ProcessEnd {
             status: self.status,
             fault: self.fault,
-            killed: self.killed,
+            was_killed: self.was_killed,
             termination_requested: self.termination_requested,
             last_lines,
         }
@@ -201,13 +201,14 @@ impl Process {
     /// process, if any.
     fn reap(&mut self, fault: Option<Fault>) {
         if self.status.is_none() {
-            // Asked before the group is killed: SIGKILL can also come from the system when memory runs out.
+            // This is asked before the group is killed, because a SIGKILL can also come from the system when memory runs
+            // out.
             let has_ended = self.exits_within(Span::ZERO);
             self.status = self.group.finish();
             let by_kill = self.status.is_some_and(|status| status.signal() == Some(Signal::KILL.as_raw()));
-            self.killed = !has_ended && by_kill;
+            self.was_killed = !has_ended && by_kill;
             // A process that ended before it was killed has not ignored SIGTERM.
-            self.fault = fault.filter(|fault| self.killed || *fault != Fault::IgnoredTermination);
+            self.fault = fault.filter(|fault| self.was_killed || *fault != Fault::IgnoredTermination);
         }
     }
 }
@@ -219,5 +220,5 @@ impl Drop for Process {
 }
 
 fn wait_until<'a>(clock: &'a SharedClock, pidfd: Option<&'a OwnedFd>, deadline: MonoTime) -> Wait<'a> {
-    Wait { clock, deadline, process: pidfd.map(AsFd::as_fd) }
+    Wait { clock, deadline, pidfd: pidfd.map(AsFd::as_fd) }
 }

@@ -1,7 +1,7 @@
 //! The thread that starts all processes.
 //!
 //! The kernel sends the parent-death signal when the *thread* that started the process ends. Threads of a pool may
-//! end at any time; this thread runs as long as the program.
+//! end at any time; the spawner thread runs until this program ends.
 
 use std::io;
 use std::process::{Child, Command};
@@ -36,7 +36,7 @@ pub(super) fn spawn(command: Command) -> io::Result<Child> {
 /// Starts a process for each request.
 fn serve(requests: &Receiver<SpawnRequest>) {
     for SpawnRequest { mut command, reply } in requests {
-        // The requester waits for the reply, so this cannot fail.
+        // The requester waits for the reply, so sending the reply cannot fail.
         let _ = reply.send(command.spawn());
     }
 }

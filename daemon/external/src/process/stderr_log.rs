@@ -17,9 +17,9 @@ use super::log_limit::{LogLimit, LogVolume};
 
 /// Longest line in the log, bytes; a longer one is split.
 const MAX_LINE_BYTES: usize = 4096;
-/// Maximum number of last lines in the report of the process's end.
+/// Maximum number of last lines that are kept for [`ProcessEnd`](super::ProcessEnd).
 const MAX_KEPT_LINES: usize = 12;
-/// Longest part of a line in that report, bytes.
+/// Longest part of a kept line, bytes.
 const MAX_KEPT_LINE_BYTES: usize = 400;
 
 /// Log target of a process's standard error.
@@ -59,7 +59,7 @@ impl StderrLog {
     }
 }
 
-/// Handle of the thread that logs the lines, with the last lines.
+/// Handle of the thread that logs the lines, and the last lines.
 #[derive(Debug)]
 pub(super) struct StderrReader {
     last_lines: Arc<Mutex<VecDeque<String>>>,
@@ -126,7 +126,7 @@ impl LineLogger {
         }
     }
 
-    /// Waits for output and reports left-out lines when their period ends, also if the process is silent by then.
+    /// Waits for output. Meanwhile, reports the left-out lines when their period ends.
     fn wait_for_output(&mut self, stderr: &ChildStderr) {
         while let Some(left) = self.limit.time_to_report(self.clock.mono()) {
             let timeout =
@@ -140,6 +140,7 @@ impl LineLogger {
         }
     }
 
+    /// Logs the number of left-out lines if their period has ended.
     fn report(&mut self) {
         if let Some(omitted) = self.limit.report(self.clock.mono()) {
             self.stderr_log.log_omission(&self.name, omitted);
@@ -199,7 +200,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_are_logged_separately_and_long_ones_split() {
+    fn lines_are_logged_separately_and_long_lines_are_split() {
         let (mut lines, mut logged) = (LineSplitter::default(), Vec::new());
         let text = format!("one\r\n\n{}\n50 %\r100 %\rlast\x1b[0m", "x".repeat(MAX_LINE_BYTES + 3));
         for chunk in text.as_bytes().chunks(7) {
@@ -210,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn last_lines_are_kept_and_bounded() {
+    fn number_and_length_of_kept_lines_are_limited() {
         let last_lines = Mutex::new(VecDeque::new());
         for number in 0..100 {
             keep_line(&last_lines, &format!("{number} {}", "ä".repeat(MAX_KEPT_LINE_BYTES)));

@@ -61,7 +61,7 @@ fn program_receives_role_and_framing_version() {
         assert_eq!(
             program.call(Request::Next).expect("has ended").outcome,
             ReplyOutcome::End,
-            "and is not asked again"
+            "an ended sensor is not asked again"
         );
     }
 }
@@ -76,7 +76,11 @@ fn error_reply_is_returned_and_program_continues() {
     let empty = Sample::from_part(Description::bytes(), Bytes::new());
     for number in 1..3 {
         let error = program.call(Request::Answer { answer: &empty, source: "x" }).expect_err("an error");
-        assert_eq!(error.to_string(), format!("the program says: number {number}"), "the same process");
+        assert_eq!(
+            error.to_string(),
+            format!("the program says: number {number}"),
+            "the process was not restarted"
+        );
     }
 }
 
@@ -88,13 +92,13 @@ fn error_without_text_says_what_to_write() {
 }
 
 #[test]
-fn end_within_answer_says_how_much_came() {
+fn end_within_answer_reports_received_bytes() {
     for (length, printed) in [(100, "abcde"), (100_000, "abcde"), (100, "")] {
         let script = format!("read -r line; echo answer {length}; printf '{printed}'; exit 0");
         let mut program = start(Role::Sensor, &script, LONG_TIMEOUT_MS);
         let error = program.call(Request::Next).expect_err("is incomplete").to_string();
         let expected = format!(
-            "it had sent {} of the {length} bytes that it announced when the process ended with exit status 0; it is restarted",
+            "it announced {length} bytes, but had sent only {} bytes when the process ended with exit status 0; it is restarted",
             printed.len()
         );
         assert_eq!(error, expected);
@@ -110,7 +114,7 @@ fn ended_program_is_restarted() {
         marker.display()
     );
     let mut program = start(Role::Sensor, &script, LONG_TIMEOUT_MS);
-    let error = program.call(Request::Next).expect_err("it ended").to_string();
+    let error = program.call(Request::Next).expect_err("the program ended").to_string();
     assert!(
         error.contains("exit status 3") && error.contains("so long") && error.contains("restarted"),
         "{error}"
@@ -132,7 +136,7 @@ fn for_each_role<T>(script: &str, mut ask: impl FnMut(Program, Request<'_>) -> T
 /// Returns the error of the first request in each role.
 fn first_errors(script: &str) -> [String; 3] {
     for_each_role(script, |mut program, request| {
-        program.call(request).expect_err("nothing can come").to_string()
+        program.call(request).expect_err("the program gives no reply").to_string()
     })
 }
 
@@ -150,14 +154,14 @@ fn closed_output_is_reported() {
     for error in first_errors("read -r line; exec >&-; cat > /dev/null; exit 3") {
         assert!(error.contains("closed its standard output and ended with exit status 3"), "{error}");
     }
-    // The program had written part of its reply.
+    // The program has written the beginning of a line.
     for error in first_errors("read -r line; printf 'value x'; exit 3") {
         assert!(error.contains("the process ended with exit status 3"), "{error}");
     }
 }
 
 #[test]
-fn single_program_end_is_visible_through_shell() {
+fn shell_does_not_hide_end_of_single_program() {
     let folder = tempfile::tempdir().expect("a folder");
     let program = folder.path().join("program");
     let line = format!("{} --flag \"a word\"", program.display());
@@ -184,7 +188,7 @@ fn slow_program_error_contains_its_last_lines() {
     let script = "echo 'out of paper' >&2; read -r line; \
                   case $PEERNET_ROLE in actuator) echo done;; *) echo answer 0;; esac; sleep 600";
     let errors = for_each_role(script, |mut program, request| {
-        program.call(request).expect("the first is answered");
+        program.call(request).expect("the first request is answered");
         program.timeout = Span::from_millis(100);
         program.call(request).expect_err("it sleeps").to_string()
     });
@@ -197,11 +201,11 @@ fn slow_program_error_contains_its_last_lines() {
 }
 
 #[test]
-fn prompt_without_line_end_is_shown_immediately() {
+fn prompt_without_line_end_counts_as_unsolicited_output() {
     let mut program =
         start(Role::Sensor, "read -r line; printf 'answer 0\\nReady> '; sleep 600", LONG_TIMEOUT_MS);
     program.call(Request::Next).expect("replies");
-    let error = program.call(Request::Next).expect_err("it was not asked").to_string();
+    let error = program.call(Request::Next).expect_err("the prompt belongs to no request").to_string();
     assert!(error.contains("it wrote \"Ready> \" without a request"), "{error}");
 }
 
@@ -238,7 +242,7 @@ fn extra_reply_is_reported_at_next_call() {
         LONG_TIMEOUT_MS,
     );
     assert!(program.call(Request::Next).is_ok());
-    let error = program.call(Request::Next).expect_err("one too many");
+    let error = program.call(Request::Next).expect_err("there was one reply too many");
     assert!(matches!(error, ProgramCallError::UnsolicitedOutput(_)), "{error}");
 }
 

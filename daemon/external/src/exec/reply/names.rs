@@ -57,15 +57,15 @@ const RESERVED_NAMES: [&str; 51] = [
     "success",
     "episode-ended",
 ];
-/// Reserved names that an actuator reports with a line of their own, with the form of this line.
+/// Reserved names for which an actuator writes a separate line, and the form of this line.
 const FEEDBACK_FORMS: [(&str, &str); 3] =
     [("reward", REWARD_FORM), ("success", SUCCESS_FORM), ("episode-ended", "episode-ended")];
 /// Stages of a model. Only models may report them, and only as durations.
 const MODEL_STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
 
-/// Returns `name` if programs may use it.
-pub(super) fn check_name(name: &str, is_model: bool) -> Result<String, FramingError> {
-    let is_reserved = RESERVED_NAMES.contains(&name) || !is_model && MODEL_STAGES.contains(&name);
+/// Returns `name` if programs may use it. `allows_model_stages` is `true` for a stage that a model reports.
+pub(super) fn check_name(name: &str, allows_model_stages: bool) -> Result<String, FramingError> {
+    let is_reserved = RESERVED_NAMES.contains(&name) || !allows_model_stages && MODEL_STAGES.contains(&name);
     if !is_reserved {
         return Ok(name.to_owned());
     }

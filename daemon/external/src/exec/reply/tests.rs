@@ -6,7 +6,8 @@ use proptest::prelude::*;
 use super::*;
 use crate::exec::{MAX_LINE_BYTES, Request};
 
-/// Feeds the whole output of a program; returns `None` if the output ends before the reply is complete.
+/// Feeds a program's output to an assembler. Returns the reply and the number of bytes that belong to it; `None` if the
+/// output ends before the reply is complete.
 fn feed(role: Role, output_bytes: &[u8]) -> Result<Option<(Reply, usize)>, FramingError> {
     let mut output = Cursor::new(output_bytes);
     let mut assembler = ReplyAssembler::new(role);
@@ -35,14 +36,15 @@ fn feed(role: Role, output_bytes: &[u8]) -> Result<Option<(Reply, usize)>, Frami
     }
 }
 
-fn reply(role: Role, written: &str) -> Reply {
-    let (reply, used_bytes) = feed(role, written.as_bytes()).expect("is well formed").expect("is whole");
-    assert_eq!(used_bytes, written.len(), "nothing is left over");
+fn reply(role: Role, output_text: &str) -> Reply {
+    let (reply, used_bytes) =
+        feed(role, output_text.as_bytes()).expect("is well formed").expect("is complete");
+    assert_eq!(used_bytes, output_text.len(), "nothing is left over");
     reply
 }
 
-fn error(role: Role, written: &str) -> String {
-    feed(role, written.as_bytes()).expect_err("is not well formed").to_string()
+fn error(role: Role, output_text: &str) -> String {
+    feed(role, output_text.as_bytes()).expect_err("is not well formed").to_string()
 }
 
 #[test]
@@ -61,8 +63,8 @@ fn answer_is_one_line_and_its_bytes() {
 
 #[test]
 fn reply_has_parts_with_their_shapes() {
-    let written = "part 3 image/x-rgb8 1x1x3:u8\nrgbanswer 8 application/x-tensor 2:f32\n12345678";
-    let ReplyOutcome::Parts(parts) = reply(Role::Sensor, written).outcome else { panic!("is an answer") };
+    let output_text = "part 3 image/x-rgb8 1x1x3:u8\nrgbanswer 8 application/x-tensor 2:f32\n12345678";
+    let ReplyOutcome::Parts(parts) = reply(Role::Sensor, output_text).outcome else { panic!("is an answer") };
     assert_eq!(parts.len(), 2);
     assert_eq!(
         (parts[1].description.shape.as_slice(), parts[1].description.element),
@@ -71,9 +73,9 @@ fn reply_has_parts_with_their_shapes() {
 }
 
 #[test]
-fn notes_before_the_answer_are_returned() {
-    let written = "version 1\nsequence 7\nlabel golden retriever\nsource a b.jpg\nstage warming 0.25\nvalue exposure 1e-3 s\nanswer 0\n";
-    let notes = reply(Role::Sensor, written).notes;
+fn notes_before_answer_are_returned() {
+    let output_text = "version 1\nsequence 7\nlabel golden retriever\nsource a b.jpg\nstage warming 0.25\nvalue exposure 1e-3 s\nanswer 0\n";
+    let notes = reply(Role::Sensor, output_text).notes;
     let expected = ReplyNotes {
         stages: vec![("warming".to_owned(), Span::from_millis(250))],
         values: vec![("exposure".to_owned(), 0.001, "s".to_owned())],
@@ -89,7 +91,7 @@ fn notes_before_the_answer_are_returned() {
 fn actuator_reports_feedback_before_it_is_done() {
     let notes = reply(Role::Actuator, "reward -0.5\nsuccess 1\nepisode-ended\ndone\n").notes;
     assert_eq!((notes.reward, notes.success, notes.episode_ended), (Some(-0.5), Some(true), true));
-    for (written, part) in [
+    for (output_text, expected_part) in [
         ("reward inf\n", "reward NUMBER"),
         ("reward\n", "reward NUMBER"),
         ("success true\n", "success 0, or success 1"),
@@ -102,10 +104,13 @@ fn actuator_reports_feedback_before_it_is_done() {
         ("success 0\nsuccess 1\n", "it wrote the line success more than once in one reply"),
         ("hello\n", "an actuator writes one of: done"),
     ] {
-        let text = error(Role::Actuator, written);
-        assert!(text.contains(part), "{written:?}: {text}");
+        let text = error(Role::Actuator, output_text);
+        assert!(text.contains(expected_part), "{output_text:?}: {text}");
     }
-    assert!(error(Role::Model, "reward 1\n").contains("a model writes one of"), "only an actuator");
+    assert!(
+        error(Role::Model, "reward 1\n").contains("a model writes one of"),
+        "a model cannot report a reward"
+    );
 }
 
 #[test]
@@ -132,13 +137,13 @@ fn reset_is_replied_to_with_done_or_error() {
 
 #[test]
 fn errors_show_the_expected_form() {
-    for (written, part) in [
+    for (output_text, expected_part) in [
         ("hello\n", "standard error"),
         ("answer\n", "answer BYTES"),
         ("answer -3\n", "answer BYTES"),
         ("answer 3 text/plain - more\n", "answer BYTES"),
         ("answer 9999999999999\n", "at most"),
-        ("answer 3 application/x-tensor 2:u8\n", "its shape and type need 2"),
+        ("answer 3 application/x-tensor 2:u8\n", "its shape and type need 2 bytes"),
         ("stage inference\n", "stage NAME SECONDS"),
         ("stage inference -1\n", "stage NAME SECONDS"),
         ("stage inference NaN\n", "stage NAME SECONDS"),
@@ -154,29 +159,29 @@ fn errors_show_the_expected_form() {
         ("version 2\n", "version 2"),
         ("version x\n", "version NUMBER"),
     ] {
-        let text = error(Role::Model, written);
-        assert!(text.contains(part), "{written:?}: {text}");
+        let text = error(Role::Model, output_text);
+        assert!(text.contains(expected_part), "{output_text:?}: {text}");
     }
     assert!(matches!(feed(Role::Model, b"\xff\xfe\n"), Err(FramingError::NotText(_))));
 }
 
 #[test]
-fn lines_and_parts_are_bounded() {
+fn lines_parts_and_bytes_of_reply_are_limited() {
     assert_eq!(feed(Role::Model, "\n".repeat(MAX_LINES + 1).as_bytes()), Err(FramingError::TooManyLines));
     assert_eq!(
         feed(Role::Model, "part 0\n".repeat(MAX_PARTS + 1).as_bytes()),
         Err(FramingError::TooManyParts)
     );
-    let longest_header = format!("answer {MAX_SAMPLE_BYTES}\n");
+    let largest_answer_header = format!("answer {MAX_SAMPLE_BYTES}\n");
     assert_eq!(
-        ReplyAssembler::new(Role::Model).push_line(longest_header.trim_end().as_bytes()),
+        ReplyAssembler::new(Role::Model).push_line(largest_answer_header.trim_end().as_bytes()),
         Ok(AssemblyStep::ReadBytes(MAX_SAMPLE_BYTES))
     );
     let mut assembler = ReplyAssembler::new(Role::Model);
     assembler.push_line(b"part 1").expect("is small");
     assembler.push_bytes(Bytes::from_static(b"x"));
     assert_eq!(
-        assembler.push_line(longest_header.trim_end().as_bytes()),
+        assembler.push_line(largest_answer_header.trim_end().as_bytes()),
         Err(FramingError::TooLarge(MAX_SAMPLE_BYTES + 1))
     );
 }
@@ -184,9 +189,9 @@ fn lines_and_parts_are_bounded() {
 proptest! {
     /// Any output leads to a reply, an error, or a request for more input.
     #[test]
-    fn garbage_never_panics(written in prop::collection::vec(any::<u8>(), 0..MAX_LINE_BYTES), role in 0..3) {
+    fn garbage_never_panics(output_bytes in prop::collection::vec(any::<u8>(), 0..MAX_LINE_BYTES), role in 0..3) {
         let role = [Role::Sensor, Role::Model, Role::Actuator][role as usize];
-        let _ = feed(role, &written);
+        let _ = feed(role, &output_bytes);
     }
 
     /// Output that resembles the framing does not cause a panic either.
@@ -216,16 +221,16 @@ proptest! {
             })
             .collect();
         let sample = Sample { parts, source: String::new(), label: None };
-        let written = Request::Answer { answer: &sample, source: "" }.pieces().concat();
-        // An empty source is written as `-` at the end of each header. A reply has no such word.
-        let (parsed_parts, _) = feed_without_source(&written);
+        let request_bytes = Request::Answer { answer: &sample, source: "" }.pieces().concat();
+        // An empty source is output_text as `-` at the end of each header. A reply has no such word.
+        let (parsed_parts, _) = feed_without_source(&request_bytes);
         prop_assert_eq!(parsed_parts, sample.parts);
     }
 }
 
 /// Parses a request after removing the source at the end of each header.
-fn feed_without_source(written: &[u8]) -> (Vec<Part>, usize) {
-    let mut output = Cursor::new(written);
+fn feed_without_source(request_bytes: &[u8]) -> (Vec<Part>, usize) {
+    let mut output = Cursor::new(request_bytes);
     let mut assembler = ReplyAssembler::new(Role::Model);
     loop {
         let mut line = Vec::new();
