@@ -5,8 +5,8 @@ use std::env;
 
 use peernet_sample::printable_line;
 
-/// Recorded variables: those of PEERNet, Python, the dynamic loader, thread pools and GPUs. The values of other variables
-/// may be secret.
+/// Recorded variables: those of PEERNet, Python, the dynamic loader, thread pools and GPUs. The values of other
+/// variables may be secret.
 const RECORDED_VARIABLES: [&str; 26] = [
     "PEERNET_PYTHON",
     "PEERNET_MODELS",
@@ -35,9 +35,9 @@ const RECORDED_VARIABLES: [&str; 26] = [
     "NVIDIA_TF32_OVERRIDE",
     "PYTORCH_CUDA_ALLOC_CONF",
 ];
-/// Variable of custom code in an experiment: a seed, which is a number of at most 53 bits. It depends on the repeat, on the
-/// user, and on whether the custom code is the sensor, the actuator or a model. A *user* of an experiment is one of the
-/// edges that use the cloud at the same time.
+/// Variable of custom code in an experiment: a seed, which is a number of at most 53 bits. The seed depends on the
+/// repeat, on the user, and on whether the custom code is the sensor, the actuator or a model. A *user* of an
+/// experiment is one of the edges that use the cloud at the same time.
 pub const SEED_VARIABLE: &str = "PEERNET_SEED";
 /// Variable of custom code in an experiment: the number of the repeat, from 1.
 pub const REPEAT_VARIABLE: &str = "PEERNET_REPEAT";
@@ -59,8 +59,8 @@ pub fn environment() -> BTreeMap<String, String> {
 }
 
 /// Replaces the values of configured variables (`env`) in a configuration that is published, because the values may be
-/// secret. The numbers of a run ([`SEED_VARIABLE`], [`REPEAT_VARIABLE`], [`USER_VARIABLE`]) stay, because they are needed to
-/// repeat the run.
+/// secret. The numbers of a run ([`SEED_VARIABLE`], [`REPEAT_VARIABLE`], [`USER_VARIABLE`]) stay, because they are needed
+/// to repeat the run.
 pub fn hide_values(variables: &mut BTreeMap<String, String>) {
     let is_number_of_run = |name: &str, value: &str| {
         [SEED_VARIABLE, REPEAT_VARIABLE, USER_VARIABLE].contains(&name) && value.parse::<u64>().is_ok()

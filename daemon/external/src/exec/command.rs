@@ -147,7 +147,8 @@ impl ExecConfig {
             Role::Sensor | Role::Model => words,
             Role::Actuator => program.map(str::to_owned).into_iter().chain(script.clone()).collect(),
         };
-        // A program without a slash runs from `PATH`, even if the folder has a file of that name. Its word is skipped here.
+        // A program without a slash runs from `PATH`, even if the folder has a file of that name. Its word is skipped
+        // here.
         let named_files = words.into_iter().skip(program_in_path.iter().count());
         let named_files = named_files.filter(|word| is_file(word) && (is_code(word) || is_public(word)));
         program_in_path

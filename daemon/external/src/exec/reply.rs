@@ -192,8 +192,8 @@ impl ReplyAssembler {
         let part = Part { description, bytes };
         match position {
             Position::Partial => {
-                // An answer may have any number of partial answers. None of them stays in memory, so they do not count towards
-                // the limits of lines and bytes.
+                // An answer may have any number of partial answers. None of them stays in memory, so they do not count
+                // towards the limits of lines and bytes.
                 self.line_count -= 1;
                 self.byte_count -= part.bytes.len() as u64;
                 return AssemblyStep::DeliverPartialAnswer(part);

@@ -65,7 +65,8 @@ impl Group {
     }
 
     /// Kills all processes of the group, then collects the leader's status.
-    // The group is killed first: after the status is collected, the system may give the group's number to another process.
+    // The group is killed first: after the status is collected, the system may give the group's number to another
+    // process.
     pub(super) fn finish(&mut self) -> Option<ExitStatus> {
         self.signal(Signal::KILL);
         // Ends a leader that moved to another group. For a leader that has already ended the error does not matter.

@@ -40,7 +40,7 @@ pub struct CallTimes {
     pub started_at: MonoTime,
     /// Time at which the result was received.
     pub ended_at: MonoTime,
-    /// Steps that were run, in order. If a step raised an exception, no step follows it.
+    /// Steps that were run, in order, with their beginning and end. If a step raised an exception, no step follows it.
     pub steps: Vec<(Step, MonoTime, MonoTime)>,
 }
 
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn steps_stay_where_they_were_stamped() {
+    fn stamps_within_call_are_kept() {
         let stamps = [(Step::Preprocess, 120, 130), (Step::Infer, 131, 180)];
         let times = CallTimes::new(at(100), at(200), &stamps);
         assert_eq!(times.steps, [(Step::Preprocess, at(120), at(130)), (Step::Infer, at(131), at(180))]);
@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn stamps_of_another_clock_keep_their_lengths() {
+    fn steps_stamped_by_another_clock_keep_their_durations() {
         let stamps = [(Step::Preprocess, 9120, 9130), (Step::Infer, 9131, 9180)];
         let times = CallTimes::new(at(100), at(200), &stamps);
         assert_eq!(times.steps, [(Step::Preprocess, at(100), at(110)), (Step::Infer, at(110), at(159))]);

@@ -18,7 +18,7 @@ class Channel:
         self.source = os.fdopen(os.dup(0), "rb", 1 << 13)
         self.sink = os.dup(1)
         self.memory = None
-        # Consecutive requests often have equal headers, so a header equal to the previous one is not parsed again.
+        # Consecutive requests often have equal headers, so a header that equals the previous header is not parsed again.
         self.header, self.request = b"", None
         null_device = os.open(os.devnull, os.O_RDONLY)
         os.dup2(null_device, 0)
@@ -37,10 +37,10 @@ class Channel:
         os.close(self.source.fileno())
         os.close(self.sink)
         if self.memory is not None:
-            os.close(self.memory.file)
+            os.close(self.memory.descriptor)
 
     def read(self):
-        """The next request, or None at the end."""
+        """The next request, or None if the daemon has closed the pipe."""
         prefix = self.source.read(8)
         if len(prefix) < 8:
             return None
@@ -78,7 +78,7 @@ class Channel:
         self.send(self.frame(kind, body))
 
     def frame(self, kind, body, parts=()):
-        """The chunks to send through the pipe, after large parts were copied to the shared memory."""
+        """Copies large parts to the shared memory. Returns the chunks to send through the pipe."""
         pipe_chunks = []
         if parts:
             parts = [(description, memoryview(data)) for description, data in parts]
@@ -115,19 +115,19 @@ class Channel:
 class SharedMemory:
     """Memory shared with the daemon. It never shrinks, and one side never writes while the other reads."""
 
-    def __init__(self, file):
-        self.file = file
+    def __init__(self, descriptor):
+        self.descriptor = descriptor
         # A program that custom code starts must not inherit the file.
-        os.set_inheritable(file, False)
-        self.map = mmap.mmap(file, 0)
+        os.set_inheritable(descriptor, False)
+        self.map = mmap.mmap(descriptor, 0)
 
     def map_up_to(self, end):
         """The memory, mapped at least up to `end`."""
         if len(self.map) < end:
             length = 1 << (end - 1).bit_length()
-            if os.fstat(self.file).st_size < length:
-                os.ftruncate(self.file, length)
-            self.map = mmap.mmap(self.file, length)
+            if os.fstat(self.descriptor).st_size < length:
+                os.ftruncate(self.descriptor, length)
+            self.map = mmap.mmap(self.descriptor, length)
         return self.map
 
     def bytes(self, at, length):

@@ -28,7 +28,7 @@ pub struct PythonConfig {
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub env: BTreeMap<String, String>,
     /// `true` to pickle values that have no other form, and to unpickle received values. Unpickling runs code of the
-    /// sender, so this is only for hosts that trust each other. Default: no.
+    /// sender, so both hosts must trust each other. Default: `false`.
     #[serde(default)]
     pub pickle: bool,
     /// Form of pictures that are passed to a model. Default: `pil`.
@@ -115,29 +115,31 @@ mod tests {
     use super::*;
 
     #[test]
-    fn objects_are_named_as_python_names_them() {
-        let parts =
-            |object| PythonConfig::new(object).module_and_path().map(|(a, b)| (a.to_owned(), b.to_owned()));
+    fn object_name_has_module_and_path() {
+        let module_and_path = |object| {
+            let config = PythonConfig::new(object);
+            config.module_and_path().map(|(module, path)| (module.to_owned(), path.to_owned()))
+        };
         for (object, module, path) in [
             ("camera::Camera", "camera", "Camera"),
             ("lab.robot::rig.left", "lab.robot", "rig.left"),
             ("plain", "plain", ""),
         ] {
-            assert_eq!(parts(object).expect(object), (module.to_owned(), path.to_owned()));
+            assert_eq!(module_and_path(object).expect(object), (module.to_owned(), path.to_owned()));
         }
         for wrong in
             ["", "::", "camera::", "::Camera", "./camera.py::Camera", "a:b", "a::b::c", "1a::b", "a b::c"]
         {
-            assert!(parts(wrong).is_err(), "{wrong}");
+            assert!(module_and_path(wrong).is_err(), "{wrong}");
         }
     }
 
     #[test]
-    fn short_form_uses_defaults_misspelt_keys_are_refused() {
+    fn defaults_are_used_and_invalid_keys_and_values_refused() {
         let read = |text: &str| toml::from_str::<PythonConfig>(text);
         assert_eq!(read("object = 'a::b'").expect("reads"), PythonConfig::new("a::b"));
         assert!(read("object = 'a::b'\npikle = true").is_err());
-        for (text, part) in [
+        for (text, expected_part) in [
             ("timeout_ms = 86400001", "86400000"),
             ("env = { 'a=b' = 'c' }", "\"a=b\""),
             ("env = { '' = 'c' }", "\"\""),
@@ -145,7 +147,7 @@ mod tests {
         ] {
             let config = read(&format!("object = 'a::b'\n{text}")).expect("reads");
             let error = config.check().expect_err(text).to_string();
-            assert!(error.contains(part), "{error}");
+            assert!(error.contains(expected_part), "{error}");
         }
     }
 }

@@ -39,8 +39,9 @@ pub enum PythonError {
     NoPython(String),
     /// Python does not find the module.
     #[error(
-        "there is no Python module {module}: looked in {} and where {python} has its packages; write {module}.py there, \
-         install it, or start in its folder (a configuration names one with folder = \"…\")", .folder.display()
+        "there is no Python module {module}: it is neither in the folder {} nor among the packages of {python}; write \
+         {module}.py in this folder, install the module, or start in the module's folder (in a configuration: folder = \
+         \"…\")", .folder.display()
     )]
     NoModule {
         /// Name of the module.
@@ -57,45 +58,45 @@ pub enum PythonError {
         object: String,
         /// Path of the interpreter.
         python: String,
-        /// Message of Python.
+        /// Message of Python, or what happened to the process.
         reason: String,
     },
     /// Custom code raised an exception: its text on the first line, then the traceback.
     #[error("{0}")]
     Raised(String),
-    /// The value cannot be transferred to the other process, at least not with this configuration.
+    /// The value cannot be transferred to the other process with this configuration.
     #[error("{0}")]
     Value(String),
     /// The process ended.
-    #[error("the Python process of {object} ended: {ended}; it is restarted")]
+    #[error("the Python process of {object} ended: {end}; it is restarted")]
     Died {
         /// Name of the object.
         object: String,
         /// End of the process.
-        ended: ProcessEnd,
+        end: ProcessEnd,
     },
     /// The call exceeded its timeout, and the process was killed.
     #[error(
         "{object} did not answer within {} s and was killed{stderr_suffix}; it is restarted; if it needs longer, raise \
-         timeout_ms (or the option --timeout of peernet --server)", .after.seconds()
+         timeout_ms (or the option --timeout of peernet --server)", .timeout.seconds()
     )]
     TooSlow {
         /// Name of the object.
         object: String,
         /// The timeout.
-        after: Span,
-        /// The last lines that it printed, as a suffix for a message; may be empty.
+        timeout: Span,
+        /// The last lines of its standard error as a suffix for a message; may be empty.
         stderr_suffix: String,
     },
     /// The process died repeatedly and is not restarted yet.
-    #[error("{object} is restarted in {:.1} s, because it failed repeatedly: {last}", .left.seconds())]
+    #[error("{object} is restarted in {:.1} s, because it failed repeatedly: {last_failure}", .remaining_delay.seconds())]
     RestartDelayed {
         /// Name of the object.
         object: String,
         /// Time until the next start.
-        left: Span,
+        remaining_delay: Span,
         /// Text of the last failure.
-        last: String,
+        last_failure: String,
     },
     /// The worker sent an invalid message.
     #[error(

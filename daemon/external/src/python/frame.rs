@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use super::{Images, ObjectDescription, Role, Step};
 use crate::text::deserialize_printable;
 
-/// First bytes of every message. A message without them shows that the custom program wrote to the pipe.
+/// First bytes of every message. A message without these bytes shows that custom code wrote to the pipe.
 pub(super) const MESSAGE_PREFIX: [u8; 4] = *b"PN1\n";
 /// Number of bytes before the header: [`MESSAGE_PREFIX`] and the header's length.
 pub(super) const PREFIX_BYTES: usize = 8;
@@ -23,8 +23,8 @@ pub(super) const MAX_VALUE_BYTES: u64 = 1 << 30;
 /// Media type of a pickled object. The parts after the pickled object are its buffers (pickle protocol 5, PEP 574).
 pub const PICKLE: &str = "application/x-python-pickle";
 
-/// Media type of Python's lists, tuples and dictionaries that JSON cannot represent. They contain bytes, arrays or pictures, whose parts follow,
-/// numbers that are not finite, or keys that are not texts.
+/// Media type of Python's lists, tuples and dictionaries that JSON cannot represent. They contain bytes, arrays or
+/// pictures, whose parts follow, numbers that are not finite, or keys that are not texts.
 pub const TREE: &str = "application/x-python-tree";
 
 /// Request to the worker.
@@ -59,7 +59,7 @@ pub(super) enum Request<'a> {
 pub(super) enum Reply {
     /// The object has been created.
     Ready(ObjectDescription),
-    /// The returned value, and the steps with their stamps in nanoseconds.
+    /// The returned value, and the steps with the stamps of their beginning and end, in nanoseconds.
     Value {
         parts: Vec<PartHead>,
         #[serde(rename = "stages")]
@@ -117,7 +117,7 @@ pub(super) fn join_parts(heads: Vec<PartHead>, bytes: Vec<Bytes>) -> Vec<Part> {
 #[derive(Debug, thiserror::Error)]
 pub enum FrameError {
     /// The message does not begin with `PN1`.
-    #[error("it starts with {0:?} instead of PN1; does the program write to the pipe of PEERNet?")]
+    #[error("it starts with {0:?} instead of PN1; does custom code write to the pipe of PEERNet?")]
     Prefix(String),
     /// The header is longer than allowed.
     #[error("its header has {0} bytes, the limit is {MAX_HEADER_BYTES}")]
@@ -141,7 +141,7 @@ pub enum FrameError {
     },
 }
 
-/// Returns the first bytes, the length and the header of a request.
+/// Returns the prefix and the header of a request.
 pub(super) fn encode(request: &Request<'_>) -> Result<Vec<u8>, serde_json::Error> {
     let mut frame = Vec::with_capacity(256);
     frame.extend_from_slice(&MESSAGE_PREFIX);
@@ -152,7 +152,7 @@ pub(super) fn encode(request: &Request<'_>) -> Result<Vec<u8>, serde_json::Error
     Ok(frame)
 }
 
-/// Returns the length of the header that follows a prefix.
+/// Returns the length of the header that follows a prefix ([`PREFIX_BYTES`]).
 pub(super) fn header_length(prefix: &[u8]) -> Result<usize, FrameError> {
     let Some(length) = prefix.strip_prefix(&MESSAGE_PREFIX).and_then(|rest| <[u8; 4]>::try_from(rest).ok())
     else {

@@ -7,33 +7,33 @@ import os
 import warnings
 from importlib.machinery import PathFinder
 
-# Limit of the number of reported own files, and of libraries.
+# Limit of the number of reported files of custom code, and of the number of reported libraries.
 MAX_FILES = 64
 # Limit of the total length of the names of these files, in characters: a host sends them to its peers in one message.
 MAX_NAMES = 1 << 14
-# Limit of the total source that is parsed for imports, in bytes: takes some tenths of a second at most.
+# Limit of the total source that is parsed for imports, in bytes. Parsing that much takes some tenths of a second.
 MAX_SOURCE = 1 << 18
 # Limit of the length of a version, in characters.
 MAX_VERSION = 100
 # Length of the longest path that Linux opens, in characters.
 MAX_PATH = 4096
 # Folder of the standard library.
-STANDARD = os.path.dirname(os.__file__) + os.sep
+STANDARD_LIBRARY = os.path.dirname(os.__file__) + os.sep
 # Names of folders with installed libraries, which may be inside the folder of the standard library.
-INSTALLED = ("site-packages", "dist-packages")
+LIBRARY_FOLDERS = ("site-packages", "dist-packages")
 
 
 class Imports:
     """Files and libraries that one module imports, directly or indirectly."""
 
     def __init__(self, folder):
-        # Python searched the modules in the working folder at the start; custom code may have changed the folder since.
+        # Python searched the modules in the working folder of the start; custom code may have changed to another folder.
         self.folder = folder
         self.path = [entry or folder for entry in sys.path if isinstance(entry, str)]
         # Dictionaries keep the order of discovery.
         self.files, self.libraries = {}, {}
-        # Folders in which submodules are searched, by the name of the module; None if it has none or they are not
-        # searched.
+        # By the name of a module: the folders in which its submodules are searched; None if the module has no submodules
+        # or they are not searched.
         self.package_folders = {}
         self.pending_sources, self.is_incomplete = [], False
         self.name_chars_left, self.source_bytes_left = MAX_NAMES, MAX_SOURCE
@@ -75,11 +75,12 @@ class Imports:
                 self.is_incomplete = True
                 return None
             self.files[file] = None
-            self.queue(name if folders else name.rpartition(".")[0], file)
+            self.queue_source(name if folders else name.rpartition(".")[0], file)
         return folders
 
-    def queue(self, package, file):
-        """Parses a Python file within the limit of source. A file that Python cannot parse has no imports."""
+    def queue_source(self, package, file):
+        """Parses a Python file, if MAX_SOURCE allows, and appends it to the pending sources. A file that Python cannot parse
+        has no imports."""
         if not file.endswith(".py") or not os.path.isfile(file):
             return
         try:
@@ -93,29 +94,30 @@ class Imports:
             pass
 
     def is_standard(self, location):
-        return location.startswith(STANDARD) and not any(name in location[len(STANDARD) :] for name in INSTALLED)
+        return location.startswith(STANDARD_LIBRARY) and not any(name in location[len(STANDARD_LIBRARY) :] for name in LIBRARY_FOLDERS)
 
     def is_installed(self, name, location):
-        """Whether pip or the system installed it."""
-        if any(folder in INSTALLED for folder in location.split(os.sep)):
+        """Whether pip or the system installed the module."""
+        if any(folder in LIBRARY_FOLDERS for folder in location.split(os.sep)):
             return True
-        return name.partition(".")[0] in self.installed(search_folder(name, location))
+        return name.partition(".")[0] in self.cached_distributions(search_folder(name, location))
 
     def version(self, name, file):
-        """The `__version__` of the library; if it has none or is not imported yet, the version of its installation."""
+        """The `__version__` of the library; if the library has none or is not imported yet, the version of its installation."""
         version = module_text(name, "__version__")
         if not version:
-            version = self.installed(search_folder(name, file)).get(name.partition(".")[0], "")
+            version = self.cached_distributions(search_folder(name, file)).get(name.partition(".")[0], "")
         return version[:MAX_VERSION]
 
-    def installed(self, folder):
+    def cached_distributions(self, folder):
         if folder not in self.distributions:
             self.distributions[folder] = distributions(folder)
         return self.distributions[folder]
 
 
 def locate(name, search_path):
-    """The file of a module, and the folders of its submodules if it is a package; None if it is not found."""
+    """The file of a module, and the folders of its submodules. None in place of the file if the module has none; None in place of
+    the folders if it is no package."""
     try:
         module = sys.modules.get(name)
         if module is not None:
@@ -136,7 +138,7 @@ def locate(name, search_path):
 
 
 def containing_archive(file):
-    """The archive that contains a module, such as a zipped egg; otherwise its own file."""
+    """The archive that contains a module, such as a zipped egg; the file of the module if no archive contains it."""
     path = file if len(file) < MAX_PATH else ""
     while path and not os.path.exists(path):
         path = os.path.dirname(path)
@@ -196,7 +198,7 @@ def describe_code(module, folder, modules_before):
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            # Modules that were imported without an import statement are among the loaded modules.
+            # The loaded modules include modules that were imported without an import statement.
             for name in [module] + [name for name in list(sys.modules) if name not in modules_before]:
                 imports.follow(name)
     except Exception:

@@ -9,7 +9,7 @@ use peernet_clock::{SharedClock, Span};
 use super::{PythonConfig, PythonError, SOURCE};
 use crate::process::{Launch, Process, ProcessError, StderrLog, find_program};
 
-/// Environment variable that names another interpreter.
+/// Environment variable that names the interpreter if the configuration names none.
 const PYTHON_VARIABLE: &str = "PEERNET_PYTHON";
 /// Environment variable that contains the device for which the model is configured.
 const DEVICE_VARIABLE: &str = "PEERNET_DEVICE";
@@ -30,7 +30,7 @@ const MODULE_SEARCH_TIMEOUT: Span = Span::from_seconds(20);
 /// Returns the path of the configured interpreter.
 ///
 /// # Errors
-/// If it does not exist.
+/// If the interpreter does not exist.
 pub(super) fn python(config: &PythonConfig) -> Result<PathBuf, PythonError> {
     let configured = config.python.clone().map(PathBuf::into_os_string);
     let name = configured
@@ -49,7 +49,7 @@ pub(super) fn python(config: &PythonConfig) -> Result<PathBuf, PythonError> {
     std::path::absolute(&path).map_err(|_| missing_error())
 }
 
-/// Returns the description of an object's process. The process reads its source first.
+/// Returns the description of an object's process. The process first reads [`SOURCE`] from its standard input.
 pub(super) fn launch(
     config: &PythonConfig,
     name: String,
@@ -83,9 +83,9 @@ pub(super) fn check(config: &PythonConfig, clock: &SharedClock) -> Result<(), Py
     let (module, _) = config.module_and_path()?;
     let launch = launch(config, config.object.clone(), None)?;
     let module_folder = launch.folder.clone().unwrap_or_default();
-    // To find a submodule, Python imports its parents, which is custom code.
+    // To find a submodule, Python imports the packages that contain it, and these are custom code.
     let top_package = module.split('.').next().unwrap_or(module);
-    // This check makes it unnecessary to start an interpreter, which takes tens of milliseconds.
+    // If the folder has the package, no interpreter is started, which takes tens of milliseconds.
     if module_folder.join(format!("{top_package}.py")).is_file() || module_folder.join(top_package).is_dir() {
         return Ok(());
     }
@@ -97,8 +97,8 @@ pub(super) fn check(config: &PythonConfig, clock: &SharedClock) -> Result<(), Py
     let mut process = Process::start(&search, clock).map_err(PythonError::Process)?;
     // The process writes nothing; reading waits for its end, within the time limit.
     match process.read_exact(1, clock.mono() + MODULE_SEARCH_TIMEOUT) {
-        Err(ProcessError::ProcessEnd(ended)) if ended.is_success() => Ok(()),
-        Err(ProcessError::ProcessEnd(ended)) if ended.status.and_then(|status| status.code()) == Some(1) => {
+        Err(ProcessError::ProcessEnd(end)) if end.is_success() => Ok(()),
+        Err(ProcessError::ProcessEnd(end)) if end.status.and_then(|status| status.code()) == Some(1) => {
             let folder = if module_folder.as_os_str().is_empty() {
                 env::current_dir().unwrap_or_default()
             } else {

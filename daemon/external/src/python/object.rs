@@ -7,15 +7,16 @@ use serde::Serialize;
 
 use super::frame::{self, FrameError, Reply, Request};
 use super::interpreter;
-use super::worker::{Answer, Worker, WorkerError};
+use super::worker::{ReplyWithBytes, Worker, WorkerError};
 use super::{CallResult, CallTimes, ObjectDescription, PythonConfig, PythonError, Step};
 use crate::process::{Launch, ProcessError, RestartBackoff};
 
 /// Time that a process has to end after it is no longer needed.
 const STOP_TIMEOUT: Span = Span::from_millis(1000);
 
-/// Time after which the log says that an object is still being created. Each further line follows after twice the time.
-const FIRST_REPORT: Span = Span::from_millis(30_000);
+/// Time from the start of a process to the first log line that says that the object is not created yet. Each further
+/// line follows after twice the time of the previous line.
+const FIRST_REPORT_AFTER: Span = Span::from_millis(30_000);
 
 /// Role of an object in a pipeline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -37,6 +38,7 @@ pub struct PythonObject {
     launch: Launch,
     clock: SharedClock,
     description: ObjectDescription,
+    /// `None` after a failure, until a call starts a new process.
     worker: Option<Worker>,
     restart_backoff: RestartBackoff,
     /// Text of the last failure, returned to callers while the process is not restarted.
@@ -55,7 +57,7 @@ impl PythonObject {
 
     /// Starts the process, imports the module and creates the object; blocks until that is done.
     ///
-    /// `name` is the owner in log messages; `device` becomes the environment variable `PEERNET_DEVICE`.
+    /// `name` is the owner of the process in log messages; `device` becomes the environment variable `PEERNET_DEVICE`.
     ///
     /// # Errors
     /// If the object cannot be created.
@@ -86,11 +88,11 @@ impl PythonObject {
         &self.description
     }
 
-    /// Calls the object with a value; `sample()` takes none. Blocks until the object has answered, the timeout is
+    /// Calls the object with a value; `sample()` takes no value. Blocks until the object has answered, the timeout is
     /// over, or the process has ended.
     ///
-    /// If the process died or did not answer, the next call restarts it. After repeated failures the restart is
-    /// delayed, and calls fail until then. An exception of custom code does not end the process.
+    /// If the process died or did not answer, the next call restarts the process. After repeated failures the restart
+    /// is delayed, and calls fail until the delay is over. An exception of custom code does not end the process.
     pub fn call(&mut self, parts: &[Part]) -> CallResult {
         self.call_with_partial_answers(parts, &mut |_| true)
     }
@@ -106,7 +108,7 @@ impl PythonObject {
     ) -> CallResult {
         let clock = SharedClock::clone(&self.clock);
         let timeout = milliseconds(self.config.timeout_ms.get());
-        self.exchange(|worker, _| worker.call(parts, &|| clock.mono() + timeout, on_partial_answer))
+        self.send_and_receive(|worker, _| worker.call(parts, &|| clock.mono() + timeout, on_partial_answer))
     }
 
     /// Returns whether the object has `reset()`.
@@ -118,9 +120,9 @@ impl PythonObject {
     /// does.
     ///
     /// # Errors
-    /// If the object raised an exception or gave no answer.
+    /// If the object raised an exception, or the process gave no answer.
     pub fn reset(&mut self) -> Result<(), PythonError> {
-        self.exchange(Worker::reset).result.map(drop)
+        self.send_and_receive(Worker::reset).result.map(drop)
     }
 
     /// Returns whether the object is a sensor with `advance(seconds)`.
@@ -132,15 +134,15 @@ impl PythonObject {
     /// [`call`](Self::call) does.
     ///
     /// # Errors
-    /// If the object raised an exception or gave no answer.
+    /// If the object raised an exception, or the process gave no answer.
     pub fn advance(&mut self, time: Span) -> Result<(), PythonError> {
-        self.exchange(|worker, deadline| worker.advance(time, deadline)).result.map(drop)
+        self.send_and_receive(|worker, deadline| worker.advance(time, deadline)).result.map(drop)
     }
 
     /// Sends a request to the process and receives its reply.
-    fn exchange(
+    fn send_and_receive(
         &mut self,
-        request: impl FnOnce(&mut Worker, MonoTime) -> Result<Answer, WorkerError>,
+        request: impl FnOnce(&mut Worker, MonoTime) -> Result<ReplyWithBytes, WorkerError>,
     ) -> CallResult {
         let called_at = self.clock.mono();
         let restart_began_at = self.worker.is_none().then_some(called_at);
@@ -176,6 +178,7 @@ impl PythonObject {
         }
     }
 
+    /// Converts a reply to the result of a call.
     fn call_result(
         &mut self,
         reply: Reply,
@@ -199,16 +202,16 @@ impl PythonObject {
         }
     }
 
-    /// Returns the running process. If it has died, starts a new one as soon as the restart delay is over.
+    /// Returns the running process, or starts a new process if the last one has died. Fails during the restart delay.
     fn take_or_start_worker(&mut self) -> Result<Worker, PythonError> {
         if let Some(worker) = self.worker.take() {
             return Ok(worker);
         }
-        if let Some(left) = self.restart_backoff.remaining_delay(self.clock.mono()) {
+        if let Some(remaining_delay) = self.restart_backoff.remaining_delay(self.clock.mono()) {
             return Err(PythonError::RestartDelayed {
                 object: self.config.object.clone(),
-                left,
-                last: self.last_failure.clone(),
+                remaining_delay,
+                last_failure: self.last_failure.clone(),
             });
         }
         tracing::info!(name = self.launch.name, object = self.config.object, "restarting a Python process");
@@ -228,10 +231,10 @@ impl PythonObject {
             role: self.role,
             pickle: self.config.pickle,
             images: self.config.images,
-            shared_memory: worker.shared_memory(),
+            shared_memory: worker.shared_memory_descriptor(),
         };
         let (name, object) = (&self.launch.name, &self.config.object);
-        // Under the target of the output of custom code, which `peernet run` shows, too.
+        // The line has the same log target as the output of custom code, because `peernet run` shows this target.
         let mut report = |elapsed: Span| {
             tracing::warn!(
                 target: "peernet_external::python",
@@ -241,7 +244,7 @@ impl PythonObject {
                 timeout.seconds()
             );
         };
-        match worker.create_object(&settings, deadline, (&self.clock, FIRST_REPORT), &mut report) {
+        match worker.create_object(&settings, deadline, (&self.clock, FIRST_REPORT_AFTER), &mut report) {
             Ok((Reply::Ready(description), _)) => {
                 self.description = description;
                 Ok(worker)
@@ -265,14 +268,14 @@ impl PythonObject {
         PythonError::Start { object: self.config.object.clone(), python, reason }
     }
 
-    /// Converts the failure of a call after which the process cannot be used any more.
+    /// Converts a failure after which the process cannot be used any more.
     fn call_error(&self, failure: WorkerError, worker: Worker) -> PythonError {
         let object = self.config.object.clone();
         match failure {
-            WorkerError::Process(ProcessError::ProcessEnd(ended)) => PythonError::Died { object, ended },
+            WorkerError::Process(ProcessError::ProcessEnd(end)) => PythonError::Died { object, end },
             WorkerError::Process(ProcessError::TimedOut) => PythonError::TooSlow {
                 object,
-                after: milliseconds(self.config.timeout_ms.get()),
+                timeout: milliseconds(self.config.timeout_ms.get()),
                 stderr_suffix: worker.kill().stderr_suffix(),
             },
             WorkerError::Process(error) => PythonError::Process(error),
@@ -289,31 +292,31 @@ impl PythonObject {
 impl Drop for PythonObject {
     fn drop(&mut self) {
         if let Some(worker) = self.worker.take() {
-            let ended = worker.end(STOP_TIMEOUT);
-            if !ended.ended_as_requested() {
-                tracing::warn!(name = self.launch.name, "the Python process did not exit cleanly: {ended}");
+            let end = worker.end(STOP_TIMEOUT);
+            if !end.ended_as_requested() {
+                tracing::warn!(name = self.launch.name, "the Python process did not exit cleanly: {end}");
             }
         }
     }
 }
 
-/// Adds advice to the first line of an exception and its traceback, if a module is missing that custom code imports.
+/// Returns the text of an exception. If custom code imports a missing module, the first line ends with advice.
 fn with_import_advice(text: &str) -> String {
     if !text.starts_with("ModuleNotFoundError: ") {
         return text.to_owned();
     }
     let (exception, traceback) = text.split_once('\n').unwrap_or((text, ""));
-    // Python says so if the name before the last dot is a module and no package, as in `module.Class`.
+    // Python's text ends like this if the name before the last dot is a module and no package, as in `module.Class`.
     if exception.ends_with(" is not a package") {
         return format!("{exception}; write two colons between module and object: module::Name\n{traceback}")
             .trim_end()
             .to_owned();
     }
-    let advised = format!(
+    let advised_line = format!(
         "{exception}; install it for this interpreter, or name the interpreter that has it with the key python or the variable \
          PEERNET_PYTHON"
     );
-    if traceback.is_empty() { advised } else { format!("{advised}\n{traceback}") }
+    if traceback.is_empty() { advised_line } else { format!("{advised_line}\n{traceback}") }
 }
 
 fn milliseconds(number: u64) -> Span {

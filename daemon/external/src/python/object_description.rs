@@ -17,10 +17,10 @@ pub struct ObjectDescription {
     /// Description of the object, such as `class camera::Camera`.
     #[serde(rename = "what")]
     pub object: String,
-    /// Own files of the object; the file of its module is the first.
+    /// Files of the object's own code, without files of libraries; the file of its module is the first.
     files: Vec<PathBuf>,
-    /// Names and versions of the libraries that these files import anywhere, and of everything that was imported
-    /// during the start; a version may be empty.
+    /// Names and versions of the libraries that `files` import anywhere, and of the libraries that were imported
+    /// during the start. A version may be empty.
     libraries: Vec<(String, String)>,
     /// `true` if `files` or `libraries` is incomplete because of its limit.
     #[serde(rename = "more")]
@@ -43,7 +43,7 @@ impl ObjectDescription {
     }
 
     /// Returns facts for the run's page, such as (`Sensor`, `the Python class camera::Camera, Python 3.11.2`). The
-    /// name of each begins with `role`. Reads the files for their hashes.
+    /// name of each fact begins with `role`. Reads the files for their hashes.
     pub fn facts(&self, role: &str) -> Vec<(String, String)> {
         let mut facts =
             vec![(role.to_owned(), format!("the Python {}, Python {}", self.object, self.python))];

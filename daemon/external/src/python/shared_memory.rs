@@ -2,8 +2,8 @@
 //!
 //! A pipe copies through the kernel page by page, which takes 22 µs per crossing at 150 kB on the reference machine;
 //! two `memcpy` take 3 µs. Neither side writes while the other one reads: a call is a request followed by a reply, and
-//! each side copies out what it received before it sends its next message. The second copy is needed because the next
-//! call overwrites the memory, and custom code may keep a value longer.
+//! each side copies the received parts out of the memory before it sends its next message. This second copy is needed
+//! because the next call overwrites the memory, and custom code may keep a value longer.
 
 use std::fs::File;
 use std::io;
@@ -71,7 +71,7 @@ impl SharedMemory {
         if end > self.map.len() {
             // The other side may have extended the file for a reply that it did not finish.
             if (end as u64) > self.file.metadata()?.len() {
-                // Rounded up, so that parts of slowly growing size do not need a new mapping for each call.
+                // The size is rounded up, so that parts of slowly growing size do not need a new mapping for each call.
                 self.file.set_len(end.next_power_of_two() as u64)?;
             }
             self.map = MmapRaw::map_raw(&*self.file)?;
@@ -79,7 +79,7 @@ impl SharedMemory {
         for (part, at) in parts.iter().zip(&positions) {
             let Some(at) = *at else { continue };
             #[expect(unsafe_code, reason = "no slice may refer to memory that another process may write to")]
-            // SAFETY: `at + len <= end <= map.len()`; nobody else here has a pointer into the map.
+            // SAFETY: `at + len <= end <= map.len()`; no other code of this process has a pointer into the map.
             unsafe {
                 ptr::copy_nonoverlapping(
                     part.bytes.as_ptr(),
@@ -104,7 +104,7 @@ impl SharedMemory {
         }
         let mut bytes: Vec<u8> = Vec::with_capacity(length);
         #[expect(unsafe_code, reason = "no slice may refer to memory that another process may write to")]
-        // SAFETY: `at + length <= map.len()`, and the file can only grow; any bytes are initialised bytes.
+        // SAFETY: `at + length <= map.len()`, and the file can only grow. All mapped bytes are initialised.
         unsafe {
             ptr::copy_nonoverlapping(self.map.as_ptr().add(at), bytes.as_mut_ptr(), length);
             bytes.set_len(length);
@@ -161,7 +161,7 @@ mod tests {
             [(0, INITIAL_SIZE_BYTES + 1), (INITIAL_SIZE_BYTES as u64, 1), (u64::MAX, 1), (1, usize::MAX)]
         {
             assert_eq!(
-                shared_memory.read_part(at, length).expect("nothing is wrong with it"),
+                shared_memory.read_part(at, length).expect("the mapping succeeds"),
                 None,
                 "{length} at {at}"
             );
@@ -178,7 +178,9 @@ mod tests {
         let bytes = shared_memory.read_part(INITIAL_SIZE_BYTES as u64 + 7, 4).expect("it is mapped");
         assert_eq!(bytes.as_deref(), Some(&b"late"[..]));
         peer_file.set_len(16 * INITIAL_SIZE_BYTES as u64).expect("it may grow");
-        shared_memory.write_parts(&[part(3 * INITIAL_SIZE_BYTES)]).expect("it is there already");
+        shared_memory
+            .write_parts(&[part(3 * INITIAL_SIZE_BYTES)])
+            .expect("the memory is large enough already");
     }
 
     #[test]

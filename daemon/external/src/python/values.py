@@ -9,7 +9,7 @@ import pickle
 import sys
 
 PICKLE = "application/x-python-pickle"
-# A tree of containers as JSON whose leaves may be the parts that follow.
+# A tree of containers as JSON. Its leaves may refer to the parts that follow.
 TREE = "application/x-python-tree"
 # Advice at the end of an error text.
 OR_PICKLE = "set pickle = true on both ends"
@@ -23,6 +23,7 @@ TOO_MANY_BYTES = "a value has %d bytes; at most %d can be transferred"
 # Limit of one dimension of an array.
 MAX_LENGTH = (1 << 32) - 1
 
+# Types of numpy by the types of elements in descriptions, and the reverse.
 DTYPES = {
     "bool": "?", "u8": "u1", "i8": "i1", "u16": "<u2", "i16": "<i2", "f16": "<f2", "u32": "<u4", "i32": "<i4",
     "f32": "<f4", "u64": "<u8", "i64": "<i8", "f64": "<f8", "c64": "<c8", "c128": "<c16",
@@ -31,9 +32,10 @@ ELEMENTS = {
     "b1": "bool", "u1": "u8", "i1": "i8", "u2": "u16", "i2": "i16", "f2": "f16", "u4": "u32", "i4": "i32",
     "f4": "f32", "u8": "u64", "i8": "i64", "f8": "f64", "c8": "c64", "c16": "c128",
 }
-# Modes of PIL whose pixels are numbers of other types.
-NUMBERS = {"I;16": "u16", "I;16L": "u16", "I;16B": "u16", "I": "i32", "F": "f32"}
-PIXELS = {"RGB": ("rgb8", 3), "L": ("grey8", 1)}
+# Modes of PIL whose pixels are numbers of another type than u8, with the type of the elements.
+NUMBER_MODES = {"I;16": "u16", "I;16L": "u16", "I;16B": "u16", "I": "i32", "F": "f32"}
+# Modes of PIL that are transferred as they are, with the name of the pixel format and the number of channels.
+PIXEL_MODES = {"RGB": ("rgb8", 3), "L": ("grey8", 1)}
 
 
 # Created once, because json.dumps() with separators creates an encoder in every call.
@@ -87,8 +89,8 @@ class Encoder:
         return [part({"other": TREE}, to_json(tree).encode())] + leaves
 
     def leaf_count(self, parts):
-        """The number of arrays, pictures and byte strings among the parts of a value, which count in a list of such values. 0 if
-        a list may be pickled, because a pickle holds any number of them."""
+        """The number of arrays, pictures and byte strings among the parts of a value; a list of such values may hold MAX_LEAVES.
+        0 if the list may be pickled, because a pickle may hold any number."""
         if self.may_pickle:
             return 0
         return sum(description["media"] not in ("text", "json", {"other": TREE}) for description, _ in parts)
@@ -103,7 +105,7 @@ class Encoder:
             lossless = type(value) is sys.modules["numpy"].ndarray and value.dtype.str[1:] in ELEMENTS
             return self.array if lossless or not self.may_pickle else None
         if is_a(value, "PIL.Image", "Image"):
-            return self.picture if value.mode in PIXELS or not self.may_pickle else None
+            return self.picture if value.mode in PIXEL_MODES or not self.may_pickle else None
         return self.tensor if is_a(value, "torch", "Tensor") and not self.may_pickle else None
 
     def bytes(self, value):
@@ -143,23 +145,23 @@ class Encoder:
         return part("tensor", data, value.shape, element)
 
     def picture(self, value):
-        if value.mode in NUMBERS:
+        if value.mode in NUMBER_MODES:
             data = value.tobytes()
             if value.mode == "I;16B":
                 big_endian, data = data, bytearray(data)
                 data[::2], data[1::2] = big_endian[1::2], big_endian[::2]
-            return part("tensor", data, (value.height, value.width), NUMBERS[value.mode])
-        if value.mode not in PIXELS:
+            return part("tensor", data, (value.height, value.width), NUMBER_MODES[value.mode])
+        if value.mode not in PIXEL_MODES:
             try:
                 value = value.convert("L" if value.mode in ("1", "LA") else "RGB")
             except ValueError as error:
                 text = "a picture of mode %s cannot be transferred (%s); convert it"
                 raise UnsupportedValue(text % (value.mode, error)) from None
-        name, channels = PIXELS[value.mode]
+        name, channels = PIXEL_MODES[value.mode]
         return part({"pixels": name}, value.tobytes(), (value.height, value.width, channels), "u8")
 
     def has_only_builtins(self, value, depth=0):
-        """Whether a value is made of built-in types alone, so nothing is lost without a pickle."""
+        """Whether a value consists of built-in types only, so that nothing is lost without a pickle."""
         kind = type(value)
         if value is None or kind in (bool, int, float):
             return True
@@ -172,7 +174,8 @@ class Encoder:
         return self.form(value) is not None
 
     def tree(self, value, leaves, depth):
-        """The value as JSON, with lists, tuples and dictionaries distinguished, and whether it is plain JSON."""
+        """The value as a tree in JSON that distinguishes lists, tuples and dictionaries, and whether plain JSON can represent the
+        value, too."""
         if value is None or isinstance(value, (bool, int)):
             return value, True
         if isinstance(value, float):
@@ -237,8 +240,8 @@ class Decoder:
 
     def read(self, channel, part_heads):
         """The value of the next parts. All parts are read, even if one is invalid."""
-        first = part_heads[0]["description"]["media"] if part_heads else None
-        custom_media = first.get("other") if isinstance(first, dict) else None
+        first_media = part_heads[0]["description"]["media"] if part_heads else None
+        custom_media = first_media.get("other") if isinstance(first_media, dict) else None
         values, first_error = [], None
         for part_head in part_heads:
             description = part_head["description"]

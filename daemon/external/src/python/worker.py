@@ -1,6 +1,6 @@
 # Part of the worker's source: mod.rs concatenates its files.
 #
-# The worker process of a custom object: reads a call, makes it and writes the result.
+# The worker process of a custom object: reads a request, calls the object and writes the result.
 import inspect
 import numbers
 import time
@@ -8,8 +8,8 @@ import traceback
 
 METHODS = {"sensor": "sample", "model": "infer", "actuator": "act"}
 ARGUMENTS = {"sample": "", "infer": "x", "act": "answer"}
-# What act() may return.
-FEEDBACK = ("episode_ended", "success", "reward")
+# Keys of the dictionary that act() may return. The first two have truth values.
+FEEDBACK_KEYS = ("episode_ended", "success", "reward")
 # Limit of the length of a text, in characters.
 MAX_TEXT = 4000
 # Exceptions that end the process; every other exception fails one call.
@@ -18,37 +18,37 @@ now = time.monotonic_ns
 
 
 def load_object(module, path, method):
-    """The user's object; a class is instantiated."""
+    """The custom object, and its description as text. A class is instantiated."""
     __import__(module)
-    user_object = sys.modules[module]
+    custom_object = sys.modules[module]
     for name in path.split(".") if path else ():
-        if not hasattr(user_object, name):
-            names = defined_names(user_object, module)
+        if not hasattr(custom_object, name):
+            names = defined_names(custom_object, module)
             raise UnsupportedValue("%s has no %s; it defines %s" % (module, path, ", ".join(names[:20]) or "nothing"))
-        user_object = getattr(user_object, name)
-    what = "%s %s" % (kind_of(user_object), "%s::%s" % (module, path) if path else module)
-    if inspect.isclass(user_object):
-        user_object = user_object()
-    if not callable(getattr(user_object, method, None)):
+        custom_object = getattr(custom_object, name)
+    what = "%s %s" % (kind_of(custom_object), "%s::%s" % (module, path) if path else module)
+    if inspect.isclass(custom_object):
+        custom_object = custom_object()
+    if not callable(getattr(custom_object, method, None)):
         raise UnsupportedValue("the %s has no %s(%s)" % (what, method, ARGUMENTS[method]))
-    return user_object, what
+    return custom_object, what
 
 
-def defined_names(user_object, module):
+def defined_names(custom_object, module):
     """The public classes, functions and objects of a module or class, without those that the module imports from elsewhere."""
     def is_own(value):
-        # An object has the value of its class; modules and plain values have none.
+        # An instance has the __module__ of its class; modules and plain values have none.
         return (str(getattr(value, "__module__", "")) + ".").startswith(module + ".")
-    names = getattr(user_object, "__dict__", {})
+    names = getattr(custom_object, "__dict__", {})
     return [name for name, value in names.items() if not name.startswith("_") and is_own(value)]
 
 
-def kind_of(user_object):
-    if inspect.isclass(user_object):
+def kind_of(custom_object):
+    if inspect.isclass(custom_object):
         return "class"
-    if inspect.ismodule(user_object):
+    if inspect.ismodule(custom_object):
         return "module"
-    return "function" if inspect.isfunction(user_object) else "object"
+    return "function" if inspect.isfunction(custom_object) else "object"
 
 
 def module_text(module, name):
@@ -66,7 +66,7 @@ def bounded_utf8(text):
 
 
 def wait_for_gpu():
-    """Waits until the GPU is idle, so that its time counts for the stage that caused it."""
+    """Waits until the GPU is idle, so that the work of the GPU counts for the stage that started it."""
     # Another thread may be importing torch.
     cuda = getattr(sys.modules.get("torch"), "cuda", None)
     if hasattr(cuda, "is_initialized") and cuda.is_initialized():
@@ -83,22 +83,26 @@ class Cancelled(Exception):
     """Ends a call whose answer nobody waits for any more."""
 
 
-# Appended to the reason why all that infer() yielded cannot be the whole answer.
-RETURN_IT = "; infer() yielded %d values and returned none, so they are the whole answer: return it"
+# Advice after the reason why the values that infer() yielded cannot be the whole answer.
+RETURN_ADVICE = (
+    "; infer() yielded %d values and returned none, "
+    "so the yielded values are the whole answer: let infer() return another whole answer"
+)
 # A value that infer() yields counts for at least this number of bytes, so that the number of values in memory is
 # limited, too.
 MIN_YIELDED_BYTES = 64
 
 
-class Yielded:
-    """What infer() yielded, kept only while it can be the whole answer: infer() may yield without end, or return the answer."""
+class YieldedValues:
+    """The values that infer() yielded. They are kept only while they can be the whole answer: infer() may yield without end, or
+    return the whole answer."""
 
     def __init__(self):
         self.values = []
         self.count = self.leaves = self.bytes = 0
 
     def add(self, value, size):
-        """Adds a value. `size` is its number of bytes, and its number of arrays, pictures and byte strings."""
+        """Adds a value. `size` is a pair: its number of bytes, and its number of arrays, pictures and byte strings."""
         self.count += 1
         self.bytes += max(size[0], MIN_YIELDED_BYTES)
         self.leaves += size[1]
@@ -114,18 +118,18 @@ class Yielded:
         return TOO_MANY_BYTES % (self.bytes, MAX_BYTES) if self.bytes > MAX_BYTES else None
 
     def whole_answer(self):
-        """All values as one answer, and whether that is a list of them."""
+        """All values as one answer, and whether this answer is the list of the values."""
         if self.values is None:
-            raise UnsupportedValue(self.limit_text() + RETURN_IT % self.count)
+            raise UnsupportedValue(self.limit_text() + RETURN_ADVICE % self.count)
         if all(isinstance(value, str) for value in self.values):
             return "".join(self.values), False
         return self.values, True
 
 
 def send_partial_answers(generator, send_partial_answer):
-    """Sends what infer() yields as partial answers. Returns the whole answer: what it returns, or else all that it yielded,
-    and whether it is a list of what it yielded."""
-    yielded = Yielded()
+    """Sends each value that infer() yields as a partial answer. Returns the whole answer, and whether it is the list of the
+    yielded values. The whole answer is the value that infer() returns; if it returns none, all yielded values."""
+    yielded = YieldedValues()
     while True:
         try:
             partial_answer = next(generator)
@@ -139,13 +143,13 @@ def send_partial_answers(generator, send_partial_answer):
 
 
 class Sensor:
-    def __init__(self, user_object):
-        self.user_object = user_object
+    def __init__(self, custom_object):
+        self.custom_object = custom_object
 
     def call(self, _, stages, send_partial_answer):
         started_at = now()
         try:
-            value = self.user_object.sample()
+            value = self.custom_object.sample()
             # PIL decodes files lazily; decoding is part of taking the sample.
             for picture in pictures(value):
                 picture.load()
@@ -156,13 +160,13 @@ class Sensor:
 
 
 class Actuator:
-    def __init__(self, user_object):
-        self.user_object = user_object
+    def __init__(self, custom_object):
+        self.custom_object = custom_object
 
     def call(self, value, stages, send_partial_answer):
         started_at = now()
         try:
-            returned = self.user_object.act(value)
+            returned = self.custom_object.act(value)
             wait_for_gpu()
         finally:
             stages.append(("act", started_at, now()))
@@ -170,15 +174,15 @@ class Actuator:
 
 
 def feedback(returned):
-    """What act() returned, as numbers and truth values of Python: numpy's own are accepted."""
+    """The dictionary that act() returned, with the numbers and truth values of numpy converted to those of Python."""
     if returned is None:
         return None
     if not isinstance(returned, dict):
-        raise UnsupportedValue("act() returned a %s; return None, or a dict with %s" % (kind_name(returned), ", ".join(FEEDBACK)))
+        raise UnsupportedValue("act() returned a %s; return None, or a dict with %s" % (kind_name(returned), ", ".join(FEEDBACK_KEYS)))
     for key in returned:
-        if key not in FEEDBACK:
-            raise UnsupportedValue("act() returned the key %r; the keys are %s" % (key, ", ".join(FEEDBACK)))
-    for key in FEEDBACK[:2]:
+        if key not in FEEDBACK_KEYS:
+            raise UnsupportedValue("act() returned the key %r; the keys are %s" % (key, ", ".join(FEEDBACK_KEYS)))
+    for key in FEEDBACK_KEYS[:2]:
         value = returned.get(key)
         is_zero_or_one = isinstance(value, numbers.Integral) and value in (0, 1)
         if value is not None and not is_zero_or_one and not is_truth_value(value):
@@ -187,18 +191,18 @@ def feedback(returned):
     if isinstance(reward, (str, bytes, bytearray)) or is_truth_value(reward):
         raise UnsupportedValue("act() returned reward = %.60r; return a number" % (reward,))
     try:
-        given = {key: bool(returned[key]) for key in FEEDBACK[:2] if returned.get(key) is not None}
+        result = {key: bool(returned[key]) for key in FEEDBACK_KEYS[:2] if returned.get(key) is not None}
         if reward is not None:
-            given["reward"] = float(reward)
+            result["reward"] = float(reward)
     except (TypeError, ValueError) as error:
         raise UnsupportedValue("act() returned a value that cannot be used: %s" % error) from None
-    if not math.isfinite(given.get("reward", 0.0)):
-        raise UnsupportedValue("act() returned the reward %s, which is not a finite number" % given["reward"])
-    return given
+    if not math.isfinite(result.get("reward", 0.0)):
+        raise UnsupportedValue("act() returned the reward %s, which is not a finite number" % result["reward"])
+    return result
 
 
 def is_truth_value(value):
-    """Whether this is True or False, or such a value of numpy or torch."""
+    """Whether a value is True or False, or such a value of numpy or torch."""
     return isinstance(value, bool) or str(getattr(value, "dtype", "")) in ("bool", "torch.bool")
 
 
@@ -208,11 +212,11 @@ def kind_name(value):
 
 
 class Model:
-    def __init__(self, user_object):
-        steps = (("preprocess", "preprocess"), ("infer", "infer"), ("postprocess", "postprocess"))
-        methods = ((stage, getattr(user_object, name, None)) for stage, name in steps)
+    def __init__(self, custom_object):
+        stages = ("preprocess", "infer", "postprocess")
+        methods = ((stage, getattr(custom_object, stage, None)) for stage in stages)
         self.steps = [(stage, method) for stage, method in methods if callable(method)]
-        # The list of what infer() yielded last, if that is the whole answer.
+        # The list of the values that infer() yielded in the last call, if this list was the whole answer.
         self.yielded = None
 
     def call(self, value, stages, send_partial_answer):
@@ -257,18 +261,18 @@ def start(request):
     sys.path[:] = [""] + [entry for entry in sys.path if entry != ""]
     sys.argv[:] = [settings["module"]]
     if settings["role"] == "model" and settings["images"] == "pil":
-        # Imported now, so that the first picture does not wait for it.
+        # PIL is imported now, so that the first picture does not wait for the import.
         try:
             import PIL.Image  # noqa: F401
         except ImportError:
             pass
-    # PIL opens the pictures of a model, so it is one of its libraries even if the model does not import it.
+    # PIL opens the pictures of a model, so PIL is one of the model's libraries even if the model does not import it.
     folder, modules_before = os.getcwd(), set(sys.modules) - {"PIL"}
-    user_object, what = load_object(settings["module"], settings["path"], METHODS[settings["role"]])
-    role = ROLES[settings["role"]](user_object)
+    custom_object, what = load_object(settings["module"], settings["path"], METHODS[settings["role"]])
+    role = ROLES[settings["role"]](custom_object)
     # A model has no episodes.
-    advances = settings["role"] == "sensor" and callable(getattr(user_object, "advance", None))
-    resets = settings["role"] != "model" and callable(getattr(user_object, "reset", None))
+    advances = settings["role"] == "sensor" and callable(getattr(custom_object, "advance", None))
+    resets = settings["role"] != "model" and callable(getattr(custom_object, "reset", None))
     version = ".".join(str(number) for number in sys.version_info[:3])
     description = {
         "what": what,
@@ -285,7 +289,7 @@ def answer(channel, request, role, encoder, decoder):
     stages, value = [], None
 
     def send_partial_answer(value):
-        """Sends a partial answer. Returns its size as Yielded.add() takes it; None if nobody waits for the answer."""
+        """Sends a partial answer. Returns its size for YieldedValues.add(); None if nobody waits for the answer."""
         wait_for_gpu()
         parts = encoder.parts(value)
         size = sum(memoryview(data).nbytes for _, data in parts), encoder.leaf_count(parts)
@@ -297,9 +301,9 @@ def answer(channel, request, role, encoder, decoder):
 
     try:
         if "reset" in request:
-            value = reset(role.user_object)
+            value = reset(role.custom_object)
         elif "advance" in request:
-            value = advance(role.user_object, request["advance"]["seconds"])
+            value = advance(role.custom_object, request["advance"]["seconds"])
         else:
             value = role.call(decoder.read(channel, request["call"]["parts"]), stages, send_partial_answer)
         frame = channel.frame("value", {"stages": stages, "parts": []}, encoder.parts(value))
@@ -308,7 +312,7 @@ def answer(channel, request, role, encoder, decoder):
     except UnsupportedValue as error:
         text = str(error)
         if value is not None and value is getattr(role, "yielded", None):
-            text += RETURN_IT % len(value)
+            text += RETURN_ADVICE % len(value)
         write_failure(channel, "refused", text, stages)
     except BaseException as error:
         if isinstance(error, StopIteration) and isinstance(role, Sensor) and "call" in request:
@@ -319,15 +323,15 @@ def answer(channel, request, role, encoder, decoder):
         channel.send(frame)
 
 
-def reset(user_object):
-    """Prepares the object for an episode. What its reset() returns is not used, so that Gymnasium's environments fit."""
-    user_object.reset()
+def reset(custom_object):
+    """Prepares the object for an episode. The value that its reset() returns is ignored: Gymnasium's environments return one."""
+    custom_object.reset()
     wait_for_gpu()
 
 
-def advance(user_object, seconds):
+def advance(custom_object, seconds):
     """Advances the simulation that a sensor observes by the time that the last iteration took."""
-    user_object.advance(seconds)
+    custom_object.advance(seconds)
     wait_for_gpu()
 
 

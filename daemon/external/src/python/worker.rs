@@ -13,7 +13,7 @@ use super::shared_memory::SharedMemory;
 use crate::process::{Launch, Process, ProcessEnd, ProcessError};
 
 /// Reply of the worker, with the bytes of the reply's parts.
-pub(super) type Answer = (Reply, Vec<Bytes>);
+pub(super) type ReplyWithBytes = (Reply, Vec<Bytes>);
 
 /// Process of a Python object, and the memory that it shares with this process.
 #[derive(Debug)]
@@ -42,19 +42,19 @@ impl Worker {
     }
 
     /// Returns the descriptor number under which the process finds the shared memory.
-    pub(super) fn shared_memory(&self) -> RawFd {
+    pub(super) fn shared_memory_descriptor(&self) -> RawFd {
         self.shared_memory.file().as_raw_fd()
     }
 
     /// Sends the process its source and the settings of the object. Calls `report` with the elapsed time while the
-    /// object is not created: first after `report_after`, then each time after twice the time.
+    /// object is not created: first after `report_after`, then each time after twice the elapsed time.
     pub(super) fn create_object(
         &mut self,
         settings: &Request<'_>,
         deadline: MonoTime,
         (clock, report_after): (&SharedClock, Span),
         report: &mut dyn FnMut(Span),
-    ) -> Result<Answer, WorkerError> {
+    ) -> Result<ReplyWithBytes, WorkerError> {
         let header = encode_request(settings)?;
         self.process.write(&[SOURCE.as_bytes(), &header], deadline)?;
         let started_at = clock.mono();
@@ -71,41 +71,41 @@ impl Worker {
     }
 
     /// Calls the object. `on_partial_answer` gets each partial answer and returns whether somebody still waits for
-    /// the answer; `deadline` returns the end of the timeout that begins now.
+    /// the answer; `new_deadline` returns the end of a timeout that begins now.
     pub(super) fn call(
         &mut self,
         parts: &[Part],
-        deadline: &dyn Fn() -> MonoTime,
+        new_deadline: &dyn Fn() -> MonoTime,
         on_partial_answer: &mut dyn FnMut(Vec<Part>) -> bool,
-    ) -> Result<Answer, WorkerError> {
+    ) -> Result<ReplyWithBytes, WorkerError> {
         let positions = self.shared_memory.write_parts(parts).map_err(WorkerError::Memory)?;
         let heads = parts.iter().zip(&positions).map(|(part, at)| PartHead::new(part, *at)).collect();
         let header = encode_request(&Request::Call { parts: heads })?;
         let mut chunks: Vec<&[u8]> = vec![&header];
-        let piped = parts.iter().zip(&positions).filter(|(_, at)| at.is_none());
-        chunks.extend(piped.map(|(part, _)| &part.bytes[..]));
-        self.process.write(&chunks, deadline())?;
+        let piped_parts = parts.iter().zip(&positions).filter(|(_, at)| at.is_none());
+        chunks.extend(piped_parts.map(|(part, _)| &part.bytes[..]));
+        self.process.write(&chunks, new_deadline())?;
         loop {
-            let (reply, bytes) = self.receive_reply(deadline())?;
+            let (reply, bytes) = self.receive_reply(new_deadline())?;
             let Reply::PartialAnswer { parts } = reply else {
                 self.shared_memory.release_excess();
                 return Ok((reply, bytes));
             };
-            // The worker waits for this request, so a partial answer in the shared memory is read before the next one
-            // is written.
+            // The worker writes the next partial answer to the shared memory only after this request. By then,
+            // `receive_reply` has copied the current partial answer.
             let is_awaited = on_partial_answer(frame::join_parts(parts, bytes));
             let request = if is_awaited { Request::Proceed {} } else { Request::Cancel {} };
-            self.process.write(&[&encode_request(&request)?], deadline())?;
+            self.process.write(&[&encode_request(&request)?], new_deadline())?;
         }
     }
 
     /// Calls `reset()` of the object.
-    pub(super) fn reset(&mut self, deadline: MonoTime) -> Result<Answer, WorkerError> {
+    pub(super) fn reset(&mut self, deadline: MonoTime) -> Result<ReplyWithBytes, WorkerError> {
         self.send_header(&Request::Reset {}, deadline)
     }
 
     /// Calls `advance(seconds)` of the object.
-    pub(super) fn advance(&mut self, time: Span, deadline: MonoTime) -> Result<Answer, WorkerError> {
+    pub(super) fn advance(&mut self, time: Span, deadline: MonoTime) -> Result<ReplyWithBytes, WorkerError> {
         self.send_header(&Request::Advance { seconds: time.seconds() }, deadline)
     }
 
@@ -120,13 +120,17 @@ impl Worker {
     }
 
     /// Sends a request without parts, and receives the reply.
-    fn send_header(&mut self, request: &Request<'_>, deadline: MonoTime) -> Result<Answer, WorkerError> {
+    fn send_header(
+        &mut self,
+        request: &Request<'_>,
+        deadline: MonoTime,
+    ) -> Result<ReplyWithBytes, WorkerError> {
         let header = encode_request(request)?;
         self.process.write(&[&header], deadline)?;
         self.receive_reply(deadline)
     }
 
-    fn receive_reply(&mut self, deadline: MonoTime) -> Result<Answer, WorkerError> {
+    fn receive_reply(&mut self, deadline: MonoTime) -> Result<ReplyWithBytes, WorkerError> {
         let prefix = self.process.read_exact(PREFIX_BYTES, deadline)?;
         let length = frame::header_length(&prefix)?;
         let header = self.process.read_exact(length, deadline)?;
@@ -184,7 +188,7 @@ mod tests {
             role: Role::Sensor,
             pickle: false,
             images: config.images,
-            shared_memory: worker.shared_memory(),
+            shared_memory: worker.shared_memory_descriptor(),
         };
         let mut reports = Vec::new();
         let mut report = |elapsed: Span| {
@@ -193,10 +197,10 @@ mod tests {
                 fs::write(folder.path().join("go"), "").expect("can be written");
             }
         };
-        let (first, deadline) = (Span::from_millis(200), clock.mono() + Span::from_millis(60_000));
-        let created = worker.create_object(&settings, deadline, (&clock, first), &mut report);
-        assert!(matches!(created, Ok((Reply::Ready(_), _))), "{created:?}");
-        assert_eq!(reports[..2], [first, first + first]);
+        let (report_after, deadline) = (Span::from_millis(200), clock.mono() + Span::from_millis(60_000));
+        let result = worker.create_object(&settings, deadline, (&clock, report_after), &mut report);
+        assert!(matches!(result, Ok((Reply::Ready(_), _))), "{result:?}");
+        assert_eq!(reports[..2], [report_after, report_after + report_after]);
         worker.kill();
     }
 }

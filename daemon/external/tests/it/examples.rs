@@ -47,7 +47,10 @@ fn model_refuses_several_pictures_and_continues() {
     assert!(compilation.expect("a C compiler is installed").success());
     let mut program = start(Role::Model, &[&program.to_string_lossy()]);
     let grey = |parts: &[&'static [u8]]| sample("image/x-grey8", parts);
-    let error = program.call(Request::Sample(&grey(&[b"\xff", b"\xff"]))).expect_err("takes one").to_string();
+    let error = program
+        .call(Request::Sample(&grey(&[b"\xff", b"\xff"])))
+        .expect_err("the model takes one picture")
+        .to_string();
     assert!(error.contains("not a sample of 2 parts"), "{error}");
     let answer = program.call(Request::Sample(&grey(&[b"\xff"]))).expect("answers");
     assert!(

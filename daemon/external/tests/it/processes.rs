@@ -1,5 +1,5 @@
-//! When a process ends, the processes that it started end as well. All of them end when the program that started the
-//! process ends.
+//! When a process ends, the processes that it started end as well. When the program that started the process ends, all of
+//! these processes end.
 
 use std::io::{self, BufRead, BufReader, Read};
 use std::process::{Command, Stdio};
@@ -51,12 +51,12 @@ impl WatchedChild {
     }
 }
 
-/// Script that starts a child and ends before the child. It waits for a line, so that the test can watch the child
-/// before.
+/// Script that starts a child and ends before the child ends. The script waits for a line before it ends, so that the
+/// test has time to open the child's descriptor.
 const SCRIPT_WITH_CHILD: &str = "sleep 600 & echo $!; read -r _; exit 3";
 
 #[test]
-fn process_that_ends_by_itself_leaves_nothing() {
+fn process_that_ends_by_itself_leaves_no_processes() {
     let clock = clock();
     let mut process = shell(SCRIPT_WITH_CHILD, &clock);
     let child = WatchedChild::new(&read_line(&mut process, &clock).expect("a number"));
@@ -76,13 +76,13 @@ fn requested_end_leaves_no_processes() {
 }
 
 #[test]
-fn end_by_requested_signal_is_expected() {
+fn end_by_requested_signal_counts_as_requested() {
     let clock = clock();
     for (script, is_expected) in [
         ("echo here; exec sleep 600", true),
         ("trap 'exit 143' TERM; echo here; while :; do sleep 0.01; done", true),
         ("trap 'exit 3' TERM; echo here; while :; do sleep 0.01; done", false),
-        // The signal arrives before the request to end.
+        // The script sends the signal to itself before the request to end.
         ("echo here; kill -TERM $$", false),
     ] {
         let mut process = shell(script, &clock);
@@ -103,12 +103,14 @@ fn assert_children_end_with_host(end: impl FnOnce(&mut std::process::Child)) {
         .spawn()
         .expect("it starts");
     let output = BufReader::new(host.stdout.take().expect("a pipe"));
-    let mut numbers = output.lines().map_while(Result::ok).filter_map(|line| {
+    let mut watched_children = output.lines().map_while(Result::ok).filter_map(|line| {
         let (_, number) = line.split_once("left ")?;
         Some(WatchedChild::new(number))
     });
-    let children =
-        [numbers.next().expect("the pipeline"), numbers.next().expect("the process that ignores signals")];
+    let children = [
+        watched_children.next().expect("the pipeline"),
+        watched_children.next().expect("the process that ignores signals"),
+    ];
     end(&mut host);
     host.wait().expect("it was started");
     assert!(children.iter().all(WatchedChild::ends_in_time));
@@ -128,7 +130,7 @@ fn ended_host_leaves_no_processes() {
 #[ignore = "a program for the tests above, which start it"]
 fn host() {
     let clock = clock();
-    // The last process ignores every signal that can be ignored.
+    // The second child ignores the signals that ask a process to end.
     let script = "sleep 600 | cat & echo $!; (trap '' HUP TERM; sleep 600) & echo $!; read -r _; sleep 600";
     let mut process = shell(script, &clock);
     for _ in 0..2 {

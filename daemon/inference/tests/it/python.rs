@@ -138,7 +138,8 @@ fn values_that_infer_yields_are_partial_answers() {
     assert_eq!(ends, [(0, 50_000), (b'1', 50_000)]);
     assert_eq!(result.expect("answers").parts[0].bytes, r#"{"words":3}"#);
     let (result, _) = run_generator(&folder, "Many", 100);
-    let advice = "at most 63 can be transferred; infer() yielded 64 values and returned none, so they are the whole answer: return it";
+    let advice = "at most 63 can be transferred; infer() yielded 64 values and returned none, \
+                  so the yielded values are the whole answer: let infer() return another whole answer";
     let error = result.expect_err("has too many parts").to_string();
     assert!(error.contains(advice), "{error}");
     let (result, partial_answers) = run_generator(&folder, "Broken", 10);

@@ -58,7 +58,7 @@ fn feedback_is_returned_as_json() {
             actuator_call.times.steps
         );
     }
-    for (returned, part) in [
+    for (returned, expected_part) in [
         ("3", "act() returned a int; return None, or a dict with episode_ended, success, reward"),
         ("{'sucess': True}", "act() returned the key 'sucess'; the keys are"),
         ("{'reward': '3'}", "act() returned reward = '3'; return a number"),
@@ -70,9 +70,9 @@ fn feedback_is_returned_as_json() {
         ("1 / 0", "ZeroDivisionError"),
     ] {
         let error = arm.call(&text(returned)).result.expect_err(returned).to_string();
-        assert!(error.contains(part), "{error}");
+        assert!(error.contains(expected_part), "{error}");
     }
-    assert!(arm.call(&text("None")).result.is_ok(), "it goes on");
+    assert!(arm.call(&text("None")).result.is_ok(), "the process continues");
 }
 
 #[test]
@@ -80,21 +80,21 @@ fn reset_is_called_and_its_exception_is_returned() {
     let module = Module::new(ARM, "own::Arm");
     let mut arm = module.start(Role::Actuator).expect("it has act()");
     assert!(arm.resets());
-    arm.reset().expect("what it returns is not used");
+    arm.reset().expect("the returned observation is ignored");
     let error = arm.reset().expect_err("raises");
     assert!(matches!(&error, PythonError::Raised(text) if text.contains("no power")), "{error}");
     let error = arm.reset().expect_err("raises");
     assert!(matches!(&error, PythonError::Raised(text) if text.contains("StopIteration")), "{error}");
-    arm.reset().expect("the process goes on");
+    arm.reset().expect("the process continues");
     let parts = arm.call(&text("{'reward': self.resets}")).result.expect("acts").expect("a value");
     assert_eq!(&parts[0].bytes[..], br#"{"reward":4.0}"#);
 }
 
 #[test]
-fn only_sensors_and_actuators_with_the_method_reset() {
+fn models_and_objects_without_method_do_not_reset() {
     let can_reset = |object: &str, role| Module::new(ARM, object).start(role).expect(object).resets();
     assert!(can_reset("own::Sensor", Role::Sensor));
     assert!(!can_reset("own::WithoutReset", Role::Sensor) && !can_reset("own::Model", Role::Model));
-    let missing = Module::new(ARM, "own::Sensor").refusal(Role::Actuator);
+    let missing = Module::new(ARM, "own::Sensor").start_error(Role::Actuator);
     assert!(missing.contains("the class own::Sensor has no act(answer)"), "{missing}");
 }

@@ -64,11 +64,11 @@ fn killed_process_is_reported_and_restarted() {
     let waits = module.folder.path().join("waits");
     mknodat(CWD, &waits, FileType::Fifo, Mode::RWXU, 0).expect("a pipe");
     let killer = thread::spawn(move || {
-        fs::read(waits).expect("it opens it as well");
+        fs::read(waits).expect("the model opens the pipe");
         kill(first_id);
     });
     let message = failure(&mut model, &[bytes(b"wait")]);
-    killer.join().expect("it was there to be killed");
+    killer.join().expect("the process was running");
     assert!(message.contains("signal 9 (SIGKILL") && message.contains("it is restarted"), "{message}");
 
     // Two processes die at the same time, between calls.
@@ -85,20 +85,22 @@ fn killed_process_is_reported_and_restarted() {
 fn process_end_is_reported_and_exception_fails_call() {
     let module = Module::new(MODEL, "own::Own");
     let mut model = module.model();
-    for (input, parts) in [
+    for (input, expected_parts) in [
         (&b"early"[..], ["exit status 1", "not with me"]),
         (b"interrupt", ["SIGINT", "KeyboardInterrupt"]),
         (b"spoil", ["sent an invalid message", "garbage"]),
     ] {
         let id_before = process_id(&mut model);
         let message = failure(&mut model, &[bytes(input)]);
-        assert!(parts.iter().all(|part| message.contains(part)), "{message}");
+        assert!(expected_parts.iter().all(|part| message.contains(part)), "{message}");
         assert_ne!(process_id(&mut model), id_before);
     }
     let id_before = process_id(&mut model);
-    for (input, part) in [(&b"unusual"[..], "Unusual: but caught"), (b"half", r"half \udcff a character")] {
+    for (input, expected_part) in
+        [(&b"unusual"[..], "Unusual: but caught"), (b"half", r"half \udcff a character")]
+    {
         let message = failure(&mut model, &[bytes(input)]);
-        assert!(message.contains(part) && message.contains("in infer"), "{message}");
+        assert!(message.contains(expected_part) && message.contains("in infer"), "{message}");
     }
     for input in [&b"child"[..], b"speak"] {
         assert_eq!(value(&mut model, &[bytes(input)])[0].bytes, id_before.to_string());
@@ -108,19 +110,19 @@ fn process_end_is_reported_and_exception_fails_call() {
 
 #[test]
 fn failed_start_reports_reason() {
-    for (source, part) in [
+    for (source, expected_part) in [
         ("import os\nos.kill(os.getpid(), 9)", "signal 9 (SIGKILL"),
         ("class Own:\n    def __init__(self): raise SystemExit('no camera')", "no camera"),
         ("class Own:\n    def __init__(self): raise KeyboardInterrupt", "SIGINT"),
         ("class Own:\n    def __init__(self): raise BaseException('rare')", "BaseException: rare"),
     ] {
-        let message = Module::new(source, "own::Own").refusal(Role::Model);
-        assert!(message.contains("cannot start own::Own") && message.contains(part), "{message}");
+        let message = Module::new(source, "own::Own").start_error(Role::Model);
+        assert!(message.contains("cannot start own::Own") && message.contains(expected_part), "{message}");
     }
     let source = "import sys, time\nprint('looking for the arm', file=sys.stderr)\ntime.sleep(600)";
     let mut module = Module::new(source, "own::Own");
     module.config.start_timeout_ms = NonZeroU64::new(1500).expect("above 0");
-    let message = module.refusal(Role::Model);
+    let message = module.start_error(Role::Model);
     for part in ["cannot start own::Own", "not ready within 1.5 s", "looking for the arm", "start_timeout_ms"]
     {
         assert!(message.contains(part), "{message}");
@@ -167,7 +169,7 @@ class Own:
     assert_eq!(value(&mut model, &[large_part])[0].bytes, "3145728", "the same memory is used again");
     let oversized_part = Part { description: Description::bytes(), bytes: vec![7; 128 << 20].into() };
     let message = failure(&mut model, &[oversized_part, bytes(b"and a part in the pipe")]);
-    assert!(!message.contains("process"), "it is alive: {message}");
+    assert!(!message.contains("process"), "the process did not end: {message}");
     assert_eq!(value(&mut model, &[bytes(b"four")])[0].bytes, "4");
 }
 
@@ -183,7 +185,7 @@ fn dead_processes_leave_no_children() {
 }
 
 #[test]
-#[ignore = "in a process of its own, whose files and threads are nobody else's: the test above starts it"]
+#[ignore = "counts files and children of its process, so the test above starts it in a separate process"]
 fn children_after_repeated_deaths() {
     let count = |folder: &str| fs::read_dir(folder).expect("is Linux").count();
     let module = Module::new(MODEL, "own::Own");
@@ -196,19 +198,19 @@ fn children_after_repeated_deaths() {
         assert!(process_id(model) != first_id && !Path::new(&format!("/proc/{first_id}")).exists());
     };
     die(&mut model);
-    let counts_before = (count("/proc/self/fd"), children());
+    let resources_before = (count("/proc/self/fd"), children());
     for _ in 0..5 {
         die(&mut model);
     }
-    // The thread that reads the standard error of the last process may need a moment on a busy machine, and does not
-    // report its end.
+    // On a busy machine, the thread that reads the standard error of the last process may end a moment later. The end of
+    // this thread is not reported, so the test waits.
     let counts = || (count("/proc/self/fd"), children());
     for _ in 0..600 {
-        if counts() != counts_before {
+        if counts() != resources_before {
             thread::sleep(Duration::from_millis(100));
         }
     }
-    assert_eq!(counts(), counts_before, "files and processes");
+    assert_eq!(counts(), resources_before, "open files and child processes");
     drop(model);
     assert_eq!(children(), 0);
 }

@@ -36,7 +36,7 @@ fn module() -> Module {
 }
 
 #[test]
-fn exception_fails_one_call_with_user_traceback() {
+fn exception_fails_one_call_with_custom_traceback() {
     let mut model = module().model();
     let model_call = model.call(&[bytes(b"raise")]);
     assert_eq!(model_call.times.steps.iter().map(|step| step.0).collect::<Vec<_>>(), [Step::Infer]);
@@ -61,7 +61,7 @@ class Own:
 }
 
 #[test]
-fn long_traceback_is_bounded() {
+fn long_traceback_is_shortened() {
     let source = "
 class Own:
     def infer(self, x):
@@ -93,7 +93,7 @@ class Own:
 }
 
 #[test]
-fn module_during_import_is_ignored() {
+fn partly_imported_module_is_ignored() {
     let source = "
 import sys, types
 class Own:
@@ -136,9 +136,9 @@ fn restart_delay_grows_after_repeated_deaths() {
     let mut delay_count = 0;
     for _ in 0..6 {
         match model.call(&[bytes(b"exit")]).result.expect_err("it dies") {
-            PythonError::RestartDelayed { left, last, .. } => {
-                assert!(last.contains("exit status 3"), "{last}");
-                std::thread::sleep(left.to_duration());
+            PythonError::RestartDelayed { remaining_delay, last_failure, .. } => {
+                assert!(last_failure.contains("exit status 3"), "{last_failure}");
+                std::thread::sleep(remaining_delay.to_duration());
                 delay_count += 1;
             }
             error => assert!(matches!(error, PythonError::Died { .. }), "{error}"),

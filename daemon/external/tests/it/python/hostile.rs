@@ -1,4 +1,4 @@
-//! Any invalid input from a peer fails one call only.
+//! An invalid input from a peer fails one call. The process continues.
 
 use peernet_external::python::PICKLE;
 use peernet_sample::{Description, ElementType, MediaType, Part, PixelFormat};
@@ -38,7 +38,7 @@ fn invalid_parts_fail_one_call() {
     invalid_parts.push(Part { description: pixels, bytes: b"12"[..].into() });
     for invalid_part in invalid_parts {
         let message = failure(&mut model, &[invalid_part.clone(), bytes(b"and more")]);
-        assert!(!message.contains("process"), "it is alive: {invalid_part:?}: {message}");
+        assert!(!message.contains("process"), "the process did not end: {invalid_part:?}: {message}");
         assert_eq!(value(&mut model, &[bytes(b"on")])[0].bytes, "on", "after {invalid_part:?}: {message}");
     }
     assert!(!module.folder.path().join("hacked").exists());

@@ -1,13 +1,13 @@
 //! Tests with objects in real Python processes.
 
-mod about;
 mod actuators;
 mod deaths;
+mod facts;
 mod failures;
 mod hostile;
 mod refusals;
-mod table;
 mod transfer;
+mod value_table;
 mod values;
 
 use std::fs;
@@ -26,7 +26,7 @@ fn clock() -> SharedClock {
 
 /// Returns a Python interpreter with numpy and PIL, which these tests need.
 fn python() -> PathBuf {
-    static FOUND: OnceLock<PathBuf> = OnceLock::new();
+    static INTERPRETER: OnceLock<PathBuf> = OnceLock::new();
     let has_packages = |python: &PathBuf| {
         let run = Command::new(python).args(["-c", "import numpy, PIL"]).output();
         run.is_ok_and(|output| output.status.success())
@@ -39,7 +39,7 @@ fn python() -> PathBuf {
             .find(has_packages)
             .expect("python3-numpy and python3-pil are installed: deploy/install-tools.sh")
     };
-    FOUND.get_or_init(find).clone()
+    INTERPRETER.get_or_init(find).clone()
 }
 
 /// Folder with the module `own`, and the configuration of an object in it.
@@ -49,6 +49,7 @@ struct Module {
 }
 
 impl Module {
+    /// Creates the folder. `object` is the name of the object: `own::Own`.
     fn new(source: &str, object: &str) -> Self {
         let folder = tempfile::tempdir().expect("there is room for a folder");
         fs::write(folder.path().join("own.py"), source).expect("it can be written");
@@ -71,7 +72,7 @@ impl Module {
     }
 
     /// Returns the error of a start that must fail.
-    fn refusal(&self, role: Role) -> String {
+    fn start_error(&self, role: Role) -> String {
         self.start(role).expect_err("it cannot be started").to_string()
     }
 }
@@ -83,7 +84,7 @@ fn bytes(content: &'static [u8]) -> Part {
 /// Returns the result of a call that must succeed.
 fn value(object: &mut PythonObject, parts: &[Part]) -> Vec<Part> {
     let result = object.call(parts).result.unwrap_or_else(|error| panic!("{error}"));
-    result.expect("it is not over")
+    result.expect("there is a value")
 }
 
 /// Returns the error of a call that must fail.

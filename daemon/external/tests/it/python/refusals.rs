@@ -22,7 +22,7 @@ instance = Model()
 ";
 
 fn message(object: &str, role: Role) -> String {
-    Module::new(SOURCE, object).refusal(role)
+    Module::new(SOURCE, object).start_error(role)
 }
 
 #[test]
@@ -62,11 +62,11 @@ fn classes_instances_and_modules_are_accepted() {
 
 #[test]
 fn failed_import_reports_reason() {
-    let message = Module::new("import nothing_of_this_name", "own::A").refusal(Role::Model);
+    let message = Module::new("import nothing_of_this_name", "own::A").start_error(Role::Model);
     assert!(message.contains("ModuleNotFoundError: No module named 'nothing_of_this_name'"), "{message}");
-    let message = Module::new("def broken(:", "own::A").refusal(Role::Model);
+    let message = Module::new("def broken(:", "own::A").start_error(Role::Model);
     assert!(message.contains("SyntaxError"), "{message}");
-    let message = Module::new("import sys; sys.exit('not on this robot')", "own::A").refusal(Role::Model);
+    let message = Module::new("import sys; sys.exit('not on this robot')", "own::A").start_error(Role::Model);
     assert!(message.contains("exit status 1") && message.contains("not on this robot"), "{message}");
 }
 

@@ -68,7 +68,7 @@ class Own:
 }
 
 #[test]
-fn stages_lie_within_call_and_remainder_is_overhead() {
+fn steps_lie_within_call_in_order() {
     let CallTimes { started_at, ended_at, steps, restart_began_at } =
         Module::new(ECHO, "own::Own").model().call(&[bytes(b"x")]).times;
     assert_eq!(
@@ -76,12 +76,12 @@ fn stages_lie_within_call_and_remainder_is_overhead() {
         [Step::Preprocess, Step::Infer, Step::Postprocess]
     );
     assert_eq!(restart_began_at, None);
-    let moments: Vec<_> = [started_at]
+    let stamps: Vec<_> = [started_at]
         .into_iter()
         .chain(steps.iter().flat_map(|step| [step.1, step.2]))
         .chain([ended_at])
         .collect();
-    assert!(moments.is_sorted(), "the worker has the clock of this process: {moments:?}");
+    assert!(stamps.is_sorted(), "the worker has the clock of this process: {stamps:?}");
 }
 
 #[test]
@@ -115,7 +115,7 @@ fn process_ends_with_its_object() {
     let exists = || Path::new("/proc").join(&number).exists();
     assert!(exists());
     drop(sensor);
-    assert!(!exists(), "it was waited for");
+    assert!(!exists(), "dropping the object waits for the end of the process");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Types and values that are transferred, and the form in which they arrive.
+//! Values that are transferred, and the parts or Python types in which they arrive.
 
 use peernet_external::python::{Images, PICKLE};
 use peernet_sample::{Description, ElementType, MediaType, Part, PixelFormat};
@@ -112,11 +112,11 @@ class Model:
 ";
     let parts = value(&mut Module::new(source, "own::Sensor").sensor(), &[]);
     let answer = value(&mut Module::new(source, "own::Model").model(), &parts);
-    let first = f32::from_le_bytes(answer[0].bytes[..4].try_into().expect("four bytes"));
+    let first_element = f32::from_le_bytes(answer[0].bytes[..4].try_into().expect("four bytes"));
     assert_eq!(
-        (&answer[0].description.shape[..], first),
+        (&answer[0].description.shape[..], first_element),
         (&[2, 3][..], 1.0),
-        "arrays can be worked on in place"
+        "custom code can change arrays in place"
     );
 }
 
@@ -181,5 +181,5 @@ class Model:
     let mut model = module("own::Model", false).model();
     let message = failure(&mut model, &parts);
     assert!(message.contains("not unpickled") && message.contains("pickle = true"), "{message}");
-    assert_eq!(model.call(&parts).times.steps.len(), 0, "the model did not receive it");
+    assert_eq!(model.call(&parts).times.steps.len(), 0, "the model was not called");
 }

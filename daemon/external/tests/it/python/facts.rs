@@ -5,12 +5,13 @@ use std::path::Path;
 
 use super::Module;
 
-/// Returns the files of a fact as paths below a folder, after checking their hashes.
+/// Returns the files of the fact `Model files` as paths below a folder. Checks the hashes of the files.
 fn files(facts: &[(String, String)], folder: &Path) -> Vec<String> {
     let folder = folder.canonicalize().expect("is there");
-    let (_, files_fact) = facts.iter().find(|(name, _)| name == "Model files").expect("they are told");
+    let (_, files_fact) =
+        facts.iter().find(|(name, _)| name == "Model files").expect("the files are reported");
     let file = |file_fact: &str| {
-        let (path, hash) = file_fact.split_once(" SHA-256 ").expect("has one");
+        let (path, hash) = file_fact.split_once(" SHA-256 ").expect("has a hash");
         let bytes = fs::read(path).expect("is there");
         assert_eq!(hash, peernet_external::sha256(bytes.as_slice()).expect("is read"));
         Path::new(path).strip_prefix(&folder).expect("is a file of custom code").display().to_string()
@@ -125,7 +126,7 @@ fn sensor_that_imports_nothing_has_no_libraries() {
     let source = "import PIL.Image\nclass Own:\n    def sample(self): return PIL.Image.new('L', (1, 1))\n";
     let module = Module::new(source, "own::Own");
     let facts = module.sensor().description().facts("Sensor");
-    let (name, libraries_fact) = facts.last().expect("there are some");
+    let (name, libraries_fact) = facts.last().expect("there are facts");
     assert!(name == "Sensor libraries" && libraries_fact.contains("PIL "), "{facts:?}");
 }
 
@@ -147,14 +148,15 @@ class Own:
     let folder = module.folder.path().canonicalize().expect("is there");
     let bytes = fs::read(folder.join("gear.egg")).expect("was made");
     let hash = peernet_external::sha256(bytes.as_slice()).expect("is read");
-    let (_, files_fact) = facts.iter().find(|(name, _)| name == "Model files").expect("they are told");
-    let parts: Vec<&str> = files_fact.split(", ").collect();
-    assert!(parts.len() == 2 && parts[0].contains("/own.py SHA-256 "), "{files_fact}");
-    assert_eq!(parts[1], format!("{}/gear.egg SHA-256 {hash}", folder.display()));
+    let (_, files_fact) =
+        facts.iter().find(|(name, _)| name == "Model files").expect("the files are reported");
+    let entries: Vec<&str> = files_fact.split(", ").collect();
+    assert!(entries.len() == 2 && entries[0].contains("/own.py SHA-256 "), "{files_fact}");
+    assert_eq!(entries[1], format!("{}/gear.egg SHA-256 {hash}", folder.display()));
 }
 
 #[test]
-fn at_most_64_files_are_reported_and_rest_is_mentioned() {
+fn more_than_64_files_are_reported_as_incomplete() {
     let imports: String = (0..80).map(|number| format!("import part_{number}\n")).collect();
     let module = Module::new(&format!("{imports}class Own:\n    def infer(self, x): return x\n"), "own::Own");
     for number in 0..80 {
@@ -163,7 +165,7 @@ fn at_most_64_files_are_reported_and_rest_is_mentioned() {
     }
     let facts = module.model().description().facts("Model");
     assert_eq!(files(&facts, module.folder.path()).len(), 64);
-    let (name, imports_fact) = facts.last().expect("there are some");
+    let (name, imports_fact) = facts.last().expect("there are facts");
     assert!(name == "Model imports" && imports_fact.contains("incomplete"), "{facts:?}");
 }
 

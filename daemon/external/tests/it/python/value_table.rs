@@ -41,7 +41,7 @@ class Model:
         return '%s %r' % (type(x).__name__, x)
 ";
 
-/// Passes each value from the sensor to the model; an expected text that begins with `!` is part of a refusal.
+/// Passes each value from the sensor to the model. An expected text that begins with `!` is a part of the error.
 fn assert_transfers(table: &[(&str, &str)], pickle: bool) {
     let mut module = Module::new(SOURCE, "own::Sensor");
     module.config.pickle = pickle;
@@ -62,16 +62,16 @@ fn assert_transfers(table: &[(&str, &str)], pickle: bool) {
             _ => false,
         };
         if !is_expected {
-            mismatches.push(format!("{expression}\n    is     {result:?}\n    not    {expected}"));
+            mismatches.push(format!("{expression}\n    result    {result:?}\n    expected  {expected}"));
         }
     }
-    assert!(sensor.call(&[]).result.expect("the first process is still there").is_none());
+    assert!(sensor.call(&[]).result.expect("the sensor has ended without an error").is_none());
     assert!(mismatches.is_empty(), "{}", mismatches.join("\n"));
 }
 
 fn transfer(sensor: &mut PythonObject, model: &mut PythonObject) -> Result<String, PythonError> {
-    let parts = sensor.call(&[]).result?.expect("there is one more");
-    let answer = model.call(&parts).result?.expect("a model is never over");
+    let parts = sensor.call(&[]).result?.expect("there is one more value");
+    let answer = model.call(&parts).result?.expect("a model always has an answer");
     Ok(String::from_utf8(answer[0].bytes.to_vec()).expect("a description is text"))
 }
 
