@@ -78,7 +78,7 @@ fn requested_end_leaves_no_processes() {
 #[test]
 fn end_by_requested_signal_counts_as_requested() {
     let clock = clock();
-    for (script, is_expected) in [
+    for (script, is_as_requested) in [
         ("echo here; exec sleep 600", true),
         ("trap 'exit 143' TERM; echo here; while :; do sleep 0.01; done", true),
         ("trap 'exit 3' TERM; echo here; while :; do sleep 0.01; done", false),
@@ -88,7 +88,7 @@ fn end_by_requested_signal_counts_as_requested() {
         let mut process = shell(script, &clock);
         read_line(&mut process, &clock).expect("it has begun");
         let end = process.end(Span::from_seconds(4));
-        assert_eq!(end.ended_as_requested(), is_expected, "{script}: {end:?}");
+        assert_eq!(end.ended_as_requested(), is_as_requested, "{script}: {end:?}");
     }
 }
 

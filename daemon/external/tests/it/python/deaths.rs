@@ -204,13 +204,13 @@ fn children_after_repeated_deaths() {
     }
     // On a busy machine, the thread that reads the standard error of the last process may end a moment later. The end of
     // this thread is not reported, so the test waits.
-    let counts = || (count("/proc/self/fd"), children());
+    let resources = || (count("/proc/self/fd"), children());
     for _ in 0..600 {
-        if counts() != resources_before {
+        if resources() != resources_before {
             thread::sleep(Duration::from_millis(100));
         }
     }
-    assert_eq!(counts(), resources_before, "open files and child processes");
+    assert_eq!(resources(), resources_before, "open files and child processes");
     drop(model);
     assert_eq!(children(), 0);
 }
