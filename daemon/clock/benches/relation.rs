@@ -12,34 +12,41 @@ use peernet_statistics::SplitMix64;
 
 /// Number of calls that are timed together.
 const BATCH: usize = 500;
-/// Length of the simulated traffic in seconds: twice the window, so that the oldest exchanges expire.
+/// Length of the simulated traffic in seconds. The traffic is much longer than the window, so that the oldest exchanges
+/// expire.
 const SECONDS: i64 = 1_200;
 
 /// A traffic pattern: exchanges per second, and the queueing delay of the n-th message in nanoseconds.
 struct Traffic {
     name: &'static str,
     hz: i64,
-    wait: fn(u64) -> i64,
+    queueing_delay: fn(u64) -> i64,
 }
 
 const TRAFFIC: [Traffic; 4] = [
-    Traffic { name: "probes, 10 a second", hz: 10, wait: |n| exponential(n, 15_000.0) },
-    Traffic { name: "data, 1,000 a second", hz: 1_000, wait: |n| exponential(n, 15_000.0) },
+    Traffic { name: "probes, 10 a second", hz: 10, queueing_delay: |n| exponential(n, 15_000.0) },
+    Traffic { name: "data, 1,000 a second", hz: 1_000, queueing_delay: |n| exponential(n, 15_000.0) },
     // Bounds of neighbouring exchanges differ by less than the drift between them, so every exchange narrows the
     // band.
-    Traffic { name: "worst: none hides another, 1,000 a second", hz: 1_000, wait: |n| (n % 2 * 49) as i64 },
-    Traffic { name: "worst, 50 a second", hz: 50, wait: |n| (n % 2 * 990) as i64 },
+    Traffic {
+        name: "worst: none hides another, 1,000 a second",
+        hz: 1_000,
+        queueing_delay: |n| (n % 2 * 49) as i64,
+    },
+    Traffic { name: "worst, 50 a second", hz: 50, queueing_delay: |n| (n % 2 * 990) as i64 },
 ];
 
 fn main() {
     let clock = SystemClock::new(ClockIdentity::new("bench", "system"));
-    reads(&clock);
+    measure_clock_reads(&clock);
     println!(
         "{:<58}{:>10}{:>10}{:>10}{:>10}{:>12}",
         "nanoseconds per", "learn", "judge", "delay", "offset", "bytes"
     );
-    let free = [RelatedClocks::Raw, RelatedClocks::Wall];
-    for (clocks, traffic) in free.into_iter().flat_map(|clocks| TRAFFIC.iter().map(move |it| (clocks, it))) {
+    let both_clocks = [RelatedClocks::Raw, RelatedClocks::Wall];
+    let rows =
+        both_clocks.into_iter().flat_map(|clocks| TRAFFIC.iter().map(move |traffic| (clocks, traffic)));
+    for (clocks, traffic) in rows {
         let mut relation = relation(clocks);
         let exchanges: Vec<ExchangeObservation> =
             (0..SECONDS * traffic.hz).map(|n| traffic.exchange(n)).collect();
@@ -66,11 +73,11 @@ fn main() {
             relation.memory_bytes()
         );
     }
-    late_arrivals(&clock);
+    measure_reversed_exchanges(&clock);
 }
 
-/// Measures the worst order of arrival: all exchanges of a window backwards, so that each is inserted at the front.
-fn late_arrivals(clock: &SystemClock) {
+/// Measures the worst order of arrival: all exchanges of 600 s backwards, so that each is inserted at the front.
+fn measure_reversed_exchanges(clock: &SystemClock) {
     let mut relation = relation(RelatedClocks::Raw);
     let worst = &TRAFFIC[3];
     let exchanges: Vec<ExchangeObservation> = (0..600 * worst.hz).rev().map(|n| worst.exchange(n)).collect();
@@ -80,7 +87,7 @@ fn late_arrivals(clock: &SystemClock) {
     println!("{:<58}{learn:>10.0}{:>42}", "worst, 50 a second, backwards", relation.memory_bytes());
 }
 
-fn reads(clock: &SystemClock) {
+fn measure_clock_reads(clock: &SystemClock) {
     let calls = [(); 100 * BATCH];
     let rows: [(&str, &dyn Fn()); 7] = [
         ("Clock::mono", &|| _ = black_box(clock.mono())),
@@ -107,13 +114,13 @@ impl Traffic {
     fn exchange(&self, n: i64) -> ExchangeObservation {
         let at = n * 1_000_000_000 / self.hz;
         let cloud = |edge: i64| RawTime::from_nanos(edge + 1_000_000_000 + edge / 100_000);
-        let there = at + 30_000 + (self.wait)(2 * n as u64);
-        let back = there + 100_000 + 30_000 + (self.wait)(2 * n as u64 + 1);
+        let arrived_at = at + 30_000 + (self.queueing_delay)(2 * n as u64);
+        let returned_at = arrived_at + 100_000 + 30_000 + (self.queueing_delay)(2 * n as u64 + 1);
         let exchange = Exchange {
             sent: RawTime::from_nanos(at),
-            received: cloud(there),
-            replied: cloud(there + 100_000),
-            returned: RawTime::from_nanos(back),
+            received: cloud(arrived_at),
+            replied: cloud(arrived_at + 100_000),
+            returned: RawTime::from_nanos(returned_at),
             uncertainty: Span::ZERO,
         };
         ExchangeObservation { exchange, cloud_elapsed: None, edge_epoch: 0, cloud_epoch: Some(0) }

@@ -14,8 +14,8 @@ pub struct ClockClaim {
 }
 
 impl ClockClaim {
-    /// Returns the offset (cloud minus edge) by the claims of both hosts, and the source of the offset: chrony if at least
-    /// one of the claims is chrony's, otherwise the source of the edge's claim.
+    /// Returns the offset (cloud minus edge) by the claims of both hosts, and the source of the offset: chrony if at
+    /// least one of the claims is chrony's, otherwise the source of the edge's claim.
     pub fn offset(edge: &Self, cloud: &Self) -> (DelaySource, Interval) {
         let is_chrony = [edge, cloud].iter().any(|claim| claim.source == DelaySource::Chrony);
         let source = if is_chrony { DelaySource::Chrony } else { edge.source };

@@ -6,11 +6,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::{RawTime, Span, WallTime};
 
-/// Faults of the wall clock and the free-running clock. A clock shows `true + offset + drift × (true − since) + sum of its
-/// steps so far`.
+/// Faults of the wall clock and the free-running clock. A clock shows `true + offset + drift × (true − since) + sum of
+/// the steps of this clock so far`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClockFaults {
-    /// Offset from the start on.
+    /// Offset of both clocks from the start of the faults on.
     pub offset: Span,
     /// Drift in parts per million; positive if the clock is fast.
     pub drift_ppm: f64,
@@ -52,7 +52,7 @@ pub enum SteppedClock {
 }
 
 impl SteppedClock {
-    /// Returns whether it is the wall clock.
+    /// Returns whether the stepped clock is the wall clock.
     pub fn is_wall(&self) -> bool {
         *self == Self::Wall
     }
@@ -85,8 +85,8 @@ impl ClockFaults {
         self.error_after(truth - self.since, SteppedClock::Wall)
     }
 
-    /// Returns the time that the free-running clock shows when the true free-running clock shows `truth`. `since` is the
-    /// time that the true clock showed at the start.
+    /// Returns the time that the free-running clock shows when the true free-running clock shows `truth`. `since` is
+    /// the time that the true clock showed at the start.
     pub fn shown_raw(&self, truth: RawTime, since: RawTime) -> RawTime {
         truth + self.error_after(truth - since, SteppedClock::Raw)
     }
@@ -103,9 +103,9 @@ impl ClockFaults {
         starts.sort_unstable_by(|a, b| b.cmp(a));
         let mut end = WallTime::from_unix_nanos(i64::MAX);
         for start in starts {
-            let stepped: Span =
+            let steps_so_far: Span =
                 self.steps_within(start - self.since, SteppedClock::Wall).map(|step| step.by).sum();
-            let truth = self.true_wall_without_steps(shown_wall - stepped);
+            let truth = self.true_wall_without_steps(shown_wall - steps_so_far);
             if truth >= start {
                 return truth.min(end);
             }
@@ -125,8 +125,8 @@ impl ClockFaults {
     fn true_wall_without_steps(&self, shown_wall: WallTime) -> WallTime {
         let without_offset = shown_wall - self.offset;
         let elapsed = (without_offset - self.since).nanos() as f64;
-        // The shown elapsed time is the true elapsed time × (1 + drift). Only the shown time is known, so it is
-        // divided.
+        // The shown elapsed time is the true elapsed time × (1 + drift). Only the shown time is known, so the
+        // shown time is divided.
         let drift = elapsed - elapsed / (1.0 + self.drift_ppm * 1e-6);
         without_offset - Span::from_nanos(drift.round() as i64)
     }

@@ -75,7 +75,7 @@ pub enum DelaySource {
     None,
 }
 
-/// A verdict prevails if at least one delay in this many has this verdict or a worse one.
+/// Reciprocal of the smallest share of delays that determines the prevailing verdict: one delay in this many.
 const MIN_SHARE_RECIPROCAL: u64 = 20;
 
 /// Degree to which a delay can be trusted.
@@ -109,8 +109,9 @@ impl Verdict {
         }
     }
 
-    /// Returns one verdict on many delays, from the number of delays with each verdict: the worst verdict for which at
-    /// least a twentieth of the delays have this verdict or a worse one. `None` without delays.
+    /// Returns the prevailing verdict of many delays: the worst verdict V such that at least a twentieth of the delays
+    /// have the verdict V or a worse verdict. `counts` has the number of delays for each verdict. `None` without
+    /// delays.
     // A few bad delays must not hide that all others are good, and many bad delays must not be hidden by good ones.
     pub fn prevailing(counts: impl IntoIterator<Item = (Self, u64)>) -> Option<Self> {
         let mut counts: Vec<(Self, u64)> = counts.into_iter().filter(|(_, count)| *count > 0).collect();
@@ -172,8 +173,8 @@ names!(Verdict {
 /// the same message ([`Relation::reception_differences`](crate::Relation::reception_differences)).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OneWayDelay {
-    /// Receive stamp minus send stamp, each from its own host's clock. May be negative, because it contains the offset of
-    /// the clocks.
+    /// Receive stamp minus send stamp, each from its own host's clock. May be negative, because it contains the offset
+    /// of the clocks.
     // It is always present, so that the correction can be computed again.
     pub raw: Span,
     /// Estimate; `None` if the verdict is `unsynchronised`, `stepped` or `inconsistent`. A delay is never negative; a
@@ -197,7 +198,8 @@ impl OneWayDelay {
         self.bounds.map(|bounds| (bounds.hi.seconds() - bounds.lo.seconds()) / 2.0)
     }
 
-    /// Returns the delay in seconds. `None` if the verdict says that the delay is not known, for example because a clock was stepped.
+    /// Returns the delay in seconds. `None` if the verdict says that the delay is not known, for example because a
+    /// clock was stepped.
     pub fn known_seconds(&self) -> Option<f64> {
         let is_known = matches!(self.verdict, Verdict::Ok | Verdict::Limited | Verdict::Stale);
         self.value.filter(|_| is_known).map(Span::seconds)
@@ -249,7 +251,11 @@ mod tests {
             (Some(Verdict::Ok), Some(Verdict::Stepped), None)
         );
         let counts = [(Verdict::Ok, 94), (Verdict::Stale, 3), (Verdict::Inconsistent, 3)];
-        assert_eq!(Verdict::prevailing(counts), Some(Verdict::Stale), "stale or worse");
+        assert_eq!(
+            Verdict::prevailing(counts),
+            Some(Verdict::Stale),
+            "six of a hundred delays are stale or inconsistent"
+        );
     }
 
     #[test]

@@ -19,15 +19,15 @@ pub struct FaultyClock {
 /// Numbers of steps of the inner clock and of injected steps, and the size of the last step, as of the last query.
 #[derive(Debug, Default)]
 struct StepCounts {
-    inner: u32,
-    injected: u32,
+    inner_steps: u32,
+    injected_steps: u32,
     last_step: Option<Span>,
 }
 
 impl FaultyClock {
     /// Creates a clock that shows `inner` with `faults`.
     pub fn new(inner: SharedClock, identity: ClockIdentity, faults: ClockFaults) -> Self {
-        let step_counts = Mutex::new(StepCounts { inner: inner.wall_epoch(), ..StepCounts::default() });
+        let step_counts = Mutex::new(StepCounts { inner_steps: inner.wall_epoch(), ..StepCounts::default() });
         let now = inner.stamp();
         // Faults start at the same moment on both clocks.
         let raw_since = now.raw - (now.wall - faults.since);
@@ -37,16 +37,16 @@ impl FaultyClock {
     /// Updates and returns the numbers of steps. An injected step counts as soon as its time has come.
     fn update_step_counts(&self) -> MutexGuard<'_, StepCounts> {
         let mut step_counts = self.step_counts.lock().unwrap_or_else(PoisonError::into_inner);
-        let inner = self.inner.wall_epoch();
+        let inner_steps = self.inner.wall_epoch();
         let elapsed = self.inner.wall() - self.faults.since;
         let steps = || self.faults.steps_within(elapsed, SteppedClock::Wall);
         let due_steps = steps().count() as u32;
-        if inner > step_counts.inner {
-            step_counts.inner = inner;
+        if inner_steps > step_counts.inner_steps {
+            step_counts.inner_steps = inner_steps;
             step_counts.last_step = self.inner.last_step();
         }
-        if due_steps > step_counts.injected {
-            step_counts.injected = due_steps;
+        if due_steps > step_counts.injected_steps {
+            step_counts.injected_steps = due_steps;
             step_counts.last_step = steps().max_by_key(|step| step.at).map(|step| step.by);
         }
         step_counts
@@ -86,7 +86,7 @@ impl Clock for FaultyClock {
 
     fn wall_epoch(&self) -> u32 {
         let step_counts = self.update_step_counts();
-        step_counts.inner + step_counts.injected
+        step_counts.inner_steps + step_counts.injected_steps
     }
 
     fn begin_wall_epoch(&self) {

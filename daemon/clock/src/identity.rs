@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 /// Identifies the clocks of a process.
 ///
 /// All processes of one machine since one boot read the same clocks, also in containers, unless a time namespace or a
-/// preloaded library shifts the clocks of one of them. Equal identities do not prove that two processes read the same
+/// preloaded library shifts the clocks of one process. Equal identities do not prove that two processes read the same
 /// clocks, because clones of one snapshot of a virtual machine report the same boot id.
 /// [`may_share_clock_with`](Self::may_share_clock_with) only says whether two processes can read the same clocks.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -127,7 +127,10 @@ mod tests {
         let theirs = ClockIdentity { process: ours.process.map(|process| process ^ 1), ..ours.clone() };
         assert_ne!(ours, theirs);
         assert!(ours.may_share_clock_with(&theirs));
-        assert!(ours.may_share_clock_with(&ClockIdentity { process: None, ..theirs }), "an earlier release");
+        assert!(
+            ours.may_share_clock_with(&ClockIdentity { process: None, ..theirs }),
+            "a process of an earlier release"
+        );
     }
 
     #[test]

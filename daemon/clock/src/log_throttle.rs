@@ -21,7 +21,8 @@ pub struct LogThrottle {
 #[derive(Debug)]
 struct KindCount {
     logged_at: MonoTime,
-    unlogged: u64,
+    /// Number of events since the last line.
+    unlogged_events: u64,
 }
 
 impl LogThrottle {
@@ -31,21 +32,21 @@ impl LogThrottle {
         let mut key = (reason.to_owned(), address);
         if !self.kinds.contains_key(&key) && self.kinds.len() >= MAX_KINDS {
             // Kinds with unlogged events stay until `remove_expired` returns their number.
-            self.kinds.retain(|_, kind| kind.unlogged > 0 || now - kind.logged_at < LINE_INTERVAL);
+            self.kinds.retain(|_, kind| kind.unlogged_events > 0 || now - kind.logged_at < LINE_INTERVAL);
         }
         if !self.kinds.contains_key(&key) && self.kinds.len() >= MAX_KINDS {
             key = (String::new(), None);
         }
         let Some(kind) = self.kinds.get_mut(&key) else {
-            self.kinds.insert(key, KindCount { logged_at: now, unlogged: 0 });
+            self.kinds.insert(key, KindCount { logged_at: now, unlogged_events: 0 });
             return Some(1);
         };
-        kind.unlogged += 1;
+        kind.unlogged_events += 1;
         if now - kind.logged_at < LINE_INTERVAL {
             return None;
         }
         kind.logged_at = now;
-        Some(std::mem::take(&mut kind.unlogged))
+        Some(std::mem::take(&mut kind.unlogged_events))
     }
 
     /// Removes the kinds whose last line is at least a minute old. Returns the reason, the address and the number of
@@ -53,8 +54,8 @@ impl LogThrottle {
     pub fn remove_expired(&mut self, now: MonoTime) -> Vec<(String, Option<IpAddr>, u64)> {
         let expired = self.kinds.extract_if(|_, kind| now - kind.logged_at >= LINE_INTERVAL);
         expired
-            .filter(|(_, kind)| kind.unlogged > 0)
-            .map(|((reason, address), kind)| (reason, address, kind.unlogged))
+            .filter(|(_, kind)| kind.unlogged_events > 0)
+            .map(|((reason, address), kind)| (reason, address, kind.unlogged_events))
             .collect()
     }
 }
@@ -69,35 +70,35 @@ mod tests {
 
     #[test]
     fn each_kind_and_address_is_logged_every_minute() {
-        let mut refusals = LogThrottle::default();
+        let mut throttle = LogThrottle::default();
         let here = "127.0.0.1".parse().ok();
-        assert_eq!(refusals.count_event("taken", here, at(0)), Some(1));
-        assert_eq!(refusals.count_event("taken", here, at(1)), None);
-        assert_eq!(refusals.count_event("taken", None, at(1)), Some(1));
-        assert_eq!(refusals.count_event("copied", here, at(1)), Some(1));
-        assert_eq!(refusals.count_event("taken", here, at(60)), Some(2));
-        assert_eq!(refusals.count_event("taken", here, at(61)), None);
-        assert_eq!(refusals.remove_expired(at(120)), [("taken".to_owned(), here, 1)]);
-        assert_eq!(refusals.count_event("taken", here, at(120)), Some(1));
+        assert_eq!(throttle.count_event("taken", here, at(0)), Some(1));
+        assert_eq!(throttle.count_event("taken", here, at(1)), None);
+        assert_eq!(throttle.count_event("taken", None, at(1)), Some(1));
+        assert_eq!(throttle.count_event("copied", here, at(1)), Some(1));
+        assert_eq!(throttle.count_event("taken", here, at(60)), Some(2));
+        assert_eq!(throttle.count_event("taken", here, at(61)), None);
+        assert_eq!(throttle.remove_expired(at(120)), [("taken".to_owned(), here, 1)]);
+        assert_eq!(throttle.count_event("taken", here, at(120)), Some(1));
     }
 
     #[test]
     fn full_throttle_forgets_no_unlogged_events() {
-        let mut refusals = LogThrottle::default();
+        let mut throttle = LogThrottle::default();
         for n in 0..MAX_KINDS {
-            refusals.count_event(&n.to_string(), None, at(0));
+            throttle.count_event(&n.to_string(), None, at(0));
         }
-        refusals.count_event("7", None, at(1));
-        assert_eq!(refusals.count_event("another", None, at(90)), Some(1));
-        assert_eq!(refusals.remove_expired(at(90)), [("7".to_owned(), None, 1)]);
+        throttle.count_event("7", None, at(1));
+        assert_eq!(throttle.count_event("another", None, at(90)), Some(1));
+        assert_eq!(throttle.remove_expired(at(90)), [("7".to_owned(), None, 1)]);
     }
 
     #[test]
     fn many_kinds_are_counted_together() {
-        let mut refusals = LogThrottle::default();
+        let mut throttle = LogThrottle::default();
         let logged =
-            (0..10_000).filter(|n| refusals.count_event(&n.to_string(), None, at(0)).is_some()).count();
-        assert_eq!((logged, refusals.kinds.len()), (MAX_KINDS + 1, MAX_KINDS + 1));
-        assert_eq!(refusals.remove_expired(at(60)), [(String::new(), None, 10_000 - MAX_KINDS as u64 - 1)]);
+            (0..10_000).filter(|n| throttle.count_event(&n.to_string(), None, at(0)).is_some()).count();
+        assert_eq!((logged, throttle.kinds.len()), (MAX_KINDS + 1, MAX_KINDS + 1));
+        assert_eq!(throttle.remove_expired(at(60)), [(String::new(), None, 10_000 - MAX_KINDS as u64 - 1)]);
     }
 }

@@ -9,7 +9,8 @@ use crate::{Clock, ClockIdentity, MonoTime, RawTime, Readings, Span, Stamp, Wall
 pub struct ManualClock {
     wall: AtomicI64,
     mono: AtomicI64,
-    slept: AtomicI64,
+    /// Sum of all simulated sleeps, nanoseconds.
+    total_sleep: AtomicI64,
     epoch: AtomicU32,
     wall_epoch: AtomicU32,
     last_step: AtomicI64,
@@ -27,7 +28,7 @@ impl ManualClock {
         Self {
             wall: AtomicI64::new(wall.unix_nanos()),
             mono: AtomicI64::new(0),
-            slept: AtomicI64::new(0),
+            total_sleep: AtomicI64::new(0),
             epoch: AtomicU32::new(0),
             wall_epoch: AtomicU32::new(0),
             last_step: AtomicI64::new(0),
@@ -45,7 +46,7 @@ impl ManualClock {
     /// interruption of the free-running clock ([`Clock::epoch`]).
     pub fn sleep(&self, span: Span) {
         self.wall.fetch_add(span.nanos(), Ordering::SeqCst);
-        self.slept.fetch_add(span.nanos(), Ordering::SeqCst);
+        self.total_sleep.fetch_add(span.nanos(), Ordering::SeqCst);
         self.epoch.fetch_add(1, Ordering::SeqCst);
     }
 
@@ -82,7 +83,7 @@ impl Clock for ManualClock {
 
     fn readings(&self) -> Readings {
         let Stamp { wall, mono, raw } = self.stamp();
-        Readings { wall, mono, raw, boot: mono + Span::from_nanos(self.slept.load(Ordering::SeqCst)) }
+        Readings { wall, mono, raw, boot: mono + Span::from_nanos(self.total_sleep.load(Ordering::SeqCst)) }
     }
 
     fn epoch(&self) -> u32 {

@@ -12,7 +12,7 @@ pub enum RelatedClocks {
     #[default]
     Raw,
     /// The free-running clock of the edge and the wall clock of the cloud. Steps and slews of the wall clock move the
-    /// offset. Used with a cloud of session protocol 4, and with a STAMP reflector of another implementation.
+    /// offset. Used with a cloud of session protocol 4, and with a STAMP reflector that is not PEERNet's.
     RawToWall,
     /// The wall clocks of both hosts. Used only for runs recorded before version 0.3.0.
     Wall,

@@ -82,7 +82,7 @@ impl SimulatedClock {
         random: &mut RandomSource,
     ) -> Self {
         let (mut t, mut drift) = (0.0, random.between(-ppm, ppm));
-        let mut wall = Self::drifting(offset, drift);
+        let mut clock = Self::drifting(offset, drift);
         while t < length.nanos() as f64 {
             let change = match random.bits() % 4 {
                 0 => 0.0,
@@ -94,17 +94,17 @@ impl SimulatedClock {
             let duration =
                 (random.exponential(8.0) + 0.1).min(if change == 0.0 { f64::INFINITY } else { limit });
             if duration > 1e-3 {
-                let error = wall.error(t);
-                wall.pieces.push(Piece { start: t, error, drift: drift * 1e-6, change: change * 1e-15 });
+                let error = clock.error(t);
+                clock.pieces.push(Piece { start: t, error, drift: drift * 1e-6, change: change * 1e-15 });
                 t += duration * 1e9;
                 drift += change * duration;
             }
         }
-        wall
+        clock
     }
 
-    /// Makes the clock faster by `ppm` from a time on. Its drift is constant from then on: the piece replaces all later
-    /// pieces.
+    /// Makes the clock faster by `ppm` from a time on. From then on the drift is constant: a new piece replaces all
+    /// later pieces.
     pub(crate) fn faster(mut self, at: Span, ppm: f64) -> Self {
         let start = at.nanos() as f64;
         let piece = Piece {
@@ -120,15 +120,15 @@ impl SimulatedClock {
 
     /// Creates a clock whose drift wanders within ± `ppm` and changes every few seconds, for `length`.
     pub(crate) fn wandering(offset: Span, ppm: f64, length: Span, random: &mut RandomSource) -> Self {
-        let mut wall = Self::drifting(offset, 0.0);
+        let mut clock = Self::drifting(offset, 0.0);
         let (mut t, mut drift) = (0.0, random.between(-ppm, ppm));
         while t < length.nanos() as f64 {
-            let error = wall.error(t);
-            wall.pieces.push(Piece { start: t, error, drift: drift * 1e-6, change: 0.0 });
+            let error = clock.error(t);
+            clock.pieces.push(Piece { start: t, error, drift: drift * 1e-6, change: 0.0 });
             t += random.exponential(4e9) + 1.0;
             drift = (drift + random.between(-0.4, 0.4) * ppm).clamp(-ppm, ppm);
         }
-        wall
+        clock
     }
 
     /// Steps the clock forward or back at a time.
@@ -156,7 +156,7 @@ impl SimulatedClock {
     }
 
     /// Returns the true time at which the clock showed a time. The clock must not have been stepped.
-    fn time(&self, shown: RawTime) -> f64 {
+    fn true_time(&self, shown: RawTime) -> f64 {
         let mut t = shown.nanos() as f64;
         for _ in 0..8 {
             t = shown.nanos() as f64 - self.error(t);
@@ -175,7 +175,9 @@ pub(crate) struct HostClocks {
 /// True times and stamps of a message and its answer.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Trip {
+    /// True delay of the message.
     pub(crate) up: Span,
+    /// True delay of the answer.
     pub(crate) down: Span,
     /// End in nanoseconds of true time.
     pub(crate) end: f64,
@@ -213,7 +215,7 @@ impl HostClocks {
 
     /// Returns the true offset in nanoseconds when the edge showed `at`.
     pub(crate) fn offset(&self, at: RawTime) -> f64 {
-        let t = self.edge.time(at);
+        let t = self.edge.true_time(at);
         self.cloud.error(t) - self.edge.error(t)
     }
 }
@@ -221,17 +223,20 @@ impl HostClocks {
 /// A path between two hosts; times in nanoseconds.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Path {
+    /// Shortest delay of a message.
     pub(crate) up: f64,
+    /// Shortest delay of an answer.
     pub(crate) down: f64,
     /// Mean of a message's usual waiting time.
     pub(crate) jitter: f64,
+    /// Probability that an exchange is lost.
     pub(crate) loss: f64,
     /// Largest additional waiting time during congestion.
     pub(crate) burst: f64,
 }
 
 impl Path {
-    /// Path between two network namespaces of one machine.
+    /// Path between two network namespaces of one machine (a pair of veth devices).
     pub(crate) const VETH: Self = Self { up: 30e3, down: 30e3, jitter: 15e3, loss: 0.0, burst: 500e3 };
 
     /// Returns the trips between two true times (seconds) at `hz` per second, in the order in which they end.
@@ -243,13 +248,13 @@ impl Path {
         random: &mut RandomSource,
     ) -> Vec<Trip> {
         let mut trips = Vec::new();
-        let (mut t, mut congested) = (seconds.0 * 1e9, false);
+        let (mut t, mut is_congested) = (seconds.0 * 1e9, false);
         while t < seconds.1 * 1e9 {
-            if random.chance(if congested { 0.05 } else { 0.005 }) {
-                congested = !congested;
+            if random.chance(if is_congested { 0.05 } else { 0.005 }) {
+                is_congested = !is_congested;
             }
             let mut waiting_time = || {
-                let burst = if congested { random.between(0.0, self.burst) } else { 0.0 };
+                let burst = if is_congested { random.between(0.0, self.burst) } else { 0.0 };
                 let tail = if random.chance(0.03) { random.exponential(20.0 * self.jitter) } else { 0.0 };
                 burst + tail + random.exponential(self.jitter)
             };

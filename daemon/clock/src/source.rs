@@ -8,7 +8,7 @@ use crate::steps::{PairedReading, StepWatch};
 use crate::system::{BOOT, MONO, RAW, WALL, matches_kernel, read};
 use crate::{ClockFaults, ClockIdentity, Interval, MonoTime, RawTime, Readings, Span, WallTime};
 
-/// The clocks of a host, read together.
+/// Times of the wall clock, the monotonic clock and the free-running clock of a host, read together.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Stamp {
     /// Time of the wall clock.
@@ -20,7 +20,7 @@ pub struct Stamp {
     pub raw: RawTime,
 }
 
-/// Adds a span to all clocks.
+/// Adds a span to all three times.
 impl Add<Span> for Stamp {
     type Output = Self;
     fn add(self, span: Span) -> Self {
@@ -28,7 +28,7 @@ impl Add<Span> for Stamp {
     }
 }
 
-/// Subtracts a span from all clocks.
+/// Subtracts a span from all three times.
 impl Sub<Span> for Stamp {
     type Output = Self;
     fn sub(self, span: Span) -> Self {
@@ -65,18 +65,19 @@ pub trait Clock: Send + Sync + fmt::Debug {
         let read_clocks = || PairedReading { before: self.raw(), between: self.wall(), after: self.raw() };
         let PairedReading { before, between, after } = PairedReading::read_uninterrupted(read_clocks);
         let ahead = |raw: RawTime| Span::from_nanos(between.unix_nanos().saturating_sub(raw.nanos()));
-        // The hull of the readings is used, because a free-running clock with an injected step may go back between the two reads.
+        // The hull of the readings is used, because a free-running clock with an injected step may go back between the
+        // two reads.
         Interval::exactly(ahead(after)).hull(Interval::exactly(ahead(before)))
     }
 
-    /// Reads all clocks of the host, for [`ClockWatch`](crate::ClockWatch).
+    /// Reads all clocks of the host, including the boot clock, for [`ClockWatch`](crate::ClockWatch).
     fn readings(&self) -> Readings {
         let Stamp { wall, mono, raw } = self.stamp();
         Readings { wall, mono, raw, boot: mono }
     }
 
     /// Returns the number of the current epoch: the number of interruptions of the free-running clock. Sleeps of the
-    /// machine and calls of [`begin_epoch`](Self::begin_epoch) interrupt it.
+    /// machine and calls of [`begin_epoch`](Self::begin_epoch) interrupt this clock.
     ///
     /// Each call checks for a sleep, and the first call after a sleep counts the sleep. Stamps that were taken before a
     /// call belong to the returned epoch or to an earlier epoch.
@@ -86,8 +87,8 @@ pub trait Clock: Send + Sync + fmt::Debug {
         0
     }
 
-    /// Starts a new epoch after an interruption of the free-running clock that the clock itself cannot detect. Stamps of
-    /// different epochs cannot be compared.
+    /// Starts a new epoch after an interruption of the free-running clock that the clock itself cannot detect. Stamps
+    /// of different epochs cannot be compared.
     fn begin_epoch(&self) {}
 
     /// Returns the number of the current epoch of the wall clock: the number of detected steps of the wall clock. Each
@@ -228,11 +229,11 @@ mod tests {
     #[test]
     fn monotonic_clock_never_runs_backwards() {
         let clock = SystemClock::new(ClockIdentity::new("boot", "system"));
-        let mut last = clock.mono();
+        let mut previous = clock.mono();
         for _ in 0..10_000 {
             let now = clock.mono();
-            assert!(now >= last);
-            last = now;
+            assert!(now >= previous);
+            previous = now;
         }
     }
 

@@ -1,7 +1,7 @@
 //! Instants on the clocks of a host, and the difference between two instants of one clock.
 //!
-//! All these types are signed 64-bit nanoseconds: ±292 years around the epoch. Arithmetic saturates, so that a nonsensical stamp
-//! from a peer cannot cause a panic.
+//! All these types are signed 64-bit nanoseconds: ±292 years around the clock's origin. Arithmetic saturates, so that a
+//! nonsensical stamp from a peer cannot cause a panic.
 
 use std::fmt;
 use std::ops::{Add, AddAssign, Neg, Sub};
@@ -11,14 +11,15 @@ use serde::{Deserialize, Serialize};
 
 /// Instant of a host's wall clock (`CLOCK_REALTIME`): nanoseconds since 1970-01-01 00:00 UTC without leap seconds.
 ///
-/// It can be compared only with wall times of the same host, unless a [`Relation`](crate::Relation) translates it.
+/// An instant can be compared only with wall times of the same host, unless a [`Relation`](crate::Relation) translates
+/// the instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct WallTime(i64);
 
 /// Instant of a host's monotonic clock (`CLOCK_MONOTONIC`): nanoseconds since an arbitrary moment near boot.
 ///
-/// It is never sent to another host; only differences between two instants are sent.
+/// An instant is never sent to another host; only differences between two instants are sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct MonoTime(i64);
 
@@ -26,7 +27,7 @@ pub struct MonoTime(i64);
 ///
 /// No time daemon steps or slews this clock, so it drifts steadily against the free-running clock of another host. An
 /// instant can be compared only with instants of the same host since the same boot, unless a
-/// [`Relation`](crate::Relation) translates it.
+/// [`Relation`](crate::Relation) translates the instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct RawTime(i64);
@@ -245,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn seconds_before_epoch_round_towards_past() {
+    fn seconds_before_1970_round_towards_past() {
         assert_eq!(WallTime::from_unix_nanos(-1).unix_seconds(), -1);
         assert_eq!(WallTime::from_unix_nanos(1_999_999_999).unix_seconds(), 1);
     }

@@ -324,12 +324,12 @@ impl LinkClockState {
         (edge, cloud): (u32, Option<u32>),
         update: impl FnOnce(&mut Relation) -> T,
     ) -> T {
-        let restarts_before = self.relation.counts().restarts;
+        let restarts_before = self.relation.exchange_counts().restarts;
         let result = update(&mut self.relation);
         let has_new_edge_epoch = self.edge.begin_epoch(edge);
         // An epoch that is not known changes nothing: 0 is never a new one.
         let has_new_cloud_epoch = self.cloud.begin_epoch(cloud.unwrap_or(0));
-        let is_restarted = self.relation.counts().restarts > restarts_before;
+        let is_restarted = self.relation.exchange_counts().restarts > restarts_before;
         if is_restarted {
             self.window.make_void();
         }
@@ -430,7 +430,7 @@ impl LinkClockState {
             lower: self.second.lower,
             offset,
             probes: self.second.probes,
-            exchanges: self.relation.counts(),
+            exchanges: self.relation.exchange_counts(),
             round_trip: self.second.round_trips(),
             up: self.second.delays(network, Direction::Up),
             down: self.second.delays(network, Direction::Down),

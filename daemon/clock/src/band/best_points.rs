@@ -46,7 +46,8 @@ impl BestPoints {
         if let Some(best) =
             self.points.get(index).copied().filter(|point| interval_of(point) == interval_number)
         {
-            // If the skew were not removed, the lowest point would always be the earliest or the latest of its interval.
+            // If the skew were not removed, the lowest point would always be the earliest or the latest of its
+            // interval.
             let expected_bound = best.bound.saturating_add((slope * (point.x - best.x) as f64) as i64);
             if point.bound >= expected_bound {
                 return InsertResult::Worse;
@@ -74,17 +75,18 @@ impl BestPoints {
 
     /// Returns `count` points around `x`: half of them before `x` and half after `x`. If there are too few points on
     /// one side, more points of the other side are returned instead.
-    pub(super) fn around(&self, x: i64, count: usize) -> impl Iterator<Item = Point> + '_ {
+    pub(super) fn points_around(&self, x: i64, count: usize) -> impl Iterator<Item = Point> + '_ {
         let first_at_or_after = self.points.partition_point(|point| point.x < x);
         let end = first_at_or_after.saturating_add(count / 2).max(count).min(self.points.len());
         self.points.range(end.saturating_sub(count)..end).copied()
     }
 
-    /// Returns whether the points [`around`](Self::around) `x` are the newest points and all lie within `reach` of it.
+    /// Returns whether the points [`points_around`](Self::points_around) `x` are the newest points, and all lie within
+    /// `reach` of `x`.
     pub(super) fn newest_points_are_around(&self, x: i64, count: usize, reach: u64) -> bool {
         let len = self.points.len();
-        // `around` returns the newest `count` points if at most `count / 2` of all points are at or after `x`. This is
-        // the case if the point just before the newest `count / 2` points is before `x`.
+        // `points_around` returns the newest `count` points if at most `count / 2` of all points are at or after `x`.
+        // This is the case if the point just before the newest `count / 2` points is before `x`.
         let (oldest, middle) = (len.saturating_sub(count), len.saturating_sub(count / 2 + 1));
         let is_near = |index: usize| self.points.get(index).is_some_and(|point| point.x.abs_diff(x) <= reach);
         let x_is_after_middle = len <= count || self.points.get(middle).is_some_and(|point| point.x < x);
@@ -103,7 +105,7 @@ mod tests {
     const SECOND: i64 = 1_000_000_000;
 
     #[test]
-    fn points_stay_sorted_and_bounded_in_any_order() {
+    fn points_stay_sorted_and_few_in_any_order() {
         let mut seconds = BestPoints::new(SECOND, 1024);
         for n in 0..3_000i64 {
             let x = (n * 7919 % 3_000) * SECOND + n;
@@ -125,13 +127,13 @@ mod tests {
     }
 
     #[test]
-    fn newest_points_are_around_matches_the_points() {
+    fn newest_points_are_around_agrees_with_points() {
         let mut seconds = BestPoints::new(SECOND, 1024);
         for n in [0, 1, 2, 3, 10, 11, 12, 40] {
             seconds.insert(Point { x: n * SECOND, bound: 0 }, 0.0);
             for (x, count) in (0..60).flat_map(|x| [(x, 2), (x, 4), (x, 6)]) {
                 let x = x * SECOND;
-                let around: Vec<Point> = seconds.around(x, count).collect();
+                let around: Vec<Point> = seconds.points_around(x, count).collect();
                 let newest: Vec<Point> =
                     seconds.iter().skip(seconds.points.len().saturating_sub(count)).collect();
                 let are_near = around.iter().all(|point| point.x.abs_diff(x) <= 20 * SECOND as u64);

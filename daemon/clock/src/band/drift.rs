@@ -8,7 +8,7 @@ pub(crate) struct DriftModel {
     pub(crate) limit: DriftLimit,
     /// Limit of the speed at which the rate changes; `None` if one of the clocks may be slewed, because a slew changes
     /// the rate at once.
-    pub(crate) change: Option<DriftChangeLimit>,
+    pub(crate) change_limit: Option<DriftChangeLimit>,
 }
 
 /// Limit of the rate at which two clocks drift apart, relative to the edge's clock.
@@ -72,8 +72,8 @@ impl DriftChangeLimit {
     /// Converts a limit in parts per million per second. The result is valid whichever of the two clocks the limit is
     /// relative to.
     ///
-    /// If two clocks drift apart by ρ, the second derivative of the offset by one clock is at most (1 − ρ)⁻³ times that
-    /// by the other clock. NaN is converted to the largest limit.
+    /// If two clocks drift apart by ρ, the second derivative of the offset by one clock is at most (1 − ρ)⁻³ times the
+    /// second derivative by the other clock. NaN is converted to the largest limit.
     pub(crate) fn new(ppm_per_s: f64, rate: DriftLimit) -> Self {
         let max = Self::MAX_PPM_PER_S;
         let ppm_per_s = if ppm_per_s.is_nan() { max } else { ppm_per_s.clamp(0.0, max) };
@@ -113,7 +113,7 @@ mod tests {
         assert_eq!(limit.max_deviation(u64::MAX, u64::MAX), i64::MAX);
         let fast = DriftChangeLimit::new(1.0, DriftLimit::new(1_000.0));
         assert!(fast.max_deviation(100 * second, 100 * second) >= 5_015_000);
-        let without = DriftLimit::new(0.0);
-        assert_eq!(DriftChangeLimit::new(f64::NAN, without), DriftChangeLimit::new(f64::INFINITY, without));
+        let no_drift = DriftLimit::new(0.0);
+        assert_eq!(DriftChangeLimit::new(f64::NAN, no_drift), DriftChangeLimit::new(f64::INFINITY, no_drift));
     }
 }

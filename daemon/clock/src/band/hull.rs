@@ -4,11 +4,11 @@
 use super::slots::Point;
 
 /// Appends a point to the lower convex hull of points to which `half_limit` × x² was added. The point must not be
-/// earlier than the last one. The origin of x is arbitrary: another origin only adds a straight line to all points,
-/// which does not change which points are on the hull.
+/// earlier than the last point of the hull. The origin of x is arbitrary: another origin only adds a straight line to
+/// all points, which does not change which points are on the hull.
 #[inline]
 pub(super) fn push(hull: &mut Vec<Point>, next: Point, half_limit: f64) {
-    // Height of a later point above an earlier one, with the earlier one as the origin of x.
+    // Height of a later point above an earlier point, with the earlier point as the origin of x.
     let rise =
         |from: Point, to: Point, dx: f64| to.bound.saturating_sub(from.bound) as f64 + half_limit * dx * dx;
     while let [.., a, b] = hull[..] {
@@ -27,8 +27,8 @@ pub(super) fn push(hull: &mut Vec<Point>, next: Point, half_limit: f64) {
     hull.push(next);
 }
 
-/// Returns the slope of the line below all points that minimises the sum of its distances to them; `None` for fewer
-/// than two points. `points` must be in the order of time.
+/// Returns the slope of the line below all points that minimises the sum of the points' distances to the line; `None`
+/// for fewer than two points. `points` must be in the order of time.
 ///
 /// This is the problem of Moon, Skelly and Towsley ("Estimation and removal of clock skew from network delay
 /// measurements", INFOCOM 1999). Its solution is the edge of the lower convex hull above the mean time (Zhang, Liu and
@@ -63,7 +63,7 @@ mod tests {
 
     use super::*;
 
-    /// Returns the sum of the points' distances to the highest line of a slope that is below all of them.
+    /// Returns the sum of the points' distances to the highest line with this slope that is below all points.
     fn distances(points: &[Point], slope: f64) -> f64 {
         let above = |point: &Point| point.bound as f64 - slope * point.x as f64;
         let height = points.iter().map(above).fold(f64::INFINITY, f64::min);

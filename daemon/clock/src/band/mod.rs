@@ -1,4 +1,4 @@
-//! The interval that contains the offset of two clocks, at each time, as the exchanges prove it.
+//! For each time, the interval that must contain the offset of two clocks, as the exchanges prove it.
 //!
 //! The offset θ(x) is the cloud's clock minus the edge's clock when the edge's clock shows x. Each exchange bounds the
 //! offset from above at the time at which the message was sent, and from below at the time at which the answer
@@ -24,9 +24,10 @@ use trend::Trend;
 
 use crate::{Exchange, Interval, RawTime, Span};
 
-/// The newest exchanges of this number bound the offset at any age. If the window contains fewer exchanges, it is
-/// extended back to the oldest of them.
-const MIN_EXCHANGES: usize = 8;
+/// Number of newest exchanges that bound the offset at any age. If the window contains fewer exchanges, the window is
+/// extended back to the oldest of these exchanges.
+// With rare exchanges, the window alone would often be empty, and the offset would have no bounds.
+const MIN_BOUNDING_EXCHANGES: usize = 8;
 
 /// The hulls are built in advance for queries up to this time after the newest exchange, nanoseconds.
 // These hulls serve all queries up to then. Points that leave the window before then are left out.
@@ -92,20 +93,22 @@ pub(crate) struct OffsetInterval {
 #[derive(Clone, Debug)]
 pub(crate) struct Band {
     drift: DriftModel,
+    /// Length of the window, nanoseconds.
     window: i64,
+    /// Time for which bounds are kept, nanoseconds.
     retention: i64,
     upper: Slots,
     /// Lower bounds with the opposite sign, so that the same code serves both sides.
     lower: Slots,
     /// The newest exchanges, in the order of their return.
-    latest: VecDeque<Bounds>,
+    newest_exchanges: VecDeque<Bounds>,
     /// Convex hulls of the points around the newest exchange. They give the bounds by the limit of the drift's change
     /// ([`rate_change`]).
     hulls: Hulls,
     trend: Trend,
     /// Time on the edge's clock in nanoseconds at which the newest exchange returned.
-    newest: i64,
-    exchanges: u64,
+    newest_return: i64,
+    exchange_count: u64,
 }
 
 impl Band {
@@ -120,42 +123,44 @@ impl Band {
             retention,
             upper: Slots::new(drift.limit, retention),
             lower: Slots::new(drift.limit, retention),
-            latest: VecDeque::with_capacity(MIN_EXCHANGES + 1),
+            newest_exchanges: VecDeque::with_capacity(MIN_BOUNDING_EXCHANGES + 1),
             hulls: Hulls::default(),
             trend: Trend::default(),
-            newest: i64::MIN,
-            exchanges: 0,
+            newest_return: i64::MIN,
+            exchange_count: 0,
         }
     }
 
     /// Returns the assumption that an exchange contradicts: no offset satisfies the assumption, the exchange and all
-    /// exchanges that are kept.
+    /// exchanges that are kept. `None` if the exchange contradicts no assumption.
     ///
-    /// If each exchange is checked before it is inserted, the bounds by the limit of drift never exclude each other. The
-    /// bounds by the limit of the drift's change can still exclude each other, because they involve three or four points
-    /// at once. [`interval`](Self::interval) reports that.
-    // Proof of the first statement: let U be the upper bound of one exchange at x, L the lower bound of another at y, and
-    // w(t) the largest drift during t. If the bounds at q excluded each other, U + w(|q − x|) < L − w(|q − y|), then also
-    // U < L − w(|x − y|), and the later of the two exchanges would have been rejected. For that reason the check covers
-    // all exchanges that are kept, not only the exchanges of the window.
+    /// If each exchange is checked before it is inserted, the bounds by the limit of drift never exclude each other.
+    /// The bounds by the limit of the drift's change can still exclude each other, because they involve three or four
+    /// points at once. [`interval`](Self::interval) reports such a contradiction.
+    // Proof of the first statement: let U be the upper bound of one exchange at x, L the lower bound of another at y,
+    // and w(t) the largest drift during t. If the bounds at q excluded each other, U + w(|q − x|) < L − w(|q − y|),
+    // then also U < L − w(|x − y|), and the later of the two exchanges would have been rejected. For that reason the
+    // check covers all exchanges that are kept, not only the exchanges of the window.
     pub(crate) fn contradiction(&self, bounds: &Bounds) -> Option<Contradiction> {
         let Bounds { upper, lower } = *bounds;
-        // Points of the lower side have the opposite sign, so that a bound is negated for the comparison with the other side.
+        // Points of the lower side have the opposite sign, so that a bound is negated for the comparison with the other
+        // side.
         let (negated_lower, negated_upper) = (lower.bound.saturating_neg(), upper.bound.saturating_neg());
         let limit = self.drift.limit;
         if self.lower.is_below(negated_upper, upper.x)
             || self.upper.is_below(negated_lower, lower.x)
-            || self.latest.iter().any(|other| {
+            || self.newest_exchanges.iter().any(|other| {
                 other.lower.is_below(negated_upper, limit, upper.x)
                     || other.upper.is_below(negated_lower, limit, lower.x)
             })
         {
             return Some(Contradiction::Drift);
         }
-        let change = self.drift.change?;
-        // A cheap check comes first: an exchange contradicts nothing if the newest exchanges give bounds as good as its own.
+        let change = self.drift.change_limit?;
+        // A cheap check comes first: an exchange contradicts nothing if the newest exchanges give bounds as good as its
+        // own.
         let improves = |point: Point, side: fn(&Bounds) -> Point| {
-            self.latest.iter().all(|bounds| side(bounds).bound_at(limit, point.x) > point.bound)
+            self.newest_exchanges.iter().all(|bounds| side(bounds).bound_at(limit, point.x) > point.bound)
         };
         let excludes = |q: i64, bound: i64, query: fn(&Hulls, i64, DriftChangeLimit) -> Option<i64>| {
             self.query_hulls(q, change, |hulls| query(hulls, q, change))
@@ -168,23 +173,23 @@ impl Band {
         is_excluded.then_some(Contradiction::DriftChange)
     }
 
-    /// Inserts an exchange and removes expired ones.
+    /// Inserts an exchange and removes the bounds of expired exchanges.
     pub(crate) fn insert(&mut self, bounds: &Bounds) {
-        self.newest = self.newest.max(bounds.lower.x);
-        let start = self.newest.saturating_sub(self.retention);
+        self.newest_return = self.newest_return.max(bounds.lower.x);
+        let start = self.newest_return.saturating_sub(self.retention);
         let inserted = [self.upper.insert(bounds.upper), self.lower.insert(bounds.lower)];
         self.upper.remove_before(start);
         self.lower.remove_before(start);
-        let index = self.latest.partition_point(|other| other.lower.x <= bounds.lower.x);
-        self.latest.insert(index, *bounds);
-        if self.latest.len() > MIN_EXCHANGES {
-            self.latest.pop_front();
+        let index = self.newest_exchanges.partition_point(|other| other.lower.x <= bounds.lower.x);
+        self.newest_exchanges.insert(index, *bounds);
+        if self.newest_exchanges.len() > MIN_BOUNDING_EXCHANGES {
+            self.newest_exchanges.pop_front();
         }
-        self.exchanges += 1;
+        self.exchange_count += 1;
         self.trend.insert(bounds.upper, bounds.lower, self.drift.limit.slope());
-        if let Some(change) = self.drift.change {
+        if let Some(change) = self.drift.change_limit {
             let mut hulls = std::mem::take(&mut self.hulls);
-            self.fill_hulls(&mut hulls, self.newest.saturating_add(HULL_LEAD_NANOS), inserted, change);
+            self.fill_hulls(&mut hulls, self.newest_return.saturating_add(HULL_LEAD_NANOS), inserted, change);
             self.hulls = hulls;
         }
     }
@@ -195,18 +200,18 @@ impl Band {
         let end = end.nanos();
         self.upper.truncate(end);
         self.lower.truncate(end);
-        self.latest.retain(|bounds| bounds.lower.x <= end);
+        self.newest_exchanges.retain(|bounds| bounds.lower.x <= end);
         self.hulls = Hulls::default();
     }
 
-    /// Returns a copy of the band without the bounds of exchanges before `start`. The estimate and the number of exchanges
-    /// still include them.
+    /// Returns a copy of the band without the bounds of exchanges before `start`. The estimate and the number of
+    /// exchanges still include them.
     pub(crate) fn without_exchanges_before(&self, start: RawTime) -> Self {
         let mut copy = Self { hulls: Hulls::default(), ..self.clone() };
         let start = start.nanos();
         copy.upper.remove_before(start);
         copy.lower.remove_before(start);
-        copy.latest.retain(|bounds| bounds.upper.x >= start);
+        copy.newest_exchanges.retain(|bounds| bounds.upper.x >= start);
         copy
     }
 
@@ -219,7 +224,7 @@ impl Band {
         };
         let (hi, lo) = (self.upper_bound(q)?, self.lower_bound(q)?);
         let by_drift_limit = OffsetInterval { interval: interval(hi, lo), is_consistent: true };
-        let Some(change) = self.drift.change else { return Some(by_drift_limit) };
+        let Some(change) = self.drift.change_limit else { return Some(by_drift_limit) };
         let (upper_bound, lower_bound) =
             self.query_hulls(q, change, |hulls| (hulls.upper_bound(q, change), hulls.lower_bound(q, change)));
         let (hi, lo) =
@@ -250,49 +255,51 @@ impl Band {
         change: DriftChangeLimit,
     ) {
         if self.is_sparse(q) {
-            // The latest exchanges are in the order in which they returned. The upper points may be in another order:
-            // that in which the exchanges were sent.
-            let mut upper: Vec<Point> = self.latest.iter().map(|bounds| bounds.upper).collect();
+            // The newest exchanges are in the order in which they returned. The upper points may be in another order,
+            // because they are at the times at which the exchanges were sent.
+            let mut upper: Vec<Point> = self.newest_exchanges.iter().map(|bounds| bounds.upper).collect();
             upper.sort_unstable_by_key(|point| point.x);
             hulls.set_upper(upper.iter().copied(), change);
-            hulls.set_lower(self.latest.iter().map(|bounds| bounds.lower), change);
+            hulls.set_lower(self.newest_exchanges.iter().map(|bounds| bounds.lower), change);
             return;
         }
         match (upper, self.upper.newest()) {
             (Insertion::Newest, Some(newest)) => hulls.replace_upper(newest, change),
             (Insertion::Unchanged, _) => {}
-            _ => hulls.set_upper(self.upper.around(q, self.window, MAX_POINTS_PER_SIDE), change),
+            _ => hulls.set_upper(self.upper.points_around(q, self.window, MAX_POINTS_PER_SIDE), change),
         }
         match (lower, self.lower.newest()) {
             (Insertion::Newest, Some(newest)) => hulls.replace_lower(newest, change),
             (Insertion::Unchanged, _) => {}
-            _ => hulls.set_lower(self.lower.around(q, self.window, MAX_POINTS_PER_SIDE), change),
+            _ => hulls.set_lower(self.lower.points_around(q, self.window, MAX_POINTS_PER_SIDE), change),
         }
     }
 
     /// Returns whether the oldest of the newest eight exchanges is before the window of `q`.
     fn is_sparse(&self, q: i64) -> bool {
-        self.latest.front().is_some_and(|oldest| q.saturating_sub(oldest.upper.x) > self.window)
+        self.newest_exchanges.front().is_some_and(|oldest| q.saturating_sub(oldest.upper.x) > self.window)
     }
 
-    /// Returns the age that an exchange can have and still bound the offset at a time: the window, or the age of the oldest
-    /// of the newest eight exchanges if that is more. `None` without exchanges.
+    /// Returns the age that an exchange can have and still bound the offset at a time: the window, or the age of the
+    /// oldest of the newest eight exchanges if that is more. `None` without exchanges.
     pub(crate) fn window_span(&self, at: RawTime) -> Option<Span> {
-        let oldest = self.latest.front()?.upper.x;
+        let oldest = self.newest_exchanges.front()?.upper.x;
         Some(Span::from_nanos(at.nanos().saturating_sub(oldest).max(self.window)))
     }
 
-    /// Returns the upper bound at `q` by the limit of drift, from the points within the window and the latest
+    /// Returns the upper bound at `q` by the limit of drift, from the points within the window and the newest
     /// exchanges.
     fn upper_bound(&self, q: i64) -> Option<i64> {
-        let latest = lowest_bound(self.latest.iter().map(|bounds| bounds.upper), self.drift.limit, q);
-        self.upper.bound(q, self.window).into_iter().chain(latest).min()
+        let from_newest =
+            lowest_bound(self.newest_exchanges.iter().map(|bounds| bounds.upper), self.drift.limit, q);
+        self.upper.bound(q, self.window).into_iter().chain(from_newest).min()
     }
 
     /// Returns the lower bound at `q` by the limit of drift, with the opposite sign.
     fn lower_bound(&self, q: i64) -> Option<i64> {
-        let latest = lowest_bound(self.latest.iter().map(|bounds| bounds.lower), self.drift.limit, q);
-        self.lower.bound(q, self.window).into_iter().chain(latest).min()
+        let from_newest =
+            lowest_bound(self.newest_exchanges.iter().map(|bounds| bounds.lower), self.drift.limit, q);
+        self.lower.bound(q, self.window).into_iter().chain(from_newest).min()
     }
 
     /// Returns the estimate at a time within `interval`, which must be the band's interval at that time.
@@ -329,26 +336,26 @@ impl Band {
 
     /// Returns the number of exchanges inserted.
     pub(crate) fn exchange_count(&self) -> u64 {
-        self.exchanges
+        self.exchange_count
     }
 
-    /// Returns the time of the earliest exchange that can bound the offset at `at`: the start of the window, or the oldest
-    /// of the newest eight exchanges if that is earlier.
+    /// Returns the time of the earliest exchange that can bound the offset at `at`: the start of the window, or the
+    /// oldest of the newest eight exchanges if that is earlier.
     pub(crate) fn window_start(&self, at: RawTime) -> RawTime {
         let start = at.nanos().saturating_sub(self.window);
-        let oldest = self.latest.front().map_or(start, |oldest| oldest.upper.x);
+        let oldest = self.newest_exchanges.front().map_or(start, |oldest| oldest.upper.x);
         RawTime::from_nanos(start.min(oldest))
     }
 
     /// Returns the time on the edge's clock at which the newest exchange returned; `None` without exchanges.
-    pub(crate) fn newest(&self) -> Option<RawTime> {
-        (self.exchanges > 0).then(|| RawTime::from_nanos(self.newest))
+    pub(crate) fn newest_return(&self) -> Option<RawTime> {
+        (self.exchange_count > 0).then(|| RawTime::from_nanos(self.newest_return))
     }
 
     pub(crate) fn memory_bytes(&self) -> usize {
         self.upper.memory_bytes()
             + self.lower.memory_bytes()
-            + self.latest.capacity() * size_of::<Bounds>()
+            + self.newest_exchanges.capacity() * size_of::<Bounds>()
             + self.hulls.memory_bytes()
             + self.trend.memory_bytes()
     }

@@ -1,5 +1,5 @@
 //! Bounds that follow from the limit of the drift's change. Two exchanges prove a rate at one time. Because the rate
-//! changes slowly, it holds approximately at other times.
+//! changes slowly, the rate at other times is approximately the same.
 //!
 //! With |θ''| ≤ κ, ψ(x) = θ(x) + κx²/2 is convex and φ(x) = θ(x) − κx²/2 is concave. Hence, for points (a, U_a) from
 //! above and (a, L_a) from below and a time q:
@@ -9,17 +9,17 @@
 //! - beyond two points of both sides, a < b ≤ q, the chord of φ from a to q is below φ(b): θ(q) ≤ U_b + (q−b)·(U_b −
 //!   L_a) / (b−a) + κ(q−a)(q−b)/2, and likewise before them.
 //!
-//! Convex hulls select the two points that bound θ(q) best: the hull of the points (x, U + κx²/2) of one side and of the
-//! points (x, U − κx²/2) of the other. A shift of the origin of x adds a straight line and changes no hull, so one
-//! set of hulls serves every q. The selection uses floating point; the bound of the selected two is an integer that is
-//! rounded up. Bounds from below are the same with the opposite sign. `docs/clocks.md` contains the proof.
+//! Convex hulls select the two points that bound θ(q) best: the hull of the points (x, U + κx²/2) of one side and of
+//! the points (x, U − κx²/2) of the other. A shift of the origin of x adds a straight line and changes no hull, so one
+//! set of hulls serves every q. The selection uses floating point; the bound of the two selected points is an integer
+//! that is rounded up. Bounds from below are the same with the opposite sign. `docs/clocks.md` contains the proof.
 
 use super::drift::DriftChangeLimit;
 use super::hull;
 use super::slots::Point;
 
-/// Maximum number of points of one side that are used before the time of a bound, and again after that time. This is 12
-/// s of slots before and 12 s after.
+/// Maximum number of points of one side of the band that are used before the time of a bound. As many are used after
+/// this time. The slots of these points cover 12 s before and 12 s after the time.
 // At the usual κ, points that are farther away give no better bound.
 pub(super) const MAX_POINTS_PER_SIDE: usize = 24;
 /// Longest distance in time over which a rate extends bounds: 13 days.
@@ -53,10 +53,10 @@ struct Hull {
 /// The two points that a bound follows from.
 #[derive(Clone, Copy)]
 enum BoundPair {
-    /// Two points of one side, one before the time and one after it.
+    /// Two points of one side of the band, the first before the time and the second after it.
     Interpolated(Point, Point),
-    /// Two points on the same side in time: the nearer point, which belongs to the side that is bounded, and the
-    /// farther point, which belongs to the other side.
+    /// Two points that are both before the time or both after it. The first is the nearer point, and belongs to the
+    /// side of the band that is bounded. The second is the farther point, and belongs to the other side.
     Extrapolated(Point, Point),
 }
 
@@ -165,8 +165,8 @@ fn best_bound(side: &Side, opposite: &Side, q: i64, change: DriftChangeLimit) ->
         let rate = b.bound.saturating_add(a.bound) as f64 / (far - near);
         (b.bound - origin) as f64 + near * rate + half_limit * near * far
     };
-    // The bounds by b and the points of the hull decrease up to the point where the line through b is a tangent of the
-    // hull, and increase after it.
+    // Together with b, each further point of the hull gives a lower bound than the point before it, until the line
+    // through b is a tangent of the hull. The points after the tangent give higher bounds.
     let mut consider_tangent = |b: Point, farther: &mut dyn Iterator<Item = &Point>| {
         let mut lowest = f64::INFINITY;
         for a in farther {
@@ -198,15 +198,16 @@ fn interpolate(a: Point, b: Point, q: i64, change: DriftChangeLimit) -> Option<i
     Some(a.bound.saturating_add(change_from_a).saturating_add(change.max_deviation(from_a, to_b)))
 }
 
-/// Returns the bound at `q` that follows from the point `b` of one side and a rate, rounded up. The rate is the one
-/// that `b` and the point `a` of the other side prove.
+/// Returns the bound at `q` that follows from the point `b` of one side and a rate, rounded up. The point `b` and the
+/// point `a` of the other side prove this rate.
 fn extrapolate(b: Point, a: Point, q: i64, change: DriftChangeLimit) -> Option<i64> {
     let (near, far) = (q.abs_diff(b.x), q.abs_diff(a.x));
     let change_from_b = multiply_divide(near, i128::from(b.bound) + i128::from(a.bound), a.x.abs_diff(b.x))?;
     Some(b.bound.saturating_add(change_from_b).saturating_add(change.max_deviation(near, far)))
 }
 
-/// Returns part × value / whole, rounded up; `None` where a length exceeds [`MAX_LENGTH_NANOS`] or the result overflows.
+/// Returns part × value / whole, rounded up; `None` where a length exceeds [`MAX_LENGTH_NANOS`] or the result
+/// overflows.
 fn multiply_divide(part: u64, value: i128, whole: u64) -> Option<i64> {
     if whole == 0 || part > MAX_LENGTH_NANOS || whole > MAX_LENGTH_NANOS {
         return None;
@@ -243,13 +244,13 @@ mod tests {
 
     /// Returns the best bound that the rules give over all pairs of points.
     fn best_of_all_pairs(own: &[Point], other: &[Point], q: i64) -> Option<i64> {
-        let around = own.iter().flat_map(|a| own.iter().map(move |b| (a, b)));
-        let around = around.filter(|(a, b)| a.x < q && q <= b.x);
-        let around = around.filter_map(|(a, b)| interpolate(*a, *b, q, change()));
-        let beyond = own.iter().flat_map(|b| other.iter().map(move |a| (a, b)));
-        let beyond = beyond.filter(|(a, b)| (a.x < b.x && b.x <= q) || (q <= b.x && b.x < a.x));
-        let beyond = beyond.filter_map(|(a, b)| extrapolate(*b, *a, q, change()));
-        around.chain(beyond).min()
+        let interpolated = own.iter().flat_map(|a| own.iter().map(move |b| (a, b)));
+        let interpolated = interpolated.filter(|(a, b)| a.x < q && q <= b.x);
+        let interpolated = interpolated.filter_map(|(a, b)| interpolate(*a, *b, q, change()));
+        let extrapolated = own.iter().flat_map(|b| other.iter().map(move |a| (a, b)));
+        let extrapolated = extrapolated.filter(|(a, b)| (a.x < b.x && b.x <= q) || (q <= b.x && b.x < a.x));
+        let extrapolated = extrapolated.filter_map(|(a, b)| extrapolate(*b, *a, q, change()));
+        interpolated.chain(extrapolated).min()
     }
 
     fn points() -> impl Strategy<Value = Vec<Point>> {
@@ -294,9 +295,9 @@ mod tests {
     #[test]
     fn extreme_points_do_not_panic() {
         // Larger stamps and offsets are refused before they get here.
-        let most = 1 << 61;
-        let wild = [(-most, most), (0, -most), (1, most), (most, -most)];
-        let points: Vec<Point> = wild.into_iter().map(|(x, bound)| Point { x, bound }).collect();
+        let max = 1 << 61;
+        let extremes = [(-max, max), (0, -max), (1, max), (max, -max)];
+        let points: Vec<Point> = extremes.into_iter().map(|(x, bound)| Point { x, bound }).collect();
         let hulls = hulls(&points, &points);
         for q in [i64::MIN, -1, 0, 1, i64::MAX] {
             let _ = (hulls.upper_bound(q, change()), hulls.lower_bound(q, change()));

@@ -1,10 +1,11 @@
 //! Bounds of the skew that the exchanges prove. The bounds hold whatever the delays of the exchanges were.
 //!
-//! With an upper bound U_a and a later lower bound L_b, the offset grew by at least L_b − U_a: at some time in between
-//! its rate was (L_b − U_a) / (b − a) or more. With L_a and U_b it was (U_b − L_a) / (b − a) or less. The window of the
-//! band is too short for this: over a path of 40 ms, an excess of 50 ppm shows after a quarter of an hour. The lowest
-//! point of every sixteen seconds is therefore kept for half an hour. These points serve only these bounds, not the
-//! bounds of delays.
+//! Let U_a be an upper bound at the time a, and L_b a lower bound at the later time b. Between the two times, the
+//! offset grew by at least L_b − U_a: at some time its rate was (L_b − U_a) / (b − a) or more. In the same way, a lower
+//! bound L_a and a later upper bound U_b prove that the rate was (U_b − L_a) / (b − a) or less at some time. The window
+//! of the band is too short for these proofs: over a path of 40 ms, an excess of 50 ppm shows only after a quarter of
+//! an hour. The lowest point of every sixteen seconds is therefore kept for half an hour. These points serve only the
+//! bounds of the skew, not the bounds of delays.
 
 use super::best_points::{BestPoints, InsertResult};
 use super::hull;
@@ -45,8 +46,8 @@ impl SkewBounds {
     /// Inserts an exchange; `slope` is the estimated skew in seconds per second.
     pub(super) fn insert(&mut self, upper: Point, lower: Point, slope: f64) {
         let results = [self.upper.insert(upper, slope), self.lower.insert(lower, -slope)];
-        // The bounds are computed only once per interval, because the computation compares all pairs of points of the
-        // hulls.
+        // The bounds are computed only once per interval of time, because the computation compares all pairs of points
+        // of the hulls.
         if results.contains(&InsertResult::First) {
             self.proven_skew = self.prove();
         }
@@ -73,7 +74,7 @@ impl SkewBounds {
 }
 
 /// Returns the lowest rate of the offset, in seconds per second, that an earlier point of one side and a later point of
-/// the other allow.
+/// the other side allow.
 fn lowest_rate(earlier: &[Point], later: &[Point]) -> Option<f64> {
     let rates = later.iter().flat_map(|b| {
         // Points too close in time prove no useful rate, because the delays dominate.
@@ -116,7 +117,10 @@ mod tests {
     fn excess_skew_is_proven_over_long_path() {
         let path = Path { up: 5e6, down: 40e6, jitter: 1e6, loss: 0.02, burst: 0.0 };
         assert!(prove_skew(100.0, path, 600.0).min_ppm < 50.0);
-        let late = prove_skew(100.0, path, 1_100.0);
-        assert!(50.0 < late.min_ppm && late.min_ppm <= 100.0 && late.max_ppm >= 100.0, "{late:?}");
+        let later_proof = prove_skew(100.0, path, 1_100.0);
+        assert!(
+            50.0 < later_proof.min_ppm && later_proof.min_ppm <= 100.0 && later_proof.max_ppm >= 100.0,
+            "{later_proof:?}"
+        );
     }
 }

@@ -8,7 +8,8 @@
 //! point. Because w(a + b) ≥ w(a) + w(b) − 1, this cone is, to a nanosecond, also the lower one at every time after the
 //! slot. A query about the present therefore gets the bound that all exchanges together give. The removal of the other
 //! points has two costs: the oldest slot of the window expires as a whole, and the bound at a time within a slot may be
-//! wider by ρ × twice the slot's length. It never makes an interval wrong, because any subset of valid bounds is valid.
+//! wider by ρ × twice the slot's length. The removal never makes an interval wrong, because any subset of valid bounds
+//! is valid.
 
 use std::collections::VecDeque;
 
@@ -48,7 +49,8 @@ pub(super) fn lowest_bound(
     drift: DriftLimit,
     q: i64,
 ) -> Option<i64> {
-    // The last points are usually the nearest to `q`. Their bounds rule out most of the other points without a multiplication.
+    // The last points are usually the nearest to `q`. Their bounds rule out most of the other points without a
+    // multiplication.
     points.rev().fold(None, |best, point| match best {
         Some(best) if point.bound >= best => Some(best),
         Some(best) => Some(point.bound_at(drift, q).min(best)),
@@ -95,7 +97,7 @@ impl Slots {
 
     /// Returns the points within `reach` of `q` in the order of time: at most `max_per_side` points up to `q`, and at
     /// most `max_per_side` points after `q`.
-    pub(super) fn around(
+    pub(super) fn points_around(
         &self,
         q: i64,
         reach: i64,
@@ -179,7 +181,7 @@ mod tests {
         }
 
         #[test]
-        fn slots_stay_in_order_and_few(times in proptest::collection::vec(0i64..60_000_000_000, 1..400)) {
+        fn slots_stay_sorted_and_few(times in proptest::collection::vec(0i64..60_000_000_000, 1..400)) {
             let mut slots = Slots::new(limit(), 10_000_000_000);
             let mut newest = 0;
             for x in times {
@@ -214,7 +216,7 @@ mod tests {
     #[test]
     fn limit_is_rounded_up_for_either_clock() {
         assert_eq!(limit().max_change_over(1), 1);
-        // 50 ppm of the cloud's clock are 50.0025 ppm of the second of a slow edge.
+        // If the edge's clock is the slower clock, 50 ppm by the cloud's clock are 50.0025 ppm by the edge's clock.
         assert!(limit().max_change_over(1_000_000_000) >= 50_003);
         assert!(limit().max_change_over(1_000_000_000) <= 50_004);
         assert_eq!(

@@ -6,7 +6,7 @@ use crate::simulation::{HostClocks, Path, RandomSource, SimulatedClock, Trip};
 const LIMIT_PPM: f64 = 50.0;
 
 fn model() -> DriftModel {
-    DriftModel { limit: DriftLimit::new(LIMIT_PPM), change: None }
+    DriftModel { limit: DriftLimit::new(LIMIT_PPM), change_limit: None }
 }
 
 fn band(window: Span) -> Band {
@@ -56,11 +56,11 @@ proptest! {
     #[test]
     fn interval_contains_true_offset(seed: u64, path in paths(), ahead in -1_000_000_000i64..1_000_000_000) {
         let mut random = RandomSource::new(seed);
-        let (window, kept) = (Span::from_seconds(10), Span::from_seconds(40));
+        let (window, retention) = (Span::from_seconds(10), Span::from_seconds(40));
         for host_clocks in host_clock_pairs(Span::from_nanos(ahead), Span::from_seconds(120), &mut random) {
             let mut trips = path.trips(&host_clocks, (0.0, 100.0), 20.0, &mut random);
             delay_some_answers(&mut trips, &mut random);
-            let mut band = Band::new(model(), window, kept);
+            let mut band = Band::new(model(), window, retention);
             for trip in &trips {
                 let bounds = Bounds::from(&trip.exchange);
                 prop_assert!(band.contradiction(&bounds).is_none());
@@ -92,42 +92,43 @@ proptest! {
         delay_some_answers(&mut trips, &mut random);
         let (window, drift) = (Span::from_seconds(10), DriftLimit::new(LIMIT_PPM));
         let mut band = band(window);
-        let mut all: Vec<Bounds> = Vec::new();
+        let mut all_bounds: Vec<Bounds> = Vec::new();
         for trip in &trips {
             let bounds = Bounds::from(&trip.exchange);
             band.insert(&bounds);
-            all.push(bounds);
-            all.sort_by_key(|bounds| bounds.lower.x);
-            let q = band.newest().expect("has exchanges").nanos();
-            let first_unexpiring = all.len().saturating_sub(MIN_EXCHANGES);
+            all_bounds.push(bounds);
+            all_bounds.sort_by_key(|bounds| bounds.lower.x);
+            let q = band.newest_return().expect("has exchanges").nanos();
+            let first_at_any_age = all_bounds.len().saturating_sub(MIN_BOUNDING_EXCHANGES);
             let lowest_bound = |point: fn(&Bounds) -> Point, reach: i64| {
-                let is_used = |(n, bounds): &(usize, &Bounds)| *n >= first_unexpiring || point(bounds).x >= q - reach;
-                let used = all.iter().enumerate().filter(is_used);
+                let is_used = |(n, bounds): &(usize, &Bounds)| *n >= first_at_any_age || point(bounds).x >= q - reach;
+                let used = all_bounds.iter().enumerate().filter(is_used);
                 used.map(|(_, bounds)| point(bounds).bound_at(drift, q)).min().expect("has exchanges")
             };
             let actual = band.interval(RawTime::from_nanos(q)).expect("has exchanges").interval;
             // The oldest slot expires when its best point does, together with points that may be younger.
-            let short = window.nanos() - 500_000_000;
+            let shortened_window = window.nanos() - 500_000_000;
             for (point, bound) in [
                 ((|bounds| bounds.upper) as fn(&Bounds) -> Point, actual.hi.nanos()),
                 (|bounds| bounds.lower, -actual.lo.nanos()),
             ] {
-                let (best, worst) = (lowest_bound(point, window.nanos()), lowest_bound(point, short) + 2);
+                let (best, worst) = (lowest_bound(point, window.nanos()), lowest_bound(point, shortened_window) + 2);
                 prop_assert!(best <= bound && bound <= worst, "{best} {bound} {worst}");
             }
         }
     }
 }
 
-/// Checks that a jump which the round trips cannot exclude makes intervals wrong only as long as the window.
+/// Checks a jump that is smaller than the round trips, so that no exchange contradicts it. The jump makes intervals
+/// wrong for one window only.
 #[test]
-fn undetected_jump_ends_with_window() {
+fn undetected_jump_spoils_intervals_for_one_window() {
     let jump = Span::from_millis(15);
     let cloud = SimulatedClock::drifting(Span::ZERO, 0.0).stepped(Span::from_seconds(30), jump);
     let host_clocks = HostClocks { edge: SimulatedClock::drifting(Span::ZERO, 0.0), cloud };
     let path = Path { up: 20e6, down: 20e6, jitter: 1e6, loss: 0.0, burst: 0.0 };
     let mut band = band(Span::from_seconds(10));
-    let mut wrong = 0;
+    let mut wrong_intervals = 0;
     for trip in path.trips(&host_clocks, (0.0, 90.0), 20.0, &mut RandomSource::new(4)) {
         let bounds = Bounds::from(&trip.exchange);
         assert!(band.contradiction(&bounds).is_none(), "the jump is smaller than the round trip");
@@ -136,9 +137,9 @@ fn undetected_jump_ends_with_window() {
         let is_inside = contains(band.interval(at).expect("has exchanges").interval, host_clocks.offset(at));
         let is_spoilt = (30e9..40.1e9).contains(&trip.end);
         assert!(is_inside || is_spoilt, "at {}", trip.end);
-        wrong += u32::from(!is_inside);
+        wrong_intervals += u32::from(!is_inside);
     }
-    assert!(wrong <= 210, "{wrong}");
+    assert!(wrong_intervals <= 210, "{wrong_intervals}");
 }
 
 #[test]
@@ -148,8 +149,8 @@ fn rare_exchanges_bound_offset_at_any_age() {
         cloud: SimulatedClock::drifting(Span::ZERO, 12.0),
     };
     let mut band = band(Span::from_seconds(10));
-    let best = host_clocks.trip(0.0, 10e3, 0.0, 10e3);
-    band.insert(&Bounds::from(&best.exchange));
+    let short_trip = host_clocks.trip(0.0, 10e3, 0.0, 10e3);
+    band.insert(&Bounds::from(&short_trip.exchange));
     for n in 1..12 {
         let trip = host_clocks.trip(f64::from(n) * 60e9, 900e6, 0.0, 900e6);
         let at = trip.exchange.returned;
@@ -157,13 +158,13 @@ fn rare_exchanges_bound_offset_at_any_age() {
         let interval = band.interval(at).expect("has exchanges").interval;
         assert!(contains(interval, host_clocks.offset(at)));
         let is_narrow = interval.width() < Span::from_millis(100);
-        assert_eq!(is_narrow, n < MIN_EXCHANGES as i32, "{n}: {interval:?}");
+        assert_eq!(is_narrow, n < MIN_BOUNDING_EXCHANGES as i32, "{n}: {interval:?}");
     }
 }
 
 /// Checks trips without delay, for which only drift and rounding separate the bounds from the truth.
 #[test]
-fn truth_is_inside_without_delay() {
+fn interval_without_delay_contains_truth() {
     let mut random = RandomSource::new(11);
     for (n, host_clocks) in
         host_clock_pairs(Span::from_millis(3), Span::from_seconds(700), &mut random).iter().enumerate()
@@ -210,11 +211,10 @@ fn estimate_is_accurate_on_symmetric_path() {
         host_clock_pairs(Span::from_seconds(-1), Span::from_seconds(120), &mut random).iter().enumerate()
     {
         // The clocks of the last two pairs wander by tens of ppm within seconds, which no crystal does.
-        let (steady, hectic) = ((n < 4).then_some((2.0, 15.0)), (20.0, 150.0));
+        let (max_mean, max_error) = if n < 4 { (2.0, 15.0) } else { (20.0, 150.0) };
         for hz in [10.0, 200.0] {
-            let (mean, most) = errors(host_clocks, Path::VETH, hz);
-            let limits = steady.unwrap_or(hectic);
-            assert!(mean < limits.0 && most < limits.1, "pair {n}, {hz} Hz: {mean} {most}");
+            let (mean, largest) = errors(host_clocks, Path::VETH, hz);
+            assert!(mean < max_mean && largest < max_error, "pair {n}, {hz} Hz: {mean} {largest}");
         }
     }
 }

@@ -18,7 +18,7 @@ use super::skew::SkewBounds;
 use super::slots::Point;
 
 const SECOND: i64 = 1_000_000_000;
-/// Maximum number of seconds kept.
+/// Maximum number of seconds of which points are kept.
 const MAX_SECONDS: usize = 1024;
 /// Number of seconds with exchanges that an estimate uses.
 // More seconds make the estimate steadier under load; fewer seconds follow a wandering clock faster.
@@ -31,7 +31,7 @@ const MAX_DISTANCE_NANOS: i64 = 120 * SECOND;
 // Crystals wander far less, even at changing temperature.
 const MAX_WANDER: f64 = 2e-6;
 /// Minimum number of exchanges from which a skew is computed.
-const MIN_EXCHANGES: u64 = 8;
+const MIN_EXCHANGES_FOR_SKEW: u64 = 8;
 /// Shortest time between the first and the last exchange from which a skew is computed.
 const MIN_EXCHANGE_RANGE_NANOS: i64 = 5 * SECOND;
 
@@ -48,7 +48,7 @@ pub(super) struct Trend {
     newest_slope: OnceLock<Option<f64>>,
     /// Times of the first and the last exchange, nanoseconds.
     time_range: Option<(i64, i64)>,
-    exchanges: u64,
+    exchange_count: u64,
     skew_bounds: SkewBounds,
 }
 
@@ -61,7 +61,7 @@ impl Default for Trend {
             slope: 0.0,
             newest_slope: OnceLock::new(),
             time_range: None,
-            exchanges: 0,
+            exchange_count: 0,
             skew_bounds: SkewBounds::default(),
         }
     }
@@ -73,7 +73,7 @@ impl Trend {
     pub(super) fn insert(&mut self, upper: Point, lower: Point, limit: f64) {
         let (first, last) = self.time_range.unwrap_or((upper.x, lower.x));
         self.time_range = Some((first.min(upper.x), last.max(lower.x)));
-        self.exchanges += 1;
+        self.exchange_count += 1;
         self.skew_bounds.insert(upper, lower, self.slope);
         let results = [self.upper.insert(upper, self.slope), self.lower.insert(lower, -self.slope)];
         if results != [InsertResult::Worse; 2] {
@@ -87,8 +87,8 @@ impl Trend {
 
     /// Returns the estimate at a time in nanoseconds; `None` without enough exchanges.
     ///
-    /// If the clocks wander faster than assumed, the narrow band is empty. The estimate then uses half of the seconds, and
-    /// then a quarter of them.
+    /// If the clocks wander faster than assumed, the narrow band is empty. The estimate then uses half of the seconds;
+    /// if that band is empty, too, a quarter of the seconds.
     pub(super) fn estimate_at(&self, x: i64, limit: f64) -> Option<i64> {
         [ESTIMATE_SECONDS, ESTIMATE_SECONDS / 2, ESTIMATE_SECONDS / 4].into_iter().find_map(|seconds| {
             let slope = self.slope(x, seconds, limit)?;
@@ -123,12 +123,14 @@ impl Trend {
     /// `None` without enough exchanges.
     fn slope(&self, x: i64, seconds: usize, limit: f64) -> Option<f64> {
         let (first, last) = self.time_range?;
-        if self.exchanges < MIN_EXCHANGES || last.saturating_sub(first) < MIN_EXCHANGE_RANGE_NANOS {
+        if self.exchange_count < MIN_EXCHANGES_FOR_SKEW
+            || last.saturating_sub(first) < MIN_EXCHANGE_RANGE_NANOS
+        {
             return None;
         }
         let compute = || {
-            let above = hull::slope_below(around(&self.upper, x, seconds))?;
-            let below = hull::slope_below(around(&self.lower, x, seconds))?;
+            let above = hull::slope_below(nearest_points(&self.upper, x, seconds))?;
+            let below = hull::slope_below(nearest_points(&self.lower, x, seconds))?;
             Some((above - below) / 2.0)
         };
         let are_newest =
@@ -143,18 +145,17 @@ impl Trend {
     }
 }
 
-/// Returns the lowest bound at `x` that the points around `x` give, if the skew is `slope` and clocks wander around it
-/// by at most
-/// [`MAX_WANDER`].
+/// Returns the lowest bound at `x` that the points around `x` give, if the skew is `slope` and clocks wander around
+/// this skew by at most [`MAX_WANDER`].
 fn lowest_bound(points: &BestPoints, x: i64, seconds: usize, slope: f64) -> Option<i64> {
     let bound_at = |point: Point| {
         let distance = x.saturating_sub(point.x) as f64;
         point.bound.saturating_add((slope * distance + MAX_WANDER * distance.abs()).round() as i64)
     };
-    around(points, x, seconds).map(bound_at).min()
+    nearest_points(points, x, seconds).map(bound_at).min()
 }
 
-/// Returns the points of the nearest seconds: half of them before `x` and half after it, where enough exist.
-fn around(points: &BestPoints, x: i64, seconds: usize) -> impl Iterator<Item = Point> + '_ {
-    points.around(x, seconds).filter(move |point| point.x.abs_diff(x) <= MAX_DISTANCE_NANOS as u64)
+/// Returns the points of the seconds nearest to `x`: half of the points before `x` and half after `x`, if enough exist.
+fn nearest_points(points: &BestPoints, x: i64, seconds: usize) -> impl Iterator<Item = Point> + '_ {
+    points.points_around(x, seconds).filter(move |point| point.x.abs_diff(x) <= MAX_DISTANCE_NANOS as u64)
 }

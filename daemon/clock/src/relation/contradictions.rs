@@ -1,28 +1,28 @@
-//! Exchanges that contradict the band: either their stamps are wrong, or they are the first exchanges after a step that no
-//! host reported.
+//! Exchanges that contradict the band: either their stamps are wrong, or they are the first exchanges after an
+//! unannounced step: a step that no host reported.
 
 use super::types::ViolatedLimit;
 use crate::band::{Band, Bounds, Contradiction};
 use crate::{RawTime, Span};
 
-/// Number of agreeing suspects that prove an unreported step.
+/// Number of agreeing suspects that prove an unannounced step.
 // A single wrong stamp must not discard the window.
 const MIN_SUSPECTS_FOR_STEP: u64 = 4;
 
-/// Two unreported steps within this time show that a limit is violated. The limit then counts as violated for as long
-/// after the second step.
+/// Two unannounced steps within this time show that a limit is violated. From the second step on, the limit counts as
+/// violated for the same time.
 // Clocks are rarely set twice a minute. A clock that drifts faster than the limit, or a peer that sends wrong stamps,
 // contradicts the band again and again.
 const VIOLATION_DURATION: Span = Span::from_seconds(60);
 
-/// Exchanges that currently contradict the band, and the steps that earlier exchanges proved.
+/// Exchanges that currently contradict the band, and the unannounced steps that earlier exchanges proved.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Contradictions {
     pub(super) suspects: SuspectExchanges,
     pub(super) unannounced_steps: UnannouncedSteps,
 }
 
-/// The last step that no host reported, and the limit that several such steps violate.
+/// The last unannounced step, and the limit that several such steps violate.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct UnannouncedSteps {
     /// Time of the last step, and the contradiction that showed it.
@@ -46,7 +46,8 @@ impl UnannouncedSteps {
 
     /// Returns the limit that counts as violated at a time; `None` if there is none.
     pub(super) fn violated_limit(&self, at: RawTime) -> Option<ViolatedLimit> {
-        // If the edge's clock was set back far, the end of the violation lies far in the future. The violation then counts as over.
+        // If the edge's clock was set back far, the end of the violation lies far in the future. The violation then
+        // counts as over.
         self.violated_limit
             .filter(|(end, _)| at < *end && *end - at <= VIOLATION_DURATION + VIOLATION_DURATION)
             .map(|(_, limit)| limit)
@@ -83,9 +84,9 @@ impl SuspectExchanges {
     }
 
     /// Compares the suspects with an accepted exchange, which the band already contains. Removes the suspects if
-    /// - the exchange contradicts them,
-    /// - they contradict no exchange that still bounds the offset, or
-    /// - they are too old to bound the offset themselves.
+    /// - the exchange contradicts the suspects,
+    /// - the suspects contradict no exchange that still bounds the offset, or
+    /// - the suspects are too old to bound the offset themselves.
     // The suspects stay if the exchange has such wide bounds that it fits both the band and the suspects. If they were
     // removed, no step could be recognised under load. The suspicion still ends: if the clocks changed, the exchanges
     // from before the change leave the window at some time. The method is `cold`, because suspects are rare, but

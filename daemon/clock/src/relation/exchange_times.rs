@@ -1,4 +1,4 @@
-//! Times of exchanges, which show whether an exchange took place near a given time. Only a part of the times is kept.
+//! Times of exchanges, which show whether an exchange took place near a given time. Only some of the times are kept.
 
 use std::collections::VecDeque;
 
@@ -7,7 +7,8 @@ use crate::{RawTime, Span};
 /// Maximum number of times kept per window.
 const MAX_TIMES: i64 = 1024;
 
-/// Thinned times of exchanges, in order: no two of them are closer than `min_gap`. The newest time is stored separately.
+/// Some of the times of exchanges, in order: no two times are closer than `min_gap`. The newest time is stored
+/// separately.
 #[derive(Clone, Debug)]
 pub(super) struct ExchangeTimes {
     times: VecDeque<RawTime>,
@@ -41,11 +42,11 @@ impl ExchangeTimes {
         }
     }
 
-    /// Returns whether an exchange took place between `from - within` and `to + within`.
-    pub(super) fn has_exchange_near(&self, from: RawTime, to: RawTime, within: Span) -> bool {
-        let (from, to) = (from - within, to + within);
+    /// Returns whether an exchange took place between `from - max_distance` and `to + max_distance`.
+    pub(super) fn has_exchange_near(&self, from: RawTime, to: RawTime, max_distance: Span) -> bool {
+        let (from, to) = (from - max_distance, to + max_distance);
         let index = self.times.partition_point(|time| *time < from);
-        // The thinned times need not include the newest exchange.
+        // `times` need not include the newest exchange.
         [self.times.get(index).copied(), self.newest]
             .into_iter()
             .flatten()
@@ -67,7 +68,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn thinned_times_still_show_nearby_exchanges() {
+    fn kept_times_show_all_nearby_exchanges() {
         let second = |seconds: f64| RawTime::from_nanos((seconds * 1e9) as i64);
         let mut exchange_times = ExchangeTimes::new(Span::from_seconds(10), Span::from_seconds(600));
         for n in 0..200_000 {

@@ -4,8 +4,9 @@ use super::sources::{CombinedOffset, OffsetSources};
 use super::{Direction, JudgedExchange, LearnResult, Refusal, Relation};
 use crate::{DelaySource, Exchange, ExchangeObservation, Interval, OneWayDelay, RawTime, Span, Verdict};
 
-/// Minimum number of exchanges in the window. As long as there are fewer, all delays are `stale`.
-pub const MIN_EXCHANGES: u64 = 3;
+/// Minimum number of exchanges. As long as there are fewer exchanges, delays that are corrected by exchanges are
+/// `stale`.
+pub const MIN_EXCHANGES_FOR_FRESHNESS: u64 = 3;
 
 impl Relation {
     /// Learns a finished exchange of data, and returns its two delays. If the exchange is refused, its delays are
@@ -18,19 +19,19 @@ impl Relation {
             self.settings.max_fresh_age,
         );
         // `is_fresh` is computed before the exchange is learned: the exchange must not count as a recent exchange for
-        // its own delays. But it is learned before its delays are computed, so that it narrows their intervals.
-        let learned = self.learn(observation);
+        // its own delays. The exchange is learned before its delays are computed, so that it narrows their intervals.
+        let learn_result = self.learn(observation);
         let Exchange { sent, received, replied, returned, .. } = *exchange;
-        if let LearnResult::Refused(refusal) = learned {
+        if let LearnResult::Refused(refusal) = learn_result {
             return JudgedExchange {
-                learned,
+                learn_result,
                 up: self.refused_delay(refusal, Direction::Up, sent, received),
                 down: self.refused_delay(refusal, Direction::Down, replied, returned),
             };
         }
         let [up_offset, down_offset] = self.offsets_of_exchange(sent, returned);
         JudgedExchange {
-            learned,
+            learn_result,
             up: self.corrected_delay(Direction::Up, sent, received, up_offset, is_fresh),
             down: self.corrected_delay(Direction::Down, replied, returned, down_offset, is_fresh),
         }
@@ -44,10 +45,10 @@ impl Relation {
         self.corrected_delay(direction, sent, received, self.combined_offset(at), is_fresh)
     }
 
-    /// Returns the reception difference of two messages, one in each direction. Each message was received on both
-    /// hosts. Its reception difference is the time at which the receiver on the other host got it, minus the time at
-    /// which the receiver on the sender's host got it. `up` and `down` contain the stamps of the two receivers, first
-    /// that on the sender's host.
+    /// Returns the reception differences of two messages, one in each direction. Each message had a receiver on both
+    /// hosts. The reception difference of a message is the time at which the receiver on the other host got the
+    /// message, minus the time at which the receiver on the sender's host got the message. `up` and `down` contain the
+    /// two stamps of each message; the first stamp is that of the receiver on the sender's host.
     ///
     /// A difference and its interval may be negative, because each receiver has its own delay.
     // The relation learns nothing from these stamps: none of them is the stamp of a departure, so that they do not
@@ -92,7 +93,7 @@ impl Relation {
             return OneWayDelay::unsynchronised(raw);
         };
         let (lo, hi, value) = subtract_offset(direction, raw, &offset);
-        // The difference may be measured by either clock, and the clocks drift apart during it.
+        // The difference has a slightly different length by each of the two clocks, because the clocks drift apart.
         let drift = Span::from_nanos(self.windows.limit().max_change_over(lo.abs().max(hi.abs()).nanos()));
         // There is no drift between two stamps of one clock.
         let is_exact = offset.source == DelaySource::SameClock && offset.is_consistent;
@@ -129,7 +130,7 @@ impl Relation {
         OffsetSources {
             band_offset,
             is_consistent: band.is_none_or(|band| band.is_consistent),
-            other: same_clock.or_else(claimed_offset),
+            proof_or_claims: same_clock.or_else(claimed_offset),
         }
     }
 
@@ -143,7 +144,7 @@ impl Relation {
         }
         if uses_exchanges
             && (!is_fresh
-                || self.windows.exchange_count() < MIN_EXCHANGES
+                || self.windows.exchange_count() < MIN_EXCHANGES_FOR_FRESHNESS
                 || !self.contradictions.suspects.is_empty())
         {
             return Verdict::Stale;
@@ -175,7 +176,7 @@ impl Relation {
     /// Computes a delay from the offset at the time of the edge's stamp.
     ///
     /// A delay has a slightly different length by each of the two clocks: the lengths differ by up to ρ × delay, where
-    /// ρ is the limit of drift. The interval contains both.
+    /// ρ is the limit of drift. The interval contains both lengths.
     fn corrected_delay(
         &self,
         direction: Direction,
@@ -193,7 +194,7 @@ impl Relation {
             return OneWayDelay::same_clock(raw);
         }
         let (lo, hi, value) = subtract_offset(direction, raw, &offset);
-        // A delay cannot be negative. If even the upper bound is, a clock was stepped near this message.
+        // A delay cannot be negative. If even the upper bound is negative, a clock was stepped near this message.
         if hi.is_negative() {
             return OneWayDelay::stepped(raw, offset.source);
         }
@@ -219,8 +220,8 @@ impl Relation {
             }
             verdict => verdict,
         };
-        // If the verdict is `inconsistent`, one of the sources is wrong. It is not known which, so there is no valid
-        // interval.
+        // If the verdict is `inconsistent`, one of the sources is wrong. It is not known which source, so there is no
+        // valid interval.
         let is_valid = verdict != Verdict::Inconsistent;
         OneWayDelay {
             raw,
@@ -232,7 +233,7 @@ impl Relation {
     }
 }
 
-/// Returns the stamp that the edge's clock made.
+/// Returns the stamp of the edge's clock: `sent` upwards, `received` downwards.
 fn edge_time(direction: Direction, sent: RawTime, received: RawTime) -> RawTime {
     match direction {
         Direction::Up => sent,

@@ -1,13 +1,14 @@
-//! Detection of jumps of a clock that no other clock of its host shows, as when a virtual machine is paused or migrated.
+//! Detection of jumps of a clock that no other clock of its host shows, as when a virtual machine is paused or
+//! migrated.
 //!
 //! If a message of an exchange waits on the network, the middle of the exchange's bounds moves by half of the waiting
-//! time, and the round trip grows by all of the waiting time. So if a middle moves further than half of the round
-//! trip's growth, it was not moved by waiting: either the path changed, or a clock jumped. Exchanges cannot tell these
-//! two cases apart.
+//! time, and the round trip grows by all of the waiting time. If a middle moves further than half of the round trip's
+//! growth, waiting does not explain the movement: either the path changed, or a clock jumped. Exchanges cannot tell
+//! these two cases apart.
 //!
 //! When the edge's clock is set back, the exchanges in flight have one bound from before the jump and the other from
-//! after it, so that they seem shorter than the path. Later exchanges would be compared with these short round trips,
-//! and their jump would look like waiting. An exchange that seems shorter than the path therefore counts only if an
+//! after it, so that they seem shorter than the path. If later exchanges were compared with these short round trips,
+//! their jump would look like waiting. An exchange that seems shorter than the path therefore counts only if an
 //! exchange that was sent later is as short, which shows that the path itself became shorter.
 
 use std::collections::VecDeque;
@@ -23,7 +24,7 @@ const MIN_POINTS: usize = 8;
 const MAX_POINTS: usize = 20;
 /// Minimum number of points for the shortest round trip to be reliable.
 const MIN_POINTS_TO_SUSPECT: usize = 4;
-/// Smallest tolerance. A middle that moves by less than the tolerance is never suspected of a jump.
+/// Smallest tolerance. If a middle moves by less than the tolerance, no jump is suspected.
 const MIN_TOLERANCE_NANOS: i64 = 100_000;
 /// The tolerance is the shortest round trip divided by this number, but at least [`MIN_TOLERANCE_NANOS`].
 const ROUND_TRIP_TO_TOLERANCE: i64 = 50;
@@ -33,9 +34,9 @@ const ROUND_TRIP_TO_TOLERANCE: i64 = 50;
 pub(super) struct ShortestRoundTrips {
     points: VecDeque<RoundTripPoint>,
     /// Shortest round trip in nanoseconds.
-    shortest: i64,
-    /// The [`MIN_POINTS`]-th shortest round trip minus the shortest one, in nanoseconds. The shortest round trip may exceed
-    /// the round trip of the path itself by this much.
+    shortest_round_trip: i64,
+    /// The [`MIN_POINTS`]-th shortest round trip minus the shortest round trip, in nanoseconds. The shortest round trip may
+    /// exceed the round trip of the path itself by this much.
     spread: i64,
     /// Time until which short exchanges are ignored, because an exchange seemed shorter than the path.
     // An exchange that is sent after this time was not in flight together with the short exchange.
@@ -58,9 +59,9 @@ struct RoundTripPoint {
 pub(super) struct SuspectedJump {
     /// Movement of the middle of the bounds: the size of the jump.
     pub(super) movement: Span,
-    /// Times at which the last exchange before the jump was sent and returned. It is the last exchange whose round trip
-    /// was short enough to show the jump.
-    pub(super) last_before: (RawTime, RawTime),
+    /// Times at which an exchange was sent and returned: the last exchange before the jump whose round trip was short
+    /// enough to show the jump.
+    pub(super) last_exchange_before: (RawTime, RawTime),
 }
 
 impl From<&Exchange> for RoundTripPoint {
@@ -79,7 +80,7 @@ impl ShortestRoundTrips {
     /// Returns the jump that an exchange suggests. The exchange must not contradict the band.
     pub(super) fn suspected_jump(&self, exchange: &Exchange, drift: DriftLimit) -> Option<SuspectedJump> {
         let point = RoundTripPoint::from(exchange);
-        let extra_round_trip = point.round_trip.saturating_sub(self.shortest).saturating_abs();
+        let extra_round_trip = point.round_trip.saturating_sub(self.shortest_round_trip).saturating_abs();
         let newest = self.points.back()?;
         // A cheap check comes first: usually the middle is close to the middle of the newest point.
         let tolerance = self.tolerance();
@@ -91,9 +92,10 @@ impl ShortestRoundTrips {
         }
         let exceeds_explanations = |earlier: &&RoundTripPoint| {
             let movement = movement_from(earlier).abs();
-            let by_waiting = extra_round_trip.saturating_add(earlier.round_trip - self.shortest) / 2;
-            // The two bounds of an exchange hold at different times: when it was sent, and when it returned. The offset may drift
-            // between all of these times.
+            let by_waiting =
+                extra_round_trip.saturating_add(earlier.round_trip - self.shortest_round_trip) / 2;
+            // The two bounds of an exchange hold at different times: when it was sent, and when it returned. The offset
+            // may drift between all of these times.
             let by_drift = drift.max_change_between(
                 earlier.sent.min(point.sent).nanos(),
                 earlier.returned.max(point.returned).nanos(),
@@ -105,22 +107,26 @@ impl ShortestRoundTrips {
         };
         let movement = movement_from(self.points.iter().rev().find(exceeds_explanations)?);
         let would_show_jump =
-            |earlier: &&RoundTripPoint| earlier.round_trip - self.shortest <= movement.abs() / 4;
+            |earlier: &&RoundTripPoint| earlier.round_trip - self.shortest_round_trip <= movement.abs() / 4;
         let last = self.points.iter().rev().find(would_show_jump)?;
-        Some(SuspectedJump { movement: Span::from_nanos(movement), last_before: (last.sent, last.returned) })
+        Some(SuspectedJump {
+            movement: Span::from_nanos(movement),
+            last_exchange_before: (last.sent, last.returned),
+        })
     }
 
     /// Returns the movement of a middle in nanoseconds up to which no jump is suspected.
     fn tolerance(&self) -> i64 {
-        MIN_TOLERANCE_NANOS.max(self.shortest / ROUND_TRIP_TO_TOLERANCE)
+        MIN_TOLERANCE_NANOS.max(self.shortest_round_trip / ROUND_TRIP_TO_TOLERANCE)
     }
 
-    /// Returns whether an exchange may have been in flight during a jump: it seems shorter than the path, and no exchange
-    /// that was sent after its return is as short. Updates the time until which short exchanges are ignored.
+    /// Returns whether an exchange may have been in flight during a jump: it seems shorter than the path, and no
+    /// exchange that was sent after its return is as short. Updates the time until which short exchanges are ignored.
     fn check_for_spanned_jump(&mut self, point: &RoundTripPoint) -> bool {
-        let deficit = self.shortest.saturating_sub(point.round_trip);
-        let max_explained = self.tolerance().saturating_add(self.spread).saturating_add(point.uncertainty);
-        let is_short = self.points.len() >= MIN_POINTS_TO_SUSPECT && deficit > max_explained;
+        let deficit = self.shortest_round_trip.saturating_sub(point.round_trip);
+        let max_explained_deficit =
+            self.tolerance().saturating_add(self.spread).saturating_add(point.uncertainty);
+        let is_short = self.points.len() >= MIN_POINTS_TO_SUSPECT && deficit > max_explained_deficit;
         match self.ignore_short_until {
             Some(until) if until <= point.sent => {
                 self.ignore_short_until = None;
@@ -130,7 +136,7 @@ impl ShortestRoundTrips {
             None => {
                 // If the exchange spans a jump, it was sent before the jump and seems shorter than it was. By the clock
                 // before the jump, it returned later by the missing time.
-                let delay = Span::from_nanos(deficit.saturating_add(max_explained));
+                let delay = Span::from_nanos(deficit.saturating_add(max_explained_deficit));
                 self.ignore_short_until = is_short.then(|| point.returned + delay);
                 is_short
             }
@@ -148,7 +154,7 @@ impl ShortestRoundTrips {
             Some(last) if interval(last) == interval(&point) => {
                 if point.round_trip < last.round_trip {
                     *last = point;
-                    self.shortest = self.shortest.min(point.round_trip);
+                    self.shortest_round_trip = self.shortest_round_trip.min(point.round_trip);
                 }
             }
             // The exchange belongs to an earlier interval, because its answer was late. It is ignored.
@@ -179,13 +185,14 @@ impl ShortestRoundTrips {
     fn update_shortest(&mut self) {
         // The newest interval is incomplete, so its shortest round trip is not final.
         let complete_intervals = self.points.len().saturating_sub(1).max(1);
-        let mut trips = [i64::MAX; MAX_POINTS];
-        for (trip, point) in trips.iter_mut().zip(self.points.iter().take(complete_intervals)) {
-            *trip = point.round_trip;
+        let mut round_trips = [i64::MAX; MAX_POINTS];
+        for (round_trip, point) in round_trips.iter_mut().zip(self.points.iter().take(complete_intervals)) {
+            *round_trip = point.round_trip;
         }
-        let (_, nth_shortest, _) = trips[..].select_nth_unstable(MIN_POINTS.min(complete_intervals) - 1);
-        self.shortest = self.points.iter().map(|point| point.round_trip).min().unwrap_or(0);
-        self.spread = *nth_shortest - self.shortest;
+        let (_, nth_shortest, _) =
+            round_trips[..].select_nth_unstable(MIN_POINTS.min(complete_intervals) - 1);
+        self.shortest_round_trip = self.points.iter().map(|point| point.round_trip).min().unwrap_or(0);
+        self.spread = *nth_shortest - self.shortest_round_trip;
     }
 
     pub(super) fn memory_bytes(&self) -> usize {

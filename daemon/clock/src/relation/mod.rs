@@ -1,5 +1,5 @@
-//! The relation between two hosts' clocks: the offset that follows from the exchanges between the hosts, from the claims
-//! of their time daemons, and from a proof that both hosts read one clock.
+//! The relation between two hosts' clocks: the offset that follows from the exchanges between the hosts, from the
+//! claims of their time daemons, and from a proof that both hosts read one clock.
 //!
 //! The module does no I/O. Tests pass it generated histories of clocks and paths, some of which violate an assumption.
 
@@ -30,7 +30,7 @@ use windows::Windows;
 // A host whose clock has no battery starts in 1970, so large offsets are valid.
 const MAX_STAMP: Span = Span::from_nanos(1 << 61);
 /// Largest difference between the progress of a wall clock and of the monotonic clock that does not count as a step.
-// The two clocks are read one after the other.
+// The two clocks are not read at the same moment.
 const MAX_READING_DIFFERENCE: Span = Span::from_micros(50);
 /// Addition to [`MAX_READING_DIFFERENCE`], in parts per million of the progress.
 // A clock with injected faults drifts against the monotonic clock, which is not a step.
@@ -52,7 +52,7 @@ pub struct Relation {
     /// `None` if there was no estimate.
     estimate_before_restart: Option<Option<Span>>,
     claims: Claims,
-    counts: ExchangeCounts,
+    exchange_counts: ExchangeCounts,
 }
 
 impl Relation {
@@ -70,11 +70,11 @@ impl Relation {
             steps: StepTracker::default(),
             estimate_before_restart: None,
             claims: Claims::default(),
-            counts: ExchangeCounts::default(),
+            exchange_counts: ExchangeCounts::default(),
         }
     }
 
-    /// Returns whether both hosts read one clock, so the offset is exactly zero.
+    /// Returns whether it is proven that both hosts read one clock. The offset is then exactly zero.
     pub const fn is_same_clock(&self) -> bool {
         self.same_clock
     }
@@ -97,8 +97,8 @@ impl Relation {
         self.claims = Claims { edge, cloud };
     }
 
-    /// Returns the offset at the time `at` of the edge's clock, which must lie in the window or shortly after it. `wall` is
-    /// the time of the edge's wall clock at the same moment. `None` if no source bounds the offset.
+    /// Returns the offset at the time `at` of the edge's clock, which must lie in the window or shortly after it.
+    /// `wall` is the time of the edge's wall clock at the same moment. `None` if no source bounds the offset.
     pub fn offset(&self, at: RawTime, wall: WallTime) -> Option<Offset> {
         let sources = self.offset_sources(at, None);
         let combined = sources.combine()?;
@@ -113,13 +113,13 @@ impl Relation {
             verdict: self.verdict_of(&combined, is_fresh),
             skew_ppm: band.skew_ppm(),
             exchanges: band.exchange_count(),
-            age: band.newest().map(|newest| (at - newest).max(Span::ZERO)),
+            age: band.newest_return().map(|newest| (at - newest).max(Span::ZERO)),
         })
     }
 
     /// Returns the numbers of accepted and refused exchanges.
-    pub const fn counts(&self) -> ExchangeCounts {
-        self.counts
+    pub const fn exchange_counts(&self) -> ExchangeCounts {
+        self.exchange_counts
     }
 
     /// Returns the skew that the exchanges of the current window prove, whatever their delays were. `None` without
@@ -128,14 +128,14 @@ impl Relation {
         self.windows.current().proven_skew()
     }
 
-    /// Returns the age that an exchange can have and still bound the offset at a time: the window of the settings, or the
-    /// age of the oldest of the newest eight exchanges if that is more. `None` without exchanges.
+    /// Returns the age that an exchange can have and still bound the offset at a time: the window of the settings, or
+    /// the age of the oldest of the newest eight exchanges if that is more. `None` without exchanges.
     pub fn window_span(&self, at: RawTime) -> Option<Span> {
         self.windows.current().window_span(at)
     }
 
-    /// Returns the limit that the clocks seem to violate; `None` if they seem to violate none. If a limit is violated,
-    /// delays are `inconsistent`.
+    /// Returns the limit that the clocks seem to violate; `None` if the clocks seem to violate no limit. If a limit is
+    /// violated, delays are `inconsistent`.
     ///
     /// A limit is violated if exchanges prove a skew beyond the limit, or if exchanges contradict each other
     /// repeatedly. A peer that sends wrong stamps has the same effect.
@@ -143,7 +143,7 @@ impl Relation {
         if self.excess_skew().is_some() {
             return Some(ViolatedLimit::Drift);
         }
-        self.contradictions.unannounced_steps.violated_limit(self.windows.current().newest()?)
+        self.contradictions.unannounced_steps.violated_limit(self.windows.current().newest_return()?)
     }
 
     /// Returns the proven skew if it is beyond the limit of drift; else `None`.
@@ -165,9 +165,9 @@ impl Relation {
 
     /// Checks a finished exchange, and inserts it unless it is refused.
     pub fn learn(&mut self, observation: &ExchangeObservation) -> LearnResult {
-        let learned = self.check_and_insert(observation);
-        let counts = &mut self.counts;
-        match learned {
+        let result = self.check_and_insert(observation);
+        let counts = &mut self.exchange_counts;
+        match result {
             LearnResult::Accepted | LearnResult::Restarted(_) | LearnResult::Jumped(_) => {
                 counts.accepted += 1;
                 self.exchange_times.insert(observation.exchange.returned);
@@ -176,10 +176,10 @@ impl Relation {
             LearnResult::Refused(Refusal::Outlier) => counts.outliers += 1,
             LearnResult::Refused(Refusal::Stepped) => counts.stepped += 1,
         }
-        learned
+        result
     }
 
-    /// Starts a new window if `epoch` is higher than the last known epoch of the edge's clock.
+    /// Starts a new window if `epoch` is higher than the last known epoch of the edge's clock, or is the first one.
     pub fn restart_after_edge_step(&mut self, epoch: u32) {
         if self.steps.update_edge_epoch(epoch) {
             self.claims.edge = None;
@@ -188,7 +188,7 @@ impl Relation {
     }
 
     /// Starts a new window if `epoch`, which the peer reported, is higher than the last known epoch of the cloud's
-    /// clock.
+    /// clock, or is the first one.
     pub fn restart_after_cloud_step(&mut self, epoch: u32) {
         if self.steps.update_cloud_epoch(epoch) {
             self.claims.cloud = None;
@@ -203,13 +203,13 @@ impl Relation {
             return LearnResult::Refused(Refusal::Impossible);
         }
         // The epochs count even if the exchange itself spans a step and is refused.
-        let report = self.steps.compare(observation);
-        self.claims.edge.take_if(|_| report.has_edge_step);
-        self.claims.cloud.take_if(|_| report.has_cloud_step);
-        if report.has_edge_step || report.has_cloud_step {
+        let step_report = self.steps.compare(observation);
+        self.claims.edge.take_if(|_| step_report.has_edge_step);
+        self.claims.cloud.take_if(|_| step_report.has_cloud_step);
+        if step_report.has_edge_step || step_report.has_cloud_step {
             self.restart();
         }
-        if !report.is_current || !is_free_of_cloud_step(observation) || self.steps.excludes(exchange) {
+        if !step_report.is_current || !is_free_of_cloud_step(observation) || self.steps.excludes(exchange) {
             return LearnResult::Refused(Refusal::Stepped);
         }
         let bounds = Bounds::from(exchange);
@@ -232,7 +232,7 @@ impl Relation {
         };
         if let Some(movement) = jump {
             self.contradictions.suspects.clear();
-            self.counts.restarts += 1;
+            self.exchange_counts.restarts += 1;
             return LearnResult::Jumped(movement);
         }
         match self.estimate_before_restart.take() {
@@ -290,11 +290,11 @@ impl Relation {
         self.contradictions.suspects.clear();
         // A step can be reported twice. The second report finds an empty window, and must not replace the estimate from
         // before the step.
-        let Some(newest) = self.windows.current().newest() else { return };
+        let Some(newest) = self.windows.current().newest_return() else { return };
         self.estimate_before_restart = Some(self.estimate_at(newest));
         self.windows.restart(self.windows.new_band());
         self.exchange_times.clear();
-        self.counts.restarts += 1;
+        self.exchange_counts.restarts += 1;
     }
 
     /// Returns the estimate of the offset at a time, from the exchanges alone; `None` without exchanges.

@@ -1,7 +1,7 @@
 //! Combination of several sources by intersection (RFC 5905, section 11.2.1, after Marzullo 1984).
 //!
 //! If two sources are right, the offset lies in the overlap of their intervals. If the intervals do not overlap, at
-//! least one source is wrong. The result then says so instead of averaging the sources.
+//! least one source is wrong. The result is then marked as inconsistent; the sources are not averaged.
 
 use crate::{ClockClaim, DelaySource, Interval, Span};
 
@@ -27,7 +27,7 @@ pub(super) struct OffsetSources {
     /// `true` if some offset agrees with all exchanges, the limit of drift and the limit of the drift's change.
     pub(super) is_consistent: bool,
     /// The proof that both hosts read the same clock, or the claims of both hosts' time daemons together.
-    pub(super) other: Option<(DelaySource, Interval)>,
+    pub(super) proof_or_claims: Option<(DelaySource, Interval)>,
 }
 
 /// The offset at one time that follows from all sources together.
@@ -45,7 +45,11 @@ pub(super) struct CombinedOffset {
 impl OffsetSources {
     /// Returns each source with its interval, the band first.
     pub(super) fn sources(&self) -> Vec<(DelaySource, Interval)> {
-        self.band_offset.map(|(band, _)| (DelaySource::InBand, band)).into_iter().chain(self.other).collect()
+        self.band_offset
+            .map(|(band, _)| (DelaySource::InBand, band))
+            .into_iter()
+            .chain(self.proof_or_claims)
+            .collect()
     }
 
     /// Returns the combination of the sources; `None` if there is no source.
@@ -56,7 +60,7 @@ impl OffsetSources {
 
     /// Returns the intersection of the sources, or their hull if they do not overlap.
     fn intersect(&self) -> Option<CombinedOffset> {
-        let ((band, estimate), (source, other)) = match (self.band_offset, self.other) {
+        let ((band, estimate), (source, other)) = match (self.band_offset, self.proof_or_claims) {
             (None, None) => return None,
             (Some((bounds, estimate)), None) => {
                 return Some(CombinedOffset {

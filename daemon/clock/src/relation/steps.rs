@@ -2,12 +2,12 @@
 
 use crate::{Exchange, ExchangeObservation, RawTime, Span};
 
-/// If this many answers in a row have the same epoch, and it is lower than the current epoch, the peer counts as
-/// restarted.
+/// If this many answers in a row have the same epoch, and this epoch is lower than the current epoch, the peer counts
+/// as restarted.
 // If there are fewer such answers, they are late answers, which a later answer overtook.
 const LOWER_EPOCHS_FOR_RESTART: u32 = 8;
-/// An exchange is excluded only if it was sent at most this long before the return of the exchange that reported a step of
-/// the edge.
+/// An exchange is excluded only if it was sent at most this long before the return of the exchange that reported a step
+/// of the edge.
 // The time is short, because the stamps themselves may have been set back. An exchange that took longer needs no
 // exclusion: in its stamps the step is visible as a difference between the wall clock and the monotonic clock.
 const MAX_EDGE_REACH: Span = Span::from_seconds(2);
@@ -23,22 +23,23 @@ pub(super) struct StepTracker {
     cloud: Option<u32>,
     /// An epoch of the cloud that is lower than the current epoch, and the number of answers in a row that carried it.
     lower_epoch: Option<(u32, u32)>,
-    barrier: Barrier,
+    exclusion_rule: ExclusionRule,
 }
 
-/// Rule that excludes exchanges which were in flight during a step.
+/// Rule that excludes the exchanges that were in flight during a step.
 // The edge compares its epoch before and after an exchange. The cloud's epoch is read after the cloud's stamps, so a
 // stamp may belong to an earlier epoch, but never to a later epoch.
 #[derive(Clone, Copy, Debug, Default)]
-enum Barrier {
-    /// Excludes nothing.
+enum ExclusionRule {
+    /// Excludes no exchange.
     #[default]
-    Open,
+    NoExchange,
     /// Excludes the next exchange, whose return gives the time of the step. The span is the reach of
-    /// [`Barrier::Before`].
-    Next(Span),
-    /// Excludes exchanges that were sent before a time, but at most the reach before it.
-    Before(RawTime, Span),
+    /// [`ExclusionRule::SentBefore`].
+    NextExchange(Span),
+    /// Excludes the exchanges that were sent before a time, but not the exchanges that were sent earlier than the reach
+    /// before this time.
+    SentBefore(RawTime, Span),
 }
 
 /// Steps that the epochs of an exchange report.
@@ -51,20 +52,20 @@ pub(super) struct StepReport {
 }
 
 impl StepTracker {
-    /// Updates the edge's epoch. Returns whether it is higher than the previous one.
+    /// Updates the edge's epoch. Returns whether the epoch is higher than the previous epoch, or is the first one.
     pub(super) fn update_edge_epoch(&mut self, epoch: u32) -> bool {
         let is_new = self.edge.is_none_or(|previous| previous < epoch);
         if is_new {
-            (self.edge, self.barrier) = (Some(epoch), Barrier::Next(MAX_EDGE_REACH));
+            (self.edge, self.exclusion_rule) = (Some(epoch), ExclusionRule::NextExchange(MAX_EDGE_REACH));
         }
         is_new
     }
 
-    /// Updates the cloud's epoch. Returns whether it is higher than the previous one.
+    /// Updates the cloud's epoch. Returns whether the epoch is higher than the previous epoch, or is the first one.
     pub(super) fn update_cloud_epoch(&mut self, epoch: u32) -> bool {
         let is_new = self.cloud.is_none_or(|previous| previous < epoch);
         if is_new {
-            (self.cloud, self.barrier) = (Some(epoch), Barrier::Next(MAX_CLOUD_REACH));
+            (self.cloud, self.exclusion_rule) = (Some(epoch), ExclusionRule::NextExchange(MAX_CLOUD_REACH));
         }
         is_new
     }
@@ -76,7 +77,7 @@ impl StepTracker {
         let has_edge_step = observation.edge_epoch > edge;
         if has_edge_step {
             self.edge = Some(observation.edge_epoch);
-            self.barrier = Barrier::Before(returned, MAX_EDGE_REACH);
+            self.exclusion_rule = ExclusionRule::SentBefore(returned, MAX_EDGE_REACH);
         }
         let cloud = observation.cloud_epoch.map(|reported| (reported, *self.cloud.get_or_insert(reported)));
         // Answers can overtake each other, so a lower epoch usually comes with a late answer.
@@ -88,7 +89,7 @@ impl StepTracker {
             has_cloud_step = reported != previous;
             if has_cloud_step {
                 self.cloud = Some(reported);
-                self.barrier = Barrier::Before(returned, MAX_CLOUD_REACH);
+                self.exclusion_rule = ExclusionRule::SentBefore(returned, MAX_CLOUD_REACH);
             }
         }
         let is_current =
@@ -96,8 +97,8 @@ impl StepTracker {
         StepReport { has_edge_step, has_cloud_step, is_current }
     }
 
-    /// Counts an answer with a lower epoch. Returns whether enough answers in a row carried this epoch, so the cloud
-    /// counts as restarted.
+    /// Counts an answer with a lower epoch. Returns whether enough answers in a row carried this epoch, so that the
+    /// cloud counts as restarted.
     fn count_lower_epoch(&mut self, reported: u32) -> bool {
         let count = match self.lower_epoch {
             Some((lower_epoch, count)) if lower_epoch == reported => count + 1,
@@ -107,23 +108,24 @@ impl StepTracker {
         count >= LOWER_EPOCHS_FOR_RESTART
     }
 
-    /// Returns whether an exchange may have started before the last step. The first exchange after a report sets the time
-    /// of the step.
+    /// Returns whether an exchange may have started before the last step. The first exchange after a report sets the
+    /// time of the step.
     pub(super) fn excludes(&mut self, exchange: &Exchange) -> bool {
-        match self.barrier {
-            Barrier::Open => false,
-            Barrier::Next(reach) => {
+        match self.exclusion_rule {
+            ExclusionRule::NoExchange => false,
+            ExclusionRule::NextExchange(reach) => {
                 // The step happened before this exchange returned. Exchanges that were sent before this return may have
                 // been sent before the step.
-                self.barrier = Barrier::Before(exchange.returned, reach);
+                self.exclusion_rule = ExclusionRule::SentBefore(exchange.returned, reach);
                 true
             }
-            Barrier::Before(time, reach) => exchange.sent < time && time - exchange.sent <= reach,
+            ExclusionRule::SentBefore(time, reach) => exchange.sent < time && time - exchange.sent <= reach,
         }
     }
 
-    /// Ends the exclusion. Called when the exchanges themselves show the step, so that later exchanges started after it.
+    /// Ends the exclusion. Called when the exchanges themselves show the step, so that later exchanges started after
+    /// it.
     pub(super) fn stop_excluding(&mut self) {
-        self.barrier = Barrier::Open;
+        self.exclusion_rule = ExclusionRule::NoExchange;
     }
 }

@@ -54,7 +54,7 @@ impl Default for RelationSettings {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Refusal {
-    /// No two clocks can produce the stamps: the answer left before the message came, or the round trip is negative.
+    /// No two clocks can produce the stamps: the answer left before the message arrived, or the round trip is negative.
     Impossible,
     /// The exchange contradicts earlier exchanges. If further exchanges agree with it, a step is assumed.
     Outlier,
@@ -67,12 +67,12 @@ pub enum Refusal {
 pub enum LearnResult {
     /// The exchange was accepted.
     Accepted,
-    /// The exchange was accepted as the first of a new window, because a clock was stepped before it. The value is the estimate
-    /// after the step minus the estimate before it, if both exist.
+    /// The exchange was accepted as the first of a new window, because a clock was stepped before it. The value is the
+    /// estimate after the step minus the estimate before it, if both exist.
     Restarted(Option<Span>),
     /// The exchange was accepted as the first of a new window, because a jump is suspected: the offset moved by more
-    /// than queueing on the network explains. The value is this movement. Either the path between the hosts changed, or
-    /// a clock jumped without notice. Delays are `limited` until the window is full again.
+    /// than queueing on the network explains. The value is the movement of the offset. Either the path between the
+    /// hosts changed, or a clock jumped without notice. Delays are `limited` until the window is full again.
     Jumped(Span),
     /// The exchange was refused.
     Refused(Refusal),
@@ -118,13 +118,13 @@ pub struct ExchangeCounts {
     /// Number of accepted exchanges.
     #[serde(rename = "taken")]
     pub accepted: u64,
-    /// Exchanges that were refused because no two clocks can produce their stamps.
+    /// Number of exchanges that were refused because no two clocks can produce their stamps.
     pub impossible: u64,
-    /// Exchanges that were refused as outliers.
+    /// Number of exchanges that were refused as outliers.
     pub outliers: u64,
-    /// Exchanges that were refused because a clock was stepped while they were in flight.
+    /// Number of exchanges that were refused because a clock was stepped while they were in flight.
     pub stepped: u64,
-    /// Windows that started after a step or a suspected jump.
+    /// Number of windows that started after a step or a suspected jump.
     pub restarts: u32,
 }
 
@@ -132,7 +132,7 @@ pub struct ExchangeCounts {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct JudgedExchange {
     /// Result of learning the exchange itself.
-    pub learned: LearnResult,
+    pub learn_result: LearnResult,
     /// Delay of the message, edge to cloud.
     pub up: OneWayDelay,
     /// Delay of the answer, cloud to edge.

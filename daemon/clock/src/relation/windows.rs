@@ -23,7 +23,7 @@ pub(super) struct Windows {
     window: Span,
     retention: Span,
     current: Band,
-    past: VecDeque<PastWindow>,
+    past_windows: VecDeque<PastWindow>,
     shortest_round_trips: ShortestRoundTrips,
 }
 
@@ -42,19 +42,18 @@ struct PastWindow {
 impl Windows {
     pub(super) fn new(settings: &RelationSettings) -> Self {
         let limit = DriftLimit::new(settings.max_drift_ppm);
-        // A time daemon may change the rate of a wall clock at once, so that no limit holds for the change of its
-        // drift.
+        // A time daemon may change the rate of a wall clock at once, so no limit holds for the change of the drift.
         let are_free_running = settings.clocks.are_free_running();
-        let change =
+        let change_limit =
             are_free_running.then(|| DriftChangeLimit::new(settings.max_drift_change_ppm_per_s, limit));
-        let drift = DriftModel { limit, change };
+        let drift = DriftModel { limit, change_limit };
         let (window, retention) = (settings.window, settings.retention);
         Self {
             drift,
             window,
             retention,
             current: Band::new(drift, window, retention),
-            past: VecDeque::new(),
+            past_windows: VecDeque::new(),
             shortest_round_trips: ShortestRoundTrips::default(),
         }
     }
@@ -82,32 +81,37 @@ impl Windows {
     /// Inserts an exchange that contradicts nothing. If a jump is suspected before the exchange, the exchange is the
     /// first of a new window, and the movement of the offset is returned.
     pub(super) fn insert(&mut self, exchange: &Exchange, bounds: &Bounds) -> Option<Span> {
-        if self.past.back().is_some_and(|past| exchange.sent < past.next_sent) {
-            // The exchange that showed the jump overtook this one, which may be from before the jump.
+        if self.past_windows.back().is_some_and(|past| exchange.sent < past.next_sent) {
+            // The exchange that showed the jump overtook this exchange, which may be from before the jump.
             return None;
         }
-        let suspected = self.shortest_round_trips.suspected_jump(exchange, self.drift.limit);
-        if let Some(SuspectedJump { last_before: (sent, returned), .. }) = suspected {
+        let suspected_jump = self.shortest_round_trips.suspected_jump(exchange, self.drift.limit);
+        if let Some(SuspectedJump { last_exchange_before: (sent, returned), .. }) = suspected_jump {
             let new_band = self.new_band();
             let mut band = std::mem::replace(&mut self.current, new_band);
             // Exchanges that returned later may be from after the jump: their bounds can be too wide to show it.
             band.truncate(returned);
-            // If the edge's own clock jumped back, the second exchange has the earlier stamps. Hence minimum and
-            // maximum.
+            // If the edge's own clock jumped back, the second exchange has the earlier stamps. Therefore the
+            // minimum and the maximum are taken.
             let (holds_until, next_holds_from) = (sent.min(exchange.sent), returned.max(exchange.returned));
-            self.past.push_back(PastWindow { band, holds_until, next_holds_from, next_sent: exchange.sent });
+            self.past_windows.push_back(PastWindow {
+                band,
+                holds_until,
+                next_holds_from,
+                next_sent: exchange.sent,
+            });
             // Windows that are older than this are not needed for any query.
             let start = exchange.returned - self.retention - MAX_MESSAGE_DURATION;
-            while self.past.len() > MAX_PAST_WINDOWS
-                || self.past.front().is_some_and(|past| past.next_holds_from < start)
+            while self.past_windows.len() > MAX_PAST_WINDOWS
+                || self.past_windows.front().is_some_and(|past| past.next_holds_from < start)
             {
-                self.past.pop_front();
+                self.past_windows.pop_front();
             }
             self.shortest_round_trips.clear();
         }
         self.current.insert(bounds);
         self.shortest_round_trips.insert(exchange, self.window);
-        suspected.map(|jump| jump.movement)
+        suspected_jump.map(|jump| jump.movement)
     }
 
     /// Replaces all windows by `window`, after a step of a clock.
@@ -115,11 +119,11 @@ impl Windows {
         self.current = window;
         // A step makes all earlier bounds invalid. After a suspected jump, past windows stay valid, because the time of
         // the jump is known.
-        self.past.clear();
+        self.past_windows.clear();
         self.shortest_round_trips.clear();
     }
 
-    /// Returns the interval at a time; `None` without an exchange that bounds the offset then.
+    /// Returns the interval at a time; `None` without an exchange that bounds the offset at this time.
     pub(super) fn interval(&self, at: RawTime) -> Option<OffsetInterval> {
         let hull = |a: OffsetInterval, b: OffsetInterval| OffsetInterval {
             interval: a.interval.hull(b.interval),
@@ -139,9 +143,11 @@ impl Windows {
         self.current.offset_change(from, to)
     }
 
-    /// Returns whether a jump is suspected in the last window before a time. Delays are then `limited`.
+    /// Returns whether a jump is suspected at a time or at most one window before it. Delays are then `limited`.
     pub(super) fn is_near_suspected_jump(&self, at: RawTime) -> bool {
-        self.past.iter().any(|past| past.holds_until <= at && at <= past.next_holds_from + self.window)
+        self.past_windows
+            .iter()
+            .any(|past| past.holds_until <= at && at <= past.next_holds_from + self.window)
     }
 
     /// Returns the number of exchanges of the current window, and of the window before it if a suspected jump separates
@@ -149,18 +155,18 @@ impl Windows {
     pub(super) fn exchange_count(&self) -> u64 {
         // If only the current window counted, delays would be `stale` after a suspected jump, although both windows
         // bound them.
-        self.current.exchange_count() + self.past.back().map_or(0, |past| past.band.exchange_count())
+        self.current.exchange_count() + self.past_windows.back().map_or(0, |past| past.band.exchange_count())
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
         let past: usize =
-            self.past.iter().map(|past| size_of::<PastWindow>() + past.band.memory_bytes()).sum();
+            self.past_windows.iter().map(|past| size_of::<PastWindow>() + past.band.memory_bytes()).sum();
         self.current.memory_bytes() + past + self.shortest_round_trips.memory_bytes()
     }
 
     /// Returns the windows that may hold at a time, the latest first.
     fn bands(&self, at: RawTime) -> impl Iterator<Item = &Band> {
-        let past = self.past.iter().rev();
+        let past = self.past_windows.iter().rev();
         let starts = past.clone().map(|past| Some(past.holds_until)).chain([None]);
         let ends = [None].into_iter().chain(past.clone().map(|past| Some(past.next_holds_from)));
         let bands = [&self.current].into_iter().chain(past.map(|past| &past.band));

@@ -24,7 +24,7 @@ pub struct Readings {
     pub boot: MonoTime,
 }
 
-/// A change of the difference between two clocks counts as a step only if it is larger than this.
+/// Largest change of the difference between two clocks that never counts as a step.
 // Smaller changes may come from the time that reading takes.
 const MIN_STEP: Span = Span::from_micros(20);
 

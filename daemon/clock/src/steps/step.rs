@@ -16,11 +16,12 @@ pub(crate) struct PairedReading<T = i64, C = MonoTime> {
 
 /// If the time between the two reads is longer than this, the reading counts as interrupted.
 const MAX_UNINTERRUPTED_GAP: Span = Span::from_micros(3);
-/// Maximum number of readings that are made to get an uninterrupted one.
+/// Maximum number of attempts to get an uninterrupted reading.
 const MAX_READS: u32 = 8;
 
 impl<T, C: Copy + Sub<Output = Span>> PairedReading<T, C> {
-    /// Reads until a reading is not interrupted. If all are interrupted, returns the reading with the shortest gap.
+    /// Reads until a reading is not interrupted. If all readings are interrupted, returns the reading with the shortest
+    /// gap.
     pub(crate) fn read_uninterrupted(mut read: impl FnMut() -> Self) -> Self {
         let mut best = read();
         for _ in 1..MAX_READS {
@@ -63,7 +64,8 @@ impl StepWatch {
     // libfaketime can give the wall clock another rate.
     const MAX_RATE_DIFFERENCE_PPM: f64 = 200.0;
 
-    /// Compares a new reading with the last one. Returns the number of steps so far, [`begin_epoch`](Self::begin_epoch) included.
+    /// Compares a new reading with the last one. Returns the number of steps so far, including the
+    /// steps that [`begin_epoch`](Self::begin_epoch) counted.
     pub(crate) fn compare(&mut self, now: PairedReading) -> u32 {
         let Some(last) = self.last.replace(now) else { return self.epoch };
         let change = now.difference() - last.difference();

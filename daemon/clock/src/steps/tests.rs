@@ -4,7 +4,7 @@ fn micros(micros: i64) -> Span {
     Span::from_micros(micros)
 }
 
-/// Returns the readings after the machine was awake for `awake`; the wall clock is ahead by `ahead`.
+/// Returns the readings after the machine was awake for `awake`, with a wall clock that is ahead by `ahead`.
 fn readings(awake: Span, ahead: Span) -> Readings {
     let mono = MonoTime::default() + awake;
     let raw = RawTime::from_nanos(1 << 50) + awake;
@@ -57,10 +57,10 @@ fn interrupted_read_is_repeated() {
     assert_eq!(best.after - best.before, micros(20));
 }
 
-/// Returns the disturbances that a watch reports in ten readings per second.
-fn disturbances_of(ppm: f64, seconds: i64, ahead: impl Fn(i64) -> Readings) -> Vec<Disturbance> {
+/// Returns the disturbances that a watch reports. `readings_at` returns the readings at a tenth of a second.
+fn disturbances_of(ppm: f64, seconds: i64, readings_at: impl Fn(i64) -> Readings) -> Vec<Disturbance> {
     let mut watch = ClockWatch::new(ppm);
-    (0..seconds * 10).flat_map(|tenth| watch.compare(ahead(tenth))).collect()
+    (0..seconds * 10).flat_map(|tenth| watch.compare(readings_at(tenth))).collect()
 }
 
 #[test]
@@ -75,11 +75,11 @@ fn step_is_reported_once_and_steady_clock_never() {
 
 #[test]
 fn slew_is_distinguished_from_constant_drift() {
-    // A constant 60 ppm, for which a time daemon compensates.
+    // The rate is a constant 60 ppm, for which a time daemon compensates.
     let rate =
         |tenth: i64, ppm: i64| readings(Span::from_millis(100 * tenth), Span::from_nanos(tenth * 100 * ppm));
     assert_eq!(disturbances_of(50.0, 60, |tenth| rate(tenth, 60)), []);
-    // Then 300 ppm more for twenty seconds. The monotonic clock is slewed as well, so no step shows.
+    // The rate is higher by 300 ppm for twenty seconds. The monotonic clock is slewed as well, so no step shows.
     let slewed = |tenth: i64| {
         let slew = Span::from_nanos((tenth - 300).clamp(0, 200) * 100 * 300);
         let plain = rate(tenth, 60);
@@ -101,19 +101,19 @@ fn slew_is_distinguished_from_constant_drift() {
 #[test]
 fn suspend_is_reported_and_is_no_step() {
     let sleep = Span::from_seconds(7);
-    let readings_with_sleep = |late: Span| {
+    let readings_with_sleep = |wake_step: Span| {
         move |tenth: i64| {
             let plain = readings(Span::from_millis(100 * tenth), Span::ZERO);
             if tenth < 50 {
                 return plain;
             }
-            Readings { wall: plain.wall + sleep + late, boot: plain.boot + sleep, ..plain }
+            Readings { wall: plain.wall + sleep + wake_step, boot: plain.boot + sleep, ..plain }
         }
     };
     assert_eq!(disturbances_of(50.0, 20, readings_with_sleep(Span::ZERO)), [Disturbance::Suspend(sleep)]);
-    let late = Span::from_millis(-400);
+    let wake_step = Span::from_millis(-400);
     assert_eq!(
-        disturbances_of(50.0, 20, readings_with_sleep(late)),
-        [Disturbance::Suspend(sleep), Disturbance::Step(late)]
+        disturbances_of(50.0, 20, readings_with_sleep(wake_step)),
+        [Disturbance::Suspend(sleep), Disturbance::Step(wake_step)]
     );
 }

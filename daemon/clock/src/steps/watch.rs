@@ -1,4 +1,4 @@
-//! Detection of all disturbances of a host's clocks, from about ten readings of them per second.
+//! Detection of all disturbances of a host's clocks, from about ten readings of the clocks per second.
 
 use super::{MIN_STEP, Readings, parts_per_million};
 use crate::Span;
@@ -43,11 +43,11 @@ impl ClockWatch {
     // The time between the reads of two clocks, which looks like a sleep, is shorter.
     const MIN_SLEEP: Span = Span::from_millis(100);
     /// Shortest time over which a rate is measured.
-    // Over this time, the duration of a reading changes the rate by less than one part per million.
-    const MIN_TIME: Span = Span::from_seconds(5);
+    // Over this time, the duration of a reading falsifies the rate by less than one part per million.
+    const MIN_MEASUREMENT_TIME: Span = Span::from_seconds(5);
     /// Largest rate error of a crystal, parts per million.
     const MAX_CRYSTAL_PPM: f64 = 100.0;
-    /// Number of equal measurements after which a rate becomes the usual one.
+    /// Number of equal measurements after which a rate becomes the usual rate.
     const MEASUREMENTS_TO_SETTLE: u32 = 12;
 
     /// Creates a watch without readings; `max_drift_ppm` as in [`RelationSettings`](crate::RelationSettings).
@@ -67,7 +67,8 @@ impl ClockWatch {
         if sleep > Self::MIN_SLEEP {
             disturbances.push(Disturbance::Suspend(sleep));
         }
-        // The wall clock continues while the machine sleeps, and is set from a coarser clock when it wakes.
+        // The wall clock continues while the machine sleeps. It is set from a coarser clock when the machine wakes up,
+        // so a sleep may come with a step.
         let step = (now.wall - last.wall) - elapsed;
         if step.abs() > MIN_STEP + parts_per_million(Self::MAX_RATE_DIFFERENCE_PPM, elapsed) {
             disturbances.push(Disturbance::Step(step));
@@ -84,7 +85,7 @@ impl ClockWatch {
     fn slew_since_base(&mut self, now: Readings) -> Option<f64> {
         let base = *self.base.get_or_insert(now);
         let raw_elapsed = now.raw - base.raw;
-        if raw_elapsed < Self::MIN_TIME {
+        if raw_elapsed < Self::MIN_MEASUREMENT_TIME {
             return None;
         }
         self.base = Some(now);
@@ -102,7 +103,7 @@ impl ClockWatch {
         let is_same_rate = self.deviating_rate.1 > 0
             && (rate - self.deviating_rate.0).abs() <= 1.0 + self.max_drift_ppm / 10.0;
         self.deviating_rate = (rate, if is_same_rate { self.deviating_rate.1 + 1 } else { 1 });
-        // A rate that lasts becomes the usual rate, so that it is not reported for ever.
+        // A rate that lasts becomes the usual rate, so that the slew is not reported for ever.
         if self.deviating_rate.1 >= Self::MEASUREMENTS_TO_SETTLE {
             self.usual_rate = Some(crystal_rate);
             self.deviating_rate.1 = 0;

@@ -19,6 +19,7 @@ use crate::digest;
 use crate::process::{MAX_TIMEOUT_MS, find_program, invalid_variable, is_executable};
 
 /// Maximum number of a command's files that are recorded as facts.
+// Facts are read before a run, and hashing many files would delay the run.
 const MAX_RECORDED_FILES: usize = 4;
 
 /// Permission bit: users who are neither the file's owner nor in its group may read the file.

@@ -45,6 +45,7 @@ pub const VERSION: u32 = 1;
 /// Longest line of a program, bytes, without the line feed.
 pub const MAX_LINE_BYTES: usize = 4096;
 /// Maximum number of lines in one reply.
+// A program that writes notes without end would otherwise fill the memory.
 pub const MAX_LINES: usize = 256;
 /// Maximum number of parts of one sample or answer.
 pub const MAX_PARTS: usize = 16;

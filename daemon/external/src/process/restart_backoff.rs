@@ -13,6 +13,7 @@ pub struct RestartBackoff {
 }
 
 impl RestartBackoff {
+    // A process that dies at every start would otherwise be restarted without pause, and use up the processor.
     const FIRST_DELAY: Span = Span::from_millis(100);
     const MAX_DELAY: Span = Span::from_seconds(10);
 

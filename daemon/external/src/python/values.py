@@ -180,6 +180,7 @@ class Encoder:
             return value, True
         if isinstance(value, float):
             return value, math.isfinite(value)
+        # A container that contains itself would be nested without end.
         if depth > 100:
             raise UnsupportedValue("a value is nested more than 100 levels deep")
         if isinstance(value, str):

@@ -194,7 +194,7 @@ impl Simulation {
     }
 
     fn record_exchange(&mut self, exchange: Exchange, learned: LearnResult) {
-        let restarts = if self.is_one_window { 0 } else { self.relation.counts().restarts };
+        let restarts = if self.is_one_window { 0 } else { self.relation.exchange_counts().restarts };
         let window = self.first_window + u64::from(restarts);
         if window != self.window {
             (self.window, self.best_exchanges) = (window, (None, None));
@@ -233,7 +233,7 @@ impl Simulation {
             lower,
             offset: self.relation.offset(at_raw, at),
             probes: ProbeCounts { sent: 10, answered: 10, lost: 0, refused: 0 },
-            exchanges: self.relation.counts(),
+            exchanges: self.relation.exchange_counts(),
             round_trip: None,
             up: None,
             down: None,

@@ -392,7 +392,7 @@ fn observed_stamps_are_judged_without_learning() {
     for sent in [0, 100, 200, 300] {
         let _ = clock_state.judge(&network(), &exchange(sent, 5000), MESSAGE_DELAYS, now(sent + 4));
     }
-    let before = clock_state.relation.counts();
+    let before = clock_state.relation.exchange_counts();
     let (up, down) = crossings(320, 0, 0);
     let [up_delay, down_delay] = clock_state.judge_stamps(&up, Some(&down));
     for (delay, truth) in [(up_delay, 30), (down_delay, 5)] {
@@ -413,7 +413,7 @@ fn observed_stamps_are_judged_without_learning() {
         (one_direction.and_then(|delay| delay.bounds), other_direction),
         (up_delay.and_then(|delay| delay.bounds), None)
     );
-    assert_eq!(clock_state.relation.counts(), before);
+    assert_eq!(clock_state.relation.exchange_counts(), before);
 }
 
 #[test]

@@ -53,14 +53,15 @@ impl History {
             SimulatedClock::warming(offset, half_limit, CHANGE_PPM_PER_S / 2.0, length, random)
         };
         let (mut edge, mut cloud) = (clock(random), clock(random));
-        // The path is so short that only the assumptions separate the bounds from the truth.
+        // In a fifth of the histories, the path is so short that only the assumptions separate the bounds from the
+        // truth.
         let is_tight = random.chance(0.2);
         if is_tight {
             edge = SimulatedClock::drifting(Span::ZERO, 0.0);
             cloud = SimulatedClock::warming(Span::ZERO, LIMIT_PPM, CHANGE_PPM_PER_S, length, random);
         }
         let pause_start = random.between(5.0, LENGTH - 5.0);
-        // A cloud that was restarted has another clock, and reports it.
+        // A cloud that was restarted has another clock, and reports a new epoch.
         let cloud_restarts = random.chance(0.2);
         if cloud_restarts {
             let by = Span::from_nanos(random.between(-1e12, 1e12) as i64);
@@ -72,13 +73,13 @@ impl History {
         let mut route = if is_tight { tight_path } else { path(random) };
         let other_route =
             if random.chance(0.5) { Path { up: route.down, down: route.up, ..route } } else { path(random) };
-        let flap_interval =
+        let route_change_interval =
             if random.chance(0.4) && !is_tight { random.between(1.0, 20.0) } else { f64::INFINITY };
         let mut trips = Vec::new();
         for (begin, end) in [(0.0, pause_start), (pause_start + pause, LENGTH + pause)] {
             let mut from = begin;
             while from < end {
-                let until = (from + flap_interval).min(end);
+                let until = (from + route_change_interval).min(end);
                 trips.extend(route.trips(&host_clocks, (from, until), hz, random));
                 if until < end {
                     route = if route.up == other_route.up {
@@ -120,16 +121,16 @@ fn delays_of_generated_histories_contain_truth() {
             newest_epoch = newest_epoch.max(*epoch);
             let judged_exchange =
                 relation.judge(&ExchangeObservation { cloud_epoch: Some(*epoch), ..trip.observation() });
-            jumps += u64::from(matches!(judged_exchange.learned, LearnResult::Jumped(_)));
-            let is_stepped = judged_exchange.learned == LearnResult::Refused(Refusal::Stepped);
+            jumps += u64::from(matches!(judged_exchange.learn_result, LearnResult::Jumped(_)));
+            let is_stepped = judged_exchange.learn_result == LearnResult::Refused(Refusal::Stepped);
             assert!(
-                is_stepped || !matches!(judged_exchange.learned, LearnResult::Refused(_)),
-                "{seed}: {n}: {judged_exchange:?}"
+                is_stepped || !matches!(judged_exchange.learn_result, LearnResult::Refused(_)),
+                "history {seed}, exchange {n}: {judged_exchange:?}"
             );
             let mut check = |delay: OneWayDelay, truth: Span| {
                 judged_delays += 1;
                 trusted_delays += u64::from(matches!(delay.verdict, Verdict::Ok | Verdict::Limited));
-                assert!(delay.verdict != Verdict::Inconsistent, "{seed}: {n}: {delay:?}");
+                assert!(delay.verdict != Verdict::Inconsistent, "history {seed}, exchange {n}: {delay:?}");
                 let is_inside = delay.bounds.is_none_or(|bounds| bounds.contains(truth));
                 assert!(is_inside, "history {seed}, exchange {n}: {delay:?}, truth {truth}");
             };
@@ -149,5 +150,5 @@ fn delays_of_generated_histories_contain_truth() {
         }
     }
     assert!(trusted_delays * 2 > judged_delays, "{trusted_delays} of {judged_delays}");
-    assert!(jumps > 0, "no flap was noticed");
+    assert!(jumps > 0, "no change of the route was noticed");
 }

@@ -1,11 +1,11 @@
 mod histories;
-mod liars;
 mod sources;
 mod stepped;
 mod truth;
 mod verdicts;
 mod violations;
 mod widths;
+mod wrong_stamps;
 
 use super::*;
 use crate::simulation::{HostClocks, Path, RandomSource, SimulatedClock, Trip};
@@ -28,7 +28,7 @@ fn host_clocks(offset: Span) -> HostClocks {
     }
 }
 
-/// Creates a relation that has learnt ten probes per second until the tenth second.
+/// Creates a relation that has learnt ten exchanges per second until the tenth second.
 fn relation_with_history(host_clocks: &HostClocks) -> Relation {
     let mut relation = relation();
     for trip in Path::VETH.trips(host_clocks, (0.0, 10.0), 10.0, &mut RandomSource::new(1)) {

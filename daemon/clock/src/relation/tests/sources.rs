@@ -9,8 +9,8 @@ fn claim(source: DelaySource, lo: i64, hi: i64) -> Option<ClockClaim> {
     Some(ClockClaim { source, error: millis(lo, hi) })
 }
 
-/// Creates a relation whose band is about [-15, 35] ms with an estimate of 10 ms: 30 ms up, 20 ms down, the cloud 5 ms
-/// ahead.
+/// Creates a relation whose band is about [-15, 35] ms, with an estimate of 10 ms. A message takes 30 ms up and 20 ms
+/// down, and the cloud's clock is 5 ms ahead.
 fn relation_over_asymmetric_path() -> Relation {
     let host_clocks = HostClocks {
         edge: SimulatedClock::drifting(Span::ZERO, 0.0),

@@ -2,7 +2,7 @@ use super::*;
 
 const STEP: Span = Span::from_seconds(3);
 
-/// Returns host clocks of which the edge's clock is stepped by `by` at the tenth second.
+/// Returns host clocks. The edge's clock is stepped by `by` at the tenth second.
 fn with_edge_step(by: Span) -> HostClocks {
     let host_clocks = host_clocks(Span::from_millis(5));
     HostClocks { edge: host_clocks.edge.stepped(Span::from_seconds(10), by), ..host_clocks }
@@ -27,9 +27,9 @@ fn judge_across_step(
     for trip in Path::VETH.trips(host_clocks, (9.95, 13.0), 100.0, &mut RandomSource::new(6)) {
         let JudgedExchange { up, down, .. } = relation.judge(&observe(&trip));
         for (delay, truth) in [(up, trip.up), (down, trip.down)] {
-            let trusted = matches!(delay.verdict, Verdict::Ok | Verdict::Limited);
-            assert!(!trusted || contains(&delay, truth), "{delay:?} {truth} at {}", trip.end);
-            if trusted && trip.end > 10.002e9 {
+            let is_trusted = matches!(delay.verdict, Verdict::Ok | Verdict::Limited);
+            assert!(!is_trusted || contains(&delay, truth), "{delay:?} {truth} at {}", trip.end);
+            if is_trusted && trip.end > 10.002e9 {
                 recovery_time.get_or_insert(trip.end / 1e9 - 10.0);
             }
         }
@@ -41,18 +41,18 @@ fn judge_across_step(
 fn reported_step_starts_new_window_at_once() {
     for by in [STEP, -STEP, Span::from_micros(30), Span::from_micros(-30), Span::from_seconds(-3600)] {
         for host_clocks in [with_edge_step(by), with_cloud_step(by)] {
-            let edge = host_clocks.edge.error(20e9) != 0.0;
+            let is_edge_stepped = host_clocks.edge.error(20e9) != 0.0;
             let (recovery_time, relation) = judge_across_step(&host_clocks, |trip| {
                 let epoch = u32::from(trip.end >= 10e9);
-                let (edge_epoch, cloud_epoch) = if edge { (epoch, 0) } else { (0, epoch) };
+                let (edge_epoch, cloud_epoch) = if is_edge_stepped { (epoch, 0) } else { (0, epoch) };
                 ExchangeObservation { edge_epoch, cloud_epoch: Some(cloud_epoch), ..trip.observation() }
             });
-            assert_eq!(relation.counts().restarts, 1);
-            // After a clock was set back by some seconds, it takes as many to know which exchanges began after the
-            // step.
-            let limit =
+            assert_eq!(relation.exchange_counts().restarts, 1);
+            // After a clock was set back by some seconds, it takes as many seconds to know which exchanges began after
+            // the step.
+            let max_recovery_time =
                 if by.abs() < Span::from_seconds(10) { by.abs().seconds().min(2.0) + 0.3 } else { 0.3 };
-            assert!(recovery_time.is_some_and(|after| after < limit), "{by} {recovery_time:?}");
+            assert!(recovery_time.is_some_and(|after| after < max_recovery_time), "{by} {recovery_time:?}");
         }
     }
 }
@@ -62,7 +62,7 @@ fn unannounced_step_is_accepted_after_agreement() {
     for by in [STEP, -STEP, Span::from_millis(20), Span::from_millis(-20)] {
         for host_clocks in [with_edge_step(by), with_cloud_step(by)] {
             let (recovery_time, relation) = judge_across_step(&host_clocks, Trip::observation);
-            assert_eq!(relation.counts().restarts, 1, "{by}");
+            assert_eq!(relation.exchange_counts().restarts, 1, "{by}");
             assert!(recovery_time.is_some_and(|after| after < 0.5), "{by} {recovery_time:?}");
         }
     }
@@ -77,7 +77,7 @@ fn first_exchange_after_step_states_its_size() {
         if let LearnResult::Restarted(by) =
             relation.learn(&ExchangeObservation { cloud_epoch: Some(1), ..trip.observation() })
         {
-            sizes.push(by.expect("it was known before"));
+            sizes.push(by.expect("the offset was known before the step"));
         }
     }
     assert_eq!(sizes.len(), 1);
@@ -100,16 +100,18 @@ fn exchange_spanning_cloud_step_is_refused() {
     assert_eq!(all_intervals(&relation), before);
     assert_eq!(relation.learn(&observation_with_step(40)), LearnResult::Accepted);
     // A clock with an injected drift of 100 ppm, for ten seconds.
-    let long = host_clocks.trip(11e9, 300e3, 10e9, 300e3);
-    let elapsed = long.exchange.replied - long.exchange.received;
-    let drifted =
-        ExchangeObservation { cloud_elapsed: Some(elapsed + Span::from_millis(1)), ..long.observation() };
+    let long_trip = host_clocks.trip(11e9, 300e3, 10e9, 300e3);
+    let elapsed = long_trip.exchange.replied - long_trip.exchange.received;
+    let drifted = ExchangeObservation {
+        cloud_elapsed: Some(elapsed + Span::from_millis(1)),
+        ..long_trip.observation()
+    };
     assert_eq!(relation.learn(&drifted), LearnResult::Accepted);
 }
 
 /// The step is too small for the comparison with the monotonic clock, and the epoch was read after the stamps.
 #[test]
-fn exchange_sent_before_step_notice_is_refused() {
+fn exchange_sent_before_step_report_is_refused() {
     for (host_clocks, edge_epoch, cloud_epoch) in
         [(with_cloud_step(Span::from_micros(-40)), 0, 1), (with_edge_step(Span::from_micros(40)), 1, 0)]
     {
@@ -122,7 +124,7 @@ fn exchange_sent_before_step_notice_is_refused() {
         let (reporting_trip, spanning_trip) =
             (host_clocks.trip(10.0001e9, 3e4, 1e4, 3e4), host_clocks.trip(9.9999e9, 5e4, 2e5, 5e4));
         assert_eq!(relation.learn(&observation_of(reporting_trip)), LearnResult::Refused(Refusal::Stepped));
-        assert_eq!(relation.counts().restarts, 1);
+        assert_eq!(relation.exchange_counts().restarts, 1);
         assert_eq!(relation.learn(&observation_of(spanning_trip)), LearnResult::Refused(Refusal::Stepped));
         let after = relation.learn(&observation_of(host_clocks.trip(10.001e9, 3e4, 1e4, 3e4)));
         assert!(matches!(after, LearnResult::Restarted(Some(_))), "{after:?}");
@@ -130,34 +132,37 @@ fn exchange_sent_before_step_notice_is_refused() {
 }
 
 #[test]
-fn step_notice_ends_window_once() {
+fn step_report_ends_window_once() {
     let host_clocks = with_cloud_step(STEP);
     let mut relation = relation_with_history(&host_clocks);
     relation.restart_after_cloud_step(1);
-    assert_eq!((relation.counts().restarts, relation.offset(at(10), WallTime::default())), (1, None));
+    assert_eq!(
+        (relation.exchange_counts().restarts, relation.offset(at(10), WallTime::default())),
+        (1, None)
+    );
     relation.restart_after_cloud_step(1);
     let observation_of = |trip: Trip| ExchangeObservation { cloud_epoch: Some(1), ..trip.observation() };
     // The first exchange may have been in flight during the step.
     let first = relation.judge(&observation_of(host_clocks.trip(10.1e9, 3e4, 1e5, 3e4)));
-    assert_eq!(first.learned, LearnResult::Refused(Refusal::Stepped));
+    assert_eq!(first.learn_result, LearnResult::Refused(Refusal::Stepped));
     for delay in [first.up, first.down] {
         assert_eq!(
             (delay.value, delay.verdict),
             (None, Verdict::Stepped),
-            "though nothing is known any more"
+            "the clocks were related before the step"
         );
     }
     let second = relation.learn(&observation_of(host_clocks.trip(10.2e9, 3e4, 1e5, 3e4)));
     assert!(matches!(second, LearnResult::Restarted(Some(_))), "{second:?}");
     relation.restart_after_cloud_step(1);
     relation.restart_after_edge_step(0);
-    assert_eq!(relation.counts().restarts, 1);
+    assert_eq!(relation.exchange_counts().restarts, 1);
     relation.restart_after_edge_step(1);
-    assert_eq!(relation.counts().restarts, 2);
+    assert_eq!(relation.exchange_counts().restarts, 2);
 }
 
 #[test]
-fn older_epoch_is_refused_and_restarted_counter_accepted() {
+fn lower_epoch_is_refused_until_restart_is_assumed() {
     let host_clocks = host_clocks(Span::ZERO);
     let mut relation = relation();
     let observation_of = |n: u32, epoch| ExchangeObservation {
@@ -167,13 +172,13 @@ fn older_epoch_is_refused_and_restarted_counter_accepted() {
     (0..5).for_each(|n| assert_eq!(relation.learn(&observation_of(n, 7)), LearnResult::Accepted));
     for n in 5..20 {
         let epoch = if n % 3 == 0 { 7 } else { 6 };
-        let learned = relation.learn(&observation_of(n, epoch));
-        assert_eq!(learned == LearnResult::Accepted, epoch == 7);
+        let learn_result = relation.learn(&observation_of(n, epoch));
+        assert_eq!(learn_result == LearnResult::Accepted, epoch == 7);
     }
-    assert_eq!(relation.counts().restarts, 0);
-    // The agent of the cloud was restarted.
-    let learned: Vec<LearnResult> = (20..40).map(|n| relation.learn(&observation_of(n, 0))).collect();
-    assert_eq!(relation.counts().restarts, 1);
-    assert!(matches!(learned[8], LearnResult::Restarted(_)), "{learned:?}");
-    assert!(learned[9..].iter().all(|learned| *learned == LearnResult::Accepted));
+    assert_eq!(relation.exchange_counts().restarts, 0);
+    // The agent of the cloud was restarted, so its epochs begin at 0 again.
+    let learn_results: Vec<LearnResult> = (20..40).map(|n| relation.learn(&observation_of(n, 0))).collect();
+    assert_eq!(relation.exchange_counts().restarts, 1);
+    assert!(matches!(learn_results[8], LearnResult::Restarted(_)), "{learn_results:?}");
+    assert!(learn_results[9..].iter().all(|learn_result| *learn_result == LearnResult::Accepted));
 }

@@ -29,7 +29,7 @@ proptest! {
         for (count, trip) in trips.iter().enumerate() {
             let judged = relation.judge(&trip.observation());
             // Jitter alone looks like a jump now and then, which makes no delay wrong.
-            prop_assert!(matches!(judged.learned, LearnResult::Accepted | LearnResult::Jumped(_)), "{:?}", judged.learned);
+            prop_assert!(matches!(judged.learn_result, LearnResult::Accepted | LearnResult::Jumped(_)), "{:?}", judged.learn_result);
             for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
                 prop_assert!(contains(&delay, truth), "{delay:?} {truth}");
                 let (value, bounds) = (delay.value.expect("has a value"), delay.bounds.expect("has bounds"));
@@ -68,29 +68,28 @@ proptest! {
     }
 
     #[test]
-    fn difference_of_two_receivers_contains_truth(seed: u64, ppm in -50.0..50.0f64, late in 0..200_000_000i64) {
+    fn interval_of_reception_difference_contains_truth(seed: u64, ppm in -50.0..50.0f64, late in 0..200_000_000i64) {
         let mut random = RandomSource::new(seed);
         let host_clocks = HostClocks {
             edge: SimulatedClock::drifting(Span::ZERO, 0.0),
             cloud: SimulatedClock::drifting(Span::from_seconds(9), ppm),
         };
         let mut relation = relation();
-        // The receiver at the edge gets the upward message this late, after the cloud's receiver, and the downward one,
-        // too.
+        // The receiver on the edge gets both messages later than they are sent or returned, by this time.
         let late = Span::from_nanos(late);
         for (count, trip) in Path::VETH.trips(&host_clocks, (0.0, 5.0), 20.0, &mut random).iter().enumerate() {
             let exchange = &trip.exchange;
             let up = (exchange.sent + late, exchange.received);
             let down = (exchange.replied, exchange.returned + late);
-            let both = relation.reception_differences(up, down);
-            let counts = relation.counts();
-            for (difference, truth) in both.iter().zip([trip.up - late, trip.down + late]) {
+            let differences = relation.reception_differences(up, down);
+            let counts = relation.exchange_counts();
+            for (difference, truth) in differences.iter().zip([trip.up - late, trip.down + late]) {
                 prop_assert_eq!(difference.verdict == Verdict::Unsynchronised, count == 0);
                 prop_assert!(count == 0 || contains(difference, truth), "{difference:?} {truth}");
             }
-            let alone = relation.reception_difference(Direction::Up, up.0, up.1);
-            prop_assert_eq!(alone.bounds, both[0].bounds);
-            prop_assert_eq!(relation.counts(), counts, "nothing is learnt");
+            let single_difference = relation.reception_difference(Direction::Up, up.0, up.1);
+            prop_assert_eq!(single_difference.bounds, differences[0].bounds);
+            prop_assert_eq!(relation.exchange_counts(), counts, "the relation learns nothing from a reception difference");
             relation.learn(&trip.observation());
         }
     }
@@ -103,17 +102,17 @@ fn intervals_of_ten_thousand_iterations_contain_truth() {
         let wall = |(seconds, ppm)| SimulatedClock::drifting(Span::from_seconds(seconds), ppm);
         let host_clocks = HostClocks { edge: wall(edge), cloud: wall(cloud) };
         let mut relation = relation();
-        let (mut errors, mut judged) = (0.0, 0u32);
+        let (mut errors, mut judged_delays) = (0.0, 0u32);
         for trip in Path::VETH.trips(&host_clocks, (0.0, 100.0), 100.0, &mut RandomSource::new(4)) {
             let JudgedExchange { up, down, .. } = relation.judge(&trip.observation());
             for (delay, truth) in [(up, trip.up), (down, trip.down)] {
                 assert!(contains(&delay, truth), "{delay:?} {truth}");
                 errors += (delay.value.expect("a value") - truth).abs().seconds() * 1e6;
-                judged += 1;
+                judged_delays += 1;
             }
         }
-        let mean = errors / f64::from(judged);
-        assert!(judged > 19_000 && mean < 15.0, "{judged} {mean} µs");
+        let mean = errors / f64::from(judged_delays);
+        assert!(judged_delays > 19_000 && mean < 15.0, "{judged_delays} {mean} µs");
     }
 }
 
@@ -128,12 +127,13 @@ fn exchange_with_long_service_at_drift_limit_is_accepted() {
         // Ten seconds of service: the cloud's clock gains 500 µs meanwhile, and both directions together take 60 µs.
         let trip = host_clocks.trip(f64::from(n) * 1e9, 30e3, 10e9, 30e3);
         let judged = relation.judge(&trip.observation());
-        assert_eq!(judged.learned, LearnResult::Accepted);
+        assert_eq!(judged.learn_result, LearnResult::Accepted);
         assert!(contains(&judged.up, trip.up) && contains(&judged.down, trip.down));
     }
 }
 
-/// A second of one clock is not a second of the other clock. The interval contains the delay as measured by either clock.
+/// A second of one clock is not a second of the other clock. The interval contains the delay as measured by either
+/// clock.
 #[test]
 fn interval_of_long_delay_holds_by_either_clock() {
     let host_clocks = HostClocks {

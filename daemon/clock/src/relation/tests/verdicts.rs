@@ -26,7 +26,8 @@ fn shared_clock_gives_exact_delays_despite_step() {
         assert_eq!(judged.up, OneWayDelay::same_clock(judged.up.raw));
         assert_eq!(judged.down, OneWayDelay::same_clock(judged.down.raw));
     }
-    // The cloud's clock is set forward while it serves: the delay is positive and wrong.
+    // The shared clock is set forward while the cloud serves. Both delays stay positive, so only the cloud's monotonic
+    // clock shows the step.
     let mut observation = host_clocks.trip(6e9, 30e3, 100e3, 30e3).observation();
     observation.exchange.replied = observation.exchange.replied + Span::from_seconds(1);
     observation.exchange.returned = observation.exchange.returned + Span::from_seconds(1);
@@ -53,8 +54,8 @@ fn exchanges_check_proof_of_one_clock() {
 
 #[test]
 fn exchanges_relate_clocks_before_and_after_proof() {
-    let one = || SimulatedClock::drifting(Span::ZERO, 0.0);
-    let host_clocks = HostClocks { edge: one(), cloud: one() };
+    let correct_clock = || SimulatedClock::drifting(Span::ZERO, 0.0);
+    let host_clocks = HostClocks { edge: correct_clock(), cloud: correct_clock() };
     let mut relation = relation_with_history(&host_clocks);
     let mut sources = Vec::new();
     for (second, is_proven) in [(11.0, false), (12.0, true), (13.0, false)] {
@@ -68,7 +69,7 @@ fn exchanges_relate_clocks_before_and_after_proof() {
 }
 
 #[test]
-fn free_running_clock_and_wall_clock_are_never_one() {
+fn free_running_and_wall_clock_are_never_same_clock() {
     let settings = RelationSettings { clocks: RelatedClocks::RawToWall, ..RelationSettings::default() };
     let mut relation = Relation::new(settings);
     relation.set_same_clock(true);
@@ -79,12 +80,13 @@ fn free_running_clock_and_wall_clock_are_never_one() {
 fn delay_without_fresh_exchange_is_stale() {
     let host_clocks = host_clocks(Span::from_millis(5));
     let mut relation = relation_with_history(&host_clocks);
-    // An image whose transfer takes half a second, so the interval is narrow beside the delay and the verdict is not `limited`.
+    // An image whose transfer takes half a second, so the interval is narrow beside the delay and the verdict is not
+    // `limited`.
     let trip_with_large_image = |t: f64| host_clocks.trip(t, 500e6, 100e3, 30e3);
     assert_eq!(relation.judge(&trip_with_large_image(10.5e9).observation()).up.verdict, Verdict::Ok);
     let late_trip = trip_with_large_image(40e9);
     let judged = relation.judge(&late_trip.observation());
-    assert_eq!((judged.learned, judged.up.verdict), (LearnResult::Accepted, Verdict::Stale));
+    assert_eq!((judged.learn_result, judged.up.verdict), (LearnResult::Accepted, Verdict::Stale));
     assert!(contains(&judged.up, late_trip.up) && judged.up.value.is_some());
     // The exchange of the late trip is fresh for the next delay, and for its own delay if that is judged again later.
     assert_eq!(relation.judge(&trip_with_large_image(42e9).observation()).up.verdict, Verdict::Ok);
@@ -122,10 +124,10 @@ fn large_possible_asymmetry_yields_limited_verdict() {
         assert!(contains(&judged.up, trip.up) && contains(&judged.down, trip.down));
         last = Some(judged);
     }
-    let judged = last.expect("some came through");
+    let judged = last.expect("some exchanges are not lost");
     assert_eq!((judged.up.verdict, judged.down.verdict), (Verdict::Limited, Verdict::Limited));
     let width = judged.up.bounds.expect("bounds").width();
-    assert!(width < Span::from_millis(47), "{width}: the smallest round trip and little more");
+    assert!(width < Span::from_millis(47), "{width} is little more than the shortest round trip");
 }
 
 #[test]
@@ -135,7 +137,7 @@ fn offset_states_age_and_number_of_exchanges() {
     let offset = relation.offset(at(12), WallTime::default()).expect("the clocks are related");
     assert_eq!((offset.source, offset.verdict), (DelaySource::InBand, Verdict::Ok));
     assert_eq!(offset.sources, [(DelaySource::InBand, offset.bounds)]);
-    assert_eq!(offset.exchanges, relation.counts().accepted);
+    assert_eq!(offset.exchanges, relation.exchange_counts().accepted);
     let age = offset.age.expect("the clocks are related");
     assert!(Span::from_seconds(2) <= age && age < Span::from_seconds(3), "{age}");
     assert!((offset.skew_ppm.expect("ten seconds") - 10.0).abs() < 5.0);

@@ -4,12 +4,12 @@ use super::*;
 
 const WINDOW: f64 = 10.0;
 
-/// Observations after an assumption was violated.
+/// Observed effect of a violated assumption.
 #[derive(Debug, Default)]
 struct ViolationEffect {
     /// Number of `ok` or `limited` delays that are outside their intervals.
     wrong_delays: u32,
-    judged: u32,
+    judged_delays: u32,
     /// Seconds from the violation to the last wrong delay.
     last_wrong_delay: f64,
     /// Seconds from the violation to the last `stale` delay.
@@ -33,7 +33,7 @@ fn observe_violation(
     observe_violation_at(10.0, host_clocks, path, settings, times)
 }
 
-/// Judges `hz` exchanges per second in the same way.
+/// Judges `hz` exchanges per second. `at` and `end` are the seconds of the violation and of the end.
 fn observe_violation_at(
     hz: f64,
     host_clocks: &HostClocks,
@@ -47,12 +47,12 @@ fn observe_violation_at(
         let judged = relation.judge(&trip.observation());
         let after = trip.end / 1e9 - at;
         for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
-            effect.judged += 1;
+            effect.judged_delays += 1;
             if delay.verdict == Verdict::Stale {
                 effect.last_stale_delay = after;
             }
-            let trusted = matches!(delay.verdict, Verdict::Ok | Verdict::Limited);
-            if trusted && !contains(&delay, truth) {
+            let is_trusted = matches!(delay.verdict, Verdict::Ok | Verdict::Limited);
+            if is_trusted && !contains(&delay, truth) {
                 assert!(after >= 0.0, "{delay:?} {truth} at {}", trip.end);
                 effect.wrong_delays += 1;
                 effect.last_wrong_delay = after;
@@ -61,7 +61,7 @@ fn observe_violation_at(
         if let Some(limit) = relation.violated_limit() {
             effect.violated_limit.get_or_insert((after, limit));
         }
-        if matches!(judged.learned, LearnResult::Jumped(_)) {
+        if matches!(judged.learn_result, LearnResult::Jumped(_)) {
             effect.jumps += 1;
             effect.first_jump.get_or_insert(after);
         }
@@ -133,8 +133,8 @@ fn unannounced_jump_is_suspected_by_first_exchanges() {
                 free_running_limit(200.0),
                 (30.0, 90.0),
             );
-            // 39 ms move the middle of every exchange with a short wait by more than waiting explains, 10 ms only that
-            // of exchanges without a wait.
+            // A jump of 39 ms moves the middle of an exchange with a short wait by more than the wait explains. A jump
+            // of 10 ms does so only for an exchange without a wait.
             let latest_suspicion = if jitter > 1.0 && millis.abs() < 39 { 5.0 } else { 0.5 };
             assert!(
                 effect.first_jump.is_some_and(|after| after < latest_suspicion),
@@ -148,7 +148,8 @@ fn unannounced_jump_is_suspected_by_first_exchanges() {
     }
 }
 
-/// A jump of the edge's clock while exchanges are in flight. After a jump back they seem shorter than the path.
+/// A jump of the edge's clock while exchanges are in flight. After a jump back, these exchanges seem shorter than the
+/// path.
 #[test]
 fn edge_jump_is_suspected_with_exchanges_in_flight() {
     for (delays, jitter) in [((20.0, 20.0), 0.2), ((20.0, 20.0), 1.0), ((5.0, 40.0), 1.0), ((0.5, 0.5), 0.02)]
@@ -179,20 +180,20 @@ fn edge_jump_is_suspected_with_exchanges_in_flight() {
 
 /// A route change that shortens the path gives narrower bounds and no jump.
 #[test]
-fn path_that_becomes_shorter_is_no_jump() {
+fn shorter_path_is_not_suspected_as_jump() {
     let host_clocks = drifting(20.0);
     let mut relation = Relation::new(free_running_limit(200.0));
     let (mut random, mut widths) = (RandomSource::new(4), Vec::new());
     for (route, seconds) in [(path(20.0, 20.0, 0.2), (0.0, 30.0)), (path(5.0, 5.0, 0.2), (30.0, 60.0))] {
         for trip in route.trips(&host_clocks, seconds, 20.0, &mut random) {
             let judged = relation.judge(&trip.observation());
-            assert_eq!(judged.learned, LearnResult::Accepted);
+            assert_eq!(judged.learn_result, LearnResult::Accepted);
             assert!(contains(&judged.up, trip.up) && contains(&judged.down, trip.down), "{judged:?}");
             widths.push((trip.end, judged.up.bounds.expect("bounds").width()));
         }
     }
-    let at_once = widths.iter().filter(|(end, _)| *end > 30.3e9);
-    assert!(at_once.clone().all(|(_, width)| *width < Span::from_millis(14)), "{widths:?}");
+    let after_change = widths.iter().filter(|(end, _)| *end > 30.3e9);
+    assert!(after_change.clone().all(|(_, width)| *width < Span::from_millis(14)), "{widths:?}");
 }
 
 /// Covers random paths, jumps and changes of rate.
@@ -224,8 +225,8 @@ fn violated_assumption_spoils_intervals_for_one_window() {
     assert!(longest > 0.1, "nothing was violated: {longest}");
 }
 
-/// Under jitter, few exchanges after the change contradict the exchanges before it. They are too few to prove a step, and
-/// the other exchanges fit both the time before the change and the time after it.
+/// Under jitter, few exchanges after the change contradict the exchanges before it. They are too few to prove a step,
+/// and the other exchanges fit both the time before the change and the time after it.
 #[test]
 fn suspicion_after_change_of_rate_ends_with_window() {
     let mut last_stale_delay: f64 = 0.0;
@@ -263,7 +264,7 @@ fn flapping_route_widens_few_intervals_and_at_most_twofold() {
         let seconds = (f64::from(n) * 5.0, f64::from(n + 1) * 5.0);
         for trip in route.trips(&host_clocks, seconds, 10.0, &mut random) {
             let judged = relation.judge(&trip.observation());
-            jumps += u32::from(matches!(judged.learned, LearnResult::Jumped(_)));
+            jumps += u32::from(matches!(judged.learn_result, LearnResult::Jumped(_)));
             for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
                 assert!(contains(&delay, truth), "{delay:?} {truth}");
                 widths.push(delay.bounds.expect("bounds").width());
@@ -277,8 +278,8 @@ fn flapping_route_widens_few_intervals_and_at_most_twofold() {
     assert!(!relation.violates_limit());
 }
 
-/// A delay from before a suspected jump is not judged by the exchanges after it; a delay between the two is judged by
-/// both.
+/// A delay from before a suspected jump is not judged by the exchanges after the jump. A delay between the last
+/// exchange before the jump and the first exchange after it is judged by both windows.
 #[test]
 fn suspected_jump_is_a_boundary_for_earlier_delays() {
     let jump = Span::from_millis(30);
@@ -289,7 +290,7 @@ fn suspected_jump_is_a_boundary_for_earlier_delays() {
     let mut relation = Relation::new(settings);
     let trips = path(20.0, 20.0, 1.0).trips(&host_clocks, (0.0, 60.0), 10.0, &mut RandomSource::new(5));
     trips.iter().for_each(|trip| _ = relation.learn(&trip.observation()));
-    assert_eq!(relation.counts().restarts, 1);
+    assert_eq!(relation.exchange_counts().restarts, 1);
     let mut hulls = 0;
     for trip in trips.iter().filter(|trip| (5e9..55e9).contains(&trip.end)) {
         let exchange = &trip.exchange;
@@ -307,9 +308,10 @@ fn suspected_jump_is_a_boundary_for_earlier_delays() {
     assert!((2..30).contains(&hulls), "{hulls}");
 }
 
-/// An exchange whose message waited does not show the jump, and counts as an exchange from before the jump.
+/// An exchange after a jump does not show the jump if its message waited. Such an exchange must not bound delays from
+/// before the jump.
 #[test]
-fn exchange_hiding_jump_bounds_no_earlier_delay() {
+fn exchange_that_hides_jump_bounds_no_earlier_delay() {
     let host_clocks = drifting(0.0);
     let host_clocks = HostClocks {
         cloud: host_clocks.cloud.stepped(Span::from_seconds(30), Span::from_millis(39)),

@@ -17,7 +17,7 @@ fn measure(path: Path, settings: RelationSettings, host_clocks: &HostClocks) -> 
         }
     }
     widths.sort_by(f64::total_cmp);
-    (widths[widths.len() / 2], errors / widths.len() as f64, relation.counts().restarts)
+    (widths[widths.len() / 2], errors / widths.len() as f64, relation.exchange_counts().restarts)
 }
 
 /// Returns the clocks of two ordinary machines, whose oscillators warm up and cool down.

@@ -10,16 +10,16 @@ proptest! {
         let mut relation = relation_with_history(&host_clocks);
         let before = all_intervals(&relation);
         for (n, (received, replied, epoch)) in stamps.into_iter().enumerate() {
-            let mut lie = host_clocks.trip(10e9 + n as f64 * 1e7, 3e4, 1e5, 3e4).observation();
-            lie.exchange.received = RawTime::from_nanos(received);
-            lie.exchange.replied = RawTime::from_nanos(replied);
-            lie.cloud_epoch = Some(epoch).filter(|_| received > replied);
-            let judged = relation.judge(&lie);
-            prop_assert!(matches!(judged.learned, LearnResult::Refused(_)));
+            let mut wrong_observation = host_clocks.trip(10e9 + n as f64 * 1e7, 3e4, 1e5, 3e4).observation();
+            wrong_observation.exchange.received = RawTime::from_nanos(received);
+            wrong_observation.exchange.replied = RawTime::from_nanos(replied);
+            wrong_observation.cloud_epoch = Some(epoch).filter(|_| received > replied);
+            let judged = relation.judge(&wrong_observation);
+            prop_assert!(matches!(judged.learn_result, LearnResult::Refused(_)));
             prop_assert_eq!((judged.up.value, judged.down.value), (None, None));
         }
         prop_assert_eq!(all_intervals(&relation), before);
-        prop_assert_eq!(relation.counts().restarts, 0);
+        prop_assert_eq!(relation.exchange_counts().restarts, 0);
     }
 
     #[test]
@@ -57,23 +57,23 @@ proptest! {
         let host_clocks = host_clocks(Span::from_millis(3));
         let (mut honest_relation, mut deceived_relation) = (relation_with_history(&host_clocks), relation_with_history(&host_clocks));
         let mut random = RandomSource::new(seed);
-        let calm = Path { burst: 0.0, ..Path::VETH };
-        let mut lies = 0;
-        for (n, trip) in calm.trips(&host_clocks, (10.0, 30.0), 20.0, &mut random).iter().enumerate() {
+        let quiet_path = Path { burst: 0.0, ..Path::VETH };
+        let mut wrong_observations = 0;
+        for (n, trip) in quiet_path.trips(&host_clocks, (10.0, 30.0), 20.0, &mut random).iter().enumerate() {
             honest_relation.learn(&trip.observation());
             deceived_relation.learn(&trip.observation());
             if n % 4 < 3 {
-                let mut lie = host_clocks.trip(trip.end, 3e4, 1e5, 3e4).observation();
-                lie.exchange.received = lie.exchange.received + Span::from_nanos(by as i64);
-                lie.exchange.replied = lie.exchange.replied + Span::from_nanos(by as i64);
-                let learned = deceived_relation.learn(&lie);
-                prop_assert_eq!(learned, LearnResult::Refused(Refusal::Outlier));
-                lies += 1;
+                let mut wrong_observation = host_clocks.trip(trip.end, 3e4, 1e5, 3e4).observation();
+                wrong_observation.exchange.received = wrong_observation.exchange.received + Span::from_nanos(by as i64);
+                wrong_observation.exchange.replied = wrong_observation.exchange.replied + Span::from_nanos(by as i64);
+                let learn_result = deceived_relation.learn(&wrong_observation);
+                prop_assert_eq!(learn_result, LearnResult::Refused(Refusal::Outlier));
+                wrong_observations += 1;
             }
         }
         prop_assert_eq!(all_intervals(&honest_relation), all_intervals(&deceived_relation));
-        prop_assert_eq!(deceived_relation.counts().outliers, lies);
-        prop_assert_eq!(deceived_relation.counts().restarts, 0);
+        prop_assert_eq!(deceived_relation.exchange_counts().outliers, wrong_observations);
+        prop_assert_eq!(deceived_relation.exchange_counts().restarts, 0);
     }
 }
 
@@ -81,9 +81,9 @@ proptest! {
 fn repeated_wrong_exchange_counts_once() {
     let mut relation = relation_with_history(&host_clocks(Span::ZERO));
     let before = all_intervals(&relation);
-    let lie = host_clocks(Span::from_millis(40)).trip(10e9, 3e4, 1e5, 3e4).observation();
+    let wrong_observation = host_clocks(Span::from_millis(40)).trip(10e9, 3e4, 1e5, 3e4).observation();
     for _ in 0..20 {
-        assert_eq!(relation.learn(&lie), LearnResult::Refused(Refusal::Outlier));
+        assert_eq!(relation.learn(&wrong_observation), LearnResult::Refused(Refusal::Outlier));
     }
     assert_eq!(all_intervals(&relation), before);
 }
@@ -92,17 +92,17 @@ fn repeated_wrong_exchange_counts_once() {
 fn wide_exchange_does_not_end_suspicion() {
     let (before, after) = (host_clocks(Span::ZERO), host_clocks(Span::from_millis(1)));
     let mut relation = relation_with_history(&before);
-    let learned: Vec<LearnResult> = (0..8)
+    let learn_results: Vec<LearnResult> = (0..8)
         .map(|n| {
             let one_way = if n % 2 == 0 { 3e4 } else { 5e6 };
             let judged =
                 relation.judge(&after.trip(10e9 + f64::from(n) * 1e8, one_way, 1e5, one_way).observation());
-            let trusted = matches!(judged.up.verdict, Verdict::Ok | Verdict::Limited);
-            assert!(!trusted || n >= 6, "{n} {judged:?}");
-            judged.learned
+            let is_trusted = matches!(judged.up.verdict, Verdict::Ok | Verdict::Limited);
+            assert!(!is_trusted || n >= 6, "{n} {judged:?}");
+            judged.learn_result
         })
         .collect();
-    assert!(matches!(learned[6], LearnResult::Restarted(_)), "{learned:?}");
+    assert!(matches!(learn_results[6], LearnResult::Restarted(_)), "{learn_results:?}");
 }
 
 #[test]
@@ -112,7 +112,7 @@ fn impossible_exchanges_are_recognised() {
     let result_after = |edit: fn(&mut Exchange)| {
         let mut observation = host_clocks.trip(10e9, 3e4, 1e5, 3e4).observation();
         edit(&mut observation.exchange);
-        (relation.learn(&observation), relation.counts().impossible)
+        (relation.learn(&observation), relation.exchange_counts().impossible)
     };
     let edits: [fn(&mut Exchange); 5] = [
         |exchange| exchange.replied = exchange.received - Span::from_nanos(1),
@@ -126,26 +126,26 @@ fn impossible_exchanges_are_recognised() {
     assert_eq!(refusals, (1..=5).map(|count| (impossible, count)).collect::<Vec<_>>());
 }
 
-/// A peer that shifts both of its stamps by the same amount looks like a peer with another clock; exchanges cannot detect
-/// this. Claims of both hosts' time daemons can, because they do not depend on the peer's stamps.
+/// A peer that shifts both of its stamps by the same amount looks like a peer with another clock; exchanges cannot
+/// detect this. Claims of both hosts' time daemons can, because they do not depend on the peer's stamps.
 #[test]
 fn consistently_wrong_stamps_contradict_time_daemons_only() {
-    let (honest_relation, lying) = (host_clocks(Span::ZERO), host_clocks(Span::from_millis(40)));
-    let mut relation = relation_with_history(&honest_relation);
-    let trips = Path::VETH.trips(&lying, (10.0, 20.0), 20.0, &mut RandomSource::new(3));
+    let (true_clocks, claimed_clocks) = (host_clocks(Span::ZERO), host_clocks(Span::from_millis(40)));
+    let mut relation = relation_with_history(&true_clocks);
+    let trips = Path::VETH.trips(&claimed_clocks, (10.0, 20.0), 20.0, &mut RandomSource::new(3));
     for trip in &trips {
         relation.learn(&trip.observation());
     }
     let offset = relation.offset(at(20), WallTime::default()).expect("the clocks are related");
-    assert_eq!((offset.verdict, relation.counts().restarts), (Verdict::Ok, 1));
+    assert_eq!((offset.verdict, relation.exchange_counts().restarts), (Verdict::Ok, 1));
     assert!((offset.estimate - Span::from_millis(40)).abs() < Span::from_millis(1));
 
-    let within = Interval { lo: Span::from_millis(-2), hi: Span::from_millis(2) };
-    let claim = ClockClaim { source: DelaySource::Chrony, error: within };
+    let claimed_error = Interval { lo: Span::from_millis(-2), hi: Span::from_millis(2) };
+    let claim = ClockClaim { source: DelaySource::Chrony, error: claimed_error };
     relation.set_claims(Some(claim), Some(claim));
     let offset = relation.offset(at(20), WallTime::default()).expect("the clocks are related");
     assert_eq!(offset.verdict, Verdict::Inconsistent);
-    let trip = lying.trip(20e9, 3e4, 1e5, 3e4);
+    let trip = claimed_clocks.trip(20e9, 3e4, 1e5, 3e4);
     let judged = relation.judge(&trip.observation());
     assert_eq!((judged.up.verdict, judged.up.value, judged.up.bounds), (Verdict::Inconsistent, None, None));
 }
@@ -158,13 +158,13 @@ fn drift_beyond_limit_withdraws_all_delays() {
     };
     let mut relation = relation();
     let mut random = RandomSource::new(5);
-    let calm = Path { burst: 0.0, ..Path::VETH };
-    let trips = calm.trips(&host_clocks, (10.0, 40.0), 50.0, &mut random);
+    let quiet_path = Path { burst: 0.0, ..Path::VETH };
+    let trips = quiet_path.trips(&host_clocks, (10.0, 40.0), 50.0, &mut random);
     let (early, late) = trips.split_at(trips.len() / 3);
     for trip in early {
         relation.judge(&trip.observation());
     }
-    assert!(relation.violates_limit(), "{:?}", relation.counts());
+    assert!(relation.violates_limit(), "{:?}", relation.exchange_counts());
     for trip in late {
         let judged = relation.judge(&trip.observation());
         assert_eq!((judged.up.value, judged.down.value), (None, None));
@@ -183,26 +183,27 @@ fn rare_unannounced_steps_violate_no_limit() {
         relation.judge(&trip.observation());
         assert!(!relation.violates_limit());
     }
-    assert_eq!(relation.counts().restarts, 2);
+    assert_eq!(relation.exchange_counts().restarts, 2);
 }
 
 #[test]
 fn suspicion_ends_with_window_if_nothing_refutes_it() {
     let (before, after) = (host_clocks(Span::ZERO), host_clocks(Span::from_millis(1)));
     let mut relation = relation_with_history(&before);
-    let lie = after.trip(10e9, 3e4, 1e5, 3e4).observation();
-    assert_eq!(relation.learn(&lie), LearnResult::Refused(Refusal::Outlier));
+    let wrong_observation = after.trip(10e9, 3e4, 1e5, 3e4).observation();
+    assert_eq!(relation.learn(&wrong_observation), LearnResult::Refused(Refusal::Outlier));
     let is_trusted = |judged: &JudgedExchange| matches!(judged.up.verdict, Verdict::Ok | Verdict::Limited);
     for n in 1..=120 {
         let seconds = 10.0 + f64::from(n) / 10.0;
         let judged = relation.judge(&before.trip(seconds * 1e9, 5e6, 1e5, 5e6).observation());
-        // The last of the exchanges with short round trips before the suspect returned at 9.5 s.
+        // The last exchange with a short round trip before the suspect returned at 9.5 s.
         assert!(seconds < 20.2 || is_trusted(&judged), "{seconds} s: {judged:?}");
         assert!(seconds > 19.4 || !is_trusted(&judged), "{seconds} s: {judged:?}");
     }
 }
 
-/// The newest eight exchanges bound the offset at any age. While some of them are older than the suspect, either these or the suspect may be wrong.
+/// The newest eight exchanges bound the offset at any age. While some of them are older than the suspect, either these
+/// or the suspect may be wrong.
 #[test]
 fn suspicion_lasts_while_earlier_rare_exchanges_count() {
     let (before, after) = (host_clocks(Span::ZERO), host_clocks(Span::from_millis(1)));
