@@ -119,12 +119,12 @@ impl LinkClockState {
         now: Stamp,
     ) -> ([OneWayDelay; 2], ClockStateChanges) {
         let mut changes = self.advance_second(now);
-        let JudgedExchange { learned, up, down } =
+        let JudgedExchange { learn_result, up, down } =
             self.update_relation(epochs_of(observation), |relation| relation.judge(observation));
         // The stored raw value is the difference of the wall clocks, also if other clocks are related.
         let (up, down) =
             (OneWayDelay { raw: up_message.raw, ..up }, OneWayDelay { raw: down_message.raw, ..down });
-        self.handle_learn_result(learned, observation, now, &mut changes);
+        self.handle_learn_result(learn_result, observation, now, &mut changes);
         self.second.add_delay(network, Direction::Up, &up, up_message.bits);
         self.second.add_delay(network, Direction::Down, &down, down_message.bits);
         ([up, down], changes)

@@ -121,8 +121,8 @@ impl Simulation {
             self.exchange((MIN_UPLOAD, MIN_DOWNLOAD), Span::from_millis(10));
         self.true_delays.push(delays);
         let number = self.true_delays.len() as u64;
-        let JudgedExchange { learned, up, down } = self.relation.judge(&self.observation(stamps));
-        self.record_exchange(stamps, learned);
+        let JudgedExchange { learn_result, up, down } = self.relation.judge(&self.observation(stamps));
+        self.record_exchange(stamps, learn_result);
         let mut random = Numbers::new(number);
         let mut iteration = generate::iteration_at(run, number, self.hosts, started, &mut random);
         let [left, arrived, answered, back] = wall;
