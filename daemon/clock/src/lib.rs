@@ -53,8 +53,8 @@ pub use log_throttle::LogThrottle;
 pub use manual::ManualClock;
 pub use related_clocks::RelatedClocks;
 pub use relation::{
-    Direction, ExchangeCounts, JudgedExchange, LearnResult, MIN_EXCHANGES, Offset, Refusal, Relation,
-    RelationSettings, ViolatedLimit,
+    Direction, ExchangeCounts, JudgedExchange, LearnResult, MIN_EXCHANGES_FOR_FRESHNESS, Offset, Refusal,
+    Relation, RelationSettings, ViolatedLimit,
 };
 pub use source::{Clock, SharedClock, Stamp, SystemClock};
 pub use steps::{ClockWatch, Disturbance, Readings};

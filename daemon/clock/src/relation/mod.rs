@@ -18,7 +18,7 @@ use crate::band::{Bounds, Contradiction, ProvenSkew};
 use crate::{ClockClaim, Exchange, ExchangeObservation, RawTime, RelatedClocks, Span, WallTime};
 use contradictions::Contradictions;
 use exchange_times::ExchangeTimes;
-pub use judging::MIN_EXCHANGES;
+pub use judging::MIN_EXCHANGES_FOR_FRESHNESS;
 use sources::Claims;
 use steps::StepTracker;
 pub use types::{

@@ -19,7 +19,7 @@ use std::sync::Arc;
 
 use peernet_aggregator::{LinkSnapshot, LiveState};
 pub(crate) use peernet_analysis::offset_trend::estimate_and_max_error;
-use peernet_clock::{MIN_EXCHANGES, Offset, RelatedClocks, Span, Verdict, WallTime};
+use peernet_clock::{MIN_EXCHANGES_FOR_FRESHNESS, Offset, RelatedClocks, Span, Verdict, WallTime};
 use peernet_store::{ClockPoint, DelayAssumptions, LinkKey, LinkRow};
 use peernet_stream::{NetworkName, Placement, PlacementKind};
 
@@ -126,7 +126,7 @@ pub(crate) const CONTRADICTION: &str = "what is known of the clocks contradicts 
 
 /// Returns whether an offset is stale because the link is young, or a clock was stepped a moment ago.
 pub(crate) fn is_young(offset: &Offset) -> bool {
-    offset.verdict == Verdict::Stale && offset.exchanges < MIN_EXCHANGES
+    offset.verdict == Verdict::Stale && offset.exchanges < MIN_EXCHANGES_FOR_FRESHNESS
 }
 
 impl<'a> Subject<'a> {
