@@ -19,19 +19,20 @@ use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 /// closed.
 const PORT_OVERHEAD: u64 = 18;
 
-/// Kind of port that gets a share of the descriptors.
+/// Share of this process's descriptors that belongs to one kind of port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DescriptorShare {
-    /// Port to which agents connect and send events.
+    /// Share of the port to which agents connect and send events.
     EventPort,
-    /// Port to which edges connect and send samples.
+    /// Share of the ports to which edges connect and send samples.
     DataPort,
-    /// Port to which browsers and REST clients connect.
+    /// Share of the port to which browsers and REST clients connect.
     Web,
 }
 
 impl DescriptorShare {
-    /// Returns how many connections the port may keep open under the current limit of this process.
+    /// Returns how many connections the port may keep open under the current limit of this process, if it is the only
+    /// port of this kind.
     pub fn max_connections(self) -> usize {
         self.max_connections_per_port(NonZeroUsize::MIN)
     }
@@ -49,8 +50,9 @@ impl DescriptorShare {
             Self::EventPort | Self::DataPort => (5, 4_096),
             Self::Web => (2, 1_024),
         };
-        let share = limit.map_or(u64::MAX, |limit| limit / 16 * sixteenths);
-        let per_port = (share / ports.get() as u64).saturating_sub(PORT_OVERHEAD);
+        let descriptors = limit.map_or(u64::MAX, |limit| limit / 16 * sixteenths);
+        // At least one connection is allowed, because a port without connections would be useless.
+        let per_port = (descriptors / ports.get() as u64).saturating_sub(PORT_OVERHEAD);
         usize::try_from(per_port.clamp(1, max_per_port)).unwrap_or(usize::MAX)
     }
 }
@@ -81,9 +83,9 @@ mod tests {
     #[test]
     fn all_ports_leave_a_quarter_of_descriptors() {
         for limit in [256, 1_024, 4_096, 1 << 20] {
-            let connections =
+            let descriptors =
                 SHARES.map(|share| max_connections_of_one_port(share, Some(limit)) as u64 + PORT_OVERHEAD);
-            assert!(connections.iter().sum::<u64>() <= limit * 3 / 4, "{limit}: {connections:?}");
+            assert!(descriptors.iter().sum::<u64>() <= limit * 3 / 4, "{limit}: {descriptors:?}");
         }
         assert_eq!(SHARES.map(|share| max_connections_of_one_port(share, Some(1_024))), [302, 302, 110]);
         assert_eq!(SHARES.map(|share| max_connections_of_one_port(share, None)), [4_096, 4_096, 1_024]);
@@ -95,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn several_data_ports_take_one_share() {
+    fn several_data_ports_divide_one_share() {
         let max_connections = |ports| {
             let ports = NonZeroUsize::new(ports).expect("above 0");
             DescriptorShare::DataPort.max_connections_under(Some(1_024), ports)

@@ -25,8 +25,8 @@ const TUNNELS: [u32; 5] = [
     65_534, // neither hardware nor address: TUN, WireGuard
 ];
 
-/// Returns the interface over which the packets of a connection leave, found by the connection's local address. `None`
-/// if no interface has that address any more.
+/// Returns the interface over which the packets of a connection leave the host: the interface that has the connection's
+/// local address. `None` if no interface has that address any more.
 ///
 /// # Errors
 /// If the system cannot list its interfaces.
@@ -34,20 +34,20 @@ pub fn outgoing_interface(addresses: &ConnectionAddresses) -> io::Result<Option<
     let (local, remote) = (addresses.local.ip().to_canonical(), addresses.remote.ip().to_canonical());
     let mut name_by_address = None;
     let mut loopback = None;
-    let mut is_local = remote.is_loopback();
+    let mut remote_is_this_host = remote.is_loopback();
     for entry in getifaddrs()? {
         if entry.flags.contains(InterfaceFlags::IFF_LOOPBACK) {
             loopback.get_or_insert_with(|| entry.interface_name.clone());
         }
         let Some(address) = entry.address.as_ref().and_then(to_ip) else { continue };
-        is_local |= address == remote;
+        remote_is_this_host |= address == remote;
         if address == local {
             name_by_address.get_or_insert(entry.interface_name);
         }
     }
-    // Linux sends packets to one of the host's own addresses over the loopback interface, whichever interface has the
+    // Linux sends packets to the host's own addresses over the loopback interface, even if another interface has the
     // address.
-    let name = if is_local { loopback } else { name_by_address };
+    let name = if remote_is_this_host { loopback } else { name_by_address };
     Ok(name.map(|name| describe_interface(Path::new(SYSFS), name)))
 }
 
@@ -84,7 +84,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn loopback_connection_leaves_by_loopback() {
+    fn connection_to_loopback_address_leaves_by_loopback() {
         let address_from = |text: &str| text.parse::<SocketAddr>().expect("an address");
         for (local, remote) in [
             ("127.0.0.1:40000", "127.0.0.1:5551"),
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn own_address_as_peer_leaves_by_loopback() {
+    fn connection_to_own_address_leaves_by_loopback() {
         // A connected datagram socket knows its local address without sending anything.
         let socket = UdpSocket::bind("0.0.0.0:0").expect("a socket");
         if socket.connect("192.0.2.1:9").is_err() {
@@ -129,7 +129,7 @@ mod tests {
     #[test]
     fn kind_is_read_from_hardware_type() {
         let sysfs = tempfile::tempdir().expect("a folder");
-        for (name, hardware, extra, kind) in [
+        for (name, hardware, wireless_entry, kind) in [
             ("eth0", "1\n", "", "ethernet"),
             ("wlan0", "1\n", "phy80211", "wireless"),
             ("wlp1s0", "1\n", "wireless", "wireless"),
@@ -137,7 +137,7 @@ mod tests {
             ("can0", "280\n", "", "type 280"),
         ] {
             let folder = sysfs.path().join(name);
-            fs::create_dir_all(folder.join(extra)).expect("a folder");
+            fs::create_dir_all(folder.join(wireless_entry)).expect("a folder");
             fs::write(folder.join("type"), hardware).expect("a file");
             fs::write(folder.join("mtu"), "1280\n").expect("a file");
             let expected =

@@ -1,9 +1,9 @@
-//! Networks: messages, sessions, and one file for each transport.
+//! Networks: messages, sessions, and one module for each transport.
 //!
 //! An edge [opens](Session::open) a session with a cloud's [`Listener`] and then sends samples with the logger tree of
-//! their iteration. The cloud answers with a sample and with the nodes that it added to the tree. All transports carry
-//! the same frames ([`NetworkKind`] lists them), and one session logic serves them all. Its state machines in
-//! `session/{client,server}.rs` do no I/O; `session/{edge,cloud}.rs` drive them.
+//! their iteration. The cloud answers with a sample and with the nodes that the cloud added to the tree. All
+//! transports ([`NetworkKind`] lists them) carry the same frames, and one session logic serves all transports. The
+//! session's state machines in `session/{client,server}.rs` do no I/O; `session/{edge,cloud}.rs` drive them.
 
 pub mod descriptors;
 mod interface;

@@ -8,16 +8,17 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-/// Longest time that can be set: one day. Milliseconds.
+/// Largest allowed value of every time: one day. Milliseconds.
 const MAX_TIME_MS: u64 = 24 * 3600 * 1000;
 
-/// Maximum number of requests in flight that can be set. The queues of the transports are as long as this number.
+/// Largest allowed value of `max_in_flight`. The queues of the transports have room for `max_in_flight` messages and a
+/// few more, so this value also bounds the queues.
 const MAX_IN_FLIGHT: u32 = 4_096;
 
-/// Maximum number of bytes in flight that can be set: 1 TiB.
+/// Largest allowed value of `max_in_flight_bytes` and `max_unfinished_bytes`: 1 TiB.
 const MAX_IN_FLIGHT_BYTES: u64 = 1 << 40;
 
-/// Maximum number of sessions that can be set.
+/// Largest allowed value of `max_sessions`.
 const MAX_SESSIONS: u32 = 65_536;
 
 // Smallest and largest value of each key that has no constant above.
@@ -43,7 +44,7 @@ pub struct SessionSettings {
     pub heartbeat_interval_ms: u64,
     /// Time after which a peer counts as gone if it is silent or does not acknowledge our bytes. Milliseconds.
     pub heartbeat_timeout_ms: u64,
-    /// Time limit for sending answers and a goodbye while a session or port is closed. Milliseconds.
+    /// Time limit for sending the last answers and the goodbye when a session or a port closes. Milliseconds.
     pub close_timeout_ms: u64,
     /// Largest message that is accepted, all frames together. Bytes.
     pub max_message_bytes: u64,
@@ -54,17 +55,18 @@ pub struct SessionSettings {
     /// arrival until they are answered. Further requests are answered as overloaded. While no other request is in
     /// flight, a request of any size is accepted.
     pub max_in_flight_bytes: u64,
-    /// Maximum number of bytes of unfinished messages of all sessions of a listener. A connection whose message would
-    /// exceed this limit is closed. While no other message is unfinished, a message of any allowed size is accepted. A
-    /// connection without a session may have 64 KiB of unfinished messages.
+    /// Maximum number of bytes of unfinished messages of all sessions of a listener. A message is unfinished until it
+    /// has arrived completely. A connection whose message would exceed this limit is closed. While no other message is
+    /// unfinished, a message of any allowed size is accepted. A connection without a session may have 64 KiB of
+    /// unfinished messages.
     pub max_unfinished_bytes: u64,
-    /// Maximum number of sessions of a listener. One host may have at most half of the sessions that the other hosts
-    /// leave free.
+    /// Maximum number of sessions of a listener. One host may have at most half of the sessions that other hosts do not
+    /// use.
     pub max_sessions: u32,
     /// Largest datagram that is sent, without the headers of UDP and IP. Bytes. For networks over datagrams only.
     pub datagram_bytes: u64,
-    /// Rate at which datagrams are sent; 0 adapts the rate to what arrives. Bits per second. For networks over
-    /// datagrams only.
+    /// Rate at which datagrams are sent; 0 adapts the rate to what the other end receives. Bits per second. For
+    /// networks over datagrams only.
     pub max_send_bits_per_second: u64,
     /// Time that the receiver waits for the missing fragments of a message after the last fragment was sent.
     /// Milliseconds. For networks over datagrams only.
@@ -88,7 +90,8 @@ impl Default for SessionSettings {
             max_in_flight_bytes: 512 * 1024 * 1024,
             max_unfinished_bytes: 128 * 1024 * 1024,
             max_sessions: 256,
-            // With its headers it is below IPv6's minimum MTU, 1,280 bytes (RFC 8200, section 5).
+            // With the headers of UDP and IP, the datagram fits into IPv6's minimum MTU, 1,280 bytes (RFC 8200, section
+            // 5).
             datagram_bytes: 1_200,
             max_send_bits_per_second: 0,
             reassembly_timeout_ms: 100,
@@ -158,7 +161,7 @@ impl SessionSettings {
     /// Returns the settings with every value brought into the range that [`check`](Self::check) allows.
     pub(crate) fn clamped(self) -> Self {
         let clamped = |value: u64, (min, max): (u64, u64)| value.clamp(min, max);
-        // At most half of the longest time, so that a timeout of twice the interval is within the range.
+        // The interval is at most half of the longest time, so that twice the interval is an allowed timeout.
         let heartbeat_interval_ms =
             clamped(self.heartbeat_interval_ms, (TIME_MS_RANGE.0, TIME_MS_RANGE.1 / 2));
         Self {
@@ -213,7 +216,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn invalid_settings_are_named_and_defaults_are_valid() {
+    fn error_names_invalid_key_and_defaults_are_valid() {
         let with = |change: fn(&mut SessionSettings)| {
             let mut settings = SessionSettings::default();
             change(&mut settings);

@@ -21,7 +21,7 @@ pub(crate) struct Counters {
     lost_messages: AtomicU64,
 }
 
-/// Statistics that only the transport knows. Totals since the connection was opened. A value that the transport does
+/// Statistics that only the transport knows: totals since the connection was opened. A value that the transport does
 /// not know is `None`, never 0.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct TransportStatistics {

@@ -155,7 +155,7 @@ impl RunObserver for SweepObserver<'_> {
         let wait_reason = activity.wait_reason();
         if let (Some(kind), Some(reason)) = (self.refused_kind, wait_reason) {
             // The advice concerns a configuration, which does not exist here, and the model needs no loading.
-            let reason = reason.strip_suffix(OpenError::LOADING).unwrap_or(reason);
+            let reason = reason.strip_suffix(OpenError::LOADING_HINT).unwrap_or(reason);
             let advice = match kind {
                 IncidentKind::Refused => {
                     "; calibration needs the model `calibration` of the peer, which [serve] calibration = true there offers"

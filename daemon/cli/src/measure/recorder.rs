@@ -273,7 +273,7 @@ impl RunObserver for RunRecorder<'_> {
         }
         // The library's advice at the end of the reason refers to a configuration file, which a foreground run does
         // not have.
-        let reason = reason.map(|reason| reason.strip_suffix(OpenError::LOADING).unwrap_or(reason));
+        let reason = reason.map(|reason| reason.strip_suffix(OpenError::LOADING_HINT).unwrap_or(reason));
         let write_error =
             self.writer.write_error().map(|error| format!("{error}; the rows are kept in memory"));
         let now = self.clock.mono();

@@ -17,9 +17,9 @@ impl Announcer {
         Self { shared }
     }
 
-    /// Sends the state of the cloud's clocks to all open sessions. For sessions that are accepted later, it replaces
-    /// the [`host_clock`](crate::SessionAccepted::host_clock) of the acceptance, which the caller may have read before
-    /// this announcement.
+    /// Sends the state of the cloud's clocks to all open sessions. In later acceptances, this state replaces
+    /// [`host_clock`](crate::SessionAccepted::host_clock), which the caller of
+    /// [`accept`](crate::OpenRequest::accept) may have read before this announcement.
     ///
     /// Never waits. An open session whose connection takes no more bytes does not get this state.
     pub fn announce(&self, clock: PeerClock) {
@@ -28,8 +28,8 @@ impl Announcer {
         }
     }
 
-    /// Sends to each open session the statistics of this end of its connection. Never waits. Queries the system about
-    /// each connection, which takes about 30 µs for TCP.
+    /// Sends to the edge of each open session the statistics of the cloud's end of the connection. Never waits. Queries
+    /// the system about each connection, which takes about 30 µs for TCP.
     pub fn report_statistics(&self) {
         if let Some(shared) = self.shared.upgrade() {
             shared.report_statistics();

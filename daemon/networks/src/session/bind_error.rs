@@ -11,14 +11,14 @@ pub enum BindError {
         port = .0.port()
     )]
     InUse(Address),
-    /// The port needs a privilege.
+    /// The process lacks the privilege that the port needs.
     #[error(
         "cannot listen on {0}: permission denied; ports below 1024 need a privilege; configure a higher port"
     )]
     Denied(Address),
     /// The address belongs to another machine.
     #[error(
-        "cannot listen on {0}: this machine has no such address; use {scheme}://0.0.0.0:{port} for all of its interfaces",
+        "cannot listen on {0}: this machine has no such address; use {scheme}://0.0.0.0:{port} to listen on all of its interfaces",
         scheme = .0.scheme(),
         port = .0.port()
     )]

@@ -33,7 +33,7 @@ impl fmt::Display for CloseReason {
     }
 }
 
-/// Meaning of a message for the opening of a session.
+/// What a message from the cloud means for a session that is being opened.
 #[derive(Debug)]
 pub(crate) enum HelloOutcome {
     /// The cloud accepted the session.
@@ -47,7 +47,7 @@ pub(crate) enum HelloOutcome {
 }
 
 /// Classifies a message that arrives while a session opens.
-pub(crate) fn classify_answer(header: Header) -> HelloOutcome {
+pub(crate) fn classify_hello_answer(header: Header) -> HelloOutcome {
     match header {
         Header::Accepted(accepted) => {
             match SESSION_VERSIONS.highest_common(&VersionRange::single(accepted.protocol)) {
@@ -55,8 +55,8 @@ pub(crate) fn classify_answer(header: Header) -> HelloOutcome {
                 Err(mismatch) => HelloOutcome::Incompatible(mismatch),
             }
         }
-        // The versions decide, not the kind: if a common version exists, a cloud that calls itself incompatible has
-        // another reason.
+        // The versions decide, not the kind of the refusal: if a common version exists, a cloud that calls itself
+        // incompatible refuses for another reason.
         Header::Refused(Refused { versions, kind: RefusalKind::Incompatible, reason }) => {
             match SESSION_VERSIONS.highest_common(&versions) {
                 Ok(_) => HelloOutcome::Refused(reason),
@@ -84,7 +84,7 @@ pub(crate) enum CloudMessage<W> {
     Answer(W, Reply),
     /// A partial answer to a request in flight.
     PartialAnswer(PartialReply),
-    /// An answer to a request that was cancelled or has ended already.
+    /// An answer to a request that was cancelled or has ended.
     LateAnswer,
     /// A partial answer to a request that was cancelled or has ended.
     LatePartialAnswer,
@@ -94,7 +94,7 @@ pub(crate) enum CloudMessage<W> {
     Statistics(Box<ConnectionStatistics>),
     /// The message is not valid in this session, for this reason.
     Malformed(&'static str),
-    /// The session ended for this reason; these waiters get no answer.
+    /// The cloud ended the session for this reason; these waiters get no answer.
     SessionEnded(CloseReason, Vec<W>),
 }
 
@@ -132,14 +132,14 @@ impl<W> ClientSession<W> {
     pub(crate) fn receive(&mut self, header: Header) -> CloudMessage<W> {
         match header {
             Header::Reply(reply) if reply.session != self.session => {
-                CloudMessage::Malformed("a reply of another session")
+                CloudMessage::Malformed("an answer of another session")
             }
             Header::Reply(reply) if reply.request >= self.next_request => {
-                CloudMessage::Malformed("a reply to a request that was never sent")
+                CloudMessage::Malformed("an answer to a request that was never sent")
             }
             Header::Reply(reply) => match self.waiters.remove(&reply.request) {
                 Some(waiter) => CloudMessage::Answer(waiter, reply),
-                // An answer may arrive after its request timed out; it must not be mistaken for an invalid answer.
+                // The answer may arrive after its request timed out. Such an answer is late and not invalid.
                 None => CloudMessage::LateAnswer,
             },
             Header::PartialReply(partial_answer) if partial_answer.session != self.session => {
@@ -153,7 +153,7 @@ impl<W> ClientSession<W> {
             }
             Header::PartialReply(_) => CloudMessage::LatePartialAnswer,
             Header::Clock(update) if update.session == self.session => CloudMessage::Clock(update.clock),
-            Header::Clock(_) => CloudMessage::Malformed("the clock of another session"),
+            Header::Clock(_) => CloudMessage::Malformed("the clock state of another session"),
             Header::Statistics(report) if report.session == self.session => {
                 CloudMessage::Statistics(Box::new(report.statistics))
             }
@@ -182,7 +182,8 @@ impl<W> ClientSession<W> {
         self.waiters.remove(&request)
     }
 
-    /// Ends the session; the first reason is kept. Returns the waiters that get no answer.
+    /// Ends the session. If the session has ended already, the first reason is kept. Returns the waiters that get no
+    /// answer.
     pub(crate) fn end(&mut self, reason: CloseReason) -> Vec<W> {
         // Later reasons are consequences of the first one.
         self.close_reason.get_or_insert(reason);
@@ -216,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn second_answer_to_a_request_is_late() {
+    fn repeated_answer_to_a_request_is_late() {
         let session = SessionId::random();
         let mut client = ClientSession::new(session);
         let (a, b) = (client.start_request('a').expect("open"), client.start_request('b').expect("open"));
@@ -237,8 +238,9 @@ mod tests {
         assert_eq!(effect, CloudMessage::SessionEnded(CloseReason::UnknownSession, vec!['a']));
         assert_eq!(client.end(CloseReason::Broken("later".into())), Vec::<char>::new());
         assert_eq!(client.start_request('b'), Err(CloseReason::UnknownSession));
-        let other = Goodbye { session: SessionId::random(), reason: String::new(), planned_iterations: None };
-        assert!(matches!(client.receive(Header::Goodbye(other)), CloudMessage::Malformed(_)));
+        let foreign_goodbye =
+            Goodbye { session: SessionId::random(), reason: String::new(), planned_iterations: None };
+        assert!(matches!(client.receive(Header::Goodbye(foreign_goodbye)), CloudMessage::Malformed(_)));
     }
 
     #[derive(Clone, Debug)]
@@ -268,20 +270,20 @@ mod tests {
         ) {
             let mut client = ClientSession::new(session);
             // In this test the waiter of a request is the request's number.
-            let (mut begun, mut ended, mut is_over) = (0, HashSet::new(), false);
+            let (mut started_count, mut ended, mut is_over) = (0, HashSet::new(), false);
             for step in steps {
                 match step {
-                    Step::StartRequest => match client.start_request(begun) {
+                    Step::StartRequest => match client.start_request(started_count) {
                         Ok(request) => {
                             prop_assert!(!is_over);
-                            prop_assert_eq!(request, begun);
-                            begun += 1;
+                            prop_assert_eq!(request, started_count);
+                            started_count += 1;
                         }
                         Err(_) => prop_assert!(is_over),
                     },
                     Step::CancelRequest(request) => {
                         if client.cancel_request(request) {
-                            prop_assert!(request < begun && ended.insert(request));
+                            prop_assert!(request < started_count && ended.insert(request));
                         }
                     }
                     Step::LoseRequest(request) => {
@@ -315,19 +317,19 @@ mod tests {
                         }
                     }
                 }
-                prop_assert!(!is_over || ended.len() as u64 == begun);
+                prop_assert!(!is_over || ended.len() as u64 == started_count);
             }
             for waiter in client.end(CloseReason::Local) {
                 prop_assert!(ended.insert(waiter));
             }
-            prop_assert_eq!(ended.len() as u64, begun);
+            prop_assert_eq!(ended.len() as u64, started_count);
         }
 
         #[test]
         fn session_opens_only_if_accepted_in_known_version(header in strategies::header(Vec::new())) {
             let known_versions = SESSION_VERSIONS.oldest()..=SESSION_VERSIONS.newest();
             let is_valid = matches!(&header, Header::Accepted(accepted) if known_versions.contains(&accepted.protocol));
-            prop_assert_eq!(matches!(classify_answer(header), HelloOutcome::Accepted(_)), is_valid);
+            prop_assert_eq!(matches!(classify_hello_answer(header), HelloOutcome::Accepted(_)), is_valid);
         }
     }
 }

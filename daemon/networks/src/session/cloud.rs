@@ -1,4 +1,4 @@
-//! The cloud's driver of the session protocol: all sessions of a port.
+//! Drives the session protocol on the cloud, for all sessions of a port.
 //!
 //! ```text
 //! cloud                 the port: binds it, returns its events, closes it
@@ -66,25 +66,25 @@ impl Listener {
         host: HostId,
         clock: &SharedClock,
     ) -> Result<Vec<Self>, BindError> {
-        let ports = NonZeroUsize::new(addresses.len()).unwrap_or(NonZeroUsize::MIN);
+        let port_count = NonZeroUsize::new(addresses.len()).unwrap_or(NonZeroUsize::MIN);
         let mut listeners = Vec::with_capacity(addresses.len());
         for address in addresses {
             let (settings, clock) = (settings.clone(), SharedClock::clone(clock));
-            listeners.push(Self::bind_one_of(ports, address, settings, host, clock).await?);
+            listeners.push(Self::bind_one_of(port_count, address, settings, host, clock).await?);
         }
         Ok(listeners)
     }
 
-    /// Listens on one of `ports` addresses.
+    /// Listens on one address. `port_count` is the number of ports that share the file descriptors.
     async fn bind_one_of(
-        ports: NonZeroUsize,
+        port_count: NonZeroUsize,
         address: &Address,
         settings: SessionSettings,
         host: HostId,
         clock: SharedClock,
     ) -> Result<Self, BindError> {
         let settings = settings.clamped();
-        let bound = address.network().bind(address, &settings, ports, &clock).await;
+        let bound = address.network().bind(address, &settings, port_count, &clock).await;
         let bound = bound.map_err(|failure| match failure {
             BindFailure::InUse => BindError::InUse(address.clone()),
             BindFailure::Denied => BindError::Denied(address.clone()),
@@ -108,7 +108,7 @@ impl Listener {
         self.caveat.as_deref()
     }
 
-    /// Returns the statistics of all connections together, since the port was bound.
+    /// Returns the statistics of all connections together, counted since the port was bound.
     pub fn statistics(&self) -> ConnectionStatistics {
         self.shared.output.counters.statistics(&TransportStatistics::default())
     }
@@ -119,7 +119,7 @@ impl Listener {
     }
 
     /// Waits for the next event. `None` means that the socket is closed. Cancel safe: dropping the future loses
-    /// nothing.
+    /// no event.
     pub async fn next(&mut self) -> Option<Incoming> {
         loop {
             if let Some(session) = self.closed_sessions.pop_front() {
@@ -128,7 +128,7 @@ impl Listener {
             match self.receiver.receive().await? {
                 ListenerEvent::Message(peer, frames) => {
                     // This epoch is read before the arrival is stamped, and the epoch of the answer after its departure
-                    // is stamped. If both are equal, no step of the clock lies between the two stamps.
+                    // is stamped. If the two epochs are equal, no step of the clock lies between the two stamps.
                     let (epoch, wall_epoch) = (self.shared.clock.epoch(), self.shared.clock.wall_epoch());
                     let received = self.shared.clock.stamp();
                     let arrival = ArrivalStamp { raw: received.raw, epoch, wall_epoch };
@@ -144,7 +144,7 @@ impl Listener {
                 ListenerEvent::Lost(connection, loss) => {
                     tracing::debug!(?connection, %loss, "an answer was lost on the way");
                     if loss.tag.is_none() {
-                        // Partial answers have no tag.
+                        // Partial answers have no tag, so the lost message may be one.
                         self.shared.lock_server().note_lost_partial_answer(connection);
                     }
                     self.shared.output.counters.count_lost(1);
@@ -153,7 +153,7 @@ impl Listener {
                     }
                 }
                 ListenerEvent::Moved(connection, address) => {
-                    tracing::debug!(?connection, %address, "an edge has another address");
+                    tracing::debug!(?connection, %address, "the address of an edge has changed");
                     self.shared.lock_server().update_address(connection, address);
                 }
                 ListenerEvent::Gone(connection, reason) => {
@@ -175,12 +175,12 @@ impl Listener {
         }
     }
 
-    /// Waits for the answers in progress, but not longer than the close timeout. Then says goodbye to all edges and
-    /// closes the port.
+    /// Waits for the answers to the requests in flight, but not longer than the close timeout. Then says goodbye to all
+    /// edges and closes the port.
     pub async fn close(self) {
-        let wait = self.settings.close_timeout();
-        if tokio::time::timeout(wait, self.shared.wait_until_idle()).await.is_err() {
-            let in_flight = self.shared.lock_server().in_flight();
+        let timeout = self.settings.close_timeout();
+        if tokio::time::timeout(timeout, self.shared.wait_until_idle()).await.is_err() {
+            let in_flight = self.shared.lock_server().in_flight_count();
             tracing::warn!(
                 in_flight,
                 "the close timeout has passed; closing the port while requests are still being computed"
@@ -190,6 +190,6 @@ impl Listener {
         for (peer, header) in goodbyes {
             self.shared.send_message(&peer, &header);
         }
-        self.receiver.close(wait).await;
+        self.receiver.close(timeout).await;
     }
 }

@@ -1,4 +1,4 @@
-//! A request and its answer on the edge's tree.
+//! What a request and its answer add to the edge's tree.
 
 use std::fmt;
 use std::num::NonZeroU32;
@@ -23,7 +23,7 @@ pub struct CompletedRequest {
     pub result: Result<Sample, RequestError>,
     /// Time at which the whole answer had arrived; `None` if no answer came.
     pub arrived_at: Option<Stamp>,
-    /// The `upload` node; `None` if nothing was sent.
+    /// The `upload` node; `None` if the request was not sent.
     pub upload: Option<NodeId>,
     /// The `download` node; `None` if no model answered.
     pub download: Option<NodeId>,
@@ -33,14 +33,14 @@ pub struct CompletedRequest {
     ///
     /// The edge's stamps are of its free-running clock. The cloud's stamps are of its free-running clock since version
     /// [`RAW_STAMPS_SINCE`](crate::RAW_STAMPS_SINCE), and of its wall clock in earlier versions. `None` if no model
-    /// answered. Also `None` if the clock of either host was interrupted in between, because such stamps bound no
-    /// offset.
+    /// answered. Also `None` if the clock of either host was interrupted between the four stamps, because such stamps
+    /// bound no offset.
     pub observation: Option<ExchangeObservation>,
 }
 
-/// Error bound of an exchange's stamps. A stamp may be wrong to the unsafe side by the resolution of its clock: up to
-/// 53 ns for the counters of arm64, which run at 19.2 MHz or more. Two stamps bound an offset, and both are sent in
-/// whole nanoseconds.
+/// Error bound of an exchange's stamps. A stamp may be wrong by the resolution of its clock: at most 52.1 ns for the
+/// counters of arm64, which run at 19.2 MHz or more, rounded up because stamps are whole nanoseconds. Each bound of the
+/// offset is computed from two stamps, so the errors of two stamps add up.
 const UNCERTAINTY: Span = Span::from_nanos(2 * 53);
 
 /// A reply that arrived.
@@ -48,10 +48,10 @@ const UNCERTAINTY: Span = Span::from_nanos(2 * 53);
 pub(crate) struct ArrivedReply {
     pub(crate) reply: Reply,
     pub(crate) frames: Frames,
-    /// Partial answers that arrived before.
+    /// Partial answers that arrived before the reply.
     pub(crate) partial_answers: ArrivedPartialAnswers,
     pub(crate) stamp: Stamp,
-    /// Edge's epoch, read right after the arrival was stamped.
+    /// Epoch of the edge's free-running clock, read right after the arrival was stamped.
     pub(crate) epoch: u32,
 }
 
@@ -61,11 +61,11 @@ pub(crate) struct DepartedRequest {
     /// The `upload` node.
     pub(crate) upload: NodeId,
     pub(crate) stamp: Stamp,
-    /// Edge's epoch, read right before the departure was stamped.
+    /// Epoch of the edge's free-running clock, read right before the departure was stamped.
     pub(crate) epoch: u32,
 }
 
-/// Event that a request was waiting for when its time ended.
+/// Event that a request was waiting for when its timeout passed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AwaitedEvent {
     /// A slot among the requests in flight: nothing was sent.
@@ -94,7 +94,8 @@ pub enum RequestError {
     /// The session ended before the answer arrived, or the request or its answer was lost on the way.
     #[error("the request was lost: {0}")]
     Lost(String),
-    /// The request's time ended before the answer came. If the answer still comes, it is dropped and counted as late.
+    /// The request's timeout passed before the answer arrived. If the answer arrives later, it is dropped and counted
+    /// as late.
     #[error("no answer in time, waiting for {0}")]
     Timeout(AwaitedEvent),
     /// The sample could not be sent, or the cloud's model failed on it. The next request may succeed.
@@ -105,16 +106,16 @@ pub enum RequestError {
     Overloaded(String),
 }
 
-/// Size of a message. Bytes.
+/// Sizes of a message: of its metadata and of its payload. Bytes.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Sizes {
+pub(crate) struct MessageSizes {
     /// Length of the header and the tree, as in `upload-logger-bytes`.
     pub(crate) metadata: u64,
     /// Length of the payload.
     pub(crate) payload: u64,
 }
 
-impl Sizes {
+impl MessageSizes {
     pub(crate) fn from_frames(frames: &Frames) -> Self {
         let bytes = |frames: &[bytes::Bytes]| frames.iter().map(|frame| frame.len() as u64).sum();
         let (metadata, payload) = frames.split_at(frames.len().min(2));
@@ -125,7 +126,7 @@ impl Sizes {
         self.metadata + self.payload
     }
 
-    /// Adds both sizes as values to the edge's tree. These nodes fit even into a full tree.
+    /// Adds the two sizes as values to the edge's tree. These nodes fit even into a tree that accepts no other nodes.
     pub(crate) fn record(self, recorder: &mut Recorder, payload: Name, metadata: Name) {
         let start = recorder.offset(recorder.clock().mono());
         for (name, bytes) in [(payload, self.payload), (metadata, self.metadata)] {
@@ -139,9 +140,9 @@ impl Sizes {
 pub(crate) enum TreeDeltaError {
     #[error(transparent)]
     Frame(#[from] TreeFrameError),
-    #[error("the cloud's nodes belong to another node of the tree than upload")]
+    #[error("the tree delta closes another node than the upload of this request")]
     OtherNodeClosed,
-    #[error("the tree delta is of another host than the cloud")]
+    #[error("the tree delta names another host than the cloud")]
     OtherHost,
     #[error("the tree would have too many hosts")]
     TooManyHosts,
@@ -155,7 +156,7 @@ pub(crate) enum TreeDeltaError {
     Tree(#[from] TreeError),
 }
 
-/// The transits from the cloud that an answer added to the tree, and its stamps.
+/// The transits from the cloud that an answer added to the tree, and the stamps of the exchange.
 #[derive(Debug)]
 pub(crate) struct AbsorbedReply {
     /// The `download` node.
@@ -200,7 +201,7 @@ pub(crate) fn absorb(
         return Err(TreeDeltaError::EarlierHost);
     }
     let (received, replied) = match (has_raw_stamps, arrived.reply.arrived_raw, departure.sent_raw) {
-        // Older versions only send the cloud's wall clock, which then replaces its free-running clock.
+        // Older versions send stamps of the cloud's wall clock only, which take the place of its free-running clock.
         (false, ..) => (RawTime::from_wall(delta.closed.1), RawTime::from_wall(departure.sent)),
         (true, Some(received), Some(replied)) => (received, replied),
         (true, ..) => return Err(TreeDeltaError::NoRawStamps),
@@ -222,11 +223,11 @@ pub(crate) fn absorb(
     recorder.tree_mut().apply_delta(delta)?;
     let upload_stamps = RawStamps { sent: departed.stamp.raw, received };
     set_raw_stamps(recorder.tree_mut(), departed.upload, upload_stamps);
-    let last = recorder.tree().nodes().len() - 1;
-    let last = u32::try_from(last).map_err(|_| TreeDeltaError::TooManyNodes)?;
+    let last_index = recorder.tree().nodes().len() - 1;
+    let last_index = u32::try_from(last_index).map_err(|_| TreeDeltaError::TooManyNodes)?;
     // `download` was appended last, and the first partial answer right before it.
-    let first_partial_answer = has_partial_answers.then(|| NodeId(last - 1));
-    Ok(Some(AbsorbedReply { download: NodeId(last), first_partial_answer, observation }))
+    let first_partial_answer = has_partial_answers.then(|| NodeId(last_index - 1));
+    Ok(Some(AbsorbedReply { download: NodeId(last_index), first_partial_answer, observation }))
 }
 
 fn set_raw_stamps(tree: &mut Tree, node: NodeId, stamps: RawStamps) {
@@ -257,7 +258,8 @@ fn make_observation(
     };
     Some(ExchangeObservation {
         exchange,
-        // The monotonic clock is slewed and the free-running one is not. Their durations may therefore differ.
+        // The duration is of the monotonic clock, which is slewed. It must not be compared with stamps of the
+        // free-running clock, which is not slewed.
         cloud_elapsed: (!has_raw_stamps).then_some(departure.sent_since_anchor),
         edge_epoch: arrived.epoch,
         cloud_epoch: Some(departure.epoch),

@@ -1,4 +1,4 @@
-//! The edge's driver of the session protocol: a session over a transport.
+//! Drives the session protocol on the edge: a session over a transport.
 
 use std::sync::{Arc, Mutex, OnceLock, Weak};
 use std::time::Duration;
@@ -11,26 +11,27 @@ use tokio_util::sync::CancellationToken;
 
 use super::client::CloseReason;
 use super::completed_request::{
-    AbsorbedReply, ArrivedReply, AwaitedEvent, CompletedRequest, RequestError, Sizes, absorb, request_result,
+    AbsorbedReply, ArrivedReply, AwaitedEvent, CompletedRequest, MessageSizes, RequestError, absorb,
+    request_result,
 };
 use super::open::{OpenError, OpenedSession, handshake};
 use super::partial_answers::{ArrivedPartialAnswers, PartialAnswerHandler};
 use super::receiving::ReceivingTask;
 use super::remarks::Remarks;
-use super::requests_in_flight::{Answer, RequestsInFlight};
+use super::requests_in_flight::{RequestOutcome, RequestsInFlight};
 use super::state::{PendingRequest, SessionState, SessionTerms};
 use crate::message::{PeerClock, SessionAccepted, SessionHello, SessionId};
 use crate::statistics::{ConnectionAddresses, ConnectionStatistics, Counters};
 use crate::{Address, SessionSettings};
 
-/// Timeout that is used if the sum of now and the requested timeout overflows.
+/// Timeout that replaces a requested timeout whose deadline cannot be represented.
 const MAX_REQUEST_TIMEOUT: Duration = Duration::from_secs(10 * 365 * 24 * 3600);
 
-/// An open session with a cloud. Clones are the same session; it closes when the last one is dropped.
+/// An open session with a cloud. All clones belong to one session, which closes when the last clone is dropped.
 ///
 /// A session exists exactly as long as its connection. [`closed`](Self::closed) returns when the session is over; to
-/// continue, the caller [opens](Self::open) another session. Transports do not reconnect by themselves, so requests in
-/// flight end as lost at once, with the reason.
+/// continue, the caller [opens](Self::open) another session. Transports do not reconnect by themselves. When a
+/// connection breaks, the requests in flight therefore end at once as lost, with the reason.
 #[derive(Clone, Debug)]
 pub struct Session {
     inner: Arc<Inner>,
@@ -40,15 +41,15 @@ pub struct Session {
 struct Inner {
     shared: Arc<SessionState>,
     accepted: SessionAccepted,
-    /// Token that closes the session; the receiving task waits for it.
-    stop: CancellationToken,
+    /// Token that closes the session. The receiving task ends when the token is cancelled.
+    close_token: CancellationToken,
     /// Token that the receiving task cancels when the connection is closed.
-    stopped: CancellationToken,
+    closed_token: CancellationToken,
 }
 
 impl Drop for Inner {
     fn drop(&mut self) {
-        self.stop.cancel();
+        self.close_token.cancel();
     }
 }
 
@@ -75,14 +76,14 @@ impl Session {
         clock: SharedClock,
         counters: Counters,
     ) -> Self {
-        // With a limit of 0, every request would wait until its timeout, and the timeout would be the only reason
-        // given.
+        // With a limit of 0, every request would wait until its timeout, and no error would name the limit as the
+        // cause.
         let slots = acceptance.max_in_flight.min(settings.max_in_flight).max(1);
         let shared = Arc::new(SessionState {
             terms: SessionTerms {
                 session: acceptance.session,
                 version: acceptance.protocol,
-                // The cloud would refuse a larger message after it has crossed the network.
+                // The cloud would refuse a larger message only after the message has crossed the network.
                 max_message_bytes: acceptance.max_message_bytes.min(settings.max_message_bytes),
             },
             requests: RequestsInFlight::new(acceptance.session, slots as usize),
@@ -96,10 +97,14 @@ impl Session {
             log_throttle: Mutex::default(),
             planned_iterations: OnceLock::new(),
         });
-        let (stop, stopped) = (CancellationToken::new(), CancellationToken::new());
-        let task = ReceivingTask { shared: shared.clone(), stop: stop.clone(), stopped: stopped.clone() };
+        let (close_token, closed_token) = (CancellationToken::new(), CancellationToken::new());
+        let task = ReceivingTask {
+            shared: shared.clone(),
+            close_token: close_token.clone(),
+            closed_token: closed_token.clone(),
+        };
         tokio::spawn(task.run(connection.receiver, settings.close_timeout()));
-        Self { inner: Arc::new(Inner { shared, accepted: acceptance.accepted, stop, stopped }) }
+        Self { inner: Arc::new(Inner { shared, accepted: acceptance.accepted, close_token, closed_token }) }
     }
 
     /// Returns the cloud's acceptance of the session.
@@ -107,7 +112,8 @@ impl Session {
         &self.inner.accepted
     }
 
-    /// Returns the id of the session. Only its two ends know it, unless a third party reads the connection.
+    /// Returns the id of the session. Only the two ends of the session know the id, unless a third party reads the
+    /// connection.
     pub fn id(&self) -> SessionId {
         self.inner.shared.terms.session
     }
@@ -135,8 +141,8 @@ impl Session {
         self.inner.shared.remarks.subscribe()
     }
 
-    /// Returns a reader of the statistics of the cloud's end of the connection. They are `None` before its first
-    /// report.
+    /// Returns a reader of the statistics of the cloud's end of the connection. The value is `None` before the cloud's
+    /// first report.
     pub fn peer_statistics(&self) -> watch::Receiver<Option<ConnectionStatistics>> {
         self.inner.shared.peer_statistics.subscribe()
     }
@@ -154,9 +160,9 @@ impl Session {
     /// Sends a sample and waits for the answer. Any number of requests may be in progress at the same time.
     ///
     /// Records in `recorder`: `send-queue` if the request had to wait because too many were in flight, `encode`,
-    /// `upload`, `download`, their sizes, and the nodes of the cloud. `timeout` is the time limit for everything,
-    /// including the wait in the queue. The request is cancelled if the future is dropped or `timeout` ends. The cloud
-    /// then stops computing if the model allows it.
+    /// `upload`, `download`, the sizes of request and answer, and the nodes of the cloud. `timeout` is the time limit
+    /// for everything, including the wait in the queue. The request is cancelled if the future is dropped or `timeout`
+    /// ends. The cloud then stops computing if the model allows it.
     pub async fn request(&self, recorder: Recorder, sample: &Sample, timeout: Duration) -> CompletedRequest {
         self.request_with_partial_answers(recorder, sample, timeout, None).await
     }
@@ -195,23 +201,23 @@ impl Session {
             Err(error) => return CompletedRequest { result: Err(error), ..completed },
         };
         completed.upload = Some(pending.departed.upload);
-        // Partial answers whose whole answer does not arrive.
+        // Partial answers of an answer that does not arrive completely.
         let mut partial_answers = ArrivedPartialAnswers::default();
-        let answer = tokio::time::timeout_at(deadline, &mut pending.answer).await;
-        match answer {
-            Ok(Ok(Answer::Reply(arrived))) => self.handle_reply(&mut completed, &pending, *arrived),
-            Ok(Ok(Answer::Lost(reason, arrived))) => {
+        let outcome = tokio::time::timeout_at(deadline, &mut pending.outcome).await;
+        match outcome {
+            Ok(Ok(RequestOutcome::Reply(arrived))) => self.handle_reply(&mut completed, &pending, *arrived),
+            Ok(Ok(RequestOutcome::Lost(reason, arrived))) => {
                 partial_answers = arrived;
                 completed.result = Err(RequestError::Lost(reason));
             }
-            Ok(Ok(Answer::SessionEnded(reason, arrived))) => {
+            Ok(Ok(RequestOutcome::SessionEnded(reason, arrived))) => {
                 partial_answers = arrived;
                 completed.result = Err(RequestError::Lost(reason.to_string()));
             }
             Ok(Err(_)) => {
                 completed.result = Err(RequestError::Lost("the task that receives answers has ended".into()));
             }
-            // The deadline has passed. The result is already a timeout; only the awaited event may have to be changed.
+            // The deadline has passed. The result is a timeout from the start; only its event may change.
             Err(_) => {
                 partial_answers = shared.requests.take_partial_answers(pending.request).unwrap_or_default();
                 if let Some(count) = partial_answers.count() {
@@ -231,19 +237,20 @@ impl Session {
     fn handle_reply(
         &self,
         completed: &mut CompletedRequest,
-        sent: &PendingRequest<'_>,
+        pending: &PendingRequest<'_>,
         arrived: ArrivedReply,
     ) {
         let shared = &*self.inner.shared;
-        let sizes = Sizes::from_frames(&arrived.frames);
+        let sizes = MessageSizes::from_frames(&arrived.frames);
         let recorder = &mut completed.recorder;
         completed.arrived_at = Some(arrived.stamp);
         let has_raw_stamps = shared.terms.has_raw_stamps();
         // The delta is added before all other nodes, because its node ids refer to the tree as it was sent.
-        let absorbed = absorb(recorder, self.inner.accepted.host, has_raw_stamps, &sent.departed, &arrived);
-        sent.sizes.record(recorder, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES);
+        let absorbed =
+            absorb(recorder, self.inner.accepted.host, has_raw_stamps, &pending.departed, &arrived);
+        pending.sizes.record(recorder, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES);
         sizes.record(recorder, stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES);
-        arrived.partial_answers.record(recorder, sent.departed.stamp.mono);
+        arrived.partial_answers.record(recorder, pending.departed.stamp.mono);
         completed.result = match absorbed {
             Ok(absorbed) => {
                 if let Some(AbsorbedReply { download, first_partial_answer, observation }) = absorbed {
@@ -267,19 +274,19 @@ impl Session {
 
     /// Says goodbye and closes the connection; requests in flight are lost. Closing a closed session has no effect.
     pub async fn close(&self) {
-        self.inner.stop.cancel();
-        self.inner.stopped.cancelled().await;
+        self.inner.close_token.cancel();
+        self.inner.closed_token.cancelled().await;
     }
 
-    /// [Closes](Self::close) the session at the end of a run, and tells the cloud how many iterations were planned. From
-    /// this number the cloud knows how many requests never arrived, and does not wait for them.
+    /// [Closes](Self::close) the session at the end of a run, and tells the cloud how many iterations were planned.
+    /// From this number the cloud knows how many requests never arrived, and does not wait for them.
     pub async fn close_after_run(&self, planned_iterations: u64) {
         self.inner.shared.planned_iterations.get_or_init(|| planned_iterations);
         self.close().await;
     }
 }
 
-/// Reads the statistics of a session's connection from any thread. It does not keep the session open.
+/// Reads the statistics of a session's connection from any thread. The reader does not keep the session open.
 #[derive(Clone, Debug)]
 pub struct StatisticsReader(Weak<SessionState>);
 
@@ -289,14 +296,14 @@ impl StatisticsReader {
         self.0.upgrade()?.sender.addresses()
     }
 
-    /// Returns the statistics so far. `None` if the session is over. Asks the system, so calling it once a second is
-    /// often enough.
+    /// Returns the statistics so far. `None` if the session is over. Each call queries the operating system, so one
+    /// call a second is enough.
     pub fn read(&self) -> Option<ConnectionStatistics> {
         Some(self.0.upgrade()?.statistics())
     }
 
-    /// Returns the cloud's last report of the statistics of its end. `None` before the first report; clouds before 0.3
-    /// send none.
+    /// Returns the cloud's last report of the statistics of its end of the connection. `None` before the first report;
+    /// clouds before release 0.3 send no reports.
     pub fn peer(&self) -> Option<ConnectionStatistics> {
         *self.0.upgrade()?.peer_statistics.borrow()
     }

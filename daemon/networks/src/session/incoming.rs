@@ -1,4 +1,4 @@
-//! Events of a listener, and the objects through which its user answers them.
+//! Events of a listener, and the objects through which the caller answers the events.
 
 use std::net::SocketAddr;
 use std::sync::Weak;
@@ -18,7 +18,7 @@ pub enum Incoming {
     Open(OpenRequest),
     /// An edge sends a sample and expects an answer.
     Request(IncomingRequest),
-    /// A session is over, or an edge that asked for a session left before the request was answered.
+    /// A session is over, or an edge that asked for a session left before the session was accepted or refused.
     Closed {
         /// The session.
         session: SessionId,
@@ -27,11 +27,11 @@ pub enum Incoming {
         /// Number of iterations that the edge's run was planned to have, if the session ended with that run.
         planned_iterations: Option<u64>,
     },
-    /// A connection works, but worse than it could; for example, its path carries only short datagrams.
+    /// A connection works, but worse than possible; for example, because its path carries only short datagrams.
     Remark {
-        /// A session of that connection; `None` if it has none now.
+        /// A session of that connection; `None` if the connection has no session now.
         session: Option<SessionId>,
-        /// The problem, its object, and what to do.
+        /// What the problem is, where it occurs, and what to do.
         text: String,
     },
     /// An edge was refused before it could ask for a session.
@@ -43,7 +43,7 @@ pub enum Incoming {
     },
 }
 
-/// An edge's request for a session. Dropping it without an answer refuses it.
+/// An edge's request for a session. Dropping the value without an answer refuses the session.
 #[derive(Debug)]
 pub struct OpenRequest {
     /// The edge's identity and the model that it asks for.
@@ -65,7 +65,7 @@ impl OpenRequest {
         Self { hello, session, address, shared: Some(shared) }
     }
 
-    /// Opens the session; its requests may arrive from now on. Returns whether the edge is still connected.
+    /// Accepts the session, whose requests may arrive from now on. Returns whether the edge is still connected.
     pub fn accept(mut self, accepted: SessionAccepted) -> bool {
         let shared = self.shared.take().and_then(|shared| shared.upgrade());
         shared.is_some_and(|shared| shared.accept(self.session, accepted))
@@ -88,7 +88,7 @@ impl Drop for OpenRequest {
     }
 }
 
-/// A sample from an edge, which expects an answer.
+/// A sample that an edge sent, and for which the edge expects an answer.
 #[derive(Debug)]
 pub struct IncomingRequest {
     /// Session of the request.
@@ -99,7 +99,7 @@ pub struct IncomingRequest {
     pub recorder: Recorder,
     /// Time at which the whole message had arrived.
     pub received: Stamp,
-    /// Sends partial answers before the answer is complete.
+    /// Sends parts of the answer before the answer is complete.
     pub partial_answers: PartialAnswerSender,
     /// Sends the answer.
     pub reply: Responder,
@@ -124,7 +124,7 @@ pub(crate) struct RequestKey {
     pub(crate) arrival: ArrivalStamp,
 }
 
-/// Arrival of a request, which its reply repeats.
+/// Stamps of the arrival of a request. The reply to the request repeats them.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ArrivalStamp {
     pub(crate) raw: RawTime,
@@ -134,7 +134,8 @@ pub(crate) struct ArrivalStamp {
     pub(crate) wall_epoch: u32,
 }
 
-/// Sends the answer to one request, from any thread. Dropping it without an answer sends a failure to the edge.
+/// Sends the answer to one request, from any thread. Dropping the responder without an answer sends a failure to the
+/// edge.
 #[derive(Debug)]
 pub struct Responder {
     key: RequestKey,
@@ -146,8 +147,8 @@ impl Responder {
         Self { key, shared: Some(shared) }
     }
 
-    /// Sends the answer with the nodes that this host added to the tree. Never waits. An answer that cannot be handed
-    /// to the network is dropped and counted.
+    /// Sends the answer with the nodes that this host added to the tree. Waits only if partial answers to the
+    /// request fill the network's send queue. An answer that cannot be handed to the network is dropped and counted.
     pub fn send(mut self, recorder: Recorder, result: Result<Sample, Failure>) {
         if let Some(shared) = self.shared.take().and_then(|shared| shared.upgrade()) {
             shared.answer(self.key, Some(recorder), result);

@@ -1,11 +1,11 @@
-//! Opens a session: connects, sends a hello and waits for the answer.
+//! Opens a session: connects to the cloud, sends a hello and waits for the cloud's answer.
 
 use peernet_clock::SharedClock;
 use peernet_stream::VersionMismatch;
 use tokio::time::{Instant, timeout_at};
 
-use super::client::{HelloOutcome, classify_answer};
-use super::completed_request::Sizes;
+use super::client::{HelloOutcome, classify_hello_answer};
+use super::completed_request::MessageSizes;
 use crate::message::{Accepted, Header, Open, SessionHello};
 use crate::statistics::Counters;
 use crate::transport::{DialContext, DialFailure, EdgeConnection, EdgeEvent, SendOptions};
@@ -22,10 +22,10 @@ pub enum OpenError {
         /// Cause.
         reason: String,
     },
-    /// A program accepted the connection, did not answer in time, and need not be a cloud.
+    /// A program accepted the connection and did not answer in time. The program may be something else than a cloud.
     #[error(
         "something listens at {address} but does not answer like an agent's [serve]; is this the port of an aggregator or of something else?{}",
-        Self::LOADING
+        Self::LOADING_HINT
     )]
     TimedOut {
         /// Address of the cloud.
@@ -46,7 +46,7 @@ pub enum OpenError {
     /// The other end identified itself as a cloud and did not answer in time.
     #[error(
         "the cloud at {address} did not answer the request for a session: {reason}; does its log say why{}",
-        Self::LOADING
+        Self::LOADING_HINT
     )]
     Unanswered {
         /// Address of the cloud.
@@ -83,16 +83,16 @@ fn advice(reason: &str) -> &'static str {
 }
 
 impl OpenError {
-    /// End of the texts of [`Self::TimedOut`] and [`Self::Unanswered`]. It applies only if a configuration can be
-    /// changed and the model may take long to load.
-    pub const LOADING: &str = " or does its model take longer to load than open_timeout_ms allows?";
+    /// Last words of the texts of [`Self::TimedOut`] and [`Self::Unanswered`]. Commands that have no configuration
+    /// file, or whose model needs no loading, remove these words.
+    pub const LOADING_HINT: &str = " or does its model take longer to load than open_timeout_ms allows?";
 }
 
 /// A connection with an accepted session.
 pub(crate) struct OpenedSession {
     pub(crate) connection: EdgeConnection,
     pub(crate) accepted: Accepted,
-    /// Remarks of the transport so far.
+    /// Remarks that the transport made while the session was opened.
     pub(crate) remarks: Vec<String>,
 }
 
@@ -113,7 +113,7 @@ pub(crate) async fn handshake(
         connection.unwrap_or(Err(DialFailure::TimedOut)).map_err(|failure| match failure {
             DialFailure::Unreachable(reason) => unreachable(reason),
             DialFailure::Refused(reason) => OpenError::Refused { address: address.clone(), reason },
-            // The text has no duration: the system may have been asked to wait for less than the settings allow.
+            // The text has no duration, because the transport may have waited for less time than the settings allow.
             DialFailure::TimedOut => unreachable("nothing answered".to_owned()),
         })?;
     let open = Header::Open(Box::new(Open { hello, max_message_bytes: settings.max_message_bytes }));
@@ -129,10 +129,10 @@ pub(crate) async fn handshake(
         let frames = timeout_at(deadline, connection.receiver.receive()).await;
         let error = match frames {
             Ok(Ok(EdgeEvent::Message(frames))) => {
-                counters.count_received(Sizes::from_frames(&frames).total());
-                // An unreadable message is not the answer, which may still come; the deadline ends the wait.
+                counters.count_received(MessageSizes::from_frames(&frames).total());
+                // An unreadable message is not the answer. The answer may still come, and the deadline ends the wait.
                 let Some(Ok(header)) = frames.first().map(|frame| Header::decode(frame)) else { continue };
-                match classify_answer(header) {
+                match classify_hello_answer(header) {
                     HelloOutcome::Accepted(accepted) => {
                         return Ok(OpenedSession { connection, accepted: *accepted, remarks });
                     }
@@ -156,8 +156,8 @@ pub(crate) async fn handshake(
                 counters.count_malformed();
                 continue;
             }
-            // The other end need not be a cloud: an aggregator, too, closes the connection without an answer. A cloud
-            // that has too many sessions to open does the same.
+            // The other end may be something else than a cloud: an aggregator, too, closes the connection without an
+            // answer. A cloud closes connections in the same way while too many connections wait for a session.
             _ if !connection.peer_is_cloud => OpenError::TimedOut { address: address.clone(), waited_ms },
             Ok(Err(disconnected)) => {
                 OpenError::Ended { address: address.clone(), reason: disconnected.to_string() }
@@ -176,14 +176,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn reason_with_advice_gets_no_hint() {
+    fn unreachable_reason_with_advice_gets_no_further_advice() {
         let error_text = |reason: &str| {
             let address = "tcp://a:1".parse().expect("an address");
             OpenError::Unreachable { address, reason: reason.to_owned() }.to_string()
         };
-        let missing =
+        let missing_master =
             "no ROS master answers at http://a:11311: refused; start roscore there, or set ROS_MASTER_URI";
-        assert_eq!(error_text(missing), format!("cannot reach a cloud at tcp://a:1: {missing}"));
+        assert_eq!(
+            error_text(missing_master),
+            format!("cannot reach a cloud at tcp://a:1: {missing_master}")
+        );
         assert!(
             error_text("connection refused")
                 .ends_with("connection refused; is it running, and is the address right?")

@@ -1,4 +1,4 @@
-//! Sending of partial answers by the cloud.
+//! Sends partial answers from the cloud.
 
 use std::sync::{Arc, Weak};
 use std::time::Duration;
@@ -13,11 +13,11 @@ use super::request_control::{RequestCancelled, RequestControl};
 use crate::transport::SendFailure;
 
 /// Time after which a partial answer is handed to a full send queue again.
-// The transports do not report when a full queue has room again. An acknowledgement of partial answers does not tell it
-// either: a few large partial answers fill a queue before the edge acknowledges any.
+// A transport does not report that a full queue has room again. The acknowledgements of partial answers do not show it
+// either: a few large partial answers fill the queue before the edge acknowledges any of them.
 pub(super) const FULL_QUEUE_RETRY: Duration = Duration::from_millis(5);
 
-/// Reason why a partial answer was not sent. The answer without it would be incomplete.
+/// Reason why a partial answer was not sent. The sequence of partial answers would be incomplete without it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PartialAnswerError {
     /// The edge does not wait for the answer any more.
@@ -25,8 +25,8 @@ pub enum PartialAnswerError {
     Cancelled(#[from] RequestCancelled),
     /// The partial answer is larger than the edge accepts.
     #[error(
-        "a partial answer's {bytes} bytes are more than max_message_bytes of the edge's session, {max_bytes}: raise it there \
-         (peernet --client: --max-message-bytes), or send smaller partial answers"
+        "a partial answer has {bytes} bytes, more than the edge's max_message_bytes, {max_bytes}: raise max_message_bytes on the \
+         edge (peernet --client: --max-message-bytes), or send smaller partial answers"
     )]
     TooLarge {
         /// Payload of the partial answer. Bytes.
@@ -34,7 +34,7 @@ pub enum PartialAnswerError {
         /// Largest message that the edge accepts. Bytes.
         max_bytes: u64,
     },
-    /// The partial answer has no form in which it can be sent, or the network refused it.
+    /// The partial answer cannot be encoded, or the network did not accept it.
     #[error("a partial answer cannot be sent: {0}")]
     Unsendable(String),
 }
@@ -59,13 +59,14 @@ impl PartialAnswerSender {
     }
 
     /// Sends a partial answer. Waits while the edge has 64 unread partial answers or 256 KiB of them, and while the
-    /// network's send queue is full. Does nothing if the edge does not know partial replies.
+    /// network's send queue is full. Does nothing if the version of the session has no partial answers.
     ///
     /// # Errors
     /// If the edge does not wait for the answer any more, or the partial answer cannot be sent.
     pub fn send(&self, partial_answer: &Sample) -> Result<(), PartialAnswerError> {
-        // Checked before the partial answer gets a number, which occupies a place in the window of unread partial
-        // answers until the edge acknowledges it. An edge that gets no partial answers never does.
+        // The route is looked up before the partial answer gets a number. A number occupies a place in the window of
+        // unread partial answers until the edge acknowledges it, and an edge that gets no partial answers acknowledges
+        // none.
         let Some(route) = self.listener()?.route_of_partial_answers(self.key.session) else {
             return if self.is_cancelled() { Err(RequestCancelled.into()) } else { Ok(()) };
         };
@@ -77,7 +78,7 @@ impl PartialAnswerSender {
         loop {
             // The listener is not kept during the wait below, so that the port can be closed meanwhile.
             let listener = self.listener()?;
-            // Looked up again after each wait, because the edge may have moved to another address.
+            // The route is looked up again after each wait, because the edge may have moved to another address.
             let route = listener.route_of_partial_answers(self.key.session).ok_or(RequestCancelled)?;
             match listener.send_partial_answer(&route, self.key, (number, self.received), partial_answer) {
                 Ok(()) => return Ok(()),
@@ -88,13 +89,13 @@ impl PartialAnswerSender {
         }
     }
 
-    /// Returns the listener of the edge's session.
+    /// Returns the listener of the edge's session, which is gone after the port was closed.
     fn listener(&self) -> Result<Arc<ListenerState>, RequestCancelled> {
         self.shared.upgrade().ok_or(RequestCancelled)
     }
 
-    /// Returns whether the edge does not wait for the answer any more: the request's time is over, or the session
-    /// ended.
+    /// Returns whether the edge does not wait for the answer any more: the request's timeout has passed,
+    /// the request was dropped, or the session ended.
     pub fn is_cancelled(&self) -> bool {
         self.control.is_cancelled()
     }

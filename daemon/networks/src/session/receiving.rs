@@ -1,4 +1,4 @@
-//! The receiving task of an edge, and the handling of what it receives.
+//! The receiving task of an edge, and the handling of the messages that it receives.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -7,17 +7,17 @@ use peernet_clock::Stamp;
 use tokio_util::sync::CancellationToken;
 
 use super::client::{CloseReason, CloudMessage};
-use super::completed_request::{ArrivedReply, Sizes};
+use super::completed_request::{ArrivedReply, MessageSizes};
 use super::partial_answers::PartialAnswerHandler;
-use super::requests_in_flight::{Answer, end_all};
+use super::requests_in_flight::{RequestOutcome, end_all};
 use super::state::SessionState;
 use crate::message::{Goodbye, Header, PartialReply, PartsRead};
 use crate::transport::{Disconnection, EdgeEvent, EdgeReceiver, Frames, MessageLoss};
 
 impl SessionState {
-    /// Handles a message that arrived at `arrived`. Returns the reason if the session is over now.
-    fn receive(&self, frames: Frames, arrived: Stamp) -> Option<CloseReason> {
-        self.counters.count_received(Sizes::from_frames(&frames).total());
+    /// Handles a message that arrived at `arrival`. Returns the reason if the message ends the session.
+    fn receive(&self, frames: Frames, arrival: Stamp) -> Option<CloseReason> {
+        self.counters.count_received(MessageSizes::from_frames(&frames).total());
         let header = frames.first().ok_or_else(|| "no frames".to_owned());
         let header = header.and_then(|frame| Header::decode(frame).map_err(|error| error.to_string()));
         let message = match header {
@@ -30,18 +30,18 @@ impl SessionState {
         match message {
             CloudMessage::Answer(waiter, reply) => {
                 let (partial_answers, epoch) = (waiter.partial_answers, self.clock.epoch());
-                let reply = ArrivedReply { reply, frames, partial_answers, stamp: arrived, epoch };
-                // Fails if the request was cancelled at this moment.
-                if waiter.answer.send(Answer::Reply(Box::new(reply))).is_err() {
+                let reply = ArrivedReply { reply, frames, partial_answers, stamp: arrival, epoch };
+                // Sending fails if the request is cancelled at the same moment.
+                if waiter.outcome.send(RequestOutcome::Reply(Box::new(reply))).is_err() {
                     self.counters.count_late();
                 }
                 None
             }
             CloudMessage::PartialAnswer(partial_answer) => {
-                self.receive_partial_answer(partial_answer, frames, arrived);
+                self.receive_partial_answer(partial_answer, frames, arrival);
                 None
             }
-            // The request was cancelled or has ended, so nobody reads its further partial answers.
+            // Nobody reads a partial answer to a request that was cancelled or has ended.
             CloudMessage::LatePartialAnswer => None,
             CloudMessage::Statistics(statistics) => {
                 self.peer_statistics.send_replace(Some(*statistics));
@@ -66,10 +66,10 @@ impl SessionState {
         }
     }
 
-    /// Handles a partial answer.
-    fn receive_partial_answer(&self, partial_answer: PartialReply, frames: Frames, arrived: Stamp) {
+    /// Handles a partial answer: gives it to the handler, and acknowledges it if an acknowledgement is due.
+    fn receive_partial_answer(&self, partial_answer: PartialReply, frames: Frames, arrival: Stamp) {
         let bytes = frames.iter().skip(2).map(|frame| frame.len() as u64).sum();
-        let (handler, read_count) = self.requests.add_partial_answer(&partial_answer, bytes, arrived);
+        let (handler, read_count) = self.requests.add_partial_answer(&partial_answer, bytes, arrival);
         let request = partial_answer.request;
         match partial_answer.sample.into_sample(frames.into_iter().skip(2)) {
             Ok(sample) => {
@@ -90,9 +90,10 @@ impl SessionState {
         let waiter = loss.tag.and_then(|request| self.requests.remove_lost_request(request));
         if let Some(waiter) = waiter {
             self.counters.count_lost(1);
-            // Fails if the request was cancelled at this moment; it then needs no answer.
-            let _ =
-                waiter.answer.send(Answer::Lost(format!("{description}: {loss}"), waiter.partial_answers));
+            // Sending fails if the request is cancelled at the same moment. It then needs no outcome.
+            let _ = waiter
+                .outcome
+                .send(RequestOutcome::Lost(format!("{description}: {loss}"), waiter.partial_answers));
         }
     }
 }
@@ -100,24 +101,25 @@ impl SessionState {
 /// The task that receives messages from the network. The session ends when the task ends, for any reason.
 pub(super) struct ReceivingTask {
     pub(super) shared: Arc<SessionState>,
-    /// Token that users of the session cancel to close it.
-    pub(super) stop: CancellationToken,
+    /// Token that closes the session when it is cancelled.
+    pub(super) close_token: CancellationToken,
     /// Token that this task cancels when the session is closed.
-    pub(super) stopped: CancellationToken,
+    pub(super) closed_token: CancellationToken,
 }
 
 impl ReceivingTask {
-    pub(super) async fn run(self, mut receiver: Box<dyn EdgeReceiver>, linger: Duration) {
+    /// Receives messages until the session is over. Then ends all requests and closes the connection.
+    pub(super) async fn run(self, mut receiver: Box<dyn EdgeReceiver>, close_timeout: Duration) {
         let reason = {
-            let mut stop = std::pin::pin!(self.stop.cancelled());
+            let mut close_request = std::pin::pin!(self.close_token.cancelled());
             loop {
                 tokio::select! {
                     biased;
-                    () = &mut stop => break CloseReason::Local,
+                    () = &mut close_request => break CloseReason::Local,
                     message = receiver.receive() => match message {
                         Ok(EdgeEvent::Message(frames)) => {
-                            let arrived = self.shared.clock.stamp();
-                            if let Some(reason) = self.shared.receive(frames, arrived) {
+                            let arrival = self.shared.clock.stamp();
+                            if let Some(reason) = self.shared.receive(frames, arrival) {
                                 break reason;
                             }
                         }
@@ -137,13 +139,13 @@ impl ReceivingTask {
                 }
             }
         };
-        // A goodbye is sent only if this end closes the session. In all other cases the other end knows already that
-        // the session is over, or cannot be reached.
+        // A goodbye is sent only if this end closes the session. In all other cases the cloud knows already that the
+        // session is over, or the cloud cannot be reached.
         if reason == CloseReason::Local {
             self.send_goodbye();
         }
         self.shared.requests.end(&reason, &self.shared.counters);
-        receiver.close(linger).await;
+        receiver.close(close_timeout).await;
     }
 
     fn send_goodbye(&self) {
@@ -160,6 +162,6 @@ impl Drop for ReceivingTask {
     fn drop(&mut self) {
         let reason = CloseReason::Broken("the task that receives answers has ended".into());
         self.shared.requests.end(&reason, &self.shared.counters);
-        self.stopped.cancel();
+        self.closed_token.cancel();
     }
 }

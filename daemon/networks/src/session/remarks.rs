@@ -5,14 +5,15 @@ use tokio::sync::watch;
 /// Maximum number of stored remarks of one connection.
 const MAX_REMARKS: usize = 64;
 
-/// Remarks about one connection, oldest first. None is removed. Beyond [`MAX_REMARKS`], a remark is only logged.
+/// Remarks about one connection, oldest first. Remarks are never removed. After [`MAX_REMARKS`] remarks, a further
+/// remark is only logged.
 #[derive(Debug)]
 pub(super) struct Remarks {
     texts: watch::Sender<Vec<String>>,
 }
 
 impl Remarks {
-    /// Starts with the remarks so far.
+    /// Creates the list with the remarks that the transport made while the session was opened.
     pub(super) fn new(texts: Vec<String>) -> Self {
         Self { texts: watch::Sender::new(texts) }
     }

@@ -19,18 +19,18 @@ pub struct RequestCancelled;
 pub(crate) struct RequestControl {
     state: Mutex<ControlState>,
     changed: Condvar,
-    /// Cancelled with the request, for models that wait in a task.
+    /// Token that is cancelled with the request, for models that wait in a task.
     cancellation: CancellationToken,
 }
 
 #[derive(Debug, Default)]
 struct ControlState {
     /// Number of partial answers that were sent.
-    sent: u32,
+    sent_count: u32,
     /// Number of partial answers that the edge has read.
-    read: u32,
+    read_count: u32,
     /// Number of unread partial answers that were lost on the way.
-    lost: u32,
+    lost_count: u32,
     /// Payload bytes of each unread partial answer; 0 for those that were probably lost.
     unread_bytes: VecDeque<u64>,
     is_cancelled: bool,
@@ -38,9 +38,10 @@ struct ControlState {
 
 impl ControlState {
     /// Returns whether the next partial answer has to wait for an acknowledgement.
-    // The edge acknowledges a quarter of each limit, so an acknowledgement is due whenever this is true.
+    // The edge acknowledges after a quarter of each limit. Whenever the window is full, an acknowledgement is therefore
+    // due or on its way.
     fn is_window_full(&self) -> bool {
-        let unread = self.sent - self.read - self.lost;
+        let unread = self.sent_count - self.read_count - self.lost_count;
         unread >= MAX_UNREAD_PARTIAL_ANSWERS || self.unread_bytes.iter().sum::<u64>() >= MAX_UNREAD_BYTES
     }
 }
@@ -70,15 +71,15 @@ impl RequestControl {
     /// sent.
     pub(crate) fn acknowledge(&self, read_count: u32) {
         let mut state = self.state();
-        // A higher number would make the subtraction in `next_partial_answer` overflow.
-        let read_count = read_count.min(state.sent);
-        if read_count > state.read {
-            let newly_read = (read_count - state.read) as usize;
+        // A higher number would make the subtraction in `is_window_full` overflow.
+        let read_count = read_count.min(state.sent_count);
+        if read_count > state.read_count {
+            let newly_read = (read_count - state.read_count) as usize;
             state.unread_bytes.drain(..newly_read);
-            state.read = read_count;
-            // Most lost partial answers have lower numbers and now count as read. A lost partial answer with a higher
-            // number occupies a place in the window, but only until the next acknowledgement.
-            state.lost = 0;
+            state.read_count = read_count;
+            // Most lost partial answers have numbers below `read_count` and count as read from now on. A lost partial
+            // answer with a higher number occupies a place in the window, but only until the next acknowledgement.
+            state.lost_count = 0;
         }
         self.changed.notify_all();
     }
@@ -87,17 +88,18 @@ impl RequestControl {
     /// Ignored if no partial answer is unread.
     pub(crate) fn note_lost_partial_answer(&self) {
         let mut state = self.state();
-        state.lost = (state.lost + 1).min(state.sent - state.read);
-        // The network does not say which one was lost. It retransmits small messages, so a large one was lost.
+        state.lost_count = (state.lost_count + 1).min(state.sent_count - state.read_count);
+        // The network does not say which partial answer was lost. It retransmits small messages, so the lost one is
+        // probably the largest.
         if let Some(largest) = state.unread_bytes.iter_mut().max() {
             *largest = 0;
         }
         self.changed.notify_all();
     }
 
-    /// Returns the number of partial answers that were sent; `None` if none was.
+    /// Returns the number of partial answers that were sent; `None` if no partial answer was sent.
     pub(crate) fn sent_partial_answers(&self) -> Option<NonZeroU32> {
-        NonZeroU32::new(self.state().sent)
+        NonZeroU32::new(self.state().sent_count)
     }
 
     /// Returns the number of the next partial answer, which has `bytes` bytes of payload. Waits while
@@ -106,14 +108,14 @@ impl RequestControl {
     /// # Errors
     /// If the request is cancelled.
     pub(crate) fn next_partial_answer(&self, bytes: u64) -> Result<u32, RequestCancelled> {
-        let is_full = |state: &mut ControlState| !state.is_cancelled && state.is_window_full();
+        let must_wait = |state: &mut ControlState| !state.is_cancelled && state.is_window_full();
         let mut state =
-            self.changed.wait_while(self.state(), is_full).unwrap_or_else(PoisonError::into_inner);
+            self.changed.wait_while(self.state(), must_wait).unwrap_or_else(PoisonError::into_inner);
         if state.is_cancelled {
             return Err(RequestCancelled);
         }
-        let number = state.sent;
-        state.sent += 1;
+        let number = state.sent_count;
+        state.sent_count += 1;
         state.unread_bytes.push_back(bytes);
         Ok(number)
     }
@@ -145,18 +147,18 @@ mod tests {
             .map(|_| control.next_partial_answer(1).expect("the window is open"))
             .collect();
         assert_eq!(numbers, (0..MAX_UNREAD_PARTIAL_ANSWERS).collect::<Vec<_>>());
-        let waiting = thread::spawn({
+        let waiting_thread = thread::spawn({
             let control = Arc::clone(&control);
             move || control.next_partial_answer(1)
         });
         control.acknowledge(0);
-        assert!(!waiting.is_finished(), "nothing was read");
+        assert!(!waiting_thread.is_finished(), "nothing was read");
         control.acknowledge(1);
-        assert_eq!(waiting.join().expect("does not panic"), Ok(MAX_UNREAD_PARTIAL_ANSWERS));
+        assert_eq!(waiting_thread.join().expect("does not panic"), Ok(MAX_UNREAD_PARTIAL_ANSWERS));
     }
 
     #[test]
-    fn acknowledgement_of_unsent_partial_answers_opens_no_window() {
+    fn acknowledging_unsent_partial_answers_does_not_widen_window() {
         let control = RequestControl::default();
         control.acknowledge(u32::MAX);
         for _ in 0..MAX_UNREAD_PARTIAL_ANSWERS {
@@ -164,11 +166,11 @@ mod tests {
         }
         control.acknowledge(u32::MAX);
         assert_eq!(control.next_partial_answer(1), Ok(MAX_UNREAD_PARTIAL_ANSWERS));
-        assert_eq!(control.state().read, MAX_UNREAD_PARTIAL_ANSWERS);
+        assert_eq!(control.state().read_count, MAX_UNREAD_PARTIAL_ANSWERS);
     }
 
     #[test]
-    fn lost_partial_answers_are_not_unread() {
+    fn lost_partial_answers_do_not_count_as_unread() {
         let control = RequestControl::default();
         control.note_lost_partial_answer();
         // Nothing arrives any more, so nothing is acknowledged.
@@ -181,26 +183,30 @@ mod tests {
         }
         control.acknowledge(MAX_UNREAD_PARTIAL_ANSWERS * 4);
         let state = control.state();
-        assert_eq!((state.read, state.lost), (state.sent, 0));
+        assert_eq!((state.read_count, state.lost_count), (state.sent_count, 0));
     }
 
     #[test]
     fn sending_waits_until_bytes_are_read_or_lost() {
         let control = Arc::new(RequestControl::default());
         assert_eq!(control.next_partial_answer(MAX_UNREAD_BYTES - 1), Ok(0));
-        assert_eq!(control.next_partial_answer(MAX_UNREAD_BYTES * 9), Ok(1), "one may exceed the window");
+        assert_eq!(
+            control.next_partial_answer(MAX_UNREAD_BYTES * 9),
+            Ok(1),
+            "the last partial answer may exceed the window"
+        );
         let wait_for_next = || {
             let control = Arc::clone(&control);
             thread::spawn(move || control.next_partial_answer(MAX_UNREAD_BYTES))
         };
-        let waiting = wait_for_next();
+        let waiting_thread = wait_for_next();
         control.acknowledge(1);
-        assert!(!waiting.is_finished(), "the larger one is unread");
+        assert!(!waiting_thread.is_finished(), "the larger partial answer is unread");
         control.acknowledge(2);
-        assert_eq!(waiting.join().expect("does not panic"), Ok(2));
-        let waiting = wait_for_next();
+        assert_eq!(waiting_thread.join().expect("does not panic"), Ok(2));
+        let waiting_thread = wait_for_next();
         control.note_lost_partial_answer();
-        assert_eq!(waiting.join().expect("does not panic"), Ok(3));
+        assert_eq!(waiting_thread.join().expect("does not panic"), Ok(3));
     }
 
     #[test]

@@ -12,23 +12,24 @@ use super::partial_answers::{ArrivedPartialAnswers, PartialAnswerHandler};
 use crate::message::{Header, PartialReply, SessionId};
 use crate::statistics::Counters;
 
-/// Outcome of a request.
+/// Outcome of a request in flight.
 #[derive(Debug)]
-pub(super) enum Answer {
+pub(super) enum RequestOutcome {
+    /// The answer arrived.
     Reply(Box<ArrivedReply>),
-    /// The request or its answer was lost on the way, after these partial answers. The text says how much of it
-    /// arrived.
+    /// The request or its answer was lost on the way, after these partial answers. The text says which of the
+    /// two was lost, and how much of it arrived.
     Lost(String, ArrivedPartialAnswers),
     /// The session ended, for this reason, after these partial answers.
     SessionEnded(CloseReason, ArrivedPartialAnswers),
 }
 
-/// The task that waits for an answer, and the partial answers that have arrived.
+/// The channel to the task that waits for an answer, and the partial answers that have arrived.
 #[derive(Debug)]
 pub(super) struct Waiter {
-    pub(super) answer: oneshot::Sender<Answer>,
+    pub(super) outcome: oneshot::Sender<RequestOutcome>,
     pub(super) partial_answers: ArrivedPartialAnswers,
-    /// Takes each partial answer when it arrives.
+    /// Function that takes each partial answer when it arrives.
     handler: Option<PartialAnswerHandler>,
 }
 
@@ -67,28 +68,28 @@ impl RequestsInFlight {
         if let Ok(slot) = self.slots.try_acquire() {
             return Ok(slot);
         }
-        let queued = recorder.start(stage::SEND_QUEUE);
+        let send_queue = recorder.start(stage::SEND_QUEUE);
         let slot = tokio::time::timeout_at(deadline, self.slots.acquire()).await;
-        recorder.stop(queued);
+        recorder.stop(send_queue);
         slot.map_err(|_| RequestError::Timeout(AwaitedEvent::Slot))?.map_err(|_| {
             let reason = self.close_reason.borrow().clone().unwrap_or(CloseReason::Local);
             RequestError::Lost(reason.to_string())
         })
     }
 
-    /// Starts a request. Returns its number and the receiver of its answer.
+    /// Starts a request. Returns its number and the receiver of its outcome.
     ///
     /// # Errors
     /// If the session is over.
     pub(super) fn start_request(
         &self,
         handler: Option<PartialAnswerHandler>,
-    ) -> Result<(u64, oneshot::Receiver<Answer>), RequestError> {
-        let (sender, answer) = oneshot::channel();
-        let waiter = Waiter { answer: sender, partial_answers: ArrivedPartialAnswers::default(), handler };
+    ) -> Result<(u64, oneshot::Receiver<RequestOutcome>), RequestError> {
+        let (sender, outcome) = oneshot::channel();
+        let waiter = Waiter { outcome: sender, partial_answers: ArrivedPartialAnswers::default(), handler };
         let request =
             self.client().start_request(waiter).map_err(|reason| RequestError::Lost(reason.to_string()))?;
-        Ok((request, answer))
+        Ok((request, outcome))
     }
 
     /// Removes and returns the partial answers to a request that have arrived; `None` if the request is not in flight.
@@ -101,18 +102,18 @@ impl RequestsInFlight {
         self.client().cancel_request(request)
     }
 
-    /// Adds a partial answer with `bytes` bytes of payload. Returns the handler of the partial answers and, if an acknowledgement is due, the number
-    /// of partial answers that count as read.
+    /// Adds a partial answer with `bytes` bytes of payload. Returns the handler of the partial answers. If an
+    /// acknowledgement is due, also returns the number of partial answers that count as read.
     pub(super) fn add_partial_answer(
         &self,
         partial_answer: &PartialReply,
         bytes: u64,
-        arrived: Stamp,
+        arrival: Stamp,
     ) -> (Option<PartialAnswerHandler>, Option<u32>) {
         let mut client = self.client();
         let Some(waiter) = client.waiter_mut(partial_answer.request) else { return (None, None) };
         let PartialReply { part, departure, .. } = *partial_answer;
-        let read_count = waiter.partial_answers.add(part, bytes, departure, arrived);
+        let read_count = waiter.partial_answers.add(part, bytes, departure, arrival);
         (waiter.handler.clone(), read_count)
     }
 
@@ -127,7 +128,8 @@ impl RequestsInFlight {
         self.client().remove_lost_request(request)
     }
 
-    /// Ends the session; the first reason is kept. Requests in flight are counted as lost and end.
+    /// Ends the session, and all requests in flight as lost. If the session has ended already, the first reason is
+    /// kept.
     pub(super) fn end(&self, reason: &CloseReason, counters: &Counters) {
         let waiters = self.client().end(reason.clone());
         end_all(reason, waiters, counters);
@@ -152,11 +154,11 @@ impl RequestsInFlight {
 
 /// Counts requests as lost and ends them because the session is over.
 pub(super) fn end_all(reason: &CloseReason, waiters: Vec<Waiter>, counters: &Counters) {
-    // Counted first, so that a waiter that reads the statistics finds its request counted.
+    // The requests are counted first, so that a waiter that reads the statistics finds its request counted.
     counters.count_lost(waiters.len() as u64);
     for waiter in waiters {
-        // Fails if the request was cancelled at this moment; it then needs no answer.
-        let _ = waiter.answer.send(Answer::SessionEnded(reason.clone(), waiter.partial_answers));
+        // Sending fails if the request is cancelled at the same moment. It then needs no outcome.
+        let _ = waiter.outcome.send(RequestOutcome::SessionEnded(reason.clone(), waiter.partial_answers));
     }
 }
 
@@ -176,20 +178,21 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn session_end_fails_all_requests() {
+    async fn end_of_session_ends_all_requests_as_lost() {
         let (requests, counters) = (RequestsInFlight::new(SessionId::random(), 1), Counters::default());
         let deadline = tokio::time::Instant::now() + std::time::Duration::from_secs(60);
-        let slot = requests.acquire_slot(&mut recorder(), deadline).await.expect("one is free");
-        let (_, answer) = requests.start_request(None).expect("open");
-        let mut queued = recorder();
-        let (second, ()) = tokio::join!(requests.acquire_slot(&mut queued, deadline), async {
-            requests.end(&CloseReason::UnknownSession, &counters);
-            requests.end(&CloseReason::Local, &counters);
-        });
+        let slot = requests.acquire_slot(&mut recorder(), deadline).await.expect("a slot is free");
+        let (_, outcome) = requests.start_request(None).expect("open");
+        let mut waiting_recorder = recorder();
+        let (waiting_request, ()) =
+            tokio::join!(requests.acquire_slot(&mut waiting_recorder, deadline), async {
+                requests.end(&CloseReason::UnknownSession, &counters);
+                requests.end(&CloseReason::Local, &counters);
+            });
         drop(slot);
         let close_reason = CloseReason::UnknownSession.to_string();
-        assert_eq!(second.map(drop), Err(RequestError::Lost(close_reason.clone())));
-        assert!(matches!(answer.await, Ok(Answer::SessionEnded(CloseReason::UnknownSession, _))));
+        assert_eq!(waiting_request.map(drop), Err(RequestError::Lost(close_reason.clone())));
+        assert!(matches!(outcome.await, Ok(RequestOutcome::SessionEnded(CloseReason::UnknownSession, _))));
         assert_eq!(requests.start_request(None).map(drop), Err(RequestError::Lost(close_reason)));
         assert_eq!(requests.wait_for_end().await, CloseReason::UnknownSession);
         assert_eq!(counters.statistics(&TransportStatistics::default()).lost_messages, 1);

@@ -32,6 +32,7 @@ pub(crate) struct Server {
     clock: Option<PeerClock>,
 }
 
+/// An open session, or a session that an edge has asked for.
 #[derive(Debug)]
 struct SessionEntry {
     peer: Peer,
@@ -39,8 +40,8 @@ struct SessionEntry {
     host: HostId,
     /// Version of the protocol that was chosen.
     version: u16,
-    accepted: bool,
-    in_flight: InFlight,
+    is_accepted: bool,
+    in_flight: UnansweredRequests,
     /// Largest message that the edge accepts. Bytes.
     max_message_bytes: u64,
     counters: Arc<Counters>,
@@ -48,9 +49,9 @@ struct SessionEntry {
 
 /// Requests of a session that wait for their answers. They are cancelled when the session ends.
 #[derive(Debug, Default)]
-struct InFlight(HashMap<u64, Arc<RequestControl>>);
+struct UnansweredRequests(HashMap<u64, Arc<RequestControl>>);
 
-impl Drop for InFlight {
+impl Drop for UnansweredRequests {
     fn drop(&mut self) {
         self.0.values().for_each(|control| control.cancel());
     }
@@ -63,9 +64,9 @@ pub(crate) enum EdgeMessage {
     Open(SessionId, Box<SessionHello>),
     /// A request of an open session. It is in flight until [`Server::finish_request`].
     Request(Request),
-    /// The message only needs this answer.
+    /// The edge gets this answer; nothing else is to do.
     Answer(Header),
-    /// The message changed the state of a request, or the request has ended already.
+    /// The message needs no answer: it changed the state of a request, or that request has ended already.
     Handled,
     /// The edge ended its session. If its run ended as well, the number is the planned number of iterations of the run.
     Closed(SessionId, Option<u64>),
@@ -96,10 +97,10 @@ pub(crate) struct Route {
     pub(crate) counters: Arc<Counters>,
 }
 
-/// Result of ending a request: whether its answer is sent.
+/// Result of ending a request: whether its answer must be sent.
 #[derive(Debug)]
 pub(crate) enum FinishedRequest {
-    /// The answer is sent to the edge.
+    /// The answer must be sent to the edge.
     Send(Route, Arc<RequestControl>),
     /// The edge does not wait for the answer any more.
     Cancelled,
@@ -143,7 +144,8 @@ impl Server {
             }
             Header::Goodbye(goodbye) => {
                 if self.find_own_session(peer, goodbye.session).is_none() {
-                    // A goodbye needs no answer, and another connection must not end the session.
+                    // Another connection must not end the session. The goodbye is not answered, because its sender
+                    // expects no answer.
                     return EdgeMessage::Malformed("a goodbye of an unknown session");
                 }
                 self.remove_session(goodbye.session);
@@ -159,12 +161,13 @@ impl Server {
         }
     }
 
-    /// Returns the refusal of an edge that speaks none of our versions of the protocol.
+    /// Returns the message that refuses an edge which speaks none of our versions of the protocol.
     pub(crate) fn version_refusal(mismatch: &VersionMismatch) -> Header {
         let reason = mismatch.describe("the session protocol", "the cloud", "the edge");
         Header::Refused(Refused { versions: SESSION_VERSIONS, kind: RefusalKind::Incompatible, reason })
     }
 
+    /// Returns the message that refuses a session for this reason.
     fn refusal(reason: String) -> Header {
         Header::Refused(Refused { versions: SESSION_VERSIONS, kind: RefusalKind::Refused, reason })
     }
@@ -179,7 +182,7 @@ impl Server {
         // connections per address would not protect the other edges.
         if connection_sessions >= SESSIONS_PER_CONNECTION {
             let reason = format!(
-                "this connection has {SESSIONS_PER_CONNECTION} sessions already; close some or open another connection"
+                "this connection has {SESSIONS_PER_CONNECTION} sessions already; close some of them, or open another connection"
             );
             return EdgeMessage::Answer(Self::refusal(reason));
         }
@@ -192,8 +195,8 @@ impl Server {
             peer: peer.clone(),
             host: open.hello.host,
             version,
-            accepted: false,
-            in_flight: InFlight::default(),
+            is_accepted: false,
+            in_flight: UnansweredRequests::default(),
             max_message_bytes: open.max_message_bytes,
             counters: Arc::default(),
         };
@@ -205,13 +208,14 @@ impl Server {
     /// Returns the limit that one more session of this peer would exceed, as a text for the refusal. `None` if the
     /// session may be opened.
     ///
-    /// One host may have half of the sessions that other hosts leave free, so that one host cannot take all. Several
-    /// hosts may share an address, so an address may have three quarters of these sessions.
+    /// One host may have half of the sessions that other hosts do not use, so that one host cannot take all sessions.
+    /// Several hosts may share an address. An address may therefore have three quarters of the sessions that other
+    /// addresses do not use.
     fn check_session_limits(&self, peer: &Peer, host: HostId) -> Option<String> {
         let (open_sessions, max) = (self.sessions.len(), self.max_sessions);
         if open_sessions >= max {
             return Some(format!(
-                "the cloud has {open_sessions} sessions already; close some or raise max_sessions there"
+                "the cloud has {open_sessions} sessions already; close some of them, or raise max_sessions on the cloud"
             ));
         }
         // Sessions that are not accepted yet count, too; otherwise a host could ask for any number of sessions at the
@@ -223,10 +227,11 @@ impl Server {
         if host_sessions >= allowed {
             return Some(format!(
                 "this host has {host_sessions} sessions, and {allowed} are allowed: half of the sessions that other \
-                 hosts do not use of the cloud's max_sessions, {max}; close some or raise max_sessions there"
+                 hosts do not use; the cloud's max_sessions is {max}; close some of the sessions, or raise max_sessions on the \
+                 cloud"
             ));
         }
-        // Peers of a network without addresses are only limited by their hosts.
+        // In a network without addresses, only the limit per host applies.
         let group = AddressGroup::from_address(peer.address?);
         // All programs of this machine share the loopback address.
         if group.is_loopback() {
@@ -240,7 +245,8 @@ impl Server {
         (group_sessions >= allowed).then(|| {
             format!(
                 "this address has {group_sessions} sessions, and {allowed} are allowed: three quarters of the sessions \
-                 that other addresses do not use of the cloud's max_sessions, {max}; close some or raise max_sessions there"
+                 that other addresses do not use; the cloud's max_sessions is {max}; close some of the sessions, or raise \
+                     max_sessions on the cloud"
             )
         })
     }
@@ -248,10 +254,10 @@ impl Server {
     /// Returns the admission of a connection, which follows from its present sessions.
     pub(crate) fn admission(&self, connection: ConnectionId) -> Admission {
         let sessions = self.connections.get(&connection).map_or(&[][..], Vec::as_slice);
-        let is_accepted = |session| self.sessions.get(session).is_some_and(|entry| entry.accepted);
+        let is_accepted = |session| self.sessions.get(session).is_some_and(|entry| entry.is_accepted);
         match sessions {
             [] => Admission::Unadmitted,
-            some if some.iter().any(is_accepted) => Admission::Admitted,
+            sessions if sessions.iter().any(is_accepted) => Admission::Admitted,
             _ => Admission::Greeted,
         }
     }
@@ -260,10 +266,10 @@ impl Server {
         let max_in_flight = self.max_in_flight;
         let (session, number) = (request.session, request.request);
         let Some(entry) = self.find_own_session(peer, session) else {
-            // Answered, so that an edge whose session is gone notices it with its next request.
+            // The answer tells an edge with its next request that its session is gone.
             return EdgeMessage::Answer(Header::UnknownSession(UnknownSession { session, request: number }));
         };
-        if !entry.accepted {
+        if !entry.is_accepted {
             return EdgeMessage::Malformed("a request before the session was accepted");
         }
         if entry.in_flight.0.len() >= max_in_flight {
@@ -273,7 +279,7 @@ impl Server {
                 session,
                 request: number,
                 departure: None,
-                // Not read: without a departure a reply has no stamps.
+                // The edge does not read this epoch, because a reply without a departure has no stamps.
                 arrival_epoch: 0,
                 outcome,
                 arrived_raw: None,
@@ -311,7 +317,7 @@ impl Server {
         self.sessions.get(&session)?.in_flight.0.get(&request).cloned()
     }
 
-    /// Returns the destination of partial answers. `None` if the session is gone or its version has no partial replies.
+    /// Returns the destination of partial answers. `None` if the session is gone or its version has no partial answers.
     pub(crate) fn route_of_partial_answers(&self, session: SessionId) -> Option<Route> {
         let entry = self.sessions.get(&session)?;
         (entry.version >= PARTIAL_REPLIES_SINCE).then(|| entry.route())
@@ -332,8 +338,9 @@ impl Server {
         mut accepted: SessionAccepted,
     ) -> Option<(Peer, Header)> {
         let entry = self.sessions.get_mut(&session)?;
-        // Set before the message is sent: the edge may send a request as soon as it has the message.
-        entry.accepted = true;
+        // The session is open before the message is sent, because the edge may send a request as soon as the message
+        // arrives.
+        entry.is_accepted = true;
         if let Some(clock) = &self.clock {
             accepted.host_clock.clone_from(clock);
         }
@@ -356,7 +363,7 @@ impl Server {
     /// Sets the state of the clocks, which later sessions get when they are accepted. Returns the messages to the open
     /// sessions, with their destinations.
     pub(crate) fn update_clock(&mut self, clock: PeerClock) -> Vec<(Peer, Header)> {
-        let open = self.sessions.iter().filter(|(_, entry)| entry.accepted);
+        let open = self.sessions.iter().filter(|(_, entry)| entry.is_accepted);
         let headers = open
             .map(|(session, entry)| {
                 let clock = clock.clone().in_version(entry.version);
@@ -370,12 +377,12 @@ impl Server {
 
     /// Returns the open sessions whose version has reports of statistics, with their counters.
     pub(crate) fn sessions_with_statistics(&self) -> Vec<(SessionId, Peer, Arc<Counters>)> {
-        let gets_statistics = |entry: &SessionEntry| entry.accepted && entry.version >= STATISTICS_SINCE;
+        let gets_statistics = |entry: &SessionEntry| entry.is_accepted && entry.version >= STATISTICS_SINCE;
         let open = self.sessions.iter().filter(|(_, entry)| gets_statistics(entry));
         open.map(|(session, entry)| (*session, entry.peer.clone(), Arc::clone(&entry.counters))).collect()
     }
 
-    /// Ends a request that has its answer.
+    /// Ends a request whose answer is complete.
     pub(crate) fn finish_request(&mut self, session: SessionId, request: u64) -> FinishedRequest {
         let Some(entry) = self.sessions.get_mut(&session) else { return FinishedRequest::Unknown };
         match entry.in_flight.0.remove(&request) {
@@ -393,8 +400,8 @@ impl Server {
         }
     }
 
-    /// Notes that a message without a tag, which may be a partial answer, was lost on a connection. Which request the
-    /// partial answer belongs to is unknown, so the loss counts for each request in flight on the connection. The
+    /// Notes that a message without a tag, which may be a partial answer, was lost on a connection. The request of
+    /// the partial answer is unknown, so the loss counts for each request in flight on the connection. The
     /// window of a request that lost no partial answer is one place larger until the next acknowledgement.
     pub(crate) fn note_lost_partial_answer(&self, connection: ConnectionId) {
         let sessions = self.connections.get(&connection).into_iter().flatten();
@@ -428,7 +435,7 @@ impl Server {
         }
     }
 
-    /// Removes the sessions of a connection that ended. Returns them.
+    /// Removes and returns the sessions of a connection that ended.
     pub(crate) fn remove_connection(&mut self, connection: ConnectionId) -> Vec<SessionId> {
         let sessions = self.connections.remove(&connection).unwrap_or_default();
         for session in &sessions {
@@ -441,7 +448,7 @@ impl Server {
     pub(crate) fn end_all_sessions(&mut self, reason: &str) -> Vec<(Peer, Header)> {
         self.connections.clear();
         let goodbye_of = |session, entry: SessionEntry| {
-            let header = if entry.accepted {
+            let header = if entry.is_accepted {
                 Header::Goodbye(Goodbye { session, reason: reason.to_owned(), planned_iterations: None })
             } else {
                 // The edge still waits for the acceptance and has no session that a goodbye could end.
@@ -453,7 +460,7 @@ impl Server {
     }
 
     /// Returns the number of requests that wait for their answer.
-    pub(crate) fn in_flight(&self) -> usize {
+    pub(crate) fn in_flight_count(&self) -> usize {
         self.sessions.values().map(|entry| entry.in_flight.0.len()).sum()
     }
 
@@ -461,7 +468,7 @@ impl Server {
         let entry = self.sessions.remove(&session)?;
         let connection = entry.peer.connection;
         if let Some(sessions) = self.connections.get_mut(&connection) {
-            sessions.retain(|other| *other != session);
+            sessions.retain(|listed_session| *listed_session != session);
             if sessions.is_empty() {
                 self.connections.remove(&connection);
             }

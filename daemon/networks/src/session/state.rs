@@ -7,10 +7,10 @@ use peernet_logger::{Recorder, Slug, stage};
 use peernet_sample::Sample;
 use tokio::sync::{oneshot, watch};
 
-use super::completed_request::{DepartedRequest, RequestError, Sizes};
+use super::completed_request::{DepartedRequest, MessageSizes, RequestError};
 use super::partial_answers::PartialAnswerHandler;
 use super::remarks::Remarks;
-use super::requests_in_flight::{Answer, RequestsInFlight};
+use super::requests_in_flight::{RequestOutcome, RequestsInFlight};
 use crate::message::{
     Cancel, Departure, Header, HeaderError, PARTIAL_REPLIES_SINCE, PeerClock, RAW_STAMPS_SINCE, Request,
     SampleHeader, SessionId, TreeFrameError, add_upload, encode_tree,
@@ -69,7 +69,7 @@ enum UnsendableSample {
     #[error(transparent)]
     Tree(#[from] TreeFrameError),
     #[error(
-        "it has {bytes} bytes, more than max_message_bytes of the session allows ({max_bytes}): raise it at both ends \
+        "it has {bytes} bytes, more than max_message_bytes of the session allows ({max_bytes}): raise max_message_bytes at both ends \
          ([pipeline.placement.session] and [serve.session]; --max-message-bytes of peernet --client and --server), or make \
          samples smaller with a transform or --encoding"
     )]
@@ -82,14 +82,14 @@ pub(super) struct PendingRequest<'a> {
     pub(super) request: u64,
     is_sent: bool,
     pub(super) departed: DepartedRequest,
-    pub(super) sizes: Sizes,
-    pub(super) answer: oneshot::Receiver<Answer>,
+    pub(super) sizes: MessageSizes,
+    pub(super) outcome: oneshot::Receiver<RequestOutcome>,
 }
 
 impl Drop for PendingRequest<'_> {
     fn drop(&mut self) {
         let is_unanswered = self.state.requests.cancel_request(self.request);
-        // A cloud of an older version does not know the message and would count it as malformed.
+        // In an older version, the cloud does not know the message `cancel` and would count it as malformed.
         if is_unanswered && self.is_sent && self.state.terms.version >= PARTIAL_REPLIES_SINCE {
             let session = self.state.terms.session;
             self.state.send_control(&Header::Cancel(Cancel { session, request: self.request }));
@@ -130,8 +130,8 @@ impl SessionState {
         }
     }
 
-    /// Encodes a sample and hands it to the network. The calling task writes to the socket itself, because a switch to
-    /// another task would take time, which `upload` would include.
+    /// Encodes a sample and hands it to the network. The calling task writes to the socket itself, because `upload`
+    /// would include the time of a switch to another task.
     pub(super) fn send(
         &self,
         recorder: &mut Recorder,
@@ -142,7 +142,7 @@ impl SessionState {
         let failed =
             |error: UnsendableSample| RequestError::Failed(format!("the sample cannot be sent: {error}"));
         let encoding = recorder.start(stage::ENCODE);
-        let encoded = self.encode_frames(recorder, sample);
+        let encoded = self.encode_tree_and_sample_header(recorder, sample);
         let (tree, sample_header) = match encoded {
             Ok(encoded) => encoded,
             Err(error) => {
@@ -150,10 +150,10 @@ impl SessionState {
                 return Err(failed(error));
             }
         };
-        let (request, answer) = self.requests.start_request(handler)?;
+        let (request, outcome) = self.requests.start_request(handler)?;
 
         // This epoch is read before the departure is stamped, and the epoch of the answer after its arrival is stamped.
-        // If both are equal, no step of the clock lies between the two stamps.
+        // If the two epochs are equal, no step of the clock lies between the two stamps.
         let epoch = self.clock.epoch();
         let stamp = self.clock.stamp();
         recorder.stop_at(encoding, stamp.mono);
@@ -165,9 +165,9 @@ impl SessionState {
         let sent_since_anchor = recorder.offset(stamp.mono);
         let departure = Departure { sent: stamp.wall, sent_since_anchor, epoch: sent_epoch, sent_raw };
         let departed = DepartedRequest { upload: add_upload(recorder.tree_mut(), departure), stamp, epoch };
-        // From here on an early return drops `pending`, which cancels the request.
-        let sizes = Sizes::default();
-        let mut pending = PendingRequest { state: self, request, is_sent: false, departed, sizes, answer };
+        // From here on, an early return drops `pending`, which cancels the request.
+        let sizes = MessageSizes::default();
+        let mut pending = PendingRequest { state: self, request, is_sent: false, departed, sizes, outcome };
         let header = Header::Request(Request {
             session: self.terms.session,
             request,
@@ -178,7 +178,7 @@ impl SessionState {
         let mut frames = Vec::with_capacity(2 + sample.parts.len());
         frames.extend([header, tree]);
         frames.extend(sample.parts.iter().map(|part| part.bytes.clone()));
-        pending.sizes = Sizes::from_frames(&frames);
+        pending.sizes = MessageSizes::from_frames(&frames);
         let options = SendOptions { deadline: Some(deadline), tag: Some(request) };
         match self.sender.send(frames, options) {
             Ok(()) => {
@@ -195,14 +195,14 @@ impl SessionState {
     }
 
     /// Returns the encoded tree and the description of the sample.
-    fn encode_frames(
+    fn encode_tree_and_sample_header(
         &self,
         recorder: &Recorder,
         sample: &Sample,
     ) -> Result<(bytes::Bytes, SampleHeader), UnsendableSample> {
         let header = SampleHeader::from_sample(sample)?;
         let tree = encode_tree(recorder.tree())?;
-        // Checked before sending: the cloud closes a connection on which a larger message arrives.
+        // The size is checked before sending, because the cloud closes a connection on which a larger message arrives.
         let bytes = sample.payload_bytes().saturating_add(tree.len() as u64);
         let max_bytes = self.terms.max_message_bytes;
         if bytes > max_bytes {

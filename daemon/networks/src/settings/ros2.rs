@@ -15,11 +15,11 @@ pub struct Ros2SessionSettings {
     /// Reliability of payloads: whether lost payloads are sent again. The *companion* of a payload, the message with
     /// its header and tree, is always reliable.
     pub reliability: Reliability,
-    /// Number of payloads that a topic keeps until they are taken.
+    /// Number of payloads that the queue of a topic holds (`depth` of the QoS profile).
     pub depth: u32,
-    /// Longest time between two payloads, which this end promises. It is also the longest time that this end waits for
-    /// a payload whose companion has arrived. Milliseconds.
-    // Skipped, because TOML has no null and the record of a run is written as TOML.
+    /// Longest time between two payloads that this end sends, promised to subscribers. This end also waits at most this
+    /// time for a payload whose companion has arrived. Milliseconds.
+    // `None` is skipped, because TOML has no null and the record of a run is written as TOML.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub deadline_ms: Option<u64>,
     /// Names or IPv4 addresses of the network interfaces to use. If empty, the environment variables of ROS 2 decide.

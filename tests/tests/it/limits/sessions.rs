@@ -29,7 +29,7 @@ fn two_greedy_agents_do_not_exclude_a_third() {
     cloud.wait_for("ready");
     let greedy_agents = ["first", "second"].map(|name| {
         let agent = deployment.start_agent(name, &pipeline_tables(PIPELINES, ""));
-        agent.wait_for("half of the sessions that other hosts do not use of the cloud's max_sessions, 16");
+        agent.wait_for("half of the sessions that other hosts do not use; the cloud's max_sessions is 16");
         agent
     });
     let third_agent = deployment.start_agent("third", &pipeline_tables(1, "limit = { iterations = 5 }"));

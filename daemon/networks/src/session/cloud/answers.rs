@@ -20,7 +20,7 @@ use crate::transport::Frames;
 #[derive(Debug, Default)]
 pub(super) struct AnswersBeingSent {
     count: AtomicUsize,
-    sent: Notify,
+    answer_sent: Notify,
 }
 
 impl AnswersBeingSent {
@@ -30,13 +30,13 @@ impl AnswersBeingSent {
         send();
         self.count.fetch_sub(1, Ordering::SeqCst);
         // If nobody waits yet, the permit is kept for the next waiter, so no wake-up is lost.
-        self.sent.notify_one();
+        self.answer_sent.notify_one();
     }
 
     /// Waits until no answer is being sent and no request is in flight.
     pub(super) async fn wait_until_idle(&self, in_flight: impl Fn() -> usize) {
         while in_flight() > 0 || self.count.load(Ordering::SeqCst) > 0 {
-            self.sent.notified().await;
+            self.answer_sent.notified().await;
         }
     }
 }
@@ -48,7 +48,7 @@ pub(super) struct AnswerContent {
     payload: Vec<Bytes>,
     /// Nodes that this host added to the tree.
     delta: Option<Bytes>,
-    /// Zero of the monotonic clock, relative to this host's anchor in the tree.
+    /// Offset of the monotonic clock's zero from this host's anchor in the tree.
     clock_zero: Span,
 }
 
@@ -74,7 +74,7 @@ pub(super) fn encode_answer(
     let AnswerContent { outcome, payload, delta, clock_zero } = content;
     let has_raw_stamps = route.version >= RAW_STAMPS_SINCE;
     let stamp = clock.stamp();
-    // Read after the stamp: if this epoch equals that of the arrival, no step lies between the two stamps.
+    // The epoch is read after the stamp: if it equals the epoch of the arrival, no step lies between the two stamps.
     let epoch = if has_raw_stamps { clock.epoch() } else { clock.wall_epoch() };
     let departure = delta.as_ref().map(|_| {
         let sent_since_anchor = clock_zero + (stamp.mono - MonoTime::default());
@@ -95,7 +95,7 @@ pub(super) fn encode_answer(
 /// Encodes a partial answer with its number; the request was received at `received`. The departure is stamped last.
 ///
 /// # Errors
-/// If its header cannot be encoded.
+/// If the header cannot be encoded.
 pub(super) fn encode_partial_answer(
     clock: &dyn Clock,
     key: RequestKey,
@@ -106,6 +106,7 @@ pub(super) fn encode_partial_answer(
     let stamp = clock.stamp();
     let departure = Departure {
         sent: stamp.wall,
+        // The cloud's anchor is the arrival of the request.
         sent_since_anchor: stamp.mono - received,
         // Every version with partial replies has stamps of the free-running clock.
         epoch: clock.epoch(),
@@ -126,8 +127,8 @@ fn encode_outcome(result: Result<Sample, Failure>, max_message_bytes: u64) -> (O
     let failed = |reason: String| (Outcome::Failed(reason), Vec::new());
     match result {
         Ok(sample) if sample.payload_bytes() > max_message_bytes => failed(format!(
-            "the answer's {} bytes are more than max_message_bytes of the edge's session, {max_message_bytes}: raise it there \
-             (peernet --client: --max-message-bytes)",
+            "the answer has {} bytes, more than the edge's max_message_bytes, {max_message_bytes}: raise max_message_bytes on \
+             the edge (peernet --client: --max-message-bytes)",
             sample.payload_bytes()
         )),
         Ok(sample) => match SampleHeader::from_sample(&sample) {

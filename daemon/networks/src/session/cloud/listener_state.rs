@@ -18,8 +18,8 @@ use crate::session::request_control::RequestControl;
 use crate::session::server::{FinishedRequest, Route, Server};
 use crate::transport::{CloudSender, ConnectionId, Peer, SendFailure};
 
-/// State that a listener shares with all answers in progress. Answers hold it weakly, so that the connections are
-/// closed when the listener is dropped.
+/// State that a listener shares with all answers in progress. The senders of answers hold weak references to the state,
+/// so that the connections are closed when the listener is dropped.
 #[derive(Debug)]
 pub(crate) struct ListenerState {
     server: Mutex<Server>,
@@ -60,13 +60,15 @@ impl ListenerState {
         self.output.set_admission(connection, admission);
     }
 
+    /// Accepts a session that an edge asked for. Returns whether the acceptance was handed to the network.
     pub(crate) fn accept(&self, session: SessionId, accepted: SessionAccepted) -> bool {
         let Some((peer, header)) = self.lock_server().accept(session, accepted) else { return false };
-        // This happens before the acceptance is sent, because the edge's first request may be large.
+        // The admission changes before the acceptance is sent, because the edge's first request may be large.
         self.update_admission(peer.connection);
         self.send_message(&peer, &header)
     }
 
+    /// Refuses a session that an edge asked for, and sends the reason to the edge.
     pub(crate) fn refuse(&self, session: SessionId, reason: String) {
         let refusal = self.lock_server().refuse(session, reason);
         if let Some((peer, header)) = refusal {
@@ -83,6 +85,7 @@ impl ListenerState {
         }
     }
 
+    /// Sends to the edge of each open session the statistics of this end of the connection.
     pub(crate) fn report_statistics(&self) {
         let sessions = self.lock_server().sessions_with_statistics();
         for (session, peer, counters) in sessions {
@@ -93,8 +96,8 @@ impl ListenerState {
     }
 
     /// Sends an answer with the nodes that `recorder` recorded here. `recorder` is `None` if no model computed the
-    /// answer; the reply then has neither tree delta nor departure. Waits while the send queue is full with partial
-    /// answers to the same request; never waits for other requests.
+    /// answer; the reply then has neither tree delta nor departure. If partial answers to the request were sent
+    /// before, waits while the send queue is full. Never waits otherwise.
     pub(crate) fn answer(
         &self,
         key: RequestKey,
@@ -110,6 +113,7 @@ impl ListenerState {
             }
             let mut content = AnswerContent::new(&route, recorder, result);
             loop {
+                // An answer is sent again only after partial answers, which may have filled the queue themselves.
                 let retry = control.sent_partial_answers().map(|_| content.clone());
                 match (self.send_answer(&route, key, content), retry) {
                     (Ok(()), _) => return,
@@ -122,7 +126,7 @@ impl ListenerState {
                     }
                 }
                 self.lock_server().restore_request(key.session, key.request, Arc::clone(&control));
-                // If the request is cancelled during the wait, `finish_request` returns `None`.
+                // A cancellation ends the wait early. `finish_request` then returns `None`.
                 let _ = control.wait(FULL_QUEUE_RETRY);
                 match self.finish_request(key) {
                     Some(finished) => (route, control) = finished,
@@ -132,7 +136,7 @@ impl ListenerState {
         });
     }
 
-    /// Ends a request. Returns the destination of its answer; `None` if the answer is not sent.
+    /// Ends a request. Returns the destination of its answer; `None` if the answer must not be sent.
     fn finish_request(&self, key: RequestKey) -> Option<(Route, Arc<RequestControl>)> {
         let finished = self.lock_server().finish_request(key.session, key.request);
         match finished {
@@ -208,8 +212,8 @@ impl ListenerState {
         }
     }
 
-    /// Waits for the answers in progress.
+    /// Waits until no request is in flight and no answer is being sent.
     pub(super) async fn wait_until_idle(&self) {
-        self.answers.wait_until_idle(|| self.lock_server().in_flight()).await;
+        self.answers.wait_until_idle(|| self.lock_server().in_flight_count()).await;
     }
 }

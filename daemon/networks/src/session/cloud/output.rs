@@ -1,6 +1,6 @@
 //! The sending half of a port.
 
-use crate::session::completed_request::Sizes;
+use crate::session::completed_request::MessageSizes;
 use crate::session::server::Admission;
 use crate::statistics::{ConnectionStatistics, Counters};
 use crate::transport::{CloudSender, ConnectionId, Frames, Peer, SendFailure, SendOptions};
@@ -17,7 +17,7 @@ impl ListenerOutput {
         Self { sender, counters: Counters::default() }
     }
 
-    /// Sets what the connection may send from now on.
+    /// Tells the transport what the edge may send on the connection from now on.
     pub(super) fn set_admission(&self, connection: ConnectionId, admission: Admission) {
         match admission {
             Admission::Admitted => self.sender.admit(connection),
@@ -26,7 +26,7 @@ impl ListenerOutput {
         }
     }
 
-    /// Returns the statistics of a session, with the statistics of the connection from its transport.
+    /// Returns the statistics of a session: its own counters, and what the transport knows about the connection.
     pub(super) fn statistics(
         &self,
         connection: ConnectionId,
@@ -38,7 +38,7 @@ impl ListenerOutput {
     /// Sends a message and counts it for the port and for its session.
     ///
     /// # Errors
-    /// If the transport did not accept it.
+    /// If the transport did not accept the message.
     pub(super) fn send(
         &self,
         peer: &Peer,
@@ -46,7 +46,7 @@ impl ListenerOutput {
         tag: Option<u64>,
         session_counters: Option<&Counters>,
     ) -> Result<(), SendFailure> {
-        let bytes = Sizes::from_frames(&frames).total();
+        let bytes = MessageSizes::from_frames(&frames).total();
         self.sender.send(peer, frames, SendOptions { deadline: None, tag })?;
         for counters in [Some(&self.counters), session_counters].into_iter().flatten() {
             counters.count_sent(bytes);

@@ -1,4 +1,4 @@
-//! Handling of the messages of edges.
+//! Handles the messages of edges.
 
 use std::sync::Arc;
 
@@ -10,7 +10,7 @@ use super::ListenerState;
 use crate::message::{
     Departure, Header, HeaderError, MAX_FRAMES, Request, TreeFrameError, add_upload, decode_tree,
 };
-use crate::session::completed_request::Sizes;
+use crate::session::completed_request::MessageSizes;
 use crate::session::incoming::{
     ArrivalStamp, Failure, Incoming, IncomingRequest, OpenRequest, RequestKey, Responder,
 };
@@ -18,14 +18,15 @@ use crate::session::partial_answer_sender::PartialAnswerSender;
 use crate::session::server::{EdgeMessage, Server};
 use crate::transport::{Frames, Peer};
 
-/// Handles a message that arrived. Returns the event for the listener's user, if there is one.
+/// Handles a message that arrived. Returns the event that [`Listener::next`](super::Listener::next) returns, if the
+/// message causes one.
 pub(super) fn handle_message(
     shared: &Arc<ListenerState>,
     peer: &Peer,
     frames: Frames,
     received: (Stamp, ArrivalStamp),
 ) -> Option<Incoming> {
-    let bytes = Sizes::from_frames(&frames).total();
+    let bytes = MessageSizes::from_frames(&frames).total();
     shared.output.counters.count_received(bytes);
     if frames.len() > MAX_FRAMES {
         shared.report_malformed(peer, "too many frames");
@@ -82,7 +83,7 @@ fn incoming_request(
     (received, arrival): (Stamp, ArrivalStamp),
 ) -> Option<Incoming> {
     let key = RequestKey { session: request.session, request: request.request, arrival };
-    // The session may have ended in the meantime; the answer then has no destination.
+    // The session may have ended in the meantime. The answer then has no destination, and no control is needed.
     let control = shared.lock_server().request_control(key.session, key.request).unwrap_or_default();
     let frames = match shared.budget.reserve_frames(frames) {
         Ok(frames) => frames,
@@ -91,6 +92,7 @@ fn incoming_request(
             return None;
         }
     };
+    // Frame 0 is the header, frame 1 the tree.
     let recorder = resume_tree(shared, frames.get(1), request.departure, received);
     let sample = request.sample.into_sample(frames.into_iter().skip(2)).map_err(InvalidRequest::from);
     match (recorder, sample) {
@@ -129,7 +131,7 @@ fn resume_tree(
     Ok(Recorder::resume(shared.clock.clone(), shared.host, tree, upload, received)?)
 }
 
-/// Error: a request cannot be interpreted.
+/// Error: the tree or the sample of a request is invalid.
 #[derive(Debug, thiserror::Error)]
 enum InvalidRequest {
     #[error("the tree is missing")]

@@ -74,7 +74,7 @@ fn answer_is_routed_once_to_the_requesting_connection() {
     let session = open_session(&mut server, 5);
     assert!(
         matches!(server.receive(&peer(5), request(session, 0)), EdgeMessage::Malformed(_)),
-        "not accepted yet"
+        "the session is not accepted yet"
     );
     let (to, header) = server.accept(session, accepted()).expect("the edge is there");
     assert_eq!(to.connection, ConnectionId(5));
@@ -82,7 +82,7 @@ fn answer_is_routed_once_to_the_requesting_connection() {
     assert!(matches!(server.receive(&peer(5), request(session, 7)), EdgeMessage::Request(_)));
     assert!(
         matches!(server.receive(&peer(5), request(session, 7)), EdgeMessage::Malformed(_)),
-        "in flight already"
+        "the request is in flight already"
     );
     let route = server.finish_request(session, 7);
     let FinishedRequest::Send(route, _) = route else { panic!("{route:?}") };
@@ -100,13 +100,13 @@ fn cancelled_request_needs_no_answer() {
     let cancel = |request| Header::Cancel(Cancel { session, request });
     assert!(
         matches!(server.receive(&peer(6), cancel(7)), EdgeMessage::Answer(Header::UnknownSession(_))),
-        "only its own connection may cancel"
+        "only the connection of the session may cancel the request"
     );
     assert!(!control.is_cancelled());
     assert_eq!(server.receive(&peer(5), cancel(7)), EdgeMessage::Handled);
     assert!(control.is_cancelled());
     assert!(matches!(server.finish_request(session, 7), FinishedRequest::Cancelled));
-    assert_eq!(server.receive(&peer(5), cancel(7)), EdgeMessage::Handled, "it has ended already");
+    assert_eq!(server.receive(&peer(5), cancel(7)), EdgeMessage::Handled, "the request has ended already");
 }
 
 #[test]
@@ -121,7 +121,7 @@ fn end_of_session_cancels_its_requests() {
 }
 
 #[test]
-fn a_refused_session_is_unknown() {
+fn refused_session_is_unknown() {
     let mut server = server();
     let session = open_session(&mut server, 1);
     let (_, header) = server.refuse(session, "no".into()).expect("the edge is there");
@@ -134,13 +134,16 @@ fn a_refused_session_is_unknown() {
 }
 
 #[test]
-fn session_can_be_opened_after_goodbye_of_another() {
+fn goodbye_from_own_connection_frees_session() {
     let mut server = server();
     let sessions: Vec<_> = (0..3).map(|connection| open_session(&mut server, connection)).collect();
     assert!(matches!(server.receive(&peer(9), hello()), EdgeMessage::Answer(Header::Refused(_))));
     let bye =
         |session| Header::Goodbye(Goodbye { session, reason: String::new(), planned_iterations: Some(9) });
-    assert!(matches!(server.receive(&peer(1), bye(sessions[0])), EdgeMessage::Malformed(_)), "not its own");
+    assert!(
+        matches!(server.receive(&peer(1), bye(sessions[0])), EdgeMessage::Malformed(_)),
+        "a goodbye from another connection"
+    );
     assert_eq!(server.receive(&peer(0), bye(sessions[0])), EdgeMessage::Closed(sessions[0], Some(9)));
     open_session(&mut server, 9);
 }
@@ -152,7 +155,7 @@ fn session_limit_per_connection_is_named_in_refusal() {
         open_session(&mut server, 1);
     }
     let EdgeMessage::Answer(Header::Refused(refused)) = server.receive(&peer(1), hello()) else {
-        panic!("one too many")
+        panic!("the session exceeds the limit")
     };
     assert!(
         refused.reason.contains("this connection") && !refused.reason.contains("max_sessions"),
@@ -162,9 +165,9 @@ fn session_limit_per_connection_is_named_in_refusal() {
 }
 
 #[test]
-fn session_limit_per_host_leaves_room_for_others() {
+fn session_limit_per_host_leaves_room_for_other_hosts() {
     let mut server = Server::new(&SessionSettings::default());
-    let mut taken = |host: u8, connections: std::ops::Range<u64>| {
+    let mut opened_count = |host: u8, connections: std::ops::Range<u64>| {
         let Header::Open(open) = hello() else { unreachable!("a hello is an open") };
         let mut accepts = |connection| {
             let mut open = open.clone();
@@ -173,11 +176,11 @@ fn session_limit_per_host_leaves_room_for_others() {
         };
         connections.filter(|connection| accepts(*connection)).count()
     };
-    assert_eq!([taken(1, 0..256), taken(2, 256..512), taken(3, 512..514)], [128, 64, 2]);
+    assert_eq!([opened_count(1, 0..256), opened_count(2, 256..512), opened_count(3, 512..514)], [128, 64, 2]);
 }
 
 #[test]
-fn session_limit_per_address_ignores_host_names() {
+fn session_limit_per_address_counts_all_hosts_of_address() {
     let mut server = Server::new(&SessionSettings::default());
     let mut open = |address: &str, host: u16| {
         let Header::Open(mut open) = hello() else { unreachable!("a hello is an open") };
@@ -187,10 +190,13 @@ fn session_limit_per_address_ignores_host_names() {
         let peer = Peer { connection: ConnectionId(u64::from(host)), address: address.parse().ok() };
         server.receive(&peer, Header::Open(open))
     };
-    let taken = (0..300).filter(|host| matches!(open("192.0.2.1:5", *host), EdgeMessage::Open(..))).count();
-    assert_eq!(taken, 192);
-    let EdgeMessage::Answer(Header::Refused(refused)) = open("192.0.2.1:5", 301) else { panic!("too many") };
-    assert!(refused.reason.contains("max_sessions, 256"), "{refused:?}");
+    let opened_count =
+        (0..300).filter(|host| matches!(open("192.0.2.1:5", *host), EdgeMessage::Open(..))).count();
+    assert_eq!(opened_count, 192);
+    let EdgeMessage::Answer(Header::Refused(refused)) = open("192.0.2.1:5", 301) else {
+        panic!("the session exceeds the limit")
+    };
+    assert!(refused.reason.contains("max_sessions is 256"), "{refused:?}");
     assert!(matches!(open("192.0.2.2:5", 302), EdgeMessage::Open(..)));
 }
 
@@ -203,16 +209,16 @@ fn end_of_connection_ends_only_its_sessions() {
     assert_eq!(server.remove_connection(ConnectionId(1)), []);
     assert!(server.accept(a, accepted()).is_none());
     assert!(server.accept(b, accepted()).is_some());
-    let farewells = server.end_all_sessions("bye");
+    let goodbyes = server.end_all_sessions("bye");
     assert!(
-        matches!(&farewells[..], [(to, Header::Goodbye(bye))] if to.connection.0 == 2 && bye.session == b)
+        matches!(&goodbyes[..], [(to, Header::Goodbye(bye))] if to.connection.0 == 2 && bye.session == b)
     );
 }
 
 #[test]
-fn announcement_reaches_open_and_later_sessions() {
+fn clock_announcement_reaches_open_and_later_sessions() {
     let mut server = server();
-    let (open, asking) = (open_session(&mut server, 1), open_session(&mut server, 2));
+    let (open, requested) = (open_session(&mut server, 1), open_session(&mut server, 2));
     server.accept(open, accepted()).expect("the edge is there");
     let clock = PeerClock { epoch: 3, ..PeerClock::default() };
     let headers = server.update_clock(clock.clone());
@@ -220,20 +226,20 @@ fn announcement_reaches_open_and_later_sessions() {
         &headers[..],
         [(to, Header::Clock(update))] if to.connection.0 == 1 && update.session == open && update.clock == clock
     ));
-    let (_, header) = server.accept(asking, accepted()).expect("the edge is there");
-    assert!(matches!(header, Header::Accepted(said) if said.accepted.host_clock == clock));
+    let (_, header) = server.accept(requested, accepted()).expect("the edge is there");
+    assert!(matches!(header, Header::Accepted(acceptance) if acceptance.accepted.host_clock == clock));
 }
 
 #[derive(Clone, Debug)]
 enum Step {
     Open(u64),
-    /// Any message from a connection about the session at this index of all sessions so far.
+    /// Any message on a connection. It names the session at this index of all sessions that were opened so far.
     Receive(u64, prop::sample::Index, Box<Header>),
     Request(u64, prop::sample::Index, u64),
     Accept(prop::sample::Index),
     Refuse(prop::sample::Index),
     Finish(prop::sample::Index, u64),
-    Gone(u64),
+    CloseConnection(u64),
 }
 
 fn step() -> impl Strategy<Value = Step> {
@@ -247,11 +253,11 @@ fn step() -> impl Strategy<Value = Step> {
         4 => session().prop_map(Step::Accept),
         1 => session().prop_map(Step::Refuse),
         6 => (session(), 0..4_u64).prop_map(|(s, n)| Step::Finish(s, n)),
-        1 => connection().prop_map(Step::Gone),
+        1 => connection().prop_map(Step::CloseConnection),
     ]
 }
 
-/// Returns the same message about another session.
+/// Returns the message with another session id.
 fn with_session(mut header: Header, session: SessionId) -> Header {
     match &mut header {
         Header::Request(request) => request.session = session,
@@ -271,7 +277,7 @@ fn with_session(mut header: Header, session: SessionId) -> Header {
 
 proptest! {
     #[test]
-    fn limits_and_counts_hold_for_any_messages(steps in proptest::collection::vec(step(), 0..120)) {
+    fn limits_hold_and_requests_end_once_for_any_messages(steps in proptest::collection::vec(step(), 0..120)) {
         let mut server = server();
         let mut sessions = vec![SessionId::random()];
         let (mut in_flight, mut cancelled) = (HashSet::new(), HashSet::new());
@@ -285,7 +291,7 @@ proptest! {
                 }
                 Step::Receive(connection, session, header) => {
                     let header = with_session(*header, *session.get(&sessions));
-                    let is_cancel_of = match &header {
+                    let cancelled_request = match &header {
                         Header::Cancel(cancel) => Some((cancel.session, cancel.request)),
                         _ => None,
                     };
@@ -294,8 +300,8 @@ proptest! {
                         EdgeMessage::Request(request) => {
                             prop_assert!(in_flight.insert((request.session, request.request)));
                         }
-                        EdgeMessage::Closed(session, _) => in_flight.retain(|(of, _)| *of != session),
-                        EdgeMessage::Handled => cancelled.extend(is_cancel_of.filter(|key| in_flight.contains(key))),
+                        EdgeMessage::Closed(session, _) => in_flight.retain(|(request_session, _)| *request_session != session),
+                        EdgeMessage::Handled => cancelled.extend(cancelled_request.filter(|key| in_flight.contains(key))),
                         EdgeMessage::Answer(_) | EdgeMessage::Malformed(_) => {}
                     }
                 }
@@ -309,7 +315,7 @@ proptest! {
                 Step::Refuse(session) => {
                     let session = *session.get(&sessions);
                     drop(server.refuse(session, String::new()));
-                    in_flight.retain(|(of, _)| *of != session);
+                    in_flight.retain(|(request_session, _)| *request_session != session);
                 }
                 Step::Finish(session, number) => {
                     let session = *session.get(&sessions);
@@ -326,19 +332,19 @@ proptest! {
                     };
                     prop_assert_eq!(finished, expected);
                 }
-                Step::Gone(connection) => {
+                Step::CloseConnection(connection) => {
                     for session in server.remove_connection(ConnectionId(connection)) {
-                        in_flight.retain(|(of, _)| *of != session);
+                        in_flight.retain(|(request_session, _)| *request_session != session);
                     }
                 }
             }
-            prop_assert_eq!(server.in_flight(), in_flight.len());
+            prop_assert_eq!(server.in_flight_count(), in_flight.len());
             prop_assert!(server.sessions.len() <= 6);
-            let of_host = server.sessions.values().filter(|entry| entry.host == HostId::from_bytes([1; 16])).count();
-            prop_assert!(of_host <= 3, "one host has half of the sessions at most");
+            let host_sessions = server.sessions.values().filter(|entry| entry.host == HostId::from_bytes([1; 16])).count();
+            prop_assert!(host_sessions <= 3, "one host has at most half of the sessions");
             prop_assert!(server.sessions.values().all(|entry| entry.in_flight.0.len() <= 2));
-            let listed: usize = server.connections.values().map(Vec::len).sum();
-            prop_assert_eq!(listed, server.sessions.len());
+            let listed_sessions: usize = server.connections.values().map(Vec::len).sum();
+            prop_assert_eq!(listed_sessions, server.sessions.len());
         }
     }
 }
