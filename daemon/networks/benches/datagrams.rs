@@ -1,4 +1,5 @@
-//! Closed-loop round trips over loopback: a session over `zmq-udp` and bare UDP with the same datagrams, alternately.
+//! Closed-loop round trips over loopback: rounds of a session over `zmq-udp` alternate with rounds of bare UDP with
+//! datagrams of the same length.
 //!
 //! `cargo bench -p peernet-networks --bench datagrams -- [--sizes BYTES,…] [--rounds N] [--datagram BYTES]`. The edge
 //! sends the payload, the cloud answers with 64 bytes. Bare UDP uses one system call for each datagram and does not
@@ -57,6 +58,7 @@ fn main() -> BenchResult<()> {
     );
     for size in sizes {
         let payload = Bytes::from(vec![7; size]);
+        // Larger payloads get fewer round trips, so that a round takes a similar time for every size.
         let trips = (20_000_000 / (size + 20_000)).clamp(20, 500);
         let (mut bare_times, mut session_times) = (Vec::new(), Vec::new());
         for round in 0..=rounds {
@@ -69,14 +71,14 @@ fn main() -> BenchResult<()> {
                 session_times.extend(session_round);
             }
         }
-        report(size, &mut bare_times, &mut session_times);
+        print_row(size, &mut bare_times, &mut session_times);
     }
     println!("\ntimes in µs; {:?}", session.statistics());
     runtime.block_on(session.close());
     Ok(())
 }
 
-fn report(size: usize, bare_times: &mut [Span], session_times: &mut [Span]) {
+fn print_row(size: usize, bare_times: &mut [Span], session_times: &mut [Span]) {
     let quantile_micros = |spans: &mut [Span], quantile: f64| {
         spans.sort_unstable();
         spans[((spans.len() - 1) as f64 * quantile) as usize].seconds() * 1e6
@@ -108,9 +110,10 @@ impl BareUdp {
             let mut received = 0;
             loop {
                 let (length, from) = server.recv_from(&mut buffer)?;
-                let count = buffer[..length].first_chunk().map_or(1, |first| u32::from_le_bytes(*first));
+                let datagram_count =
+                    buffer[..length].first_chunk().map_or(1, |first| u32::from_le_bytes(*first));
                 received += 1;
-                if received >= count {
+                if received >= datagram_count {
                     received = 0;
                     server.send_to(&[7; ANSWER_BYTES], from)?;
                 }
@@ -132,13 +135,13 @@ impl BareUdp {
     fn round(&self, size: usize, trips: usize) -> BenchResult<Vec<Span>> {
         let clock = clock();
         let mut buffer = vec![7; self.datagram_bytes];
-        let count = size.div_ceil(self.datagram_bytes).max(1);
-        buffer[..4].copy_from_slice(&(count as u32).to_le_bytes());
+        let datagram_count = size.div_ceil(self.datagram_bytes).max(1);
+        buffer[..4].copy_from_slice(&(datagram_count as u32).to_le_bytes());
         let mut answer = [0; ANSWER_BYTES];
         (0..trips)
             .map(|_| {
                 let started_at = clock.mono();
-                for index in 0..count {
+                for index in 0..datagram_count {
                     let length = (size - index * self.datagram_bytes).clamp(4, self.datagram_bytes);
                     self.socket.send(&buffer[..length])?;
                 }

@@ -1,9 +1,10 @@
-//! Closed-loop round trips over loopback: a session and bare TCP, alternately, in one run.
+//! Closed-loop round trips over loopback: rounds of a session alternate with rounds of bare TCP.
 //!
 //! `cargo bench -p peernet-networks --bench round_trip -- [--processes] [--runtime current|multi] [--answer BYTES|same]
-//! [--sizes BYTES,…] [--rounds N]`. The rounds of the contenders alternate, so that a disturbance of the machine
-//! affects both. The edge sends the payload, the cloud answers with 64 bytes or as `--answer` says. `upload` is the
-//! one-way time from just before the message is handed over until all of it has arrived; both ends read one clock.
+//! [--sizes BYTES,…] [--rounds N]`. The rounds alternate, so that a disturbance of the machine affects the session and
+//! TCP alike. `--processes` runs the cloud in a separate process instead of a thread. The edge sends the payload, the
+//! cloud answers with 64 bytes or as `--answer` says. `upload` is the one-way time from just before the message is
+//! handed over until the whole message has arrived; edge and cloud read one clock.
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
 
@@ -28,30 +29,32 @@ type BenchResult<T> = Result<T, Box<dyn Error + Send + Sync>>;
 
 /// The arguments of the benchmark.
 #[derive(Clone, Debug)]
-struct Plan {
+struct Arguments {
     sizes: Vec<usize>,
     /// Length of an answer; `None` for the length of the payload. Bytes.
     answer: Option<usize>,
     rounds: usize,
-    multi_thread: bool,
-    processes: bool,
-    cloud: bool,
+    has_multi_thread_runtimes: bool,
+    /// Whether the cloud runs in a separate process.
+    has_two_processes: bool,
+    /// Whether this process is the cloud's process.
+    is_cloud: bool,
 }
 
 fn main() -> BenchResult<()> {
-    let plan = Plan::from_arguments()?;
-    if plan.cloud {
-        let (bare_address, session_address) = start_cloud(&plan)?;
+    let arguments = Arguments::parse()?;
+    if arguments.is_cloud {
+        let (bare_address, session_address) = start_cloud(&arguments)?;
         println!("{bare_address} {session_address}");
         // The edge ends this process by closing its standard input.
         std::io::stdin().read_to_end(&mut Vec::new())?;
         return Ok(());
     }
     let mut child = None;
-    let (bare_address, session_address) = if plan.processes {
-        let arguments = std::env::args().skip(1).chain(["--cloud".to_owned()]);
+    let (bare_address, session_address) = if arguments.has_two_processes {
+        let cloud_arguments = std::env::args().skip(1).chain(["--cloud".to_owned()]);
         let process = Command::new(std::env::current_exe()?)
-            .args(arguments)
+            .args(cloud_arguments)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()?;
@@ -61,9 +64,9 @@ fn main() -> BenchResult<()> {
         let (bare_address, session_address) = line.trim().split_once(' ').ok_or("the cloud did not start")?;
         (bare_address.to_owned(), session_address.parse::<Address>()?)
     } else {
-        start_cloud(&plan)?
+        start_cloud(&arguments)?
     };
-    edge(&plan, &bare_address, &session_address)?;
+    run_edge(&arguments, &bare_address, &session_address)?;
     if let Some(mut process) = child {
         drop(process.stdin.take());
         process.wait()?;
@@ -71,41 +74,41 @@ fn main() -> BenchResult<()> {
     Ok(())
 }
 
-impl Plan {
-    fn from_arguments() -> BenchResult<Self> {
-        let mut plan = Self {
+impl Arguments {
+    fn parse() -> BenchResult<Self> {
+        let mut parsed = Self {
             sizes: vec![64, 1_000, 150_000, 1_200_000],
             answer: Some(64),
             rounds: 20,
-            multi_thread: false,
-            processes: false,
-            cloud: false,
+            has_multi_thread_runtimes: false,
+            has_two_processes: false,
+            is_cloud: false,
         };
         let mut arguments = std::env::args().skip(1);
         while let Some(argument) = arguments.next() {
             let mut value = || arguments.next().ok_or_else(|| format!("{argument} needs a value"));
             match argument.as_str() {
-                "--processes" => plan.processes = true,
-                "--cloud" => plan.cloud = true,
-                "--runtime" => plan.multi_thread = value()? == "multi",
-                "--rounds" => plan.rounds = value()?.parse()?,
+                "--processes" => parsed.has_two_processes = true,
+                "--cloud" => parsed.is_cloud = true,
+                "--runtime" => parsed.has_multi_thread_runtimes = value()? == "multi",
+                "--rounds" => parsed.rounds = value()?.parse()?,
                 "--sizes" => {
-                    plan.sizes = value()?.split(',').map(str::parse).collect::<Result<_, _>>()?;
+                    parsed.sizes = value()?.split(',').map(str::parse).collect::<Result<_, _>>()?;
                 }
                 "--answer" => {
                     let answer = value()?;
-                    plan.answer = if answer == "same" { None } else { Some(answer.parse()?) };
+                    parsed.answer = if answer == "same" { None } else { Some(answer.parse()?) };
                 }
                 // Cargo passes this argument to every benchmark.
                 "--bench" => {}
                 other => return Err(format!("unknown argument {other}").into()),
             }
         }
-        Ok(plan)
+        Ok(parsed)
     }
 
     fn runtime(&self) -> BenchResult<tokio::runtime::Runtime> {
-        let mut builder = if self.multi_thread {
+        let mut builder = if self.has_multi_thread_runtimes {
             tokio::runtime::Builder::new_multi_thread()
         } else {
             tokio::runtime::Builder::new_current_thread()
@@ -123,7 +126,7 @@ fn clock() -> SharedClock {
 }
 
 /// Starts the servers of both contenders. Returns their addresses.
-fn start_cloud(plan: &Plan) -> BenchResult<(String, Address)> {
+fn start_cloud(arguments: &Arguments) -> BenchResult<(String, Address)> {
     let listener = TcpListener::bind("127.0.0.1:0")?;
     let bare_address = listener.local_addr()?.to_string();
     std::thread::spawn(move || {
@@ -133,17 +136,17 @@ fn start_cloud(plan: &Plan) -> BenchResult<(String, Address)> {
         }
     });
     let (address_sender, address_receiver) = std::sync::mpsc::sync_channel(1);
-    let plan = plan.clone();
+    let arguments = arguments.clone();
     std::thread::spawn(move || -> BenchResult<()> {
-        let runtime = plan.runtime()?;
+        let runtime = arguments.runtime()?;
         // The server runs in a task, as in an agent: the main future of a multi-thread runtime does not run on a worker
         // thread.
-        runtime.block_on(async { tokio::spawn(serve_session(plan, address_sender)).await })?
+        runtime.block_on(async { tokio::spawn(serve_session(arguments, address_sender)).await })?
     });
     Ok((bare_address, address_receiver.recv()?))
 }
 
-/// Serves `size u64 | answer u64 | payload` with `arrival stamp i64 | answer`.
+/// Answers each message `payload length u64 | answer length u64 | payload` with `arrival stamp i64 | answer`.
 fn serve_bare(mut stream: TcpStream) -> BenchResult<()> {
     let clock = clock();
     stream.set_nodelay(true)?;
@@ -151,13 +154,14 @@ fn serve_bare(mut stream: TcpStream) -> BenchResult<()> {
     let mut header = [0; 16];
     loop {
         stream.read_exact(&mut header)?;
-        let (size, answer) = (read_u64(&header[..8]) as usize, read_u64(&header[8..]) as usize);
-        payload.resize(size, 0);
+        let (payload_bytes, answer_bytes) =
+            (read_u64(&header[..8]) as usize, read_u64(&header[8..]) as usize);
+        payload.resize(payload_bytes, 0);
         stream.read_exact(&mut payload)?;
         let arrival_nanos = clock.wall().unix_nanos();
-        payload.resize(size.max(answer), 0);
+        payload.resize(payload_bytes.max(answer_bytes), 0);
         let mut reply = arrival_nanos.to_le_bytes().to_vec();
-        reply.extend_from_slice(&payload[..answer]);
+        reply.extend_from_slice(&payload[..answer_bytes]);
         stream.write_all(&reply)?;
     }
 }
@@ -166,7 +170,10 @@ fn read_u64(bytes: &[u8]) -> u64 {
     bytes.try_into().map_or(0, u64::from_le_bytes)
 }
 
-async fn serve_session(plan: Plan, address_sender: std::sync::mpsc::SyncSender<Address>) -> BenchResult<()> {
+async fn serve_session(
+    arguments: Arguments,
+    address_sender: std::sync::mpsc::SyncSender<Address>,
+) -> BenchResult<()> {
     let (host, clock) = (HostId::random(), clock());
     let any_port = "tcp://127.0.0.1:0".parse()?;
     let mut listener = Listener::bind(&any_port, SessionSettings::default(), host, clock.clone()).await?;
@@ -193,7 +200,7 @@ async fn serve_session(plan: Plan, address_sender: std::sync::mpsc::SyncSender<A
             }
             Incoming::Request(request) => {
                 let payload = &request.sample.parts[0].bytes;
-                let answer = payload.slice(..plan.answer_bytes(payload.len()).min(payload.len()));
+                let answer = payload.slice(..arguments.answer_bytes(payload.len()).min(payload.len()));
                 request.reply.send(request.recorder, Ok(Sample::from_part(Description::bytes(), answer)));
             }
             _ => {}
@@ -216,8 +223,8 @@ impl ContenderTimes {
     }
 }
 
-fn edge(plan: &Plan, bare_address: &str, address: &Address) -> BenchResult<()> {
-    let runtime = plan.runtime()?;
+fn run_edge(arguments: &Arguments, bare_address: &str, address: &Address) -> BenchResult<()> {
+    let runtime = arguments.runtime()?;
     let mut stream = TcpStream::connect(bare_address)?;
     stream.set_nodelay(true)?;
     let hello = SessionHello {
@@ -234,21 +241,32 @@ fn edge(plan: &Plan, bare_address: &str, address: &Address) -> BenchResult<()> {
     let session = runtime.block_on(opening)?;
     println!(
         "{} runtimes, {}, answers of {}\n",
-        if plan.multi_thread { "multi-thread" } else { "current-thread" },
-        if plan.processes { "two processes" } else { "two threads" },
-        plan.answer.map_or("the same size".into(), |bytes| format!("{bytes} bytes")),
+        if arguments.has_multi_thread_runtimes { "multi-thread" } else { "current-thread" },
+        if arguments.has_two_processes { "two processes" } else { "two threads" },
+        arguments.answer.map_or("the same size".into(), |bytes| format!("{bytes} bytes")),
     );
     println!(
         "{:>9} | {:>8} {:>8} {:>8} {:>8} | {:>7} {:>7} {:>6} | {:>7} {:>7} {:>6}",
-        "bytes", "TCP p50", "p99", "p50", "p99", "TCP/s", "/s", "ratio", "TCP up", "upload", "ratio"
+        "bytes",
+        "TCP p50",
+        "TCP p99",
+        "sess p50",
+        "sess p99",
+        "TCP/s",
+        "sess/s",
+        "ratio",
+        "TCP up",
+        "sess up",
+        "ratio"
     );
-    for &size in &plan.sizes {
+    for &size in &arguments.sizes {
         let payload = Bytes::from((0..size).map(|i| (i * 31) as u8).collect::<Vec<u8>>());
+        // Larger payloads get fewer round trips, so that a round takes a similar time for every size.
         let trips = (20_000_000 / (size + 20_000)).clamp(30, 500);
         let (mut tcp_times, mut session_times) = (ContenderTimes::default(), ContenderTimes::default());
-        for round in 0..=plan.rounds {
+        for round in 0..=arguments.rounds {
             let mut bare_round = ContenderTimes::default();
-            round_bare(&mut stream, &payload, plan.answer_bytes(size), trips, &mut bare_round)?;
+            round_bare(&mut stream, &payload, arguments.answer_bytes(size), trips, &mut bare_round)?;
             let task = round_session(session.clone(), payload.clone(), trips);
             let mut session_round = runtime.block_on(async { tokio::spawn(task).await })??;
             // The first round only warms up both contenders.
@@ -259,9 +277,12 @@ fn edge(plan: &Plan, bare_address: &str, address: &Address) -> BenchResult<()> {
                 session_times.uploads.append(&mut session_round.uploads);
             }
         }
-        report(size, &mut tcp_times, &mut session_times);
+        print_row(size, &mut tcp_times, &mut session_times);
     }
-    println!("\ntimes in µs, upload p50; {:?}", session.statistics());
+    println!(
+        "\nsess: session, up: p50 of upload, ratio: session to TCP; times in µs; {:?}",
+        session.statistics()
+    );
     runtime.block_on(session.close());
     Ok(())
 }
@@ -269,15 +290,15 @@ fn edge(plan: &Plan, bare_address: &str, address: &Address) -> BenchResult<()> {
 fn round_bare(
     stream: &mut TcpStream,
     payload: &[u8],
-    answer: usize,
+    answer_bytes: usize,
     trips: usize,
     times: &mut ContenderTimes,
 ) -> BenchResult<()> {
     let clock = clock();
     let mut message = (payload.len() as u64).to_le_bytes().to_vec();
-    message.extend_from_slice(&(answer as u64).to_le_bytes());
+    message.extend_from_slice(&(answer_bytes as u64).to_le_bytes());
     message.extend_from_slice(payload);
-    let mut reply = vec![0; 8 + answer];
+    let mut reply = vec![0; 8 + answer_bytes];
     for _ in 0..trips {
         let start = clock.stamp();
         stream.write_all(&message)?;
@@ -309,7 +330,7 @@ async fn round_session(session: Session, payload: Bytes, trips: usize) -> BenchR
     Ok(times)
 }
 
-fn report(size: usize, tcp_times: &mut ContenderTimes, session_times: &mut ContenderTimes) {
+fn print_row(size: usize, tcp_times: &mut ContenderTimes, session_times: &mut ContenderTimes) {
     let quantile_micros = |spans: &mut Vec<Span>, quantile: f64| {
         spans.sort_unstable();
         spans[((spans.len() - 1) as f64 * quantile) as usize].seconds() * 1e6

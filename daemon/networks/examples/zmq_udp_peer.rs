@@ -1,5 +1,5 @@
 //! An edge and a cloud of `zmq-udp` with a relay of another project between them, for the test with libzmq
-//! (`tests/interop/zmq-udp`). Fails unless every request is answered byte for byte or recorded as lost.
+//! (`tests/interop/zmq-udp`). Fails unless every request is answered with its own bytes or recorded as lost.
 //!
 //! Usage: `zmq_udp_peer RELAY`. The relay is a program that gets the cloud's address as its argument and prints its
 //! own address.
@@ -27,7 +27,7 @@ const TIMEOUT: Duration = Duration::from_secs(60);
 const REQUESTS: [(usize, usize); 6] =
     [(0, 100), (1, 100), (1_000, 500), (60_000, 100), (1_200_000, 20), (20_000_000, 2)];
 
-/// A program that is killed when the test ends.
+/// The process of the relay, which is killed when the test ends.
 struct Relay(Child);
 
 impl Relay {
@@ -77,7 +77,7 @@ async fn exchange(session: &Session, size: usize, count: usize) -> Result<(usize
         let recorder = Recorder::new(clock(), HostId::random());
         match session.request(recorder, &request, TIMEOUT).await.result {
             Ok(answer) if answer == request => answered += 1,
-            Ok(_) => return Err(format!("an answer of {size} bytes differs").into()),
+            Ok(_) => return Err(format!("an answer to {size} bytes differs from its request").into()),
             Err(RequestError::Lost(_)) => lost += 1,
             Err(error) => return Err(error.into()),
         }
@@ -126,7 +126,7 @@ async fn run(relay: &str, datagram_bytes: u64) -> Result<(), Box<dyn Error>> {
         let (answered, lost) = exchange(&session, size, count).await?;
         println!("{size:>12} {count:>9} {answered:>9} {lost:>6}");
         if answered == 0 && size <= 1_000_000 {
-            return Err(format!("nothing of {size} bytes was answered").into());
+            return Err(format!("no request of {size} bytes was answered").into());
         }
     }
     session.close().await;

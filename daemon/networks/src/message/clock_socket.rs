@@ -1,4 +1,4 @@
-//! The name of the socket through which a cloud proves to an edge that both read the same clock.
+//! The name of the socket through which a cloud proves to an edge that the two hosts read one clock.
 
 use std::fmt;
 use std::str::FromStr;
@@ -13,13 +13,13 @@ pub struct ClockSocketName([u8; Self::BYTES]);
 
 /// Error: the text is not the name of a clock socket.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("not the name of a clock socket: {PREFIX} and 32 hexadecimal digits in lower case")]
+#[error("not the name of a clock socket, which is {PREFIX} followed by 32 hexadecimal digits in lower case")]
 pub struct InvalidClockSocketName;
 
 const PREFIX: &str = "peernet-clock-";
 
 impl ClockSocketName {
-    /// Length of the random part. Bytes.
+    /// Number of random bytes in the name.
     pub const BYTES: usize = 16;
 
     /// Returns the name with these random bytes as its digits.
@@ -48,10 +48,10 @@ impl FromStr for ClockSocketName {
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let digits = text.strip_prefix(PREFIX).ok_or(InvalidClockSocketName)?;
         // `from_str_radix` alone would also accept a sign and capital letters.
-        let are_valid = digits.len() == 2 * Self::BYTES
+        let is_valid = digits.len() == 2 * Self::BYTES
             && digits.bytes().all(|digit| matches!(digit, b'0'..=b'9' | b'a'..=b'f'));
         let number = u128::from_str_radix(digits, 16).map_err(|_| InvalidClockSocketName)?;
-        if are_valid { Ok(Self(number.to_be_bytes())) } else { Err(InvalidClockSocketName) }
+        if is_valid { Ok(Self(number.to_be_bytes())) } else { Err(InvalidClockSocketName) }
     }
 }
 
@@ -61,7 +61,8 @@ impl Serialize for ClockSocketName {
     }
 }
 
-/// Deserializes a peer's optional name. A text of another form becomes `None`, so that nothing connects to it.
+/// Deserializes a peer's optional name. A text of another form becomes `None`, so that the cloud connects to no other
+/// socket.
 pub(super) fn deserialize_optional_socket_name<'de, D: Deserializer<'de>>(
     deserializer: D,
 ) -> Result<Option<ClockSocketName>, D::Error> {
@@ -77,9 +78,12 @@ mod tests {
 
     #[test]
     fn name_is_prefix_and_32_digits() {
-        let good = "peernet-clock-000102030405060708090a0b0c0d0e0f";
-        assert_eq!(good.parse::<ClockSocketName>().map(|name| name.to_string()).as_deref(), Ok(good));
-        let bad = [
+        let valid_name = "peernet-clock-000102030405060708090a0b0c0d0e0f";
+        assert_eq!(
+            valid_name.parse::<ClockSocketName>().map(|name| name.to_string()).as_deref(),
+            Ok(valid_name)
+        );
+        let invalid_names = [
             "",
             "peernet-clock-",
             "peernet-clock-000102030405060708090a0b0c0d0e0",
@@ -92,7 +96,7 @@ mod tests {
             "\0peernet-clock-000102030405060708090a0b0c0d0e0f",
             "/run/systemd/notify",
         ];
-        for text in bad {
+        for text in invalid_names {
             assert_eq!(text.parse::<ClockSocketName>(), Err(InvalidClockSocketName), "{text:?}");
         }
         assert!("x".repeat(60_000).parse::<ClockSocketName>().is_err());

@@ -5,7 +5,7 @@
 //!
 //! The names of variants are on the wire. So are the names of fields in all headers except requests and replies, whose
 //! fields are identified by their order. The files detect a rename or a moved field that changes the bytes. Neither the
-//! compiler nor a test that encodes and decodes detects it.
+//! compiler nor a test that encodes and decodes detects such a change.
 //!
 //! A file is called `MESSAGE.bin` or `MESSAGE.DETAIL.bin`. A new message or variant gets a value in [`headers`] with a
 //! new `DETAIL`; `write_missing_fixtures` writes its file and never changes an existing one. A file is deleted only
@@ -28,13 +28,14 @@ use peernet_logger::{Tree, TreeDelta};
 use super::{Header, decode_tree, decode_tree_delta, encode_tree, encode_tree_delta};
 
 /// Contents of fixture files by file name.
-type Files = BTreeMap<String, Bytes>;
+type FixtureFiles = BTreeMap<String, Bytes>;
 
 fn fixture_folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/wire/session")
 }
 
-fn files() -> Files {
+/// Reads all fixture files.
+fn files() -> FixtureFiles {
     let fixture_folder = fixture_folder();
     let entries =
         fs::read_dir(&fixture_folder).unwrap_or_else(|error| panic!("{}: {error}", fixture_folder.display()));
@@ -55,8 +56,8 @@ enum Content {
 }
 
 impl Content {
-    /// Decodes a frame. A frame does not say which kind it is: a reader knows it from the frame's position in the
-    /// message, this function from the file's name.
+    /// Decodes a frame. A frame does not say which kind it is: a peer knows the kind from the frame's position in
+    /// the message, and this function from the file's name.
     fn decode(file: &str, frame: &[u8]) -> Self {
         let content = match file.split('.').next() {
             Some(variants::TREE_NAME) => {
@@ -91,9 +92,9 @@ impl Content {
 }
 
 /// Returns the encoded frames of all values by file name.
-fn values() -> Files {
+fn values() -> FixtureFiles {
     let headers = headers::headers().into_iter().map(|(detail, header)| (detail, Content::Header(header)));
-    let mut files = Files::new();
+    let mut files = FixtureFiles::new();
     for (detail, content) in headers.chain(trees::contents()) {
         let dot = if detail.is_empty() { "" } else { "." };
         let file = format!("{}{dot}{detail}.bin", content.name());
@@ -118,7 +119,11 @@ fn write_missing_fixtures() {
 fn decoded_fixture_is_encoded_to_same_bytes() {
     for (file, frame) in files() {
         let content = Content::decode(&file, &frame);
-        assert_eq!(file.split('.').next(), Some(content.name()), "{file} holds another message");
+        assert_eq!(
+            file.split('.').next(),
+            Some(content.name()),
+            "the name of {file} does not fit the message in it"
+        );
         assert!(content.encode() == frame, "{file}: decoding loses or changes something");
     }
 }
@@ -131,7 +136,7 @@ fn value_is_encoded_as_in_its_fixture() {
     assert_eq!(
         files.keys().collect::<Vec<_>>(),
         values.keys().collect::<Vec<_>>(),
-        "a file or a value is missing"
+        "each value needs a file, and each file a value"
     );
     for (file, frame) in &values {
         assert!(*frame == files[file], "the bytes of {file} changed: other versions cannot read them");

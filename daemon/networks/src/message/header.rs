@@ -2,8 +2,8 @@
 //!
 //! Requests and replies are written as arrays, which are small and fast, in the form of the session's version. The
 //! messages that open and close a session are written as maps, and readers ignore names that they do not know. A
-//! message that opens or refuses a session is sent before a version is chosen. Its form therefore never changes; a
-//! later version may only add names to it.
+//! message that opens or refuses a session is sent before a version is chosen. The form of such a message therefore
+//! never changes; a later version may only add names.
 
 use bytes::Bytes;
 use peernet_clock::{RawTime, Span, WallTime};
@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{PeerClock, SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId, deserialize_text};
 
-/// Largest header in both directions. Bytes.
+/// Largest header in either direction. Bytes.
 pub(crate) const MAX_HEADER_BYTES: usize = 64 * 1024;
 
 /// Maximum number of payload parts of a sample.
@@ -25,10 +25,11 @@ pub(crate) const MAX_FRAMES: usize = 2 + MAX_PARTS;
 /// Maximum number of partial answers to one request that are sent before the edge acknowledges them.
 pub(crate) const MAX_UNREAD_PARTIAL_ANSWERS: u32 = 64;
 
-/// Number of payload bytes of partial answers to one request from which on the next one waits for an acknowledgement.
-// After a cancellation, the partial answers that were sent delay all later answers on a slow link: 256 KiB take 0.1 s at
-// 20 Mbit/s. A larger value would increase the throughput of large partial answers, which is at most this value in each
-// round trip.
+/// Number of unacknowledged payload bytes of partial answers to one request at which the next partial answer has to
+/// wait.
+// After a cancellation, the partial answers that were sent delay all later answers on a slow link: 256 KiB take 0.1 s
+// at 20 Mbit/s. A larger value would increase the throughput of large partial answers, which is at most this value in
+// each round trip.
 pub(crate) const MAX_UNREAD_BYTES: u64 = 256 * 1024;
 
 /// Largest nesting depth of a header.
@@ -37,7 +38,9 @@ const MAX_DEPTH: usize = 32;
 /// Error: a header cannot be sent or cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum HeaderError {
-    #[error("the header would have {0} bytes, more than {MAX_HEADER_BYTES}: shorten source, label or shapes")]
+    #[error(
+        "the header would have {0} bytes, more than {MAX_HEADER_BYTES}: shorten the sample's source, label or shapes"
+    )]
     EncodedTooLong(usize),
     #[error("the sample has {0} parts, more than {MAX_PARTS}")]
     TooManyParts(usize),
@@ -71,7 +74,7 @@ pub(crate) enum Header {
     Reply(Reply),
     /// The cloud sends a partial answer, before the answer is complete. The payload follows.
     PartialReply(PartialReply),
-    /// The edge has read partial replies of a request, so the cloud may send more.
+    /// The edge has read partial answers to a request, so the cloud may send more.
     PartsRead(PartsRead),
     /// The edge does not wait for the answer to a request any more.
     Cancel(Cancel),
@@ -166,10 +169,10 @@ pub(crate) struct Reply {
     /// neither.
     pub(crate) departure: Option<Departure>,
     /// Cloud's epoch, read right before the arrival of the request was stamped. If it differs from the epoch of the
-    /// departure, the cloud's clock was stepped in between.
+    /// departure, the cloud's clock was stepped between the two stamps.
     pub(crate) arrival_epoch: u32,
     pub(crate) outcome: Outcome,
-    /// Cloud's free-running clock at the arrival of the request. Present with `departure`, since
+    /// Cloud's free-running clock at the arrival of the request. Present if `departure` is present, since version
     /// [`RAW_STAMPS_SINCE`](super::RAW_STAMPS_SINCE).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) arrived_raw: Option<RawTime>,
@@ -191,19 +194,19 @@ pub(crate) struct PartialReply {
     pub(crate) sample: SampleHeader,
 }
 
-/// Acknowledgement of partial replies. A cloud sends at most [`MAX_UNREAD_PARTIAL_ANSWERS`] partial answers to a
+/// Acknowledgement of partial answers. A cloud sends at most [`MAX_UNREAD_PARTIAL_ANSWERS`] partial answers to a
 /// request that are not acknowledged.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct PartsRead {
     pub(crate) session: SessionId,
     pub(crate) request: u64,
-    /// Number of partial answers that count as read: the number of the newest one that was read, plus one. Earlier ones
-    /// that were lost count as read, too.
+    /// Number of partial answers that count as read: the number of the newest partial answer that was read, plus one.
+    /// Earlier partial answers that were lost count as read, too.
     #[serde(rename = "through")]
     pub(crate) read_count: u32,
 }
 
-/// Cancellation of a request. Its reply, if one is sent, is dropped as late.
+/// Cancellation of a request. If the cloud sends a reply nevertheless, the edge drops the reply as late.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Cancel {
     pub(crate) session: SessionId,
@@ -252,7 +255,7 @@ impl Header {
     /// Encodes the header.
     ///
     /// # Errors
-    /// If it is longer than [`MAX_HEADER_BYTES`].
+    /// If the header is longer than [`MAX_HEADER_BYTES`].
     pub(crate) fn encode(&self) -> Result<Bytes, HeaderError> {
         let mut wire = Vec::with_capacity(256);
         let written = match self {
@@ -371,26 +374,27 @@ mod tests {
         }
 
         #[test]
-        fn damaged_or_truncated_header_is_refused(
+        fn truncated_or_extended_header_is_refused(
             header in strategies::header(Vec::new()),
-            at: prop::sample::Index,
+            position: prop::sample::Index,
             byte: u8,
         ) {
             let wire = header.encode().expect("short enough");
-            let at = at.index(wire.len());
-            prop_assert!(Header::decode(&wire[..at]).is_err());
+            let position = position.index(wire.len());
+            prop_assert!(Header::decode(&wire[..position]).is_err());
             let mut longer = wire.to_vec();
             longer.push(byte);
             // A header with one more byte may be valid in another version; the error then names that version.
             prop_assert!(Header::decode(&longer).is_err());
             let mut damaged = wire.to_vec();
-            damaged[at] = byte;
+            damaged[position] = byte;
+            // A damaged header may still be valid. Decoding must only not panic.
             let _ = Header::decode(&damaged);
         }
     }
 
     #[test]
-    fn sample_is_assembled_from_all_its_parts_only() {
+    fn sample_with_missing_or_extra_frames_is_refused() {
         let part = |text: &'static str| Part { description: Description::bytes(), bytes: text.into() };
         let sample = Sample { parts: vec![part("a"), part("b")], source: "s".into(), label: None };
         let header = SampleHeader::from_sample(&sample).expect("two parts");
@@ -403,13 +407,13 @@ mod tests {
     }
 
     #[test]
-    fn limits_hold_for_writing_and_reading() {
-        let many = Sample {
+    fn header_limits_hold_for_encoding_and_decoding() {
+        let too_many_parts = Sample {
             parts: vec![Part { description: Description::bytes(), bytes: Bytes::new() }; MAX_PARTS + 1],
             source: String::new(),
             label: None,
         };
-        assert_eq!(SampleHeader::from_sample(&many), Err(HeaderError::TooManyParts(MAX_PARTS + 1)));
+        assert_eq!(SampleHeader::from_sample(&too_many_parts), Err(HeaderError::TooManyParts(MAX_PARTS + 1)));
         let goodbye = super::super::Goodbye {
             session: SessionId::random(),
             reason: "x".repeat(MAX_HEADER_BYTES),
@@ -418,8 +422,8 @@ mod tests {
         assert!(matches!(Header::Goodbye(goodbye).encode(), Err(HeaderError::EncodedTooLong(_))));
         let oversize = vec![0xc0; MAX_HEADER_BYTES + 1];
         assert_eq!(Header::decode(&oversize), Err(HeaderError::ReceivedTooLong(MAX_HEADER_BYTES + 1)));
-        let deep = [vec![0x91; 5_000], vec![0xc0]].concat();
-        assert!(matches!(Header::decode(&deep), Err(HeaderError::Unreadable(_))));
+        let nested_arrays = [vec![0x91; 5_000], vec![0xc0]].concat();
+        assert!(matches!(Header::decode(&nested_arrays), Err(HeaderError::Unreadable(_))));
     }
 
     #[test]
@@ -439,8 +443,8 @@ mod tests {
     proptest! {
         #[test]
         fn cloud_information_contains_no_control_characters(mut accepted in strategies::accepted()) {
-            let evil = || "cpu\u{1b}[2J".to_owned();
-            (accepted.version, accepted.device, accepted.facts) = (evil(), evil(), vec![(evil(), evil())]);
+            let unprintable = || "cpu\u{1b}[2J".to_owned();
+            (accepted.version, accepted.device, accepted.facts) = (unprintable(), unprintable(), vec![(unprintable(), unprintable())]);
             let (protocol, session) = (SESSION_VERSIONS.newest(), SessionId::random());
             let header = Accepted { protocol, session, accepted, max_message_bytes: 1, max_in_flight: 1 };
             let wire = Header::Accepted(Box::new(header)).encode().expect("short enough");
@@ -453,10 +457,10 @@ mod tests {
     }
 
     #[test]
-    fn unreadable_hello_of_later_version_is_recognised() {
+    fn unreadable_hello_of_later_version_is_version_mismatch() {
         #[derive(Serialize)]
         #[serde(rename_all = "kebab-case")]
-        enum Later {
+        enum LaterMessage {
             Open { hello: LaterHello, colour: &'static str },
         }
         #[derive(Serialize)]
@@ -465,12 +469,13 @@ mod tests {
             newest: u16,
             host: [u64; 3],
         }
-        let later = SESSION_VERSIONS.newest() + 1;
-        let hello = LaterHello { protocol: later, newest: later + 1, host: [1, 2, 3] };
-        let wire = rmp_serde::to_vec_named(&Later::Open { hello, colour: "green" }).expect("serialises");
+        let later_version = SESSION_VERSIONS.newest() + 1;
+        let hello = LaterHello { protocol: later_version, newest: later_version + 1, host: [1, 2, 3] };
+        let wire =
+            rmp_serde::to_vec_named(&LaterMessage::Open { hello, colour: "green" }).expect("serialises");
         let Err(HeaderError::NoCommonVersion(mismatch)) = Header::decode(&wire) else {
             panic!("no version mismatch")
         };
-        assert_eq!((mismatch.peer.oldest(), mismatch.peer.newest()), (later, later + 1));
+        assert_eq!((mismatch.peer.oldest(), mismatch.peer.newest()), (later_version, later_version + 1));
     }
 }

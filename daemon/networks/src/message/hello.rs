@@ -16,12 +16,13 @@ use super::{deserialize_text, to_printable};
 /// Versions of the session protocol that this release speaks, as an edge and as a cloud.
 ///
 /// A release that changes messages raises the newest version and keeps writing the older forms to peers that chose an
-/// older version. A release that drops the oldest version names the first release that speaks the next version.
+/// older version. When a release drops the oldest version, the `Release` below becomes the
+/// first release that speaks the new oldest version.
 ///
 /// | release | versions |
 /// | --- | --- |
 /// | 0.1.0 | 4 |
-/// | 0.2.0 | 4, states ranges |
+/// | 0.2.0 | 4; from this release on, messages state a range of versions |
 /// | 0.3.0 | 4 to 6 |
 ///
 /// Version 5 adds stamps of the free-running clocks to departures, replies and clock states, and reports of the cloud's
@@ -79,7 +80,7 @@ pub struct SessionHello {
     pub host: HostId,
     /// Name of the edge.
     pub name: Slug,
-    /// Clock of the edge's stamps.
+    /// Identity of the clock that the edge's stamps come from.
     pub clock: ClockIdentity,
     /// Pipeline whose samples will be sent.
     pub pipeline: Slug,
@@ -89,7 +90,7 @@ pub struct SessionHello {
     #[serde(default, deserialize_with = "deserialize_optional_text")]
     pub device: Option<String>,
     /// Socket through which the cloud can prove that both hosts read one clock. `None` if the edge has no such socket,
-    /// and in releases before 0.3.0. A name of another form is read as `None`.
+    /// and from releases before 0.3.0. A name of another form is read as `None`.
     #[serde(
         default,
         skip_serializing_if = "Option::is_none",
@@ -105,7 +106,7 @@ pub struct SessionAccepted {
     pub host: HostId,
     /// Name of the cloud.
     pub name: Slug,
-    /// Clock of the cloud's stamps.
+    /// Identity of the clock that the cloud's stamps come from.
     pub clock: ClockIdentity,
     /// Version of the cloud's program, for people.
     #[serde(deserialize_with = "deserialize_text")]
@@ -130,8 +131,8 @@ pub struct SessionAccepted {
     /// releases before 0.3.0 and for clouds with a configured key.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub probe_key: Option<ProbeKey>,
-    /// Conditions found on the cloud before the session; at most [`MAX_CONDITIONS`]. A message with more conditions is
-    /// refused.
+    /// Conditions that were found on the cloud before the session; at most [`MAX_CONDITIONS`]. A message with more
+    /// conditions is refused.
     #[serde(deserialize_with = "deserialize_conditions")]
     pub conditions: Vec<Condition>,
     /// Hardware of the cloud. Deserialization shortens each text to 128 characters and the accelerators to the first
@@ -142,7 +143,8 @@ pub struct SessionAccepted {
 
 /// State of a host's clocks, sent when a session opens and whenever it changes.
 ///
-/// A message is refused if its interval ends before it begins or its drift is not finite.
+/// A message is refused if one of its intervals ends before it begins, or if the drift of the clock fault is not
+/// finite.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PeerClock {
     /// Epoch of the wall clock, [`peernet_clock::Clock::wall_epoch`].
@@ -150,7 +152,7 @@ pub struct PeerClock {
     /// Claim of the host's time daemon about the wall clock.
     #[serde(rename = "discipline", deserialize_with = "deserialize_claim")]
     pub claim: Option<ClockClaim>,
-    /// Description of that claim, for people.
+    /// Description of the claim, for people.
     #[serde(deserialize_with = "deserialize_text")]
     pub text: String,
     /// Clock fault that is injected on this host, if any.
@@ -203,7 +205,8 @@ fn deserialize_text_pairs<'de, D: Deserializer<'de>>(
 /// Deserializes at most [`MAX_CONDITIONS`] conditions and makes their texts printable, because they are shown on
 /// terminals and pages.
 fn deserialize_conditions<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Condition>, D::Error> {
-    // Counted after the list was read: the limit of the header already bounds the memory of the list.
+    // The conditions are counted after the list was read: the limit of the header already bounds the memory of the
+    // list.
     let conditions: Vec<Condition> = Vec::deserialize(deserializer)?;
     if conditions.len() > MAX_CONDITIONS {
         return Err(D::Error::custom(format_args!("more than {MAX_CONDITIONS} conditions")));
@@ -224,7 +227,7 @@ fn deserialize_hardware<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Ha
         Hardware::deserialize(deserializer)?;
     let shorten = |text: String| to_printable(&text.chars().take(MAX_TEXT_CHARS).collect::<String>());
     Ok(Hardware {
-        // Shortened and not refused: an unusual text must not prevent a session.
+        // The texts are shortened and not refused, because an unusual text must not prevent a session.
         cpu: shorten(cpu),
         cores,
         memory_bytes,
@@ -243,7 +246,7 @@ fn deserialize_interval<'de, D: Deserializer<'de>>(deserializer: D) -> Result<In
 }
 
 /// Deserializes a time daemon's claim. Refuses a claim whose interval ends before it begins, because the intervals of
-/// delays are computed from it.
+/// delays are computed from the claim.
 fn deserialize_claim<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<ClockClaim>, D::Error> {
     let claim: Option<ClockClaim> = Option::deserialize(deserializer)?;
     match claim {

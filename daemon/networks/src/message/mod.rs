@@ -4,19 +4,20 @@
 //! | --- | --- | --- | --- | --- |
 //! | open | edge | hello, limits | | |
 //! | accepted, refused | cloud | session id and acceptance, or the reason | | |
-//! | request | edge | session, number, departure, description of the sample | tree | payload parts, unchanged |
-//! | reply | cloud | session, number, departure, outcome | tree delta | payload parts, unchanged |
-//! | partial-reply | cloud | session, number, number of the partial answer, departure, description of the partial answer | empty | payload parts, unchanged |
-//! | parts-read | edge | session, number, number of partial answers (not of payload parts) that were read | | |
-//! | cancel | edge | session, number | | |
+//! | request | edge | session, request number, departure, description of the sample | tree | payload parts, unchanged |
+//! | reply | cloud | session, request number, departure, outcome | tree delta | payload parts, unchanged |
+//! | partial-reply | cloud | session, request number, number of the partial answer, departure, description of the partial answer | empty | payload parts, unchanged |
+//! | parts-read | edge | session, request number, how many partial answers (not payload parts) were read | | |
+//! | cancel | edge | session, request number | | |
 //! | clock | cloud | session, state of the cloud's clocks | | |
 //! | statistics | cloud | session, statistics of the cloud's end of the connection | | |
-//! | unknown-session | cloud | session, number | | |
-//! | goodbye | either | session, reason; from an edge whose run is over: the run's number of iterations | | |
+//! | unknown-session | cloud | session, request number | | |
+//! | goodbye | either | session, reason; from an edge whose run is over, also the planned number of iterations | | |
 //!
 //! The tree is encoded first, then the departure is stamped, then the small header is encoded. `upload` and `download`
-//! therefore contain the network and no encoding. The transit node itself is in neither tree; the receiver adds it from
-//! the header. `tests/it/wire.rs` contains an independent description of the wire form.
+//! therefore contain the time on the network, and of the encoding only the time for the small header. The transit node
+//! is not part of the tree or tree delta that is sent; the receiver makes the node from the header. `tests/it/wire.rs`
+//! contains an independent description of the wire form.
 //!
 //! All messages come from untrusted peers. The limits are 64 payload parts, 64 KiB of header, the limits of the logger
 //! for trees, and the configured size of a message.

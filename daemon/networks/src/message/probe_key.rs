@@ -4,7 +4,8 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// A key with which a cloud and the peers that it has accepted authenticate probes. Its `Debug` form hides it.
+/// A key with which a cloud and the peers that it has accepted authenticate probes. The `Debug` form hides the
+/// bytes.
 #[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct ProbeKey([u8; Self::BYTES]);

@@ -92,10 +92,10 @@ pub(crate) fn accepted() -> impl Strategy<Value = SessionAccepted> {
     let facts = proptest::collection::vec((printable_text(), printable_text()), 0..4);
     let clocks = (clock(), peer_clock(), any::<(Option<u16>, u64, Option<[u8; 32]>)>());
     let conditions = proptest::collection::vec(condition(), 0..4);
-    let printable_text = (printable_text(), printable_text(), facts, conditions, hardware());
-    (host(), slug(), clocks, slug(), printable_text).prop_map(
-        |(host, name, (clock, host_clock, (probes, instance, key)), model, printable_text)| {
-            let (version, device, facts, conditions, hardware) = printable_text;
+    let texts = (printable_text(), printable_text(), facts, conditions, hardware());
+    (host(), slug(), clocks, slug(), texts).prop_map(
+        |(host, name, (clock, host_clock, (probes, instance, key)), model, texts)| {
+            let (version, device, facts, conditions, hardware) = texts;
             SessionAccepted {
                 host,
                 name,
@@ -154,12 +154,12 @@ fn sample() -> impl Strategy<Value = SampleHeader> {
 }
 
 fn departure() -> impl Strategy<Value = Departure> {
-    (any::<i64>(), span(), any::<u32>(), raw()).prop_map(|(sent, sent_since_anchor, epoch, sent_raw)| {
+    (any::<i64>(), span(), any::<u32>(), raw_time()).prop_map(|(sent, sent_since_anchor, epoch, sent_raw)| {
         Departure { sent: WallTime::from_unix_nanos(sent), sent_since_anchor, epoch, sent_raw }
     })
 }
 
-fn raw() -> impl Strategy<Value = Option<RawTime>> {
+fn raw_time() -> impl Strategy<Value = Option<RawTime>> {
     proptest::option::of(any::<i64>().prop_map(RawTime::from_nanos))
 }
 
@@ -190,17 +190,17 @@ pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> 
         proptest::option::of(departure()),
         outcome(),
         (hello(), accepted(), peer_clock()),
-        (kind, printable_text(), any::<u64>(), any::<Option<u64>>(), raw()),
+        (kind, printable_text(), any::<u64>(), any::<Option<u64>>(), raw_time()),
     )
         .prop_flat_map(
-            |((session, request, departure), sample, returned, outcome, (hello, accepted, clock), rest)| {
-                let (kind, reason, max_message_bytes, planned_iterations, arrived_raw) = rest;
+            |((session, request, departure), sample, reply_departure, outcome, (hello, accepted, clock), other_fields)| {
+                let (kind, reason, max_message_bytes, planned_iterations, arrived_raw) = other_fields;
                 let (versions, arrival_epoch) = (hello.versions, clock.epoch);
-                let (part, part_sample) = (arrival_epoch, sample.clone());
+                let (number, partial_answer) = (arrival_epoch, sample.clone());
                 let protocol = versions.oldest();
                 let lost = planned_iterations.filter(|_| reason.is_empty());
                 let sent = DirectionStatistics { bytes: max_message_bytes, lost, ..DirectionStatistics::default() };
-                let counted = ConnectionStatistics { sent, ..ConnectionStatistics::default() };
+                let statistics = ConnectionStatistics { sent, ..ConnectionStatistics::default() };
                 prop_oneof![
                     1 => Just(Header::Open(Box::new(Open { hello, max_message_bytes }))),
                     1 => Just(Header::Accepted(Box::new(Accepted {
@@ -212,12 +212,12 @@ pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> 
                     }))),
                     1 => Just(Header::Refused(Refused { versions, kind, reason: reason.clone() })),
                     4 => Just(Header::Request(Request { session, request, departure, sample })),
-                    4 => Just(Header::Reply(Reply { session, request, departure: returned, arrival_epoch, outcome, arrived_raw })),
-                    2 => Just(Header::PartialReply(PartialReply { session, request, part, departure, sample: part_sample })),
-                    1 => Just(Header::PartsRead(PartsRead { session, request, read_count: part })),
+                    4 => Just(Header::Reply(Reply { session, request, departure: reply_departure, arrival_epoch, outcome, arrived_raw })),
+                    2 => Just(Header::PartialReply(PartialReply { session, request, part: number, departure, sample: partial_answer })),
+                    1 => Just(Header::PartsRead(PartsRead { session, request, read_count: number })),
                     1 => Just(Header::Cancel(Cancel { session, request })),
                     1 => Just(Header::Clock(Box::new(ClockUpdate { session, clock }))),
-                    1 => Just(Header::Statistics(Box::new(StatisticsReport { session, statistics: counted }))),
+                    1 => Just(Header::Statistics(Box::new(StatisticsReport { session, statistics }))),
                     1 => Just(Header::UnknownSession(UnknownSession { session, request })),
                     1 => Just(Header::Goodbye(Goodbye { session, reason, planned_iterations })),
                 ]

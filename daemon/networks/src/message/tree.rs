@@ -10,14 +10,15 @@ use super::Departure;
 /// Error: a tree or a tree delta cannot be sent or cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TreeFrameError {
-    #[error("the tree has {0} bytes, more than {MAX_TREE_BYTES}")]
+    #[error("the tree or tree delta has {0} bytes, more than {MAX_TREE_BYTES}")]
     TooLong(usize),
     #[error(transparent)]
     Unreadable(#[from] wire::WireError),
 }
 
 /// Adds `upload` to a tree and returns the new node. The edge adds the node to its tree, and the cloud adds it to the
-/// copy of the tree that arrived. The node therefore has the same position in both trees, although it is not sent.
+/// copy of the tree that arrived. The node therefore has the same position in the two trees, although the node itself
+/// is not sent.
 pub(crate) fn add_upload(tree: &mut Tree, departure: Departure) -> NodeId {
     let transit = Transit { sent: departure.sent, received: None, delay: None, raw_stamps: None };
     tree.add(NodeId::ROOT, stage::UPLOAD, departure.sent_since_anchor, Measure::Transit(Box::new(transit)))

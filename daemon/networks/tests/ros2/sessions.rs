@@ -19,7 +19,7 @@ use crate::support::{
     Cloud, TIME_LIMIT, TestNetwork, accepted, clock, echo, hello, open, recorder, settings, within,
 };
 
-/// Returns settings with changed settings for the topics of ROS 2.
+/// Returns settings in which `change` has changed the settings of ROS 2.
 fn settings_with(change: impl FnOnce(&mut Ros2SessionSettings)) -> SessionSettings {
     let mut settings = settings();
     change(&mut settings.ros2);
@@ -50,7 +50,8 @@ fn picture(bytes: usize) -> Sample {
     Sample::from_part(Description::unshaped(MediaType::Jpeg), bytes.into())
 }
 
-const INFO: &str = "peernet_msgs/msg/MessageInfo";
+/// Type of the messages on the topics of companions.
+const INFO_TYPE: &str = "peernet_msgs/msg/MessageInfo";
 
 // The ROS 2 clients have threads of their own. They must not wait for the thread of the test.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -71,15 +72,17 @@ async fn payloads_of_all_sizes_and_types_come_back_identical() {
         assert_eq!((statistics.sent.messages, statistics.received.messages), (9, 9));
         assert_eq!((statistics.lost_messages, statistics.received.lost), (0, Some(0)));
         let remarks = session.remarks().borrow().clone();
-        let [remark] = &remarks[..] else { panic!("the longest do not fit: {remarks:?}") };
-        for part in ["20000", "/request", "socket_buffer_bytes", "net.core.rmem_max"] {
-            assert!(remark.contains(part), "{part}: {remark}");
+        let [remark] = &remarks[..] else {
+            panic!("one remark says that the longest payloads do not fit: {remarks:?}")
+        };
+        for expected in ["20000", "/request", "socket_buffer_bytes", "net.core.rmem_max"] {
+            assert!(remark.contains(expected), "{expected}: {remark}");
         }
     }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn other_programs_see_pictures_as_their_own_type() {
+async fn other_programs_see_pictures_as_compressed_images() {
     let mut cloud = cloud().await;
     let (session, pipeline) = session(&mut cloud).await;
     let viewer = foreign_node(&cloud).await;
@@ -103,7 +106,7 @@ async fn other_programs_see_pictures_as_their_own_type() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn error_for_other_domain_names_the_domain() {
+async fn error_for_domain_without_cloud_names_the_domain() {
     let cloud = cloud().await;
     let domain = cloud.address().ros_domain().expect("a domain");
     let name = cloud.address().listener_name().expect("a name").to_owned();
@@ -111,15 +114,15 @@ async fn error_for_other_domain_names_the_domain() {
     let short_timeout = SessionSettings { open_timeout_ms: 2_000, ..settings() };
     let error = open(&address_in_other_domain.parse().expect("an address"), hello(), short_timeout)
         .await
-        .expect_err("nobody")
+        .expect_err("no cloud uses this domain")
         .to_string();
-    for part in [&*name, &format!("ROS_DOMAIN_ID {}", 101 + domain), "127.0.0.1", "/sessions"] {
-        assert!(error.contains(part), "{part}: {error}");
+    for expected in [&*name, &format!("ROS_DOMAIN_ID {}", 101 + domain), "127.0.0.1", "/sessions"] {
+        assert!(error.contains(expected), "{expected}: {error}");
     }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn name_of_another_cloud_is_refused() {
+async fn cloud_with_name_of_another_cloud_is_refused() {
     let cloud = cloud().await;
     let result = Listener::bind(&cloud.address(), settings(), cloud.host, clock()).await;
     let error = result.expect_err("the name is taken").to_string();
@@ -127,15 +130,18 @@ async fn name_of_another_cloud_is_refused() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn topic_of_another_publisher_or_type_is_refused() {
+async fn topic_with_foreign_publisher_or_type_is_refused() {
     let cloud = cloud().await;
     let node = foreign_node(&cloud).await;
     let qos = QosProfile::default();
-    for (ending, kind) in [("request_info", INFO), ("request", "sensor_msgs/msg/Image")] {
+    for (name, kind) in [("request_info", INFO_TYPE), ("request", "sensor_msgs/msg/Image")] {
         let hello = hello();
-        let topic = topic(hello.pipeline.as_str(), ending);
+        let topic = topic(hello.pipeline.as_str(), name);
         let _publisher = node.create_publisher(&topic, kind, &qos).expect("a publisher");
-        let error = open(&cloud.address(), hello, settings()).await.expect_err("taken").to_string();
+        let error = open(&cloud.address(), hello, settings())
+            .await
+            .expect_err("another node publishes the topic")
+            .to_string();
         assert!(
             error.contains(&format!("node /viewer on this host publishes topic {topic}"))
                 && error.contains("ROS_NAMESPACE"),
@@ -145,7 +151,8 @@ async fn topic_of_another_publisher_or_type_is_refused() {
     let hello = hello();
     let topic = topic(hello.pipeline.as_str(), "response_info");
     let _publisher = node.create_publisher(&topic, "std_msgs/msg/String", &qos).expect("a publisher");
-    let error = open(&cloud.address(), hello, settings()).await.expect_err("another type").to_string();
+    let error =
+        open(&cloud.address(), hello, settings()).await.expect_err("the topic has another type").to_string();
     assert!(error.contains("std_msgs/msg/String for node /viewer") && error.contains(&topic), "{error}");
 }
 
@@ -155,7 +162,7 @@ async fn messages_of_second_publishers_are_dropped() {
     let (session, pipeline) = session(&mut cloud).await;
     let node = foreign_node(&cloud).await;
     let publisher = node
-        .create_publisher(&topic(&pipeline, "request_info"), INFO, &QosProfile::default())
+        .create_publisher(&topic(&pipeline, "request_info"), INFO_TYPE, &QosProfile::default())
         .expect("a publisher");
     publisher.wait_for_peer(TIME_LIMIT).await.expect("the cloud subscribes");
     let goodbye = MessageInfo { kind: MessageInfo::GOODBYE, ..MessageInfo::default() };
@@ -194,14 +201,14 @@ async fn connection_without_session_ends_after_hello_timeout() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn payloads_stay_in_companions_where_qos_does_not_fit() {
+async fn payloads_travel_in_companions_if_qos_is_incompatible() {
     let mut cloud = cloud().await;
     let (address, hello) = (cloud.address(), hello());
     let best_effort = settings_with(|ros2| ros2.reliability = Reliability::BestEffort);
     let edge = tokio::spawn(async move { open(&address, hello, best_effort).await });
     assert!(cloud.next_open().await.accept(accepted(cloud.host)));
     let session = within(edge).await.expect("no panic").expect("accepted");
-    // The cloud requests more than the edge offers. Nevertheless no message is lost.
+    // The cloud requests reliable payloads, and the edge offers best effort only. Nevertheless no message is lost.
     for _ in 0..20 {
         exchange(&mut cloud, &session, picture(100_000)).await;
     }
@@ -250,7 +257,7 @@ async fn best_effort_payloads_are_answered_or_lost_within_deadline() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn subscriber_that_does_not_read_loses_no_message() {
+async fn session_loses_no_message_to_subscriber_that_does_not_read() {
     let mut cloud = cloud().await;
     let (session, pipeline) = session(&mut cloud).await;
     let viewer = foreign_node(&cloud).await;
