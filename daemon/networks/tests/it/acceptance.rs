@@ -1,4 +1,4 @@
-//! Tests of the values in hello and acceptance other than identities.
+//! Tests of the values in hello and acceptance, except for the identities of the hosts.
 
 use peernet_networks::MAX_CONDITIONS;
 use peernet_stream::{Condition, Grade, Hardware};
@@ -9,7 +9,7 @@ use crate::support::{Cloud, accepted, hello, open, settings, within};
 use crate::wire::{self, Header, Id, PROTOCOL, PlainSocket};
 
 #[tokio::test]
-async fn hello_without_model_lets_cloud_choose() {
+async fn hello_without_model_lets_cloud_choose_model() {
     let mut cloud = Cloud::start().await;
     let plain_socket = PlainSocket::dealer(&cloud.address(), Options::default()).await;
     let hello = wire::Hello { model: None, ..wire::hello(PROTOCOL) };
@@ -40,7 +40,7 @@ fn accepted_with_conditions(session: Id, conditions: Vec<wire::Condition>) -> He
             let accepted = wire::Accepted { conditions, ..accepted };
             Header::Accepted { protocol, session, accepted, max_message_bytes, max_in_flight }
         }
-        other => other,
+        header => header,
     }
 }
 

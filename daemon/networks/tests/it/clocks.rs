@@ -21,25 +21,26 @@ const VERSION_4: VersionRange = VersionRange::single(4);
 const DAY: Span = Span::from_seconds(86_400);
 const HOUR: Span = Span::from_seconds(3_600);
 
-/// The system's clocks with offsets that tests set. Every change is a new epoch.
+/// The system's clocks with offsets that tests set.
 #[derive(Debug)]
 struct AdjustableClocks {
     system: SystemClock,
     wall: ClockOffset,
     raw: ClockOffset,
-    /// The clock that is moved slightly after the next stamp.
-    slipping: Mutex<Option<SlippingClock>>,
+    /// The clock that steps by −30 µs after the next stamp.
+    clock_to_step: Mutex<Option<ClockToStep>>,
 }
 
-/// Offset of a clock, and the number of its changes.
+/// Offset of a clock, and the number of its noticed steps.
 #[derive(Debug, Default)]
 struct ClockOffset {
     nanos: AtomicI64,
     epoch: AtomicU32,
 }
 
+/// One of the two clocks that tests step.
 #[derive(Clone, Copy, Debug)]
-enum SlippingClock {
+enum ClockToStep {
     Wall,
     Raw,
 }
@@ -49,11 +50,13 @@ impl ClockOffset {
         Span::from_nanos(self.nanos.load(Ordering::SeqCst))
     }
 
+    /// Steps the clock without a new epoch.
     fn step_unnoticed(&self, by: Span) {
         self.nanos.fetch_add(by.nanos(), Ordering::SeqCst);
     }
 
-    fn forward(&self, by: Span) {
+    /// Steps the clock, which starts a new epoch.
+    fn step(&self, by: Span) {
         self.step_unnoticed(by);
         self.epoch.fetch_add(1, Ordering::SeqCst);
     }
@@ -67,15 +70,15 @@ impl AdjustableClocks {
             system,
             wall: ClockOffset::default(),
             raw: ClockOffset::default(),
-            slipping: Mutex::default(),
+            clock_to_step: Mutex::default(),
         };
         clocks.wall.step_unnoticed(wall);
         clocks.raw.step_unnoticed(raw);
         Arc::new(clocks)
     }
 
-    fn shift_after_next_stamp(&self, slipping: SlippingClock) {
-        *self.slipping.lock().expect("no panic") = Some(slipping);
+    fn step_after_next_stamp(&self, clock: ClockToStep) {
+        *self.clock_to_step.lock().expect("no panic") = Some(clock);
     }
 }
 
@@ -99,9 +102,9 @@ impl Clock for AdjustableClocks {
     fn stamp(&self) -> Stamp {
         let stamp = self.system.stamp();
         let stamp = Stamp { wall: stamp.wall + self.wall.span(), raw: stamp.raw + self.raw.span(), ..stamp };
-        match self.slipping.lock().expect("no panic").take() {
-            Some(SlippingClock::Wall) => self.wall.forward(Span::from_micros(-30)),
-            Some(SlippingClock::Raw) => self.raw.forward(Span::from_micros(-30)),
+        match self.clock_to_step.lock().expect("no panic").take() {
+            Some(ClockToStep::Wall) => self.wall.step(Span::from_micros(-30)),
+            Some(ClockToStep::Raw) => self.raw.step(Span::from_micros(-30)),
             None => {}
         }
         stamp
@@ -120,7 +123,7 @@ fn transits(completed: &CompletedRequest) -> (Transit, Transit) {
     let transit = |node: Option<NodeId>| match &completed
         .recorder
         .tree()
-        .get(node.expect("on its way"))
+        .get(node.expect("the request was answered"))
         .expect("in the tree")
         .measure
     {
@@ -156,7 +159,7 @@ async fn exchange_carries_raw_stamps_beside_wall_stamps() {
         "{upload_span} {download_span}"
     );
     assert_eq!((observation.edge_epoch, observation.cloud_epoch), (0, Some(0)));
-    assert_eq!(observation.cloud_elapsed, None, "nothing to compare");
+    assert_eq!(observation.cloud_elapsed, None, "raw stamps need no duration");
 }
 
 #[tokio::test]
@@ -178,7 +181,7 @@ async fn session_of_version_four_has_wall_stamps_of_cloud() {
     let tolerance = Span::from_millis(1);
     let offset = Interval { lo: offset.lo + DAY - tolerance, hi: offset.hi + DAY + tolerance };
     assert!(offset.intersection(stamps.bounds()).is_some(), "{:?} {offset:?}", stamps.bounds());
-    let time_at_cloud = observation.cloud_elapsed.expect("read");
+    let time_at_cloud = observation.cloud_elapsed.expect("version 4 needs the duration");
     assert!(Span::ZERO <= time_at_cloud && time_at_cloud <= stamps.returned - stamps.sent, "{time_at_cloud}");
 
     let mut state_with_raw_step = PeerClock { epoch: 1, ..clock_state_with_raw() };
@@ -201,12 +204,13 @@ async fn time_at_cloud_is_measured_despite_clock_steps() {
     let mut cloud = Cloud::start_with_clock(clock.clone()).await;
     let mut open_sessions = Vec::new();
     for version in [4, 5] {
-        let edge = AdjustableClocks::new(Span::ZERO, Span::ZERO);
-        let session = cloud.session_with_clock(edge, VersionRange::single(version)).await;
+        let edge_clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
+        let session = cloud.session_with_clock(edge_clock, VersionRange::single(version)).await;
         open_sessions.push(session.clone());
         let pending = request(&session, "stepped", TIME_LIMIT);
         let incoming = cloud.next_request().await;
-        // This is not a step that the clock notices by itself, so that only two clocks of the cloud can show it.
+        // The cloud does not notice this step, so its epoch stays the same. Only a comparison of two clocks of the
+        // cloud shows the step.
         clock.wall.step_unnoticed(Span::from_seconds(3));
         incoming.reply.send(incoming.recorder, Ok(incoming.sample));
         let completed = within(pending).await.expect("no panic");
@@ -214,7 +218,7 @@ async fn time_at_cloud_is_measured_despite_clock_steps() {
         let time_at_cloud = observation.exchange.replied - observation.exchange.received;
         let round_trip = observation.exchange.returned - observation.exchange.sent;
         if version == 4 {
-            let mono_elapsed = observation.cloud_elapsed.expect("read");
+            let mono_elapsed = observation.cloud_elapsed.expect("version 4 needs the duration");
             assert!(
                 time_at_cloud >= Span::from_seconds(3) + mono_elapsed - Span::from_seconds(1),
                 "{time_at_cloud} {mono_elapsed}"
@@ -230,18 +234,19 @@ async fn time_at_cloud_is_measured_despite_clock_steps() {
 }
 
 #[tokio::test]
-async fn moved_cloud_clock_yields_no_observation() {
+async fn stepped_cloud_clock_yields_no_observation() {
     let clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
     let mut cloud = Cloud::start_with_clock(clock.clone()).await;
     let mut open_sessions = Vec::new();
-    for (version, moved_clock, other_clock) in [(4, &clock.wall, &clock.raw), (5, &clock.raw, &clock.wall)] {
-        let edge = AdjustableClocks::new(Span::ZERO, Span::ZERO);
-        let session = cloud.session_with_clock(edge, VersionRange::single(version)).await;
+    for (version, stamped_clock, other_clock) in [(4, &clock.wall, &clock.raw), (5, &clock.raw, &clock.wall)]
+    {
+        let edge_clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
+        let session = cloud.session_with_clock(edge_clock, VersionRange::single(version)).await;
         open_sessions.push(session.clone());
-        for (clock, prevents_observation) in [(moved_clock, true), (other_clock, false)] {
-            let pending = request(&session, "moved at the cloud", TIME_LIMIT);
+        for (stepped_clock, prevents_observation) in [(stamped_clock, true), (other_clock, false)] {
+            let pending = request(&session, "stepped at the cloud", TIME_LIMIT);
             let incoming = cloud.next_request().await;
-            clock.forward(Span::from_seconds(3));
+            stepped_clock.step(Span::from_seconds(3));
             incoming.reply.send(incoming.recorder, Ok(incoming.sample));
             let completed = within(pending).await.expect("no panic");
             assert!(completed.result.is_ok() && completed.download.is_some());
@@ -253,23 +258,23 @@ async fn moved_cloud_clock_yields_no_observation() {
             );
         }
         let completed = echo(&mut cloud, &session, "after").await;
-        let epoch = moved_clock.epoch.load(Ordering::SeqCst);
+        let epoch = stamped_clock.epoch.load(Ordering::SeqCst);
         assert_eq!(completed.observation.expect("answered").cloud_epoch, Some(epoch));
     }
 }
 
 #[tokio::test]
-async fn moved_raw_clock_of_edge_yields_no_observation() {
+async fn stepped_raw_clock_of_edge_yields_no_observation() {
     let mut cloud = Cloud::start().await;
     let mut open_sessions = Vec::new();
     for version in [4, 5] {
         let clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
         let session = cloud.session_with_clock(clock.clone(), VersionRange::single(version)).await;
         open_sessions.push(session.clone());
-        for (moved_clock, prevents_observation) in [(&clock.raw, true), (&clock.wall, false)] {
-            let pending = request(&session, "moved at the edge", TIME_LIMIT);
+        for (stepped_clock, prevents_observation) in [(&clock.raw, true), (&clock.wall, false)] {
+            let pending = request(&session, "stepped at the edge", TIME_LIMIT);
             let incoming = cloud.next_request().await;
-            moved_clock.forward(Span::from_seconds(3));
+            stepped_clock.step(Span::from_seconds(3));
             incoming.reply.send(incoming.recorder, Ok(incoming.sample));
             let completed = within(pending).await.expect("no panic");
             assert!(completed.result.is_ok());
@@ -280,22 +285,22 @@ async fn moved_raw_clock_of_edge_yields_no_observation() {
 }
 
 #[tokio::test]
-async fn clock_moved_after_first_stamp_yields_no_observation() {
+async fn clock_stepped_after_first_stamp_yields_no_observation() {
     let clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
     let mut cloud = Cloud::start_with_clock(clock.clone()).await;
     let mut open_sessions = Vec::new();
-    for (version, slipping) in [(4, SlippingClock::Wall), (5, SlippingClock::Raw)] {
-        let edge = AdjustableClocks::new(Span::ZERO, Span::ZERO);
-        let session = cloud.session_with_clock(edge.clone(), VersionRange::single(version)).await;
+    for (version, clock_to_step) in [(4, ClockToStep::Wall), (5, ClockToStep::Raw)] {
+        let edge_clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
+        let session = cloud.session_with_clock(edge_clock.clone(), VersionRange::single(version)).await;
         open_sessions.push(session.clone());
-        clock.shift_after_next_stamp(slipping);
-        let completed = echo(&mut cloud, &session, "moved at the cloud").await;
+        clock.step_after_next_stamp(clock_to_step);
+        let completed = echo(&mut cloud, &session, "stepped at the cloud").await;
         assert_eq!(completed.observation, None);
         let completed = echo(&mut cloud, &session, "after").await;
         assert_eq!(completed.observation.expect("answered").cloud_epoch, Some(1));
-        edge.shift_after_next_stamp(SlippingClock::Raw);
-        let completed = echo(&mut cloud, &session, "moved at the edge").await;
-        assert_eq!((completed.observation, edge.epoch()), (None, 1));
+        edge_clock.step_after_next_stamp(ClockToStep::Raw);
+        let completed = echo(&mut cloud, &session, "stepped at the edge").await;
+        assert_eq!((completed.observation, edge_clock.epoch()), (None, 1));
         let completed = echo(&mut cloud, &session, "after").await;
         assert_eq!(completed.observation.expect("answered").edge_epoch, 1);
     }
@@ -340,7 +345,7 @@ fn clock_state_with_raw() -> PeerClock {
 }
 
 #[tokio::test]
-async fn announcement_reaches_all_open_and_later_sessions() {
+async fn clock_announcement_reaches_all_open_and_later_sessions() {
     let mut cloud = Cloud::start().await;
     let announcer = cloud.listener.announcer();
     let (session, _) = cloud.session(settings()).await;
@@ -369,9 +374,10 @@ async fn announcement_reaches_all_open_and_later_sessions() {
 #[tokio::test]
 async fn plain_zeromq_socket_reads_announcement() {
     let mut cloud = Cloud::start().await;
-    let (plain, session) = plain_session(&mut cloud).await;
+    let (plain_socket, session) = plain_session(&mut cloud).await;
     cloud.listener.announcer().announce(clock_state());
-    let (Header::Clock { session: announced_session, clock }, _) = plain.receive_message().await else {
+    let (Header::Clock { session: announced_session, clock }, _) = plain_socket.receive_message().await
+    else {
         panic!("no announcement")
     };
     assert_eq!((announced_session, clock.epoch, clock.text.as_str()), (session, 2, "chrony, 3 sources"));

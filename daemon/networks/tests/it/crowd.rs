@@ -9,9 +9,12 @@ use tokio::task::JoinSet;
 
 use crate::support::{Cloud, TestNetwork, accepted, hello, open, recorder, settings, within};
 
+/// Number of edges, each with one session.
 const EDGES: usize = 4;
-const TASKS: usize = 6;
-const REQUESTS: usize = 15;
+/// Number of tasks that send requests over one session at the same time.
+const TASKS_PER_EDGE: usize = 6;
+/// Number of requests that a task sends one after the other.
+const REQUESTS_PER_TASK: usize = 15;
 
 /// Returns a payload whose contents depend on the seed. Sizes are above and below what the kernel accepts in one write.
 fn payload(seed: usize) -> Bytes {
@@ -20,8 +23,8 @@ fn payload(seed: usize) -> Bytes {
 }
 
 async fn send_requests(session: Session, task: usize) -> Result<(), RequestError> {
-    for number in 0..REQUESTS {
-        let request = Sample::from_part(Description::bytes(), payload(task * REQUESTS + number));
+    for number in 0..REQUESTS_PER_TASK {
+        let request = Sample::from_part(Description::bytes(), payload(task * REQUESTS_PER_TASK + number));
         let completed = session.request(recorder(), &request, Duration::from_secs(60)).await;
         assert_eq!(completed.result?, request);
         assert!(completed.download.is_some());
@@ -70,19 +73,19 @@ async fn serve_many_edges(network: TestNetwork) {
     let mut tasks = JoinSet::new();
     for edge in 0..EDGES {
         let session = open(&address, hello(), settings()).await.expect("accepted");
-        for task in 0..TASKS {
-            tasks.spawn(send_requests(session.clone(), edge * TASKS + task));
+        for task in 0..TASKS_PER_EDGE {
+            tasks.spawn(send_requests(session.clone(), edge * TASKS_PER_EDGE + task));
         }
     }
     for result in within(tasks.join_all()).await {
         assert_eq!(result, Ok(()));
     }
-    done_sender.send(()).expect("the cloud waits for it");
+    done_sender.send(()).expect("the cloud waits for the signal");
     let listener = within(cloud).await.expect("no panic");
     let statistics = listener.statistics();
     assert_eq!(
         (statistics.malformed_messages, statistics.late_messages, statistics.lost_messages),
         (0, 0, 0)
     );
-    assert!(statistics.received.messages >= (EDGES * TASKS * REQUESTS) as u64);
+    assert!(statistics.received.messages >= (EDGES * TASKS_PER_EDGE * REQUESTS_PER_TASK) as u64);
 }

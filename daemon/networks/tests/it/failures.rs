@@ -57,7 +57,7 @@ async fn restarted_cloud_accepts_new_session_on_same_port(network: TestNetwork) 
 /// Starts a cloud on the port of an earlier cloud. The port is free as soon as the task of the old listener has ended.
 async fn restart(address: &Address) -> Cloud {
     let is_taken = || match address.scheme() {
-        // Binding asks the master or the domain, which find an earlier cloud.
+        // Binding itself asks the master or the domain whether an earlier cloud exists.
         "ros1" | "ros2" => false,
         "udp" => std::net::UdpSocket::bind(address.authority()).is_err(),
         _ => std::net::TcpListener::bind(address.authority()).is_err(),
@@ -105,7 +105,8 @@ async fn silent_connection_ends_after_heartbeat_timeout() {
     assert!(matches!(within(session.closed()).await, CloseReason::Broken(_)));
 }
 
-/// A relay before a cloud that can become silent without closing its connections, as if a cable were pulled.
+/// A relay between an edge and a cloud. The relay can become silent without closing its connections, as if a cable were
+/// pulled.
 struct SilencingRelay {
     address: Address,
     cut: Arc<Notify>,
@@ -118,7 +119,7 @@ impl SilencingRelay {
         let cut = Arc::new(Notify::new());
         let cut_receiver = cut.clone();
         tokio::spawn(async move {
-            let (mut edge, _) = listener.accept().await.expect("the edge comes");
+            let (mut edge, _) = listener.accept().await.expect("the edge connects");
             let mut cloud =
                 TcpStream::connect((cloud.host(), cloud.port())).await.expect("the cloud listens");
             tokio::select! {

@@ -19,7 +19,7 @@ impl FakeCloud {
         Self::start_with_identity("").await
     }
 
-    /// Starts a cloud with an identity in the ZMTP handshake.
+    /// Starts a cloud that sends an identity in the ZMTP handshake.
     pub(crate) async fn start_with_identity(identity: &'static str) -> Self {
         let options = Options::default().identity(Bytes::from_static(identity.as_bytes()));
         let socket = Socket::new(SocketType::Router, options);
@@ -62,6 +62,7 @@ impl FakeCloud {
         Header::Accepted { protocol, session, accepted, max_message_bytes: 1_000_000, max_in_flight: 8 }
     }
 
+    /// Opens a session with an edge. Returns the session, the edge's routing identity and the session id.
     pub(crate) async fn session(&self) -> (peernet_networks::Session, zeromq::Identity, Id) {
         self.session_of_version(PROTOCOL).await
     }
@@ -75,7 +76,7 @@ impl FakeCloud {
         let (edge_identity, header) = self.receive_message().await;
         assert!(matches!(header, Header::Open { .. }));
         let id = Id::from([3; 16]);
-        // An invalid message before the answer is ignored.
+        // The edge must ignore an invalid message before the answer.
         self.send_message(
             &edge_identity,
             &Header::Goodbye { session: id.clone(), reason: String::new(), ordered: None },

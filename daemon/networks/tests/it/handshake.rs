@@ -95,22 +95,22 @@ async fn unreachable_cloud_is_reported_at_once(network: TestNetwork) {
 
 async fn cloud_that_does_not_answer_times_out(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;
-    // A ROS node asks its master several times, or searches the cloud, before it can ask for a session.
-    let waited_ms = if network.scheme().starts_with("ros") { 3_000 } else { 200 };
-    let short_timeout = SessionSettings { open_timeout_ms: waited_ms, ..settings() };
+    // A ROS node asks its master several times, or searches for the cloud, before it can ask for a session.
+    let timeout_ms = if network.scheme().starts_with("ros") { 3_000 } else { 200 };
+    let short_timeout = SessionSettings { open_timeout_ms: timeout_ms, ..settings() };
     let address = cloud.address();
     let edge = tokio::spawn(async move { open(&address, hello(), short_timeout).await });
     let unanswered = cloud.next_open().await;
     let error = within(edge).await.expect("no panic").expect_err("no answer");
     let address = cloud.address();
-    let reason = format!("no answer arrived within {waited_ms} ms");
+    let reason = format!("no answer arrived within {timeout_ms} ms");
     assert_eq!(error, OpenError::Unanswered { address, reason });
     assert_eq!(cloud.next_closed().await.0, unanswered.session);
     assert!(!unanswered.accept(accepted(cloud.host)), "the edge is gone");
 }
 
-/// Opens a session at a ROUTER with this identity, which ends after the request for the session arrived.
-async fn open_at_router_that_ends(identity: &'static str) -> OpenError {
+/// Opens a session at a ROUTER with this identity. The ROUTER closes after the request for the session has arrived.
+async fn open_at_router_that_closes(identity: &'static str) -> OpenError {
     let router = FakeCloud::start_with_identity(identity).await;
     let address = router.address.clone();
     let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
@@ -120,16 +120,16 @@ async fn open_at_router_that_ends(identity: &'static str) -> OpenError {
 }
 
 #[tokio::test]
-async fn cloud_that_dies_while_loading_is_named() {
-    let error = open_at_router_that_ends("peernet-serve").await;
+async fn error_says_that_cloud_died_while_loading_model() {
+    let error = open_at_router_that_closes("peernet-serve").await;
     assert!(matches!(error, OpenError::Ended { .. }), "{error:?}");
     let text = error.to_string();
     assert!(text.contains("killed while it loaded the model") && !text.contains("aggregator"), "{text}");
 }
 
 #[tokio::test]
-async fn port_without_identity_may_be_no_cloud() {
-    let error = open_at_router_that_ends("").await;
+async fn error_for_port_without_identity_suggests_aggregator() {
+    let error = open_at_router_that_closes("").await;
     assert!(matches!(error, OpenError::TimedOut { .. }), "{error:?}");
     assert!(error.to_string().contains("port of an aggregator"), "{error}");
 }
@@ -144,7 +144,7 @@ async fn port_in_use_is_reported_with_advice(network: TestNetwork) {
     let foreign_address = format!("{}://192.0.2.1:0", network.scheme());
     let foreign_address = foreign_address.parse().expect("an address");
     let error = Listener::bind(&foreign_address, settings(), cloud.host, clock()).await;
-    assert_eq!(error.expect_err("a documentation address"), BindError::NotLocal(foreign_address));
+    assert_eq!(error.expect_err("the address belongs to no machine"), BindError::NotLocal(foreign_address));
 }
 
 async fn sessions_beyond_limit_are_refused_until_one_closes(network: TestNetwork) {
@@ -155,9 +155,9 @@ async fn sessions_beyond_limit_are_refused_until_one_closes(network: TestNetwork
     let second_session = tokio::spawn(async move { open(&address, hello(), settings()).await });
     let result = tokio::select! {
         result = within(second_session) => result.expect("no panic"),
-        incoming = cloud.next() => panic!("handed out {incoming:?}"),
+        incoming = cloud.next() => panic!("the listener returned {incoming:?}"),
     };
-    let error = result.expect_err("one is the limit").to_string();
+    let error = result.expect_err("one session is the limit").to_string();
     assert!(error.contains("max_sessions"), "{error}");
     within(first_session.close()).await;
     cloud.next_closed().await;

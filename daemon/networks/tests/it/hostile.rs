@@ -21,8 +21,9 @@ fn tree() -> Bytes {
     out.into()
 }
 
-fn plain_request(session: &Id, number: u64, parts: usize) -> Header {
-    let parts = vec![("bytes".to_owned(), Vec::new(), None); parts];
+/// Returns the header of a request whose sample has `part_count` payload parts.
+fn plain_request(session: &Id, number: u64, part_count: usize) -> Header {
+    let parts = vec![("bytes".to_owned(), Vec::new(), None); part_count];
     Header::Request(session.clone(), number, wire::Departure(5, 5, 0, None), (parts, String::new(), None))
 }
 
@@ -37,7 +38,7 @@ pub(crate) async fn plain_session(cloud: &mut Cloud) -> (PlainSocket, Id) {
     }
 }
 
-/// Waits until the listener has handled all messages in transfer, by an echo over a new session. Then checks the count
+/// Sends an echo over a new session, after which the listener has handled all earlier messages. Then checks the number
 /// of malformed messages.
 async fn check_malformed_count(cloud: &mut Cloud, expected: u64) {
     let (session, _) = cloud.session(settings()).await;
@@ -77,7 +78,7 @@ async fn bytes_that_are_not_zmtp_are_dropped_and_counted() {
     {
         let mut stream = TcpStream::connect(address.clone()).await.expect("the port is open");
         stream.write_all(garbage).await.expect("sent");
-        // Reads until the listener closes the connection, in whatever way.
+        // Reads until the listener closes the connection, with or without a reset.
         let _ = within(stream.read_to_end(&mut Vec::new())).await;
     }
     check_malformed_count(&mut cloud, 2).await;
@@ -100,7 +101,7 @@ async fn frames_that_are_no_message_are_dropped_and_counted() {
     ];
     let mut expected = garbage.len() as u64;
     for frames in garbage {
-        plain_socket.frames(frames).await;
+        plain_socket.send_frames(frames).await;
     }
     let misplaced_headers = [
         Header::Refused {
@@ -125,6 +126,7 @@ async fn frames_that_are_no_message_are_dropped_and_counted() {
 async fn invalid_requests_are_answered_as_failed() {
     let mut cloud = Cloud::start().await;
     let (plain_socket, session) = plain_session(&mut cloud).await;
+    // Number of payload parts that the header describes, and the frames after the header.
     let cases: Vec<(usize, Vec<Bytes>)> = vec![
         (0, vec![]),
         (0, vec!["no tree".into()]),
@@ -135,12 +137,12 @@ async fn invalid_requests_are_answered_as_failed() {
         (1_000, vec![tree(), "too few".into()]),
     ];
     let count = cases.len() as u64;
-    for (number, (parts, frames)) in cases.into_iter().enumerate() {
+    for (number, (part_count, frames)) in cases.into_iter().enumerate() {
         let number = number as u64;
-        plain_socket.send_message(&plain_request(&session, number, parts), frames).await;
+        plain_socket.send_message(&plain_request(&session, number, part_count), frames).await;
         let (header, _) = tokio::select! {
             received = plain_socket.receive_message() => received,
-            incoming = cloud.next() => panic!("handed out {incoming:?}"),
+            incoming = cloud.next() => panic!("the listener returned {incoming:?}"),
         };
         assert!(
             matches!(&header, Header::Reply(_, n, None, _, Outcome::Failed(_)) if *n == number),
@@ -159,7 +161,7 @@ async fn session_of_another_connection_is_unknown() {
         other_socket.send_message(&plain_request(&session, number, 1), vec![tree(), "x".into()]).await;
         let (header, _) = tokio::select! {
             received = other_socket.receive_message() => received,
-            incoming = cloud.next() => panic!("handed out {incoming:?}"),
+            incoming = cloud.next() => panic!("the listener returned {incoming:?}"),
         };
         assert!(
             matches!(&header, Header::UnknownSession { session: s, request } if *s == session && *request == number),
@@ -179,7 +181,7 @@ async fn requests_above_limit_are_answered_as_overload() {
     let held_requests = [cloud.next_request().await, cloud.next_request().await];
     let (header, _) = tokio::select! {
         received = plain_socket.receive_message() => received,
-        incoming = cloud.next() => panic!("handed out {incoming:?}"),
+        incoming = cloud.next() => panic!("the listener returned {incoming:?}"),
     };
     assert!(matches!(header, Header::Reply(_, 2, None, _, Outcome::Overloaded(_))), "{header:?}");
     drop(held_requests);
@@ -200,7 +202,7 @@ async fn memory_of_all_requests_is_bounded() {
     second_socket.send_message(&plain_request(&second_session, 0, 1), payload()).await;
     let (header, _) = tokio::select! {
         received = second_socket.receive_message() => received,
-        incoming = cloud.next() => panic!("handed out {incoming:?}"),
+        incoming = cloud.next() => panic!("the listener returned {incoming:?}"),
     };
     let Header::Reply(_, 0, None, _, Outcome::Overloaded(reason)) = header else { panic!("{header:?}") };
     assert!(reason.contains("max_in_flight_bytes, 100000"), "{reason}");
@@ -226,7 +228,7 @@ async fn silent_connections_do_not_block_new_edges() {
 }
 
 #[tokio::test]
-async fn chosen_routing_id_is_refused() {
+async fn peer_that_chooses_its_routing_id_is_refused() {
     let mut cloud = Cloud::start().await;
     let plain_socket = PlainSocket::dealer(&cloud.address(), Options::default().identity("robot-1")).await;
     plain_socket.send_message(&wire::open(PROTOCOL), Vec::new()).await;
@@ -259,7 +261,9 @@ async fn session_unknown_to_cloud_ends() {
     assert_eq!(within(session.closed()).await, CloseReason::UnknownSession);
 }
 
-/// Returns the delta that a cloud adds to an edge's tree with three nodes: root, encode, upload.
+/// Returns a delta with one node, for an edge's tree with the three nodes root, encode and upload. The valid delta of
+/// the fake cloud is `delta(3, 2, 2, 1)`: based on three nodes, of host 2, closing node 2, with a node of the second
+/// host of the tree.
 fn delta(base: u32, host: u8, closed: u32, node_host: u8) -> Bytes {
     let anchor = Anchor { host: HostId::from_bytes([host; 16]), wall: WallTime::default() };
     let node = Node {
@@ -282,6 +286,7 @@ async fn invalid_answers_change_no_tree() {
     let (session, edge_identity, id) = cloud.session().await;
     let invalid_deltas = [
         Bytes::from("garbage"),
+        // Another number of nodes, another host, another closed node, a node of the edge, a node of an unknown host.
         delta(2, 2, 2, 1),
         delta(3, 9, 2, 1),
         delta(3, 2, 1, 1),
@@ -312,7 +317,8 @@ async fn invalid_answers_change_no_tree() {
         claim: Some(wire::ClockClaim { source: "chrony".into(), error }),
         ..wire::host_clock(1)
     };
-    // Replies to requests that were never made, replies of other sessions, and garbage do not affect the session.
+    // A reply to a request that was never sent, messages of other sessions, a second acceptance and an invalid clock
+    // state do not affect the session.
     for header in [
         Header::Reply(id.clone(), 1_000, None, 0, Outcome::Failed(String::new())),
         Header::Reply(Id::from([8; 16]), 0, None, 0, Outcome::Failed(String::new())),

@@ -1,4 +1,4 @@
-//! Tests of log lines about messages from a cloud that the edge cannot read.
+//! Tests of the log lines about unreadable messages from a cloud.
 
 use std::fmt::{self, Write};
 use std::sync::{Arc, Mutex};
@@ -13,14 +13,14 @@ use crate::fake_cloud::FakeCloud;
 use crate::support::{request, within};
 use crate::wire::{Departure, Header, Id, Outcome};
 
-/// A header whose epoch has no valid range.
+/// A reply whose epoch may be outside the valid range.
 #[derive(Serialize)]
 #[serde(rename_all = "kebab-case")]
 enum UnreadableHeader {
     Reply(Id, u64, Option<Departure>, i64, Outcome),
 }
 
-/// Subscriber that keeps warnings as text.
+/// Subscriber that collects warnings as texts.
 #[derive(Clone, Default)]
 struct Warnings(Arc<Mutex<Vec<String>>>);
 
@@ -59,7 +59,7 @@ impl Subscriber for Warnings {
 #[tokio::test]
 async fn unreadable_answers_are_logged_once_with_cloud_and_error() {
     let warnings = Warnings::default();
-    // The test and the session share one thread, so the session's lines arrive here.
+    // The test and the session share one thread, so this subscriber gets the session's log lines.
     let _guard = tracing::subscriber::set_default(warnings.clone());
     let cloud = FakeCloud::start().await;
     let (session, edge_identity, id) = cloud.session().await;
@@ -67,7 +67,7 @@ async fn unreadable_answers_are_logged_once_with_cloud_and_error() {
         let pending = request(&session, "x", Duration::from_millis(300));
         let (_, header) = cloud.receive_message().await;
         let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
-        // The epoch of the arrival is above the largest one.
+        // The epoch of the arrival is above the largest valid epoch.
         let reply =
             UnreadableHeader::Reply(id.clone(), number, None, i64::MAX, Outcome::Failed(String::new()));
         cloud.send_message(&edge_identity, &reply, Vec::new()).await;
@@ -77,7 +77,7 @@ async fn unreadable_answers_are_logged_once_with_cloud_and_error() {
     let lines = warnings.0.lock().expect("no panic").clone();
     assert!(session.statistics().malformed_messages >= 2);
     let [line] = &lines[..] else { panic!("{lines:?}") };
-    for part in ["dropped an invalid message", "cloud=fake", "invalid value: integer"] {
-        assert!(line.contains(part), "{line}");
+    for expected in ["dropped an invalid message", "cloud=fake", "invalid value: integer"] {
+        assert!(line.contains(expected), "{line}");
     }
 }

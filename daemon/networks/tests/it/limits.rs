@@ -35,8 +35,8 @@ async fn bind(limits: ListenerLimits) -> ZmtpListener {
     ZmtpListener::bind("127.0.0.1:0", limits).await.expect("the port is free")
 }
 
-/// Returns the next message. Ends of connections are ignored.
-async fn message(listener: &mut ZmtpListener) -> (Peer, Frames) {
+/// Returns the next message. Other events are ignored.
+async fn next_message(listener: &mut ZmtpListener) -> (Peer, Frames) {
     within(async {
         loop {
             if let ListenerEvent::Message(peer, frames) = listener.receive().await.expect("the port is open")
@@ -48,19 +48,20 @@ async fn message(listener: &mut ZmtpListener) -> (Peer, Frames) {
     .await
 }
 
-/// Waits until `count` connections were rejected for this reason, and asserts that no more were.
+/// Waits until `count` connections were rejected for this reason, and asserts that no further connection was rejected
+/// for it.
 async fn wait_for_rejections(listener: &ZmtpListener, reason: Rejection, count: u64) {
-    let counts = listener.rejections();
+    let rejections = listener.rejections();
     within(async {
-        while counts.count(reason) < count {
+        while rejections.count(reason) < count {
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
     })
     .await;
-    assert_eq!(counts.count(reason), count, "{reason:?}");
+    assert_eq!(rejections.count(reason), count, "{reason:?}");
 }
 
-/// A ZMTP 3.1 peer that writes its own bytes.
+/// A ZMTP 3.1 peer that can send arbitrary bytes.
 struct RawPeer(TcpStream);
 
 impl RawPeer {
@@ -73,17 +74,18 @@ impl RawPeer {
         stream.write_all(&greeting).await.expect("sends");
         // Reads the greeting of the listener and the first bytes of its READY. The listener sends READY after it has
         // handled our greeting.
-        within(stream.read_exact(&mut [0; 64 + 2])).await.expect("is greeted");
+        within(stream.read_exact(&mut [0; 64 + 2])).await.expect("the listener answers");
         Self(stream)
     }
 
-    /// Starts a frame that claims `length` bytes, and sends `bytes` of them.
-    async fn begin_frame(&mut self, length: u64, bytes: usize) -> std::io::Result<()> {
-        self.0.write_all(&[&[2][..], &length.to_be_bytes()].concat()).await?;
-        self.0.write_all(&vec![7; bytes]).await
+    /// Starts a frame that claims `claimed_bytes` bytes, and sends `sent_bytes` of these bytes.
+    async fn begin_frame(&mut self, claimed_bytes: u64, sent_bytes: usize) -> std::io::Result<()> {
+        self.0.write_all(&[&[2][..], &claimed_bytes.to_be_bytes()].concat()).await?;
+        self.0.write_all(&vec![7; sent_bytes]).await
     }
 
-    async fn send_bytes(&mut self, text: &[u8]) {
+    /// Sends a message of one short frame.
+    async fn send_message(&mut self, text: &[u8]) {
         self.0.write_all(&[&[0, text.len() as u8][..], text].concat()).await.expect("sends");
     }
 
@@ -96,15 +98,15 @@ impl RawPeer {
 /// Returns a peer whose hello was accepted.
 async fn admitted_peer(listener: &mut ZmtpListener) -> (RawPeer, Peer) {
     let mut raw_peer = RawPeer::connect(listener.address()).await;
-    raw_peer.send_bytes(b"hello").await;
-    let (peer, frames) = message(listener).await;
+    raw_peer.send_message(b"hello").await;
+    let (peer, frames) = next_message(listener).await;
     assert_eq!(frames, ["hello"]);
     listener.sender().admit(peer.connection);
     (raw_peer, peer)
 }
 
 #[tokio::test]
-async fn claimed_length_before_hello_closes_connection() {
+async fn large_claimed_length_before_hello_closes_connection() {
     let listener = bind(limits()).await;
     for claimed_bytes in [65_536, 4_000_000, u64::MAX >> 1] {
         let mut raw_peer = RawPeer::connect(listener.address()).await;
@@ -115,19 +117,18 @@ async fn claimed_length_before_hello_closes_connection() {
 }
 
 #[tokio::test]
-async fn connection_without_hello_is_closed_in_time() {
+async fn connection_without_hello_is_closed_after_timeout() {
     let mut listener = bind(ListenerLimits { hello_timeout: Duration::from_millis(100), ..limits() }).await;
-    let (accepted, _) = admitted_peer(&mut listener).await;
+    let (mut remaining_peer, _) = admitted_peer(&mut listener).await;
     RawPeer::connect(listener.address()).await.wait_for_close().await;
     wait_for_rejections(&listener, Rejection::NoHello, 1).await;
-    // A connection whose host has left has the same time limit.
+    // A connection that has lost its session has the same time limit.
     let (leaving_peer, peer) = admitted_peer(&mut listener).await;
     listener.sender().demote(peer.connection);
     leaving_peer.wait_for_close().await;
     wait_for_rejections(&listener, Rejection::NoHello, 2).await;
-    let mut accepted = accepted;
-    accepted.send_bytes(b"still here").await;
-    assert_eq!(message(&mut listener).await.1, ["still here"]);
+    remaining_peer.send_message(b"still here").await;
+    assert_eq!(next_message(&mut listener).await.1, ["still here"]);
 }
 
 #[tokio::test]
@@ -155,7 +156,7 @@ async fn unfinished_messages_share_one_budget() {
     .await;
     let (mut raw_peer, _) = admitted_peer(&mut listener).await;
     raw_peer.begin_frame(4_000_000, 4_000_000).await.expect("sends");
-    assert_eq!(message(&mut listener).await.1[0].len(), 4_000_000);
+    assert_eq!(next_message(&mut listener).await.1[0].len(), 4_000_000);
 }
 
 #[tokio::test]
@@ -173,22 +174,22 @@ async fn stalled_frame_ends_connection() {
 }
 
 #[tokio::test]
-async fn new_connection_replaces_oldest_silent_one() {
+async fn new_connection_replaces_oldest_silent_connection() {
     let mut listener = bind(ListenerLimits { max_connections: 40, ..limits() }).await;
     let (mut first_peer, _) = admitted_peer(&mut listener).await;
     let mut silent_peers = Vec::new();
     for _ in 0..30 {
         silent_peers.push(RawPeer::connect(listener.address()).await);
     }
-    // A quarter of all connections may wait from one address.
+    // At most a quarter of `max_connections`, 10, may wait for a hello from one address.
     wait_for_rejections(&listener, Rejection::Replaced, 20).await;
     for closed_peer in silent_peers.drain(..20) {
         closed_peer.wait_for_close().await;
     }
-    first_peer.send_bytes(b"untouched").await;
-    assert_eq!(message(&mut listener).await.1, ["untouched"]);
-    silent_peers[9].send_bytes(b"in time").await;
-    assert_eq!(message(&mut listener).await.1, ["in time"]);
+    first_peer.send_message(b"untouched").await;
+    assert_eq!(next_message(&mut listener).await.1, ["untouched"]);
+    silent_peers[9].send_message(b"in time").await;
+    assert_eq!(next_message(&mut listener).await.1, ["in time"]);
 }
 
 #[tokio::test]
@@ -201,12 +202,12 @@ async fn admitted_connections_at_limit_are_not_replaced() {
     let refused_stream = TcpStream::connect(listener.address()).await.expect("the port is open");
     RawPeer(refused_stream).wait_for_close().await;
     wait_for_rejections(&listener, Rejection::TooMany, 1).await;
-    admitted_peers[0].0.send_bytes(b"here").await;
-    assert_eq!(message(&mut listener).await.1, ["here"]);
+    admitted_peers[0].0.send_message(b"here").await;
+    assert_eq!(next_message(&mut listener).await.1, ["here"]);
 }
 
 #[tokio::test]
-async fn peer_not_reading_uses_bounded_memory() {
+async fn peer_that_does_not_read_uses_bounded_memory() {
     let mut listener = bind(limits()).await;
     let (mut raw_peer, peer) = admitted_peer(&mut listener).await;
     let sender = listener.sender();
@@ -220,17 +221,18 @@ async fn peer_not_reading_uses_bounded_memory() {
         assert!(sent < 200, "the queue is bounded");
     };
     assert_eq!(failure, SendFailure::Full);
-    // The accepted messages arrive whole, and then there is room again.
+    // The accepted messages arrive whole. Then the queue has room again. Each frame has nine bytes before its content:
+    // one byte of flags and eight bytes of length.
     let mut bytes = vec![0; sent * 500_009];
     let mut ready = [0; READY_REST_BYTES];
     within(raw_peer.0.read_exact(&mut ready)).await.expect("the rest of READY");
-    within(raw_peer.0.read_exact(&mut bytes)).await.expect("all of it");
+    within(raw_peer.0.read_exact(&mut bytes)).await.expect("all accepted messages");
     assert!(bytes.chunks(500_009).all(|frame| frame[0] == 2 && frame[9..] == payload[..]));
     sender.try_send(peer.connection, vec![payload]).expect("there is room");
 }
 
 #[tokio::test]
-async fn pings_of_peer_not_reading_are_throttled() {
+async fn pings_of_peer_that_does_not_read_are_throttled() {
     let mut listener = bind(limits()).await;
     let (mut raw_peer, peer) = admitted_peer(&mut listener).await;
     let pings = b"\x04\x17\x04PING\x00\x000123456789abcdef".repeat(4_096);
@@ -240,7 +242,7 @@ async fn pings_of_peer_not_reading_are_throttled() {
         }
     };
     let result = tokio::time::timeout(Duration::from_secs(2), flood).await;
-    assert!(result.is_err(), "400 MB of PINGs were read");
+    assert!(result.is_err(), "100 MB of PINGs were read");
     listener.sender().demote(peer.connection);
 }
 
@@ -281,11 +283,11 @@ async fn messages_sent_before_closing_arrive() {
     let (mut raw_peer, peer) = admitted_peer(&mut listener).await;
     let payload = Bytes::from(vec![9; 3_000_000]);
     listener.sender().try_send(peer.connection, vec![payload]).expect("there is room");
-    // The peer continues to send, and has much to read.
-    raw_peer.send_bytes(b"unread").await;
+    // The peer sends a message that nobody reads. The unread message must not cause a reset.
+    raw_peer.send_message(b"unread").await;
     let closing_task = tokio::spawn(listener.close(Duration::from_secs(10)));
     let mut received_bytes = Vec::new();
-    within(raw_peer.0.read_to_end(&mut received_bytes)).await.expect("is not reset");
+    within(raw_peer.0.read_to_end(&mut received_bytes)).await.expect("the connection is not reset");
     assert_eq!(received_bytes.len(), READY_REST_BYTES + 9 + 3_000_000);
     drop(raw_peer);
     within(closing_task).await.expect("ends");

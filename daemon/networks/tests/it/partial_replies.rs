@@ -17,7 +17,7 @@ use crate::support::{
 };
 
 over_every_network!(
-    partial_answers_arrive_beyond_window,
+    more_partial_answers_than_window_arrive,
     partial_answers_wait_while_queue_is_full,
     too_large_partial_answer_is_refused_with_limit,
     edge_without_partial_replies_gets_the_whole_answer,
@@ -38,11 +38,12 @@ fn collector() -> (PartialAnswerHandler, Arc<Mutex<Vec<String>>>) {
     (handler, texts)
 }
 
-fn seconds(tree: &Tree, name: &str) -> Option<f64> {
+/// Returns the value of a node: a count, or a duration in seconds.
+fn node_value(tree: &Tree, name: &str) -> Option<f64> {
     tree.find(&[name])?.1.measure.value()
 }
 
-async fn partial_answers_arrive_beyond_window(network: TestNetwork) {
+async fn more_partial_answers_than_window_arrive(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
     let (handler, texts) = collector();
@@ -63,7 +64,7 @@ async fn partial_answers_arrive_beyond_window(network: TestNetwork) {
     // The listener must be polled, so that it reads the acknowledgements.
     let sent = tokio::select! {
         sent = within(sending) => sent.expect("no panic"),
-        arrived = cloud.next() => panic!("unexpected {arrived:?}"),
+        incoming = cloud.next() => panic!("unexpected {incoming:?}"),
     };
     assert_eq!(sent, Ok(()));
     incoming.reply.send(incoming.recorder, Ok(sample("whole")));
@@ -75,10 +76,10 @@ async fn partial_answers_arrive_beyond_window(network: TestNetwork) {
     texts.sort();
     assert_eq!(texts, (0..PARTIAL_ANSWER_COUNT).map(|number| format!("{number:03}")).collect::<Vec<_>>());
     let tree = completed.recorder.tree();
-    assert_eq!(seconds(tree, PARTS.as_str()), Some(PARTIAL_ANSWER_COUNT as f64));
-    assert_eq!(seconds(tree, PARTS_SENT.as_str()), Some(PARTIAL_ANSWER_COUNT as f64));
-    let first = seconds(tree, FIRST_PART.as_str()).expect("is recorded");
-    assert!(first > 0.0 && first < TIME_LIMIT.as_secs_f64(), "{first}");
+    assert_eq!(node_value(tree, PARTS.as_str()), Some(PARTIAL_ANSWER_COUNT as f64));
+    assert_eq!(node_value(tree, PARTS_SENT.as_str()), Some(PARTIAL_ANSWER_COUNT as f64));
+    let first_s = node_value(tree, FIRST_PART.as_str()).expect("is recorded");
+    assert!(first_s > 0.0 && first_s < TIME_LIMIT.as_secs_f64(), "{first_s}");
     let (download, node) = tree.find(&[FIRST_PART_DOWNLOAD.as_str()]).expect("is recorded");
     assert_eq!(completed.first_partial_answer, Some(download));
     let Measure::Transit(transit) = &node.measure else { panic!("{node:?}") };
@@ -87,14 +88,14 @@ async fn partial_answers_arrive_beyond_window(network: TestNetwork) {
         received >= transit.sent && transit.raw_stamps.is_some(),
         "both ends read one clock: {transit:?}"
     );
-    let last = tree.get(completed.download.expect("answered")).expect("in the tree");
-    let Measure::Transit(last) = &last.measure else { panic!("{last:?}") };
-    assert!(transit.sent < last.sent, "the first partial answer leaves before the whole answer");
+    let whole_answer = tree.get(completed.download.expect("answered")).expect("in the tree");
+    let Measure::Transit(whole_answer) = &whole_answer.measure else { panic!("{whole_answer:?}") };
+    assert!(transit.sent < whole_answer.sent, "the first partial answer leaves before the whole answer");
 }
 
 async fn partial_answers_wait_while_queue_is_full(network: TestNetwork) {
-    // The queue of a connection has as many bytes as the largest message: one partial answer fills it. Datagrams
-    // retransmit a partial answer of this size.
+    // The queue of a connection has room for as many bytes as the largest message, so one partial answer fills the
+    // queue. Networks over datagrams retransmit a partial answer of this size, so none is lost.
     let (large, settings) = ("x".repeat(60_000), SessionSettings { max_message_bytes: 65_536, ..settings() });
     let mut cloud = Cloud::start_at(&unused_address(network), settings.clone()).await;
     let (session, _) = cloud.session(settings).await;
@@ -113,12 +114,12 @@ async fn partial_answers_wait_while_queue_is_full(network: TestNetwork) {
     });
     let sent = tokio::select! {
         sent = within(sending) => sent.expect("no panic"),
-        arrived = cloud.next() => panic!("unexpected {arrived:?}"),
+        incoming = cloud.next() => panic!("unexpected {incoming:?}"),
     };
     assert_eq!(sent, Ok(()));
     let completed = within(pending).await.expect("no panic");
     assert_eq!(completed.result.as_ref().map(|answer| text(answer) == large), Ok(true));
-    assert_eq!(seconds(completed.recorder.tree(), PARTS.as_str()), Some(PARTIAL_ANSWER_COUNT as f64));
+    assert_eq!(node_value(completed.recorder.tree(), PARTS.as_str()), Some(PARTIAL_ANSWER_COUNT as f64));
 }
 
 #[tokio::test]
@@ -131,8 +132,8 @@ async fn partial_answers_wait_while_edge_reads_nothing() {
     let (session, _) = cloud.session(settings).await;
     let (signal_sender, signal_receiver) = sync_channel::<()>(1);
     let signal_receiver = Mutex::new(Some(signal_receiver));
-    // The handler runs where messages are received. It stops the reading after the first partial answer, until the
-    // cloud has sent 60 partial answers or 500 ms have passed.
+    // The handler runs on the task that receives messages. With the first partial answer, the handler stops this task
+    // until the cloud has sent 60 partial answers or 500 ms have passed.
     let handler = PartialAnswerHandler(Arc::new(move |_| {
         if let Some(signal_receiver) = signal_receiver.lock().expect("no panic").take() {
             let _ = signal_receiver.recv_timeout(Duration::from_millis(500));
@@ -151,7 +152,7 @@ async fn partial_answers_wait_while_edge_reads_nothing() {
         let result = (0..SENT_COUNT).try_for_each(|number| {
             partial_answers.send(&sample(&large))?;
             if number == 60 {
-                // Nobody receives the signal if `send` has waited for the edge until the handler gave up.
+                // Nobody receives the signal if `send` has waited for more than the 500 ms of the handler.
                 let _ = signal_sender.try_send(());
             }
             Ok::<_, PartialAnswerError>(())
@@ -161,21 +162,23 @@ async fn partial_answers_wait_while_edge_reads_nothing() {
     });
     let result = tokio::select! {
         result = within(sending) => result.expect("no panic"),
-        arrived = cloud.next() => panic!("unexpected {arrived:?}"),
+        incoming = cloud.next() => panic!("unexpected {incoming:?}"),
     };
     assert_eq!(result, Ok(()));
     let completed = within(pending).await.expect("no panic");
     assert_eq!(completed.result.as_ref().map(text), Ok("whole"));
-    assert_eq!(seconds(completed.recorder.tree(), PARTS.as_str()), Some(SENT_COUNT as f64));
+    assert_eq!(node_value(completed.recorder.tree(), PARTS.as_str()), Some(SENT_COUNT as f64));
 }
 
 async fn partial_answers_of_incomplete_answer_are_recorded(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
-    for closes in [false, true] {
-        let (sender, arrived) = sync_channel(8);
-        let handler = PartialAnswerHandler(Arc::new(move |_| sender.send(()).expect("is awaited")));
-        let timeout = if closes { TIME_LIMIT } else { Duration::from_secs(2) };
+    for session_closes in [false, true] {
+        let (sender, arrivals) = sync_channel(8);
+        let handler = PartialAnswerHandler(Arc::new(move |_| {
+            sender.send(()).expect("the test waits for partial answers")
+        }));
+        let timeout = if session_closes { TIME_LIMIT } else { Duration::from_secs(2) };
         let pending = tokio::spawn({
             let session = session.clone();
             async move {
@@ -188,22 +191,22 @@ async fn partial_answers_of_incomplete_answer_are_recorded(network: TestNetwork)
         for partial_answer in ["a", "b", "c"] {
             assert_eq!(incoming.partial_answers.send(&sample(partial_answer)), Ok(()));
         }
-        let counting = tokio::task::spawn_blocking(move || (0..3).try_for_each(|_| arrived.recv()));
-        within(counting).await.expect("no panic").expect("they arrive");
-        if closes {
+        let counting = tokio::task::spawn_blocking(move || (0..3).try_for_each(|_| arrivals.recv()));
+        within(counting).await.expect("no panic").expect("three partial answers arrive");
+        if session_closes {
             session.close().await;
         }
         let completed = within(pending).await.expect("no panic");
         let error = completed.result.expect_err("is incomplete");
-        if closes {
+        if session_closes {
             assert!(matches!(error, RequestError::Lost(_)), "{error}");
         } else {
             assert!(error.to_string().ends_with("after partial answer 3"), "{error}");
         }
         let tree = completed.recorder.tree();
-        assert_eq!(seconds(tree, PARTS.as_str()), Some(3.0));
-        let first = seconds(tree, FIRST_PART.as_str()).expect("is recorded");
-        assert!(first > 0.0 && first < timeout.as_secs_f64(), "{first}");
+        assert_eq!(node_value(tree, PARTS.as_str()), Some(3.0));
+        let first_s = node_value(tree, FIRST_PART.as_str()).expect("is recorded");
+        assert!(first_s > 0.0 && first_s < timeout.as_secs_f64(), "{first_s}");
     }
 }
 
@@ -212,17 +215,17 @@ async fn too_large_partial_answer_is_refused_with_limit(network: TestNetwork) {
     let (session, _) = cloud.session(SessionSettings { max_message_bytes: 65_536, ..settings() }).await;
     let pending = request(&session, "count", TIME_LIMIT);
     let incoming = cloud.next_request().await;
-    // More than may be unread: a partial answer that is not sent is not unread.
+    // The number is larger than the window, because a refused partial answer must not count as unread.
     for _ in 0..PARTIAL_ANSWER_COUNT {
-        let refused = incoming.partial_answers.send(&sample(&"x".repeat(65_537))).expect_err("is too large");
-        assert_eq!(refused, PartialAnswerError::TooLarge { bytes: 65_537, max_bytes: 65_536 });
-        assert!(refused.to_string().contains("max_message_bytes"), "{refused}");
+        let error = incoming.partial_answers.send(&sample(&"x".repeat(65_537))).expect_err("is too large");
+        assert_eq!(error, PartialAnswerError::TooLarge { bytes: 65_537, max_bytes: 65_536 });
+        assert!(error.to_string().contains("max_message_bytes"), "{error}");
     }
     assert_eq!(incoming.partial_answers.send(&sample("small")), Ok(()));
     incoming.reply.send(incoming.recorder, Ok(sample("whole")));
     let completed = within(pending).await.expect("no panic");
     assert_eq!(completed.result.as_ref().map(text), Ok("whole"));
-    assert_eq!(seconds(completed.recorder.tree(), PARTS.as_str()), Some(1.0));
+    assert_eq!(node_value(completed.recorder.tree(), PARTS.as_str()), Some(1.0));
 }
 
 async fn edge_without_partial_replies_gets_the_whole_answer(network: TestNetwork) {
@@ -230,7 +233,7 @@ async fn edge_without_partial_replies_gets_the_whole_answer(network: TestNetwork
     let session = cloud.session_with_clock(clock(), VersionRange::new(4, 5, Release(0, 1, 0))).await;
     let pending = request(&session, "count", TIME_LIMIT);
     let incoming = cloud.next_request().await;
-    // More than may be unread: nothing acknowledges them, because nothing is sent.
+    // The number is larger than the window, because partial answers that are not sent must not count as unread.
     for number in 0..PARTIAL_ANSWER_COUNT {
         assert_eq!(incoming.partial_answers.send(&sample(&number.to_string())), Ok(()));
     }
@@ -254,7 +257,7 @@ async fn end_of_session_cancels_a_waiting_model(network: TestNetwork) {
     let waiting = tokio::task::spawn_blocking(move || partial_answers.wait(TIME_LIMIT));
     session.close().await;
     assert!(matches!(within(pending).await.expect("no panic").result, Err(RequestError::Lost(_))));
-    assert!(cloud.next_closed().await.1, "with a goodbye");
+    assert!(cloud.next_closed().await.1, "the edge says goodbye");
     assert_eq!(within(waiting).await.expect("no panic"), Err(RequestCancelled));
     assert_eq!(incoming.partial_answers.send(&sample("late")), Err(RequestCancelled.into()));
 }

@@ -20,12 +20,12 @@ over_every_network!(
     tree_returns_with_both_hosts_and_transits,
     answers_out_of_order_reach_their_requests,
     failures_return_with_reason_and_measurements,
-    request_is_cancelled_at_its_time_limit,
+    request_is_cancelled_after_its_timeout,
     late_answer_of_older_version_is_counted,
-    abandoned_request_frees_its_place,
-    requests_beyond_tighter_limit_wait_and_record_it,
-    too_large_sample_or_answer_fails_alone,
-    samples_beyond_header_limits_fail_alone
+    abandoned_request_frees_its_slot,
+    requests_beyond_smaller_limit_wait_in_send_queue,
+    too_large_sample_or_answer_leaves_session_open,
+    samples_beyond_header_limits_leave_session_open
 );
 
 async fn full_tree_still_gets_transits_and_sizes(network: TestNetwork) {
@@ -57,12 +57,12 @@ async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
         source: "part-7.jpg".into(),
         label: Some("good".into()),
     };
-    let mut edge_log = recorder();
-    edge_log.time(stage::SENSING);
-    let edge_host = edge_log.tree().anchors()[0].host;
+    let mut edge_recorder = recorder();
+    edge_recorder.time(stage::SENSING);
+    let edge_host = edge_recorder.tree().anchors()[0].host;
     let pending = tokio::spawn({
         let (session, two_parts) = (session.clone(), two_parts.clone());
-        async move { session.request(edge_log, &two_parts, TIME_LIMIT).await }
+        async move { session.request(edge_recorder, &two_parts, TIME_LIMIT).await }
     });
 
     let mut incoming = cloud.next_request().await;
@@ -83,7 +83,7 @@ async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
     let anchors: Vec<_> = tree.anchors().iter().map(|anchor| anchor.host).collect();
     assert_eq!(anchors, [edge_host, cloud.host]);
     assert_eq!(completed.upload, Some(upload));
-    let (download_id, download) = tree.find(&["download"]).expect("the way back");
+    let (download_id, download) = tree.find(&["download"]).expect("the answer's transit");
     assert_eq!(completed.download, Some(download_id));
     assert_eq!(download.host, HostIndex(1));
     let (_, inference) = tree.find(&["inference"]).expect("the cloud's node");
@@ -138,7 +138,7 @@ async fn failures_return_with_reason_and_measurements(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
 
-    // A timeout that the clock cannot represent counts as no timeout.
+    // A timeout that the clock cannot represent does not end the request early.
     let pending = request(&session, "broken picture", Duration::MAX);
     let mut incoming = cloud.next_request().await;
     incoming.recorder.time(stage::PREPROCESSING);
@@ -162,29 +162,29 @@ async fn failures_return_with_reason_and_measurements(network: TestNetwork) {
 }
 
 /// Waits on a thread until a request is cancelled.
-async fn until_cancelled(partial_answers: PartialAnswerSender) {
+async fn wait_until_cancelled(partial_answers: PartialAnswerSender) {
     let waiting = tokio::task::spawn_blocking(move || partial_answers.wait(TIME_LIMIT));
     assert_eq!(within(waiting).await.expect("no panic"), Err(RequestCancelled));
 }
 
-async fn request_is_cancelled_at_its_time_limit(network: TestNetwork) {
+async fn request_is_cancelled_after_its_timeout(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
     let pending = request(&session, "slow", Duration::from_millis(30));
-    let slow = cloud.next_request().await;
+    let slow_request = cloud.next_request().await;
     assert_eq!(
         within(pending).await.expect("no panic").result,
         Err(RequestError::Timeout(AwaitedEvent::Answer))
     );
-    // The cloud handles messages while it waits for the next one.
+    // The listener handles the cancellation while it waits for the next request.
     let next = request(&session, "next", TIME_LIMIT);
     let incoming = cloud.next_request().await;
-    until_cancelled(slow.partial_answers).await;
-    slow.reply.send(slow.recorder, Ok(slow.sample));
+    wait_until_cancelled(slow_request.partial_answers).await;
+    slow_request.reply.send(slow_request.recorder, Ok(slow_request.sample));
     incoming.reply.send(incoming.recorder, Ok(incoming.sample));
     assert_eq!(within(next).await.expect("no panic").result.as_ref().map(text), Ok("next"));
-    let counted = session.statistics();
-    assert_eq!((counted.late_messages, counted.lost_messages), (0, 0), "the answer was not sent");
+    let statistics = session.statistics();
+    assert_eq!((statistics.late_messages, statistics.lost_messages), (0, 0), "the answer was not sent");
     assert_eq!(cloud.listener.statistics().lost_messages, 0);
 }
 
@@ -208,7 +208,7 @@ async fn late_answer_of_older_version_is_counted(network: TestNetwork) {
     assert_eq!(session.statistics().lost_messages, 0);
 }
 
-async fn abandoned_request_frees_its_place(network: TestNetwork) {
+async fn abandoned_request_frees_its_slot(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;
     let one_in_flight = SessionSettings { max_in_flight: 1, ..settings() };
     let (session, _) = cloud.session(one_in_flight).await;
@@ -217,13 +217,13 @@ async fn abandoned_request_frees_its_place(network: TestNetwork) {
     pending.abort();
     assert!(within(pending).await.expect_err("aborted").is_cancelled());
     echo(&mut cloud, &session, "next").await;
-    until_cancelled(dropped.partial_answers).await;
+    wait_until_cancelled(dropped.partial_answers).await;
     dropped.reply.send(dropped.recorder, Ok(dropped.sample));
     echo(&mut cloud, &session, "last").await;
     assert_eq!(session.statistics().late_messages, 0);
 }
 
-async fn requests_beyond_tighter_limit_wait_and_record_it(network: TestNetwork) {
+async fn requests_beyond_smaller_limit_wait_in_send_queue(network: TestNetwork) {
     let one_in_flight = SessionSettings { max_in_flight: 1, ..settings() };
     let mut cloud = Cloud::start_at(&unused_address(network), one_in_flight).await;
     let (session, _) = cloud.session(settings()).await;
@@ -248,7 +248,7 @@ async fn requests_beyond_tighter_limit_wait_and_record_it(network: TestNetwork) 
     assert!(within(first_request).await.expect("no panic").result.is_ok());
 }
 
-async fn too_large_sample_or_answer_fails_alone(network: TestNetwork) {
+async fn too_large_sample_or_answer_leaves_session_open(network: TestNetwork) {
     let small_limit = SessionSettings { max_message_bytes: 100_000, ..settings() };
     let mut cloud = Cloud::start_at(&unused_address(network), small_limit.clone()).await;
     let (session, _) = cloud.session(settings()).await;
@@ -270,7 +270,7 @@ async fn too_large_sample_or_answer_fails_alone(network: TestNetwork) {
     echo(&mut cloud, &session, "small").await;
 }
 
-async fn samples_beyond_header_limits_fail_alone(network: TestNetwork) {
+async fn samples_beyond_header_limits_leave_session_open(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
     let part = Part { description: Description::bytes(), bytes: "x".into() };

@@ -73,7 +73,7 @@ async fn payloads_of_all_sizes_and_types_come_back_identical() {
 }
 
 #[tokio::test]
-async fn other_programs_see_pictures_as_their_own_type() {
+async fn other_programs_see_pictures_as_compressed_images() {
     let master = RosMaster::start();
     let mut cloud = Cloud::start_at(&master.address(), settings()).await;
     let (session, pipeline) = session(&mut cloud).await;
@@ -98,7 +98,7 @@ async fn other_programs_see_pictures_as_their_own_type() {
     assert_eq!(session.statistics().lost_messages, 0);
 }
 
-// The master is restarted on this thread, which blocks it.
+// Restarting the master blocks this thread, so the sessions need another thread.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn sessions_continue_while_master_restarts() {
     let mut master = RosMaster::start();
@@ -140,7 +140,7 @@ async fn new_connection_of_same_pipeline_replaces_earlier_one() {
     replace_connections(Cloud::on_network(TestNetwork::Ros1).await).await;
 }
 
-/// Opens three connections of one pipeline in succession. Each connection ends the connection before it, and works.
+/// Opens three connections of one pipeline in succession. Each connection works, and ends the connection before it.
 pub(crate) async fn replace_connections(mut cloud: Cloud) {
     let hello = hello();
     let mut earlier_session: Option<Session> = None;
@@ -150,7 +150,7 @@ pub(crate) async fn replace_connections(mut cloud: Cloud) {
         let request = loop {
             let incoming = tokio::select! {
                 incoming = cloud.next() => incoming,
-                result = &mut edge => panic!("the cloud has accepted nothing: {result:?}"),
+                result = &mut edge => panic!("the edge ended before the cloud accepted the session: {result:?}"),
             };
             match incoming {
                 Incoming::Open(request) => break request,
@@ -163,13 +163,13 @@ pub(crate) async fn replace_connections(mut cloud: Cloud) {
         if let Some(earlier_session) = earlier_session {
             assert!(matches!(within(earlier_session.closed()).await, CloseReason::Broken(_)));
         }
-        echo(&mut cloud, &session, "the new one works").await;
+        echo(&mut cloud, &session, "the new connection works").await;
         earlier_session = Some(session);
     }
 }
 
 #[tokio::test]
-async fn name_of_another_cloud_is_refused() {
+async fn cloud_with_name_of_another_cloud_is_refused() {
     let cloud = Cloud::on_network(TestNetwork::Ros1).await;
     let result = Listener::bind(&cloud.address(), settings(), cloud.host, clock()).await;
     let error = result.expect_err("the name is taken").to_string();
@@ -177,18 +177,21 @@ async fn name_of_another_cloud_is_refused() {
 }
 
 #[tokio::test]
-async fn topic_of_another_publisher_or_type_is_refused() {
+async fn topic_with_foreign_publisher_or_type_is_refused() {
     let master = RosMaster::start();
     let cloud = Cloud::start_at(&master.address(), settings()).await;
     let node = foreign_node(&master, "rosbag").await;
-    for (ending, kind, expected_text) in [
+    for (suffix, kind, expected_text) in [
         ("_info", TopicType::from_message::<MessageInfo>(), "node /rosbag publishes topic"),
         ("", TopicType::from_message::<StringMessage>(), "node /rosbag publishes topic"),
     ] {
         let hello = hello();
-        let topic = format!("{}{ending}", request_topic(hello.pipeline.as_str()));
+        let topic = format!("{}{suffix}", request_topic(hello.pipeline.as_str()));
         let _publisher = node.publish(&topic, kind, PublisherOptions::default()).await.expect("registered");
-        let error = open(&cloud.address(), hello, settings()).await.expect_err("taken").to_string();
+        let error = open(&cloud.address(), hello, settings())
+            .await
+            .expect_err("another node publishes the topic")
+            .to_string();
         assert!(
             error.contains(expected_text) && error.contains(&topic) && error.contains("ROS_NAMESPACE"),
             "{error}"
@@ -198,7 +201,8 @@ async fn topic_of_another_publisher_or_type_is_refused() {
     let topic = format!("/{}/response_info", hello.pipeline.as_str().replace('-', "_"));
     let kind = TopicType::from_message::<StringMessage>();
     let _publisher = node.publish(&topic, kind, PublisherOptions::default()).await.expect("registered");
-    let error = open(&cloud.address(), hello, settings()).await.expect_err("another type").to_string();
+    let error =
+        open(&cloud.address(), hello, settings()).await.expect_err("the topic has another type").to_string();
     assert!(error.contains("std_msgs/String") && error.contains(&topic), "{error}");
 }
 
@@ -236,8 +240,8 @@ pub(crate) async fn wait_for_remark_on_second_publisher(
         }
     })
     .await;
-    for part in [node, topic, "two publishers", "another name"] {
-        assert!(cloud.remarks[0].contains(part), "{part}: {:?}", cloud.remarks);
+    for expected in [node, topic, "two publishers", "another name"] {
+        assert!(cloud.remarks[0].contains(expected), "{expected}: {:?}", cloud.remarks);
     }
 }
 
@@ -272,7 +276,7 @@ pub(crate) async fn assert_second_host_is_refused(mut cloud: Cloud) {
             "{message}"
         );
     }
-    echo(&mut cloud, &first_session, "the first goes on").await;
+    echo(&mut cloud, &first_session, "the first session goes on").await;
 }
 
 #[tokio::test]
@@ -291,7 +295,7 @@ async fn connection_without_session_ends_after_hello_timeout() {
 }
 
 #[tokio::test]
-async fn subscriber_that_does_not_read_loses_no_message() {
+async fn session_loses_no_message_to_subscriber_that_does_not_read() {
     let master = RosMaster::start();
     let mut cloud = Cloud::start_at(&master.address(), settings()).await;
     let (session, pipeline) = session(&mut cloud).await;

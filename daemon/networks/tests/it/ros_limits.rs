@@ -1,4 +1,4 @@
-//! Tests of the limits of ROS 1 nodes without a session.
+//! Tests of the limits that apply to ROS 1 nodes without a session.
 
 use bytes::Bytes;
 use peernet_networks::SessionSettings;
@@ -10,7 +10,7 @@ use crate::ros::{exchange, foreign_node, session};
 use crate::ros_master::RosMaster;
 use crate::support::{Cloud, accepted, clock, echo, hello, open, settings, within};
 
-/// Memory that all sessions of a cloud share in these tests. Bytes.
+/// Limit on the unfinished messages of all sessions of a cloud in these tests, and on each message. Bytes.
 const SHARED_BYTES: u64 = 1_000_000;
 
 /// Number of connections that are opened without a session.
@@ -31,11 +31,12 @@ fn companion_without_payload(sequence: u64, bytes: usize) -> EncodedMessage {
 }
 
 #[tokio::test]
-async fn other_address_cannot_replace_connection() {
+async fn connection_cannot_be_replaced_from_another_address() {
     let master = RosMaster::start();
     let mut cloud = Cloud::start_at(&master.address(), settings()).await;
     let (address, hello) = (cloud.address(), hello());
-    let robot = (hello.host.to_string(), format!("/{}", hello.pipeline.as_str().replace('-', "_")));
+    let host_and_pipeline =
+        (hello.host.to_string(), format!("/{}", hello.pipeline.as_str().replace('-', "_")));
     let edge = tokio::spawn(async move { open(&address, hello, settings()).await });
     assert!(cloud.next_open().await.accept(accepted(cloud.host)));
     let session = within(edge).await.expect("no panic").expect("accepted");
@@ -47,7 +48,7 @@ async fn other_address_cannot_replace_connection() {
     let node = Node::new(&environment, "stranger", clock()).await.expect("the master answers");
     let hellos = hello_publisher(&cloud, &node).await;
     for _ in 0..20 {
-        let (host, pipeline) = robot.clone();
+        let (host, pipeline) = host_and_pipeline.clone();
         send_hello(&hellos, &node, host, pipeline).await;
         echo(&mut cloud, &session, "the session goes on").await;
     }
@@ -72,7 +73,7 @@ async fn send_hello(hellos: &Publisher, node: &Node, host: String, pipeline: Str
 }
 
 #[tokio::test]
-async fn connections_without_session_leave_memory_to_sessions() {
+async fn connections_without_session_leave_memory_for_sessions() {
     let master = RosMaster::start();
     let limits =
         SessionSettings { max_message_bytes: SHARED_BYTES, max_unfinished_bytes: SHARED_BYTES, ..settings() };

@@ -9,7 +9,7 @@ use peernet_test_ports::free_port;
 
 use crate::support::next_number;
 
-/// A master that ends with this value or with this process.
+/// A master. It ends when this value is dropped, or when this process ends.
 #[derive(Debug)]
 pub(crate) struct RosMaster {
     process: Child,
@@ -41,7 +41,10 @@ impl RosMaster {
         let mut tries = 0;
         while TcpStream::connect(("127.0.0.1", port)).is_err() {
             tries += 1;
-            assert!(tries < 1_500, "no rosmaster after 30 s: deploy/install-tools.sh test");
+            assert!(
+                tries < 1_500,
+                "no rosmaster answers after 30 s; install it with deploy/install-tools.sh test"
+            );
             std::thread::sleep(Duration::from_millis(20));
         }
         Self { process, port }
@@ -55,7 +58,7 @@ impl RosMaster {
 
     pub(crate) fn kill(&mut self) {
         drop(self.process.stdin.take());
-        self.process.wait().expect("it is a child");
+        self.process.wait().expect("the shell is a child of this process");
     }
 
     /// Returns an address with a name that no other cloud has.

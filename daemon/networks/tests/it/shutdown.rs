@@ -18,11 +18,12 @@ over_every_network!(closing_waits_for_answers_and_sends_goodbye, closing_ends_af
 /// Name of the thread that a [`PausingClock`] stops.
 const PAUSED_THREAD: &str = "paused";
 
-/// A clock that stops one thread once: it signals that the thread has arrived, and waits for permission to continue.
+/// A clock that stops one thread once, when the thread reads the clock. The clock signals that the thread has arrived,
+/// and lets the thread wait for permission to continue.
 #[derive(Debug)]
 struct PausingClock {
     clock: SharedClock,
-    /// Signals the arrival of the thread, and receives the permission; `None` after the stop.
+    /// Channels that signal the arrival of the thread and receive the permission; `None` after the stop.
     gate: Mutex<Option<(oneshot::Sender<()>, mpsc::Receiver<()>)>>,
 }
 
@@ -51,7 +52,7 @@ impl Clock for PausingClock {
 }
 
 #[tokio::test]
-async fn closing_waits_for_answer_being_sent() {
+async fn closing_waits_for_answer_that_is_being_sent() {
     let ((arrival_sender, arrival_receiver), (permission_sender, permission_receiver)) =
         (oneshot::channel(), mpsc::sync_channel(1));
     let pausing_clock =
@@ -60,12 +61,12 @@ async fn closing_waits_for_answer_being_sent() {
     let (session, _) = cloud.session(settings()).await;
     let pending = [request(&session, "one", TIME_LIMIT), request(&session, "other", TIME_LIMIT)];
     let (slow_request, quick_request) = (cloud.next_request().await, cloud.next_request().await);
-    // The request is answered, but the answer has not been sent yet.
+    // The model has answered the slow request, and the answer has not been sent yet.
     let paused_thread = thread::Builder::new().name(PAUSED_THREAD.to_owned());
     let paused_thread = paused_thread
         .spawn(move || slow_request.reply.send(slow_request.recorder, Ok(slow_request.sample)))
         .expect("a thread");
-    within(arrival_receiver).await.expect("it comes to the gate");
+    within(arrival_receiver).await.expect("the thread arrives at the gate");
     let close = tokio::spawn(cloud.listener.close());
     quick_request.reply.send(quick_request.recorder, Ok(quick_request.sample));
     let result = tokio::time::timeout(Duration::from_millis(100), session.closed()).await;

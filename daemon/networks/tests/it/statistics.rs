@@ -1,4 +1,4 @@
-//! Tests of the statistics of a connection at both ends, and of those of the kernel.
+//! Tests of the statistics of a connection at both ends, and of the statistics that come from the kernel.
 
 use peernet_clock::Span;
 use peernet_networks::outgoing_interface;
@@ -19,16 +19,16 @@ async fn both_ends_count_same_bytes_and_messages() {
         incoming.reply.send(incoming.recorder, Ok(sample("answer")));
         assert!(within(pending).await.expect("no panic").result.is_ok());
     }
-    let (edge, listener) = (session.statistics(), cloud.listener.statistics());
+    let (edge_statistics, listener_statistics) = (session.statistics(), cloud.listener.statistics());
     // The edge sends the hello and three samples, and receives the acceptance and three answers.
-    assert_eq!((edge.sent.messages, edge.received.messages), (4, 4));
-    assert!(edge.sent.bytes > 300_010, "{edge:?}");
+    assert_eq!((edge_statistics.sent.messages, edge_statistics.received.messages), (4, 4));
+    assert!(edge_statistics.sent.bytes > 300_010, "{edge_statistics:?}");
     let totals = |statistics: &ConnectionStatistics| {
         [statistics.sent, statistics.received].map(|direction| (direction.messages, direction.bytes))
     };
-    let mut reversed_totals = totals(&listener);
+    let mut reversed_totals = totals(&listener_statistics);
     reversed_totals.reverse();
-    assert_eq!(totals(&edge), reversed_totals);
+    assert_eq!(totals(&edge_statistics), reversed_totals);
 
     // The cloud's report has the counts at the time of the report.
     let reader = session.statistics_reader();
@@ -36,13 +36,13 @@ async fn both_ends_count_same_bytes_and_messages() {
     cloud.listener.announcer().report_statistics();
     let mut peer_statistics = session.peer_statistics();
     within(peer_statistics.wait_for(Option::is_some)).await.expect("the session is open");
-    let peer = reader.peer().expect("it was reported");
-    assert_eq!(totals(&peer), totals(&listener), "the report itself is not counted yet");
+    let peer = reader.peer().expect("the cloud has reported");
+    assert_eq!(totals(&peer), totals(&listener_statistics), "the report itself is not counted yet");
     assert!(peer.round_trip.is_some() && peer.sent.retransmitted.is_some(), "{peer:?}");
     assert_eq!((peer.malformed_messages, peer.lost_messages), (0, 0));
 
-    // The kernel does not count across the connections of a listener.
-    assert_eq!((listener.round_trip, listener.sent.retransmitted), (None, None));
+    // The kernel has statistics of each connection only, not of a listener.
+    assert_eq!((listener_statistics.round_trip, listener_statistics.sent.retransmitted), (None, None));
 }
 
 #[tokio::test]
@@ -63,7 +63,9 @@ async fn tcp_connection_has_round_trip_and_interface() {
 
     let addresses = reader.addresses().expect("a TCP connection has addresses");
     assert_eq!(addresses.remote.port(), cloud.address().port());
-    let interface = outgoing_interface(&addresses).expect("interfaces are listed").expect("it has one");
+    let interface = outgoing_interface(&addresses)
+        .expect("interfaces are listed")
+        .expect("the connection has an interface");
     assert_eq!((interface.name.as_str(), interface.kind.as_deref()), ("lo", Some("loopback")));
 
     session.close().await;

@@ -67,7 +67,7 @@ macro_rules! over_every_network {
 }
 pub(crate) use over_every_network;
 
-/// A network, in one version if it has several.
+/// A network; for ROS, a network in one of its versions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum TestNetwork {
     ZmqTcp,
@@ -90,7 +90,7 @@ impl TestNetwork {
     }
 }
 
-/// Returns a free port of this machine, a free name at a ROS 1 master, or a ROS 2 domain.
+/// Returns the address of a free port, of an unused name at a ROS 1 master, or of an unused name in a ROS 2 domain.
 pub(crate) fn unused_address(network: TestNetwork) -> String {
     match network {
         TestNetwork::Ros1 => RosMaster::shared().address(),
@@ -100,7 +100,7 @@ pub(crate) fn unused_address(network: TestNetwork) -> String {
     }
 }
 
-/// Returns a ROS 2 domain that few other tests use, and a name that no other test uses, not even in another process.
+/// Returns an address in a ROS 2 domain that few other tests use, with a name that no other test uses in any process.
 /// All tests use domains on the loopback interface. The domains are at most 100, because the ports of higher domains
 /// may belong to other sockets.
 #[cfg(feature = "ros2")]
@@ -169,6 +169,7 @@ pub(crate) fn text(sample: &Sample) -> &str {
     std::str::from_utf8(&sample.parts[0].bytes).expect("a text")
 }
 
+/// A cloud whose requests the test answers.
 pub(crate) struct Cloud {
     pub(crate) host: HostId,
     pub(crate) listener: Listener,
@@ -190,7 +191,7 @@ impl Cloud {
         Self::bind(address, settings, clock()).await
     }
 
-    /// Starts a cloud that reads another clock.
+    /// Starts a cloud that reads this clock.
     pub(crate) async fn start_with_clock(clock: SharedClock) -> Self {
         Self::bind("tcp://127.0.0.1:0", settings(), clock).await
     }
@@ -247,7 +248,7 @@ impl Cloud {
         (within(edge).await.expect("no panic").expect("accepted"), id)
     }
 
-    /// Opens a session with an edge that reads another clock and supports these versions of the protocol.
+    /// Opens a session with an edge that reads this clock and supports these versions of the protocol.
     pub(crate) async fn session_with_clock(&mut self, clock: SharedClock, versions: VersionRange) -> Session {
         let edge = tokio::spawn(open_with_clock(self.address(), clock, versions));
         assert!(self.next_open().await.accept(accepted(self.host)));
@@ -286,7 +287,7 @@ pub(crate) fn request(
     tokio::spawn(async move { session.request(recorder(), &sample, timeout).await })
 }
 
-/// Sends a request and lets the cloud echo it, which shows that the session works.
+/// Sends a request and lets the cloud answer with the same sample, which shows that the session works.
 pub(crate) async fn echo(cloud: &mut Cloud, session: &Session, content: &str) -> CompletedRequest {
     let pending = request(session, content, TIME_LIMIT);
     let incoming = cloud.next_request().await;

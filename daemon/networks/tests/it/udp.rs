@@ -23,7 +23,7 @@ fn sample_of(bytes: Bytes) -> Sample {
     Sample::from_part(Description::bytes(), bytes)
 }
 
-/// Answers every request with its own sample until the task is dropped.
+/// Answers every request with its own sample, in a separate task.
 fn echo_all(mut cloud: Cloud) -> tokio::task::JoinHandle<()> {
     tokio::spawn(async move {
         while let Some(incoming) = cloud.listener.next().await {
@@ -36,10 +36,10 @@ fn echo_all(mut cloud: Cloud) -> tokio::task::JoinHandle<()> {
     })
 }
 
-/// Sends samples of these sizes, `parallel` at a time. Returns the numbers of answered and lost samples. Panics
-/// for any other outcome.
-async fn exchange_all(session: &Session, sizes: Vec<usize>, parallel: usize) -> (usize, usize) {
-    let permits = std::sync::Arc::new(tokio::sync::Semaphore::new(parallel));
+/// Sends samples of these sizes, at most `max_parallel` at a time. Returns the numbers of answered and lost samples.
+/// Panics for any other outcome.
+async fn exchange_all(session: &Session, sizes: Vec<usize>, max_parallel: usize) -> (usize, usize) {
+    let permits = std::sync::Arc::new(tokio::sync::Semaphore::new(max_parallel));
     let mut tasks = JoinSet::new();
     for (number, size) in sizes.into_iter().enumerate() {
         let (session, permits) = (session.clone(), permits.clone());
@@ -105,7 +105,7 @@ async fn datagrams_of_both_directions_are_counted() {
     let relay = UdpRelay::start(&cloud.address(), impairment, 77).await;
     let _echo = echo_all(cloud);
     let session = open(&relay.address, hello(), settings()).await.expect("accepted");
-    let addresses = session.statistics_reader().addresses().expect("it has addresses");
+    let addresses = session.statistics_reader().addresses().expect("the connection has addresses");
     assert!(addresses.local.ip().is_loopback() && addresses.remote.to_string() == relay.address.authority());
     let (answered, _) = exchange_all(&session, vec![10_000; 200], 4).await;
     assert!(answered > 0);
@@ -151,7 +151,8 @@ async fn lost_partial_answer_is_counted_by_cloud_only() {
     relay.cut();
     // A partial answer of this size is not sent again.
     assert_eq!(incoming.partial_answers.send(&sample_of(payload(200_000, 2))), Ok(()));
-    // More than the heartbeats of that time.
+    // Ten datagrams are more than the heartbeats in this time, so the relay has dropped datagrams of the partial
+    // answer.
     within(relay.wait_for_drops(10)).await;
     relay.restore();
     incoming.reply.send(incoming.recorder, Ok(incoming.sample));
@@ -162,7 +163,7 @@ async fn lost_partial_answer_is_counted_by_cloud_only() {
 }
 
 #[tokio::test]
-async fn interrupted_path_ends_session_and_next_one_works() {
+async fn interrupted_path_ends_session_and_next_session_works() {
     let mut cloud = Cloud::on_network(TestNetwork::ZmqUdp).await;
     let relay = UdpRelay::start(&cloud.address(), PathImpairment::default(), 1).await;
     let short_heartbeats =
@@ -214,7 +215,7 @@ async fn next_request_notices_restarted_cloud() {
     });
     cloud.next_open().await.accept(accepted(cloud.host));
     let session = within(edge).await.expect("no panic").expect("accepted");
-    // The goodbye of the old cloud does not pass.
+    // The relay does not pass on the goodbye of the old cloud.
     relay.cut();
     let address = cloud.address();
     drop(cloud);
@@ -230,7 +231,7 @@ async fn next_request_notices_restarted_cloud() {
 }
 
 #[tokio::test]
-async fn garbage_is_counted_without_effect() {
+async fn garbage_is_counted_and_changes_no_session() {
     let mut cloud = Cloud::on_network(TestNetwork::ZmqUdp).await;
     let (session, _) = cloud.session(settings()).await;
     let other_socket = UdpSocket::bind("127.0.0.1:0").await.expect("a free port");
@@ -247,7 +248,7 @@ async fn garbage_is_counted_without_effect() {
 }
 
 #[tokio::test]
-async fn altered_heartbeat_loses_no_later_request() {
+async fn no_request_is_lost_after_altered_heartbeat() {
     let mut cloud = Cloud::on_network(TestNetwork::ZmqUdp).await;
     let relay = UdpRelay::start(&cloud.address(), PathImpairment::default(), 1).await;
     let short_heartbeats = SessionSettings { heartbeat_interval_ms: 50, ..settings() };
@@ -270,7 +271,7 @@ async fn altered_heartbeat_loses_no_later_request() {
 }
 
 #[tokio::test]
-async fn loss_by_damage_is_named_as_such() {
+async fn reason_of_loss_names_damaged_datagrams() {
     let mut cloud = Cloud::on_network(TestNetwork::ZmqUdp).await;
     let relay = UdpRelay::start(&cloud.address(), PathImpairment::default(), 1).await;
     let edge = tokio::spawn({
@@ -279,21 +280,21 @@ async fn loss_by_damage_is_named_as_such() {
     });
     cloud.next_open().await.accept(accepted(cloud.host));
     let session = within(edge).await.expect("no panic").expect("accepted");
-    relay.alter_data();
+    relay.alter_fragment();
     let pending = tokio::spawn({
         let session = session.clone();
         async move { session.request(recorder(), &sample_of(payload(60_000, 1)), TIME_LIMIT).await }
     });
     let completed = tokio::select! {
         completed = within(pending) => completed.expect("no panic"),
-        arrived = cloud.next() => panic!("unexpected {arrived:?}"),
+        incoming = cloud.next() => panic!("unexpected {incoming:?}"),
     };
     let Err(RequestError::Lost(reason)) = completed.result else { panic!("{:?}", completed.result) };
     assert!(reason.contains("all of its ") && reason.contains("damaged (wrong checksum)"), "{reason}");
 }
 
 #[tokio::test]
-async fn small_socket_buffers_lose_messages_but_no_count() {
+async fn losses_in_small_socket_buffers_are_counted() {
     let small_buffers = SessionSettings { socket_buffer_bytes: 64 << 10, ..settings() };
     let cloud = Cloud::start_at("udp://127.0.0.1:0", small_buffers.clone()).await;
     let address = cloud.address();

@@ -1,4 +1,4 @@
-//! A relay before a cloud's UDP port that drops, duplicates, delays and alters datagrams.
+//! A relay between an edge and a cloud's UDP port. It drops, duplicates, delays and alters datagrams.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -18,10 +18,10 @@ pub(crate) struct PathImpairment {
     pub(crate) delay: u64,
 }
 
-/// Alteration of a heartbeat.
-const HEARTBEAT: u64 = 1;
-/// Alteration of a part of a message.
-const DATA: u64 = 2;
+/// Number that stands for the alteration of a heartbeat.
+const HEARTBEAT_ALTERATION: u64 = 1;
+/// Number that stands for the alteration of a fragment of a message.
+const FRAGMENT_ALTERATION: u64 = 2;
 
 /// A relay for one edge. It ends when it is dropped.
 pub(crate) struct UdpRelay {
@@ -30,8 +30,8 @@ pub(crate) struct UdpRelay {
     loss: Arc<AtomicU64>,
     /// Number of dropped datagrams.
     dropped: Arc<AtomicU64>,
-    /// Alteration of the next datagram of the edge to which it applies; 0 for none.
-    alterations: Arc<AtomicU64>,
+    /// Alteration that the relay applies once, to the next suitable datagram from the edge; 0 for none.
+    pending_alteration: Arc<AtomicU64>,
     task: JoinHandle<()>,
 }
 
@@ -54,10 +54,11 @@ impl UdpRelay {
         cloud_socket.connect(cloud.authority()).await.expect("an address");
         let loss = Arc::new(AtomicU64::new(impairment.loss));
         let dropped = Arc::new(AtomicU64::new(0));
-        let alterations = Arc::new(AtomicU64::new(0));
-        let counts = (Arc::clone(&loss), Arc::clone(&dropped), Arc::clone(&alterations));
-        let task = tokio::spawn(relay_datagrams(edge_socket, cloud_socket, impairment, counts, seed | 1));
-        Self { address: address.parse().expect("an address"), loss, dropped, alterations, task }
+        let pending_alteration = Arc::new(AtomicU64::new(0));
+        let shared_state = (Arc::clone(&loss), Arc::clone(&dropped), Arc::clone(&pending_alteration));
+        let task =
+            tokio::spawn(relay_datagrams(edge_socket, cloud_socket, impairment, shared_state, seed | 1));
+        Self { address: address.parse().expect("an address"), loss, dropped, pending_alteration, task }
     }
 
     /// Stops all datagrams, as if a cable were pulled.
@@ -75,15 +76,15 @@ impl UdpRelay {
     /// Alters the next heartbeat of the edge, as a faulty link would. The altered heartbeat claims that 2^20 more
     /// messages were sent. Waits until the heartbeat has passed.
     pub(crate) async fn alter_heartbeat(&self) {
-        self.alterations.store(HEARTBEAT, Ordering::Relaxed);
-        while self.alterations.load(Ordering::Relaxed) > 0 {
+        self.pending_alteration.store(HEARTBEAT_ALTERATION, Ordering::Relaxed);
+        while self.pending_alteration.load(Ordering::Relaxed) > 0 {
             tokio::task::yield_now().await;
         }
     }
 
-    /// Alters the next long datagram of the edge with a part of a message: its last byte.
-    pub(crate) fn alter_data(&self) {
-        self.alterations.store(DATA, Ordering::Relaxed);
+    /// Alters the last byte of the next long datagram from the edge that carries a fragment of a message.
+    pub(crate) fn alter_fragment(&self) {
+        self.pending_alteration.store(FRAGMENT_ALTERATION, Ordering::Relaxed);
     }
 
     /// Lets all datagrams pass again.
@@ -96,7 +97,7 @@ async fn relay_datagrams(
     edge_socket: Arc<UdpSocket>,
     cloud_socket: Arc<UdpSocket>,
     impairment: PathImpairment,
-    (loss, dropped, alterations): (Arc<AtomicU64>, Arc<AtomicU64>, Arc<AtomicU64>),
+    (loss, dropped, pending_alteration): (Arc<AtomicU64>, Arc<AtomicU64>, Arc<AtomicU64>),
     mut random: u64,
 ) {
     let mut edge: Option<SocketAddr> = None;
@@ -105,8 +106,8 @@ async fn relay_datagrams(
         let (datagram, to) = tokio::select! {
             Ok((length, from)) = edge_socket.recv_from(&mut upload_buffer) => {
                 edge = Some(from);
-                if alter(&mut upload_buffer[..length], alterations.load(Ordering::Relaxed)) {
-                    alterations.store(0, Ordering::Relaxed);
+                if alter(&mut upload_buffer[..length], pending_alteration.load(Ordering::Relaxed)) {
+                    pending_alteration.store(0, Ordering::Relaxed);
                 }
                 (&upload_buffer[..length], None)
             }
@@ -114,7 +115,7 @@ async fn relay_datagrams(
                 let Some(edge) = edge else { continue };
                 (&download_buffer[..length], Some(edge))
             }
-            // The port of a cloud that is gone reports errors.
+            // Receiving fails while the cloud is gone. The relay continues, because a new cloud may come.
             else => continue,
         };
         let mut chance = |percent: u64| {
@@ -151,18 +152,21 @@ async fn relay_datagrams(
     }
 }
 
-/// Alters a datagram of an edge: of a ping ([`HEARTBEAT`]) bit 20 of the next message number, of a long datagram of a
-/// message ([`DATA`]) the last byte. Returns whether the datagram is of this kind.
+/// Applies an alteration to a datagram from an edge. [`HEARTBEAT_ALTERATION`] sets bit 20 of the next message number in
+/// a ping; [`FRAGMENT_ALTERATION`] changes the last byte of a long fragment of a message. Returns whether the datagram
+/// was altered.
 fn alter(datagram: &mut [u8], alteration: u64) -> bool {
-    if alteration == DATA && datagram.get(8) == Some(&5) && datagram.len() > 1_000 {
+    if alteration == FRAGMENT_ALTERATION && datagram.get(8) == Some(&5) && datagram.len() > 1_000 {
         datagram.last_mut().into_iter().for_each(|last| *last ^= 1);
         return true;
     }
-    // Group, kind, connection, time.
-    const NEXT: usize = 8 + 1 + 8 + 8;
-    let is_ping = alteration == HEARTBEAT && datagram.get(8) == Some(&9) && datagram.len() > NEXT + 8;
+    // Lengths of the fields before the next message number: group, kind, connection, time.
+    const NEXT_NUMBER_OFFSET: usize = 8 + 1 + 8 + 8;
+    let is_ping = alteration == HEARTBEAT_ALTERATION
+        && datagram.get(8) == Some(&9)
+        && datagram.len() > NEXT_NUMBER_OFFSET + 8;
     if is_ping {
-        datagram[NEXT + 5] |= 1 << 4;
+        datagram[NEXT_NUMBER_OFFSET + 5] |= 1 << 4;
     }
     is_ping
 }

@@ -7,9 +7,10 @@ use crate::fake_cloud::FakeCloud;
 use crate::support::{Cloud, accepted, hello, open, settings, within};
 use crate::wire::{self, Header, Id, PROTOCOL, PlainSocket};
 
+/// Newest version of the session protocol that this release speaks.
 const NEWEST_VERSION: u16 = 6;
 
-/// Returns the hello of an edge that speaks other versions, with names that this version does not know.
+/// Returns the hello of an edge of a later release, with a field that this version does not know.
 fn hello_of_later_release(oldest: u16, newest: u16) -> Header {
     let hello = wire::Hello {
         newest: Some(newest),
@@ -21,7 +22,7 @@ fn hello_of_later_release(oldest: u16, newest: u16) -> Header {
 }
 
 #[tokio::test]
-async fn later_edge_is_served_in_common_version() {
+async fn edge_of_later_release_is_served_in_common_version() {
     let mut cloud = Cloud::start().await;
     let plain_socket = PlainSocket::dealer(&cloud.address(), Options::default()).await;
     plain_socket.send_message(&hello_of_later_release(PROTOCOL - 1, PROTOCOL + 3), Vec::new()).await;
@@ -34,7 +35,7 @@ async fn later_edge_is_served_in_common_version() {
     assert_eq!(protocol, NEWEST_VERSION);
 }
 
-/// Nothing connects to a socket with such a name, and the session is opened nevertheless.
+/// The cloud connects to no socket with such a name, and the session is opened nevertheless.
 #[tokio::test]
 async fn malformed_clock_socket_name_is_ignored() {
     let mut cloud = Cloud::start().await;
@@ -78,17 +79,17 @@ async fn edge_without_common_version_is_refused_with_release() {
         plain_socket.send_message(&hello, Vec::new()).await;
         let (header, _) = tokio::select! {
             received = plain_socket.receive_message() => received,
-            incoming = cloud.next() => panic!("handed out {incoming:?}"),
+            incoming = cloud.next() => panic!("the listener returned {incoming:?}"),
         };
         let Header::Refused { protocol, newest, since, kind, reason } = header else { panic!("{header:?}") };
         assert_eq!((protocol, newest, since), (PROTOCOL, Some(NEWEST_VERSION), Some((0, 1, 0))));
         assert_eq!(kind, "incompatible");
-        let (expected_versions, advice) = expected_reason.split_once(": ").expect("two parts");
+        let (expected_versions, advice) = expected_reason.split_once(": ").expect("versions and advice");
         assert!(reason.contains(expected_versions) && reason.ends_with(advice), "{reason}");
     }
 }
 
-/// Returns the result of an edge for a cloud's answer, and the hello that it sent.
+/// Opens a session at a cloud that sends this answer. Returns the result, the edge's hello and the cloud's address.
 async fn open_with_answer(answer: Header) -> (Result<(), OpenError>, wire::Hello, String) {
     let cloud = FakeCloud::start().await;
     let address = cloud.address.clone();
@@ -110,7 +111,7 @@ async fn edge_states_its_versions() {
 }
 
 #[tokio::test]
-async fn refused_edge_says_what_to_update() {
+async fn error_of_refused_edge_says_what_to_update() {
     let refusal = |protocol, newest, since| {
         let (kind, reason) = ("incompatible".into(), "words of the cloud".into());
         Header::Refused { protocol, newest, since, kind, reason }

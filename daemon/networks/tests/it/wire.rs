@@ -6,7 +6,7 @@ use zeromq::{Message, Options, Socket, SocketType};
 
 use crate::support::within;
 
-/// Version of the protocol that is used unless a test states another one.
+/// Version of the protocol in these messages, unless a test states another version.
 pub(crate) const PROTOCOL: u16 = 4;
 
 #[derive(Serialize, Deserialize, Debug)]
@@ -93,7 +93,7 @@ pub(crate) struct Hello {
     /// Exists since release 0.3.0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) clock_socket: Option<String>,
-    /// A name that a later version may add.
+    /// A field that a later version may add.
     #[serde(default)]
     pub(crate) colour: Option<String>,
 }
@@ -175,7 +175,7 @@ pub(crate) struct Step {
     pub(crate) by: i64,
 }
 
-/// Returns the state of an unknown clock.
+/// Returns the state of a clock without claim, text and faults.
 pub(crate) fn host_clock(epoch: u32) -> HostClock {
     HostClock { epoch, claim: None, text: String::new(), faults: None }
 }
@@ -200,7 +200,7 @@ pub(crate) fn open(protocol: u16) -> Header {
     Header::Open { hello: hello(protocol), max_message_bytes: 1_000_000 }
 }
 
-/// A plain ZeroMQ socket.
+/// A socket of the ZeroMQ library, without the session logic.
 pub(crate) struct PlainSocket(pub(crate) Socket);
 
 impl PlainSocket {
@@ -210,13 +210,13 @@ impl PlainSocket {
         Self(socket)
     }
 
-    pub(crate) async fn frames(&self, frames: Vec<Bytes>) {
+    pub(crate) async fn send_frames(&self, frames: Vec<Bytes>) {
         within(self.0.send(Message::multipart(frames))).await.expect("sent");
     }
 
     pub(crate) async fn send_message(&self, header: &Header, frames: Vec<Bytes>) {
         let header = rmp_serde::to_vec_named(header).expect("serialises");
-        self.frames([vec![header.into()], frames].concat()).await;
+        self.send_frames([vec![header.into()], frames].concat()).await;
     }
 
     pub(crate) async fn receive_message(&self) -> (Header, Vec<Bytes>) {
