@@ -1,5 +1,5 @@
-//! The daemon `peernetd`: runs the roles that a configuration file enables (agent, aggregator), and maintains their
-//! databases.
+//! The daemon `peernetd`: runs the roles that a configuration file enables (agent, aggregator), and maintains the
+//! databases of these roles.
 
 mod arguments;
 mod commands;

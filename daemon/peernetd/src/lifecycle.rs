@@ -1,8 +1,8 @@
 //! Life cycle of the process: parts are started in order, watched, and stopped in reverse order.
 //!
 //! A signal (SIGTERM, SIGINT, or SIGHUP at the end of a session) stops the parts gracefully. A second signal ends the
-//! process at once with exit code 70, and so does the end of the time for stopping. A part that ends by itself is an
-//! error, because a daemon that has lost a task must not look healthy.
+//! process at once with exit code 70. A part that does not stop in time is aborted, and the exit code is 70, too. A
+//! part that ends by itself is an error, because a daemon that has lost a task must not look healthy.
 
 use std::io;
 use std::time::Duration;
@@ -23,15 +23,16 @@ use peernet_cli::shutdown_signals::Signals;
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct LifecycleConfig {
-    /// Longest time for stopping; seconds, up to one day. The process then ends without waiting further. Default: 10.
+    /// Longest time for stopping; seconds, up to one day. After this time, the process ends without waiting further.
+    /// Default: 10.
     pub(crate) shutdown_deadline_s: u64,
 }
 
 /// Error for a deadline that is longer than one day.
 #[derive(Debug, thiserror::Error)]
-#[error("{seconds} s is too long; at most {} s, a day", LifecycleConfig::MAX_DEADLINE_S)]
+#[error("{deadline_s} s is too long; the longest deadline is {} s, a day", LifecycleConfig::MAX_DEADLINE_S)]
 pub(crate) struct DeadlineError {
-    seconds: u64,
+    deadline_s: u64,
 }
 
 impl LifecycleConfig {
@@ -45,7 +46,7 @@ impl LifecycleConfig {
     pub(crate) fn check(&self) -> Result<(), DeadlineError> {
         match self.shutdown_deadline_s {
             ..=Self::MAX_DEADLINE_S => Ok(()),
-            seconds => Err(DeadlineError { seconds }),
+            deadline_s => Err(DeadlineError { deadline_s }),
         }
     }
 }
@@ -62,6 +63,7 @@ const RESERVED_PER_PART: Duration = Duration::from_secs(1);
 /// A part of the process, which runs until it is stopped.
 struct Part {
     name: &'static str,
+    /// Token that stops the part when it is cancelled.
     stop: CancellationToken,
     /// Token that is cancelled when the task has ended for any reason.
     ended: CancellationToken,
@@ -128,8 +130,9 @@ impl Lifecycle {
         exit
     }
 
+    /// Waits until a signal arrives or a part ends. Returns the exit code.
     async fn watch(&mut self) -> Exit {
-        let mut watchdog = watchdog();
+        let mut watchdog_timer = watchdog_timer();
         loop {
             tokio::select! {
                 name = self.signals.next() => {
@@ -140,13 +143,13 @@ impl Lifecycle {
                     error!("the {name} ended unexpectedly: stopping");
                     return Exit::Software;
                 }
-                () = tick(&mut watchdog) => notify(&[NotifyState::Watchdog]),
+                () = wait_for_tick(&mut watchdog_timer) => notify(&[NotifyState::Watchdog]),
             }
         }
     }
 }
 
-/// Waits until the task of a part has ended, including by a panic. Returns the name of the part.
+/// Waits until the task of a part has ended in any way, including a panic. Returns the name of the part.
 async fn wait_for_first_end(parts: &[Part]) -> &'static str {
     if parts.is_empty() {
         return std::future::pending().await;
@@ -161,7 +164,7 @@ async fn wait_for_first_end(parts: &[Part]) -> &'static str {
 }
 
 /// Stops the parts in reverse order, so that an agent sends its events before an aggregator in the same process
-/// stops. A part that takes too long is aborted, so that time remains for the other parts.
+/// stops. A part that takes too long is aborted, so that each part after it has at least [`RESERVED_PER_PART`].
 async fn stop_in_reverse(parts: Vec<Part>, stop_timeout: Duration) -> Exit {
     let deadline = Instant::now() + stop_timeout;
     let mut exit = Exit::Ok;
@@ -192,14 +195,15 @@ async fn stop_in_reverse(parts: Vec<Part>, stop_timeout: Duration) -> Exit {
     exit
 }
 
-/// Returns a timer with half the interval of the service manager's watchdog; `None` without a watchdog.
-fn watchdog() -> Option<tokio::time::Interval> {
-    // This is half of the timeout, as sd_watchdog_enabled(3) recommends.
+/// Returns a timer with half the timeout of the service manager's watchdog; `None` without a watchdog.
+fn watchdog_timer() -> Option<tokio::time::Interval> {
+    // sd_watchdog_enabled(3) recommends half of the timeout.
     sd_notify::watchdog_enabled().map(|timeout| tokio::time::interval(timeout / 2))
 }
 
-async fn tick(watchdog: &mut Option<tokio::time::Interval>) {
-    match watchdog {
+/// Waits for the next tick of the timer; without a timer, waits forever.
+async fn wait_for_tick(timer: &mut Option<tokio::time::Interval>) {
+    match timer {
         Some(interval) => {
             interval.tick().await;
         }

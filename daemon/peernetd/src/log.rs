@@ -38,7 +38,7 @@ fn origin(from_environment: bool) -> String {
     if from_environment { format!(" (from {VARIABLE})") } else { String::new() }
 }
 
-/// Installs a log that is used until the configuration has been read.
+/// Installs a log for this thread, until the guard is dropped. The log is used until the configuration has been read.
 pub(crate) fn install_temporary() -> tracing::subscriber::DefaultGuard {
     // An invalid level is reported later: `check` examines the same variable.
     let filter = EnvFilter::try_from_env(VARIABLE).unwrap_or_else(|_| EnvFilter::new("info"));
@@ -49,7 +49,7 @@ impl LogConfig {
     /// Checks the level.
     ///
     /// # Errors
-    /// If the level is invalid; the error names its origin and the valid levels.
+    /// If the level is invalid; the error names the valid levels, and the environment variable if it sets the level.
     pub(crate) fn check(&self) -> Result<(), LevelError> {
         self.filter().map(|_| ())
     }
@@ -73,12 +73,13 @@ pub(crate) fn install(config: &LogConfig) -> anyhow::Result<()> {
 }
 
 fn subscriber(filter: EnvFilter) -> impl Subscriber + Send + Sync + for<'a> LookupSpan<'a> {
-    let terminal = std::io::stderr().is_terminal();
+    let is_terminal = std::io::stderr().is_terminal();
     tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
-        .with_ansi(terminal)
-        // The subscriber prints its own errors to the same standard error, which panics if its reader is closed.
+        .with_ansi(is_terminal)
+        // The subscriber prints its own errors to standard error, too, and this printing panics if the reader of
+        // standard error is gone.
         .log_internal_errors(false)
         .event_format(Line::default())
         .finish()

@@ -1,4 +1,4 @@
-//! `peernetd`: the daemon. A link to it named `peernet` is the command line.
+//! `peernetd`: the daemon. If the program is started through a link named `peernet`, it is the command line.
 
 use std::path::Path;
 use std::process::ExitCode;

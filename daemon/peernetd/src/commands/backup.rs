@@ -12,14 +12,14 @@ use peernet_store::maintenance::{Backup, BackupError, FinishedCopy};
 use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
-use super::Database;
+use super::DatabaseArgument;
 use crate::log;
 
-/// Interval at which the size of the growing copy is read.
+/// Interval at which the progress bar reads the size of the growing copy.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Copies the database to a file that does not exist yet.
-pub(crate) fn backup(database: Database, target: &Path) -> Exit {
+pub(crate) fn backup(database: DatabaseArgument, target: &Path) -> Exit {
     let _log = log::install_temporary();
     let result = database.path().and_then(|database| {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
@@ -47,13 +47,14 @@ async fn copy(database: &Path, target: &Path) -> Result<FinishedCopy, Failure> {
         };
         Failure::new(exit, error)
     };
-    // The handlers come before the copy: an unhandled signal would leave a partial file behind.
-    let signals = |kind| signal(kind).map_err(|error| Failure::new(Exit::Unavailable, error));
+    // The signal handlers are installed before the copy starts, because an unhandled signal would leave a partial file
+    // behind.
+    let install_handler = |kind| signal(kind).map_err(|error| Failure::new(Exit::Unavailable, error));
     let (mut interrupts, mut terminations) =
-        (signals(SignalKind::interrupt())?, signals(SignalKind::terminate())?);
+        (install_handler(SignalKind::interrupt())?, install_handler(SignalKind::terminate())?);
     let backup = Backup::prepare(database, target).await.map_err(failure)?;
     let bar = progress_bar(backup.expected_bytes());
-    let partial = backup.partial().to_owned();
+    let partial_file = backup.partial().to_owned();
     let stop = CancellationToken::new();
     let copy = backup.run(stop.clone());
     tokio::pin!(copy);
@@ -64,11 +65,11 @@ async fn copy(database: &Path, target: &Path) -> Result<FinishedCopy, Failure> {
                 bar.finish_and_clear();
                 return result.map_err(failure);
             }
-            // The loop goes on until the copy has removed its partial file.
+            // After a signal, the loop continues until the copy has removed its partial file.
             _ = interrupts.recv() => stop.cancel(),
             _ = terminations.recv() => stop.cancel(),
             _ = progress_timer.tick() => {
-                if let Ok(file) = std::fs::metadata(&partial) {
+                if let Ok(file) = std::fs::metadata(&partial_file) {
                     bar.set_position(file.len());
                 }
             }
@@ -77,11 +78,11 @@ async fn copy(database: &Path, target: &Path) -> Result<FinishedCopy, Failure> {
 }
 
 /// Returns the progress bar of the copy; hidden if standard error is not a terminal.
-fn progress_bar(expected: u64) -> ProgressBar {
+fn progress_bar(expected_bytes: u64) -> ProgressBar {
     if !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }
-    let bar = ProgressBar::with_draw_target(Some(expected), ProgressDrawTarget::stderr());
+    let bar = ProgressBar::with_draw_target(Some(expected_bytes), ProgressDrawTarget::stderr());
     let style = ProgressStyle::with_template("{wide_bar} {bytes} of about {total_bytes}, {eta} left");
     bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }

@@ -16,7 +16,7 @@ pub(crate) fn check(files: &[PathBuf]) -> Exit {
         match load(file) {
             Ok(configuration) => {
                 print_to_stdout(format_args!("{}: ok", file.display()));
-                for line in &configuration.deprecated {
+                for line in &configuration.deprecation_lines {
                     print_to_stdout(format_args!("deprecated: {line}"));
                 }
                 let note = |text: &dyn Display| {
@@ -30,7 +30,9 @@ pub(crate) fn check(files: &[PathBuf]) -> Exit {
                             .for_each(|remark| note(&remark));
                     }
                     Err(error) => {
-                        note(&format_args!("the other hosts were not asked: cannot read the clock: {error}"));
+                        note(&format_args!(
+                            "the other hosts of the configuration were not asked, because the clock cannot be read: {error}"
+                        ));
                     }
                 }
             }

@@ -1,4 +1,4 @@
-//! Selection of the database that a command works on.
+//! Arguments that select the database of a command.
 
 use std::path::PathBuf;
 
@@ -10,7 +10,7 @@ use crate::configuration::{Problem, data_files};
 /// The aggregator's database: its path, or a configuration that names it.
 #[derive(Debug, clap::Args)]
 #[group(required = true, multiple = false)]
-pub(crate) struct Database {
+pub(crate) struct DatabaseArgument {
     /// The configuration file whose [aggregator] names the database.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -19,7 +19,7 @@ pub(crate) struct Database {
     database: Option<PathBuf>,
 }
 
-impl Database {
+impl DatabaseArgument {
     /// Returns the path of the database.
     ///
     /// # Errors
@@ -28,7 +28,7 @@ impl Database {
         match (self.database, self.config) {
             (Some(path), _) => Ok(path),
             (None, Some(config)) => data_files(&config)
-                .map_err(|problems| wrong_configuration(&problems))?
+                .map_err(|problems| configuration_failure(&problems))?
                 .database
                 .ok_or_else(|| {
                     let error =
@@ -40,8 +40,8 @@ impl Database {
     }
 }
 
-/// Returns the failure for problems of a configuration, one per line.
-pub(super) fn wrong_configuration(problems: &[Problem]) -> Failure {
+/// Returns the failure of a command whose configuration has these problems. The text has a line for each problem.
+pub(super) fn configuration_failure(problems: &[Problem]) -> Failure {
     let lines: Vec<String> = problems.iter().map(ToString::to_string).collect();
     Failure::new(Exit::Configuration, anyhow!(lines.join("\n")))
 }

@@ -10,7 +10,7 @@ mod secrets;
 
 pub(crate) use backup::backup;
 pub(crate) use check::check;
-pub(crate) use database_argument::Database;
+pub(crate) use database_argument::DatabaseArgument;
 pub(crate) use doctor::{Arguments as DoctorArguments, doctor};
 pub(crate) use rebuild::rebuild;
 pub(crate) use run::run;

@@ -9,11 +9,11 @@ use peernet_statistics::number::fixed;
 use peernet_store::OpenError;
 use peernet_store::maintenance::{RebuildError, Rebuilt, rebuild_rollups};
 
-use super::Database;
+use super::DatabaseArgument;
 use crate::log;
 
-/// Computes the roll-ups of one run or of all runs from the stored nodes.
-pub(crate) fn rebuild(database: Database, run: Option<i64>) -> Exit {
+/// Computes the roll-ups of one run from the stored nodes, or of all runs if `run` is `None`.
+pub(crate) fn rebuild(database: DatabaseArgument, run: Option<i64>) -> Exit {
     let _log = log::install_temporary();
     let bar = progress_spinner();
     let result = database.path().and_then(|database| {
@@ -40,7 +40,7 @@ pub(crate) fn rebuild(database: Database, run: Option<i64>) -> Exit {
             ));
             if rebuilt.in_part > 0 {
                 print_to_stdout(format_args!(
-                    "{} of them in part: the roll-ups of intervals whose nodes were deleted are unchanged",
+                    "{} of these runs in part: the roll-ups of intervals whose nodes were deleted are unchanged",
                     fixed(rebuilt.in_part as f64, 0)
                 ));
             }

@@ -17,12 +17,12 @@ use peernet_cli::VERSION;
 use peernet_cli::exit::{Exit, Failure, error_line};
 use peernet_cli::output::print_to_stderr;
 
-/// Time that blocking threads have to end after all tasks have ended.
+/// Time for blocking threads to end after all tasks have ended.
 const BLOCKING_THREADS_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Runs the roles of a configuration file until a signal arrives.
 pub(crate) fn run(file: &Path) -> Exit {
-    let temporary = log::install_temporary();
+    let temporary_log = log::install_temporary();
     let configuration = match load(file) {
         Ok(configuration) => configuration,
         Err(problems) => {
@@ -32,14 +32,14 @@ pub(crate) fn run(file: &Path) -> Exit {
             return Exit::Configuration;
         }
     };
-    // The log of a thread takes precedence over the log of the process, which is installed next.
-    drop(temporary);
+    // The temporary log of this thread would take precedence over the log of the process, which is installed next.
+    drop(temporary_log);
     if let Err(error) = log::install(&configuration.log) {
         print_to_stderr(format_args!("{}: {}", file.display(), error_line(&error)));
         return Exit::Configuration;
     }
     info!("peernetd {VERSION} with {}", file.display());
-    for line in &configuration.deprecated {
+    for line in &configuration.deprecation_lines {
         warn!("deprecated: {line}");
     }
     // The limit must be raised before a listener computes its share of the limit.
@@ -66,12 +66,13 @@ pub(crate) fn run(file: &Path) -> Exit {
     exit
 }
 
-/// Starts the parts, receivers before senders, and runs them until the end of the process.
+/// Starts the parts and runs them until the end of the process. The aggregator starts before the agent that sends to
+/// it.
 async fn run_parts(configuration: Configuration) -> Result<Exit, Failure> {
     let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
     let clock = configuration.clock().map_err(|error| unavailable(error.into()))?;
     let agent_clock = configuration.agent_clock(&clock).map_err(|error| unavailable(error.into()))?;
-    // Before the parts, so that a signal that arrives while they start is not lost.
+    // The signal handlers are installed before the parts start, so that no signal is lost during the start.
     let mut lifecycle =
         Lifecycle::new(&configuration.lifecycle).map_err(|error| unavailable(error.into()))?;
 

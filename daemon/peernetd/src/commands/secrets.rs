@@ -4,11 +4,11 @@ use peernet_cli::exit::{Exit, Failure};
 use peernet_cli::output::{print_to_stderr, print_to_stdout};
 use peernet_store::maintenance::{ClearSecretError, clear_host_secret};
 
-use super::Database;
+use super::DatabaseArgument;
 use crate::log;
 
-/// Deletes the secret of a host, so that the next agent with its id is accepted.
-pub(crate) fn clear_secret(database: Database, host: &str) -> Exit {
+/// Deletes the secret of a host, so that the next agent with the host's id is accepted.
+pub(crate) fn clear_secret(database: DatabaseArgument, host: &str) -> Exit {
     let _log = log::install_temporary();
     let result = database.path().and_then(|database| {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();

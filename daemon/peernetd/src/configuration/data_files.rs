@@ -9,12 +9,12 @@ use super::load::{Problem, read_unchecked};
 pub(crate) struct DataFiles {
     /// Database of the aggregator.
     pub(crate) database: Option<PathBuf>,
-    /// Spool of the agent, if it reports to an aggregator.
+    /// Spool of the agent, if the agent reports to an aggregator.
     pub(crate) spool: Option<PathBuf>,
 }
 
 /// Returns the data files that a configuration names.
-// Nothing else is checked: a missing model must not prevent a backup.
+// The rest of the configuration is not checked, because a missing model must not prevent a backup.
 ///
 /// # Errors
 /// If the configuration cannot be read or parsed.

@@ -27,12 +27,12 @@ use crate::log::LogConfig;
 /// Largest size of a configuration file, bytes.
 const MAX_FILE_BYTES: u64 = 4 << 20;
 
-/// Tables that belong in another table, and the hint for each.
-const MISPLACED: [(&str, &str); 1] = [("retention", "did you mean [aggregator.retention]?")];
+/// Tables that do not belong at the top of the file, and the hint where each table belongs.
+const MISPLACED_TABLES: [(&str, &str); 1] = [("retention", "did you mean [aggregator.retention]?")];
 
-/// Pairs of a table and the suffix of the keys whose check depends on that table. Problems of these keys are not
+/// Pairs of a table and the last part of keys. The check of these keys depends on the table, so their problems are not
 /// reported if the table has mistakes.
-const DEPENDENT: [(&str, &str); 9] = [
+const DEPENDENT_KEYS: [(&str, &str); 9] = [
     ("model", ".placement.model"),
     ("bank", ".placement.model"),
     ("model", "serve"),
@@ -44,10 +44,10 @@ const DEPENDENT: [(&str, &str); 9] = [
     ("lifecycle", "agent.stop_timeout_ms"),
 ];
 
-/// Keys of the file that are arrays of tables; all other keys are tables.
-const ARRAYS: [&str; 2] = ["model", "pipeline"];
+/// Top-level keys of the file that are arrays of tables; all other top-level keys are tables.
+const TABLE_ARRAYS: [&str; 2] = ["model", "pipeline"];
 
-/// The whole file.
+/// A whole configuration file.
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct File {
@@ -80,8 +80,8 @@ pub(crate) struct Configuration {
     pub(crate) aggregator: Option<AggregatorConfig>,
     pub(crate) web: Option<WebConfig>,
     pub(crate) agent: Option<AgentConfig>,
-    /// Deprecation lines: one for each table that has its former name.
-    pub(crate) deprecated: Vec<String>,
+    /// Lines about deprecated names: one for each table that has its former name.
+    pub(crate) deprecation_lines: Vec<String>,
 }
 
 /// A problem that prevents the use of a configuration file.
@@ -121,14 +121,15 @@ pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
         key,
         text,
     };
-    let file = match mistakes::read::<File>(&text, &ARRAYS) {
+    let file = match mistakes::read::<File>(&text, &TABLE_ARRAYS) {
         Ok(file) => file,
         Err(first_mistake) => {
-            let (mistakes, remainder) = mistakes::all_mistakes::<File>(&text, &ARRAYS, first_mistake);
-            let unreadable =
+            let (mistakes, remainder) = mistakes::all_mistakes::<File>(&text, &TABLE_ARRAYS, first_mistake);
+            let mistake_problems =
                 mistakes.into_iter().map(|mistake| problem_from_mistake(path, mistake, &locator));
-            let invalid = remainder.map(check_remainder).unwrap_or_default().into_iter().map(problem);
-            let mut problems: Vec<Problem> = unreadable.chain(invalid).collect();
+            let remainder_problems =
+                remainder.map(check_remainder).unwrap_or_default().into_iter().map(problem);
+            let mut problems: Vec<Problem> = mistake_problems.chain(remainder_problems).collect();
             problems.sort_by_key(|problem| problem.line);
             return Err(problems);
         }
@@ -137,7 +138,7 @@ pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
         .into_iter()
         .map(|(key, text)| (key.to_owned(), text.to_owned()));
     let mut configuration = Configuration::from(file);
-    configuration.deprecated = deprecations(path, &locator);
+    configuration.deprecation_lines = deprecation_lines(path, &locator);
     let problems: Vec<(String, String)> = role_problems.chain(configuration.check()).collect();
     if problems.is_empty() {
         return Ok(configuration);
@@ -151,12 +152,12 @@ pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
 /// If the file cannot be read or parsed.
 pub(super) fn read_unchecked(path: &Path) -> Result<Configuration, Vec<Problem>> {
     let text = small_file::read(path, MAX_FILE_BYTES).map_err(|error| vec![unreadable_file(path, &error)])?;
-    let unreadable = |mistake| vec![problem_from_mistake(path, mistake, &Locator::new(&text))];
-    mistakes::read::<File>(&text, &ARRAYS).map(Configuration::from).map_err(unreadable)
+    let describe = |mistake| vec![problem_from_mistake(path, mistake, &Locator::new(&text))];
+    mistakes::read::<File>(&text, &TABLE_ARRAYS).map(Configuration::from).map_err(describe)
 }
 
 /// Returns a line for each table that has its former name: `FILE:LINE: what is deprecated, and what to write`.
-fn deprecations(path: &Path, locator: &Locator<'_>) -> Vec<String> {
+fn deprecation_lines(path: &Path, locator: &Locator<'_>) -> Vec<String> {
     let line = |table: &RenamedTable| {
         let line = locator.line(table.former)?;
         Some(format!("{}:{line}: {}", path.display(), table.deprecation()))
@@ -172,12 +173,12 @@ fn unreadable_file(path: &Path, error: &io::Error) -> Problem {
 /// Returns the problem of a key that could not be read.
 fn problem_from_mistake(path: &Path, mistake: Mistake, locator: &Locator<'_>) -> Problem {
     let Mistake { key, error } = mistake;
-    // Within tables that are distinguished by their `kind` the span covers the first table; the line of the key
-    // is more precise.
+    // In a table whose `kind` selects the type, the span of the error begins with the table and not with the key. The
+    // later one of the two lines is therefore more precise.
     let line = error.span().map(|span| locator.line_at(span.start)).max(locator.line(&key));
     let mut text = describe_error(&error);
     if text.starts_with("unknown field")
-        && let Some((_, hint)) = MISPLACED.iter().find(|(table, _)| *table == key)
+        && let Some((_, hint)) = MISPLACED_TABLES.iter().find(|(table, _)| *table == key)
     {
         text = format!("{hint} ({text})");
     }
@@ -187,24 +188,28 @@ fn problem_from_mistake(path: &Path, mistake: Mistake, locator: &Locator<'_>) ->
 /// Returns the problems of the readable part of a file, except for problems that depend on the unreadable part.
 fn check_remainder(mut remainder: Remainder<File>) -> Vec<(String, String)> {
     let file = std::mem::take(&mut remainder.file);
-    let role_problems = missing_role_tables(&file, &remainder.incomplete).into_iter();
+    let role_problems = missing_role_tables(&file, &remainder.tables_with_mistakes).into_iter();
     let role_problems = role_problems.map(|(key, text)| (key.to_owned(), text.to_owned()));
     let problems = Configuration::from(file).check().into_iter();
     let problems = problems.map(|(key, text)| (remainder.key_in_file(&key), text));
     let is_certain = |(key, _): &(String, String)| {
-        let depends_on_incomplete_table =
-            |(table, suffix): &(&str, &str)| remainder.incomplete.contains(*table) && key.ends_with(suffix);
-        !remainder.is_removed(key) && !DEPENDENT.iter().any(depends_on_incomplete_table)
+        let depends_on_table_with_mistakes = |(table, suffix): &(&str, &str)| {
+            remainder.tables_with_mistakes.contains(*table) && key.ends_with(suffix)
+        };
+        !remainder.is_removed(key) && !DEPENDENT_KEYS.iter().any(depends_on_table_with_mistakes)
     };
     role_problems.chain(problems.filter(is_certain)).collect()
 }
 
-/// Returns the problems (key and text) of tables that need another table. Tables in `incomplete` exist in the file,
-/// even if `file` does not have them.
-fn missing_role_tables(file: &File, incomplete: &BTreeSet<String>) -> Vec<(&'static str, &'static str)> {
+/// Returns the problems (key and text) of tables that need another table. The tables in `tables_with_mistakes` exist in
+/// the configuration file, even if `file` does not have them.
+fn missing_role_tables(
+    file: &File,
+    tables_with_mistakes: &BTreeSet<String>,
+) -> Vec<(&'static str, &'static str)> {
     let (has_agent, has_aggregator) = (
-        file.agent.is_some() || incomplete.contains("agent"),
-        file.aggregator.is_some() || incomplete.contains("aggregator"),
+        file.agent.is_some() || tables_with_mistakes.contains("agent"),
+        file.aggregator.is_some() || tables_with_mistakes.contains("aggregator"),
     );
     if !has_agent && !has_aggregator {
         return vec![("", "the file enables no role: add a table [agent], a table [aggregator], or both")];
@@ -231,7 +236,7 @@ fn missing_role_tables(file: &File, incomplete: &BTreeSet<String>) -> Vec<(&'sta
         problems.push(("web", "[web] needs an aggregator: add a table [aggregator], or remove [web]"));
     }
     if file.spool.is_some()
-        && !incomplete.contains("agent")
+        && !tables_with_mistakes.contains("agent")
         && file.agent.as_ref().is_some_and(|agent| agent.aggregator.is_none())
     {
         problems.push(("spool", "[spool] needs an aggregator: set [agent] aggregator, or remove [spool]"));
@@ -254,7 +259,7 @@ impl From<File> for Configuration {
             pipelines: file.pipeline,
         });
         let File { log, lifecycle, aggregator, web, .. } = file;
-        Self { log, lifecycle, aggregator, web, agent, deprecated: Vec::new() }
+        Self { log, lifecycle, aggregator, web, agent, deprecation_lines: Vec::new() }
     }
 }
 
@@ -291,7 +296,7 @@ impl Configuration {
         );
         if let Some(agent_ms) = agent_ms.filter(|ms| *ms > deadline_s.saturating_mul(1000)) {
             let text = format!(
-                "{agent_ms} ms is longer than lifecycle.shutdown_deadline_s = {deadline_s} s; reduce it or raise the deadline"
+                "{agent_ms} ms is longer than lifecycle.shutdown_deadline_s = {deadline_s} s; reduce agent.stop_timeout_ms or raise the deadline"
             );
             problems.push(("agent.stop_timeout_ms".to_owned(), text));
         }
@@ -325,14 +330,14 @@ mod tests {
 
     use super::*;
 
-    /// Returns the true clock and the agent's clock.
+    /// Returns the system's clock and the agent's clock for a configuration with these tables.
     fn clocks(tables: &str) -> (SharedClock, SharedClock) {
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");
         let file = folder.path().join("it.toml");
         let state = folder.path().join("state");
         std::fs::write(&file, format!("[agent]\nname = \"edge\"\nstate_dir = {state:?}\n{tables}"))
             .expect("the temporary folder is writable");
-        let configuration = load(&file).expect("nothing is wrong with it");
+        let configuration = load(&file).expect("the file has no problem");
         let system_clock = configuration.clock().expect("linux has a boot id");
         let agent_clock = configuration.agent_clock(&system_clock).expect("linux has a boot id");
         (system_clock, agent_clock)
@@ -342,7 +347,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");
         let file = folder.path().join("it.toml");
         std::fs::write(&file, text).expect("the temporary folder is writable");
-        let problems = load(&file).expect_err("something is wrong with it");
+        let problems = load(&file).expect_err("the file has a problem");
         problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n")
     }
 
@@ -413,24 +418,24 @@ mod tests {
                 "{expected} in {text}"
             );
         }
-        assert!(!text.contains("no [[model]]"), "the model is there, and cannot be read: {text}");
+        assert!(!text.contains("no [[model]]"), "the file has a model, which cannot be read: {text}");
         assert_eq!(text.lines().count(), 10, "{text}");
     }
 
     #[test]
-    fn names_of_keys_are_printed_without_control_characters() {
+    fn keys_are_printed_without_control_characters() {
         let text = problems_of("[aggregator]\n\"k\\u001b[31m\\r\" = 3\n");
         assert!(text.contains("aggregator.k [31m") && !text.contains(['\u{1b}', '\r']), "{text:?}");
     }
 
     #[test]
-    fn unrepresentable_deadline_is_refused() {
+    fn deadline_longer_than_a_day_is_refused() {
         let text = problems_of("[lifecycle]\nshutdown_deadline_s = 9223372036854775807\n[aggregator]\n");
         assert!(text.contains(":2: lifecycle.shutdown_deadline_s: ") && text.contains("a day"), "{text}");
     }
 
     #[test]
-    fn without_clock_fault_there_is_one_clock() {
+    fn agent_without_clock_fault_reads_system_clock() {
         let (system_clock, agent_clock) = clocks("");
         assert!(Arc::ptr_eq(&system_clock, &agent_clock));
     }

@@ -27,8 +27,9 @@ impl<'a> Locator<'a> {
                 Some((name, index)) => (name, index.parse::<usize>().ok()),
                 None => (step, None),
             };
+            // Only tables at the top of the file were renamed. `line` is set after the first step.
             let is_named = |name_in_file: &str| {
-                name_in_file == name || (line.is_none() && is_former(name_in_file, name))
+                name_in_file == name || (line.is_none() && is_former_name(name_in_file, name))
             };
             let Some((name_in_file, value)) =
                 table.iter().find(|(name_in_file, _)| is_named(name_in_file.get_ref()))
@@ -61,7 +62,7 @@ impl<'a> Locator<'a> {
 }
 
 /// Returns whether `name_in_file` is the former name of the table whose current name is `name`.
-fn is_former(name_in_file: &str, name: &str) -> bool {
+fn is_former_name(name_in_file: &str, name: &str) -> bool {
     RENAMED_TABLES.iter().any(|table| (table.former, table.current) == (name_in_file, name))
 }
 
@@ -72,7 +73,7 @@ mod tests {
     const TEXT: &str = "[agent]\nname = \"a\"\n\n[[pipeline]]\nname = \"one\"\n\n[[pipeline]]\nname = \"two\"\nsensor = { kind = \"images\",\n  path = \"x\" }\n";
 
     #[test]
-    fn keys_lead_to_their_lines() {
+    fn line_of_key_is_found() {
         let locator = Locator::new(TEXT);
         assert_eq!(locator.line("agent.name"), Some(2));
         assert_eq!(locator.line("pipeline[0].name"), Some(5));
@@ -81,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn missing_key_is_located_at_its_parent() {
+    fn missing_key_has_line_of_its_parent() {
         let locator = Locator::new(TEXT);
         assert_eq!(locator.line("pipeline[1].timeout_ms"), locator.line("pipeline[1]"));
         assert_eq!(locator.line("agent.state_dir"), Some(1));

@@ -1,5 +1,5 @@
-//! Finds all mistakes of a configuration file that cannot be deserialised: unknown keys, values of the wrong type, and
-//! missing keys.
+//! Finds all mistakes in a configuration file that cannot be deserialised. Mistakes are unknown keys, values of the
+//! wrong type, and missing keys.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -13,9 +13,9 @@ use toml::de::{DeArray, DeTable, DeValue, Deserializer, Error};
 
 /// Maximum number of mistakes that are reported for one file.
 const MAX_MISTAKES: usize = 100;
-/// Beginning of the message of serde about a missing key.
+/// Beginning of serde's message about a missing key.
 // serde reports a missing key as text only.
-const MISSING: &str = "missing field";
+const MISSING_KEY_PREFIX: &str = "missing field";
 
 /// A key that cannot be deserialised, with the error.
 #[derive(Debug)]
@@ -29,10 +29,10 @@ pub(super) struct Mistake {
 pub(super) struct Remainder<T> {
     pub(super) file: T,
     /// Names of all tables with mistakes, including removed tables.
-    pub(super) incomplete: BTreeSet<String>,
+    pub(super) tables_with_mistakes: BTreeSet<String>,
     /// Paths of the removed keys.
-    removed: Vec<String>,
-    /// For each array of tables, the indices in the file of the remaining elements.
+    removed_keys: Vec<String>,
+    /// For each array of tables, the indices that the remaining elements have in the file.
     indices_in_file: BTreeMap<String, Vec<usize>>,
 }
 
@@ -58,12 +58,12 @@ fn find_needless_array(
     arrays: &[&str],
 ) -> Option<Mistake> {
     let name = name.get_ref();
-    let is_needless = value.get_ref().is_array() && !arrays.contains(&&**name);
+    let is_needless_array = value.get_ref().is_array() && !arrays.contains(&&**name);
     let error = || Error::custom(format!("invalid type: sequence, expected a table: write [{name}] once"));
-    is_needless.then(|| Mistake { key: name.to_string(), error: error() })
+    is_needless_array.then(|| Mistake { key: name.to_string(), error: error() })
 }
 
-/// Returns all mistakes of a file in which [`read`] found `first_mistake`, and the rest of the file without them.
+/// Returns all mistakes of a file in which [`read`] found `first_mistake`, and the remainder of the file.
 /// Each table and each element of an array of tables is read separately.
 pub(super) fn all_mistakes<'a, T: Deserialize<'a>>(
     text: &'a str,
@@ -73,30 +73,33 @@ pub(super) fn all_mistakes<'a, T: Deserialize<'a>>(
     let Ok(root) = DeTable::parse(text) else { return (vec![first_mistake], None) };
     let mut mistakes: Vec<Mistake> =
         root.get_ref().iter().filter_map(|entry| find_needless_array(entry, arrays)).collect();
-    let mut incomplete: BTreeSet<String> = mistakes.iter().map(|mistake| mistake.key.clone()).collect();
-    let (mut rest, mut removed, mut indices_in_file) = (DeTable::new(), Vec::new(), BTreeMap::new());
+    let mut tables_with_mistakes: BTreeSet<String> =
+        mistakes.iter().map(|mistake| mistake.key.clone()).collect();
+    let (mut valid_tables, mut removed_keys, mut indices_in_file) =
+        (DeTable::new(), Vec::new(), BTreeMap::new());
     for part in split_into_parts(root.get_ref()) {
         if mistakes.iter().any(|mistake| mistake.key == part.name) {
             continue;
         }
         let count_before = mistakes.len();
-        if let Some(valid) = part.find_mistakes::<T>(&mut mistakes, &mut removed) {
-            part.append_to(valid, &mut rest, &mut indices_in_file);
+        if let Some(valid_document) = part.find_mistakes::<T>(&mut mistakes, &mut removed_keys) {
+            part.append_to(valid_document, &mut valid_tables, &mut indices_in_file);
         }
         if mistakes.len() > count_before {
-            incomplete.insert(part.name);
+            tables_with_mistakes.insert(part.name);
         }
     }
+    // Every part by itself is valid, so the first mistake concerns the file as a whole.
     if mistakes.is_empty() {
         return (vec![first_mistake], None);
     }
-    let rest = Spanned::new(root.span(), rest);
-    let remainder = T::deserialize(Deserializer::from(rest)).ok();
-    (mistakes, remainder.map(|file| Remainder { file, incomplete, removed, indices_in_file }))
+    let valid_document = Spanned::new(root.span(), valid_tables);
+    let remainder = T::deserialize(Deserializer::from(valid_document)).ok();
+    (mistakes, remainder.map(|file| Remainder { file, tables_with_mistakes, removed_keys, indices_in_file }))
 }
 
 impl<T> Remainder<T> {
-    /// Returns the path in the whole file of a key of the remainder.
+    /// Returns the path that a key of the remainder has in the whole file.
     pub(super) fn key_in_file(&self, key: &str) -> String {
         let in_array = || {
             let (array, rest) = key.split_once('[')?;
@@ -112,7 +115,7 @@ impl<T> Remainder<T> {
         let is_within = |key: &str, parent: &str| {
             key.strip_prefix(parent).is_some_and(|rest| rest.is_empty() || rest.starts_with(['.', '[']))
         };
-        self.removed.iter().any(|removed| is_within(key, removed) || is_within(removed, key))
+        self.removed_keys.iter().any(|removed_key| is_within(key, removed_key) || is_within(removed_key, key))
     }
 }
 
@@ -125,10 +128,11 @@ struct Part<'a> {
     document: Spanned<DeTable<'a>>,
 }
 
+/// Returns each table, and each element of each array of tables, as a separate part.
 fn split_into_parts<'a>(root: &DeTable<'a>) -> Vec<Part<'a>> {
     let mut parts = Vec::new();
     for (name, value) in root {
-        let mut part = |index, value: Spanned<DeValue<'a>>| {
+        let mut add_part = |index, value: Spanned<DeValue<'a>>| {
             let table = DeTable::from_iter([(name.clone(), value)]);
             let document = Spanned::new(name.span(), table);
             parts.push(Part { name: name.get_ref().to_string(), index, document });
@@ -138,18 +142,19 @@ fn split_into_parts<'a>(root: &DeTable<'a>) -> Vec<Part<'a>> {
                 for (index, element) in elements.iter().enumerate() {
                     let mut single_element = DeArray::new();
                     single_element.push(element.clone());
-                    part(Some(index), Spanned::new(value.span(), DeValue::Array(single_element)));
+                    add_part(Some(index), Spanned::new(value.span(), DeValue::Array(single_element)));
                 }
             }
-            _ => part(None, value.clone()),
+            _ => add_part(None, value.clone()),
         }
     }
     parts
 }
 
 impl<'a> Part<'a> {
-    /// Deserialises the part repeatedly, each time without the key that failed, until the rest is valid. Returns the
-    /// rest, and adds the mistakes and the paths of the removed keys to the lists.
+    /// Deserialises the part repeatedly, each time without the key that failed, until the rest is valid. Adds the
+    /// mistakes and the paths of the removed keys to the lists. Returns the valid rest; `None` if nothing valid
+    /// remains.
     fn find_mistakes<T: Deserialize<'a>>(
         &self,
         mistakes: &mut Vec<Mistake>,
@@ -167,9 +172,10 @@ impl<'a> Part<'a> {
             };
             let steps = path_steps(error.path());
             let missing = missing_key(error.inner().message());
-            // A missing key that was removed here is not a mistake of the user: its table is removed, too.
+            // A missing key that was removed here is no mistake in the file. The table that needs the key is removed,
+            // too.
             if missing.is_some_and(|name| removed.contains(&join_key(&steps, name))) {
-                if remove(document.get_mut(), &steps, &mut removed) {
+                if remove_key(document.get_mut(), &steps, &mut removed) {
                     continue;
                 }
                 return None;
@@ -180,7 +186,7 @@ impl<'a> Part<'a> {
                 mistakes.push(Mistake { key: String::new(), error });
                 return None;
             }
-            let is_removed = missing.is_none() && remove(document.get_mut(), &steps, &mut removed);
+            let is_removed = missing.is_none() && remove_key(document.get_mut(), &steps, &mut removed);
             mistakes.push(Mistake { key: self.key(&steps), error: error.into_inner() });
             if !is_removed {
                 return None;
@@ -189,16 +195,16 @@ impl<'a> Part<'a> {
         None
     }
 
-    /// Adds the valid rest of this part to the valid rest of the file. An element of an array is appended, and its
+    /// Adds the valid rest of this part to the valid tables of the file. An element of an array is appended, and its
     /// index in the file is recorded.
     fn append_to(
         &self,
-        valid: Spanned<DeTable<'a>>,
-        rest: &mut DeTable<'a>,
+        valid_document: Spanned<DeTable<'a>>,
+        valid_tables: &mut DeTable<'a>,
         indices_in_file: &mut BTreeMap<String, Vec<usize>>,
     ) {
-        for (name, value) in valid.into_inner() {
-            match (self.index, rest.get_mut(name.get_ref().as_ref())) {
+        for (name, value) in valid_document.into_inner() {
+            match (self.index, valid_tables.get_mut(name.get_ref().as_ref())) {
                 (Some(_), Some(array)) => {
                     if let (DeValue::Array(array), DeValue::Array(single_element)) =
                         (array.get_mut(), value.into_inner())
@@ -206,7 +212,7 @@ impl<'a> Part<'a> {
                         single_element.into_iter().for_each(|element| array.push(element));
                     }
                 }
-                _ => drop(rest.insert(name, value)),
+                _ => drop(valid_tables.insert(name, value)),
             }
             if let Some(index) = self.index {
                 indices_in_file.entry(self.name.clone()).or_default().push(index);
@@ -214,7 +220,7 @@ impl<'a> Part<'a> {
         }
     }
 
-    /// Returns the path of a key in the whole file.
+    /// Returns the path that a key of this part has in the whole file.
     fn key(&self, steps: &[Step]) -> String {
         let mut key = String::new();
         for (position, step) in steps.iter().enumerate() {
@@ -236,6 +242,7 @@ enum Step {
     Element(usize),
 }
 
+/// Returns the steps of a path, up to the first step that names no key and no element.
 fn path_steps(path: &Path) -> Vec<Step> {
     path.iter()
         .map_while(|segment| match segment {
@@ -253,14 +260,15 @@ fn join_key(steps: &[Step], name: &str) -> Vec<Step> {
 
 /// Returns the name of the missing key, if the error reports one.
 fn missing_key(text: &str) -> Option<&str> {
-    text.strip_prefix(MISSING)?.trim().strip_prefix('`')?.split('`').next()
+    text.strip_prefix(MISSING_KEY_PREFIX)?.trim().strip_prefix('`')?.split('`').next()
 }
 
-/// Removes the key at the end of a path. For an element of an array it removes the key of the array, because
-/// otherwise the indices of the other elements would change. Returns whether the key existed.
-fn remove(table: &mut DeTable<'_>, steps: &[Step], removed: &mut Vec<Vec<Step>>) -> bool {
-    let Some(last) = steps.iter().rposition(|step| matches!(step, Step::Key(_))) else { return false };
-    let (Some((Step::Key(name), parent)), path) = (steps[..=last].split_last(), &steps[..=last]) else {
+/// Removes the key at the end of a path, and adds its path to `removed`. For an element of an array, removes the key of
+/// the whole array, because otherwise the indices of the other elements would change. Returns whether the key existed.
+fn remove_key(table: &mut DeTable<'_>, steps: &[Step], removed: &mut Vec<Vec<Step>>) -> bool {
+    let Some(last_key) = steps.iter().rposition(|step| matches!(step, Step::Key(_))) else { return false };
+    let (Some((Step::Key(name), parent)), path) = (steps[..=last_key].split_last(), &steps[..=last_key])
+    else {
         return false;
     };
     let Some(table) = inner_table(table, parent) else { return false };
@@ -268,16 +276,17 @@ fn remove(table: &mut DeTable<'_>, steps: &[Step], removed: &mut Vec<Vec<Step>>)
     table.remove(name.as_str()).is_some()
 }
 
+/// Returns the table at the end of a path; `None` if there is no table.
 fn inner_table<'t, 'i>(table: &'t mut DeTable<'i>, steps: &[Step]) -> Option<&'t mut DeTable<'i>> {
     let Some((first, rest)) = steps.split_first() else { return Some(table) };
     let Step::Key(name) = first else { return None };
     let (_, value) = table.iter_mut().find(|(key, _)| key.get_ref() == name)?;
     let mut value = value.get_mut();
     let mut rest = rest;
-    while let Some((Step::Element(index), further)) = rest.split_first() {
+    while let Some((Step::Element(index), next_steps)) = rest.split_first() {
         let DeValue::Array(elements) = value else { return None };
         value = elements.get_mut(*index)?.get_mut();
-        rest = further;
+        rest = next_steps;
     }
     match value {
         DeValue::Table(inner) => inner_table(inner, rest),
@@ -317,7 +326,7 @@ mod tests {
 
     #[derive(Debug, Deserialize)]
     #[serde(deny_unknown_fields)]
-    #[expect(dead_code, reason = "only what cannot be read is looked at")]
+    #[expect(dead_code, reason = "the tests look only at mistakes in these fields")]
     struct Element {
         name: String,
         kind: Kind,
@@ -326,20 +335,20 @@ mod tests {
 
     #[derive(Debug, Deserialize)]
     #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
-    #[expect(dead_code, reason = "only what cannot be read is looked at")]
+    #[expect(dead_code, reason = "the tests look only at mistakes in these fields")]
     enum Kind {
         One { size: u8 },
     }
 
     fn mistakes_and_remainder(text: &str) -> (Vec<String>, Option<Remainder<File>>) {
-        let first_mistake = read::<File>(text, &ARRAYS).expect_err("something is wrong with it");
-        let (mistakes, rest) = all_mistakes(text, &ARRAYS, first_mistake);
-        (mistakes.iter().map(ToString::to_string).collect(), rest)
+        let first_mistake = read::<File>(text, &ARRAYS).expect_err("the file has a mistake");
+        let (mistakes, remainder) = all_mistakes(text, &ARRAYS, first_mistake);
+        (mistakes.iter().map(ToString::to_string).collect(), remainder)
     }
 
     #[test]
-    fn all_errors_of_all_tables_are_found_once() {
-        let (reported, rest) = mistakes_and_remainder(
+    fn all_mistakes_of_all_tables_are_found_once() {
+        let (reported, remainder) = mistakes_and_remainder(
             "third = 1\n[first]\nnumbr = 1\nnumber = 'x'\nlist = [1, 'y', 2]\n[second]\na = 1\n\
              [[element]]\nname = 'a'\nkind = { kind = 'one', size = 1 }\n\
              [[element]]\nkind = { kind = 'one', size = 1, sise = 1 }\nnumber = -1\n\
@@ -356,35 +365,38 @@ mod tests {
             ("element[2].name: ", "invalid type"),
             ("element[2].kind", "unknown variant `two`"),
         ] {
-            let is_there = |mistake: &&String| mistake.starts_with(expected) && mistake.contains(text);
-            assert_eq!(reported.iter().filter(is_there).count(), 1, "{expected}{text} in {reported:#?}");
+            let is_expected = |mistake: &&String| mistake.starts_with(expected) && mistake.contains(text);
+            assert_eq!(reported.iter().filter(is_expected).count(), 1, "{expected}{text} in {reported:#?}");
         }
         assert_eq!(reported.len(), 9, "{reported:#?}");
-        let rest = rest.expect("the rest can be read");
-        assert_eq!(rest.incomplete, ["element", "first", "third"].map(str::to_owned).into());
-        assert_eq!((rest.file.second.len(), rest.file.first.number, rest.file.element.len()), (1, 0, 1));
+        let remainder = remainder.expect("the remainder can be read");
+        assert_eq!(remainder.tables_with_mistakes, ["element", "first", "third"].map(str::to_owned).into());
+        assert_eq!(
+            (remainder.file.second.len(), remainder.file.first.number, remainder.file.element.len()),
+            (1, 0, 1)
+        );
     }
 
     #[test]
-    fn remaining_tables_keep_their_positions() {
-        let (_, rest) = mistakes_and_remainder(
+    fn keys_of_remainder_get_indices_of_whole_file() {
+        let (_, remainder) = mistakes_and_remainder(
             "[first]\nnumber = 'x'\nlist = [1, 2]\n[[element]]\nname = 'a'\n\
              [[element]]\nname = 'b'\nkind = { kind = 'one', size = 1 }\nnumber = 'x'\n",
         );
-        let rest = rest.expect("the rest can be read");
-        assert_eq!(rest.file.first.list, [1, 2]);
-        let [element] = &rest.file.element[..] else { panic!("the other one has no kind") };
+        let remainder = remainder.expect("the remainder can be read");
+        assert_eq!(remainder.file.first.list, [1, 2]);
+        let [element] = &remainder.file.element[..] else { panic!("only the element with a kind remains") };
         assert_eq!((element.name.as_str(), element.number), ("b", None));
-        assert_eq!(rest.key_in_file("element[0].name"), "element[1].name");
-        assert_eq!(rest.key_in_file("first.list[1]"), "first.list[1]");
-        for (key, is_lacking) in [
+        assert_eq!(remainder.key_in_file("element[0].name"), "element[1].name");
+        assert_eq!(remainder.key_in_file("first.list[1]"), "first.list[1]");
+        for (key, is_removed) in [
             ("first.number", true),
             ("first", true),
             ("first.list", false),
             ("element[1].number.x", true),
             ("element[1].name", false),
         ] {
-            assert_eq!(rest.is_removed(key), is_lacking, "{key}");
+            assert_eq!(remainder.is_removed(key), is_removed, "{key}");
         }
     }
 
@@ -397,7 +409,7 @@ mod tests {
     }
 
     #[test]
-    fn single_mistake_is_reported_as_first_found() {
+    fn single_mistake_is_reported_as_by_read() {
         for text in [
             "[first]\nnumbr = 1\n",
             "[first]\nnumber = 256\n",
@@ -406,7 +418,7 @@ mod tests {
             "first = []\n",
             "[first\n",
         ] {
-            let first_mistake = read::<File>(text, &ARRAYS).expect_err("something is wrong with it");
+            let first_mistake = read::<File>(text, &ARRAYS).expect_err("the file has a mistake");
             let (expected, span) = (first_mistake.to_string(), first_mistake.error.span());
             let (mistakes, _) = all_mistakes::<File>(text, &ARRAYS, first_mistake);
             let [mistake] = &mistakes[..] else { panic!("one mistake in {text}: {mistakes:#?}") };

@@ -15,7 +15,7 @@ use peernet_store::maintenance::{Examination, Finding, Report, Severity, examine
 use serde::Serialize;
 
 use self::spool::SpoolReport;
-use super::database_argument::wrong_configuration;
+use super::database_argument::configuration_failure;
 use crate::configuration::{DataFiles, data_files};
 use crate::log;
 
@@ -45,7 +45,7 @@ pub(crate) struct Arguments {
     json: bool,
 }
 
-/// Results of the examination.
+/// Results of the examination of a database, a spool or both.
 #[derive(Debug, Default, Serialize)]
 struct ExaminationResult {
     healthy: bool,
@@ -53,12 +53,12 @@ struct ExaminationResult {
     database: Option<Report>,
     #[serde(skip_serializing_if = "Option::is_none")]
     spool: Option<SpoolReport>,
-    /// Errors of files that could not be examined.
+    /// Error texts about the files that could not be examined.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     unavailable: Vec<String>,
 }
 
-/// Examines databases and spools. The worst finding determines the exit code.
+/// Examines a database, a spool or both, or repairs a database. The worst finding determines the exit code.
 pub(crate) fn doctor(arguments: Arguments) -> Exit {
     let _log = log::install_temporary();
     let (full, json, repair) = (arguments.full, arguments.json, arguments.repair);
@@ -87,7 +87,7 @@ impl Arguments {
         let Some(config) = self.config else {
             return Ok(DataFiles { database: self.database, spool: self.spool });
         };
-        let data_files = data_files(&config).map_err(|problems| wrong_configuration(&problems))?;
+        let data_files = data_files(&config).map_err(|problems| configuration_failure(&problems))?;
         if data_files.database.is_none() && data_files.spool.is_none() {
             let error = anyhow::anyhow!(
                 "{} names neither a database nor a spool: it has no table [aggregator], and no [agent] aggregator",
@@ -99,6 +99,7 @@ impl Arguments {
     }
 }
 
+/// Returns the failure of a repair whose configuration names no database.
 fn no_database() -> Failure {
     let error =
         anyhow::anyhow!("the configuration names no database to repair: it has no table [aggregator]");

@@ -11,9 +11,10 @@ use super::spool::SpoolReport;
 
 /// Maximum number of lines of a printed table; the JSON form has all lines.
 const MAX_TABLE_LINES: usize = 20;
-/// Maximum number of printed problems from SQLite, and of printed findings.
+/// Maximum number of printed findings, and of printed problems from SQLite's check.
 const MAX_FINDINGS: usize = 10;
 
+/// Prints the result of an examination as text.
 pub(super) fn print(result: &ExaminationResult, now: WallTime) {
     if let Some(report) = &result.database {
         print_database(report, now);
@@ -45,7 +46,7 @@ pub(super) fn print(result: &ExaminationResult, now: WallTime) {
 fn print_database(report: &Report, now: WallTime) {
     let file = &report.file;
     print_to_stdout(format_args!(
-        "database {}\n  {}, {} of it free for reuse; write-ahead log {}; free disk space {}",
+        "database {}\n  {}, of which {} are free for reuse; write-ahead log {}; free disk space {}",
         report.database.display(),
         format_size(file.bytes),
         format_size(file.free_bytes),
@@ -80,12 +81,12 @@ fn print_database(report: &Report, now: WallTime) {
             format_age(stream.last_seen_ns, now),
         ]
     });
-    print_table(&["host", "stream", "stored up to batch", "last"], rows);
+    print_table(&["host", "stream", "stored up to batch", "last seen"], rows);
     let rows = report.rollups.iter().map(|extent| {
-        let age = |second: Option<i64>| {
-            second.map_or_else(
+        let age = |unix_s: Option<i64>| {
+            unix_s.map_or_else(
                 || "—".to_owned(),
-                |second| format_age(second.saturating_mul(1_000_000_000), now),
+                |unix_s| format_age(unix_s.saturating_mul(1_000_000_000), now),
             )
         };
         vec![
@@ -94,18 +95,18 @@ fn print_database(report: &Report, now: WallTime) {
             age(extent.newest_s),
         ]
     });
-    print_table(&["roll-ups of", "oldest starts", "newest starts"], rows);
+    print_table(&["roll-up interval", "oldest starts", "newest starts"], rows);
     let rows = report.gaps.iter().map(|gap| {
         let host = gap.host.clone().unwrap_or_else(|| "unknown".to_owned());
         let events = if gap.uncounted > 0 { format!("≥ {}", gap.events) } else { gap.events.to_string() };
         vec![gap.reason.clone(), host, gap.gaps.to_string(), events, format_age(gap.to_ns, now)]
     });
-    print_table(&["reason of gaps", "host", "gaps", "events", "last"], rows);
+    print_table(&["reason of gaps", "host", "gaps", "events", "last ended"], rows);
     let rows = report.quarantine.iter().map(|group| {
         let host = group.host.clone().unwrap_or_else(|| "unknown".to_owned());
         vec![group.reason.clone(), host, group.batches.to_string(), format_age(group.last_ns, now)]
     });
-    print_table(&["reason of quarantine", "host", "batches", "last"], rows);
+    print_table(&["reason of quarantine", "host", "batches", "last received"], rows);
     let rows = report.open_runs.iter().map(|run| {
         let host = run.host.clone().unwrap_or_else(|| "unknown".to_owned());
         vec![
@@ -150,19 +151,20 @@ fn print_spool(report: &SpoolReport, now: WallTime) {
 /// Prints a table with an empty line after it; prints nothing if there are no rows.
 fn print_table(header: &[&str], rows: impl Iterator<Item = Vec<String>>) {
     let rows: Vec<Vec<String>> = rows.collect();
-    let Some(more) = (!rows.is_empty()).then(|| rows.len().saturating_sub(MAX_TABLE_LINES)) else { return };
-    print_to_stdout(text(header, &rows[..rows.len() - more]));
-    if more > 0 {
-        print_to_stdout(format_args!("… and {more} more (--json shows all)"));
+    let Some(hidden) = (!rows.is_empty()).then(|| rows.len().saturating_sub(MAX_TABLE_LINES)) else { return };
+    print_to_stdout(text(header, &rows[..rows.len() - hidden]));
+    if hidden > 0 {
+        print_to_stdout(format_args!("… and {hidden} more (--json shows all)"));
     }
     print_to_stdout("");
 }
 
-fn format_size(length: u64) -> String {
-    bytes(length as f64).plain()
+fn format_size(size: u64) -> String {
+    bytes(size as f64).plain()
 }
 
-/// Formats an age in the largest unit that fits: `3 min ago`.
+/// Formats an age such as `3 min ago`: below 100 s in seconds, below 100 min in minutes, below 48 h in hours, else in
+/// days.
 fn format_age(nanos: i64, now: WallTime) -> String {
     let seconds = (now - WallTime::from_unix_nanos(nanos)).seconds();
     let (value, unit) = match seconds.abs() {

@@ -13,13 +13,15 @@ use peernet_store::maintenance::{RepairError, RepairResult, repair};
 
 /// Repairs a database and prints the result for each table.
 pub(super) async fn repair_database(database: &Path, now: WallTime) -> Result<Exit, Failure> {
-    let stamp = DateTime::<Utc>::from_timestamp_nanos(now.unix_nanos()).format("%Y%m%dT%H%M%SZ").to_string();
+    let timestamp =
+        DateTime::<Utc>::from_timestamp_nanos(now.unix_nanos()).format("%Y%m%dT%H%M%SZ").to_string();
+    // A log file needs no progress lines.
     let log_progress = |item: &str| {
         if std::io::stderr().is_terminal() {
             tracing::info!("salvaging {item}");
         }
     };
-    let result = repair(database, now, &stamp, log_progress).await;
+    let result = repair(database, now, &timestamp, log_progress).await;
     match result.map_err(|error| Failure::new(exit_code(&error), error))? {
         Some(repaired) => print(database, &repaired),
         None => print_to_stdout(format_args!(
@@ -45,8 +47,8 @@ fn print(database: &Path, repaired: &RepairResult) {
             let lost = match (table.table.as_str(), table.unreadable) {
                 ("iteration", _) => iterations.clone(),
                 (_, 0) => "0".to_owned(),
-                (_, 1) => "unknown, in 1 place".to_owned(),
-                (_, places) => format!("unknown, in {places} places"),
+                (_, 1) => "unknown number, in 1 damaged place".to_owned(),
+                (_, places) => format!("unknown number, in {places} damaged places"),
             };
             vec![table.table.clone(), fixed(table.rows as f64, 0), lost]
         })

@@ -24,7 +24,7 @@ pub(super) struct SpoolReport {
     pub(super) inspection: Inspection,
     /// Size of the file and its log, bytes.
     pub(super) file_bytes: u64,
-    /// Free space on the disk of the spool, bytes, without the agent's reserve for deleting.
+    /// Free space on the disk of the spool, bytes, without the space that the agent reserves for deleting.
     pub(super) disk_free_bytes: u64,
     pub(super) findings: Vec<Finding>,
 }
@@ -52,13 +52,13 @@ pub(super) async fn examine(path: &Path) -> anyhow::Result<SpoolReport> {
         Err(InspectError::Read(error)) => {
             return Err(error).with_context(|| format!("cannot read the spool {}", path.display()));
         }
-        Err(other) => {
-            let advice = match other {
+        Err(error) => {
+            let advice = match error {
                 InspectError::Database => "examine it with `peernetd doctor --database FILE`",
                 InspectError::Empty => "start its agent, which creates the spool",
                 _ => "give the path of [spool] file",
             };
-            report.add_problem(other.to_string(), advice);
+            report.add_problem(error.to_string(), advice);
         }
     }
     Ok(report)
@@ -71,14 +71,14 @@ impl SpoolReport {
                 self.disk_free_bytes = bytes;
                 if bytes < MIN_FREE_BYTES {
                     self.add_problem(
-                        format!("its disk has only {} KiB of free space", bytes >> 10),
+                        format!("the disk of the spool has only {} KiB of free space", bytes >> 10),
                         FREE_SPACE_ADVICE,
                     );
                 }
             }
             Err(error) => {
                 self.add_problem(
-                    format!("cannot read the free space of its disk: {error}"),
+                    format!("cannot read the free space of the spool's disk: {error}"),
                     "check it with `df`",
                 );
             }
@@ -89,7 +89,7 @@ impl SpoolReport {
         for damage in inspection.damages.iter().map(SpoolDamage::to_string) {
             self.add_problem(damage, RENEW_ADVICE);
         }
-        self.findings.extend(losses(inspection.dropped, inspection.lost_when_killed));
+        self.findings.extend(loss_findings(inspection.dropped, inspection.lost_when_killed));
         self.inspection = inspection;
     }
 
@@ -98,9 +98,10 @@ impl SpoolReport {
     }
 }
 
-/// Returns the findings about lost events: events that were dropped for lack of space, and events that were lost with a
-/// killed agent.
-fn losses(dropped: i64, lost_when_killed: Option<i64>) -> Vec<Finding> {
+/// Returns the findings about lost events. `dropped` counts all lost events, `lost_when_killed` those that were in the
+/// memory of a killed agent; the other events were dropped for lack of space. `lost_when_killed` is `None` if a spool
+/// of an earlier release does not distinguish the two causes.
+fn loss_findings(dropped: i64, lost_when_killed: Option<i64>) -> Vec<Finding> {
     let finding = |events: i64, cause: &str, advice: &str| {
         (events > 0).then(|| Finding {
             severity: Severity::Notice,
@@ -108,7 +109,7 @@ fn losses(dropped: i64, lost_when_killed: Option<i64>) -> Vec<Finding> {
             advice: advice.to_owned(),
         })
     };
-    const ADVICE: &str = "raise [spool] limit_bytes, or check why the aggregator was unreachable";
+    const SPACE_ADVICE: &str = "raise [spool] limit_bytes, or check why the aggregator was unreachable";
     let Some(lost_when_killed) = lost_when_killed else {
         let cause = "were dropped for lack of space, or lost when the agent was killed";
         return Vec::from_iter(finding(
@@ -117,7 +118,7 @@ fn losses(dropped: i64, lost_when_killed: Option<i64>) -> Vec<Finding> {
             "look up the reason of the gaps on the page Incidents",
         ));
     };
-    let lack_of_space = finding(dropped - lost_when_killed, "were dropped for lack of space", ADVICE);
+    let lack_of_space = finding(dropped - lost_when_killed, "were dropped for lack of space", SPACE_ADVICE);
     let kill = finding(
         lost_when_killed,
         "were lost when the agent was killed before they reached its spool",
@@ -128,30 +129,30 @@ fn losses(dropped: i64, lost_when_killed: Option<i64>) -> Vec<Finding> {
 
 #[cfg(test)]
 mod tests {
-    use super::losses;
+    use super::loss_findings;
 
     #[test]
     fn losses_are_reported_by_cause() {
-        let reports = |dropped, killed| -> Vec<_> {
-            losses(dropped, killed)
+        let describe = |dropped, killed| -> Vec<_> {
+            loss_findings(dropped, killed)
                 .into_iter()
                 .map(|finding| format!("{} → {}", finding.what, finding.advice))
                 .collect()
         };
-        assert!(reports(0, Some(0)).is_empty() && reports(0, None).is_empty());
-        let [killed] = &reports(2, Some(2))[..] else { panic!("{:?}", reports(2, Some(2))) };
+        assert!(describe(0, Some(0)).is_empty() && describe(0, None).is_empty());
+        let [killed] = &describe(2, Some(2))[..] else { panic!("{:?}", describe(2, Some(2))) };
         assert!(
             killed.starts_with("2 events were lost when the agent was killed")
                 && !killed.contains("limit_bytes"),
             "{killed}"
         );
-        let [lack_of_space, killed] = &reports(5, Some(2))[..] else { panic!("{:?}", reports(5, Some(2))) };
+        let [lack_of_space, killed] = &describe(5, Some(2))[..] else { panic!("{:?}", describe(5, Some(2))) };
         assert!(
             lack_of_space.starts_with("3 events") && lack_of_space.contains("limit_bytes"),
             "{lack_of_space}"
         );
         assert!(killed.starts_with("2 events"), "{killed}");
-        let [either] = &reports(4, None)[..] else { panic!("{:?}", reports(4, None)) };
-        assert!(either.contains("for lack of space, or") && either.contains("Incidents"), "{either}");
+        let [finding] = &describe(4, None)[..] else { panic!("{:?}", describe(4, None)) };
+        assert!(finding.contains("for lack of space, or") && finding.contains("Incidents"), "{finding}");
     }
 }
