@@ -31,6 +31,7 @@ const TUNNELS: [u32; 5] = [
 /// # Errors
 /// If the system cannot list its interfaces.
 pub fn outgoing_interface(addresses: &ConnectionAddresses) -> io::Result<Option<NetworkInterface>> {
+    // A socket for IPv4 and IPv6 shows IPv4 addresses as IPv6 addresses (`::ffff:…`). Interfaces have IPv4 addresses.
     let (local, remote) = (addresses.local.ip().to_canonical(), addresses.remote.ip().to_canonical());
     let mut name_by_address = None;
     let mut loopback = None;

@@ -120,6 +120,7 @@ impl Lifecycle {
         notify(&[NotifyState::Stopping]);
 
         let Self { parts, mut signals, stop_timeout } = self;
+        // A failure while stopping determines the exit code, even after a signal.
         tokio::select! {
             stop_exit = stop_in_reverse(parts, stop_timeout) => exit = if stop_exit == Exit::Ok { exit } else { stop_exit },
             name = signals.next() => {

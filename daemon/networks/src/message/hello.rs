@@ -237,6 +237,7 @@ fn deserialize_hardware<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Ha
     })
 }
 
+/// Deserializes an interval. Refuses an interval that ends before it begins, because offsets are computed from it.
 fn deserialize_interval<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Interval, D::Error> {
     let interval = Interval::deserialize(deserializer)?;
     if interval.hi < interval.lo {
@@ -257,6 +258,7 @@ fn deserialize_claim<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Optio
     }
 }
 
+/// Deserializes clock faults. Refuses a drift that is not finite, because no clock can have it.
 fn deserialize_clock_faults<'de, D: Deserializer<'de>>(
     deserializer: D,
 ) -> Result<Option<ClockFaults>, D::Error> {

@@ -114,6 +114,7 @@ impl ReceivingTask {
             let mut close_request = std::pin::pin!(self.close_token.cancelled());
             loop {
                 tokio::select! {
+                    // Closing takes precedence over messages that have arrived.
                     biased;
                     () = &mut close_request => break CloseReason::Local,
                     message = receiver.receive() => match message {
@@ -160,6 +161,7 @@ impl ReceivingTask {
 
 impl Drop for ReceivingTask {
     fn drop(&mut self) {
+        // If the task panics or its runtime ends, the requests end here. Otherwise they have ended already.
         let reason = CloseReason::Broken("the task that receives answers has ended".into());
         self.shared.requests.end(&reason, &self.shared.counters);
         self.closed_token.cancel();

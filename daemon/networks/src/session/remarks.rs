@@ -34,6 +34,7 @@ impl Remarks {
     /// Returns a reader that sees the existing texts as changed.
     pub(super) fn subscribe(&self) -> watch::Receiver<Vec<String>> {
         let mut texts = self.texts.subscribe();
+        // A reader that waits for a change must also get the earlier remarks.
         texts.mark_changed();
         texts
     }

@@ -35,6 +35,7 @@ impl AnswersBeingSent {
 
     /// Waits until no answer is being sent and no request is in flight.
     pub(super) async fn wait_until_idle(&self, in_flight: impl Fn() -> usize) {
+        // The requests are read first: a request that ends between the two reads is already counted as an answer.
         while in_flight() > 0 || self.count.load(Ordering::SeqCst) > 0 {
             self.answer_sent.notified().await;
         }

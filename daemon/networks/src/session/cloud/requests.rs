@@ -28,6 +28,7 @@ pub(super) fn handle_message(
 ) -> Option<Incoming> {
     let bytes = MessageSizes::from_frames(&frames).total();
     shared.output.counters.count_received(bytes);
+    // A message with more frames cannot be valid, so it is not decoded.
     if frames.len() > MAX_FRAMES {
         shared.report_malformed(peer, "too many frames");
         return None;
