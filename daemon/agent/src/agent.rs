@@ -39,7 +39,7 @@ use crate::serve::{ServeContext, ServeEndpoints, ServedCounts};
 use crate::tasks::{Failure, Tasks};
 use crate::{host_clock, pipeline, serve, telemetry};
 
-/// Entry point of the agent: checks its configuration and starts it. It has no values.
+/// Namespace of the functions that check a configuration and start an agent. The type has no values.
 #[derive(Debug)]
 pub enum Agent {}
 
@@ -52,12 +52,12 @@ pub struct RunningAgent {
     serve_addresses: Vec<Address>,
     served_counts: watch::Receiver<ServedCounts>,
     tap: Option<EventTap>,
-    parts: Parts,
+    stoppable: StoppableParts,
 }
 
-/// The parts of an agent that have to be stopped.
+/// The parts of an agent that [`RunningAgent::join`] stops.
 #[derive(Debug)]
-struct Parts {
+struct StoppableParts {
     tasks: Tasks,
     outbox: Option<Outbox>,
     io: IoThreads,
@@ -72,8 +72,9 @@ impl Agent {
         check(config, clock)
     }
 
-    /// Returns remarks about settings that are valid but may surprise, such as a limit that the warm-up uses up.
-    /// Blocks for some seconds if sensors and actuators query other hosts; `clock` is the clock of their deadlines.
+    /// Returns remarks about settings that are valid but may surprise, such as a limit at which all iterations are
+    /// warm-up. Blocks for some seconds if sensors and actuators query other hosts; `clock` measures the time limits of
+    /// these queries.
     pub fn remarks(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
         remarks(config, clock)
     }
@@ -83,8 +84,8 @@ impl Agent {
     ///
     /// # Errors
     /// [`StartError`] when the host's name, its state directory, spool, keys, threads or ports cannot be used. In this
-    /// case nothing was started. A pipeline that cannot start is not an error: it is reported as failed, and the others
-    /// run.
+    /// case nothing was started. A pipeline that cannot start is not an error: it is reported as failed, and the
+    /// other pipelines run.
     pub async fn start(
         config: AgentConfig,
         version: &'static str,
@@ -95,8 +96,8 @@ impl Agent {
     }
 
     /// Starts the agent as [`start`](Self::start) does, for a program that runs it in the foreground. Each event also
-    /// goes to `tap`, with or without an aggregator. Measuring does not wait for the program: events that do not fit
-    /// into `tap` are counted ([`RunningAgent::events_missed_by_tap`]).
+    /// goes to `tap`, with or without an aggregator. Measuring does not wait for the program: events that do not
+    /// fit into `tap` are dropped and counted ([`RunningAgent::events_missed_by_tap`]).
     ///
     /// # Errors
     /// Those of [`start`](Self::start).
@@ -156,7 +157,7 @@ async fn start(
         tracing::info!(%address, network = %address.network(), "serving models to peers");
     }
 
-    // Nothing fails from here on.
+    // No step from here on can fail.
     let mut tasks = Tasks::new(&stop);
     let metrics = start_observing_host(
         &mut tasks,
@@ -202,8 +203,8 @@ async fn start(
     };
     tracing::info!(host = %host.name, id = %host.id, "the agent has started");
     let stop_timeout = config.agent.stop_timeout();
-    let parts = Parts { tasks, outbox, io, stop_timeout, _state: state };
-    Ok(RunningAgent { host, bank, live, serve_addresses, served_counts, tap, parts })
+    let stoppable = StoppableParts { tasks, outbox, io, stop_timeout, _state: state };
+    Ok(RunningAgent { host, bank, live, serve_addresses, served_counts, tap, stoppable })
 }
 
 /// Starts the tasks that watch this host's clocks and its hardware. Returns the receiver of the hardware's metrics.
@@ -234,10 +235,10 @@ fn start_observing_host(
     metrics
 }
 
-/// Starts to serve peers on the runtime `threads`. Serving stops only after this agent's pipelines have ended.
+/// Starts to serve peers on the runtime of the I/O threads, `io_runtime`. Serving stops only after this agent's pipelines have ended.
 fn start_serving<F, E>(
     tasks: &mut Tasks,
-    threads: &Handle,
+    io_runtime: &Handle,
     pipelines: TaskTracker,
     serve: impl FnOnce(CancellationToken) -> F,
 ) where
@@ -253,12 +254,13 @@ fn start_serving<F, E>(
         pipelines.wait().await;
         pipelines_ended.cancel();
     });
-    tasks.spawn_required_fallible(threads, "serve", serving);
+    tasks.spawn_required_fallible(io_runtime, "serve", serving);
 }
 
-/// Stops the other tasks if the outbox ends unexpectedly. On a regular stop the outbox outlives them.
+/// Stops all tasks if the outbox ends unexpectedly. On a regular stop the outbox ends after the tasks.
 fn watch_outbox(tasks: &mut Tasks, outbox: &Outbox) {
     let (ended, stop) = (outbox.ended(), tasks.stop_token());
+    // A required task that ends before the stop makes `Tasks` stop all other tasks.
     tasks.spawn_required(&Handle::current(), "outbox", async move {
         let _ = stop.run_until_cancelled(ended.cancelled()).await;
     });
@@ -321,14 +323,14 @@ impl RunningAgent {
     /// Returns the current live update. It contains every pipeline with the one-second summaries that the aggregator
     /// does not have yet, the links, the clock, the host's metrics and the counts of events.
     pub fn live_update(&self) -> LiveUpdate {
-        let accounting = self.parts.outbox.as_ref().map(Outbox::accounting).unwrap_or_default();
+        let accounting = self.stoppable.outbox.as_ref().map(Outbox::accounting).unwrap_or_default();
         self.live.update(self.host.id, self.host.clock.wall(), accounting).0
     }
 
     /// Waits until the aggregator has stored all events of this host, until it has stored no event for `patience`, or
     /// until the outbox has ended.
     pub async fn wait_until_delivered(&self, patience: Duration) {
-        if let Some(outbox) = &self.parts.outbox {
+        if let Some(outbox) = &self.stoppable.outbox {
             outbox.wait_until_delivered(patience).await;
         }
     }
@@ -339,8 +341,8 @@ impl RunningAgent {
     /// # Errors
     /// When a task ended before it was stopped.
     pub async fn join(self) -> Result<(), Failure> {
-        let Self { bank, parts, .. } = self;
-        let Parts { tasks, outbox, io: _io, stop_timeout, _state } = parts;
+        let Self { bank, stoppable, .. } = self;
+        let StoppableParts { tasks, outbox, io: _io, stop_timeout, _state } = stoppable;
         let stop = tasks.stop_token();
         let stop_request = stop.clone();
         // The stop timeout counts from the request and includes the time that the tasks take to end.
@@ -352,7 +354,8 @@ impl RunningAgent {
         stop.cancel();
         let now = Instant::now();
         let requested_at = requested_at.await.unwrap_or(now);
-        // The outbox gets at least a quarter of the time, even if the iterations in flight took longer than the rest.
+        // The outbox gets at least a quarter of the stop timeout, even if the iterations in flight took longer than the
+        // other three quarters.
         let deadline = (requested_at + stop_timeout).max(now + stop_timeout / 4);
         let close_outbox = async {
             match outbox {
@@ -421,7 +424,7 @@ fn build_bank(
 /// Starts the pipelines that start with the agent. Returns the live state of all pipelines.
 fn start_pipelines(
     tasks: &mut Tasks,
-    handle: &Handle,
+    io_runtime: &Handle,
     tracker: &TaskTracker,
     config: &AgentConfig,
     context: &PipelineContext,
@@ -438,7 +441,7 @@ fn start_pipelines(
                 let running =
                     pipeline::run(config, shared_state, context.clone(), tasks.stop_token(), drain_timeout);
                 tasks.spawn_finite(
-                    handle,
+                    io_runtime,
                     &format!("pipeline {}", pipeline.name),
                     tracker.track_future(running),
                 );

@@ -43,10 +43,10 @@ const MAX_STOP_TIMEOUT_MS: u64 = 60_000;
 const MAX_IN_FLIGHT: u64 = 4096;
 /// Largest `timeout_ms` of a pipeline: a day.
 const MAX_TIMEOUT_MS: u64 = 24 * 3600 * 1000;
-/// Largest `limit.duration_s`: a year.
+/// Largest `limit.duration_s`, and longest interval between two starts of iterations: a year.
 const MAX_RUN_S: f64 = 365.0 * 86_400.0;
 
-/// A problem of one key of a configuration.
+/// A problem with one key of a configuration.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Problem {
     /// Path of the key, such as `pipeline[1].placement.model`; indices count from 0.
@@ -71,7 +71,7 @@ impl Report {
         self.0.push(Problem { key: key.into(), text: text.to_string() });
     }
 
-    /// Adds the error of a result, if it is one.
+    /// Adds a problem if the result is an error.
     fn check_result<T>(&mut self, key: impl Into<String>, result: Result<T, impl fmt::Display>) {
         if let Err(error) = result {
             self.add(key, error);
@@ -86,11 +86,11 @@ impl Report {
     }
 
     /// Checks the settings of sessions.
-    fn check_settings(&mut self, key: &str, settings: &SessionSettings) {
+    fn check_session_settings(&mut self, key: &str, settings: &SessionSettings) {
         if let Err(error) = settings.check() {
             self.add(format!("{key}.{}", error.key), format!("{} {}", error.value, error.problem));
         }
-        // A setting that one of the networks cannot use is reported, even if that network is not configured.
+        // A value that any network refuses is reported, even if the configuration does not use that network.
         for network in NetworkKind::ALL {
             if let Err(error) = network.check_settings(settings) {
                 self.add(format!("{key}.{}", error.key), error.problem);
@@ -155,7 +155,7 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
 /// sensors and actuators query other hosts.
 pub(crate) fn remarks(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     let mut report = Report::default();
-    // A remark and not an error: the folders may get their models later, and nobody may ever request one.
+    // This is a remark and not an error, because the library is needed only when a model of [bank] is requested.
     let folders = ModelFolders::new(config.bank.folders.iter().cloned());
     let has_loadable_model = || folders.list().iter().any(|model| model.card.is_ok());
     if !config.bank.devices.is_empty()
@@ -199,7 +199,7 @@ fn check_serve(report: &mut Report, serve: &ServeConfig, offers_nothing: bool) {
                     set calibration = true, or remove [serve]";
         report.add("serve", text);
     }
-    report.check_settings("serve.session", &serve.session);
+    report.check_session_settings("serve.session", &serve.session);
     for address in serve.listen.as_slice() {
         report.check_result("serve.network", address.check_network(serve.network));
         report.check_result("serve.listen", address.check_usable_on_this_host());
@@ -218,7 +218,7 @@ fn check_listen(report: &mut Report, address: &Address) {
             format!("use {}://0.0.0.0:… for all addresses of this machine", address.scheme());
         let advice = match error.kind() {
             io::ErrorKind::AddrNotAvailable => all_interfaces.as_str(),
-            io::ErrorKind::PermissionDenied => "ports below 1024 need a privilege; choose a higher one",
+            io::ErrorKind::PermissionDenied => "ports below 1024 need a privilege; choose a higher port",
             _ => "check the address",
         };
         report.add("serve.listen", format!("cannot listen on {address}: {error}; {advice}"));
@@ -246,12 +246,14 @@ fn check_pipeline(
     report.check_max(&format!("{prefix}.timeout_ms"), pipeline.timeout_ms.get(), MAX_TIMEOUT_MS);
     // An iteration that times out misses its deadline in any case, so a deadline after the timeout has no effect.
     if let Some(deadline) = pipeline.deadline_ms.filter(|deadline| *deadline > pipeline.timeout_ms) {
-        let text =
-            format!("{deadline} is later than timeout_ms ({}); choose an earlier one", pipeline.timeout_ms);
+        let text = format!(
+            "{deadline} is later than timeout_ms ({}); choose an earlier deadline",
+            pipeline.timeout_ms
+        );
         report.add(format!("{prefix}.deadline_ms"), text);
     }
     if let PlacementConfig::Remote(remote) = &pipeline.placement {
-        report.check_settings(&format!("{prefix}.placement.session"), &remote.session);
+        report.check_session_settings(&format!("{prefix}.placement.session"), &remote.session);
         report.check_result(format!("{prefix}.placement.network"), remote.peer.check_network(remote.network));
         report.check_result(format!("{prefix}.placement.peer"), remote.peer.check_usable_on_this_host());
     }
@@ -265,7 +267,7 @@ fn check_pipeline(
                 format!("this host has {}", names.join(", "))
             }
         };
-        let searched = match model_folders {
+        let searched_folders = match model_folders {
             [] => String::new(),
             folders => {
                 let folders: Vec<String> =
@@ -275,7 +277,7 @@ fn check_pipeline(
         };
         report.add(
             format!("{prefix}.placement.model"),
-            format!("no model is named {model}; {available}{searched}"),
+            format!("no model is named {model}; {available}{searched_folders}"),
         );
     }
     if let Some(hz) = pipeline.load.hz()
@@ -358,8 +360,8 @@ enum FolderError {
 /// Checks that files can be created in a folder, or that the folder can be created if it does not exist.
 fn check_writable(folder: &Path, key: &'static str) -> Result<(), FolderError> {
     // A missing folder is created at the start, so its nearest existing parent must be writable.
-    let existing = folder.ancestors().find(|part| part.exists() || part.as_os_str().is_empty());
-    let existing = existing.filter(|part| !part.as_os_str().is_empty()).unwrap_or_else(|| Path::new("."));
+    let existing = folder.ancestors().find(|folder| folder.exists() || folder.as_os_str().is_empty());
+    let existing = existing.filter(|folder| !folder.as_os_str().is_empty()).unwrap_or_else(|| Path::new("."));
     if !existing.is_dir() {
         return Err(FolderError::NotAFolder { path: existing.to_owned(), key });
     }

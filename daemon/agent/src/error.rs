@@ -12,11 +12,11 @@ use crate::outbox::SpoolError;
 /// Reason why an agent did not start.
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
-    /// The machine's own name is not a valid agent name, and none is configured.
+    /// The machine's own name is not a valid agent name, and no name is configured.
     #[error("{0}; set [agent] name")]
     Name(#[from] InvalidName),
-    /// The operating system refuses the I/O threads.
-    #[error("cannot start the I/O threads: {0}; [agent] io_threads is their number")]
+    /// The operating system refuses to start the I/O threads.
+    #[error("cannot start the I/O threads: {0}; lower their number, [agent] io_threads")]
     Threads(#[source] io::Error),
     /// The host id could not be read or created.
     #[error(transparent)]

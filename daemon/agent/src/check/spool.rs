@@ -8,7 +8,7 @@ use crate::outbox::FileKind;
 
 /// Smallest limit of a spool in bytes: 1 MiB.
 const MIN_LIMIT_BYTES: u64 = 1 << 20;
-/// Largest limit in bytes: 1 TiB.
+/// Largest limit of a spool in bytes: 1 TiB.
 const MAX_LIMIT_BYTES: u64 = 1 << 40;
 /// Longest interval between two syncs: a minute.
 const MAX_SYNC_INTERVAL_MS: u64 = 60_000;
@@ -86,7 +86,7 @@ mod tests {
     fn foreign_file_is_refused_except_at_default_path() {
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");
         let (state, notes) = (folder.path(), folder.path().join("notes.txt"));
-        assert!(problems(state, &notes).is_empty(), "it is made at the start");
+        assert!(problems(state, &notes).is_empty(), "the start creates a missing file");
         for (content, objection) in [("", ""), ("notes", "not a spool"), ("SQLite format 3", "")] {
             std::fs::write(&notes, content).expect("it can be written");
             let problem_texts = problems(state, &notes).join(" ");
@@ -95,9 +95,9 @@ mod tests {
                 "{content:?}: {problem_texts}"
             );
         }
-        let own = state.join("spool.sqlite");
-        std::fs::write(&own, "spoilt by its disk").expect("it can be written");
-        assert!(problems(state, &own).is_empty());
+        let default_file = state.join("spool.sqlite");
+        std::fs::write(&default_file, "spoilt by its disk").expect("it can be written");
+        assert!(problems(state, &default_file).is_empty());
         assert!(problems(state, Path::new("")).join(" ").contains("give a path"));
         assert!(problems(state, state).join(" ").contains("is a folder"));
     }

@@ -16,24 +16,25 @@ use crate::config::{
 const MAX_DRIFT_PPM: f64 = 1000.0;
 /// Largest `clock.window_s`: a day.
 const MAX_WINDOW_S: f64 = 86_400.0;
-/// Upper limit of the other times: an hour.
+/// Largest `clock.fresh_s` and `clock.discipline_interval_s`: an hour.
 const MAX_TIME_S: f64 = 3600.0;
-/// Maximum number of probes per second.
+/// Largest `probes.rate_hz` and `probes.idle_rate_hz`.
 const MAX_RATE_HZ: f64 = 1000.0;
 /// Maximum number of answered probes per second and address.
 const MAX_PER_SOURCE_HZ: u64 = 10_000;
-/// Largest padding of a probe in bytes; with it a probe fits an Ethernet frame in any mode.
+/// Largest padding of a probe in bytes. A probe with this padding fits into one Ethernet frame, with and without
+/// authentication.
 const MAX_PADDING_BYTES: u64 = 1300;
 /// Largest offset or step of a clock fault, in milliseconds: about four months.
 const MAX_FAULT_MS: f64 = 1e10;
 /// Fastest change of the drift that may be configured, in parts per million per second. No oscillator changes so
 /// fast.
 const MAX_DRIFT_CHANGE_PPM_PER_S: f64 = 1_000.0;
-/// Largest drift of a clock fault, in parts per million: a tenth.
+/// Largest drift of a clock fault, in parts per million: 100 ms per second.
 const MAX_FAULT_PPM: f64 = 100_000.0;
-/// Latest time of a step, in seconds after the start: a year.
+/// Latest time of a step of a clock fault, in seconds after the start of the agent: a year.
 const MAX_FAULT_S: f64 = 366.0 * 86_400.0;
-/// Maximum number of steps, because each peer is sent the list.
+/// Maximum number of `clock_fault.steps`. The number is limited because the agent sends all steps to each peer.
 const MAX_FAULT_STEPS: u64 = 1000;
 
 impl Report {
@@ -46,7 +47,7 @@ impl Report {
 
     fn check_positive(&mut self, key: &str, value: f64, max: f64) {
         if !(value > 0.0 && value <= max) {
-            self.add(key, format!("{value} is not above 0 and at most {max}"));
+            self.add(key, format!("{value} is out of range; the value must be above 0 and at most {max}"));
         }
     }
 }
@@ -59,7 +60,7 @@ pub(super) fn check_clock(report: &mut Report, clock: &ClockConfig) {
     report.check_range("clock.fresh_s", clock.fresh_s, 0.1, MAX_TIME_S);
     if clock.fresh_s > clock.window_s {
         let text = format!(
-            "{} s is longer than clock.window_s = {}, for which exchanges are kept",
+            "{} s is longer than clock.window_s = {}, the time for which exchanges are kept; choose a shorter time",
             clock.fresh_s, clock.window_s
         );
         report.add("clock.fresh_s", text);
@@ -83,7 +84,10 @@ pub(super) fn check_clock(report: &mut Report, clock: &ClockConfig) {
     }
     for (index, source) in clock.discipline.iter().enumerate() {
         if clock.discipline[..index].contains(source) {
-            report.add(format!("clock.discipline[{index}]"), "the list contains it twice; remove one");
+            report.add(
+                format!("clock.discipline[{index}]"),
+                "the list contains this source twice; remove one of the two",
+            );
         }
     }
 }
@@ -105,13 +109,16 @@ pub(super) fn check_probes(report: &mut Report, probes: &ProbesConfig, serve: Op
     }
     report.check_max("probes.padding_bytes", probes.padding_bytes.into(), MAX_PADDING_BYTES);
     if probes.max_per_source_hz == 0 {
-        report.add("probes.max_per_source_hz", "0 answers no probes; set reflect = false to do that");
+        report.add(
+            "probes.max_per_source_hz",
+            "with 0 no probe is answered; if you want this, set reflect = false instead",
+        );
     }
     report.check_max("probes.max_per_source_hz", probes.max_per_source_hz.into(), MAX_PER_SOURCE_HZ);
     if !probes.send && !probes.reflectors.is_empty() {
         report.add(
             "probes.reflectors",
-            "no probes are sent to them: remove probes.send = false, or remove the reflectors",
+            "probes.send = false, so no probes are sent to these reflectors; remove probes.send, or remove the reflectors",
         );
     }
     if let Some(path) = &probes.key_file {
@@ -122,8 +129,8 @@ pub(super) fn check_probes(report: &mut Report, probes: &ProbesConfig, serve: Op
     }
 }
 
-/// Checks that this user may open the UDP port. A port in use is not a problem, as for `serve.listen`; an address of
-/// another machine is reported for `serve.listen`.
+/// Checks that this user may open the UDP port. As for `serve.listen`, a port in use is not a problem. An address of
+/// another machine is reported by the check of `serve.listen`.
 fn check_port(report: &mut Report, host: &str, port: u16) {
     if let Err(error) = UdpSocket::bind((host, port))
         && error.kind() == io::ErrorKind::PermissionDenied
@@ -151,7 +158,7 @@ pub(super) fn check_clock_fault(report: &mut Report, clock_fault: &ClockFaultCon
         };
         if let Some(previous) = previous.filter(|previous| !is_in_order(previous)) {
             let text = format!(
-                "{} s is not after the step before, at {} s; put them in the order of time",
+                "{} s is not after the previous step at {} s; sort the steps by time",
                 step.at_s, previous.at_s
             );
             report.add(format!("{prefix}.at_s"), text);
@@ -165,7 +172,7 @@ mod tests {
     use super::super::Report;
     use super::*;
 
-    fn keys(check: impl FnOnce(&mut Report)) -> Vec<String> {
+    fn problem_keys(check: impl FnOnce(&mut Report)) -> Vec<String> {
         let mut report = Report::default();
         check(&mut report);
         report.0.into_iter().map(|problem| problem.key).collect()
@@ -175,56 +182,62 @@ mod tests {
         toml::from_str(table).unwrap_or_else(|error| panic!("{table}: {error}"))
     }
 
-    fn clock(table: &str) -> Vec<String> {
-        keys(|report| check_clock(report, &read(table)))
+    fn problems_of_clock(table: &str) -> Vec<String> {
+        problem_keys(|report| check_clock(report, &read(table)))
     }
 
-    fn probes(table: &str) -> Vec<String> {
-        keys(|report| check_probes(report, &read(table), Some(&ServeConfig::default())))
+    fn problems_of_probes(table: &str) -> Vec<String> {
+        problem_keys(|report| check_probes(report, &read(table), Some(&ServeConfig::default())))
     }
 
-    fn clock_fault(table: &str) -> Vec<String> {
-        keys(|report| check_clock_fault(report, &read(table)))
+    fn problems_of_clock_fault(table: &str) -> Vec<String> {
+        problem_keys(|report| check_clock_fault(report, &read(table)))
     }
 
     #[test]
     fn default_settings_have_no_problems() {
         let nothing: [String; 0] = [];
         assert_eq!(
-            (clock(""), probes(""), clock_fault("")),
+            (problems_of_clock(""), problems_of_probes(""), problems_of_clock_fault("")),
             (nothing.to_vec(), nothing.to_vec(), nothing.to_vec())
         );
     }
 
     #[test]
     fn impossible_limits_are_refused() {
-        assert_eq!(clock("max_drift_ppm = -50"), ["clock.max_drift_ppm"]);
-        assert_eq!(clock("max_drift_ppm = nan"), ["clock.max_drift_ppm"]);
+        assert_eq!(problems_of_clock("max_drift_ppm = -50"), ["clock.max_drift_ppm"]);
+        assert_eq!(problems_of_clock("max_drift_ppm = nan"), ["clock.max_drift_ppm"]);
         let change = "clock.max_drift_change_ppm_per_s";
-        assert_eq!(clock("max_drift_change_ppm_per_s = 0"), [change]);
-        assert_eq!(clock("max_drift_change_ppm_per_s = 1001"), [change]);
-        assert_eq!(clock("window_s = 20\nfresh_s = 30"), ["clock.fresh_s"]);
+        assert_eq!(problems_of_clock("max_drift_change_ppm_per_s = 0"), [change]);
+        assert_eq!(problems_of_clock("max_drift_change_ppm_per_s = 1001"), [change]);
+        assert_eq!(problems_of_clock("window_s = 20\nfresh_s = 30"), ["clock.fresh_s"]);
         assert_eq!(
-            clock("discipline_interval_s = 0\nchronyc = \"\""),
+            problems_of_clock("discipline_interval_s = 0\nchronyc = \"\""),
             ["clock.discipline_interval_s", "clock.chronyc"]
         );
-        assert_eq!(probes("rate_hz = 0\nidle_rate_hz = -1"), ["probes.rate_hz", "probes.idle_rate_hz"]);
-        assert_eq!(probes("rate_hz = 1001"), ["probes.rate_hz"]);
-        assert_eq!(probes("idle_rate_hz = 11"), ["probes.idle_rate_hz"]);
         assert_eq!(
-            probes("padding_bytes = 1301\nmax_per_source_hz = 0"),
+            problems_of_probes("rate_hz = 0\nidle_rate_hz = -1"),
+            ["probes.rate_hz", "probes.idle_rate_hz"]
+        );
+        assert_eq!(problems_of_probes("rate_hz = 1001"), ["probes.rate_hz"]);
+        assert_eq!(problems_of_probes("idle_rate_hz = 11"), ["probes.idle_rate_hz"]);
+        assert_eq!(
+            problems_of_probes("padding_bytes = 1301\nmax_per_source_hz = 0"),
             ["probes.padding_bytes", "probes.max_per_source_hz"]
         );
     }
 
     #[test]
     fn repeated_sources_and_missing_chronyc_are_refused() {
-        assert_eq!(clock("discipline = ['kernel', 'chrony', 'kernel']"), ["clock.discipline[2]"]);
+        assert_eq!(problems_of_clock("discipline = ['kernel', 'chrony', 'kernel']"), ["clock.discipline[2]"]);
         for missing in ["/nowhere/chronyc", "no-such-command-as-this"] {
-            assert_eq!(clock(&format!("chronyc = '{missing}'")), ["clock.chronyc"]);
-            assert!(clock(&format!("chronyc = '{missing}'\ndiscipline = ['kernel']")).is_empty());
+            assert_eq!(problems_of_clock(&format!("chronyc = '{missing}'")), ["clock.chronyc"]);
+            assert!(problems_of_clock(&format!("chronyc = '{missing}'\ndiscipline = ['kernel']")).is_empty());
         }
-        assert!(clock("chronyc = 'sh'").is_empty() && clock("chronyc = '/bin/sh'").is_empty());
+        assert!(
+            problems_of_clock("chronyc = 'sh'").is_empty()
+                && problems_of_clock("chronyc = '/bin/sh'").is_empty()
+        );
     }
 
     #[test]
@@ -233,34 +246,38 @@ mod tests {
         let table = format!("key_file = {:?}", file.path());
         for (content, expected) in [("", 1), ("hello\n", 1), ("00112233445566778899aabbccddeeff\n", 0)] {
             std::fs::write(file.path(), content).expect("it can be written");
-            assert_eq!(probes(&table).len(), expected, "{content:?}");
+            assert_eq!(problems_of_probes(&table).len(), expected, "{content:?}");
         }
-        assert_eq!(probes("key_file = \"/nowhere/key\""), ["probes.key_file"]);
+        assert_eq!(problems_of_probes("key_file = \"/nowhere/key\""), ["probes.key_file"]);
     }
 
     #[test]
-    fn reflectors_of_host_without_probes_are_refused() {
-        let named = "reflectors = { cloud = 'udp://[::1]' }\n";
-        assert!(probes(named).is_empty());
-        assert_eq!(probes(&format!("{named}send = false")), ["probes.reflectors"]);
+    fn reflectors_are_refused_if_no_probes_are_sent() {
+        let reflector = "reflectors = { cloud = 'udp://[::1]' }\n";
+        assert!(problems_of_probes(reflector).is_empty());
+        assert_eq!(problems_of_probes(&format!("{reflector}send = false")), ["probes.reflectors"]);
     }
 
     #[test]
-    fn steps_out_of_order_are_refused() {
+    fn clock_fault_steps_out_of_order_are_refused() {
         let steps = |first: &str, second: &str| {
             format!("steps = [{{ at_s = {first}, by_ms = 3000 }}, {{ at_s = {second}, by_ms = -3000 }}]")
         };
-        assert!(clock_fault(&steps("10", "20")).is_empty());
-        assert_eq!(clock_fault(&steps("20", "10")), ["clock_fault.steps[1].at_s"]);
-        assert_eq!(clock_fault(&steps("-1", "10")), ["clock_fault.steps[0].at_s"]);
-        assert_eq!(clock_fault(&steps("10", "10")), ["clock_fault.steps[1].at_s"]);
-        let both = "steps = [{ at_s = 10, by_ms = 39 }, { at_s = 10, by_ms = 39, clock = \"raw\" }]";
-        assert!(clock_fault(both).is_empty());
-        let many: Vec<String> =
-            (1..=1001).map(|prefix| format!("{{ at_s = {prefix}, by_ms = 1 }}")).collect();
-        assert_eq!(clock_fault(&format!("steps = [{}]", many.join(", "))), ["clock_fault.steps"]);
+        assert!(problems_of_clock_fault(&steps("10", "20")).is_empty());
+        assert_eq!(problems_of_clock_fault(&steps("20", "10")), ["clock_fault.steps[1].at_s"]);
+        assert_eq!(problems_of_clock_fault(&steps("-1", "10")), ["clock_fault.steps[0].at_s"]);
+        assert_eq!(problems_of_clock_fault(&steps("10", "10")), ["clock_fault.steps[1].at_s"]);
+        let steps_of_both_clocks =
+            "steps = [{ at_s = 10, by_ms = 39 }, { at_s = 10, by_ms = 39, clock = \"raw\" }]";
+        assert!(problems_of_clock_fault(steps_of_both_clocks).is_empty());
+        let too_many: Vec<String> =
+            (1..=1001).map(|seconds| format!("{{ at_s = {seconds}, by_ms = 1 }}")).collect();
         assert_eq!(
-            clock_fault("offset_ms = inf\ndrift_ppm = nan"),
+            problems_of_clock_fault(&format!("steps = [{}]", too_many.join(", "))),
+            ["clock_fault.steps"]
+        );
+        assert_eq!(
+            problems_of_clock_fault("offset_ms = inf\ndrift_ppm = nan"),
             ["clock_fault.offset_ms", "clock_fault.drift_ppm"]
         );
     }

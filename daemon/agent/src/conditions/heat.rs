@@ -9,15 +9,16 @@ use super::{Finding, InspectionSettings};
 
 const ABOUT: &str = "thermal throttling";
 const COOLING_ADVICE: &str = "cool the host or lower its load, wait, and repeat the run";
-const OBSERVING_ADVICE: &str = "check whether it is throttled during the run as well: compare the halves of the run, and \
+const OBSERVING_ADVICE: &str = "compare the halves of the run to find out whether the host is throttled during the run as well, and \
                                 improve the cooling";
 /// Distance below a trip point within which a temperature counts as near it, °C.
 const TRIP_POINT_MARGIN_CELSIUS: f64 = 5.0;
-/// Prefixes of the types of cooling devices that slow down processors: x86, Arm, Jetson.
+/// Prefixes of the types of cooling devices that slow down processors or GPUs, on x86, Arm and Jetson.
 const THROTTLING_DEVICES: [&str; 6] =
     ["Processor", "cpufreq", "thermal-cpufreq", "gpu", "devfreq", "intel_powerclamp"];
 
-/// Grades all signs of throttling: active now is bad, earlier since the start of the host is doubtful.
+/// Grades all signs of throttling. Throttling that is active now is bad; earlier throttling since the start of the host is
+/// doubtful.
 pub(super) fn throttling(settings: &InspectionSettings) -> Vec<Finding> {
     let sys = &settings.sys;
     let mut has_source = false;
@@ -32,7 +33,7 @@ pub(super) fn throttling(settings: &InspectionSettings) -> Vec<Finding> {
         (false, _) => findings,
         (true, true) => vec![Finding::good(ABOUT, "none, neither now nor since the host was started")],
         (true, false) => {
-            vec![Finding::unknown(ABOUT, "the kernel does not report it (usual in virtual machines)")]
+            vec![Finding::unknown(ABOUT, "the kernel does not report throttling (usual in virtual machines)")]
         }
     }
 }
@@ -114,7 +115,8 @@ fn firmware_flags(sys: &Path) -> Option<Vec<Finding>> {
     })
 }
 
-/// Reads the counters since the host was started: on Intel per core and package, on Tegra of over-current events.
+/// Reads the counters of throttling events since the start of the host: on Intel one per core and one per package, on
+/// Tegra the counters of over-current events.
 fn throttle_counters(sys: &Path) -> Option<Vec<Finding>> {
     let cores = processors(sys).into_iter().map(|processor| processor.join("thermal_throttle"));
     let counters = cores
@@ -123,6 +125,7 @@ fn throttle_counters(sys: &Path) -> Option<Vec<Finding>> {
         list_entries(&folder, "oc").into_iter().filter(|path| path.to_string_lossy().ends_with("_event_cnt"))
     });
     let counts: Vec<u64> = counters.chain(board_counters).filter_map(|path| read_value(&path)).collect();
+    // Each core of a package repeats the counter of the package, so a sum would count events several times.
     let count = counts.into_iter().max()?;
     let text = || format!("the processor was throttled {count} times since the host was started");
     Some(if count == 0 {

@@ -10,13 +10,13 @@ use super::{Finding, InspectionSettings};
 
 /// Pause between two counts of the threads.
 const COUNT_INTERVAL: Duration = Duration::from_millis(8);
-/// Lowest doubtful number of other runnable threads per processor: the run is disturbed at times.
+/// Number of other runnable threads per processor from which the grade is doubtful: they disturb the run at times.
 const COMPETING_DOUBTFUL: f64 = 0.25;
-/// Lowest bad number of other runnable threads per processor: the run shares every processor.
+/// Number of other runnable threads per processor from which the grade is bad: the run shares every processor.
 const COMPETING_BAD: f64 = 1.0;
-/// Lowest doubtful share of steal time since the start of the host.
+/// Share of steal time since the start of the host from which the grade is doubtful.
 const STEAL_DOUBTFUL: f64 = 0.01;
-/// Lowest bad share of steal time since the start of the host.
+/// Share of steal time since the start of the host from which the grade is bad.
 const STEAL_BAD: f64 = 0.05;
 
 /// Grades the number of runnable threads of other processes: the mean of a few counts (proc_loadavg(5)).
@@ -43,8 +43,8 @@ pub(super) fn competing_threads(settings: &InspectionSettings) -> Finding {
     let found = format!("{other_threads:.1} other threads are runnable, on {cores:.0} processors{pressure}");
     let advice = "stop the other programs on this host, which `top` lists, and repeat the run";
     match other_threads / cores {
-        share if share >= COMPETING_BAD => Finding::graded(ABOUT, Grade::Bad, found, advice),
-        share if share >= COMPETING_DOUBTFUL => Finding::graded(ABOUT, Grade::Doubtful, found, advice),
+        per_core if per_core >= COMPETING_BAD => Finding::graded(ABOUT, Grade::Bad, found, advice),
+        per_core if per_core >= COMPETING_DOUBTFUL => Finding::graded(ABOUT, Grade::Doubtful, found, advice),
         _ => Finding::good(ABOUT, found),
     }
 }
@@ -55,8 +55,7 @@ fn runnable_threads(settings: &InspectionSettings) -> Option<u32> {
     averages.split_ascii_whitespace().nth(3)?.split_once('/')?.0.parse().ok()
 }
 
-/// Returns the number of runnable threads of this process (proc_pid_stat(5): the state is the field after the name in
-/// parentheses).
+/// Returns the number of runnable threads of this process (proc_pid_stat(5)).
 fn own_threads(settings: &InspectionSettings) -> u32 {
     let threads = list_entries(&settings.proc.join("self/task"), "").into_iter();
     let is_runnable = |path: &std::path::PathBuf| {
@@ -78,11 +77,12 @@ fn pressure(settings: &InspectionSettings) -> Option<f64> {
 }
 
 /// Grades the CPU quota of a container (cgroup v2, `cpu.max`). When the quota is used up, the kernel stops the process
-/// until the next period, which looks like a slow model.
+/// until the next period, which looks like a slow model. `None` without a quota.
 pub(super) fn cpu_quota(settings: &InspectionSettings) -> Option<Finding> {
     let cgroups = read_text(&settings.proc.join("self/cgroup"))?;
     let path = cgroups.lines().find_map(|line| line.strip_prefix("0::"))?.trim_start_matches('/').to_owned();
     let max = read_text(&settings.sys.join("fs/cgroup").join(path).join("cpu.max"))?;
+    // Without a quota the file contains `max 100000`, and parsing `max` as a number fails.
     let (quota, period) = max.split_once(' ')?;
     let (quota, period): (f64, f64) = (quota.parse().ok()?, period.parse().ok()?);
     (period > 0.0).then(|| {
@@ -95,7 +95,7 @@ pub(super) fn cpu_quota(settings: &InspectionSettings) -> Option<Finding> {
                 quota / period,
                 period / 1e3
             ),
-            "run it without a CPU limit",
+            "run the agent without a CPU limit",
         )
     })
 }

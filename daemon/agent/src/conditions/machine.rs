@@ -7,9 +7,9 @@ use std::path::Path;
 use super::files::{list_entries, read_text};
 use super::{Finding, InspectionSettings};
 
-/// Names in the control groups of a container's processes. They are visible if the container shares the host's
-/// namespace of control groups.
-const GROUPS: [&str; 5] = ["docker", "kubepods", "libpod", "lxc", "containerd"];
+/// Names of container managers in the paths of control groups. A container's process sees them if the container shares
+/// the host's namespace of control groups.
+const CGROUP_MANAGERS: [&str; 5] = ["docker", "kubepods", "libpod", "lxc", "containerd"];
 
 /// Marker files that container managers create in the root of each container, with the name of the manager.
 const MARKERS: [(&str, &str); 2] = [(".dockerenv", "docker"), ("run/.containerenv", "podman")];
@@ -58,8 +58,8 @@ pub(super) fn machine_kind(settings: &InspectionSettings) -> Finding {
     }
 }
 
-/// Returns the names of the vendor and the product that the firmware reports; names that it does not report are left
-/// out.
+/// Returns the names of the vendor and the product that the firmware reports; names that the firmware does not
+/// report are left out.
 fn products(sys: &Path) -> Vec<String> {
     let read_name =
         |name: &str| read_text(&sys.join("class/dmi/id").join(name)).filter(|text| !text.is_empty());
@@ -82,7 +82,8 @@ fn is_virtual(settings: &InspectionSettings, products: &[String]) -> Option<bool
     (is_bare_metal || signs.contains(&Some(false))).then_some(false)
 }
 
-/// Returns whether the processor has the flag of a virtual one; `None` on ARM, which has no such flag.
+/// Returns whether the processor has the flag `hypervisor`, which marks the processor of a virtual machine; `None` on ARM,
+/// which has no such flag.
 fn processor_flag(proc: &Path) -> Option<bool> {
     let info = read_text(&proc.join("cpuinfo"))?;
     let flags = info.lines().find(|line| line.starts_with("flags"))?;
@@ -109,17 +110,21 @@ fn container(settings: &InspectionSettings) -> Option<String> {
     stated_manager.or_else(manager_by_marker).or_else(|| {
         let groups = read_text(&settings.proc.join("self/cgroup"))?;
         // `0::/system.slice/docker-1f0c.scope`
-        let parts = groups.lines().filter_map(|line| line.splitn(3, ':').nth(2));
-        let mut parts = parts.flat_map(|path| path.split('/'));
-        parts.find_map(|part| GROUPS.into_iter().find(|name| is_of_container(part, name))).map(str::to_owned)
+        let paths = groups.lines().filter_map(|line| line.splitn(3, ':').nth(2));
+        let mut components = paths.flat_map(|path| path.split('/'));
+        components
+            .find_map(|component| CGROUP_MANAGERS.into_iter().find(|name| is_container_of(name, component)))
+            .map(str::to_owned)
     })
 }
 
-/// Returns whether a part of a control group's path is a container of a manager, and not a service of the host such
-/// as `docker.service`.
-fn is_of_container(part: &str, manager: &str) -> bool {
-    let Some(rest) = part.strip_prefix("cri-").unwrap_or(part).strip_prefix(manager) else { return false };
+/// Returns whether a component of a control group's path is a container of a manager, and not a service of the host
+/// such as `docker.service`.
+fn is_container_of(manager: &str, component: &str) -> bool {
+    let Some(rest) = component.strip_prefix("cri-").unwrap_or(component).strip_prefix(manager) else {
+        return false;
+    };
     let starts_with = |ending: &str| rest.starts_with(ending);
-    !part.ends_with(".service")
+    !component.ends_with(".service")
         && (rest.is_empty() || ["-", ".slice", ".payload"].into_iter().any(starts_with))
 }

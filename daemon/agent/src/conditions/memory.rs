@@ -5,7 +5,7 @@ use peernet_stream::Grade;
 use super::files::{number_after_key, read_text};
 use super::{Finding, InspectionSettings};
 
-/// Lowest doubtful amount of swap in use, as a share of the memory's size. A small share is normal, because unused
+/// Swap in use from which the grade is doubtful, as a share of the size of the memory. A small share is normal, because unused
 /// pages are swapped out.
 const DOUBTFUL_SHARE: f64 = 0.05;
 

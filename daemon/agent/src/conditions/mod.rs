@@ -22,10 +22,10 @@ use peernet_stream::{Condition, Grade};
 
 use crate::config::AgentConfig;
 
-/// Longest time that a run waits for the conditions of its host.
+/// Longest time that the start of a run waits for the inspection of its host.
 const TIMEOUT: Duration = Duration::from_millis(500);
 
-/// Settings of an inspection: the roots and folders that are inspected, so that tests can use other trees.
+/// Settings of an inspection. The roots are configurable, so that tests can inspect other file trees.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct InspectionSettings {
     /// Root of sysfs.

@@ -104,7 +104,7 @@ fn throttled_jetson_is_reported() {
 }
 
 #[test]
-fn zone_grade_is_distance_to_passive_trip_point() {
+fn zone_is_graded_by_distance_to_passive_trip_point() {
     let host_files = HostFiles::new();
     host_files.write_file("sys/class/thermal/thermal_zone0/type", "CPU-therm");
     host_files.write_file("sys/class/thermal/thermal_zone0/trip_point_0_type", "critical");
@@ -183,7 +183,7 @@ fn stolen_time_and_cpu_quota_are_reported() {
     assert!(host_files.only_finding_about("machine").1.contains("container (docker)"));
     host_files.write_file("proc/stat", "cpu  600 0 300 80 0 0 0 20 500 0");
     host_files.write_file("sys/fs/cgroup/system.slice/docker-1.scope/cpu.max", "150000 100000");
-    assert_eq!(host_files.only_finding_about("stolen time").0, Grade::Doubtful, "2 %");
+    assert_eq!(host_files.only_finding_about("stolen time").0, Grade::Doubtful, "2 % of the time was stolen");
     let (grade, finding) = host_files.only_finding_about("CPU quota");
     assert_eq!((grade, finding.contains("1.50 processors")), (Grade::Doubtful, true), "{finding}");
 }
@@ -264,7 +264,8 @@ fn missing_folder_is_inspected_on_its_future_disk() {
     let mut settings = host_files.settings();
     settings.folders = vec![("results".to_owned(), host_files.0.path().join("not/yet/there"))];
     let findings = inspect_host(&settings, "robot");
-    let disk = findings.iter().find(|condition| condition.about == "free disk").expect("looked at");
+    let disk =
+        findings.iter().find(|condition| condition.about == "free disk").expect("the folder is inspected");
     assert!(disk.found.contains("GiB for the results"), "{disk:?}");
     assert!(disk.grade != Grade::Unknown, "{disk:?}");
 }
@@ -281,11 +282,11 @@ fn install_iw(host_files: &HostFiles, output: &str) {
     fs::rename(new_file, path).expect("moved");
 }
 
-/// Adds a network interface; `kind` is the folder that marks a wireless interface, if it is one.
-fn add_interface(host_files: &HostFiles, name: &str, kind: Option<&str>, state: &str) {
+/// Adds a network interface; `marker` is the folder that marks a wireless interface, `None` for a wired interface.
+fn add_interface(host_files: &HostFiles, name: &str, marker: Option<&str>, state: &str) {
     host_files.write_file(&format!("sys/class/net/{name}/operstate"), state);
-    if let Some(kind) = kind {
-        fs::create_dir_all(host_files.0.path().join(Path::new("sys/class/net").join(name).join(kind)))
+    if let Some(marker) = marker {
+        fs::create_dir_all(host_files.0.path().join(Path::new("sys/class/net").join(name).join(marker)))
             .expect("made");
     }
 }
@@ -306,8 +307,10 @@ fn only_active_wireless_interfaces_are_queried() {
         let (grade, finding) = host_files.only_finding_about("Wi-Fi power save");
         assert!(grade == expected && finding.contains("wlan0"), "{output}: {grade:?} {finding}");
     }
-    let local = InspectionSettings { network: false, ..host_files.settings() };
-    assert!(inspect_host(&local, "robot").iter().all(|condition| condition.about != "Wi-Fi power save"));
+    let without_network = InspectionSettings { network: false, ..host_files.settings() };
+    assert!(
+        inspect_host(&without_network, "robot").iter().all(|condition| condition.about != "Wi-Fi power save")
+    );
 }
 
 #[tokio::test]

@@ -14,7 +14,7 @@ const ABOUT: &str = "Wi-Fi power save";
 /// Checks the power save of each wireless interface that is up. An interface in power save wakes for each beacon,
 /// about every 102 ms, and packets that arrive between beacons wait at the access point (IEEE 802.11-2020, 11.2).
 ///
-/// The state is available only through nl80211, which `iw` queries. Without `iw` it is unknown.
+/// The state is available only through nl80211, which `iw` queries. Without `iw` the state is unknown.
 pub(super) fn power_save(settings: &InspectionSettings) -> Vec<Finding> {
     let is_up = |path: &std::path::PathBuf| read_text(&path.join("operstate")).as_deref() == Some("up");
     let interfaces = list_entries(&settings.sys.join("class/net"), "")
@@ -42,15 +42,15 @@ fn inspect_interface(settings: &InspectionSettings, interface: &Path) -> Finding
     }
 }
 
-/// Returns the line that `iw` prints; `None` if it cannot be run or fails.
+/// Returns the line that `iw` prints; `None` if `iw` cannot be run or fails.
 fn query_power_save(iw: &Path, interface: &str) -> Option<String> {
-    let iw_output = Command::new(iw)
+    let output = Command::new(iw)
         .args(["dev", interface, "get", "power_save"])
         .stdin(Stdio::null())
         .stderr(Stdio::null())
         .output()
         .ok()
         .filter(|output| output.status.success())?;
-    let text = String::from_utf8_lossy(&iw_output.stdout);
+    let text = String::from_utf8_lossy(&output.stdout);
     text.lines().next().map(|line| line.trim().to_owned())
 }

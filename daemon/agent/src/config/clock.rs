@@ -15,11 +15,11 @@ pub struct ClockConfig {
     /// Fastest change of this drift, parts per million per second, above 0 and at most 1000. Where both clocks run
     /// freely, the intervals of delays hold while the real change is slower. Default: 1.
     pub max_drift_change_ppm_per_s: f64,
-    /// Time for which an exchange with a peer bounds delays before and after it; the newest eight exchanges bound them
-    /// at any distance. Seconds, 10 to 86400. Default: 10.
+    /// Longest time between an exchange with a peer and a delay that the exchange bounds. The newest eight exchanges
+    /// bound all delays, however far away in time. Seconds, 10 to 86400. Default: 10.
     pub window_s: f64,
-    /// Longest time between a delay and the nearest other exchange; beyond it the delay is `stale`. Seconds, 0.1 to
-    /// 3600, at most `window_s`. Default: 10.
+    /// Longest time between a delay and the nearest exchange of another message. A delay without such an exchange is
+    /// `stale`. Seconds, 0.1 to 3600, at most `window_s`. Default: 10.
     pub fresh_s: f64,
     /// `true` if the claims of both hosts' time daemons narrow the intervals of delays. Default: `false`.
     pub trust_time_daemons: bool,
@@ -76,10 +76,10 @@ impl ClockConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Timestamps {
-    /// The kernel, if it supports them.
+    /// The kernel, if it supports time stamps of packets.
     #[default]
     Kernel,
-    /// The program alone; needed where a process runs under libfaketime, which does not change the kernel's stamps.
+    /// The program, which reads its own clock; needed where a process runs under libfaketime, which does not change the kernel's stamps.
     User,
 }
 

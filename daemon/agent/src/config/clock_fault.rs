@@ -3,7 +3,8 @@
 use peernet_clock::{ClockFaultStep, ClockFaults, Span, SteppedClock, WallTime};
 use serde::{Deserialize, Serialize};
 
-/// `[clock_fault]`: faults that are injected into the clocks, to check that they do not change the reported delays.
+/// `[clock_fault]`: faults that are injected into the clocks, to check that clock faults do not change the reported
+/// delays.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ClockFaultConfig {
@@ -27,8 +28,8 @@ pub struct ClockFaultStepConfig {
     pub at_s: f64,
     /// Size of the step in milliseconds; positive is forward.
     pub by_ms: f64,
-    /// Clock that is stepped: `wall`, which the agent notices at once, or `raw`, the free-running clock, which
-    /// nothing on the host notices. Default: `wall`.
+    /// Clock that is stepped: `wall`, whose steps the agent notices at once, or `raw`, the free-running clock, whose
+    /// steps nothing on the host notices. Default: `wall`.
     #[serde(default, skip_serializing_if = "SteppedClock::is_wall")]
     pub clock: SteppedClock,
 }
@@ -40,7 +41,7 @@ pub enum ClaimPolicy {
     /// No claim, like a host without a time daemon.
     #[default]
     None,
-    /// The exact error, ± 1 µs and the drift until the next claim, like a perfect time daemon.
+    /// The exact error with an uncertainty of 1 µs plus the drift until the next claim, like a perfect time daemon.
     Exact,
     /// The claim of the real clock's daemon, as if the daemon did not know of the fault.
     Unaware,
@@ -81,7 +82,7 @@ mod tests {
         let description = config.description(since);
         let ten_seconds = Span::from_seconds(10);
         assert_eq!(description.wall_error_at(since + ten_seconds), Span::from_micros(1_000_000 - 505));
-        let after = Span::from_micros(1_000_000 - 3_000_000 - 1010);
-        assert_eq!(description.wall_error_at(since + ten_seconds + ten_seconds), after);
+        let error_after_step = Span::from_micros(1_000_000 - 3_000_000 - 1010);
+        assert_eq!(description.wall_error_at(since + ten_seconds + ten_seconds), error_after_step);
     }
 }

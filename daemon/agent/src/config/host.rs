@@ -25,8 +25,8 @@ pub struct HostConfig {
     #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "event_stream_address")]
     pub aggregator: Option<Address>,
     /// Name of the clock that this agent reads. Agents of one machine with equal names can prove that they read the
-    /// same clock; one-way delays between them are then exact. Under another name peers treat it as a separate clock,
-    /// for tests and clock fault injection. Default: `system`.
+    /// same clock; one-way delays between them are then exact. Peers treat a clock with another name as a separate
+    /// clock, for tests and clock fault injection. Default: `system`.
     pub clock_identity: String,
     /// Number of threads that send and receive samples, for all pipelines and peers together; sensors and models have
     /// separate threads. One thread carries some gigabytes per second. Where one thread suffices, more threads only add
@@ -36,7 +36,8 @@ pub struct HostConfig {
     /// the spool's disk is slow, full or failing. Beyond this number the newest events are dropped, counted and
     /// reported as a gap. At most 10000000. Default: 50000.
     pub queue_events: NonZeroUsize,
-    /// Maximum number of bytes of the events that wait in memory; beyond it the newest events are dropped, too. At most
+    /// Maximum number of bytes of the events that wait in memory; beyond this number the newest events are dropped,
+    /// too. At most
     /// 16 GiB. Default: 33554432 (32 MiB).
     pub queue_bytes: NonZeroUsize,
     /// Maximum number of nodes per batch; up to 1000000. Default: 8192.
@@ -47,7 +48,7 @@ pub struct HostConfig {
     /// Longest time that the first event of a batch waits for further events; milliseconds, up to a minute. Default:
     /// 200.
     pub batch_delay_ms: u32,
-    /// Longest time for stopping, for iterations in flight and unsent events together; milliseconds, up to a minute.
+    /// Longest time that stopping takes, for iterations in flight and unsent events together; milliseconds, up to a minute.
     /// Events that the aggregator does not acknowledge in time stay in the spool. Default: 5000.
     pub stop_timeout_ms: u64,
 }

@@ -25,7 +25,7 @@ pub enum ListenAddressesError {
     TooMany(usize),
     /// An address occurs twice. An address with port 0 may occur twice, because it stands for a different free port
     /// each time.
-    #[error("the list contains {0} twice; remove one of them")]
+    #[error("the list contains {0} twice; remove one of the two")]
     Twice(Address),
 }
 
@@ -80,15 +80,15 @@ impl Serialize for ListenAddresses {
 
 impl<'de> Deserialize<'de> for ListenAddresses {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_any(OneOrSeveral)
+        deserializer.deserialize_any(ListenAddressesVisitor)
     }
 }
 
 /// Visitor that reads an address or a list.
 // An untagged enum would be shorter, but its error would not say what is wrong with an address.
-struct OneOrSeveral;
+struct ListenAddressesVisitor;
 
-impl<'de> Visitor<'de> for OneOrSeveral {
+impl<'de> Visitor<'de> for ListenAddressesVisitor {
     type Value = ListenAddresses;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -129,16 +129,16 @@ mod tests {
     }
 
     #[test]
-    fn wrong_lists_are_refused_with_the_reason() {
-        let many: Vec<String> = (1..=17).map(|port| format!("tcp://a:{port}")).collect();
-        let wrong: [(Value, &str); 5] = [
+    fn invalid_lists_are_refused_with_reason() {
+        let too_many: Vec<String> = (1..=17).map(|port| format!("tcp://a:{port}")).collect();
+        let invalid: [(Value, &str); 5] = [
             (json!([]), "the list is empty"),
             (json!(["tcp://a:1", "tcp://b:1", "tcp://a:1"]), "the list contains tcp://a:1 twice"),
-            (json!(many), "17 addresses are too many; at most 16"),
+            (json!(too_many), "17 addresses are too many; at most 16"),
             (json!(["tcp://a:1", "a:1"]), "\"a:1\" is not an address: the scheme is missing"),
             (json!(5551), "expected an address or a list of addresses"),
         ];
-        for (value, expected) in wrong {
+        for (value, expected) in invalid {
             let error = from_value::<ListenAddresses>(value).expect_err(expected).to_string();
             assert!(error.contains(expected), "{error}");
         }

@@ -44,7 +44,7 @@ pub struct AgentConfig {
     /// `[probes]`: small packets from which the relation of two hosts' clocks is estimated.
     #[serde(default)]
     pub probes: ProbesConfig,
-    /// `[clock_fault]`: clock faults on purpose: in the wall clock, and by drift or a step in the free-running clock.
+    /// `[clock_fault]`: faults that are injected into the wall clock and the free-running clock, for tests.
     #[serde(default, alias = "rehearsal", skip_serializing_if = "Option::is_none")]
     pub clock_fault: Option<ClockFaultConfig>,
     /// `[serve]`: addresses at which this host serves its models to peers; without it the host does not serve.

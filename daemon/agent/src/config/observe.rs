@@ -21,9 +21,9 @@ pub struct ObserveConfig {
     /// Rule by which an output message is assigned to its input message. Default: `stamp`.
     #[serde(default)]
     pub pair_by: PairBy,
-    /// Address in `[serve] listen` of another agent, on the host where the observed nodes compute, which observes the
-    /// same messages there: `tcp://host:port`. With it `upload`, `inference` and `download` are recorded separately.
-    /// Default: none.
+    /// Address in `[serve] listen` of another agent, `tcp://host:port`. That agent runs on the host where the observed
+    /// nodes compute, and observes the same messages there. With this key `upload`, `inference` and `download` are
+    /// recorded separately. Default: none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub peer: Option<Address>,
     /// Name of the pipeline of the agent at `peer`. Default: the name of this pipeline.
@@ -72,8 +72,8 @@ impl ObserveConfig {
     /// Returns the version of ROS that is observed. `variable` looks up an environment variable.
     ///
     /// # Errors
-    /// When the version is unknown or not in this build, or when messages are paired by sequence number and the version
-    /// has none.
+    /// When the version is unknown or not in this build, or when messages are paired by sequence number and messages of
+    /// this version have none.
     pub fn resolve_version(
         &self,
         variable: impl Fn(&str) -> Option<String>,
@@ -157,7 +157,8 @@ mod tests {
 
     #[test]
     fn sequence_numbers_are_refused_in_ros_2() {
-        let error = config(PairBy::Sequence).resolve_version(|_| None).expect_err("there are none");
+        let error =
+            config(PairBy::Sequence).resolve_version(|_| None).expect_err("ROS 2 has no sequence numbers");
         assert_eq!(error.key(), "pair_by");
         for part in ["no sequence number", "pair_by = \"stamp\"", "\"order\""] {
             assert!(error.to_string().contains(part), "{error}");

@@ -33,7 +33,7 @@ pub struct PipelineConfig {
     #[serde(default)]
     pub load: LoadConfig,
     /// Maximum number of iterations in flight; with `mode = "closed"` it is always one. The same number of further
-    /// starts may wait; if one more is due, the oldest waiting one is skipped and counted (`skipped-starts`). At most
+    /// starts may wait. If one more start becomes due, the oldest waiting start is skipped and counted (`skipped-starts`). At most
     /// 4096. Default: 4.
     #[serde(default = "default_max_in_flight")]
     pub max_in_flight: NonZeroUsize,
@@ -61,7 +61,7 @@ pub struct PipelineConfig {
     /// Whether the pipeline starts with the agent. Default: `boot`.
     #[serde(default)]
     pub start: StartMode,
-    /// Place of the pipeline in an experiment; set by `peernet run`.
+    /// Position of the pipeline in an experiment; set by `peernet run`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub experiment: Option<ExperimentPosition>,
 }
@@ -90,7 +90,7 @@ pub enum PlacementConfig {
     },
     /// A model of a peer, over a network.
     Remote(Box<RemoteConfig>),
-    /// No model: only the sensor and its transforms run, without answers. The check refuses an actuator then.
+    /// No model: only the sensor and its transforms run, without answers. The check of the configuration refuses an actuator with it.
     // serde refuses unknown keys of a variant with braces, and ignores unknown keys of a variant without braces.
     None {},
     /// A running ROS system that is only observed.
@@ -135,7 +135,7 @@ pub enum LoadConfig {
     /// Each iteration starts after the previous one was answered.
     // With braces for the same reason as `PlacementConfig::None`.
     Closed {},
-    /// Iterations start at a fixed rate, whether or not earlier ones are complete. Latency counts from the intended
+    /// Iterations start at a fixed rate, whether or not earlier iterations are complete. Latency counts from the intended
     /// start.
     Rate {
         /// Starts per second: at least one a year, at most 100,000.
@@ -211,7 +211,7 @@ pub struct Limit {
     /// Number of episodes, including those of the warm-up; needs `episode_steps`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub episodes: Option<NonZeroU32>,
-    /// Seconds after the start of the first iteration that is not warm-up.
+    /// Duration in seconds, from the start of the first iteration that is not warm-up.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub duration_s: Option<f64>,
 }

@@ -18,8 +18,8 @@ pub struct ReflectorAddress {
 /// Error for a text that is not the address of a reflector.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{0:?} is not the address of a reflector; write udp://HOST or udp://HOST:PORT, an IPv6 address in brackets, with a port \
-     from 1 to 65535"
+    "{0:?} is not the address of a reflector; write udp://HOST or udp://HOST:PORT, with an IPv6 address in brackets and a \
+     port from 1 to 65535"
 )]
 pub struct ReflectorAddressError(String);
 

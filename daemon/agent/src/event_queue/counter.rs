@@ -1,12 +1,12 @@
 //! Counts the queued events in a file that survives a kill of the process.
 //!
-//! An event is only in the memory of this process from the time it is queued until its batch is in the spool. To count
-//! the events that a kill loses, each event is counted by run, before it is queued, in a file in shared memory. With
-//! each batch the spool stores the number of counted events that it accounts for. The next process reports the
-//! difference as a gap (`outbox/spool/killed_process.rs`).
+//! From the time an event is queued until its batch is in the spool, only the memory of this process contains the event.
+//! To count the events that a kill loses, each event is counted before it is queued, in a file in shared memory. The
+//! file has one count for each run. With each batch the spool stores how many of the counted events it accounts for. The
+//! next process reports the difference as a gap (`outbox/spool/killed_process.rs`).
 //!
 //! The file is in `/dev/shm`, because a write to a disk can wait for that disk, which would disturb the measurements.
-//! It is written and not mapped, so that a failed write is an error and does not end the process. After a restart of
+//! The file is written and not mapped, because a failed write to a mapping would end the process. After a restart of
 //! the machine the file is gone, and no gap is reported.
 //!
 //! The file contains the identity of its spool, and the counting process holds a lock on the file. So a copy of the
@@ -50,13 +50,13 @@ const MAGIC_WITHOUT_OWNER: &[u8; 8] = b"PNcount2";
 /// Length in bytes of the header, and of each of the run records after it. No record crosses the border of a page.
 // A record with the longest name (64 bytes) takes 105 bytes. A page is a multiple of the next power of two.
 const RECORD_BYTES: usize = 128;
-/// Offset of the total in the header.
+/// Offset of the total number of events in the header.
 const TOTAL_OFFSET: u64 = 8;
 // A record contains: total number of events, time of the last event, number of the run's events (8 bytes each), run id,
 // length of the pipeline's name, and the name.
 const NUMBERS_BYTES: usize = 24;
 const NAME_OFFSET: usize = NUMBERS_BYTES + 16;
-/// Offset of the slots for batches that were sent without being in the spool. The batch's number selects the slot. Each
+/// Offset of the slots for batches that were sent without being in the spool. The number of a batch selects the slot. Each
 /// slot has five numbers: the process, the number of the batch, and three counts up to and including the batch.
 const SENT_OFFSET: usize = RECORD_BYTES * (1 + MAX_COUNTED_RUNS);
 const SENT_RECORD_BYTES: usize = 40;
@@ -64,18 +64,18 @@ const SENT_RECORD_BYTES: usize = 40;
 const OWNER_OFFSET: usize = SENT_OFFSET + SENT_RECORD_BYTES * MAX_SENT_UNSPOOLED;
 const FILE_BYTES: usize = OWNER_OFFSET + OWNER_BYTES;
 
-/// Counter of queued events. Clones share it; without a file nothing is counted.
+/// Counter of queued events. Clones share the counter; without a file nothing is counted.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct EventCounter(Option<Arc<Mutex<CountFile>>>);
 
-/// An open file of counts, and the counts in it.
+/// An open file of counts, and the counts in the file.
 #[derive(Debug)]
 struct CountFile {
     file: File,
     name: String,
-    /// Number of all events.
+    /// Number of all counted events, with and without a run.
     total: u64,
-    /// Index of the record and number of events of each run in progress.
+    /// For each run with a record: the index of the record and the number of the run's events.
     runs: BTreeMap<RunId, (usize, u64)>,
     /// Indices of the unused records.
     unused_records: Vec<usize>,
@@ -164,12 +164,12 @@ impl EventCounter {
         }
     }
 
-    /// Returns the number of all events; `None` if events are not counted.
+    /// Returns the number of all counted events; `None` if events are not counted.
     pub(crate) fn total(&self) -> Option<u64> {
         self.lock_file().map(|count_file| count_file.total)
     }
 
-    /// Removes the file, once no counted event can be lost any more.
+    /// Removes the file. Called when no counted event can be lost any more.
     pub(crate) fn remove(&self) {
         if let Some(name) = self.name() {
             remove(&name);
@@ -193,6 +193,7 @@ impl CountFile {
             let numbers = [&numbers[..], &events.to_be_bytes()].concat();
             return self.file.write_all_at(&numbers, (*record_index * RECORD_BYTES) as u64);
         }
+        // If all records are in use, the event counts in the total only.
         let Some(record_index) = self.unused_records.pop() else {
             return self.file.write_all_at(&numbers, TOTAL_OFFSET);
         };
@@ -257,7 +258,7 @@ fn create_file(name: &str) -> io::Result<File> {
 fn open_owned_file(name: &str) -> Option<File> {
     // Opening must not block if another user created a FIFO of this name.
     let flags = i32::try_from((OFlags::NOFOLLOW | OFlags::NONBLOCK).bits()).ok()?;
-    // The name comes from the spool. Its last component alone cannot lead out of the folder.
+    // The name comes from the spool and may be any path. The last component of a path cannot lead out of the folder.
     let path = Path::new(SHARED_MEMORY).join(Path::new(name).file_name()?);
     let file = File::options().read(true).custom_flags(flags).open(path).ok()?;
     let metadata = file.metadata().ok()?;
@@ -289,8 +290,8 @@ pub(crate) fn read(name: &str, spool: &CountOwner) -> Option<CountedEvents> {
     file.read_exact_at(&mut bytes, 0).ok()?;
     let is_ours = match read_owner(&file) {
         Some(owner) => owner.is_same_file(spool),
-        // Files of earlier releases do not contain the identity of their spool. But only their spool contains their
-        // random name, so that the file belongs to this spool.
+        // Files of earlier releases do not contain the identity of their spool. But the random name of
+        // such a file is stored in its spool only, and `name` was read from this spool.
         None => bytes.starts_with(MAGIC_WITHOUT_OWNER),
     };
     if !is_ours {

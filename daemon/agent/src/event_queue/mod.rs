@@ -19,12 +19,12 @@ use tokio::sync::mpsc;
 
 use crate::config::HostConfig;
 
-/// Capacity for iterations. The outbox empties the queue every few milliseconds.
+/// Number of events up to which the queue accepts iterations. The outbox empties the queue every few milliseconds.
 const ITERATION_CAPACITY: usize = 4096;
-/// Capacity that is reserved for other events, because an iteration is useless without the start of its run.
+/// Further capacity, reserved for events that are not iterations, because an iteration is useless without the start of its run.
 const RESERVED_CAPACITY: usize = 512;
 
-/// Sending end of the queue; clones share it.
+/// Sending end of the queue. Clones share the queue.
 #[derive(Clone, Debug)]
 pub(crate) struct EventQueue {
     /// Channel to the outbox; `None` for an agent without an aggregator.
@@ -153,7 +153,7 @@ impl QueueReceiver {
 impl Overflow {
     /// Returns the number of dropped events whose gaps were not taken yet.
     pub(crate) fn dropped(&self) -> u64 {
-        // A drop that is not visible yet is taken by the next call.
+        // A drop that this thread does not see yet is taken by the next call.
         self.dropped.load(Ordering::Relaxed)
     }
 
@@ -173,7 +173,7 @@ impl Overflow {
     fn count(&self, pipeline: Option<&Slug>, run: Option<RunId>) {
         let now = self.clock.wall();
         let mut gaps = self.gaps.lock().unwrap_or_else(PoisonError::into_inner);
-        // Counted under the lock, so that `take_gaps` subtracts no drop before it is added.
+        // The drop is added under the lock, so that `take_gaps` cannot subtract it from `dropped` before.
         self.dropped.fetch_add(1, Ordering::Relaxed);
         let gap = gaps.entry((pipeline.cloned(), run)).or_insert_with(|| Gap {
             pipeline: pipeline.cloned(),

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use peernet_stream::Event;
 use tokio::sync::mpsc;
 
-/// Channel to the program that runs the agent; clones share it. Sending never waits.
+/// Channel to the program that runs the agent. Clones share the channel. Sending never waits.
 #[derive(Clone, Debug)]
 pub(crate) struct EventTap {
     listener: mpsc::Sender<Event>,
@@ -42,17 +42,17 @@ mod tests {
     use super::super::EventQueue;
     use super::*;
 
-    fn ended() -> Event {
+    fn run_ended() -> Event {
         let ended = WallTime::from_unix_nanos(1);
         Event::RunEnded(RunEnded { run: RunId::random(), ended, reason: EndReason::Finished })
     }
 
     #[test]
-    fn overflow_is_counted() {
+    fn events_beyond_tap_capacity_are_counted_as_missed() {
         let (sender, mut listener) = mpsc::channel(1);
         let tap = EventTap::new(sender);
         let event_queue = EventQueue::discarding().with_tap(Some(tap.clone()));
-        let (first, second) = (ended(), ended());
+        let (first, second) = (run_ended(), run_ended());
         event_queue.push_event(None, first.clone());
         event_queue.push_event(None, second.clone());
         assert_eq!((listener.try_recv().ok(), tap.missed_events()), (Some(first), 1));
@@ -61,13 +61,13 @@ mod tests {
     }
 
     #[test]
-    fn outbox_receives_event_as_well() {
+    fn tap_and_outbox_receive_the_event() {
         let clock: peernet_clock::SharedClock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(5), ClockIdentity::new("boot", "system")));
         let (event_queue, mut receiver) = super::super::channel(clock, super::super::EventCounter::default());
         let (sender, mut listener) = mpsc::channel(4);
         let event_queue = event_queue.with_tap(Some(EventTap::new(sender)));
-        let event = ended();
+        let event = run_ended();
         event_queue.push_event(None, event.clone());
         assert_eq!(listener.try_recv().ok().as_ref(), Some(&event));
         assert_eq!(receiver.queue.try_recv().ok(), Some(event));

@@ -8,7 +8,7 @@ use super::claim::{Claim, FREQUENCY_TOLERANCE_PPM, SourceReport};
 
 /// Reference id of a chronyd that follows only its own clock (`local`).
 // 127.127.1.1 in hexadecimal.
-const LOCAL: &str = "7F7F0101";
+const LOCAL_REFERENCE_ID: &str = "7F7F0101";
 /// Default of chrony's option `maxclockerror`, parts per million. chrony widens its bound at this rate in addition to
 /// the measured rates.
 const DEFAULT_MAX_CLOCK_ERROR_PPM: f64 = 1.0;
@@ -81,7 +81,7 @@ impl Tracking {
             // At least the rate that NTP assumes.
             growth_ppm: (growth + DEFAULT_MAX_CLOCK_ERROR_PPM).max(FREQUENCY_TOLERANCE_PPM),
             is_synchronised: leap != "Not synchronised",
-            is_local: id == LOCAL,
+            is_local: id == LOCAL_REFERENCE_ID,
         })
     }
 
@@ -129,7 +129,7 @@ enum AnswerState {
     Current,
     /// chrony has not answered since the step.
     Stepped,
-    /// chrony still repeats a measurement that it made before the step; the time of this measurement.
+    /// chrony repeats a measurement that it may have made before the step. The value is the time of this measurement.
     Repeating(String),
 }
 
@@ -153,6 +153,7 @@ impl AnswerFreshness {
                 true
             }
             AnswerState::Repeating(_) => false,
+            // Nothing shows whether chrony made this measurement before or after the step, so a newer one is awaited.
             AnswerState::Stepped => {
                 self.state = AnswerState::Repeating(tracking.measured_at.clone());
                 false
@@ -206,12 +207,13 @@ mod tests {
         for line in ["", "506 Cannot talk to daemon", "a,b,c", &BIASED.replace("0.000005846", "nan")] {
             assert!(Tracking::parse(line).is_err(), "{line}");
         }
-        let error = Tracking::parse(&BIASED.replace("0.049999367", "slow")).expect_err("it is no number");
+        let error =
+            Tracking::parse(&BIASED.replace("0.049999367", "slow")).expect_err("a field is not a number");
         assert_eq!(error.to_string(), "system time \"slow\" is not a number");
     }
 
     #[test]
-    fn only_measurements_after_step_count() {
+    fn measurements_before_step_are_not_accepted() {
         let before = Tracking::parse(BIASED).expect("chronyc printed it");
         let after = Tracking { measured_at: "1795179453.193074185".to_owned(), ..before.clone() };
         let mut answer_freshness = AnswerFreshness::new(0);

@@ -27,7 +27,7 @@ enum ChronycError {
     /// Error text that `chronyc` printed.
     #[error("{0}")]
     Printed(String),
-    #[error("{command}: {status}")]
+    #[error("{command} failed: {status}")]
     Failed { command: String, status: ExitStatus },
     #[error("cannot read the output of {command}: {source}")]
     Output { command: String, source: TrackingError },
@@ -42,7 +42,7 @@ pub(super) struct Chronyc {
     arguments: Vec<String>,
     clock: SharedClock,
     answer_freshness: AnswerFreshness,
-    /// `true` once it was logged that chrony is not installed.
+    /// `true` after a log line has said that chrony is not installed.
     has_logged_absence: bool,
 }
 
@@ -53,7 +53,7 @@ impl Chronyc {
         Self { command, arguments, clock, answer_freshness, has_logged_absence: false }
     }
 
-    /// Queries chrony; `None` if it is not installed on this host.
+    /// Queries chrony; `None` if chrony is not installed on this host.
     pub(super) async fn query(&mut self) -> Option<SourceReport> {
         match self.query_tracking().await {
             Ok(answer) => Some(answer),

@@ -13,7 +13,7 @@ pub(super) struct SourceReport {
     pub(super) source: DelaySource,
     /// Claim of the source; `None` if the clock is not synchronised, or the source states no error bound.
     pub(super) claim: Option<Claim>,
-    /// Text of the report for users.
+    /// Text of the report for people.
     pub(super) text: String,
 }
 
@@ -24,7 +24,7 @@ pub(super) struct Claim {
     pub(super) at: MonoTime,
     /// The interval at that time.
     pub(super) error: Interval,
-    /// Rate at which the interval widens at both ends, parts per million.
+    /// Rate at which the interval widens at summary ends, parts per million.
     pub(super) growth_ppm: f64,
 }
 
@@ -43,7 +43,7 @@ pub(super) struct ClaimSummary {
     /// The intersection of all claims (Marzullo's algorithm, with no claim allowed to be wrong); `None` without a
     /// claim, or if the claims contradict each other.
     pub(super) claim: Option<ClockClaim>,
-    /// Text for users.
+    /// Text for people.
     pub(super) text: String,
     /// `true` if claims contradict each other.
     pub(super) is_contradictory: bool,
@@ -51,6 +51,7 @@ pub(super) struct ClaimSummary {
 
 /// Combines reports into a summary that holds until `until`, the time at which the next summary replaces it.
 pub(super) fn combine(reports: &[SourceReport], until: MonoTime) -> ClaimSummary {
+    // The intervals are taken at the end of the summary's validity, because they widen with time.
     let claims: Vec<(&SourceReport, Interval)> =
         reports.iter().filter_map(|report| Some((report, report.claim?.error_at(until)))).collect();
     let join_texts = |reports: &mut dyn Iterator<Item = &SourceReport>| {
@@ -71,7 +72,7 @@ pub(super) fn combine(reports: &[SourceReport], until: MonoTime) -> ClaimSummary
             .iter()
             .map(|(report, error)| format!("{}: error {} to {}", report.text, error.lo, error.hi))
             .collect();
-        let text = format!("claims contradict each other, none is used ({})", descriptions.join("; "));
+        let text = format!("claims contradict each other, so no claim is used ({})", descriptions.join("; "));
         return ClaimSummary { claim: None, text, is_contradictory: true };
     };
     ClaimSummary {
@@ -101,34 +102,37 @@ mod tests {
 
     #[test]
     fn two_claims_are_combined_to_their_intersection() {
-        let both = combined(Some((-5, 5)), Some((1, 9)));
+        let summary = combined(Some((-5, 5)), Some((1, 9)));
         let error = Interval { lo: Span::from_millis(1), hi: Span::from_millis(5) };
-        assert_eq!(both.claim, Some(ClockClaim { source: DelaySource::Chrony, error }));
-        assert_eq!(both.text, "kernel; chrony");
+        assert_eq!(summary.claim, Some(ClockClaim { source: DelaySource::Chrony, error }));
+        assert_eq!(summary.text, "kernel; chrony");
     }
 
     #[test]
     fn source_without_claim_leaves_claim_of_other_source() {
-        let one = combined(None, Some((1, 9)));
-        assert_eq!(one.claim.map(|claim| claim.source), Some(DelaySource::Chrony));
-        assert_eq!(one.text, "chrony");
-        let none = combined(None, None);
-        assert_eq!((none.claim, none.text.as_str(), none.is_contradictory), (None, "kernel; chrony", false));
+        let summary = combined(None, Some((1, 9)));
+        assert_eq!(summary.claim.map(|claim| claim.source), Some(DelaySource::Chrony));
+        assert_eq!(summary.text, "chrony");
+        let summary = combined(None, None);
+        assert_eq!(
+            (summary.claim, summary.text.as_str(), summary.is_contradictory),
+            (None, "kernel; chrony", false)
+        );
         assert_eq!(combine(&[], MonoTime::from_nanos(0)).claim, None);
     }
 
     #[test]
     fn contradicting_claims_are_described_and_not_used() {
-        let apart = combined(Some((-5, 0)), Some((1, 9)));
-        assert_eq!((apart.claim, apart.is_contradictory), (None, true));
+        let summary = combined(Some((-5, 0)), Some((1, 9)));
+        assert_eq!((summary.claim, summary.is_contradictory), (None, true));
         for part in ["kernel: error -5.000 ms to 0.000 ms", "chrony: error 1.000 ms to 9.000 ms"] {
-            assert!(apart.text.contains(part), "{}", apart.text);
+            assert!(summary.text.contains(part), "{}", summary.text);
         }
     }
 
     #[test]
     fn claim_widens_with_age() {
-        let claim = report(DelaySource::Kernel, Some((-1, 1))).claim.expect("it was given one");
+        let claim = report(DelaySource::Kernel, Some((-1, 1))).claim.expect("the report has a claim");
         let later = claim.error_at(MonoTime::from_nanos(10_000_000_000));
         let expected = Span::from_micros(1000 + 150);
         assert_eq!(later, Interval { lo: -expected, hi: expected });

@@ -8,7 +8,7 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
-/// Largest length of an encoded identity, and the length of its field in the file. Bytes.
+/// Largest length of an encoded identity in bytes, and the length of its field in the file of counts.
 pub(super) const OWNER_BYTES: usize = 4096;
 /// Bytes before the path: four numbers and the length of the path.
 const NUMBERS_BYTES: usize = 4 * 8 + 2;
@@ -120,7 +120,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn owner_is_read_as_it_was_written() {
+    fn encoded_owner_decodes_to_equal_owner() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("spool.sqlite");
         fs::write(&path, "spool").expect("written");
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn only_certainly_missing_file_is_gone() {
+    fn file_is_gone_only_if_certainly_deleted() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("spool.sqlite");
         fs::write(&path, "spool").expect("written");
@@ -141,6 +141,6 @@ mod tests {
         drop(folder);
         assert!(owner.is_gone());
         assert!(!elsewhere.is_gone(), "the path means something else in another mount namespace");
-        assert!(!unmounted.is_gone(), "its file system is not mounted");
+        assert!(!unmounted.is_gone(), "the file system of the file is not mounted");
     }
 }

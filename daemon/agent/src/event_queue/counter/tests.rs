@@ -39,7 +39,7 @@ fn another_process_reads_what_was_counted() {
     let runs = vec![run(first, 5, 5), run(second, 1, 7)];
     assert_eq!(counted_events, CountedEvents { total: 7, last: at(7), sent, runs });
 
-    assert!(!counter.release(second, 0), "it has an event that the spool does not have");
+    assert!(!counter.release(second, 0), "the spool does not account for the event of this run");
     assert!(counter.release(first, 5) && counter.release(second, 1));
     let counted_events = read(&name, &owner).expect("readable");
     assert_eq!((counted_events.total, counted_events.runs.len()), (7, 0));
@@ -48,7 +48,7 @@ fn another_process_reads_what_was_counted() {
 }
 
 #[test]
-fn deleted_file_is_made_again() {
+fn deleted_file_is_created_again_with_its_counts() {
     let (_folder, owner) = spool();
     let counter = EventCounter::create(&owner).expect("shared memory");
     let (name, run) = (counter.name().expect("a file"), RunId::random());
@@ -62,7 +62,7 @@ fn deleted_file_is_made_again() {
 }
 
 #[test]
-fn other_files_of_the_name_are_not_read() {
+fn fifo_with_name_of_count_file_is_not_read() {
     let (_folder, owner) = spool();
     let name = format!("peernet-{}.count", Uuid::new_v4());
     let path = Path::new(SHARED_MEMORY).join(&name);
@@ -93,37 +93,40 @@ fn runs_beyond_capacity_are_counted_in_total() {
 }
 
 #[test]
-fn file_is_abandoned_without_process_and_spool() {
+fn file_without_process_and_spool_is_removed() {
     let (_own_folder, own_owner) = spool();
     let (folder, owner) = spool();
     let counter = EventCounter::create(&owner).expect("shared memory");
     let name = counter.name().expect("a file");
-    let is_there = || Path::new(SHARED_MEMORY).join(&name).exists();
+    let file_exists = || Path::new(SHARED_MEMORY).join(&name).exists();
     drop(folder);
     remove_abandoned(&own_owner, &[]);
-    assert!(is_there(), "a process counts in it");
+    assert!(file_exists(), "a process still counts in the file");
     drop(counter);
     remove_abandoned(&own_owner, &[]);
-    assert!(!is_there());
+    assert!(!file_exists());
 }
 
 #[test]
-fn file_of_existing_spool_stays() {
+fn file_of_existing_spool_is_kept() {
     let (_own_folder, own_owner) = spool();
     let (_folder, owner) = spool();
     let counter = EventCounter::create(&owner).expect("shared memory");
     let name = counter.name().expect("a file");
     drop(counter);
     remove_abandoned(&own_owner, &[]);
-    assert!(read(&name, &owner).is_some(), "the next start of its agent needs it");
+    assert!(
+        read(&name, &owner).is_some(),
+        "the agent of the existing spool needs the file at its next start"
+    );
     remove_abandoned(&owner, &[&name]);
-    assert!(read(&name, &owner).is_some(), "it is needed");
+    assert!(read(&name, &owner).is_some(), "the caller needs the file");
     remove_abandoned(&owner, &[]);
-    assert!(read(&name, &owner).is_none(), "its own spool does not need it");
+    assert!(read(&name, &owner).is_none(), "the spool of the file does not need the file");
 }
 
 #[test]
-fn files_of_others_are_never_removed() {
+fn files_of_unknown_spool_or_name_are_kept() {
     let (folder, owner) = spool();
     let (_own_folder, own_owner) = spool();
     let counter = EventCounter::create(&owner).expect("shared memory");
@@ -141,6 +144,6 @@ fn files_of_others_are_never_removed() {
     drop(folder);
     remove_abandoned(&own_owner, &[]);
     assert!(path.exists() && copy.exists());
-    assert!(read(&name, &own_owner).is_some(), "it is read for the spool that names it");
+    assert!(read(&name, &own_owner).is_some(), "the spool that names the file can read the file");
     fs::remove_file(path).and_then(|()| fs::remove_file(copy)).expect("removed");
 }
