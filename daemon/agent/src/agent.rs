@@ -84,8 +84,8 @@ impl Agent {
     ///
     /// # Errors
     /// [`StartError`] when the host's name, its state directory, spool, keys, threads or ports cannot be used. In this
-    /// case nothing was started. A pipeline that cannot start is not an error: it is reported as failed, and the
-    /// other pipelines run.
+    /// case nothing was started. A pipeline that cannot start is not an error: it is reported as failed, and the other
+    /// pipelines run.
     pub async fn start(
         config: AgentConfig,
         version: &'static str,
@@ -96,8 +96,8 @@ impl Agent {
     }
 
     /// Starts the agent as [`start`](Self::start) does, for a program that runs it in the foreground. Each event also
-    /// goes to `tap`, with or without an aggregator. Measuring does not wait for the program: events that do not
-    /// fit into `tap` are dropped and counted ([`RunningAgent::events_missed_by_tap`]).
+    /// goes to `tap`, with or without an aggregator. Measuring does not wait for the program: events that do not fit
+    /// into `tap` are dropped and counted ([`RunningAgent::events_missed_by_tap`]).
     ///
     /// # Errors
     /// Those of [`start`](Self::start).
@@ -235,7 +235,8 @@ fn start_observing_host(
     metrics
 }
 
-/// Starts to serve peers on the runtime of the I/O threads, `io_runtime`. Serving stops only after this agent's pipelines have ended.
+/// Starts to serve peers on the runtime of the I/O threads, `io_runtime`. Serving stops only after this agent's
+/// pipelines have ended.
 fn start_serving<F, E>(
     tasks: &mut Tasks,
     io_runtime: &Handle,

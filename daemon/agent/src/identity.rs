@@ -1,4 +1,4 @@
-//! The host's identity: an id that stays the same over restarts, and the secret that proves it.
+//! The host's identity: an id that stays the same over restarts, and a secret that proves that the id is this host's.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
@@ -60,7 +60,7 @@ const MODE: u32 = 0o600;
 /// one folder get the same id.
 ///
 /// # Errors
-/// When the folder cannot be used, or the file holds something else.
+/// When the folder cannot be used, or when the file does not contain a host id.
 pub fn host_id(state_dir: &Path) -> Result<HostId, IdentityError> {
     read_or_create(state_dir, ID_FILE, existing_id, || HostId::random().to_string())
 }
@@ -69,7 +69,7 @@ pub fn host_id(state_dir: &Path) -> Result<HostId, IdentityError> {
 /// belongs to this agent. Creates the file if it does not exist yet, as [`host_id`] does.
 ///
 /// # Errors
-/// When the folder cannot be used, or the file holds something else.
+/// When the folder cannot be used, or when the file does not contain a secret.
 pub fn host_secret(state_dir: &Path) -> Result<HostSecret, IdentityError> {
     read_or_create(state_dir, SECRET_FILE, existing_secret, || HostSecret::random().expose_text())
 }
@@ -88,32 +88,35 @@ pub(crate) fn read_or_create<T>(
     }
     fs::create_dir_all(state_dir).map_err(cannot("create", state_dir))?;
     // The file is written under another name first, so that a power cut cannot leave half a file under the real name.
-    let draft = state_dir.join(format!("{name}.{}", HostId::random()));
+    let temporary_file = state_dir.join(format!("{name}.{}", HostId::random()));
     let write_result = OpenOptions::new()
         .write(true)
         .create_new(true)
         .mode(MODE)
-        .open(&draft)
+        .open(&temporary_file)
         .and_then(|mut file| writeln!(file, "{}", create()).and_then(|()| file.sync_all()))
-        .map_err(cannot("write", &draft));
-    // Linking, unlike renaming, fails if another process created the file first. The value of that process is used
-    // then.
-    let link_result = write_result.and_then(|()| match fs::hard_link(&draft, &path) {
+        .map_err(cannot("write", &temporary_file));
+    // Linking, unlike renaming, fails if another process created the file first. In this case the value of that process
+    // is used.
+    let link_result = write_result.and_then(|()| match fs::hard_link(&temporary_file, &path) {
         Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(cannot("write", &path)(error)),
         _ => Ok(()),
     });
-    let remove_result = fs::remove_file(&draft).map_err(cannot("remove", &draft));
+    let remove_result = fs::remove_file(&temporary_file).map_err(cannot("remove", &temporary_file));
     link_result?;
     remove_result?;
     // A power cut can remove a new name until its folder is synced.
     File::open(state_dir).and_then(|folder| folder.sync_all()).map_err(cannot("write", state_dir))?;
     read(state_dir)?.ok_or_else(|| {
-        let error = io::Error::new(io::ErrorKind::NotFound, "it was removed while it was being created");
+        let error = io::Error::new(
+            io::ErrorKind::NotFound,
+            "another process removed the file while it was being created",
+        );
         cannot("read", &path)(error)
     })
 }
 
-/// Exclusive use of a state directory by one agent. Ends when this is dropped or the process ends.
+/// Exclusive use of a state directory by one agent. The lock ends when this value is dropped or the process ends.
 #[derive(Debug)]
 pub(crate) struct StateLock {
     _lock: FileLock,
@@ -174,25 +177,25 @@ mod tests {
     fn host_id_persists_and_folder_is_created() {
         let folder = tempfile::tempdir().expect("a folder");
         let state = folder.path().join("a").join("b");
-        let first = host_id(&state).expect("made");
-        assert_eq!(host_id(&state).expect("read"), first);
+        let id = host_id(&state).expect("the id is created");
+        assert_eq!(host_id(&state).expect("the id is read"), id);
         let files: Vec<_> =
             fs::read_dir(&state).expect("there").map(|entry| entry.expect("readable")).collect();
-        assert_eq!(files.len(), 1, "no draft is left behind");
+        assert_eq!(files.len(), 1, "no temporary file is left behind");
     }
 
     #[test]
     fn second_agent_cannot_lock_folder() {
         let folder = tempfile::tempdir().expect("a folder");
-        let first = StateLock::acquire(folder.path()).expect("free");
-        let error = StateLock::acquire(folder.path()).expect_err("taken").to_string();
+        let first = StateLock::acquire(folder.path()).expect("the folder is free");
+        let error = StateLock::acquire(folder.path()).expect_err("the folder is locked").to_string();
         assert!(error.contains("another agent uses"), "{error}");
         drop(first);
-        StateLock::acquire(folder.path()).expect("free again");
+        StateLock::acquire(folder.path()).expect("the folder is free again");
     }
 
     #[test]
-    fn concurrent_starts_agree_on_host_id() {
+    fn concurrent_starts_get_the_same_host_id() {
         let folder = tempfile::tempdir().expect("a folder");
         let ids: Vec<_> = std::thread::scope(|scope| {
             let threads: Vec<_> = (0..8).map(|_| scope.spawn(|| host_id(folder.path()))).collect();
@@ -205,8 +208,8 @@ mod tests {
     fn secret_persists_and_is_readable_by_owner_only() {
         use std::os::unix::fs::PermissionsExt;
         let folder = tempfile::tempdir().expect("a folder");
-        let first = host_secret(folder.path()).expect("made");
-        assert_eq!(host_secret(folder.path()).expect("read"), first);
+        let secret = host_secret(folder.path()).expect("the secret is created");
+        assert_eq!(host_secret(folder.path()).expect("the secret is read"), secret);
         host_id(folder.path()).expect("made");
         for name in [ID_FILE, SECRET_FILE] {
             let mode = fs::metadata(folder.path().join(name)).expect("there").permissions().mode();
@@ -218,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn foreign_file_is_kept_and_named() {
+    fn file_without_host_id_is_refused_with_its_content() {
         let folder = tempfile::tempdir().expect("a folder");
         fs::write(folder.path().join("host-id"), "my notes\n").expect("written");
         let error = host_id(folder.path()).expect_err("not an id").to_string();

@@ -16,7 +16,7 @@ use std::num::NonZeroUsize;
 use tokio::runtime::{Builder, Handle, Runtime};
 use tokio_util::context::TokioContext;
 
-/// A runtime whose threads carry samples. Dropping it cancels its tasks at their next wait.
+/// A runtime whose threads carry samples. Dropping this value cancels the tasks of the runtime at their next wait.
 #[derive(Debug)]
 pub(crate) struct IoThreads {
     handle: Handle,
@@ -28,7 +28,7 @@ impl IoThreads {
     /// Starts `count` threads.
     ///
     /// # Errors
-    /// When the operating system refuses a thread or an event queue.
+    /// When the operating system refuses to create a thread or an epoll instance.
     pub(crate) fn start(count: NonZeroUsize) -> io::Result<Self> {
         let runtime =
             Builder::new_multi_thread().worker_threads(count.get()).thread_name("io").enable_all().build()?;
@@ -70,7 +70,7 @@ mod tests {
         let test_thread = thread::current().id();
         let task =
             io.handle().spawn(async { (thread::current().id(), thread::current().name() == Some("io")) });
-        let (thread, is_named) = task.await.expect("it ran");
+        let (thread, is_named) = task.await.expect("the task ran");
         assert!(is_named && thread != test_thread);
         let spawn_task = async { tokio::spawn(async { thread::current().id() }).await };
         assert_eq!(io.with_context(spawn_task).await.expect("it ran"), thread, "the only I/O thread");

@@ -1,4 +1,4 @@
-//! The agent: the program part that runs on every edge and every cloud.
+//! The agent: the part of PEERNet that runs on every edge and every cloud.
 //!
 //! The agent composes the four modules of the paper, which do not depend on each other. A sensor, a network, a model
 //! and an actuator form a [pipeline](config::PipelineConfig); models and a network form a

@@ -30,5 +30,5 @@ pub fn with_faults(system_clock: &SharedClock, faults: Option<&ClockFaultConfig>
         }
         _ => system_clock.identity().clone(),
     };
-    Ok(Arc::new(FaultyClock::new(Arc::clone(system_clock), identity, faults.description(since))))
+    Ok(Arc::new(FaultyClock::new(Arc::clone(system_clock), identity, faults.clock_faults(since))))
 }

@@ -17,8 +17,8 @@ const TRIP_POINT_MARGIN_CELSIUS: f64 = 5.0;
 const THROTTLING_DEVICES: [&str; 6] =
     ["Processor", "cpufreq", "thermal-cpufreq", "gpu", "devfreq", "intel_powerclamp"];
 
-/// Grades all signs of throttling. Throttling that is active now is bad; earlier throttling since the start of the host is
-/// doubtful.
+/// Grades all signs of throttling. Throttling that is active now is bad; earlier throttling since the start of the host
+/// is doubtful.
 pub(super) fn throttling(settings: &InspectionSettings) -> Vec<Finding> {
     let sys = &settings.sys;
     let mut has_source = false;

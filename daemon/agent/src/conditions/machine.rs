@@ -58,8 +58,8 @@ pub(super) fn machine_kind(settings: &InspectionSettings) -> Finding {
     }
 }
 
-/// Returns the names of the vendor and the product that the firmware reports; names that the firmware does not
-/// report are left out.
+/// Returns the names of the vendor and the product that the firmware reports; names that the firmware does not report
+/// are left out.
 fn products(sys: &Path) -> Vec<String> {
     let read_name =
         |name: &str| read_text(&sys.join("class/dmi/id").join(name)).filter(|text| !text.is_empty());
@@ -82,8 +82,8 @@ fn is_virtual(settings: &InspectionSettings, products: &[String]) -> Option<bool
     (is_bare_metal || signs.contains(&Some(false))).then_some(false)
 }
 
-/// Returns whether the processor has the flag `hypervisor`, which marks the processor of a virtual machine; `None` on ARM,
-/// which has no such flag.
+/// Returns whether the processor has the flag `hypervisor`, which marks the processor of a virtual machine; `None` on
+/// ARM, which has no such flag.
 fn processor_flag(proc: &Path) -> Option<bool> {
     let info = read_text(&proc.join("cpuinfo"))?;
     let flags = info.lines().find(|line| line.starts_with("flags"))?;

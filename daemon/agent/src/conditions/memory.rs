@@ -5,8 +5,8 @@ use peernet_stream::Grade;
 use super::files::{number_after_key, read_text};
 use super::{Finding, InspectionSettings};
 
-/// Swap in use from which the grade is doubtful, as a share of the size of the memory. A small share is normal, because unused
-/// pages are swapped out.
+/// Swap in use from which the grade is doubtful, as a share of the size of the memory. A small share is normal, because
+/// unused pages are swapped out.
 const DOUBTFUL_SHARE: f64 = 0.05;
 
 /// Grades the swap in use. A program stops while swapped memory is read back from the disk.

@@ -79,7 +79,8 @@ pub enum Timestamps {
     /// The kernel, if it supports time stamps of packets.
     #[default]
     Kernel,
-    /// The program, which reads its own clock; needed where a process runs under libfaketime, which does not change the kernel's stamps.
+    /// The program, which reads its own clock; needed where a process runs under libfaketime, which does not change the
+    /// kernel's stamps.
     User,
 }
 

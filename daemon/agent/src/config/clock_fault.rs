@@ -49,7 +49,7 @@ pub enum ClaimPolicy {
 
 impl ClockFaultConfig {
     /// Returns the faults of a clock that are injected from the true time `since` on.
-    pub fn description(&self, since: WallTime) -> ClockFaults {
+    pub fn clock_faults(&self, since: WallTime) -> ClockFaults {
         let step = |step: &ClockFaultStepConfig| ClockFaultStep {
             at: Span::from_seconds_f64(step.at_s),
             by: span_from_millis(step.by_ms),
@@ -79,10 +79,10 @@ mod tests {
                 .expect("it is a table of [clock_fault]");
 
         let since = WallTime::from_unix_nanos(7);
-        let description = config.description(since);
+        let clock_faults = config.clock_faults(since);
         let ten_seconds = Span::from_seconds(10);
-        assert_eq!(description.wall_error_at(since + ten_seconds), Span::from_micros(1_000_000 - 505));
+        assert_eq!(clock_faults.wall_error_at(since + ten_seconds), Span::from_micros(1_000_000 - 505));
         let error_after_step = Span::from_micros(1_000_000 - 3_000_000 - 1010);
-        assert_eq!(description.wall_error_at(since + ten_seconds + ten_seconds), error_after_step);
+        assert_eq!(clock_faults.wall_error_at(since + ten_seconds + ten_seconds), error_after_step);
     }
 }

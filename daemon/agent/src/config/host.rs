@@ -37,8 +37,7 @@ pub struct HostConfig {
     /// reported as a gap. At most 10000000. Default: 50000.
     pub queue_events: NonZeroUsize,
     /// Maximum number of bytes of the events that wait in memory; beyond this number the newest events are dropped,
-    /// too. At most
-    /// 16 GiB. Default: 33554432 (32 MiB).
+    /// too. At most 16 GiB. Default: 33554432 (32 MiB).
     pub queue_bytes: NonZeroUsize,
     /// Maximum number of nodes per batch; up to 1000000. Default: 8192.
     pub batch_nodes: NonZeroUsize,
@@ -48,8 +47,8 @@ pub struct HostConfig {
     /// Longest time that the first event of a batch waits for further events; milliseconds, up to a minute. Default:
     /// 200.
     pub batch_delay_ms: u32,
-    /// Longest time that stopping takes, for iterations in flight and unsent events together; milliseconds, up to a minute.
-    /// Events that the aggregator does not acknowledge in time stay in the spool. Default: 5000.
+    /// Longest time that stopping takes, for iterations in flight and unsent events together; milliseconds, up to a
+    /// minute. Events that the aggregator does not acknowledge in time stay in the spool. Default: 5000.
     pub stop_timeout_ms: u64,
 }
 

@@ -33,8 +33,8 @@ pub struct PipelineConfig {
     #[serde(default)]
     pub load: LoadConfig,
     /// Maximum number of iterations in flight; with `mode = "closed"` it is always one. The same number of further
-    /// starts may wait. If one more start becomes due, the oldest waiting start is skipped and counted (`skipped-starts`). At most
-    /// 4096. Default: 4.
+    /// starts may wait. If one more start becomes due, the oldest waiting start is skipped and counted
+    /// (`skipped-starts`). At most 4096. Default: 4.
     #[serde(default = "default_max_in_flight")]
     pub max_in_flight: NonZeroUsize,
     /// Longest wait for an answer; milliseconds, up to a day. An iteration whose answer comes later is a `timeout`.
@@ -90,7 +90,8 @@ pub enum PlacementConfig {
     },
     /// A model of a peer, over a network.
     Remote(Box<RemoteConfig>),
-    /// No model: only the sensor and its transforms run, without answers. The check of the configuration refuses an actuator with it.
+    /// No model: only the sensor and its transforms run, without answers. The check of the configuration refuses an
+    /// actuator with it.
     // serde refuses unknown keys of a variant with braces, and ignores unknown keys of a variant without braces.
     None {},
     /// A running ROS system that is only observed.
@@ -135,8 +136,8 @@ pub enum LoadConfig {
     /// Each iteration starts after the previous one was answered.
     // With braces for the same reason as `PlacementConfig::None`.
     Closed {},
-    /// Iterations start at a fixed rate, whether or not earlier iterations are complete. Latency counts from the intended
-    /// start.
+    /// Iterations start at a fixed rate, whether or not earlier iterations are complete. Latency counts from the
+    /// intended start.
     Rate {
         /// Starts per second: at least one a year, at most 100,000.
         hz: f64,

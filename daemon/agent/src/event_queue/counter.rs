@@ -1,9 +1,9 @@
 //! Counts the queued events in a file that survives a kill of the process.
 //!
-//! From the time an event is queued until its batch is in the spool, only the memory of this process contains the event.
-//! To count the events that a kill loses, each event is counted before it is queued, in a file in shared memory. The
-//! file has one count for each run. With each batch the spool stores how many of the counted events it accounts for. The
-//! next process reports the difference as a gap (`outbox/spool/killed_process.rs`).
+//! From the time an event is queued until its batch is in the spool, only the memory of this process contains the
+//! event. To count the events that a kill loses, each event is counted before it is queued, in a file in shared memory.
+//! The file has one count for each run. With each batch the spool stores how many of the counted events it accounts
+//! for. The next process reports the difference as a gap (`outbox/spool/killed_process.rs`).
 //!
 //! The file is in `/dev/shm`, because a write to a disk can wait for that disk, which would disturb the measurements.
 //! The file is written and not mapped, because a failed write to a mapping would end the process. After a restart of
@@ -56,8 +56,8 @@ const TOTAL_OFFSET: u64 = 8;
 // length of the pipeline's name, and the name.
 const NUMBERS_BYTES: usize = 24;
 const NAME_OFFSET: usize = NUMBERS_BYTES + 16;
-/// Offset of the slots for batches that were sent without being in the spool. The number of a batch selects the slot. Each
-/// slot has five numbers: the process, the number of the batch, and three counts up to and including the batch.
+/// Offset of the slots for batches that were sent without being in the spool. The number of a batch selects the slot.
+/// Each slot has five numbers: the process, the number of the batch, and three counts up to and including the batch.
 const SENT_OFFSET: usize = RECORD_BYTES * (1 + MAX_COUNTED_RUNS);
 const SENT_RECORD_BYTES: usize = 40;
 /// Offset of the identity of the spool that the counts belong to.
@@ -290,8 +290,8 @@ pub(crate) fn read(name: &str, spool: &CountOwner) -> Option<CountedEvents> {
     file.read_exact_at(&mut bytes, 0).ok()?;
     let is_ours = match read_owner(&file) {
         Some(owner) => owner.is_same_file(spool),
-        // Files of earlier releases do not contain the identity of their spool. But the random name of
-        // such a file is stored in its spool only, and `name` was read from this spool.
+        // Files of earlier releases do not contain the identity of their spool. But the random name of such a file is
+        // stored in its spool only, and `name` was read from this spool.
         None => bytes.starts_with(MAGIC_WITHOUT_OWNER),
     };
     if !is_ours {

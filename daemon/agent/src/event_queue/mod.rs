@@ -21,7 +21,8 @@ use crate::config::HostConfig;
 
 /// Number of events up to which the queue accepts iterations. The outbox empties the queue every few milliseconds.
 const ITERATION_CAPACITY: usize = 4096;
-/// Further capacity, reserved for events that are not iterations, because an iteration is useless without the start of its run.
+/// Further capacity, reserved for events that are not iterations, because an iteration is useless without the start of
+/// its run.
 const RESERVED_CAPACITY: usize = 512;
 
 /// Sending end of the queue. Clones share the queue.

@@ -40,7 +40,7 @@ mod tests {
         let clocksource = Clocksource::from_sysfs(sys.path());
         assert_eq!(clocksource.name(), "");
         let file = sys.path().join(FILE);
-        fs::create_dir_all(file.parent().expect("it has one")).expect("made");
+        fs::create_dir_all(file.parent().expect("the file has a folder")).expect("made");
         for name in ["tsc", "kvm-clock"] {
             fs::write(&file, format!("{name}\n")).expect("written");
             assert_eq!(clocksource.name(), name);

@@ -7,10 +7,10 @@ use peernet_clock::{DelaySource, Interval, MonoTime, Span};
 use super::claim::{Claim, FREQUENCY_TOLERANCE_PPM, SourceReport};
 use super::timex::{self, Timex};
 
-/// Microseconds that the kernel adds to its bound each second (`MAXFREQ`) until a daemon sets it again.
+/// Microseconds that the kernel adds to its bound each second (`MAXFREQ`) until a daemon sets the bound again.
 const KERNEL_GROWTH_US: i64 = 500;
 
-/// Queries the kernel.
+/// Queries the kernel and returns its report.
 pub(super) fn query(now: MonoTime) -> SourceReport {
     report_from(timex::read(), now)
 }
@@ -45,7 +45,7 @@ fn error_bound(state: Timex) -> (Option<Span>, String) {
     }
     // phc2sys sets only `maxerror` to zero, at each update, once a second or more often.
     let bound = max_error_us.max(KERNEL_GROWTH_US);
-    (Some(Span::from_micros(bound)), "kernel, synchronised, as by PTP".to_owned())
+    (Some(Span::from_micros(bound)), "kernel, synchronised, probably by PTP".to_owned())
 }
 
 #[cfg(test)]
@@ -58,8 +58,8 @@ mod tests {
         estimated_error_us: i64,
     ) -> (Option<Span>, String) {
         let state = Timex { is_synchronised, max_error_us, estimated_error_us };
-        let answer = report_from(Ok(state), MonoTime::from_nanos(0));
-        (answer.claim.map(|claim| claim.error.hi), answer.text)
+        let report = report_from(Ok(state), MonoTime::from_nanos(0));
+        (report.claim.map(|claim| claim.error.hi), report.text)
     }
 
     #[test]
@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn growth_without_estimate_is_no_bound() {
+    fn kernel_growth_without_estimate_of_daemon_is_no_bound() {
         let (bound, text) = bound_and_text(true, 123_000, 0);
         assert_eq!(bound, None);
         assert!(text.contains("states no error"), "{text}");
@@ -93,7 +93,7 @@ mod tests {
 
     #[test]
     fn kernel_of_this_machine_answers() {
-        let answer = query(MonoTime::from_nanos(0));
-        assert!(answer.text.starts_with("kernel, "), "{}", answer.text);
+        let report = query(MonoTime::from_nanos(0));
+        assert!(report.text.starts_with("kernel, "), "{}", report.text);
     }
 }

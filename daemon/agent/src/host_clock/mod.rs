@@ -112,6 +112,7 @@ pub(crate) async fn run(
                     CHECKS_BETWEEN_ANNOUNCEMENTS
                 };
                 let is_due = checks.is_multiple_of(checks_between);
+                // Each check updates the difference of the clocks, but most checks do not notify the receivers.
                 published.raw = Some(raw);
                 is_disturbed || is_due
             });

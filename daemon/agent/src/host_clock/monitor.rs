@@ -6,7 +6,7 @@ use peernet_stream::IncidentKind;
 use super::{Clocksource, Vmclock};
 use crate::incidents::{IncidentSubject, Incidents, format_step_size};
 
-/// Shortest time between two incidents about a slew. A clock with a wrong rate is disturbed at every check.
+/// Shortest time between two incidents about a slew. Every check finds a slew if the clock has a wrong rate.
 const SLEW_REPORT_INTERVAL: Span = Span::from_seconds(60);
 
 /// Consequence of a disturbance of the wall clock.
@@ -20,6 +20,7 @@ pub(super) struct HostClockMonitor {
     clock: SharedClock,
     watch: ClockWatch,
     max_drift_ppm: f64,
+    /// Epoch of the wall clock at the last check.
     wall_epoch: u32,
     last_slew_report: Option<MonoTime>,
     clocksource: Clocksource,
@@ -54,9 +55,9 @@ impl HostClockMonitor {
         &self.clocksource_name
     }
 
-    /// Checks all clocks once. If the wall clock was disturbed,
-    /// [`Clock::wall_epoch`](peernet_clock::Clock::wall_epoch) is a new one afterwards. If the free-running clock was
-    /// disturbed, [`Clock::epoch`](peernet_clock::Clock::epoch) is a new one afterwards.
+    /// Checks all clocks once. If the wall clock was disturbed, [`Clock::wall_epoch`](peernet_clock::Clock::wall_epoch)
+    /// has a new value afterwards. If the free-running clock was disturbed,
+    /// [`Clock::epoch`](peernet_clock::Clock::epoch) has a new value afterwards.
     pub(super) fn check(&mut self, incidents: &Incidents) {
         let readings = self.clock.readings();
         let disturbances = self.watch.compare(readings);
@@ -98,7 +99,8 @@ impl HostClockMonitor {
         ))
     }
 
-    /// Begins new epochs after a disruption that the hypervisor reports. No clock of the machine itself can show it.
+    /// Begins new epochs after a disruption that the hypervisor reports. No clock of the virtual machine shows such a
+    /// disruption.
     fn check_vmclock(&mut self) -> Option<String> {
         let device = self.vmclock.find_disrupted_device()?.display().to_string();
         self.begin_epochs();
@@ -155,7 +157,7 @@ mod tests {
     use peernet_stream::Event;
     use tokio::sync::mpsc;
 
-    use super::super::vmclock::tests::{disrupt, make};
+    use super::super::vmclock::tests::{create_device, disrupt};
     use super::*;
     use crate::event_queue::{EventQueue, EventTap};
 
@@ -185,7 +187,7 @@ mod tests {
             let incidents = Incidents::new(Arc::clone(&clock), event_queue);
             let sys = tempfile::tempdir().expect("a folder");
             let clocksource = Clocksource::from_sysfs(sys.path());
-            let vmclock = make(sys.path(), 7);
+            let vmclock = create_device(sys.path(), 7);
             let mut monitor =
                 HostClockMonitor::new(50.0, Arc::clone(&clock), clocksource, Vmclock::open_all(sys.path()));
             monitor.check(&incidents);
@@ -225,7 +227,7 @@ mod tests {
             testbed.check_for(1);
             let reported = testbed.take_reported_texts();
             assert!(matches!(&reported[..], [text] if text.contains(words)), "{words}: {reported:?}");
-            assert_eq!(testbed.clock.wall_epoch(), old_epoch + 1, "one step, one epoch");
+            assert_eq!(testbed.clock.wall_epoch(), old_epoch + 1, "each step begins one epoch");
         }
     }
 
@@ -265,7 +267,7 @@ mod tests {
         assert_eq!((testbed.clock.epoch(), testbed.clock.wall_epoch()), (1, 1));
 
         let file = testbed.sys.path().join("devices/system/clocksource/clocksource0/current_clocksource");
-        std::fs::create_dir_all(file.parent().expect("it has one")).expect("made");
+        std::fs::create_dir_all(file.parent().expect("the file has a folder")).expect("made");
         std::fs::write(&file, "hpet\n").expect("written");
         testbed.check_for(1);
         let reported = testbed.take_reported_texts();

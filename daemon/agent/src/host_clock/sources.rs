@@ -14,18 +14,21 @@ const CLAIM_MARGIN: Duration = CHRONYC_TIMEOUT.saturating_add(Duration::from_sec
 /// Longest interval between exact claims. It is short, because an injected drift may be fast.
 const EXACT_INTERVAL: Duration = Duration::from_secs(1);
 
-/// The sources that are queried.
+/// The configured sources of claims.
 #[derive(Debug)]
 pub(super) struct ClaimSources {
     clock: SharedClock,
     true_clock: SharedClock,
+    /// Interval between two queries.
     period: Duration,
-    claims: Claims,
+    origin: ClaimOrigin,
+    /// `true` if the claims of the last query contradicted each other.
     is_contradictory: bool,
 }
 
+/// Origin of the claims.
 #[derive(Debug)]
-enum Claims {
+enum ClaimOrigin {
     /// Claims of the host's time daemons.
     Daemons { kernel: bool, chronyc: Option<Chronyc> },
     /// Clock fault injection: the exact error.
@@ -44,18 +47,18 @@ impl ClaimSources {
     ) -> Self {
         let mut period = config.discipline_interval();
         let is_configured = |source| config.discipline.contains(&source);
-        let claims = match faults.map(|faults| faults.discipline) {
-            Some(ClaimPolicy::None) => Claims::None,
+        let origin = match faults.map(|faults| faults.discipline) {
+            Some(ClaimPolicy::None) => ClaimOrigin::None,
             Some(ClaimPolicy::Exact) => {
                 period = period.min(EXACT_INTERVAL);
-                Claims::Exact
+                ClaimOrigin::Exact
             }
-            Some(ClaimPolicy::Unaware) | None => Claims::Daemons {
+            Some(ClaimPolicy::Unaware) | None => ClaimOrigin::Daemons {
                 kernel: is_configured(ClaimSource::Kernel),
                 chronyc: is_configured(ClaimSource::Chrony).then(|| Chronyc::new(config, clock.clone())),
             },
         };
-        Self { clock, true_clock, period, claims, is_contradictory: false }
+        Self { clock, true_clock, period, origin, is_contradictory: false }
     }
 
     /// Returns the interval at which the sources have to be queried.
@@ -66,24 +69,25 @@ impl ClaimSources {
     /// Queries all sources. The returned summary holds until the next summary is announced.
     pub(super) async fn query(&mut self) -> ClaimSummary {
         let validity = Span::from(self.period + CLAIM_MARGIN);
-        let summary = match &mut self.claims {
-            Claims::None => ClaimSummary {
+        let summary = match &mut self.origin {
+            ClaimOrigin::None => ClaimSummary {
                 text: "no claim, because clock faults are injected".to_owned(),
                 ..ClaimSummary::default()
             },
-            Claims::Exact => ClaimSummary {
-                claim: self.clock.injected_faults().map(|description| {
-                    exact_claim::exact_claim(description, self.true_clock.wall(), validity)
-                }),
+            ClaimOrigin::Exact => ClaimSummary {
+                claim: self
+                    .clock
+                    .injected_faults()
+                    .map(|faults| exact_claim::exact_claim(faults, self.true_clock.wall(), validity)),
                 text: "exact claim, because clock faults are injected".to_owned(),
                 is_contradictory: false,
             },
-            Claims::Daemons { kernel, chronyc } => {
+            ClaimOrigin::Daemons { kernel, chronyc } => {
                 let mut reports = Vec::new();
                 if let Some(chronyc) = chronyc {
                     reports.extend(chronyc.query().await);
                 }
-                // Read after chrony has answered, which takes time.
+                // The time is read after chrony has answered, because the answer takes time.
                 let now = self.clock.mono();
                 if *kernel {
                     reports.push(kernel::query(now));

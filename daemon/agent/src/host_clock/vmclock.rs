@@ -10,7 +10,7 @@ const MAGIC: u32 = 0x4b4c_4356;
 const VERSION: u16 = 1;
 /// Length in bytes of the structure up to the end of the marker: magic, size (32 bits each), version (16), two bytes
 /// about the counter, sequence count (32), marker (64).
-const BYTES: usize = 24;
+const STRUCTURE_BYTES: usize = 24;
 /// Number of attempts to read a structure that is being changed. If all fail, the structure is read at the next check.
 const ATTEMPTS: u32 = 8;
 
@@ -41,7 +41,7 @@ impl Vmclock {
                 let device = path.display();
                 tracing::warn!(
                     "cannot read {device}: {error}; disruptions of the clocks that the hypervisor reports there are not \
-                     detected; allow this user to read it"
+                     detected; allow this user to read the device"
                 );
                 None
             }
@@ -77,8 +77,8 @@ impl Vmclock {
 /// Reads the marker; `None` while the structure is being changed.
 ///
 /// The sequence count is odd during a change of the structure, and has another value after the change.
-// Linux copies the structure consistently for a reader. The count is checked nevertheless, for other providers of the
-// file.
+// Linux gives each reader a consistent copy of the structure. The count is checked nevertheless, in case another
+// program provides the file.
 fn read(file: &File) -> io::Result<Option<u64>> {
     let mut previous = read_structure(file)?;
     for _ in 0..ATTEMPTS {
@@ -92,8 +92,8 @@ fn read(file: &File) -> io::Result<Option<u64>> {
     Ok(None)
 }
 
-fn read_structure(file: &File) -> io::Result<[u8; BYTES]> {
-    let mut bytes = [0; BYTES];
+fn read_structure(file: &File) -> io::Result<[u8; STRUCTURE_BYTES]> {
+    let mut bytes = [0; STRUCTURE_BYTES];
     file.read_exact_at(&mut bytes, 0)?;
     let magic = u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
     let version = u16::from_le_bytes([bytes[8], bytes[9]]);
@@ -106,7 +106,7 @@ fn read_structure(file: &File) -> io::Result<[u8; BYTES]> {
     Ok(bytes)
 }
 
-const fn sequence_count(bytes: &[u8; BYTES]) -> u32 {
+const fn sequence_count(bytes: &[u8; STRUCTURE_BYTES]) -> u32 {
     u32::from_le_bytes([bytes[12], bytes[13], bytes[14], bytes[15]])
 }
 
@@ -118,14 +118,14 @@ pub(super) mod tests {
     use super::*;
 
     /// Length of a whole structure in bytes; the fields after the marker are not read.
-    const WHOLE: usize = 104;
+    const WHOLE_STRUCTURE_BYTES: usize = 104;
 
     /// Creates a device in a folder.
-    pub(in crate::host_clock) fn make(folder: &Path, marker: u64) -> File {
+    pub(in crate::host_clock) fn create_device(folder: &Path, marker: u64) -> File {
         let path = folder.join("vmclock0");
         let file = OpenOptions::new().read(true).write(true).create(true).truncate(true).open(path);
         let file = file.expect("made");
-        let mut bytes = [0; WHOLE];
+        let mut bytes = [0; WHOLE_STRUCTURE_BYTES];
         bytes[..4].copy_from_slice(&MAGIC.to_le_bytes());
         bytes[4..8].copy_from_slice(&4096_u32.to_le_bytes());
         bytes[8..10].copy_from_slice(&VERSION.to_le_bytes());
@@ -135,7 +135,7 @@ pub(super) mod tests {
         file
     }
 
-    /// Changes the marker in the way of a hypervisor.
+    /// Changes the marker as a hypervisor does: the sequence count is odd during the change.
     pub(in crate::host_clock) fn disrupt(file: &File, sequence: u32, marker: u64) {
         let write = |bytes: &[u8], at| file.write_all_at(bytes, at).expect("written");
         write(&(sequence + 1).to_le_bytes(), 12);
@@ -148,8 +148,8 @@ pub(super) mod tests {
     #[test]
     fn changed_marker_is_reported_once() {
         let dev = tempfile::tempdir().expect("a folder");
-        assert_eq!(Vmclock::open_all(dev.path()).find_disrupted_device(), None, "there is none");
-        let file = make(dev.path(), 7);
+        assert_eq!(Vmclock::open_all(dev.path()).find_disrupted_device(), None, "there is no device");
+        let file = create_device(dev.path(), 7);
         let mut vmclock = Vmclock::open_all(dev.path());
         assert_eq!(vmclock.find_disrupted_device(), None);
         disrupt(&file, 0, 8);
@@ -158,9 +158,9 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn marker_under_change_is_reported_afterwards() {
+    fn changing_marker_is_reported_after_the_change() {
         let dev = tempfile::tempdir().expect("a folder");
-        let file = make(dev.path(), 7);
+        let file = create_device(dev.path(), 7);
         let mut vmclock = Vmclock::open_all(dev.path());
         disrupt(&file, 0, 8);
         file.write_all_at(&3_u32.to_le_bytes(), 12).expect("written");
@@ -173,26 +173,26 @@ pub(super) mod tests {
     fn file_of_another_format_reports_nothing() {
         for (at, byte) in [(0, b'X'), (8, 2)] {
             let dev = tempfile::tempdir().expect("a folder");
-            let file = make(dev.path(), 7);
+            let file = create_device(dev.path(), 7);
             file.write_all_at(&[byte], at).expect("written");
             let mut vmclock = Vmclock::open_all(dev.path());
             disrupt(&file, 0, 8);
             assert_eq!(vmclock.find_disrupted_device(), None);
         }
         let dev = tempfile::tempdir().expect("a folder");
-        std::fs::write(dev.path().join("vmclock0"), [0; BYTES - 1]).expect("written");
+        std::fs::write(dev.path().join("vmclock0"), [0; STRUCTURE_BYTES - 1]).expect("written");
         assert_eq!(Vmclock::open_all(dev.path()).find_disrupted_device(), None);
     }
 
     #[test]
-    fn torn_marker_is_never_read() {
+    fn half_changed_marker_is_never_returned() {
         let dev = tempfile::tempdir().expect("a folder");
-        let file = make(dev.path(), 0);
-        let is_over = AtomicBool::new(false);
+        let file = create_device(dev.path(), 0);
+        let has_ended = AtomicBool::new(false);
         std::thread::scope(|scope| {
             scope.spawn(|| {
                 let mut changes = 0_u32;
-                while !is_over.load(Ordering::Relaxed) {
+                while !has_ended.load(Ordering::Relaxed) {
                     changes += 1;
                     let byte = u64::from(changes % 256);
                     disrupt(&file, 2 * changes, byte * 0x0101_0101_0101_0101);
@@ -200,11 +200,11 @@ pub(super) mod tests {
             });
             let device = File::open(dev.path().join("vmclock0")).expect("it is there");
             for _ in 0..5_000 {
-                if let Some(marker) = read(&device).expect("it is one") {
+                if let Some(marker) = read(&device).expect("the file is a vmclock device") {
                     assert_eq!(marker, (marker & 0xff) * 0x0101_0101_0101_0101, "{marker:x}");
                 }
             }
-            is_over.store(true, Ordering::Relaxed);
+            has_ended.store(true, Ordering::Relaxed);
         });
     }
 }

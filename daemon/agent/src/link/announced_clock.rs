@@ -10,27 +10,29 @@ const MAX_TRANSIT: Span = Span::from_seconds(1);
 /// announcement.
 #[derive(Debug)]
 pub(super) struct AnnouncedClock {
-    clock: PeerClock,
-    /// Time of the announcement, by this host's free-running clock.
+    /// The latest announcement.
+    announcement: PeerClock,
+    /// Time at which this host received the announcement, by this host's free-running clock.
     announced_at: RawTime,
     /// `true` if the free-running clock is related, `false` if the wall clock is.
     is_free_running: bool,
     /// Latest known epoch of the related clock.
     epoch: u32,
-    /// `true` if the announced claims were made before the latest known epoch.
+    /// `true` if the announced claims were made before the latest known epoch began.
     is_outdated: bool,
 }
 
 impl AnnouncedClock {
-    pub(super) fn new(clock: PeerClock, is_free_running: bool, at: RawTime) -> Self {
-        let epoch = epoch_of(&clock, is_free_running).unwrap_or(0);
-        Self { clock, announced_at: at, is_free_running, epoch, is_outdated: false }
+    pub(super) fn new(announcement: PeerClock, is_free_running: bool, at: RawTime) -> Self {
+        let epoch = epoch_of(&announcement, is_free_running).unwrap_or(0);
+        Self { announcement, announced_at: at, is_free_running, epoch, is_outdated: false }
     }
 
-    /// Handles an announcement. Returns the epoch of the related clock if it is new.
-    pub(super) fn announce(&mut self, clock: PeerClock, at: RawTime) -> Option<u32> {
-        let epoch = epoch_of(&clock, self.is_free_running);
-        (self.clock, self.announced_at) = (clock, at);
+    /// Handles an announcement. Returns the epoch of the related clock if the epoch is new.
+    // The caller passes a new epoch to `begin_epoch` after it has restarted the relation.
+    pub(super) fn announce(&mut self, announcement: PeerClock, at: RawTime) -> Option<u32> {
+        let epoch = epoch_of(&announcement, self.is_free_running);
+        (self.announcement, self.announced_at) = (announcement, at);
         self.is_outdated = epoch.is_some_and(|announced| announced < self.epoch);
         epoch.filter(|announced| *announced > self.epoch)
     }
@@ -42,14 +44,14 @@ impl AnnouncedClock {
         if is_new {
             self.epoch = epoch;
             self.is_outdated =
-                epoch_of(&self.clock, self.is_free_running).is_none_or(|announced| announced < epoch);
+                epoch_of(&self.announcement, self.is_free_running).is_none_or(|announced| announced < epoch);
         }
         is_new
     }
 
     /// Returns the latest announcement.
-    pub(super) const fn clock(&self) -> &PeerClock {
-        &self.clock
+    pub(super) const fn announcement(&self) -> &PeerClock {
+        &self.announcement
     }
 
     /// Returns the latest known epoch of the related clock.
@@ -59,7 +61,7 @@ impl AnnouncedClock {
 
     /// Returns the epoch of the wall clock.
     pub(super) const fn wall_epoch(&self) -> u32 {
-        self.clock.epoch
+        self.announcement.epoch
     }
 
     /// Returns the claim of the time daemon about the related clock at a time of this host's free-running clock: the
@@ -68,11 +70,11 @@ impl AnnouncedClock {
     /// The daemon's claim is about the wall clock. The announcement contains the difference of the wall clock and the
     /// free-running clock. Since then the free-running clock may have drifted from true time by the drift limit.
     pub(super) fn claim(&self, now: RawTime, max_drift_ppm: f64) -> Option<ClockClaim> {
-        let claim = self.clock.claim.filter(|_| !self.is_outdated)?;
+        let claim = self.announcement.claim.filter(|_| !self.is_outdated)?;
         if !self.is_free_running {
             return Some(claim);
         }
-        let wall_ahead = self.clock.raw.as_ref()?.wall_ahead;
+        let wall_ahead = self.announcement.raw.as_ref()?.wall_ahead;
         let age = (now - self.announced_at).max(Span::ZERO) + MAX_TRANSIT;
         let drift = Span::from_nanos((age.nanos() as f64 * max_drift_ppm * 1e-6).ceil() as i64);
         let Interval { lo, hi } = claim.error;
@@ -84,8 +86,8 @@ impl AnnouncedClock {
 }
 
 /// Returns the epoch of the related clock, if the host announces it.
-fn epoch_of(clock: &PeerClock, is_free_running: bool) -> Option<u32> {
-    if is_free_running { clock.raw.as_ref().map(|raw| raw.epoch) } else { Some(clock.epoch) }
+fn epoch_of(announcement: &PeerClock, is_free_running: bool) -> Option<u32> {
+    if is_free_running { announcement.raw.as_ref().map(|raw| raw.epoch) } else { Some(announcement.epoch) }
 }
 
 #[cfg(test)]
@@ -112,11 +114,14 @@ mod tests {
     fn claim_widens_when_related_to_free_running_clock() {
         let at = RawTime::from_nanos(0);
         let announced = AnnouncedClock::new(announcement_with_claim(0), true, at);
-        let claim = announced.claim(at + Span::from_seconds(9), 100.0).expect("it has one");
+        let claim = announced.claim(at + Span::from_seconds(9), 100.0).expect("the announcement has a claim");
         let expected = Interval { lo: Span::from_millis(-5_003), hi: Span::from_millis(-4_997) };
         assert_eq!(claim.error, expected, "10 s at 100 ppm are 1 ms at each end");
-        let by_wall = AnnouncedClock::new(announcement_with_claim(0), false, at);
-        assert_eq!(by_wall.claim(at + Span::from_seconds(9), 100.0), announcement_with_claim(0).claim);
+        let wall_clock_of_host = AnnouncedClock::new(announcement_with_claim(0), false, at);
+        assert_eq!(
+            wall_clock_of_host.claim(at + Span::from_seconds(9), 100.0),
+            announcement_with_claim(0).claim
+        );
     }
 
     #[test]
@@ -126,8 +131,16 @@ mod tests {
         assert!(announced.begin_epoch(1) && !announced.begin_epoch(1));
         assert_eq!(announced.claim(at, 100.0), None);
         assert_eq!(announced.announce(announcement_with_claim(0), at), None);
-        assert_eq!(announced.claim(at, 100.0), None, "it was on its way");
-        assert_eq!(announced.announce(announcement_with_claim(1), at), None, "known already");
+        assert_eq!(
+            announced.claim(at, 100.0),
+            None,
+            "the announcement was on its way during the interruption"
+        );
+        assert_eq!(
+            announced.announce(announcement_with_claim(1), at),
+            None,
+            "the exchange already announced the epoch"
+        );
         assert!(announced.claim(at, 100.0).is_some());
         assert_eq!(announced.announce(announcement_with_claim(2), at), Some(2));
     }

@@ -12,7 +12,7 @@ use peernet_stream::Probing;
 const UNANSWERED_AFTER: u32 = 3;
 
 /// Reason that is shown when answers come too late.
-const LATE_ANSWERS: &str = "answers arrive more than 2 s after their probes, which count as lost";
+const LATE_ANSWERS: &str = "answers arrive more than 2 s after their probes, so the probes count as lost";
 
 /// Decides from the results of the probes to one reflector whether the probes are shown as answered.
 #[derive(Debug)]
@@ -124,7 +124,7 @@ impl AnswerMonitor {
 /// latest refusal. `None` if there is no sign of a reason; the port may be blocked.
 fn unanswered_reason(has_key: bool, refusal_reason: Option<&str>) -> Option<String> {
     match (has_key, refusal_reason) {
-        // These answers are authentic if there is a key.
+        // If there is a key, an answer with these faults was authenticated by it. The key is therefore not the reason.
         (_, Some(reason @ (WRONG_PROCESS | NOT_PEERNET))) => Some(format!(
             "{reason}; probes to the address of the session must reach the same machine over UDP: check forwarded ports and load balancers"
         )),
@@ -135,7 +135,7 @@ fn unanswered_reason(has_key: bool, refusal_reason: Option<&str>) -> Option<Stri
         (true, None) => Some("no answer; with [probes] key_file both ends need the same key".to_owned()),
         (true, Some(reason)) => Some(format!(
             "the replies are {reason}; with [probes] key_file both ends need the same key, and the other end seems to have no \
-             key or another one"
+             key or another key"
         )),
         (false, Some(reason)) => Some(format!("the replies are refused: {reason}")),
     }
@@ -146,7 +146,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn late_answers_are_a_reason_without_refusal() {
+    fn late_answers_are_the_reason_unless_one_is_refused() {
         let mut monitor = AnswerMonitor::new("cloud".parse().expect("a name"), true);
         let address = "udp://10.0.0.3:862".to_owned();
         let mut shown_state = Probing::On { address, rate_hz: 10.0, stamps: "kernel".into() };
@@ -171,13 +171,13 @@ mod tests {
     fn key_is_named_as_possible_reason() {
         assert_eq!(unanswered_reason(false, None), None);
         for refusal_reason in [None, Some("not authenticated by the key"), Some("shorter than a reply")] {
-            let reason = unanswered_reason(true, refusal_reason).expect("something is known");
+            let reason = unanswered_reason(true, refusal_reason).expect("a reason is known");
             assert!(reason.contains("both ends need the same key"), "{reason}");
             assert!(refusal_reason.is_none_or(|refusal_reason| reason.contains(refusal_reason)), "{reason}");
         }
-        for another in [WRONG_PROCESS, NOT_PEERNET, ALTERED_REPLY_TLVS, ALTERED_PROBE_TLVS, NO_ORIGIN] {
-            let reason = unanswered_reason(true, Some(another)).expect("something is known");
-            assert!(reason.contains(another) && !reason.contains("key"), "{reason}");
+        for other_reason in [WRONG_PROCESS, NOT_PEERNET, ALTERED_REPLY_TLVS, ALTERED_PROBE_TLVS, NO_ORIGIN] {
+            let reason = unanswered_reason(true, Some(other_reason)).expect("a reason is known");
+            assert!(reason.contains(other_reason) && !reason.contains("key"), "{reason}");
         }
         assert!(
             unanswered_reason(false, Some("not from the target"))

@@ -14,34 +14,34 @@ use peernet_stream::{ClockSample, EstimateBasis, HostClock, NetworkName};
 use super::announced_clock::AnnouncedClock;
 use super::clock_window::ClockWindow;
 use super::judged_stamps::{Crossing, HostStamp};
+use super::link_second::LinkSecond;
 use super::network_sessions::NetworkSessions;
 use super::reports::{ClockReports, ExcessSkew, LostProof, Restart, SuspectedJump};
-use super::second::Second;
 use crate::host_clock::describe_clock;
 use crate::same_clock::NotProven;
 
 /// Longest time between the end of a second and its close, unless exchanges stopped or the wall clock was set.
 const MAX_OVERDUE: Span = Span::from_seconds(2);
 
-/// The clock relation of a link, and the events of the current second.
+/// The clock relation of a link, and what happened in the current second.
 #[derive(Debug)]
 pub(super) struct LinkClockState {
     peer: HostId,
     name: Slug,
     relation: Relation,
     window: ClockWindow,
-    second: Second,
+    current_second: LinkSecond,
     networks: NetworkSessions,
     edge: AnnouncedClock,
     cloud: AnnouncedClock,
     reports: ClockReports,
 }
 
-/// Results of an update: samples to record and incidents to report.
+/// Results of an update: clock samples to record and incidents to report.
 #[derive(Debug, Default)]
 #[must_use]
 pub(super) struct ClockStateChanges {
-    /// Samples of the closed seconds.
+    /// Clock samples of the closed seconds.
     pub(super) samples: Vec<ClockSample>,
     pub(super) restart: Option<Restart>,
     /// `true` if the cloud's wall clock was stepped or slewed; no delay depends on it.
@@ -67,7 +67,7 @@ impl LinkClockState {
         (edge, cloud): (PeerClock, PeerClock),
         now: Stamp,
     ) -> Self {
-        let second = Second::new(now.wall.unix_seconds());
+        let current_second = LinkSecond::new(now.wall.unix_seconds());
         let is_cloud_free_running = relation.settings().clocks == RelatedClocks::Raw;
         let edge = AnnouncedClock::new(edge, true, now.raw);
         let cloud = AnnouncedClock::new(cloud, is_cloud_free_running, now.raw);
@@ -76,7 +76,7 @@ impl LinkClockState {
             name,
             relation,
             window: ClockWindow::new(),
-            second,
+            current_second,
             networks: NetworkSessions::default(),
             edge,
             cloud,
@@ -97,14 +97,14 @@ impl LinkClockState {
     }
 
     /// Returns the last sample of each network without sessions. Called when the session that sent the probes has ended
-    /// and all of its probes are counted; another session sends the probes from now on.
+    /// and all probes of that session are counted. Another session sends the probes from then on.
     pub(super) fn settle_sessions(&mut self, now: Stamp) -> ClockStateChanges {
         let mut changes = self.advance_second(now);
         for network in self.networks.take_ended(0) {
-            if !self.second.is_empty() {
+            if !self.current_second.is_empty() {
                 let offset = self.relation.offset(now.raw, now.wall);
                 changes.samples.push(self.sample(&network, now, offset));
-                self.second.remove_network(&network);
+                self.current_second.remove_network(&network);
             }
         }
         changes
@@ -125,8 +125,8 @@ impl LinkClockState {
         let (up, down) =
             (OneWayDelay { raw: up_message.raw, ..up }, OneWayDelay { raw: down_message.raw, ..down });
         self.handle_learn_result(learn_result, observation, now, &mut changes);
-        self.second.add_delay(network, Direction::Up, &up, up_message.bits);
-        self.second.add_delay(network, Direction::Down, &down, down_message.bits);
+        self.current_second.add_delay(network, Direction::Up, &up, up_message.bits);
+        self.current_second.add_delay(network, Direction::Down, &down, down_message.bits);
         ([up, down], changes)
     }
 
@@ -145,7 +145,7 @@ impl LinkClockState {
         for (direction, (delay, message_delay)) in
             [Direction::Up, Direction::Down].iter().zip(delays.iter().zip(message_delays))
         {
-            self.second.add_delay(network, *direction, delay, message_delay.bits);
+            self.current_second.add_delay(network, *direction, delay, message_delay.bits);
         }
         (delays, changes)
     }
@@ -188,21 +188,21 @@ impl LinkClockState {
         now: Stamp,
     ) -> ClockStateChanges {
         let mut changes = self.advance_second(now);
-        let all_authenticated = self.second.authenticated.unwrap_or(true);
-        self.second.authenticated = Some(all_authenticated && authenticated);
-        let probes = &mut self.second.probes;
+        let all_authenticated = self.current_second.authenticated.unwrap_or(true);
+        self.current_second.authenticated = Some(all_authenticated && authenticated);
+        let probes = &mut self.current_second.probes;
         match result {
             ProbeResult::Sent => probes.sent = probes.sent.saturating_add(1),
             ProbeResult::Lost => probes.lost = probes.lost.saturating_add(1),
             ProbeResult::Answered(observation) => {
                 probes.answered = probes.answered.saturating_add(1);
                 if self.learn(observation, now, &mut changes) {
-                    self.second.add_round_trip(observation.exchange.round_trip());
+                    self.current_second.add_round_trip(observation.exchange.round_trip());
                 }
             }
             ProbeResult::ClockInterrupted(epoch) => {
                 probes.answered = probes.answered.saturating_add(1);
-                // A step of this host's clock is between its stamps, so the relation learns only the step.
+                // This host's clock was stepped between the stamps of the probe, so the relation learns only the step.
                 self.update_relation((*epoch, None), |relation| relation.restart_after_edge_step(*epoch));
             }
             // The probe was counted as answered before.
@@ -263,16 +263,16 @@ impl LinkClockState {
         }
     }
 
-    /// Closes the current second if its time has passed.
+    /// Closes the current second if the second has passed.
     pub(super) fn advance_second(&mut self, now: Stamp) -> ClockStateChanges {
         let mut changes = ClockStateChanges::default();
         self.start_new_window(now, &mut changes);
-        if now.wall.unix_seconds() != self.second.at {
+        if now.wall.unix_seconds() != self.current_second.start_s {
             self.update_claims(now.raw);
             changes.lost_proof = self.reports.report_ended_proof(now.raw);
             // If the clock was set back, the second is closed early. If it was set forward, the second is closed with
             // the state at its end.
-            let end = self.second.end();
+            let end = self.current_second.end();
             let at = edge_time(now, end);
             let offset = self.relation.offset(at.raw, end);
             self.close_second(at, offset.as_ref(), now.wall, &mut changes);
@@ -291,20 +291,21 @@ impl LinkClockState {
     /// Returns the sample of a network's previous second if it is available, otherwise the sample of the current second
     /// so far.
     pub(super) fn latest_sample(&self, network: &NetworkName, now: Stamp) -> ClockSample {
-        let previous = self.second.end() - Span::from_seconds(1);
-        let is_current = now.wall.unix_seconds() == self.second.at;
-        let last = self.window.last_second(network).filter(|last| is_current && last.at == previous);
+        let previous_end = self.current_second.end() - Span::from_seconds(1);
+        let is_current = now.wall.unix_seconds() == self.current_second.start_s;
+        let previous_sample =
+            self.window.last_second(network).filter(|sample| is_current && sample.at == previous_end);
         // After a step the new offset must not appear in the window that precedes the step.
         let offset = || self.relation.offset(now.raw, now.wall).filter(|_| !self.window.is_void());
-        last.cloned().unwrap_or_else(|| self.sample(network, now, offset()))
+        previous_sample.cloned().unwrap_or_else(|| self.sample(network, now, offset()))
     }
 
     /// Returns the descriptions of the clocks of edge and cloud for live updates.
     pub(super) fn describe_clocks(&self) -> (HostClock, HostClock) {
-        (describe_clock(self.edge.clock()), describe_clock(self.cloud.clock()))
+        (describe_clock(self.edge.announcement()), describe_clock(self.cloud.announcement()))
     }
 
-    /// Adds an exchange to the relation. Returns whether it was accepted.
+    /// Adds an exchange to the relation. Returns whether the relation accepted the exchange.
     fn learn(
         &mut self,
         observation: &ExchangeObservation,
@@ -327,7 +328,7 @@ impl LinkClockState {
         let restarts_before = self.relation.exchange_counts().restarts;
         let result = update(&mut self.relation);
         let has_new_edge_epoch = self.edge.begin_epoch(edge);
-        // An epoch that is not known changes nothing: 0 is never a new one.
+        // 0 stands for an unknown epoch, because it is never newer than the latest known epoch.
         let has_new_cloud_epoch = self.cloud.begin_epoch(cloud.unwrap_or(0));
         let is_restarted = self.relation.exchange_counts().restarts > restarts_before;
         if is_restarted {
@@ -367,21 +368,22 @@ impl LinkClockState {
         let proven_skew = self.relation.excess_skew();
         let excess_skew = proven_skew.map(|proven| ExcessSkew { proven, limit_ppm: settings.max_drift_ppm });
         changes.excess_skew = self.reports.report_excess_skew(excess_skew).or(changes.excess_skew.take());
-        self.second.add_exchange(&observation.exchange, settings.max_drift_ppm);
+        self.current_second.add_exchange(&observation.exchange, settings.max_drift_ppm);
     }
 
     /// Starts a new window after a step. The current second is closed without an offset, because its exchanges preceded
     /// the step.
     fn start_new_window(&mut self, now: Stamp, changes: &mut ClockStateChanges) {
         if self.window.is_void() {
-            let is_current = now.wall.unix_seconds() == self.second.at;
-            let at = if is_current { now } else { edge_time(now, self.second.end()) };
+            let is_current = now.wall.unix_seconds() == self.current_second.start_s;
+            let at = if is_current { now } else { edge_time(now, self.current_second.end()) };
             self.close_second(at, None, now.wall, changes);
             self.window = ClockWindow::new();
         }
     }
 
-    /// Closes the second with the state at `at`, its end, and starts the second of `now`.
+    /// Closes the current second with the state of the clocks at `at`, the end of the second. Starts the second that
+    /// contains `now`.
     fn close_second(
         &mut self,
         at: Stamp,
@@ -389,9 +391,9 @@ impl LinkClockState {
         now: WallTime,
         changes: &mut ClockStateChanges,
     ) {
-        if !self.second.is_empty() {
+        if !self.current_second.is_empty() {
             let networks: BTreeSet<&NetworkName> =
-                self.networks.names().chain(self.second.networks()).collect();
+                self.networks.names().chain(self.current_second.networks()).collect();
             let sample = |network| self.sample(network, at, offset.cloned());
             let samples: Vec<ClockSample> = networks.into_iter().map(sample).collect();
             changes.samples.extend_from_slice(&samples);
@@ -399,7 +401,7 @@ impl LinkClockState {
             self.window.set_last_second(samples);
         }
         self.networks.close_second();
-        self.second = Second::new(now.unix_seconds());
+        self.current_second = LinkSecond::new(now.unix_seconds());
     }
 
     /// Returns the sample of a network for the current second, with the state at `at`.
@@ -418,7 +420,7 @@ impl LinkClockState {
                 .map(|skew| (skew.min_ppm.min(skew.max_ppm), skew.max_ppm.max(skew.min_ppm))),
             grown_window: self.relation.window_span(at.raw).filter(|span| *span > settings.window),
             claims_trusted: settings.trust_time_daemons,
-            probes_authenticated: self.second.authenticated,
+            probes_authenticated: self.current_second.authenticated,
         };
         ClockSample {
             peer: self.peer,
@@ -426,14 +428,14 @@ impl LinkClockState {
             at: at.wall,
             window: self.window.id(),
             max_drift_ppm: settings.max_drift_ppm,
-            upper: self.second.upper,
-            lower: self.second.lower,
+            upper: self.current_second.upper,
+            lower: self.current_second.lower,
             offset,
-            probes: self.second.probes,
+            probes: self.current_second.probes,
             exchanges: self.relation.exchange_counts(),
-            round_trip: self.second.round_trips(),
-            up: self.second.delays(network, Direction::Up),
-            down: self.second.delays(network, Direction::Down),
+            round_trip: self.current_second.round_trips(),
+            up: self.current_second.delays(network, Direction::Up),
+            down: self.current_second.delays(network, Direction::Down),
             network: network.clone(),
             basis: Some(basis),
         }
@@ -446,7 +448,7 @@ impl LinkClockState {
     }
 }
 
-/// Returns the edge's clocks at the wall-clock time `at`, shortly before `now`.
+/// Returns the readings of the edge's clocks at the wall-clock time `at`, which is shortly before `now`.
 fn edge_time(now: Stamp, at: WallTime) -> Stamp {
     let elapsed = (now.wall - at).max(Span::ZERO).min(MAX_OVERDUE);
     Stamp { wall: at, raw: now.raw - elapsed, ..now }

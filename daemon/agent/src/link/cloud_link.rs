@@ -17,7 +17,7 @@ use tokio::sync::watch;
 
 use super::clock_state::{ClockStateChanges, LinkClockState, MessageDelay};
 use super::connections::Connections;
-use super::correction::{bits, correct};
+use super::correction::{correct, sent_bits};
 use super::incident_texts::{excess_text, jump_text, lost_proof_text, restart_text, wall_set_text};
 use super::judged_stamps::Crossing;
 use super::named_reflector::NamedReflector;
@@ -72,7 +72,7 @@ impl CloudLink {
         let announcements = (shared.host.host_clock.borrow().clone(), accepted.host_clock.clone());
         let mut clock_state =
             LinkClockState::new((accepted.host, accepted.name.clone()), relation, announcements, now);
-        // Perhaps the announcement of the latest interruption has not arrived yet.
+        // The latest announcement about this host's clocks may be older than the latest interruption.
         clock_state.begin_epoch_of_edge(clock.epoch());
         let reflector_address = shared.probes.reflectors.get(&accepted.name);
         let reflector =
@@ -98,7 +98,7 @@ impl CloudLink {
     }
 
     /// Judges the delays of an answered request over a network and sets them in its tree. Returns the sum of both
-    /// directions by the hosts' monotonic clocks, which is known even if a wall clock was stepped in the meantime.
+    /// delays by the hosts' monotonic clocks. The sum is known even if a wall clock was stepped in the meantime.
     pub(super) fn correct(&self, network: &NetworkName, completed: &mut CompletedRequest) -> Option<Span> {
         let (Some(up), Some(down), Some(arrived)) =
             (completed.upload, completed.download, completed.arrived_at)
@@ -106,9 +106,9 @@ impl CloudLink {
             // Without an answer neither delay is known.
             return None;
         };
-        let transport = transport(&completed.recorder, up, down, arrived);
+        let sum_of_delays = sum_of_delays(&completed.recorder, up, down, arrived);
         let tree = completed.recorder.tree_mut();
-        let bits = [bits(tree, Direction::Up), bits(tree, Direction::Down)];
+        let bits = [sent_bits(tree, Direction::Up), sent_bits(tree, Direction::Down)];
         let message_delays = [
             MessageDelay { raw: raw_difference(tree, up)?, bits: bits[0] },
             MessageDelay { raw: raw_difference(tree, down)?, bits: bits[1] },
@@ -125,7 +125,7 @@ impl CloudLink {
             );
         }
         self.report(changes);
-        transport
+        sum_of_delays
     }
 
     /// Judges the delay of the first partial answer and sets it in the tree. `up` is the node of the request's upload.
@@ -269,14 +269,14 @@ impl CloudLink {
         self.sessions.send_modify(|sessions| sessions.push(session));
     }
 
-    /// Records that a session has ended. Returns whether it was the last one.
+    /// Records that a session has ended. Returns whether the link has no session any more.
     pub(super) fn leave(&self, id: u64, network: &NetworkName) -> bool {
         lock(&self.clock_state).leave(network);
         self.sessions.send_modify(|sessions| sessions.retain(|session| session.id != id));
         self.sessions.borrow().is_empty()
     }
 
-    /// Records that the session that sent the probes has ended and all of its probes are counted.
+    /// Records that the session that sent the probes has ended and that all probes of that session are counted.
     pub(super) fn settle_sessions(&self) {
         let now = self.shared.host.clock.stamp();
         let changes = lock(&self.clock_state).settle_sessions(now);
@@ -360,9 +360,9 @@ fn raw_difference(tree: &Tree, transit: NodeId) -> Option<Span> {
     }
 }
 
-/// Returns the sum of both directions: the edge's waiting time minus the time on the cloud, each by its own monotonic
-/// clock.
-fn transport(log: &Recorder, up: NodeId, down: NodeId, arrived: Stamp) -> Option<Span> {
+/// Returns the sum of the delays of both directions: the edge's waiting time minus the time on the cloud, each by the
+/// monotonic clock of its host.
+fn sum_of_delays(log: &Recorder, up: NodeId, down: NodeId, arrived: Stamp) -> Option<Span> {
     let tree = log.tree();
     let waiting_time = log.offset(arrived.mono) - tree.get(up)?.start;
     // The starts of the cloud's nodes count from the arrival of the message. A negative result means that the cloud's

@@ -20,7 +20,7 @@ pub(super) struct Connections {
     read_at: Option<MonoTime>,
     /// Addresses (`None` if unknown) and statistics by the number of the session.
     by_session: BTreeMap<u64, (Option<ConnectionAddresses>, Connection)>,
-    /// `true` once it was logged that the interfaces cannot be listed.
+    /// `true` after a log line has said that the interfaces cannot be listed.
     has_logged_error: bool,
 }
 
@@ -41,7 +41,7 @@ impl Connections {
         self.by_session.values().map(|(_, connection)| connection.clone()).collect()
     }
 
-    /// Reads the statistics of a session's connection. Keeps the last ones if the session has ended.
+    /// Reads the statistics of a session's connection. Keeps the last statistics if the session has ended.
     fn read(&mut self, session: &Session) {
         let Some(statistics) = session.statistics.read() else { return };
         let addresses = session.statistics.addresses();

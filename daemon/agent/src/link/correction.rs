@@ -3,12 +3,12 @@
 use peernet_clock::{Direction, OneWayDelay};
 use peernet_logger::{Measure, Name, NodeId, Rate, Tree, stage};
 
-/// Sets the delay of a transit that has arrived, and adds the throughput that follows from it.
+/// Sets the delay of a transit that has arrived, and adds the throughput that follows from the delay.
 pub(crate) fn correct(tree: &mut Tree, transit: NodeId, direction: Direction, delay: OneWayDelay) {
     let Some(Measure::Transit(transit_measure)) = tree.measure_mut(transit) else { return };
     transit_measure.delay = Some(delay);
     let start = tree.get(transit).map(|node| node.start).unwrap_or_default();
-    if let Some(bits) = bits(tree, direction) {
+    if let Some(bits) = sent_bits(tree, direction) {
         let throughput = match direction {
             Direction::Up => stage::UPLOAD_THROUGHPUT,
             Direction::Down => stage::DOWNLOAD_THROUGHPUT,
@@ -17,8 +17,8 @@ pub(crate) fn correct(tree: &mut Tree, transit: NodeId, direction: Direction, de
     }
 }
 
-/// Returns the number of bits that were sent in a direction, payload and metadata; `None` if it is unknown.
-pub(super) fn bits(tree: &Tree, direction: Direction) -> Option<f64> {
+/// Returns the number of bits that were sent in a direction, for payload and metadata; `None` if the number is unknown.
+pub(super) fn sent_bits(tree: &Tree, direction: Direction) -> Option<f64> {
     const UP: [Name; 2] = [stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES];
     const DOWN: [Name; 2] = [stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES];
     let names = match direction {
@@ -81,7 +81,7 @@ mod tests {
         assert_eq!(measure_of("download").and_then(Measure::value), Some(0.001));
         let Some(Measure::Throughput(rate)) = measure_of("upload-throughput") else { panic!("{tree:?}") };
         assert_eq!((rate.value, rate.bounds), (Some(4e6), Some((4e6, 4e6))));
-        assert_eq!(measure_of("download-throughput"), None, "no size, no throughput");
+        assert_eq!(measure_of("download-throughput"), None, "without a size there is no throughput");
     }
 
     #[test]
@@ -90,7 +90,7 @@ mod tests {
         correct(&mut tree, up, Direction::Up, OneWayDelay::unsynchronised(UP));
         let Some((_, node)) = tree.find(&["upload"]) else { panic!("{tree:?}") };
         let Measure::Transit(transit) = &node.measure else { panic!("{node:?}") };
-        let delay = transit.delay.expect("judged");
+        let delay = transit.delay.expect("the delay is judged");
         assert_eq!((delay.raw, delay.value, delay.verdict), (UP, None, Verdict::Unsynchronised));
         let throughput = tree.find(&["upload-throughput"]).expect("there").1;
         assert_eq!(throughput.measure, Measure::Throughput(Rate { value: None, bounds: None }));

@@ -20,7 +20,7 @@ impl<T> Default for DownsampledValues<T> {
 }
 
 impl<T: Copy> DownsampledValues<T> {
-    /// Adds a value. If there are too many values, removes every second one.
+    /// Adds a value. If there are too many values, removes every other value.
     pub(super) fn push(&mut self, value: T) {
         if self.count.is_multiple_of(self.stride) {
             if self.values.len() == MAX_VALUES {

@@ -22,6 +22,7 @@ mod correction;
 mod downsampled;
 mod incident_texts;
 mod judged_stamps;
+mod link_second;
 mod named_reflector;
 mod network_sessions;
 mod probe_pace;
@@ -29,7 +30,6 @@ mod probe_target;
 mod probing;
 mod registry;
 mod reports;
-mod second;
 mod shared;
 
 pub(crate) use judged_stamps::{Crossing, EpochWatch, HostStamp};

@@ -9,8 +9,8 @@ use super::{CountOwner, SHARED_MEMORY, open_owned_file, read_owner, remove};
 
 /// Removes the files of counts that no process uses, if their spool no longer exists or is `spool`.
 ///
-/// The files named in `needed` stay, because `spool` still needs them. A file that does not contain the identity of a spool
-/// stays, too.
+/// The files named in `needed` stay, because `spool` still needs them. A file that does not contain the identity of a
+/// spool stays, too.
 pub(crate) fn remove_abandoned(spool: &CountOwner, needed: &[&str]) {
     let entries = match fs::read_dir(SHARED_MEMORY) {
         Ok(entries) => entries,

@@ -12,7 +12,7 @@ fn program(name: &str) -> PathBuf {
     let tools = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../.venv-tools/chrony/usr");
     let folders = [tools.join("sbin"), tools.join("bin"), "/usr/sbin".into(), "/usr/bin".into()];
     let path = folders.iter().map(|folder| folder.join(name)).find(|path| path.exists());
-    path.unwrap_or_else(|| panic!("{name} is not there: run `deploy/install-tools.sh test`"))
+    path.unwrap_or_else(|| panic!("{name} is missing: run `deploy/install-tools.sh test`"))
 }
 
 /// A chronyd with separate files, killed at the end of the test.
@@ -29,7 +29,7 @@ impl Chronyd {
         Self::start("local stratum 10\nallow 127.0.0.1\n", free_port())
     }
 
-    /// Starts a client of `server`, whose time it corrects by `offset_s`.
+    /// Starts a client of `server`. The client corrects its measurements of the server by `offset_s`.
     pub(super) fn client(server: &Self, offset_s: f64) -> Self {
         let line = format!(
             "server 127.0.0.1 port {} iburst minpoll -2 maxpoll 0 offset {offset_s}\n",
@@ -47,7 +47,7 @@ impl Chronyd {
     /// Starts a daemon without a server.
     pub(super) fn without_server() -> Self {
         let mut daemon = Self::start("", 0);
-        // The loop is paced by chronyc itself.
+        // The loop needs no pause, because each run of chronyc takes a while.
         while !daemon.answers() {
             let status = daemon.child.try_wait().expect("it is our child");
             assert_eq!(status, None, "chronyd ended:\n{}", daemon.log());
@@ -120,7 +120,7 @@ impl Chronyd {
 
 impl Drop for Chronyd {
     fn drop(&mut self) {
-        // It may have ended already.
+        // The daemon may have ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

@@ -10,12 +10,12 @@ use crate::config::{ClaimPolicy, ClockConfig, ClockFaultConfig, ClockFaultStepCo
 /// Returns the machine's clock with injected faults.
 fn faulty_clock(config: &ClockFaultConfig) -> SharedClock {
     let truth = system_clock();
-    let description = config.description(truth.wall());
-    Arc::new(FaultyClock::new(truth, ClockIdentity::new("boot", "faulty"), description))
+    let injected_faults = config.clock_faults(truth.wall());
+    Arc::new(FaultyClock::new(truth, ClockIdentity::new("boot", "faulty"), injected_faults))
 }
 
 #[tokio::test]
-async fn step_is_published_with_its_clock_fault() {
+async fn injected_faults_are_published_and_step_ends_claim() {
     let faults = ClockFaultConfig {
         offset_ms: -1000.0,
         steps: vec![ClockFaultStepConfig { at_s: 0.3, by_ms: 3000.0, clock: SteppedClock::Wall }],
@@ -23,11 +23,13 @@ async fn step_is_published_with_its_clock_fault() {
     };
     let clock = faulty_clock(&faults);
     let (mut published, _running) = start_watching(ClockConfig::default(), Some(faults), &clock);
-    let first = published.wait_for(|state| state.faults.is_some()).await.expect("the task runs").clone();
-    assert_eq!(first.faults.as_ref(), clock.injected_faults());
-    let epoch = first.epoch;
-    let after = published.wait_for(|state| state.epoch > epoch).await.expect("the task runs").clone();
-    assert_eq!(after.claim, None);
+    let initial_state =
+        published.wait_for(|state| state.faults.is_some()).await.expect("the task runs").clone();
+    assert_eq!(initial_state.faults.as_ref(), clock.injected_faults());
+    let epoch = initial_state.epoch;
+    let state_after_step =
+        published.wait_for(|state| state.epoch > epoch).await.expect("the task runs").clone();
+    assert_eq!(state_after_step.claim, None);
 }
 
 #[tokio::test]
@@ -45,11 +47,11 @@ async fn host_with_clock_fault_claims_nothing_or_exact_error() {
 
     let exact_claim = ClockFaultConfig { drift_ppm: -50.0, discipline: ClaimPolicy::Exact, ..without_claim };
     let clock = faulty_clock(&exact_claim);
-    let description = clock.injected_faults().expect("it has faults").clone();
+    let injected_faults = clock.injected_faults().expect("the clock has faults").clone();
     let (mut published, _running) = start_watching(ClockConfig::default(), Some(exact_claim), &clock);
     let state = published.wait_for(|state| state.claim.is_some()).await.expect("the task runs").clone();
-    let error = state.claim.expect("it was waited for").error;
-    let now = description.wall_error_at(description.true_wall(clock.wall()));
-    assert!(error.lo <= now && now <= error.hi, "{now} is not in {error:?}");
+    let error = state.claim.expect("the state has a claim").error;
+    let current_error = injected_faults.wall_error_at(injected_faults.true_wall(clock.wall()));
+    assert!(error.lo <= current_error && current_error <= error.hi, "{current_error} is not in {error:?}");
     assert!(error.width() < Span::from_millis(1), "{error:?}");
 }

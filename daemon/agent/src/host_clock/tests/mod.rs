@@ -19,7 +19,7 @@ fn system_clock() -> SharedClock {
     Arc::new(SystemClock::new(ClockIdentity::new("boot", "test")))
 }
 
-/// Starts the task, which runs until the guard is dropped.
+/// Starts the task that monitors the clocks. The task runs until the guard is dropped.
 fn start_watching(
     config: ClockConfig,
     faults: Option<ClockFaultConfig>,

@@ -31,13 +31,13 @@ async fn interval_contains_known_bias_and_not_its_opposite() {
         let contains = |error: Span| claim.error.lo <= error && error <= claim.error.hi;
         assert!(contains(error), "{error} is not in {:?}", claim.error);
         assert!(!contains(-error), "{} is in {:?}", -error, claim.error);
-        assert!(contains(Span::ZERO), "a slewed clock passes through all between: {:?}", claim.error);
+        assert!(contains(Span::ZERO), "a clock that is slewed passes through zero: {:?}", claim.error);
         assert!(claim.error.width() < Span::from_millis(80), "{:?}", claim.error);
     }
 }
 
 #[tokio::test]
-async fn daemon_without_other_source_claims_nothing() {
+async fn daemon_that_follows_no_server_claims_nothing() {
     let (server, unsynchronised) = (Chronyd::server(), Chronyd::without_server());
     // The server answers commands once a client is synchronised to it.
     let _client = Chronyd::client(&server, 0.0);

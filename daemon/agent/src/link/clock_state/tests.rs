@@ -25,7 +25,8 @@ fn announcement(epoch: u32, claim: Option<ClockClaim>) -> PeerClock {
     PeerClock { raw, claim, ..PeerClock::default() }
 }
 
-/// Returns an exchange with a cloud that is `ahead`: 1 ms in each direction, 2 ms in between.
+/// Returns an exchange that was sent at `sent`, with a cloud whose clock is `ahead` milliseconds ahead of the edge's.
+/// The delays are 1 ms in each direction and 2 ms on the cloud.
 fn exchange(sent: i64, ahead: i64) -> ExchangeObservation {
     let exchange = Exchange {
         sent: RawTime::from_wall(at(sent)),
@@ -81,7 +82,7 @@ fn nonempty_second_is_reported_once_when_over() {
         );
         assert!(changes.samples.is_empty() && changes.restart.is_none());
         for delay in [up, down] {
-            let bounds = delay.bounds.expect("bounded by itself alone");
+            let bounds = delay.bounds.expect("the exchange itself bounds the delay");
             assert!(bounds.lo <= Span::from_millis(1) && Span::from_millis(1) <= bounds.hi, "{delay:?}");
         }
     }
@@ -90,7 +91,7 @@ fn nonempty_second_is_reported_once_when_over() {
     assert_eq!(
         clock_state.latest_sample(&network(), now(800)).up.map(|up| up.count),
         Some(3),
-        "the part of the second that has passed"
+        "the sample covers the part of the second that has passed"
     );
 
     let changes = clock_state.advance_second(now(1001));
@@ -145,7 +146,11 @@ fn step_of_peer_begins_window_and_is_named() {
 
     let _ = clock_state.handle_cloud_announcement(announcement(1, None), now(250).raw);
     let later = ExchangeObservation { cloud_epoch: Some(1), ..exchange(1100, 3000) };
-    assert_eq!(clock_state.judge(&network(), &later, MESSAGE_DELAYS, now(1104)).1.restart, None, "once");
+    assert_eq!(
+        clock_state.judge(&network(), &later, MESSAGE_DELAYS, now(1104)).1.restart,
+        None,
+        "the step is reported once"
+    );
 }
 
 #[test]
@@ -185,7 +190,7 @@ fn claims_after_step_do_not_reach_earlier_window() {
 }
 
 #[test]
-fn probe_across_own_step_reports_only_step() {
+fn relation_learns_only_the_step_from_interrupted_probe() {
     let mut clock_state = clock_state();
     for millis in [0, 100, 200] {
         let _ = clock_state.judge(&network(), &exchange(millis, 0), MESSAGE_DELAYS, now(millis + 4));
@@ -249,7 +254,7 @@ fn networks_of_pair_share_relation_but_not_delays() {
     assert_eq!((tcp.up.map(|up| up.count), udp.up.map(|up| up.count)), (Some(3), Some(1)));
     let udp_sample_with_tcp_delays =
         ClockSample { network: network(), up: tcp.up, down: tcp.down, ..udp.clone() };
-    assert_eq!(*tcp, udp_sample_with_tcp_delays, "the relation is that of the pair of hosts");
+    assert_eq!(*tcp, udp_sample_with_tcp_delays, "both networks share the relation of the two hosts");
     assert_eq!(
         (
             clock_state.latest_sample(&network(), now(1100)),
@@ -310,7 +315,7 @@ fn samples_of_ended_network_include_all_its_probes() {
 }
 
 #[test]
-fn late_answer_is_neither_answered_nor_refused() {
+fn probe_with_late_answer_counts_as_lost_only() {
     let mut clock_state = clock_state();
     for result in [ProbeResult::Sent, ProbeResult::Lost, ProbeResult::Late] {
         let _ = clock_state.handle_probe_result(&result, true, now(100));
@@ -320,7 +325,7 @@ fn late_answer_is_neither_answered_nor_refused() {
 }
 
 #[test]
-fn wall_clock_of_cloud_counts_only_if_related() {
+fn cloud_wall_step_restarts_relation_only_if_related() {
     for clocks in [RelatedClocks::Raw, RelatedClocks::RawToWall] {
         let is_related = clocks == RelatedClocks::RawToWall;
         let mut clock_state = clock_state_of(clocks);
@@ -341,13 +346,13 @@ fn wall_clock_of_cloud_counts_only_if_related() {
 }
 
 #[test]
-fn raw_difference_is_of_wall_clocks() {
+fn raw_delay_is_difference_of_wall_clocks() {
     let mut clock_state = clock_state();
     let hour = Span::from_seconds(3_600);
     let message_delays = [MessageDelay { raw: hour, bits: None }, MessageDelay { raw: -hour, bits: None }];
     let ([up, down], _) = clock_state.judge(&network(), &exchange(0, 0), message_delays, now(4));
     assert_eq!((up.raw, down.raw), (hour, -hour));
-    let bounds = up.bounds.expect("bounded by itself alone");
+    let bounds = up.bounds.expect("the exchange itself bounds the delay");
     assert!(bounds.contains(Span::from_millis(1)) && bounds.hi < Span::from_millis(10), "{bounds:?}");
 }
 
@@ -362,8 +367,8 @@ fn sample_has_basis_and_end_of_second() {
     let [sample] = &changes.samples[..] else { panic!("one second: {changes:?}") };
     let basis = sample.basis.expect("known");
     assert_eq!((sample.at, basis.clocks), (at(1_000), RelatedClocks::Raw));
-    assert_eq!(basis.at_raw, Some(now(990).raw), "as long before the query as by the wall clock");
-    assert!(basis.claims_trusted, "as configured");
+    assert_eq!(basis.at_raw, Some(now(990).raw), "80 ms before the call, as by the wall clock");
+    assert!(basis.claims_trusted, "the configuration trusts the claims");
 }
 
 /// Returns the stamps of an observed input message and of its output message, in these epochs: 30 ms to a cloud that is
@@ -387,8 +392,8 @@ fn crossings(sent: i64, edge: u32, cloud: u32) -> (Crossing, Crossing) {
 fn observed_stamps_are_judged_without_learning() {
     let mut clock_state = clock_state();
     let (up, down) = crossings(0, 0, 0);
-    let [unknown, _] = clock_state.judge_stamps(&up, Some(&down));
-    assert_eq!(unknown.map(|delay| delay.verdict), Some(Verdict::Unsynchronised));
+    let [unrelated, _] = clock_state.judge_stamps(&up, Some(&down));
+    assert_eq!(unrelated.map(|delay| delay.verdict), Some(Verdict::Unsynchronised));
     for sent in [0, 100, 200, 300] {
         let _ = clock_state.judge(&network(), &exchange(sent, 5000), MESSAGE_DELAYS, now(sent + 4));
     }
@@ -402,7 +407,7 @@ fn observed_stamps_are_judged_without_learning() {
     let sum = up_delay.and_then(|up| up.value).zip(down_delay.and_then(|down| down.value));
     let sum = sum.map(|(up, down)| up + down).expect("both have a value");
     assert!((sum - Span::from_millis(35)).abs() < Span::from_micros(5), "{sum}");
-    // The receiver on this host was 40 ms late: the cloud received the message before.
+    // The subscription on this host received the message 40 ms late, 10 ms after the cloud.
     let mut late = up;
     late.sender.raw = late.sender.raw + Span::from_millis(40);
     let [negative, _] = clock_state.judge_stamps(&late, None);
@@ -430,13 +435,14 @@ fn observed_stamps_of_another_epoch_are_stepped() {
     assert_ne!(verdicts(&clock_state, 0, 0), stepped);
     assert_eq!(verdicts(&clock_state, 0, 1), stepped, "the relation does not know of the step yet");
     let _ = clock_state.handle_cloud_announcement(announcement(1, None), now(400).raw);
-    assert_eq!(verdicts(&clock_state, 0, 0), stepped, "they were made before the step");
+    assert_eq!(verdicts(&clock_state, 0, 0), stepped, "the stamps were made before the step");
     let (mut up, _) = crossings(320, 0, 1);
     up.sender.epoch = None;
     assert_eq!(clock_state.judge_stamps(&up, None)[0].map(|delay| delay.verdict), Some(Verdict::Stepped));
 }
 
-/// Ten exchanges a second, whose middle moves by 8 ms from the 20th on, and back from the 40th on.
+/// There are ten exchanges a second. The middle of their bounds moves by 8 ms from the 20th exchange on, and back from
+/// the 40th exchange on.
 #[test]
 fn suspected_jump_begins_window_and_is_reported_once() {
     let mut clock_state = clock_state();
@@ -448,7 +454,7 @@ fn suspected_jump_begins_window_and_is_reported_once() {
         let movement = Span::from_millis(if (20..40).contains(&number) { 8 } else { 0 });
         let stamps = &mut observation.exchange;
         (stamps.received, stamps.replied) = (stamps.received + movement, stamps.replied + movement);
-        // Twelve milliseconds of delay, so no exchange contradicts another one.
+        // The round trip takes 12 ms, so the exchanges before and after the movement do not contradict each other.
         stamps.sent = stamps.sent - Span::from_millis(5);
         stamps.returned = stamps.returned + Span::from_millis(5);
         let (_, changes) = clock_state.judge(&network(), &observation, MESSAGE_DELAYS, now(sent + 9));

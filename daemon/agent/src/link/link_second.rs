@@ -7,11 +7,11 @@ use peernet_stream::{DelayPoint, DelaySecond, NetworkName, ProbeCounts, RoundTri
 
 use super::downsampled::DownsampledValues;
 
-/// One second of the edge's wall clock, or a part of it.
+/// What happened on a link within one second of the edge's wall clock, or within a part of that second.
 #[derive(Debug)]
-pub(super) struct Second {
-    /// Start in seconds since the Unix epoch.
-    pub(super) at: i64,
+pub(super) struct LinkSecond {
+    /// Start of the second in seconds since the Unix epoch.
+    pub(super) start_s: i64,
     pub(super) probes: ProbeCounts,
     /// `true` if all probes are authenticated; `None` without probes.
     pub(super) authenticated: Option<bool>,
@@ -19,8 +19,8 @@ pub(super) struct Second {
     pub(super) upper: Option<Exchange>,
     /// Exchange with the best lower bound of the offset.
     pub(super) lower: Option<Exchange>,
-    trips: DownsampledValues<Span>,
-    min_trip: Option<Span>,
+    round_trips: DownsampledValues<Span>,
+    min_round_trip: Option<Span>,
     /// Delays of data by network.
     delays: BTreeMap<NetworkName, DelaysByDirection>,
 }
@@ -40,23 +40,23 @@ struct Delays {
     points: DownsampledValues<DelayPoint>,
 }
 
-impl Second {
-    pub(super) fn new(at: i64) -> Self {
+impl LinkSecond {
+    pub(super) fn new(start_s: i64) -> Self {
         Self {
-            at,
+            start_s,
             probes: ProbeCounts::default(),
             authenticated: None,
             upper: None,
             lower: None,
-            trips: DownsampledValues::default(),
-            min_trip: None,
+            round_trips: DownsampledValues::default(),
+            min_round_trip: None,
             delays: BTreeMap::new(),
         }
     }
 
     /// Returns the end of the second.
     pub(super) const fn end(&self) -> WallTime {
-        WallTime::from_unix_nanos(self.at.saturating_add(1).saturating_mul(1_000_000_000))
+        WallTime::from_unix_nanos(self.start_s.saturating_add(1).saturating_mul(1_000_000_000))
     }
 
     /// Returns whether there were neither probes nor exchanges nor delays.
@@ -69,8 +69,9 @@ impl Second {
     /// because a bound widens with its age.
     pub(super) fn add_exchange(&mut self, exchange: &Exchange, max_drift_ppm: f64) {
         let drift = |time: Span| Span::from_nanos((time.nanos() as f64 * max_drift_ppm * 1e-6).ceil() as i64);
-        // By the time of the newer exchange, the older bound has widened by the drift. If the new exchange is the older
-        // one, the difference is negative: the best bound becomes narrower instead, with the same result.
+        // By the time of the newer exchange, the older bound has widened by the drift. If `exchange` is older than
+        // `best`, the drift is negative: this narrows the bound of `best` instead of widening the bound of `exchange`,
+        // with the same result.
         let improves_upper =
             |best: &Exchange| exchange.upper() < best.upper() + drift(exchange.sent - best.sent);
         if self.upper.as_ref().is_none_or(improves_upper) {
@@ -83,10 +84,11 @@ impl Second {
         }
     }
 
-    /// Adds the round trip of a probe.
-    pub(super) fn add_round_trip(&mut self, trip: Span) {
-        self.min_trip = Some(self.min_trip.map_or(trip, |min_trip| min_trip.min(trip)));
-        self.trips.push(trip);
+    /// Adds the round round_trip of a probe.
+    pub(super) fn add_round_trip(&mut self, round_trip: Span) {
+        self.min_round_trip =
+            Some(self.min_round_trip.map_or(round_trip, |min_round_trip| min_round_trip.min(round_trip)));
+        self.round_trips.push(round_trip);
     }
 
     /// Adds the judged delay of data over a network.
@@ -109,14 +111,17 @@ impl Second {
         self.delays.keys()
     }
 
-    /// Removes the delays of a network whose last clock sample was taken.
+    /// Removes the delays of a network. Called after the network's last clock sample was taken.
     pub(super) fn remove_network(&mut self, network: &NetworkName) {
         self.delays.remove(network);
     }
 
-    /// Returns the round trips of probes.
+    /// Returns the round round_trips of probes.
     pub(super) fn round_trips(&self) -> Option<RoundTrip> {
-        Some(RoundTrip { min: self.min_trip?, median: self.trips.median(|trip| *trip)? })
+        Some(RoundTrip {
+            min: self.min_round_trip?,
+            median: self.round_trips.median(|round_trip| *round_trip)?,
+        })
     }
 
     /// Returns the delays of one direction over a network.
@@ -185,7 +190,7 @@ mod tests {
 
     #[test]
     fn best_exchange_of_each_bound_is_kept() {
-        let mut second = Second::new(0);
+        let mut second = LinkSecond::new(0);
         for exchange in [exchange(0, 5, 1), exchange(100, 2, 7), exchange(200, 6, 6)] {
             second.add_exchange(&exchange, 50.0);
         }
@@ -196,16 +201,16 @@ mod tests {
     #[test]
     fn older_exchange_must_be_better_by_drift() {
         // 900 ms at 10,000 ppm are 9 ms.
-        for (up, kept) in [(4, exchange(900, 4, 4)), (3, exchange(900, 3, 3))] {
-            let mut second = Second::new(0);
+        for (up, best) in [(4, exchange(900, 4, 4)), (3, exchange(900, 3, 3))] {
+            let mut second = LinkSecond::new(0);
             second.add_exchange(&exchange(0, 1, 1), 10_000.0);
             second.add_exchange(&exchange(900, up, up), 10_000.0);
-            assert_eq!((second.upper, second.lower), (Some(kept), Some(kept)));
+            assert_eq!((second.upper, second.lower), (Some(best), Some(best)));
         }
-        let mut steady = Second::new(0);
-        steady.add_exchange(&exchange(0, 1, 1), 50.0);
-        steady.add_exchange(&exchange(900, 3, 3), 50.0);
-        assert_eq!(steady.upper, Some(exchange(0, 1, 1)));
+        let mut second_of_steady_clocks = LinkSecond::new(0);
+        second_of_steady_clocks.add_exchange(&exchange(0, 1, 1), 50.0);
+        second_of_steady_clocks.add_exchange(&exchange(900, 3, 3), 50.0);
+        assert_eq!(second_of_steady_clocks.upper, Some(exchange(0, 1, 1)));
     }
 
     #[test]
@@ -213,7 +218,7 @@ mod tests {
         let same_clock = |millis| OneWayDelay::same_clock(Span::from_millis(millis));
         // A negative delay between stamps of one clock shows a step.
         let stepped = same_clock(-1);
-        let (mut second, network) = (Second::new(0), NetworkName::default());
+        let (mut second, network) = (LinkSecond::new(0), NetworkName::default());
         assert_eq!(second.delays(&network, Direction::Up), None);
         for millis in 1..=20 {
             second.add_delay(&network, Direction::Up, &same_clock(millis), Some(1e6));
@@ -221,7 +226,7 @@ mod tests {
         second.add_delay(&network, Direction::Up, &stepped, None);
         let up = second.delays(&network, Direction::Up).expect("judged");
         assert_eq!((up.count, up.verdict), (21, Verdict::Ok), "one of twenty-one is rare");
-        let median = up.median.expect("has a value");
+        let median = up.median.expect("the delays have values");
         assert_eq!(
             (median.value, median.bounds),
             (Span::from_millis(11), Interval::exactly(Span::from_millis(11)))
