@@ -4,7 +4,7 @@ use std::fs::{File, TryLockError};
 use std::io;
 use std::path::Path;
 
-/// An exclusive lock on a file, released when this is dropped or the process ends in any way.
+/// An exclusive lock on a file, released when this value is dropped or the process ends in any way.
 ///
 /// The file is not removed. Otherwise two processes could lock two different files of the same name.
 #[derive(Debug)]
@@ -32,7 +32,7 @@ impl Drop for FileLock {
         // Closing the file would not release the lock while a child process has a copy of the descriptor. A child has a
         // copy from its creation until it executes its program.
         if let Err(error) = self.file.unlock() {
-            tracing::warn!(%error, file = ?self.file, "cannot unlock a file; it stays locked until its last user closes it");
+            tracing::warn!(%error, file = ?self.file, "cannot unlock a file; it stays locked until the last process that opened it closes it");
         }
     }
 }

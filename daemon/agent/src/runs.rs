@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use peernet_logger::{RunId, Slug};
 use peernet_stream::{Event, RunDescription};
 
-/// Runs by pipeline; clones share them.
+/// Latest run of each pipeline. Clones share the runs.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Runs(Arc<Mutex<BTreeMap<Slug, LatestRun>>>);
 

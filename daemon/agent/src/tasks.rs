@@ -33,7 +33,7 @@ pub enum FailureCause {
     Failed(Box<dyn Error + Send + Sync>),
 }
 
-/// All tasks of the agent except the outbox, which outlives them.
+/// All tasks of the agent except the outbox, which ends after these tasks.
 #[derive(Debug)]
 pub(crate) struct Tasks {
     stop: CancellationToken,
@@ -53,41 +53,41 @@ impl Tasks {
         self.stop.clone()
     }
 
-    /// Starts a task on the runtime `handle` that must run until it is asked to stop.
+    /// Starts a task on `runtime` that must run until it is asked to stop.
     pub(crate) fn spawn_required(
         &mut self,
-        handle: &Handle,
+        runtime: &Handle,
         name: &str,
         task: impl Future<Output = ()> + Send + 'static,
     ) {
-        self.spawn_required_fallible(handle, name, async {
+        self.spawn_required_fallible(runtime, name, async {
             task.await;
             Ok::<(), Infallible>(())
         });
     }
 
-    /// Starts a task on the runtime `handle` that must run until it is asked to stop, and that may return an error.
+    /// Starts a task on `runtime` that must run until it is asked to stop, and that may return an error.
     pub(crate) fn spawn_required_fallible<E: Error + Send + Sync + 'static>(
         &mut self,
-        handle: &Handle,
+        runtime: &Handle,
         name: &str,
         task: impl Future<Output = Result<(), E>> + Send + 'static,
     ) {
         let stop = self.stop_token();
-        self.spawn(handle, name, async move {
+        self.spawn(runtime, name, async move {
             task.await.map_err(|error| FailureCause::Failed(Box::new(error)))?;
             if stop.is_cancelled() { Ok(()) } else { Err(FailureCause::EndedEarly) }
         });
     }
 
-    /// Starts a task on the runtime `handle` that may end at any time.
+    /// Starts a task on `runtime` that may end at any time.
     pub(crate) fn spawn_finite(
         &mut self,
-        handle: &Handle,
+        runtime: &Handle,
         name: &str,
         task: impl Future<Output = ()> + Send + 'static,
     ) {
-        self.spawn(handle, name, async {
+        self.spawn(runtime, name, async {
             task.await;
             Ok(())
         });
@@ -95,15 +95,15 @@ impl Tasks {
 
     fn spawn(
         &mut self,
-        handle: &Handle,
+        runtime: &Handle,
         name: &str,
         task: impl Future<Output = Result<(), FailureCause>> + Send + 'static,
     ) {
-        let id = self.set.spawn_on(task, handle).id();
+        let id = self.set.spawn_on(task, runtime).id();
         self.names.insert(id, name.to_owned());
     }
 
-    /// Waits until all tasks have ended. The first unexpected end stops the others and is returned.
+    /// Waits until all tasks have ended. The first unexpected end of a task stops the other tasks and is returned.
     pub(crate) async fn join(mut self) -> Result<(), Failure> {
         let mut first_failure = Ok(());
         while let Some(task_result) = self.set.join_next_with_id().await {
@@ -131,16 +131,16 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn dead_task_ends_others_and_is_named() {
-        let outer = CancellationToken::new();
-        let mut tasks = Tasks::new(&outer);
+    async fn panicked_task_stops_other_tasks_and_is_named() {
+        let process_stop = CancellationToken::new();
+        let mut tasks = Tasks::new(&process_stop);
         let stop = tasks.stop_token();
         tasks.spawn_required(&Handle::current(), "steady", async move { stop.cancelled().await });
         tasks.spawn_finite(&Handle::current(), "brief", async {});
         tasks.spawn_required(&Handle::current(), "fragile", async { panic!("as planned") });
-        let failure = tasks.join().await.expect_err("fragile died");
+        let failure = tasks.join().await.expect_err("fragile panicked");
         assert_eq!(failure.part, "fragile");
-        assert!(!outer.is_cancelled(), "the rest of the process continues");
+        assert!(!process_stop.is_cancelled(), "the rest of the process continues");
     }
 
     #[tokio::test]
@@ -152,11 +152,11 @@ mod tests {
 
     #[tokio::test]
     async fn all_tasks_end_when_stopped() {
-        let outer = CancellationToken::new();
-        let mut tasks = Tasks::new(&outer);
+        let process_stop = CancellationToken::new();
+        let mut tasks = Tasks::new(&process_stop);
         let stop = tasks.stop_token();
         tasks.spawn_required(&Handle::current(), "steady", async move { stop.cancelled().await });
-        outer.cancel();
+        process_stop.cancel();
         tasks.join().await.expect("a clean end");
     }
 }

@@ -29,14 +29,14 @@ pub(super) fn restart_text(restart: Restart, edge: &Slug, cloud: &Slug) -> Strin
     let consequence = match restart.violation {
         None => "the clock relation is estimated again".to_owned(),
         Some((violation, limit)) => {
-            let seeming_violation = match violation {
+            let violation_text = match violation {
                 ViolatedLimit::Drift => "drift apart faster than [clock] max_drift_ppm",
                 ViolatedLimit::DriftChange => {
                     "change their drift faster than [clock] max_drift_change_ppm_per_s"
                 }
             };
             format!(
-                "this happened repeatedly within a minute: the clocks seem to {seeming_violation} = {limit}; delays have no value until this \
+                "this happened repeatedly within a minute: the clocks seem to {violation_text} = {limit}; delays have no value until this \
                  has stopped"
             )
         }
@@ -44,7 +44,7 @@ pub(super) fn restart_text(restart: Restart, edge: &Slug, cloud: &Slug) -> Strin
     format!("{cause}{movement_text}; {consequence}")
 }
 
-/// Returns the text about a cloud's wall clock that was set or drifted away, on which no delay depends.
+/// Returns the text about a step or slew of a cloud's wall clock. No delay depends on that clock.
 pub(super) fn wall_set_text(cloud: &Slug) -> String {
     format!(
         "the wall clock of {cloud} was stepped or slewed; delays are not affected, because they are measured with the \
@@ -69,7 +69,7 @@ pub(super) fn lost_proof_text(lost_proof: &LostProof, edge: &Slug, cloud: &Slug)
     let unreported = unreported_text(lost_proof.unreported);
     format!(
         "it is no longer proven that the processes of {edge} and {cloud} read the same clock{unreported}: {}; delays between them \
-         are estimated until it is proven again",
+         are estimated until the same clock is proven again",
         lost_proof.reason
     )
 }

@@ -3,14 +3,14 @@
 use peernet_clock::{Clock, MonoTime, OneWayDelay, RawTime, Stamp, WallTime};
 use peernet_logger::{Measure, NodeId, RawStamps, Transit, Tree};
 
-/// Time at which a host received a message.
+/// Time at which a host sent or received a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct HostStamp {
     /// Wall clock of the host.
     pub(crate) wall: WallTime,
     /// Free-running clock of the host, by which delays are judged.
     pub(crate) raw: RawTime,
-    /// [`Clock::epoch`] of the stamp; `None` if the free-running clock was interrupted near it.
+    /// [`Clock::epoch`] of the stamp; `None` if the free-running clock was interrupted near the stamp.
     pub(crate) epoch: Option<u32>,
 }
 
@@ -22,8 +22,8 @@ pub(crate) struct Crossing {
 }
 
 impl Crossing {
-    /// Returns the crossing of a transit in a tree, with the epochs of sender and receiver. `None` unless it has
-    /// arrived and has stamps of the free-running clocks.
+    /// Returns the stamps of a transit in a tree, with the given epochs of sender and receiver. `None` if the message
+    /// has not arrived, or if the transit has no stamps of the free-running clocks.
     pub(super) fn in_tree(
         tree: &Tree,
         node: NodeId,
@@ -53,7 +53,7 @@ impl Crossing {
         OneWayDelay { raw: self.receiver.wall - self.sender.wall, ..delay }
     }
 
-    /// Returns the content of a node for this message.
+    /// Returns the measure of the node for this message.
     pub(crate) const fn transit(&self, delay: Option<OneWayDelay>) -> Transit {
         let raw_stamps = Some(RawStamps { sent: self.sender.raw, received: self.receiver.raw });
         Transit { sent: self.sender.wall, received: Some(self.receiver.wall), delay, raw_stamps }
@@ -73,7 +73,7 @@ impl EpochWatch {
         Self { epoch: clock.epoch(), first_seen: clock.mono() }
     }
 
-    /// Returns a stamp that was made a moment ago, with its epoch.
+    /// Adds the epoch to a stamp that was made a moment ago.
     pub(crate) fn stamp(&mut self, clock: &dyn Clock, stamp: Stamp) -> HostStamp {
         let epoch = clock.epoch();
         if epoch != self.epoch {
@@ -103,7 +103,7 @@ mod tests {
         clock.advance(Span::from_millis(1));
         clock.begin_epoch();
         assert_eq!(watch.stamp(&clock, before).epoch, None);
-        assert_eq!(watch.stamp(&clock, before).epoch, None, "however often it is asked");
+        assert_eq!(watch.stamp(&clock, before).epoch, None, "a repeated call has the same result");
         clock.advance(Span::from_millis(1));
         assert_eq!(watch.stamp(&clock, clock.stamp()).epoch, Some(1));
     }

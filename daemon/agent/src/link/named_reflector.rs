@@ -22,8 +22,8 @@ use super::probe_target::{ProbeTarget, RESULT_CAPACITY};
 use super::shared::{SharedLinkState, lock};
 use crate::config::ReflectorAddress;
 
-/// Number of latest round trips that are kept.
-const MAX_TRIPS: usize = 100;
+/// Maximum number of round trips that are kept, the latest ones.
+const MAX_ROUND_TRIPS: usize = 100;
 
 /// A reflector that the configuration names for a cloud.
 #[derive(Debug)]
@@ -68,11 +68,12 @@ impl NamedReflector {
         }
     }
 
-    /// Returns the live state at `now`. `wall_ahead` is the lead of this host's wall clock over its free-running clock.
+    /// Returns the live state at `now`. `wall_ahead` is the time by which this host's wall clock is ahead of its
+    /// free-running clock.
     pub(super) fn live(&self, rate_hz: f64, now: Stamp, wall_ahead: Interval) -> ReflectorLive {
         let mut probing = lock(&self.probing).clone();
-        if let Probing::On { rate_hz: shown, .. } = &mut probing {
-            *shown = rate_hz;
+        if let Probing::On { rate_hz: shown_rate_hz, .. } = &mut probing {
+            *shown_rate_hz = rate_hz;
         }
         let answers = lock(&self.answers);
         ReflectorLive {
@@ -91,7 +92,7 @@ struct ReflectorAnswers {
     relation: Relation,
     probes: ProbeCounts,
     /// Latest round trips.
-    trips: VecDeque<Span>,
+    round_trips: VecDeque<Span>,
 }
 
 impl ReflectorAnswers {
@@ -100,7 +101,7 @@ impl ReflectorAnswers {
         // A reflector announces no claims of time daemons, because it runs no agent.
         let settings = RelationSettings { clocks, trust_time_daemons: false, ..settings };
         let relation = Relation::new(settings);
-        Self { relation, probes: ProbeCounts::default(), trips: VecDeque::new() }
+        Self { relation, probes: ProbeCounts::default(), round_trips: VecDeque::new() }
     }
 
     fn record(&mut self, result: &ProbeResult) {
@@ -118,10 +119,10 @@ impl ReflectorAnswers {
             ProbeResult::Answered(observation) => {
                 probes.answered = probes.answered.saturating_add(1);
                 self.learn(observation);
-                if self.trips.len() >= MAX_TRIPS {
-                    self.trips.pop_front();
+                if self.round_trips.len() >= MAX_ROUND_TRIPS {
+                    self.round_trips.pop_front();
                 }
-                self.trips.push_back(observation.exchange.round_trip());
+                self.round_trips.push_back(observation.exchange.round_trip());
             }
             ProbeResult::Refined(observation) => self.learn(observation),
         }
@@ -134,13 +135,13 @@ impl ReflectorAnswers {
 
     /// Returns minimum and median of the latest round trips; `None` before the first answer.
     fn round_trip(&self) -> Option<RoundTrip> {
-        let mut trips: Vec<Span> = self.trips.iter().copied().collect();
-        trips.sort_unstable();
-        Some(RoundTrip { min: *trips.first()?, median: *trips.get(trips.len() / 2)? })
+        let mut round_trips: Vec<Span> = self.round_trips.iter().copied().collect();
+        round_trips.sort_unstable();
+        Some(RoundTrip { min: *round_trips.first()?, median: *round_trips.get(round_trips.len() / 2)? })
     }
 
-    /// Returns the offset of the reflector's wall clock to this host's: the relation's offset minus `wall_ahead`, the
-    /// lead of this host's wall clock over its free-running one.
+    /// Returns the offset of the reflector's wall clock from this host's wall clock. This is the relation's offset
+    /// minus `wall_ahead`, the time by which this host's wall clock is ahead of its free-running clock.
     fn wall_offset(&self, now: Stamp, wall_ahead: Interval) -> Option<Offset> {
         let offset = self.relation.offset(now.raw, now.wall)?;
         let between_wall_clocks =
@@ -153,8 +154,8 @@ impl ReflectorAnswers {
                 .iter()
                 .map(|(source, interval)| (*source, between_wall_clocks(*interval)))
                 .collect(),
-            // The relation's rate is against the free-running clock. The rate against the wall clock differs and
-            // changes when it is slewed.
+            // The relation's skew is relative to the free-running clock. The skew relative to the wall clock differs,
+            // and changes when the wall clock is slewed.
             skew_ppm: None,
             ..offset
         })
@@ -167,8 +168,8 @@ mod tests {
 
     use super::*;
 
-    /// Returns an exchange at a time with a clock that is `wall_ahead`, over a path of 2 ms there and 1 ms back; all in
-    /// milliseconds.
+    /// Returns an exchange that begins at `at`, with a reflector whose wall clock is `wall_ahead` ahead of this host's
+    /// free-running clock. The delays are 2 ms to the reflector and 1 ms back. All times are in milliseconds.
     fn exchange(at: i64, wall_ahead: i64) -> ProbeResult {
         let raw = |millis: i64| RawTime::from_nanos(millis * 1_000_000);
         ProbeResult::Answered(ExchangeObservation {
@@ -194,7 +195,7 @@ mod tests {
             wall: WallTime::from_unix_nanos(0) + millis(5_000 + 1_000),
             ..Stamp::default()
         };
-        // This host's wall clock is 5 s ahead of its free-running one, to a millisecond.
+        // This host's wall clock is 5 s ahead of its free-running clock, to a millisecond.
         let wall_ahead = Interval { lo: millis(5_000), hi: millis(5_001) };
         assert_eq!(answers.wall_offset(now, wall_ahead), None);
         for at in [100, 400, 700, 990] {

@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 
 use peernet_stream::NetworkName;
 
-/// Number of closed seconds for which a network still gets samples after its last session.
+/// Number of closed seconds for which a network still gets clock samples after its last session has ended.
 // The oldest session sends the probes for the pair of hosts, over any network. Within this time the probes that were in
 // flight when another session ended are answered or lost.
 const LINGER_SECONDS: u8 = 2;
 
-/// Sessions by network. The network of the last session is not removed, so that later samples have a network.
+/// Sessions by network. The network of the last session is not removed, so that later clock samples have a network.
 #[derive(Debug, Default)]
 pub(super) struct NetworkSessions(BTreeMap<NetworkName, Sessions>);
 
@@ -37,8 +37,8 @@ impl NetworkSessions {
 
     /// Records that a second was closed for these networks.
     pub(super) fn close_second(&mut self) {
-        for ended_networks in self.0.values_mut().filter(|sessions| sessions.open_sessions == 0) {
-            ended_networks.closed_seconds = ended_networks.closed_seconds.saturating_add(1);
+        for sessions in self.0.values_mut().filter(|sessions| sessions.open_sessions == 0) {
+            sessions.closed_seconds = sessions.closed_seconds.saturating_add(1);
         }
         self.take_ended(LINGER_SECONDS);
     }

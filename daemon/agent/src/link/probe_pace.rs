@@ -30,20 +30,20 @@ impl ProbePace {
     }
 
     /// Sets the rate: the full rate while the link carries data, otherwise the idle rate.
-    // If both ends read one clock, nothing is estimated: probes at the idle rate check that the path works and that the
-    // clock is the same.
+    // If both ends read one clock, no offset is estimated. Probes at the idle rate then only check that the path works
+    // and that the clock is still the same.
     pub(super) fn adjust(&self, probes: &ProbeSettings, is_same_clock: bool, now: MonoTime) {
         let is_busy = now - *lock(&self.last_data) < IDLE_AFTER;
         let new_rate = if is_busy && !is_same_clock { probes.rate_hz } else { probes.idle_rate_hz };
         self.rate_hz.send_if_modified(|rate| std::mem::replace(rate, new_rate).total_cmp(&new_rate).is_ne());
     }
 
-    /// Returns the current probes per second.
+    /// Returns the current rate in probes per second.
     pub(super) fn rate_hz(&self) -> f64 {
         *self.rate_hz.borrow()
     }
 
-    /// Returns a receiver of the probes per second.
+    /// Returns a receiver of the rate in probes per second.
     pub(super) fn subscribe(&self) -> watch::Receiver<f64> {
         self.rate_hz.subscribe()
     }

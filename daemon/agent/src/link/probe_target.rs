@@ -52,8 +52,8 @@ enum ProbingError {
 }
 
 impl ProbeTarget {
-    /// Probes at the link's pace as long as the future is polled. Keeps the state, or the reason why there are no
-    /// probes, in `state`.
+    /// Probes at the link's pace as long as the future is polled. Writes the state, or the reason why no probes are
+    /// sent, to `state`.
     pub(super) async fn probe(
         &self,
         shared: &SharedLinkState,

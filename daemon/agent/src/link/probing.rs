@@ -22,7 +22,8 @@ pub(super) async fn run_link_task(link: Arc<CloudLink>) {
     let mut reflector_probing = pin!(link.probe_named_reflector());
     let mut sessions = link.sessions.subscribe();
     loop {
-        // The oldest session is used: it has the cloud's address, and receives the announcements of the cloud's clocks.
+        // One session is enough: each session has the cloud's address and receives the announcements of the cloud's
+        // clocks. The oldest session is used, so that the task changes to another session only when a session ends.
         let Some(session) = sessions.borrow_and_update().first().cloned() else { break };
         tokio::select! {
             () = run_over_session(&link, session, &mut sessions) => {}
@@ -41,7 +42,7 @@ async fn run_over_session(
     let id = session.id;
     let authenticated = link.shared.probes.key_for(&session).is_some();
     let (mut peer_clock, mut own_clock) = (session.clock.clone(), link.shared.host.host_clock.clone());
-    // The newest announcements may have arrived earlier, and count as changes here.
+    // The newest announcements may have arrived before, so they are handled once more.
     peer_clock.mark_changed();
     own_clock.mark_changed();
     let (results, mut received_results) = mpsc::channel(RESULT_CAPACITY);
@@ -85,7 +86,7 @@ async fn run_over_session(
     link.settle_sessions();
 }
 
-/// Waits for the cloud's next announcement of its clocks. After the end of the session it waits for ever.
+/// Waits for the cloud's next announcement of its clocks. After the end of the session this function waits for ever.
 async fn next_announcement(clock: &mut watch::Receiver<PeerClock>) -> PeerClock {
     match clock.changed().await {
         Ok(()) => clock.borrow_and_update().clone(),

@@ -20,7 +20,7 @@ use super::shared::{LinkContext, ProbeSettings, Session, SharedLinkState, lock};
 use crate::config::ClockConfig;
 use crate::same_clock::ClockSocket;
 
-/// The links by cloud; clones share them.
+/// The links by cloud. Clones share the links.
 #[derive(Clone, Debug)]
 pub(crate) struct Links(Arc<Inner>);
 
@@ -30,7 +30,7 @@ struct Inner {
     by_cloud: Mutex<BTreeMap<HostId, Arc<CloudLink>>>,
     /// Latest cloud of each pipeline.
     serving_cloud: Mutex<BTreeMap<Slug, Cloud>>,
-    /// Tracker of the tasks: one for each link, which ends with the link's last session.
+    /// Tracker of the tasks. Each link has one task, which ends with the link's last session.
     tasks: TaskTracker,
     /// First panic of one of these tasks.
     first_panic: watch::Sender<Option<LinkPanic>>,
@@ -82,7 +82,7 @@ impl Links {
     }
 
     /// Adds a session of `pipeline` with the cloud at `address` to the link of that cloud, which is created if
-    /// necessary. `clock_socket` is the socket that the session's hello contained.
+    /// necessary. `clock_socket` is the socket that the session's hello named.
     pub(crate) fn attach(
         &self,
         session: &peernet_networks::Session,
@@ -118,7 +118,7 @@ impl Links {
         };
         let (id, network) = (new_session.id, new_session.network.clone());
         let mut links_by_cloud = self.lock_links();
-        // The lock is held until the session has joined: meanwhile a link without sessions must not be removed.
+        // The links stay locked until the session has joined: `LinkedSession::drop` must not remove the link before.
         let existing_link =
             links_by_cloud.get(&accepted.host).filter(|link| is_same_cloud(link, accepted, clocks));
         let link = match existing_link {
@@ -155,7 +155,7 @@ impl Links {
         self.0.ended_sessions.load(Ordering::Relaxed)
     }
 
-    /// Supervises the links' tasks until `stop` is cancelled and all sessions are over.
+    /// Supervises the links' tasks until `stop` is cancelled and all sessions have ended.
     ///
     /// # Errors
     /// When one of the tasks panicked.
@@ -192,7 +192,7 @@ impl Links {
 
 impl LinkedSession {
     /// Judges the delays of an answered request of the session, and sets them in its tree. Returns the sum of both
-    /// directions by the hosts' monotonic clocks.
+    /// delays by the hosts' monotonic clocks.
     pub(crate) fn correct(&self, completed: &mut CompletedRequest) -> Option<Span> {
         self.link.correct(&self.network, completed)
     }

@@ -4,11 +4,12 @@ use peernet_clock::{ProvenSkew, RawTime, Span, ViolatedLimit};
 
 use crate::same_clock::NotProven;
 
-/// Shortest interval between two reports of suspected jumps, and of lost proofs. A flapping route causes many of them.
+/// Shortest interval between two reports of suspected jumps, and of lost proofs. An unstable route would cause many
+/// reports.
 const REPORT_INTERVAL: Span = Span::from_seconds(60);
 /// Time after which the end of a proof's connection is reported. The connection ends with its session; if the session
 /// has not ended by then, only the proof was lost.
-const SESSION_END: Span = Span::from_seconds(1);
+const ENDED_PROOF_DELAY: Span = Span::from_seconds(1);
 
 /// Decides which restarts of the relation, violated assumptions and lost proofs of a common clock are reported.
 #[derive(Debug, Default)]
@@ -17,24 +18,25 @@ pub(super) struct ClockReports {
     stepped_clocks: (bool, bool),
     /// `true` if the last restart was reported as a violated assumption.
     has_reported_violation: bool,
-    /// `true` once it was reported that the exchanges prove a skew beyond the limit.
+    /// `true` if the last checked skew was proven to be beyond the limit, and was therefore reported.
     is_excess_reported: bool,
     jumps: ReportLimit,
     lost_proofs: ReportLimit,
-    /// Proof that was lost with its connection, and the time. The session may have ended, too.
+    /// Reason and time of a proof that was lost with its connection. The session may have ended, too.
     ended_proof: Option<(NotProven, RawTime)>,
 }
 
-/// Limits how often events of one kind are reported.
+/// Limits how often findings of one kind are reported.
 #[derive(Debug, Default)]
 struct ReportLimit {
     last_report: Option<RawTime>,
-    /// Number of events since the last report.
+    /// Number of findings since the last report that were not reported.
     unreported: u32,
 }
 
 impl ReportLimit {
-    /// Returns the number of events since the last report if a report is allowed; otherwise counts this event.
+    /// If a report is allowed, returns the number of findings since the last report that were not reported. Otherwise
+    /// counts this finding as not reported.
     fn try_report(&mut self, at: RawTime) -> Option<u32> {
         if self.last_report.is_some_and(|last| (at - last).abs() < REPORT_INTERVAL) {
             self.unreported = self.unreported.saturating_add(1);
@@ -80,7 +82,7 @@ impl ClockReports {
 
     /// Returns the report of a lost proof, unless another lost proof was reported shortly before. A proof that was lost
     /// with its connection is reported by [`report_ended_proof`](Self::report_ended_proof), if the session continues
-    /// without it.
+    /// without the proof.
     pub(super) fn report_lost_proof(&mut self, reason: NotProven, at: RawTime) -> Option<LostProof> {
         if let NotProven::Ended(_) = reason {
             self.ended_proof = Some((reason, at));
@@ -95,9 +97,9 @@ impl ClockReports {
         self.ended_proof = None;
     }
 
-    /// Returns the report of a proof whose connection ended more than [`SESSION_END`] ago.
+    /// Returns the report of a proof whose connection ended more than [`ENDED_PROOF_DELAY`] ago.
     pub(super) fn report_ended_proof(&mut self, now: RawTime) -> Option<LostProof> {
-        let (reason, at) = self.ended_proof.take_if(|(_, at)| (now - *at).abs() >= SESSION_END)?;
+        let (reason, at) = self.ended_proof.take_if(|(_, at)| (now - *at).abs() >= ENDED_PROOF_DELAY)?;
         let unreported = self.lost_proofs.try_report(at)?;
         Some(LostProof { reason, unreported })
     }
@@ -160,7 +162,7 @@ mod tests {
         RawTime::from_nanos(millis * 1_000_000)
     }
 
-    fn ended() -> NotProven {
+    fn connection_ended() -> NotProven {
         io::Error::from(io::ErrorKind::UnexpectedEof).into()
     }
 
@@ -181,16 +183,19 @@ mod tests {
     }
 
     #[test]
-    fn proof_that_ends_with_session_is_unreported() {
+    fn proof_that_ends_with_session_is_not_reported() {
         let mut reports = ClockReports::default();
-        assert!(reports.report_lost_proof(ended(), at(0)).is_none());
+        assert!(reports.report_lost_proof(connection_ended(), at(0)).is_none());
         assert!(reports.report_ended_proof(at(999)).is_none(), "the session may still end");
         let lost = reports.report_ended_proof(at(1_000)).expect("the session continues");
         assert!(matches!(lost, LostProof { reason: NotProven::Ended(_), unreported: 0 }), "{lost:?}");
-        assert!(reports.report_ended_proof(at(2_000)).is_none(), "it is reported once");
+        assert!(reports.report_ended_proof(at(2_000)).is_none(), "the lost proof is reported once");
 
-        assert!(reports.report_lost_proof(ended(), at(100_000)).is_none());
+        assert!(reports.report_lost_proof(connection_ended(), at(100_000)).is_none());
         reports.clear_ended_proof();
-        assert!(reports.report_ended_proof(at(102_000)).is_none(), "another session of the link proves it");
+        assert!(
+            reports.report_ended_proof(at(102_000)).is_none(),
+            "another session of the link has proven the common clock"
+        );
     }
 }

@@ -99,6 +99,6 @@ pub(super) struct Session {
 }
 
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // A poisoned lock is used: after a panic under it the values are at worst incomplete.
+    // A poisoned lock is used, too: a panic of the thread that held the lock leaves the values incomplete at worst.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -8,7 +8,7 @@ use peernet_stream::{Outcome, PipelineLive, PipelineState, Placement};
 
 use super::ring::{Ring, SentSeconds};
 
-/// Live state of a pipeline. The pipeline's task updates it; locks are held for microseconds.
+/// Live state of a pipeline. The pipeline's task updates the state; locks are held for microseconds.
 #[derive(Debug)]
 pub(crate) struct PipelineLiveState {
     pipeline: Slug,
@@ -84,12 +84,13 @@ impl PipelineLiveState {
     }
 
     fn lock(&self) -> MutexGuard<'_, LiveFields> {
-        // A poisoned lock is used: after a panic under it the statistics are at worst incomplete.
+        // A poisoned lock is used, too: a panic of the thread that held the lock leaves the statistics incomplete at
+        // worst.
         self.fields.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// Live statistics of all pipelines; clones share them.
+/// Live statistics of all pipelines. Clones share the statistics.
 #[derive(Clone, Debug)]
 pub(crate) struct LiveStatistics(Arc<[Arc<PipelineLiveState>]>);
 

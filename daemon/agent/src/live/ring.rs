@@ -19,10 +19,11 @@ const MAX_BACKWARD_S: i64 = 1;
 #[derive(Debug, Default)]
 pub(super) struct Ring {
     seconds: VecDeque<SecondStatistics>,
+    /// Number of changes of seconds so far.
     version: u64,
 }
 
-/// Seconds of a ring that are in an update: (second, version).
+/// Seconds of a ring that are in an update: (start in Unix time, version).
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct SentSeconds(Vec<(i64, u64)>);
 
@@ -40,7 +41,7 @@ impl Ring {
         }
     }
 
-    /// Returns the statistics of a second that are about to change.
+    /// Returns the statistics of the second `at` for a change, and gives them a new version.
     fn change_second(&mut self, at: i64) -> &mut SecondStatistics {
         // The version orders changes and updates: a second that changes while an update is sent is sent again.
         self.version += 1;
@@ -57,11 +58,11 @@ impl Ring {
             self.seconds.retain(|second| second.at < at);
         }
         // The search starts at the end, because almost every iteration ends in the newest second.
-        let last_not_later = self.seconds.iter().rposition(|second| second.at <= at);
-        let index = match last_not_later {
+        let index_at_or_before = self.seconds.iter().rposition(|second| second.at <= at);
+        let index = match index_at_or_before {
             Some(index) if self.seconds[index].at == at => index,
-            not_later => {
-                let mut index = not_later.map_or(0, |index| index + 1);
+            index_before => {
+                let mut index = index_before.map_or(0, |index| index + 1);
                 self.seconds.insert(index, SecondStatistics::new(at));
                 // The new second itself stays, because the caller writes to it.
                 if self.seconds.len() > MAX_SECONDS && index > 0 {

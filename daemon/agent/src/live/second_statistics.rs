@@ -12,8 +12,8 @@ pub(crate) const DEADLINE_MISSED: Name = Name::from_static("deadline-missed");
 /// Name of the value that is 1 if the episode that ended with an iteration was a success, else 0. It belongs to the
 /// episode, so it counts even if the last answer of the episode is lost, and if the episode ends within its warm-up.
 pub(crate) const EPISODE_SUCCESS: Name = Name::from_static("episode-success");
-/// Name of the return of the episode that ended with an iteration: the sum of its rewards. It counts as
-/// [`EPISODE_SUCCESS`] does.
+/// Name of the return of the episode that ended with an iteration: the sum of its rewards. It counts in the same cases
+/// as [`EPISODE_SUCCESS`].
 pub(crate) const EPISODE_RETURN: Name = Name::from_static("episode-return");
 
 /// Maximum number of names per second.
@@ -59,9 +59,10 @@ impl SecondStatistics {
             Outcome::Lost(_) => self.counts.lost += 1,
             Outcome::Timeout(_) => self.counts.timeout += 1,
         }
-        // The durations of a failed iteration are left out: they say nothing about successful iterations. The name of
-        // the deadline's value is added, so that a second without answers still shows that there is a deadline. Values
-        // that do not depend on the answer are added, too: skipped starts and the results of an episode.
+        // The durations of a failed iteration are left out, because they say nothing about the durations of successful
+        // iterations. The name of the deadline's value is added, so that a second without answers still shows that
+        // there is a deadline. Values that do not depend on the answer are added, too: skipped starts and the results
+        // of an episode.
         if *outcome != Outcome::Ok {
             if tree.find(&[DEADLINE_MISSED.as_str()]).is_some() {
                 self.values.find_or_add(0, &DEADLINE_MISSED);

@@ -43,21 +43,22 @@ pub(crate) struct StampAnswer {
 pub(crate) struct ObservedPair {
     /// Key by which both messages are paired.
     pub(crate) key: i64,
-    /// Stamp of the input message; `None` if it was not received.
-    input: Option<WireStamp>,
-    output: Option<WireStamp>,
+    /// Stamp of the input message; `None` if the message was not received.
+    input: Option<SerializedStamp>,
+    /// Stamp of the output message; `None` if the message was not received.
+    output: Option<SerializedStamp>,
     /// Nanoseconds from the input message to the output message, on the monotonic clock.
     elapsed_ns: Option<i64>,
 }
 
 /// A stamp as it is sent to another host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-struct WireStamp {
+struct SerializedStamp {
     /// Reading of the wall clock in nanoseconds since 1970.
     wall_ns: i64,
     /// Reading of the free-running clock in nanoseconds.
     raw_ns: i64,
-    /// Number of earlier interruptions of the free-running clock; absent if it was interrupted near the stamp.
+    /// Number of earlier interruptions of the free-running clock; absent if the clock was interrupted near the stamp.
     #[serde(default)]
     epoch: Option<u32>,
 }
@@ -116,7 +117,7 @@ impl ObservedPair {
         output: Option<HostStamp>,
         elapsed: Option<Span>,
     ) -> Self {
-        let (input, output) = (input.map(WireStamp::from), output.map(WireStamp::from));
+        let (input, output) = (input.map(SerializedStamp::from), output.map(SerializedStamp::from));
         Self { key, input, output, elapsed_ns: elapsed.map(Span::nanos) }
     }
 
@@ -139,14 +140,14 @@ impl ObservedPair {
     }
 }
 
-impl From<HostStamp> for WireStamp {
+impl From<HostStamp> for SerializedStamp {
     fn from(HostStamp { wall, raw, epoch }: HostStamp) -> Self {
         Self { wall_ns: wall.unix_nanos(), raw_ns: raw.nanos(), epoch }
     }
 }
 
-impl From<WireStamp> for HostStamp {
-    fn from(WireStamp { wall_ns, raw_ns, epoch }: WireStamp) -> Self {
+impl From<SerializedStamp> for HostStamp {
+    fn from(SerializedStamp { wall_ns, raw_ns, epoch }: SerializedStamp) -> Self {
         Self { wall: WallTime::from_unix_nanos(wall_ns), raw: RawTime::from_nanos(raw_ns), epoch }
     }
 }
@@ -188,7 +189,7 @@ mod tests {
         Sample::from_part(Description::unshaped(MediaType::Json), Bytes::copy_from_slice(text.as_bytes()))
     }
 
-    /// Reads a file of `tests/fixtures/wire/observed`: documents that version 1 wrote must stay readable. An existing
+    /// Reads a file of `tests/fixtures/wire/observed`: documents of version 1, which must stay readable. An existing
     /// file is never changed.
     fn fixture(name: &str) -> Vec<u8> {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/wire/observed");
@@ -248,8 +249,9 @@ mod tests {
     }
 
     #[test]
-    fn other_versions_are_named() {
-        let error = StampAnswer::read(&document(r#"{"version": 2, "stamps": {}}"#)).expect_err("not ours");
+    fn unsupported_version_is_refused_with_both_versions() {
+        let error = StampAnswer::read(&document(r#"{"version": 2, "stamps": {}}"#))
+            .expect_err("version 2 is not supported");
         for part in ["version 2", "version 1", "update"] {
             assert!(error.to_string().contains(part), "{error}");
         }

@@ -1,5 +1,5 @@
 //! Stamps of the messages that this host's pipelines observe. Agents on other hosts that observe the same messages
-//! query them.
+//! query these stamps.
 //!
 //! `messages` defines requests and answers, `ring` keeps the newest stamps of a pipeline, and `pipelines` answers
 //! requests. No I/O: `serve` owns the session.

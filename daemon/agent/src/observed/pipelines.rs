@@ -19,7 +19,7 @@ pub(crate) const MODEL: &str = "observed-stamps";
 /// Number of messages of a pipeline whose stamps are kept: the messages of eight seconds at 1 kHz.
 const CAPACITY: usize = 8192;
 
-/// The observing pipelines of this host that start with the agent; clones share them.
+/// The observing pipelines of this host that start with the agent. Clones share the pipelines.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ObservedPipelines(Arc<BTreeMap<Slug, Arc<ObservedPipeline>>>);
 
@@ -80,7 +80,7 @@ impl ObservedPipelines {
         }
         let ring = pipeline_stamps.ring.lock().unwrap_or_else(PoisonError::into_inner);
         let answer = StampAnswer::new(keys.into_iter().map(|key| ring.find(key)).collect());
-        // Encoding needs no lock, and would keep the pipeline from recording further stamps.
+        // Encoding needs no lock. Under the lock, the pipeline could not record further stamps meanwhile.
         drop(ring);
         answer.to_sample().map_err(AnswerError::Answer)
     }

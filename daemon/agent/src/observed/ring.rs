@@ -7,7 +7,7 @@ use peernet_clock::{MonoTime, Span};
 use super::ObservedPair;
 use crate::link::HostStamp;
 
-/// Topic of a message: the one that the observed nodes receive, or the one that they publish.
+/// Topic of a message: the input topic, which the observed nodes receive, or the output topic, which they publish.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Side {
     Input,

@@ -1,4 +1,4 @@
-//! The cloud's end: connects to the socket of an edge and answers its queries.
+//! The cloud's end: connects to the socket of an edge and answers the edge's queries.
 
 use std::io;
 use std::os::unix::net::UnixStream as StdStream;
@@ -44,7 +44,7 @@ impl ClockResponder {
     /// Answers until the edge closes the connection or sends an invalid query.
     pub(crate) async fn answer(self) {
         if let Err(error) = self.answer_all().await {
-            // The edge estimates the delays from now on, and reports it.
+            // The edge estimates the delays from then on, and reports the lost proof.
             tracing::debug!(session = %self.session, %error, "stopped answering queries about the clock");
         }
     }

@@ -16,7 +16,7 @@ use tokio::net::UnixStream;
 use uuid::Uuid;
 
 use super::messages::ClockAnswer;
-use super::proof::{NotProven, Outcome, OwnClock, Proof};
+use super::proof::{AnswerResult, NotProven, OwnClock, Proof};
 
 /// Maximum number of processes that may connect while a session is opened. The cloud is one of them; the others are not
 /// part of PEERNet.
@@ -73,7 +73,7 @@ fn bind(name: ClockSocketName) -> io::Result<UnixListener> {
     Ok(listener)
 }
 
-/// Connections of the processes that connected to a session's socket; clones share them.
+/// Connections of the processes that connected to a session's socket. Clones share the connections.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ClockPeers {
     /// Id of the session; `None` if there can be no connection.
@@ -112,7 +112,7 @@ struct Prover<'a, F> {
 }
 
 impl<F: Fn(Result<(), NotProven>)> Prover<'_, F> {
-    /// Sends queries until the other end closes, or turns out not to serve the session.
+    /// Sends queries until the other process closes the connection, or turns out not to serve the session.
     async fn run(mut self, stream: StdStream) -> Result<Infallible, NotProven> {
         stream.set_nonblocking(true)?;
         let mut stream = UnixStream::from_std(stream)?;
@@ -145,10 +145,10 @@ impl<F: Fn(Result<(), NotProven>)> Prover<'_, F> {
         let own_clock =
             OwnClock { raw, mono: self.clock.mono(), shows_kernel_time: self.clock.shows_kernel_time() };
         match self.proof.handle_answer(answer, own_clock) {
-            Outcome::Proven => (self.report)(Ok(())),
-            Outcome::Refuted(reason) => (self.report)(Err(reason)),
-            Outcome::Slow => {}
-            Outcome::Foreign => return Err(NotProven::Foreign),
+            AnswerResult::Proven => (self.report)(Ok(())),
+            AnswerResult::Refuted(reason) => (self.report)(Err(reason)),
+            AnswerResult::Slow => {}
+            AnswerResult::Foreign => return Err(NotProven::Foreign),
         }
         Ok(())
     }
@@ -172,7 +172,7 @@ impl<F: Fn(Result<(), NotProven>)> Prover<'_, F> {
                 }
             };
             tokio::select! {
-                // An answer that has arrived may renew the proof, so it goes before the expiry.
+                // An answer that has arrived may renew the proof, so the answer is handled before the expiry.
                 biased;
                 output = &mut future => return output,
                 () = expiry => {

@@ -8,7 +8,7 @@ pub(super) type Nonce = [u8; 16];
 const QUERY_MAGIC: [u8; 8] = *b"PEERNET?";
 const ANSWER_MAGIC: [u8; 8] = *b"PEERNET!";
 
-/// The edge's query of the cloud's clock reading.
+/// The edge's query for a reading of the cloud's clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct ClockQuery {
     pub(super) nonce: Nonce,
@@ -19,16 +19,16 @@ impl ClockQuery {
 
     pub(super) fn to_bytes(self) -> [u8; Self::BYTES] {
         let mut bytes = [0; Self::BYTES];
-        let (kind, nonce) = bytes.split_at_mut(QUERY_MAGIC.len());
-        kind.copy_from_slice(&QUERY_MAGIC);
+        let (magic, nonce) = bytes.split_at_mut(QUERY_MAGIC.len());
+        magic.copy_from_slice(&QUERY_MAGIC);
         nonce.copy_from_slice(&self.nonce);
         bytes
     }
 
     /// Parses a query; `None` for other bytes.
     pub(super) fn from_bytes(bytes: &[u8; Self::BYTES]) -> Option<Self> {
-        let (kind, nonce) = bytes.split_first_chunk()?;
-        (*kind == QUERY_MAGIC).then_some(Self { nonce: nonce.try_into().ok()? })
+        let (magic, nonce) = bytes.split_first_chunk()?;
+        (*magic == QUERY_MAGIC).then_some(Self { nonce: nonce.try_into().ok()? })
     }
 }
 
@@ -68,12 +68,12 @@ impl ClockAnswer {
 
     /// Parses an answer; `None` for other bytes.
     pub(super) fn from_bytes(bytes: &[u8; Self::BYTES]) -> Option<Self> {
-        let (kind, rest) = bytes.split_first_chunk()?;
+        let (magic, rest) = bytes.split_first_chunk()?;
         let (nonce, rest) = rest.split_first_chunk()?;
         let (session, rest) = rest.split_first_chunk()?;
         let (namespace, rest) = rest.split_first_chunk()?;
         let ([shows_kernel_time], raw) = rest.split_first_chunk()?;
-        let is_answer = *kind == ANSWER_MAGIC && *shows_kernel_time <= 1;
+        let is_answer = *magic == ANSWER_MAGIC && *shows_kernel_time <= 1;
         is_answer.then_some(Self {
             nonce: *nonce,
             session: *session,

@@ -2,8 +2,8 @@
 //!
 //! Statements of a process about its clock are no proof: clones of a virtual machine have the same boot id, and a
 //! preloaded library may show each process other times. Therefore the edge opens an abstract Unix socket while it opens
-//! a session, and names it in the hello. Such a socket can be reached only within one kernel and one network namespace.
-//! A cloud that may read the same clock connects before it accepts the session, and then answers queries.
+//! a session, and names this socket in the hello. Such a socket can be reached only within one kernel and one network
+//! namespace. A cloud that may read the same clock connects before it accepts the session, and then answers queries.
 //!
 //! An answer proves three things. Both processes are in one time namespace. The time that each reads through the C
 //! library is the time that a direct system call returns. The cloud's reading of the free-running clock lies between

@@ -13,7 +13,7 @@ const QUERY_INTERVAL: Duration = Duration::from_secs(2);
 const VALIDITY: Span = Span::from_seconds(5);
 /// Longest round trip of an answer that is a proof. A different clock could differ by as much as the round trip.
 const MAX_ROUND_TRIP: Span = Span::from_millis(5);
-/// After a slow answer the next query is sent at once, for this number of slow answers in a row.
+/// Maximum number of consecutive slow answers after which the next query is still sent at once.
 const QUICK_RETRIES: u32 = 8;
 
 /// Reason why it is not proven that both processes read one clock.
@@ -54,9 +54,9 @@ pub(super) struct OwnClock {
     pub(super) shows_kernel_time: bool,
 }
 
-/// Result of an answer.
+/// What an answer shows.
 #[derive(Debug)]
-pub(super) enum Outcome {
+pub(super) enum AnswerResult {
     /// Both processes read one clock.
     Proven,
     /// The answer took too long to prove anything.
@@ -94,11 +94,11 @@ impl Proof {
 
     /// Handles an answer; `answer` is `None` if the received bytes are not an answer.
     ///
-    /// The session's id is random and sent over the session only. Therefore a process that knows it is the other end of
-    /// the session. The name of the socket is not secret on this machine (`/proc/net/unix`). The nonce prevents the
-    /// replay of an old answer.
-    pub(super) fn handle_answer(&mut self, answer: Option<ClockAnswer>, own_clock: OwnClock) -> Outcome {
-        // A query counts for one answer only: a second answer with the same nonce proves nothing.
+    /// The session's id is random and sent over the session only. Therefore a process that knows this id is the other
+    /// end of the session. The name of the socket is not secret on this machine (`/proc/net/unix`). The nonce prevents
+    /// the replay of an old answer.
+    pub(super) fn handle_answer(&mut self, answer: Option<ClockAnswer>, own_clock: OwnClock) -> AnswerResult {
+        // Each query accepts one answer only: another answer with the same nonce proves nothing.
         let open_query = self.open_query.take();
         let (Some(answer), Some((nonce, raw_before))) = (answer, open_query) else {
             return self.reject_foreign();
@@ -128,10 +128,10 @@ impl Proof {
         // A slow answer does not refute an earlier proof, which is valid until it expires.
         if own_clock.raw - raw_before > MAX_ROUND_TRIP {
             self.slow_answers = self.slow_answers.saturating_add(1);
-            return Outcome::Slow;
+            return AnswerResult::Slow;
         }
         (self.slow_answers, self.proven_at) = (0, Some(own_clock.mono));
-        Outcome::Proven
+        AnswerResult::Proven
     }
 
     /// Returns the pause before the next query.
@@ -150,7 +150,7 @@ impl Proof {
         Some((self.proven_at? + VALIDITY - now).max(Span::ZERO))
     }
 
-    /// Ends the proof if it has expired. Returns whether it has.
+    /// Ends the proof if it has expired. Returns whether it has expired.
     pub(super) fn expire(&mut self, now: MonoTime) -> bool {
         let has_expired = self.valid_for(now) == Some(Span::ZERO);
         if has_expired {
@@ -160,15 +160,15 @@ impl Proof {
     }
 
     /// Ends the proof, because the processes do not read one clock.
-    fn refute(&mut self, reason: NotProven) -> Outcome {
+    fn refute(&mut self, reason: NotProven) -> AnswerResult {
         (self.slow_answers, self.proven_at) = (0, None);
-        Outcome::Refuted(reason)
+        AnswerResult::Refuted(reason)
     }
 
     /// Ends the proof, because the answer is not from the process that serves the session.
-    fn reject_foreign(&mut self) -> Outcome {
+    fn reject_foreign(&mut self) -> AnswerResult {
         self.proven_at = None;
-        Outcome::Foreign
+        AnswerResult::Foreign
     }
 }
 
@@ -215,10 +215,13 @@ mod tests {
     fn proof_holds_for_five_seconds() {
         let mut proof = proof_with_open_query();
         assert_eq!(proof.valid_for(mono(0)), None);
-        assert!(matches!(proof.handle_answer(Some(proving_answer([1; 16])), own(140, 10)), Outcome::Proven));
+        assert!(matches!(
+            proof.handle_answer(Some(proving_answer([1; 16])), own(140, 10)),
+            AnswerResult::Proven
+        ));
         assert_eq!(proof.valid_for(mono(12)), Some(Span::from_seconds(3)));
         assert!(!proof.expire(mono(14)));
-        assert!(proof.expire(mono(15)) && !proof.expire(mono(16)), "reported once");
+        assert!(proof.expire(mono(15)) && !proof.expire(mono(16)), "the expiry is reported once");
         assert_eq!(proof.valid_for(mono(16)), None);
     }
 
@@ -243,10 +246,10 @@ mod tests {
             let mut proof = proof_with_open_query();
             assert!(matches!(
                 proof.handle_answer(Some(proving_answer([1; 16])), own(140, 10)),
-                Outcome::Proven
+                AnswerResult::Proven
             ));
             proof.next_query([2; 16], raw(100));
-            let Outcome::Refuted(reason) = proof.handle_answer(Some(answer), own_clock) else {
+            let AnswerResult::Refuted(reason) = proof.handle_answer(Some(answer), own_clock) else {
                 panic!("{words}")
             };
             assert!(reason.to_string().contains(words), "{reason}");
@@ -257,12 +260,15 @@ mod tests {
     #[test]
     fn slow_answer_keeps_proof_and_causes_quick_retries() {
         let mut proof = proof_with_open_query();
-        assert!(matches!(proof.handle_answer(Some(proving_answer([1; 16])), own(140, 10)), Outcome::Proven));
+        assert!(matches!(
+            proof.handle_answer(Some(proving_answer([1; 16])), own(140, 10)),
+            AnswerResult::Proven
+        ));
         for retry in 1..=QUICK_RETRIES + 1 {
             proof.next_query([2; 16], raw(100));
             assert!(matches!(
                 proof.handle_answer(Some(proving_answer([2; 16])), own(5_101, 12)),
-                Outcome::Slow
+                AnswerResult::Slow
             ));
             assert_eq!(proof.pause() == Duration::ZERO, retry <= QUICK_RETRIES);
         }
@@ -273,13 +279,16 @@ mod tests {
     #[test]
     fn unsolicited_or_repeated_answer_is_foreign() {
         let mut proof = proof_with_open_query();
-        assert!(matches!(proof.handle_answer(Some(proving_answer([1; 16])), own(140, 10)), Outcome::Proven));
+        assert!(matches!(
+            proof.handle_answer(Some(proving_answer([1; 16])), own(140, 10)),
+            AnswerResult::Proven
+        ));
         assert!(
-            matches!(proof.handle_answer(Some(proving_answer([1; 16])), own(140, 10)), Outcome::Foreign),
-            "a replay"
+            matches!(proof.handle_answer(Some(proving_answer([1; 16])), own(140, 10)), AnswerResult::Foreign),
+            "the answer is a replay"
         );
         let mut proof = proof_with_open_query();
-        assert!(matches!(proof.handle_answer(None, own(140, 10)), Outcome::Foreign));
+        assert!(matches!(proof.handle_answer(None, own(140, 10)), AnswerResult::Foreign));
     }
 
     proptest! {
@@ -299,16 +308,16 @@ mod tests {
                 raw: raw(100 + there_us + offset_us),
             };
             let own_clock = OwnClock { shows_kernel_time: kernel.1, ..own(100 + there_us + back_us, 10) };
-            let outcome = proof.handle_answer(Some(answer), own_clock);
-            let is_proven = matches!(outcome, Outcome::Proven);
+            let result = proof.handle_answer(Some(answer), own_clock);
+            let is_proven = matches!(result, AnswerResult::Proven);
             prop_assert_eq!(is_proven, proof.valid_for(mono(10)).is_some());
             let is_cloud = nonce == [1; 16] && session == SESSION;
-            prop_assert_eq!(is_cloud, !matches!(outcome, Outcome::Foreign));
+            prop_assert_eq!(is_cloud, !matches!(result, AnswerResult::Foreign));
             if is_proven {
                 prop_assert!(is_cloud && time_namespace == NAMESPACE && kernel == (true, true));
                 prop_assert!(offset_us.abs() <= MAX_ROUND_TRIP.nanos() / 1_000);
             } else if is_cloud && time_namespace == NAMESPACE && kernel == (true, true) && offset_us == 0 {
-                prop_assert!(there_us + back_us > 5_000, "the truth was refused: {outcome:?}");
+                prop_assert!(there_us + back_us > 5_000, "a true proof was refused: {result:?}");
             }
         }
 

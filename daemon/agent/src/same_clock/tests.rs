@@ -25,7 +25,7 @@ fn system_clock() -> SharedClock {
     Arc::new(SystemClock::new(identity))
 }
 
-/// Returns the system's clock with clock fault injection, but no faults.
+/// Returns the system's clock with clock fault injection that injects no fault.
 fn faulty_clock() -> SharedClock {
     let clock = system_clock();
     let (identity, since) = (clock.identity().clone(), clock.wall());
@@ -50,7 +50,7 @@ fn hello(clock: &SharedClock, clock_socket: Option<ClockSocketName>) -> SessionH
     }
 }
 
-/// Starts the edge's end; returns the receiver of its results.
+/// Starts the edge's end. Returns the receiver of the results of the proof.
 fn start_proving(
     peers: ClockPeers,
     clock: SharedClock,
@@ -111,7 +111,7 @@ async fn process_with_clock_fault_neither_listens_nor_connects() {
 }
 
 #[tokio::test]
-async fn cloud_connects_to_no_edge_of_another_boot() {
+async fn cloud_does_not_connect_to_edge_of_another_boot() {
     let clock = system_clock();
     let socket = listen(&clock);
     let other = ClockIdentity::new("another", ClockIdentity::SYSTEM);
@@ -124,7 +124,8 @@ async fn cloud_continues_without_listener_or_with_full_queue() {
     let clock = system_clock();
     let name = ClockSocketName::new([3; ClockSocketName::BYTES]);
     assert!(start_responder(&hello(&clock, Some(name)), 1, &clock).is_none());
-    // The listener accepts nobody, so connecting would block once its queue is full. It must not block here.
+    // The listener accepts no connection, so a blocking `connect` would wait once the queue is full. The responder must
+    // not wait.
     let address = SocketAddr::from_abstract_name(name.to_string()).expect("a short name");
     let _listener = UnixListener::bind_addr(&address).expect("the name is free");
     let mut waiting = Vec::new();
@@ -148,8 +149,8 @@ async fn garbage_and_silence_do_not_hide_the_cloud() {
     for stream in [&mut garbage, &mut silent] {
         stream.set_read_timeout(Some(WAIT_TIMEOUT)).expect("a timeout");
         let mut query = [0; ClockQuery::BYTES];
-        stream.read_exact(&mut query).expect("it was queried");
-        // Closed; with unread bytes it is a reset.
+        stream.read_exact(&mut query).expect("the edge sent a query");
+        // The edge has closed the connection. A connection with unread bytes is reset instead.
         match stream.read(&mut query) {
             Ok(bytes) => assert_eq!(bytes, 0),
             Err(error) => assert_eq!(error.kind(), ErrorKind::ConnectionReset),
@@ -165,16 +166,16 @@ async fn cloud_closes_connection_after_invalid_query() {
     let listener = UnixListener::bind_addr(&address).expect("the name is free");
     let responder =
         ClockResponder::connect(&hello(&clock, Some(name)), session(1), &clock).expect("connects");
-    let (mut stream, _) = listener.accept().expect("it connected");
+    let (mut stream, _) = listener.accept().expect("the responder connected");
     stream.write_all(&[0x55; ClockQuery::BYTES]).expect("there is room");
-    tokio::time::timeout(WAIT_TIMEOUT, responder.answer()).await.expect("it ends");
+    tokio::time::timeout(WAIT_TIMEOUT, responder.answer()).await.expect("the responder ends");
     let mut bytes = Vec::new();
     assert_eq!(stream.read_to_end(&mut bytes).expect("it is closed"), 0);
 }
 
-/// Takes as long as a proof is valid.
+/// This test takes as long as a proof is valid.
 #[tokio::test]
-async fn proof_expires_without_answers_and_returns_with_them() {
+async fn proof_expires_without_answers_and_is_renewed_by_answers() {
     let clock = system_clock();
     let socket = listen(&clock);
     let cloud = connect(socket.name()).expect("it listens");
@@ -184,7 +185,7 @@ async fn proof_expires_without_answers_and_returns_with_them() {
     answer(&mut cloud, &clock).await;
     assert!(receive_result(&mut proofs).await.is_ok());
     assert!(matches!(receive_result(&mut proofs).await, Err(NotProven::Expired)));
-    // The answer to the query that waited is too late to prove anything, so the next query is sent at once.
+    // The edge has waited too long for this answer, so the answer proves nothing and the next query is sent at once.
     answer(&mut cloud, &clock).await;
     answer(&mut cloud, &clock).await;
     assert!(receive_result(&mut proofs).await.is_ok());
@@ -195,13 +196,13 @@ async fn proof_expires_without_answers_and_returns_with_them() {
 /// Answers one query as the cloud of the first session does.
 async fn answer(cloud: &mut tokio::net::UnixStream, clock: &SharedClock) {
     let mut query = [0; ClockQuery::BYTES];
-    cloud.read_exact(&mut query).await.expect("it is queried");
+    cloud.read_exact(&mut query).await.expect("the edge sends a query");
     let answer = ClockAnswer {
         nonce: ClockQuery::from_bytes(&query).expect("a query").nonce,
         session: *session(1).as_bytes(),
-        time_namespace: time_namespace().expect("the kernel tells"),
+        time_namespace: time_namespace().expect("the kernel shows the time namespace"),
         shows_kernel_time: clock.shows_kernel_time(),
         raw: clock.raw(),
     };
-    cloud.write_all(&answer.to_bytes()).await.expect("the edge is there");
+    cloud.write_all(&answer.to_bytes()).await.expect("the edge reads");
 }

@@ -47,9 +47,9 @@ impl ServeEndpoints {
         let offers_key = config.probes.reflect && probes.key.is_none();
         let probe_key = offers_key.then(|| ProbeKey::new(Key::random_bytes()));
         let (reflectors, probes) = if config.probes.reflect {
-            let answering =
-                reflector::ReflectorSettings { settings: probes, instance, session_key: probe_key };
-            reflector::bind_all(listen, &config.probes, answering, &host.clock).await?
+            let reflector_settings =
+                reflector::ReflectorSettings { probe_settings: probes, instance, session_key: probe_key };
+            reflector::bind_all(listen, &config.probes, reflector_settings, &host.clock).await?
         } else {
             (Vec::new(), vec![None; listeners.len()])
         };
@@ -63,7 +63,8 @@ impl ServeEndpoints {
     }
 }
 
-/// Returns the built-in model that answers with its input; `None` if it is switched off or its name is taken.
+/// Returns the built-in model that answers with its input; `None` if the model is switched off, or if a configured
+/// model has the same name.
 pub(crate) fn calibration(config: &AgentConfig) -> Option<ModelConfig> {
     let is_enabled = config.serve.as_ref().is_some_and(|serve| serve.calibration);
     let name: Slug = CALIBRATION.parse().ok()?;

@@ -21,14 +21,14 @@ impl Listeners {
     /// listener's port was lost. Cancel-safe.
     pub(super) async fn next(&mut self) -> (usize, Option<Incoming>) {
         let Self { listeners, next_index } = self;
-        // The usual case, without the allocations that the wait for several listeners needs.
-        if let [alone] = listeners.as_mut_slice() {
-            return (0, alone.next().await);
+        // One listener is the usual case. It does not need the allocations of the wait for several listeners.
+        if let [only_listener] = listeners.as_mut_slice() {
+            return (0, only_listener.next().await);
         }
         let count = listeners.len();
-        let (behind, ahead) = listeners.split_at_mut(*next_index);
+        let (earlier, later) = listeners.split_at_mut(*next_index);
         // The listeners take turns, so that a busy listener cannot starve the others.
-        let in_turn = ahead.iter_mut().chain(behind).map(|listener| listener.next().boxed());
+        let in_turn = later.iter_mut().chain(earlier).map(|listener| listener.next().boxed());
         let (incoming, index, _) = select_all(in_turn).await;
         let index = (*next_index + index) % count;
         *next_index = (index + 1) % count;
@@ -40,7 +40,7 @@ impl Listeners {
         self.listeners[index].address()
     }
 
-    /// Closes all ports at the same time; each waits for its own unsent answers.
+    /// Closes all ports at the same time. Each port waits until its unsent answers are sent.
     pub(super) async fn close(self) {
         join_all(self.listeners.into_iter().map(Listener::close)).await;
     }

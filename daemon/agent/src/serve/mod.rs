@@ -167,7 +167,7 @@ async fn serve_sessions(
             () = &mut stopping => break,
             Some(loaded) = loading.join_next() => match loaded {
                 Ok(loaded) => server.answer(loaded),
-                // The panic dropped the request, which refuses it.
+                // The panic dropped the request, and dropping a request refuses its session.
                 Err(error) => tracing::error!(%error, "loading a model for a peer panicked"),
             },
             (listener, incoming) = listeners.next() => match incoming {
@@ -209,7 +209,7 @@ fn inspect_conditions(context: &ServeContext) -> Vec<Condition> {
     conditions
 }
 
-/// Facts about this process that its sessions need.
+/// Values of this process that its sessions need.
 #[derive(Clone, Debug)]
 struct ServeIdentity {
     /// Ports for probes, one for each listener.
@@ -225,7 +225,7 @@ struct ServeIdentity {
 /// A request for a session, with the service that was prepared for it.
 struct PreparedSession {
     request: OpenRequest,
-    /// Index of the listener at which it arrived.
+    /// Index of the listener at which the request arrived.
     listener: usize,
     service: Result<Service, Refusal>,
     conditions: Vec<Condition>,
@@ -236,15 +236,16 @@ struct Peer {
     host: HostId,
     name: Slug,
     pipeline: Slug,
-    /// Address of its connection, from which it sends its probes, too.
+    /// IP address from which the peer has connected. The peer sends its probes from the same address.
     address: Option<IpAddr>,
     service: Service,
-    /// Counters of its requests and their answers; `None` if they are not counted.
+    /// Counter of the run's requests, and counts of all answers; `None` if this session is not counted.
     counters: Option<(Arc<AtomicU64>, Arc<watch::Sender<ServedCounts>>)>,
-    /// Task that proves to the peer that both processes read one clock, if they do. Dropping it ends the task.
+    /// Task that proves to the peer that both processes read one clock, if they do. Dropping this handle ends the task.
     _responder: Option<AbortOnDropHandle<()>>,
 }
 
+/// The sessions of this host's peers, and what serving them needs.
 struct Server {
     context: ServeContext,
     serve_identity: ServeIdentity,
@@ -274,19 +275,20 @@ impl Server {
                 );
                 let (session, accepted) = (request.session, self.acceptance(listener, &service, conditions));
                 let address = request.address.map(|address| address.ip());
-                // Connected before the session is accepted, because the edge closes its socket after the acceptance.
+                // The responder connects before the session is accepted, because the edge closes its socket after the
+                // acceptance.
                 let responder = ClockResponder::connect(hello, session, &self.context.host.clock);
                 let responder =
                     responder.map(|responder| AbortOnDropHandle::new(tokio::spawn(responder.answer())));
-                // Updated before the session is accepted: the acceptance contains the port to which the peer sends
-                // probes.
+                // The reflectors are updated before the session is accepted, because the peer may send probes as soon
+                // as it has the acceptance.
                 self.update_reflectors(address);
                 if request.accept(accepted) {
-                    let counts = match &service {
+                    let is_counted = match &service {
                         Service::Model(pool) => self.serve_identity.built_in.as_ref() != Some(pool.name()),
                         Service::Stamps(..) => false,
                     };
-                    let counters = counts
+                    let counters = is_counted
                         .then(|| (self.request_counts.counter(host, &pipeline), Arc::clone(&self.served)));
                     let peer =
                         Peer { host, name, pipeline, address, service, counters, _responder: responder };
@@ -341,7 +343,7 @@ impl Server {
             return;
         };
         let served = peer.counters.as_ref().map(|(requests, served)| {
-            // The counter is also read by this task only.
+            // Only this task reads and writes the counter, so it needs no stronger ordering.
             requests.fetch_add(1, Ordering::Relaxed);
             Arc::clone(served)
         });
@@ -364,9 +366,12 @@ impl Server {
         // A session that was never accepted is not in the map.
         let Some(Peer { host, name, pipeline, counters, .. }) = self.peers.remove(&session) else { return };
         self.update_reflectors(None);
-        let is_goodbye = said_goodbye && counters.is_some();
-        let missed =
-            if is_goodbye { self.request_counts.take_missed(host, &pipeline, planned_iterations) } else { 0 };
+        let is_counted_goodbye = said_goodbye && counters.is_some();
+        let missed = if is_counted_goodbye {
+            self.request_counts.take_missed(host, &pipeline, planned_iterations)
+        } else {
+            0
+        };
         self.served.send_modify(|served| {
             served.sessions = self.peers.len();
             served.missed = served.missed.saturating_add(missed);
@@ -381,7 +386,7 @@ impl Server {
         }
     }
 
-    /// Reports a caveat of a connection, with the peer that has a session on it.
+    /// Reports a caveat of a connection, with the name of the peer whose session uses the connection.
     fn remark(&self, session: Option<SessionId>, text: &str) {
         let peer = session.and_then(|session| self.peers.get(&session));
         let prefix =
@@ -397,8 +402,8 @@ impl Server {
     }
 }
 
-/// Returns the failure for the peer. A full queue or a stopped model is an overload, after which a retry may help; any
-/// other error is a failure of this sample.
+/// Returns the failure that is sent to the peer. A full queue or a stopped model is an overload, after which a retry
+/// may help; any other error is a failure of this sample.
 fn failure_from_error(error: &InferenceError) -> Failure {
     match error {
         InferenceError::QueueFull { .. } | InferenceError::Stopped { .. } => {

@@ -15,7 +15,7 @@ use crate::link::ProbeSettings;
 /// Settings of the reflectors.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ReflectorSettings<'a> {
-    pub(super) settings: &'a ProbeSettings,
+    pub(super) probe_settings: &'a ProbeSettings,
     pub(super) instance: u64,
     /// Key that is sent to peers with a session.
     pub(super) session_key: Option<ProbeKey>,
@@ -26,7 +26,7 @@ pub(super) struct ReflectorSettings<'a> {
 pub(super) async fn bind_all(
     listen: &[Address],
     config: &ProbesConfig,
-    answering: ReflectorSettings<'_>,
+    reflector_settings: ReflectorSettings<'_>,
     clock: &SharedClock,
 ) -> Result<(Vec<Reflector>, Vec<Option<u16>>), ReflectorError> {
     let port = config.port.unwrap_or(ProbesConfig::DEFAULT_PORT);
@@ -42,39 +42,39 @@ pub(super) async fn bind_all(
     addresses_by_reach.sort_by_key(|at| !at.ip().is_unspecified());
     let mut reflectors: Vec<Reflector> = Vec::new();
     for at in addresses_by_reach {
-        if find(&reflectors, at.ip()).is_none() {
-            reflectors.push(bind(at, config, answering, clock)?);
+        if find_port(&reflectors, at.ip()).is_none() {
+            reflectors.push(bind(at, config, reflector_settings, clock)?);
         }
     }
-    let ports = probe_addresses.iter().map(|at| find(&reflectors, at.ip())).collect();
+    let ports = probe_addresses.iter().map(|at| find_port(&reflectors, at.ip())).collect();
     Ok((reflectors, ports))
 }
 
 /// Returns the port of the reflector that answers at an IP address.
-fn find(reflectors: &[Reflector], ip: IpAddr) -> Option<u16> {
+fn find_port(reflectors: &[Reflector], ip: IpAddr) -> Option<u16> {
     let is_answered_by =
         |at: &SocketAddr| at.ip() == ip || (at.ip().is_unspecified() && at.ip().is_ipv4() == ip.is_ipv4());
     reflectors.iter().map(Reflector::address).find(is_answered_by).map(|at| at.port())
 }
 
-/// Binds to one address. If the default port is taken and no port is configured, any free port is used, because peers
-/// are sent the real one.
+/// Binds to one address. If the default port is taken and no port is configured, any free port is used. Peers get the
+/// real port with their session.
 fn bind(
     at: SocketAddr,
     config: &ProbesConfig,
-    ReflectorSettings { settings, instance, session_key }: ReflectorSettings<'_>,
+    ReflectorSettings { probe_settings, instance, session_key }: ReflectorSettings<'_>,
     clock: &SharedClock,
 ) -> Result<Reflector, ReflectorError> {
     let bind = |at: SocketAddr| {
         let config = ReflectorConfig {
             listen: at,
-            key: settings.key.clone(),
+            key: probe_settings.key.clone(),
             session_key: session_key.map(|key| Key::from_bytes(key.as_bytes())),
             instance,
             max_per_source_hz: config.max_per_source_hz,
-            stamps: settings.stamps,
-            // Numbers its replies, so that the sender knows in which direction a probe was lost (RFC 8762, section
-            // 4).
+            stamps: probe_settings.stamps,
+            // The reflector numbers its replies, so that the sender knows in which direction a probe was lost (RFC
+            // 8762, section 4).
             stateful: true,
         };
         Reflector::bind(config, Arc::clone(clock))

@@ -45,7 +45,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn requests_are_counted_over_sessions_and_forgotten_eventually() {
+    fn requests_are_counted_over_sessions_in_bounded_memory() {
         let (mut request_counts, host, line) =
             (RequestCounts::default(), HostId::random(), "line".parse().expect("a name"));
         for _ in 0..2 {
@@ -59,10 +59,10 @@ mod tests {
             (1, 9)
         );
         request_counts.counter(host, &line).fetch_add(5, Ordering::Relaxed);
-        assert_eq!(request_counts.take_missed(host, &line, None), 0, "it was stopped");
+        assert_eq!(request_counts.take_missed(host, &line, None), 0, "the run is not over");
         assert_eq!(request_counts.take_missed(host, &line, Some(5)), 5, "the count was reset");
-        let open = request_counts.counter(host, &line);
-        open.fetch_add(3, Ordering::Relaxed);
+        let counter_in_use = request_counts.counter(host, &line);
+        counter_in_use.fetch_add(3, Ordering::Relaxed);
         for _ in 0..2 * MAX_RUNS {
             request_counts.counter(HostId::random(), &line);
         }

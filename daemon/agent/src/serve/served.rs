@@ -1,4 +1,4 @@
-//! Counts of the answers that peers were sent.
+//! Counts of the answers that were sent to peers.
 
 use peernet_logger::{Tree, stage};
 use peernet_statistics::Summary;

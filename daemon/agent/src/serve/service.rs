@@ -35,9 +35,10 @@ impl Service {
     /// Prepares the service that a peer requests. Blocks while a model loads.
     ///
     /// # Errors
-    /// When there is no such model, it cannot be loaded, or this host observes no topics.
+    /// When the requested model does not exist or cannot be loaded, or when the peer requests stamps and this host
+    /// observes no topics.
     pub(super) fn prepare(hello: &SessionHello, context: &ServeContext) -> Result<Self, Refusal> {
-        if hello.model.as_ref().is_some_and(|model| is_stamps(model, &context.bank)) {
+        if hello.model.as_ref().is_some_and(|model| is_request_for_stamps(model, &context.bank)) {
             return match context.observed.refusal_reason(&context.host.name) {
                 None => Ok(Self::Stamps(context.observed.clone(), context.host.clone())),
                 Some(reason) => Err(Refusal { to_peer: reason.clone(), reason }),
@@ -86,9 +87,9 @@ impl Service {
         let IncomingRequest { sample, recorder, received, partial_answers, reply, .. } = request;
         match self {
             Self::Model(pool) => {
-                let reply = Box::new(move |done: FinishedJob| {
-                    on_result(&done);
-                    let FinishedJob { recorder, result } = done;
+                let reply = Box::new(move |finished_job: FinishedJob| {
+                    on_result(&finished_job);
+                    let FinishedJob { recorder, result } = finished_job;
                     reply.send(recorder, result.map_err(|error| failure_from_error(&error)));
                 });
                 let requester = Arc::new(PeerRequester(partial_answers));
@@ -129,7 +130,8 @@ impl Requester for PeerRequester {
     }
 }
 
-/// Returns whether the name means the service of stamps. A configured model of the same name takes precedence.
-fn is_stamps(model: &Slug, bank: &Bank) -> bool {
+/// Returns whether a request for this model is a request for the stamps of observed messages. A configured model of the
+/// same name takes precedence.
+fn is_request_for_stamps(model: &Slug, bank: &Bank) -> bool {
     model.as_str() == MODEL && !bank.names().contains(model)
 }

@@ -31,11 +31,11 @@ fn system() -> String {
 }
 
 /// Returns the names of NVIDIA accelerators that their driver lists, in the order of the bus. On a Jetson, whose
-/// accelerator is part of the board, it is the name of the board.
+/// accelerator is part of the board, the result is the name of the board.
 fn gpus(proc: &Path) -> Vec<String> {
     let entries = fs::read_dir(proc.join("driver/nvidia/gpus")).into_iter().flatten();
     let mut cards: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
-    // The folders have the addresses on the bus as names.
+    // Each folder is named after the address of its card on the bus.
     cards.sort_unstable();
     let cards: Vec<String> = cards
         .iter()
@@ -63,7 +63,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let write = |path: &str, text: &str| {
             let path = folder.path().join(path);
-            fs::create_dir_all(path.parent().expect("it has one")).expect("writable");
+            fs::create_dir_all(path.parent().expect("the file has a folder")).expect("writable");
             fs::write(path, text).expect("writable");
         };
         assert!(gpus(folder.path()).is_empty());
@@ -83,7 +83,7 @@ mod tests {
         let hardware = hardware();
         assert!(hardware.cores >= 1 && hardware.memory_bytes > 64 << 20, "{hardware:?}");
         assert!(!hardware.architecture.is_empty(), "{hardware:?}");
-        let release = fs::read_to_string("/proc/sys/kernel/osrelease").expect("the kernel tells");
+        let release = fs::read_to_string("/proc/sys/kernel/osrelease").expect("the kernel shows its release");
         assert!(hardware.system.ends_with(&format!(", kernel {}", release.trim())), "{hardware:?}");
     }
 }

@@ -1,8 +1,8 @@
 //! Metrics of the host, read once a second.
 
 mod hardware;
+mod metrics_reader;
 mod process_cpu_time;
-mod sampler;
 
 pub(crate) use hardware::hardware;
 
@@ -16,8 +16,9 @@ use tokio::sync::watch;
 use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 
-use sampler::Sampler;
+use metrics_reader::MetricsReader;
 
+/// Interval between two readings of the metrics.
 const INTERVAL: Duration = Duration::from_secs(1);
 
 /// Reads the metrics until `stop` is cancelled.
@@ -27,7 +28,7 @@ pub(crate) async fn run(
     metrics_sender: watch::Sender<HostMetrics>,
     stop: CancellationToken,
 ) {
-    let mut sampler = Sampler::new(clock, bank);
+    let mut metrics_reader = MetricsReader::new(clock, bank);
     let mut ticks = tokio::time::interval(INTERVAL);
     // Missed ticks would otherwise follow at once, but a share of CPU time needs some time between two
     // readings.
@@ -36,12 +37,12 @@ pub(crate) async fn run(
         // The metrics are read on a blocking thread, because the temperature sensors of some boards take milliseconds
         // to answer.
         let reading = tokio::task::spawn_blocking(move || {
-            let metrics = sampler.sample();
-            (sampler, metrics)
+            let metrics = metrics_reader.read();
+            (metrics_reader, metrics)
         });
         match reading.await {
-            Ok((returned_sampler, metrics)) => {
-                sampler = returned_sampler;
+            Ok((returned_reader, metrics)) => {
+                metrics_reader = returned_reader;
                 metrics_sender.send_replace(metrics);
             }
             Err(error) => {

@@ -1,4 +1,4 @@
-//! Tests of models that peers request by name, or leave to the host.
+//! Tests of the model that a peer gets, with and without the name of a model in its request.
 
 use std::path::{Path, PathBuf};
 
@@ -37,7 +37,7 @@ fn pipeline(cloud: &TestAgent, placement: &str) -> String {
     )
 }
 
-/// Waits until the pipeline waits, and returns the reason.
+/// Waits until the pipeline's state is `Waiting`, and returns the reason.
 async fn waiting_reason(edge: &TestAgent) -> String {
     match edge.until_state(|state| matches!(state, PipelineState::Waiting(_))).await {
         PipelineState::Waiting(reason) => reason,
@@ -56,7 +56,7 @@ async fn edge_without_model_name_gets_the_only_model() {
     assert_eq!(cloud.running.served_counts().borrow().answers, 3);
     let hosts: Vec<&str> =
         received_events.runs()[0].conditions.iter().map(|condition| condition.host.as_str()).collect();
-    assert!(hosts.contains(&"edge") && hosts.contains(&"cloud"), "both were looked at: {hosts:?}");
+    assert!(hosts.contains(&"edge") && hosts.contains(&"cloud"), "both hosts were inspected: {hosts:?}");
     edge.stop().await.expect("stops well");
 
     // Answers of the calibration model are not counted.
@@ -85,8 +85,8 @@ async fn peer_gets_named_model_on_allowed_device() {
     let folder = model_folder();
     let bank = format!("{SERVE}[bank]\nfolders = [{:?}]\nmost_loaded = 1\n", folder.path());
     let cloud = TestAgent::start("cloud", None, &bank).await;
-    let wanted = pipeline(&cloud, ", model = 'plates_2', device = 'cpu'");
-    let edge = TestAgent::start("edge", Some(&aggregator.address), &wanted).await;
+    let table = pipeline(&cloud, ", model = 'plates_2', device = 'cpu'");
+    let edge = TestAgent::start("edge", Some(&aggregator.address), &table).await;
     let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
     assert_eq!(received_events.runs()[0].placement.model.as_str(), "plates_2");
     assert!(received_events.runs()[0].facts.iter().any(|(name, _)| name == peernet_inference::MODEL_HASH));
@@ -104,14 +104,15 @@ async fn peer_gets_named_model_on_allowed_device() {
         assert!(reason.contains(expected), "{reason}");
         edge.stop().await.expect("stops well");
     }
-    let outside = toml::from_str::<peernet_agent::AgentConfig>(&pipeline(&cloud, ", model = '..'"));
-    let error = outside.expect_err("no name leads out of the folder").to_string();
+    let config_with_outside_path =
+        toml::from_str::<peernet_agent::AgentConfig>(&pipeline(&cloud, ", model = '..'"));
+    let error = config_with_outside_path.expect_err("no name leads out of the folder").to_string();
     assert!(error.contains("cannot be a name"), "{error}");
     cloud.stop().await.expect("stops well");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn replaced_model_is_incident_and_metrics_count_loaded_ones() {
+async fn replaced_model_is_incident_and_loaded_models_are_counted() {
     let aggregator = Aggregator::start().await;
     let folder = model_folder();
     let bank = format!("{SERVE}[bank]\nfolders = [{:?}]\nmost_loaded = 1\n", folder.path());
@@ -131,7 +132,7 @@ async fn replaced_model_is_incident_and_metrics_count_loaded_ones() {
     assert!(text.contains(" s, to make room for plates_2; the process shrank by "), "{text}");
     cloud.until(|live| live.metrics.models.is_some_and(|models| models.loaded == 1)).await;
     cloud.stop().await.expect("stops well");
-    // The end of the agent is the end of its models.
+    // The agent unloads its models when it stops.
     let received_events = aggregator
         .until(|received_events| received_events.incidents(IncidentKind::ModelUnloaded).len() == 2)
         .await;

@@ -44,8 +44,8 @@ async fn disabled_calibration_is_refused_with_reason() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn configured_model_named_calibration_takes_precedence() {
     let aggregator = Aggregator::start().await;
-    let own = "[[model]]\nname = 'calibration'\nkind = 'echo'\nanswer_bytes = 7\n";
-    let cloud = TestAgent::start("cloud", None, &format!("{CLOUD}{own}")).await;
+    let configured_model = "[[model]]\nname = 'calibration'\nkind = 'echo'\nanswer_bytes = 7\n";
+    let cloud = TestAgent::start("cloud", None, &format!("{CLOUD}{configured_model}")).await;
     let edge = TestAgent::start("edge", Some(&aggregator.address), &pipeline(&cloud)).await;
     let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
     assert!(received_events.iterations().iter().all(|it| value(&it.tree, "download-bytes") == Some(7.0)));

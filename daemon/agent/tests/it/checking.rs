@@ -1,4 +1,4 @@
-//! Tests of checking configurations.
+//! Tests of the check of configurations.
 
 use peernet_agent::{Agent, AgentConfig};
 
@@ -11,7 +11,7 @@ fn problems(config: &AgentConfig) -> Vec<String> {
 #[test]
 fn valid_configuration_has_no_problems_and_reads_back() {
     let state = tempfile::tempdir().expect("a folder");
-    let mut sound = config(
+    let mut valid = config(
         "[serve]\nlisten = 'tcp://127.0.0.1:0'\n[[model]]\nname = 'echo'\nkind = 'echo'\n\
          [[pipeline]]\nname = 'line'\nsensor = { kind = 'synthetic', sizes_bytes = [1, 2] }\n\
          placement = { kind = 'remote', peer = 'tcp://cloud:5551', network = 'zmq-tcp', model = 'm', device = 'cuda:0' }\n\
@@ -21,17 +21,17 @@ fn valid_configuration_has_no_problems_and_reads_back() {
          actuator = { kind = 'socket', address = 'tcp://arm:9000', feedback = true }\nstart = 'manual'\n\
          [spool]\nlimit_bytes = 1048576\nsync_interval_ms = 1\ncompression = 'always'\n",
     );
-    sound.agent.state_dir = state.path().join("new").join("er");
-    assert_eq!(problems(&sound), Vec::<String>::new());
-    let written = toml::to_string(&sound).expect("can be written");
-    assert_eq!(toml::from_str::<AgentConfig>(&written).expect("reads back"), sound);
+    valid.agent.state_dir = state.path().join("new").join("er");
+    assert_eq!(problems(&valid), Vec::<String>::new());
+    let written = toml::to_string(&valid).expect("can be written");
+    assert_eq!(toml::from_str::<AgentConfig>(&written).expect("reads back"), valid);
 }
 
 #[test]
 fn all_problems_are_listed_with_key_and_remedy() {
     let state = tempfile::tempdir().expect("a folder");
     std::fs::write(state.path().join("host-id"), "junk").expect("written");
-    let mut broken = config(
+    let mut invalid = config(
         "[serve]\nlisten = 'tcp://192.0.2.1:5551'\nsession = { max_in_flight = 0 }\n\
          [[model]]\nname = 'echo'\nkind = 'echo'\n[[model]]\nname = 'echo'\nkind = 'echo'\n\
          [[pipeline]]\nname = 'line'\nsensor = { kind = 'images', path = '/nowhere' }\n\
@@ -42,8 +42,8 @@ fn all_problems_are_listed_with_key_and_remedy() {
          actuator = { kind = 'socket', address = 'udp://arm:9000', timeout_ms = 86400001 }\n\
          [bank]\nfolders = ['/nowhere/models']\n",
     );
-    broken.agent.state_dir = state.path().to_owned();
-    let found = problems(&broken);
+    invalid.agent.state_dir = state.path().to_owned();
+    let found = problems(&invalid);
     for expected in [
         "agent.state_dir: ",
         "model[1]: two models are named echo",
@@ -68,7 +68,7 @@ fn all_problems_are_listed_with_key_and_remedy() {
 #[test]
 fn excessive_numbers_are_refused_with_limit() {
     let state = tempfile::tempdir().expect("a folder");
-    let mut greedy = config(
+    let mut excessive = config(
         "[agent]\nio_threads = 65\nqueue_events = 1000000000000\nqueue_bytes = 1000000000000000\nbatch_nodes = 1000000000\n\
          batch_bytes = 1000000000\nbatch_delay_ms = 4000000000\nstop_timeout_ms = 60001\n\
          [spool]\nlimit_bytes = 1000000000000000\nsync_interval_ms = 4000000000\n\
@@ -79,8 +79,8 @@ fn excessive_numbers_are_refused_with_limit() {
          placement = { kind = 'local', model = 'echo' }\nmax_in_flight = 1000000000000\ntimeout_ms = 86400001\n\
          limit = { duration_s = 1e308 }\n",
     );
-    greedy.agent.state_dir = state.path().to_owned();
-    let found = problems(&greedy);
+    excessive.agent.state_dir = state.path().to_owned();
+    let found = problems(&excessive);
     for (key, max) in [
         ("agent.io_threads", "64"),
         ("agent.queue_events", "10000000"),
@@ -123,7 +123,7 @@ fn deadline_after_timeout_is_refused() {
 }
 
 #[test]
-fn more_pipelines_than_pages_show_are_refused() {
+fn more_pipelines_than_maximum_are_refused() {
     let state = tempfile::tempdir().expect("a folder");
     let problems_with = |count: u32| {
         let pipeline = |number| {
@@ -191,23 +191,24 @@ fn unknown_keys_are_refused_by_name() {
 }
 
 #[test]
-fn actuator_of_sensor_alone_is_refused() {
+fn actuator_of_pipeline_that_only_senses_is_refused() {
     let state = tempfile::tempdir().expect("a folder");
-    let mut alone = config(
+    let mut without_model = config(
         "[[pipeline]]\nname = 'line'\nsensor = { kind = 'text', length = 10 }\nplacement = { kind = 'none' }\n\
          limit = { total = 5 }\nactuator = { kind = 'log' }\n\
          [[pipeline]]\nname = 'more'\nsensor = { kind = 'exec', command = ['./no-such-program'] }\n\
          placement = { kind = 'none' }\nlimit = { total = 6 }\nactuator = { kind = 'none' }\n",
     );
-    alone.agent.state_dir = state.path().to_owned();
-    let found = problems(&alone);
+    without_model.agent.state_dir = state.path().to_owned();
+    let found = problems(&without_model);
     assert_eq!(found.len(), 2, "{found:#?}");
     assert!(found[0].starts_with("pipeline[0].actuator: a pipeline that only senses"), "{found:#?}");
     assert!(
         found[1].starts_with("pipeline[1].sensor: ") && found[1].contains("no-such-program"),
         "{found:#?}"
     );
-    let remarks: Vec<_> = Agent::remarks(&alone, &clock("system")).iter().map(ToString::to_string).collect();
+    let remarks: Vec<_> =
+        Agent::remarks(&without_model, &clock("system")).iter().map(ToString::to_string).collect();
     assert_eq!(remarks.len(), 1, "{remarks:#?}");
     assert!(remarks[0].starts_with("pipeline[0].limit.total: all 5 iterations are warm-up"), "{remarks:#?}");
 }

@@ -43,7 +43,7 @@ fn sent_second_is_repeated_only_after_change() {
 }
 
 #[test]
-fn second_without_answers_still_names_deadline() {
+fn second_without_answers_shows_that_deadline_exists() {
     let mut ring = Ring::default();
     let with_deadline = |missed: f64| {
         let mut tree = tree(4);
@@ -66,19 +66,19 @@ fn second_without_answers_still_names_deadline() {
 }
 
 #[test]
-fn starts_skipped_before_an_unanswered_iteration_count() {
+fn skipped_starts_of_unanswered_iteration_are_counted() {
     let mut ring = Ring::default();
-    let mut late = tree(4);
+    let mut timed_out = tree(4);
     let measure = Measure::Value(5.0, peernet_logger::Unit::NONE);
-    late.add(peernet_logger::NodeId::ROOT, "skipped-starts".into(), Span::ZERO, measure);
-    ring.record(10, &Outcome::Timeout(String::new()), &late);
+    timed_out.add(peernet_logger::NodeId::ROOT, "skipped-starts".into(), Span::ZERO, measure);
+    ring.record(10, &Outcome::Timeout(String::new()), &timed_out);
     let second = &ring.changed_seconds().0[0];
     assert_eq!(second.values.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(), ["skipped-starts"]);
     assert_eq!(second.values[0].1.moments.mean, 5.0);
 }
 
 #[test]
-fn result_of_episode_that_ends_in_its_warm_up_counts() {
+fn result_of_episode_that_ends_in_warm_up_is_counted() {
     let mut ring = Ring::default();
     ring.record_warm_up(9, &tree(4));
     assert_eq!(ring.changed_seconds().0, [], "warm-up has no statistics");
@@ -98,7 +98,7 @@ fn result_of_episode_that_ends_in_its_warm_up_counts() {
             tree,
         }
     };
-    // Two episodes end in their first step, which is warm-up.
+    // Episodes 1 and 3 end in their first step, which is warm-up.
     let iterations = [1, 2, 3].map(|number| iteration(number, number == 2));
     for iteration in &iterations {
         match iteration.warm_up {
@@ -119,7 +119,7 @@ fn result_of_episode_that_ends_in_its_warm_up_counts() {
     assert!((mean("episode-success").1 - success.rate).abs() < 1e-12, "{success:?}");
     let return_of_rows = results.episode_return.map(|mean_return| (mean_return.episodes, mean_return.mean));
     assert_eq!((Some(mean("episode-return")), mean("upload").0), (return_of_rows, 1));
-    assert_eq!(second.counts.total(), 1, "only the second is measured");
+    assert_eq!(second.counts.total(), 1, "only iteration 2 is not warm-up");
 }
 
 #[test]

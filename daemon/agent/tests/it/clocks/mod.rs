@@ -50,24 +50,25 @@ fn transit(iteration: &Iteration, name: &str) -> (WallTime, WallTime, OneWayDela
     }
 }
 
-/// Returns the description of a clock that is wrong from now on.
-fn wrong(offset: Span, drift_ppm: f64) -> ClockFaults {
+/// Returns the faults of a clock that has this offset and drift from now on.
+fn faults_from_now_on(offset: Span, drift_ppm: f64) -> ClockFaults {
     ClockFaults { offset, drift_ppm, steps: Vec::new(), since: crate::harness::clock("now").wall() }
 }
 
 /// Returns the true time at which a wrong clock showed `shown`, to about a nanosecond.
-fn truth(wrong: &ClockFaults, shown: WallTime) -> WallTime {
+fn truth(faults: &ClockFaults, shown: WallTime) -> WallTime {
     // The error changes little within the time of the error itself: three rounds are enough.
-    (0..3).fold(shown, |truth, _| shown - wrong.wall_error_at(truth))
+    (0..3).fold(shown, |truth, _| shown - faults.wall_error_at(truth))
 }
 
-/// Tolerance of [`assert_holds`]: delays are judged by stamps of the free-running clocks, while the truth is computed
-/// from those of the wall clocks, which are read at most this much later.
+/// Tolerance of [`assert_interval_contains`]: delays are judged by stamps of the free-running clocks, while the truth
+/// is computed from stamps of the wall clocks. A wall clock is read at most this much later than the free-running
+/// clock.
 const TOLERANCE: Span = Span::from_micros(3);
 
 /// Asserts that a delay has a value, and that its interval contains the truth.
 #[track_caller]
-fn assert_holds(delay: &OneWayDelay, truth: Span) {
+fn assert_interval_contains(delay: &OneWayDelay, truth: Span) {
     let (Some(value), Some(bounds)) = (delay.value, delay.bounds) else { panic!("{delay:?}") };
     assert!(bounds.lo <= value && value <= bounds.hi, "{delay:?}");
     assert!(!bounds.lo.is_negative(), "{delay:?}");

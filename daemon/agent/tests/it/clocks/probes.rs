@@ -9,7 +9,7 @@ use peernet_clock::Verdict;
 use peernet_stream::Probing;
 use tokio_util::sync::CancellationToken;
 
-use super::{CLOUD, DELAY_NAMES, MAX_STALE_AT_START, assert_holds, delay, pipeline};
+use super::{CLOUD, DELAY_NAMES, MAX_STALE_AT_START, assert_interval_contains, delay, pipeline};
 use crate::harness::{Aggregator, TestAgent, VERSION, clock, config};
 
 const LOAD: &str = "load = { mode = 'rate', hz = 50.0 }\nmax_in_flight = 4\nlimit = { iterations = 60 }";
@@ -35,7 +35,7 @@ async fn delays_are_bounded_by_data_without_probes() {
         for iteration in received_events.iterations() {
             for name in DELAY_NAMES {
                 let delay = delay(iteration, name);
-                assert_holds(&delay, delay.raw);
+                assert_interval_contains(&delay, delay.raw);
                 let is_stale_at_start =
                     iteration.number <= MAX_STALE_AT_START && delay.verdict == Verdict::Stale;
                 assert!(

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use peernet_clock::{ClockFaultStep, ClockFaults, SharedClock, Span, Verdict, WallTime};
 use peernet_stream::{IncidentKind, LiveUpdate};
 
-use super::{CLOUD, assert_holds, pipeline, transit, wrong};
+use super::{CLOUD, assert_interval_contains, faults_from_now_on, pipeline, transit};
 use crate::harness::{
     Aggregator, ReceivedEvents, SwitchableClock, TestAgent, assert_adds_up, clock, config, value,
 };
@@ -15,7 +15,7 @@ const LOAD: &str = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 8";
 
 fn stepping(by: Span) -> ClockFaults {
     let step = ClockFaultStep::wall_step(Span::from_millis(300), by);
-    ClockFaults { steps: vec![step], ..wrong(Span::ZERO, 0.0) }
+    ClockFaults { steps: vec![step], ..faults_from_now_on(Span::ZERO, 0.0) }
 }
 
 /// Returns the true time at which a clock that is set by whole seconds showed `shown`, shortly before or after the
@@ -50,7 +50,7 @@ fn count_good_delays(
             [(up, true_delay(sent, edge, received, cloud)), (down, true_delay(left, cloud, back, edge))]
         {
             // No delay depends on a wall clock.
-            assert_holds(&delay, truth);
+            assert_interval_contains(&delay, truth);
             good += usize::from(
                 matches!(delay.verdict, Verdict::Ok | Verdict::Limited) && delay.raw.abs() > moved,
             );

@@ -9,21 +9,21 @@ use sysinfo::{Components, CpuRefreshKind, MemoryRefreshKind, System};
 
 use super::process_cpu_time::ProcessCpuTime;
 
-/// Reads the metrics. It keeps state, because a share of CPU time is a difference between two readings.
+/// Reader of the metrics. The reader keeps state, because a share of CPU time is a difference between two readings.
 #[derive(Debug)]
-pub(super) struct Sampler {
+pub(super) struct MetricsReader {
     bank: Arc<Bank>,
     system: Option<System>,
     temperatures: Option<Components>,
     process_cpu_time: ProcessCpuTime,
-    /// `true` after the first reading. A share of CPU time needs a previous reading.
+    /// `true` after the first_reading reading. A share of CPU time needs a previous reading.
     has_previous: bool,
 }
 
-impl Sampler {
+impl MetricsReader {
     pub(super) fn new(clock: SharedClock, bank: Arc<Bank>) -> Self {
         let log_unavailable = |quantity: &str, error: sysinfo::Error| {
-            tracing::info!(%error, "cannot read {quantity} on this host; it is not shown");
+            tracing::info!(%error, "cannot read {quantity} on this host; this value is not shown");
         };
         Self {
             bank,
@@ -34,7 +34,7 @@ impl Sampler {
         }
     }
 
-    pub(super) fn sample(&mut self) -> HostMetrics {
+    pub(super) fn read(&mut self) -> HostMetrics {
         let LoadedModels { count: loaded, memory_bytes } = self.bank.loaded_models();
         let mut metrics = HostMetrics {
             agent_memory_bytes: ProcessMemory::read().map(|memory| memory.resident),
@@ -74,15 +74,18 @@ mod tests {
     fn metrics_are_within_possible_ranges() {
         let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
         let bank = Arc::new(Bank::new(Vec::new(), OnnxRuntimeConfig::default(), Arc::clone(&clock)));
-        let mut sampler = Sampler::new(clock, bank);
-        let first = sampler.sample();
-        assert_eq!((first.cpu, first.agent_cpu), (None, None), "a share needs two readings");
-        let second = sampler.sample();
-        assert!(second.cpu.is_some_and(|share| (0.0..=1.0).contains(&share)), "{second:?}");
-        assert!(second.agent_cpu.is_some_and(|share| share >= 0.0), "{second:?}");
-        assert!(second.memory_used_bytes.is_some_and(|bytes| bytes > 1 << 20), "{second:?}");
-        assert!(second.agent_memory_bytes.is_some_and(|bytes| bytes > 100 << 10), "{second:?}");
-        assert_eq!(second.models, Some(ModelMetrics { loaded: 0, memory_bytes: 0 }));
-        assert_eq!((second.gpu, second.power_watts), (None, None));
+        let mut metrics_reader = MetricsReader::new(clock, bank);
+        let first_reading = metrics_reader.read();
+        assert_eq!((first_reading.cpu, first_reading.agent_cpu), (None, None), "a share needs two readings");
+        let second_reading = metrics_reader.read();
+        assert!(second_reading.cpu.is_some_and(|share| (0.0..=1.0).contains(&share)), "{second_reading:?}");
+        assert!(second_reading.agent_cpu.is_some_and(|share| share >= 0.0), "{second_reading:?}");
+        assert!(second_reading.memory_used_bytes.is_some_and(|bytes| bytes > 1 << 20), "{second_reading:?}");
+        assert!(
+            second_reading.agent_memory_bytes.is_some_and(|bytes| bytes > 100 << 10),
+            "{second_reading:?}"
+        );
+        assert_eq!(second_reading.models, Some(ModelMetrics { loaded: 0, memory_bytes: 0 }));
+        assert_eq!((second_reading.gpu, second_reading.power_watts), (None, None));
     }
 }
