@@ -16,7 +16,7 @@ pub(super) struct MetricsReader {
     system: Option<System>,
     temperatures: Option<Components>,
     process_cpu_time: ProcessCpuTime,
-    /// `true` after the first_reading reading. A share of CPU time needs a previous reading.
+    /// `true` after the first reading. A share of CPU time needs a previous reading.
     has_previous: bool,
 }
 

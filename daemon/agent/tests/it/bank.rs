@@ -50,19 +50,19 @@ async fn edge_without_model_name_gets_the_only_model() {
     let aggregator = Aggregator::start().await;
     let cloud = TestAgent::start("cloud", None, &format!("{SERVE}{ECHO}")).await;
     let edge = TestAgent::start("edge", Some(&aggregator.address), &pipeline(&cloud, "")).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
-    assert_eq!(received_events.runs()[0].placement.model.as_str(), "echo");
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
+    assert_eq!(received_events.run_starts()[0].placement.model.as_str(), "echo");
     assert_eq!(received_events.iterations().len(), 3);
     assert_eq!(cloud.running.served_counts().borrow().answers, 3);
     let hosts: Vec<&str> =
-        received_events.runs()[0].conditions.iter().map(|condition| condition.host.as_str()).collect();
+        received_events.run_starts()[0].conditions.iter().map(|condition| condition.host.as_str()).collect();
     assert!(hosts.contains(&"edge") && hosts.contains(&"cloud"), "both hosts were inspected: {hosts:?}");
     edge.stop().await.expect("stops well");
 
     // Answers of the calibration model are not counted.
     let calibrating = pipeline(&cloud, ", model = 'calibration'");
     let edge = TestAgent::start("edge", Some(&aggregator.address), &calibrating).await;
-    aggregator.until(|received_events| received_events.ended().len() == 2).await;
+    aggregator.until(|received_events| received_events.run_ends().len() == 2).await;
     assert_eq!(cloud.running.served_counts().borrow().answers, 3);
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
@@ -87,9 +87,11 @@ async fn peer_gets_named_model_on_allowed_device() {
     let cloud = TestAgent::start("cloud", None, &bank).await;
     let table = pipeline(&cloud, ", model = 'plates_2', device = 'cpu'");
     let edge = TestAgent::start("edge", Some(&aggregator.address), &table).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
-    assert_eq!(received_events.runs()[0].placement.model.as_str(), "plates_2");
-    assert!(received_events.runs()[0].facts.iter().any(|(name, _)| name == peernet_inference::MODEL_HASH));
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
+    assert_eq!(received_events.run_starts()[0].placement.model.as_str(), "plates_2");
+    assert!(
+        received_events.run_starts()[0].facts.iter().any(|(name, _)| name == peernet_inference::MODEL_HASH)
+    );
     let outcomes: Vec<&Outcome> =
         received_events.iterations().iter().map(|iteration| &iteration.outcome).collect();
     assert_eq!(outcomes, [&Outcome::Ok; 3]);

@@ -20,7 +20,7 @@ async fn serving_host_echoes_calibration_payload() {
     let aggregator = Aggregator::start().await;
     let cloud = TestAgent::start("cloud", None, CLOUD).await;
     let edge = TestAgent::start("edge", Some(&aggregator.address), &pipeline(&cloud)).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     assert_eq!(received_events.iterations().len(), 5);
     for iteration in received_events.iterations() {
         assert_eq!(iteration.outcome, Outcome::Ok);
@@ -47,7 +47,7 @@ async fn configured_model_named_calibration_takes_precedence() {
     let configured_model = "[[model]]\nname = 'calibration'\nkind = 'echo'\nanswer_bytes = 7\n";
     let cloud = TestAgent::start("cloud", None, &format!("{CLOUD}{configured_model}")).await;
     let edge = TestAgent::start("edge", Some(&aggregator.address), &pipeline(&cloud)).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     assert!(received_events.iterations().iter().all(|it| value(&it.tree, "download-bytes") == Some(7.0)));
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");

@@ -15,8 +15,8 @@ async fn run_has_conditions_of_both_hosts() {
         cloud.address()
     );
     let edge = TestAgent::start("edge", Some(&aggregator.address), &pipeline).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
-    let found: &[Condition] = &received_events.runs()[0].conditions;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
+    let found: &[Condition] = &received_events.run_starts()[0].conditions;
     for (host, about) in [
         ("edge", "CPU governor"),
         ("edge", "competing load"),

@@ -4,7 +4,7 @@ use peernet_stream::{Iteration, Outcome, PipelineState};
 
 use crate::harness::{Aggregator, TestAgent, assert_adds_up, value};
 
-/// A system with a sensor and an actuator. Every second episode succeeds with its third step.
+/// Sensors and actuators of the tests. With `Arm`, every other episode succeeds in its third step.
 const SYSTEM: &str = "
 class Sensor:
     def __init__(self): self.episode, self.step = 0, 0
@@ -86,9 +86,9 @@ async fn run(model: &str, (sensor, actuator): (&str, &str), keys: &str) -> Vec<I
     );
     let aggregator = Aggregator::start().await;
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     assert_eq!(agent.until_state(|state| *state != PipelineState::Running).await, PipelineState::Finished);
-    let facts = &received_events.runs()[0].facts;
+    let facts = &received_events.run_starts()[0].facts;
     assert!(facts.iter().any(|(name, text)| name == "Actuator" && text.contains("own::")), "{facts:?}");
     let mut iterations: Vec<Iteration> = received_events.iterations().into_iter().cloned().collect();
     iterations.sort_by_key(|iteration| iteration.number);
@@ -128,7 +128,7 @@ async fn feedback_ends_episodes_and_gives_results() {
         assert_eq!(value(&iteration.tree, "episode-ended"), ended.then_some(1.0));
         assert!(iteration.tree.find(&["actuation", "actuation-ipc"]).is_some());
     }
-    assert_eq!(results(&iterations), [(1, 1.0, 1.5), (2, 0.0, 2.5), (3, 1.0, 1.5)], "the first is warm-up");
+    assert_eq!(results(&iterations), [(1, 1.0, 1.5), (2, 0.0, 2.5), (3, 1.0, 1.5)], "episode 0 is warm-up");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -138,18 +138,19 @@ async fn reset_waits_for_iterations_in_flight() {
     let model = "kind = 'exec'\nworkers = 4\ncommand = '''while read -r word bytes media shape rest; do \
                  x=$(head -c \"$bytes\"); sleep 0.05; printf \"answer %d $media\\n%s\" \"$bytes\" \"$x\"; done'''";
     let iterations = run(model, ("Sensor", "Arm"), keys).await;
-    // The actuator fails if it gets the answer to a sample of another episode than the one it was reset for.
+    // The actuator fails if it gets the answer to a sample of an episode for which it was not reset.
     assert!(iterations.iter().all(|iteration| iteration.outcome == Outcome::Ok), "{iterations:#?}");
     let all = positions(&iterations);
     assert!(all.is_sorted_by(|a, b| a < b) && all.contains(&(0, 11)) && all.contains(&(2, 11)), "{all:?}");
     let episodes: Vec<_> =
         results(&iterations).iter().map(|(episode, success, _)| (*episode, *success)).collect();
     assert_eq!(episodes, [(0, 0.0), (1, 1.0), (2, 0.0), (3, 1.0)]);
-    // Samples that were taken before the third action ended the episode belong to it, and are not acted on.
+    // Samples that were taken before the third action ended the episode belong to this episode. Their answers are not
+    // acted on.
     let superseded = |iteration: &&Iteration| value(&iteration.tree, "superseded") == Some(1.0);
-    let late: Vec<_> =
+    let not_acted_on: Vec<_> =
         iterations.iter().filter(superseded).filter(|iteration| iteration.episode == 1).collect();
-    assert!(late.iter().any(|iteration| iteration.step > 2), "{all:?}");
+    assert!(not_acted_on.iter().any(|iteration| iteration.step > 2), "{all:?}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -161,16 +162,20 @@ async fn failed_reset_fails_one_iteration_and_its_episode() {
     assert!(reason.starts_with("cannot reset the sensor for an episode: RuntimeError: no arm"), "{reason}");
     assert_eq!(iterations.iter().filter(|iteration| iteration.outcome == Outcome::Ok).count(), 6);
     let warm_up: Vec<bool> = iterations.iter().map(|iteration| iteration.warm_up).collect();
-    assert_eq!(warm_up, [true, false, false, false, true, false, false], "the failure counts");
-    assert_eq!(results(&iterations), [(0, 0.0, 1.5), (2, 0.0, 1.5)], "the failed one has no return");
+    assert_eq!(
+        warm_up,
+        [true, false, false, false, true, false, false],
+        "the failed iteration is not warm-up"
+    );
+    assert_eq!(results(&iterations), [(0, 0.0, 1.5), (2, 0.0, 1.5)], "the failed episode has no return");
     assert_eq!(value(&iterations[3].tree, "episode-success"), Some(0.0));
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn reset_reaches_only_ends_that_have_it() {
+async fn only_sensors_and_actuators_with_reset_are_reset() {
     // The reward is the number of resets of the sensor (1 if the sensor has no reset). If the actuator has a reset, the
     // reward is ten times this number plus the number of resets of the actuator.
-    for (ends, rewards) in [
+    for (objects, rewards) in [
         (("Camera", "Gripper"), [1.0, 1.0]),
         (("CountingCamera", "Gripper"), [1.0, 2.0]),
         (("Camera", "CountingGripper"), [11.0, 12.0]),
@@ -178,17 +183,21 @@ async fn reset_reaches_only_ends_that_have_it() {
     ] {
         let reported = |iterations: &[Iteration]| {
             for iteration in iterations {
-                assert_eq!(iteration.outcome, Outcome::Ok, "{ends:?}");
+                assert_eq!(iteration.outcome, Outcome::Ok, "{objects:?}");
             }
             iterations.iter().map(|iteration| value(&iteration.tree, "reward")).collect::<Vec<_>>()
         };
-        let [first, second] = rewards.map(Some);
+        let [first_reward, second_reward] = rewards.map(Some);
         let keys = "episode_steps = 2\nlimit = { episodes = 2 }\nwarm_up = { iterations = 0 }";
-        let iterations = run("kind = 'echo'", ends, keys).await;
-        assert_eq!(reported(&iterations), [first, first, second, second], "{ends:?}");
+        let iterations = run("kind = 'echo'", objects, keys).await;
+        assert_eq!(
+            reported(&iterations),
+            [first_reward, first_reward, second_reward, second_reward],
+            "{objects:?}"
+        );
         let keys = "limit = { total = 3 }\nwarm_up = { iterations = 0 }";
-        let iterations = run("kind = 'echo'", ends, keys).await;
-        assert_eq!(reported(&iterations), [first; 3], "{ends:?} without episodes");
+        let iterations = run("kind = 'echo'", objects, keys).await;
+        assert_eq!(reported(&iterations), [first_reward; 3], "{objects:?} without episodes");
     }
 }
 
@@ -197,7 +206,7 @@ async fn simulation_is_advanced_by_total_of_last_iteration() {
     let keys = "episode_steps = 4\nlimit = { episodes = 4 }\nwarm_up = { iterations = 0 }";
     let iterations = run("kind = 'echo'", ("Simulation", "Follower"), keys).await;
     let steps = |episode, steps: u32| (0..steps).map(move |step| (episode, step));
-    // In the third episode the simulation fails before the third step: it ends with an iteration that has failed.
+    // In the third episode the simulation fails before the third step, so this episode ends with a failed iteration.
     let expected: Vec<_> = steps(0, 4).chain(steps(1, 4)).chain(steps(2, 3)).chain(steps(3, 4)).collect();
     assert_eq!(positions(&iterations), expected);
     for pair in iterations.windows(2) {
@@ -241,7 +250,11 @@ async fn open_loop_advances_simulation_before_each_sample() {
             );
             let iterations = run(model, ("Simulation", "Follower"), &keys).await;
             let is_timeout = |iteration: &Iteration| matches!(iteration.outcome, Outcome::Timeout(_));
-            assert_eq!(iterations.iter().filter(|one| is_timeout(one)).count(), 1, "{iterations:#?}");
+            assert_eq!(
+                iterations.iter().filter(|iteration| is_timeout(iteration)).count(),
+                1,
+                "{iterations:#?}"
+            );
             for pair in iterations.windows(2) {
                 let (last, next) = (&pair[0], &pair[1]);
                 if !is_timeout(next) {
@@ -252,14 +265,15 @@ async fn open_loop_advances_simulation_before_each_sample() {
                     assert!((advanced - total).abs() < 1e-6, "{load}: {advanced} after {total}");
                 }
             }
-            let skipped: f64 = iterations.iter().filter_map(|one| value(&one.tree, "skipped-starts")).sum();
+            let skipped: f64 =
+                iterations.iter().filter_map(|iteration| value(&iteration.tree, "skipped-starts")).sum();
             assert!(skipped >= 3.0, "starts came due while an iteration was in flight: {skipped}");
         }
     }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn policy_without_answers_ends_every_episode() {
+async fn episodes_without_answers_end_without_result() {
     let model = "kind = 'sleep'\nworkers = 8\ninference_ms = 2000";
     let keys = "episode_steps = 2\nlimit = { episodes = 2 }\nwarm_up = { iterations = 0 }\ntimeout_ms = 50";
     let iterations = run(model, ("Sensor", "Arm"), keys).await;

@@ -17,7 +17,7 @@ async fn warm_up_and_limit_are_exact() {
     let aggregator = Aggregator::start().await;
     let keys = "warm_up = { iterations = 3 }\nlimit = { iterations = 20 }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), &pipeline(keys)).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
 
     let iterations = received_events.iterations();
     assert_eq!(iterations.len(), 23);
@@ -27,10 +27,10 @@ async fn warm_up_and_limit_are_exact() {
     for iteration in &iterations {
         assert_adds_up(iteration);
         assert!(iteration.tree.find(&["sensing", "capture"]).is_some());
-        assert!(iteration.tree.find(&["sensing", "transform"]).is_none(), "not configured, not there");
+        assert!(iteration.tree.find(&["sensing", "transform"]).is_none(), "no transform is configured");
         assert!(value(&iteration.tree, "inference").is_some());
     }
-    let (runs, ended) = (received_events.runs(), received_events.ended());
+    let (runs, ended) = (received_events.run_starts(), received_events.run_ends());
     assert_eq!((runs.len(), ended.len()), (1, 1));
     assert_eq!((ended[0].run, ended[0].reason.as_str()), (runs[0].run, "finished"));
     assert!(iterations.iter().all(|iteration| iteration.run == runs[0].run));
@@ -41,16 +41,16 @@ async fn warm_up_and_limit_are_exact() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn variables_of_program_are_set_and_recorded_by_name() {
+async fn environment_of_program_is_set_and_recorded_without_values() {
     let aggregator = Aggregator::start().await;
     let tables = "[[pipeline]]\nname = 'line'\nplacement = { kind = 'none' }\nlimit = { total = 2 }\n\
         sensor = { kind = 'exec', env = { API_KEY = 'hunter2' }, \
         command = '[ \"$API_KEY\" = hunter2 ] || exit 1; while read x; do echo answer 1 text/plain; printf a; done' }\n\
         actuator = { kind = 'exec', command = 'cat', env = { API_KEY = 'hunter3' } }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), tables).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     assert!(received_events.iterations().iter().all(|iteration| iteration.outcome == Outcome::Ok));
-    let first_configuration = received_events.runs()[0].configuration.clone();
+    let first_configuration = received_events.run_starts()[0].configuration.clone();
     assert_eq!(first_configuration.matches("API_KEY = \"(not told)\"").count(), 2, "{first_configuration}");
     assert!(!first_configuration.replace("= hunter2 ]", "").contains("hunter"), "{first_configuration}");
     agent.stop().await.expect("stops well");
@@ -61,8 +61,8 @@ async fn live_statistics_are_bounded_and_exclude_warm_up() {
     let aggregator = Aggregator::start().await;
     let keys = "warm_up = { iterations = 7 }\nlimit = { iterations = 500 }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), &pipeline(keys)).await;
-    // A later update of a second replaces an earlier one.
-    let total = |lives: &[peernet_stream::LiveUpdate]| {
+    // A later update of a second replaces the earlier update.
+    let latest_seconds = |lives: &[peernet_stream::LiveUpdate]| {
         let mut seconds = std::collections::BTreeMap::new();
         for second in lives.iter().flat_map(|live| &live.pipelines).flat_map(|pipeline| &pipeline.seconds) {
             seconds.insert(second.at, second.clone());
@@ -71,15 +71,19 @@ async fn live_statistics_are_bounded_and_exclude_warm_up() {
     };
     let received_events = aggregator
         .until(|received_events| {
-            total(&received_events.lives).iter().map(|second| second.counts.total()).sum::<u64>() == 500
+            latest_seconds(&received_events.live_updates)
+                .iter()
+                .map(|second| second.counts.total())
+                .sum::<u64>()
+                == 500
         })
         .await;
-    for second in total(&received_events.lives) {
+    for second in latest_seconds(&received_events.live_updates) {
         let (_, latency) = second.values.iter().find(|(name, _)| *name == "total").expect("totals");
         assert_eq!(latency.count(), second.counts.ok);
         assert!(second.values.len() <= 64);
     }
-    for live in &received_events.lives {
+    for live in &received_events.live_updates {
         assert_eq!(live.pipelines.len(), 1);
         assert!(live.pipelines[0].seconds.len() <= 8);
         assert!(live.pipelines[0].seconds.is_sorted_by(|a, b| a.at > b.at), "newest first");
@@ -95,7 +99,7 @@ async fn episodes_are_numbered_and_a_duration_ends_the_run() {
     let keys = "episode_steps = 4\nwarm_up = { iterations = 0, steps = 1 }\n\
                 load = { mode = 'rate', hz = 200.0 }\nlimit = { duration_s = 0.25 }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), &pipeline(keys)).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     let iterations = received_events.iterations();
     assert_contiguous(&iterations);
     for iteration in &iterations {
@@ -107,7 +111,7 @@ async fn episodes_are_numbered_and_a_duration_ends_the_run() {
             iteration.tree.find(&["send-queue"]).is_some() && iteration.tree.find(&["lateness"]).is_some()
         );
     }
-    // Every intended start is within the duration, counted from the first that is not warm-up.
+    // Every intended start is within the duration, counted from the first start that is not warm-up.
     let start = |number: usize| iterations[number].tree.anchors()[0].wall;
     let first = (0..iterations.len()).filter(|n| !iterations[*n].warm_up).map(start).min().expect("measured");
     let last = (0..iterations.len()).map(start).max().expect("measured");
@@ -130,25 +134,25 @@ async fn ended_sensor_finishes_pipeline() {
         folder.path().display()
     );
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     assert_eq!(received_events.iterations().len(), 3);
     for iteration in received_events.iterations() {
         assert_eq!(iteration.outcome, Outcome::Ok);
         assert!(iteration.tree.find(&["sensing", "transform"]).is_some());
     }
-    assert_eq!(received_events.ended()[0].reason, EndReason::Finished);
+    assert_eq!(received_events.run_ends()[0].reason, EndReason::Finished);
     agent.stop().await.expect("stops well");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn sensor_alone_is_measured_until_total() {
+async fn pipeline_that_only_senses_runs_until_total() {
     let aggregator = Aggregator::start().await;
     let tables = "[[pipeline]]\nname = 'line'\nsensor = { kind = 'text', length = 100 }\n\
                   placement = { kind = 'none' }\nwarm_up = { iterations = 3 }\nlimit = { total = 20 }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), tables).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     let iterations = received_events.iterations();
-    assert_eq!(iterations.len(), 20, "the warm-up counts");
+    assert_eq!(iterations.len(), 20, "the total includes the warm-up");
     assert_eq!(iterations.iter().filter(|iteration| iteration.warm_up).count(), 3);
     for iteration in &iterations {
         assert_eq!(iteration.outcome, Outcome::Ok);
@@ -158,10 +162,10 @@ async fn sensor_alone_is_measured_until_total() {
             assert!(iteration.tree.find(&[absent]).is_none(), "{absent}");
         }
     }
-    let placement = &received_events.runs()[0].placement;
+    let placement = &received_events.run_starts()[0].placement;
     assert_eq!((placement.kind, placement.model.as_str()), (PlacementKind::None, "none"));
     assert_eq!((&placement.peer, &placement.device), (&None, &None));
     assert_eq!(agent.pipeline().placement, *placement);
-    assert_eq!(received_events.ended()[0].reason, EndReason::Finished);
+    assert_eq!(received_events.run_ends()[0].reason, EndReason::Finished);
     agent.stop().await.expect("stops well");
 }

@@ -19,7 +19,7 @@ fn pipeline(name: &str, peer: &Address) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn two_addresses_are_served_within_own_limits() {
+async fn each_address_is_served_within_its_own_limits() {
     let tables = format!(
         "[serve]\nlisten = ['tcp://127.0.0.1:0', 'tcp://127.0.0.2:0']\nsession = {{ max_sessions = 1 }}\n{MODEL}"
     );
@@ -30,9 +30,9 @@ async fn two_addresses_are_served_within_own_limits() {
     assert_eq!((first.host().as_str(), second.host().as_str()), ("127.0.0.1", "127.0.0.2"));
     assert_eq!(cloud.running.description().serves, Some(format!("{first}, {second}")));
 
-    let both = pipeline("first", first) + &pipeline("second", second);
-    // The clock has another name, so that probes are sent as between two hosts.
-    let edge = TestAgent::start_with("edge", None, config(&both), "edge").await;
+    let tables = pipeline("first", first) + &pipeline("second", second);
+    // The edge's clock has another name, so that probes are sent as between two hosts.
+    let edge = TestAgent::start_with("edge", None, config(&tables), "edge").await;
     edge.until(|live| {
         let answered = |second: &peernet_stream::Second| second.counts.ok > 0;
         live.pipelines.iter().all(|pipeline| pipeline.seconds.iter().any(answered))
@@ -86,7 +86,7 @@ async fn occupied_address_fails_start_and_frees_others() {
         TestAgent::try_start(clock("system"), "cloud", None, tables, state)
     };
     let refused = start(format!("['tcp://{free_at}', 'tcp://{taken_at}']")).await;
-    let Err(error) = refused else { panic!("it cannot start") };
+    let Err(error) = refused else { panic!("one of its ports is in use") };
     assert!(error.to_string().contains(&format!("cannot listen on tcp://{taken_at}")), "{error}");
     let cloud = start(format!("'tcp://{free_at}'")).await.expect("the port is free again");
     cloud.stop().await.expect("stops well");
@@ -95,32 +95,32 @@ async fn occupied_address_fails_start_and_frees_others() {
 #[test]
 fn networks_not_matching_addresses_are_refused() {
     let state = tempfile::tempdir().expect("a folder");
-    for named in NetworkKind::ALL {
+    for network in NetworkKind::ALL {
         for scheme in NetworkKind::ALL.iter().flat_map(|kind| kind.schemes()) {
             // An address of ROS 2 has a domain instead of a host.
             let rest = if *scheme == "ros2" { "0/peernet" } else { "127.0.0.1:0" };
             let address: Address = format!("{scheme}://{rest}").parse().expect("an address");
             let mut config = config(&format!(
-                "[serve]\nlisten = '{address}'\nnetwork = '{named}'\n{MODEL}\
+                "[serve]\nlisten = '{address}'\nnetwork = '{network}'\n{MODEL}\
                  [[pipeline]]\nname = 'line'\nsensor = {{ kind = 'synthetic', size_bytes = 1 }}\n\
-                 placement = {{ kind = 'remote', peer = '{address}', network = '{named}' }}\n"
+                 placement = {{ kind = 'remote', peer = '{address}', network = '{network}' }}\n"
             ));
             config.agent.state_dir = state.path().to_owned();
             let found = peernet_agent::Agent::check(&config, &clock("system"));
-            // A build without ROS 2 reports that as a problem, too.
+            // A build without ROS 2 also reports that ROS 2 is missing.
             let not_built = peernet_ros::ros2::Ros2Error::NotBuilt.to_string();
             let found: Vec<String> = found
                 .iter()
                 .map(ToString::to_string)
                 .filter(|problem| !problem.ends_with(&not_built))
                 .collect();
-            if address.network() == *named {
+            if address.network() == *network {
                 assert_eq!(found, Vec::<String>::new());
                 continue;
             }
             for key in ["serve.network", "pipeline[0].placement.network"] {
                 let expected = format!(
-                    "{key}: the network is {named}, but {address} is an address of {}; leave the network out, or write ",
+                    "{key}: the network is {network}, but {address} is an address of {}; leave the network out, or write ",
                     address.network()
                 );
                 assert!(

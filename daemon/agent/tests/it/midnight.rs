@@ -1,4 +1,4 @@
-//! Tests of runs without a limit, which end at midnight (UTC), when the next one begins.
+//! Tests of runs without a limit. Such a run ends at midnight (UTC), when the next run begins.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
@@ -48,7 +48,7 @@ async fn midnight_begins_run_without_warm_up() {
             received_events.iterations().iter().filter(|it| it.number == 10).count() == 2
         })
         .await;
-    let (runs, ended) = (received_events.runs(), received_events.ended());
+    let (runs, ended) = (received_events.run_starts(), received_events.run_ends());
     assert_eq!((runs.len(), ended.len()), (2, 1));
     assert_eq!((ended[0].run, ended[0].reason.as_str()), (runs[0].run, "finished"));
     assert!(ended[0].ended <= runs[1].started);

@@ -22,21 +22,21 @@ fn edge(port: u16, model: &str) -> String {
     )
 }
 
-/// Returns a port whose connections are forwarded to another one until the task is aborted; then they end without a
-/// goodbye.
+/// Starts to forward connections to `port`. Returns the port that accepts them, and the task. When the task is aborted,
+/// the connections end without a goodbye.
 async fn forward_port(port: u16) -> (u16, JoinHandle<()>) {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
-    let here = listener.local_addr().expect("bound").port();
+    let accepting_port = listener.local_addr().expect("bound").port();
     let forwarding = tokio::spawn(async move {
         let mut connections = JoinSet::new();
-        while let Ok((mut near, _)) = listener.accept().await {
+        while let Ok((mut edge_side, _)) = listener.accept().await {
             connections.spawn(async move {
-                let mut far = TcpStream::connect(("127.0.0.1", port)).await?;
-                tokio::io::copy_bidirectional(&mut near, &mut far).await
+                let mut cloud_side = TcpStream::connect(("127.0.0.1", port)).await?;
+                tokio::io::copy_bidirectional(&mut edge_side, &mut cloud_side).await
             });
         }
     });
-    (here, forwarding)
+    (accepting_port, forwarding)
 }
 
 fn is_waiting(state: &PipelineState) -> bool {
@@ -54,15 +54,19 @@ async fn edge_waits_for_cloud_that_is_not_up() {
         .await;
     let reported = received_events.incidents(IncidentKind::Disconnected)[0].text.clone();
     assert!(reported.contains("the pipeline continues automatically"), "{reported}");
-    assert!(received_events.runs().is_empty(), "nothing to run yet");
+    assert!(received_events.run_starts().is_empty(), "no run has started");
 
     let cloud = TestAgent::start("cloud", None, &cloud(port)).await;
     let received_events = aggregator.until(|received_events| received_events.iterations().len() >= 5).await;
-    assert_eq!(received_events.runs().len(), 1);
-    assert_eq!(received_events.incidents(IncidentKind::Disconnected).len(), 1, "said once");
+    assert_eq!(received_events.run_starts().len(), 1);
+    assert_eq!(
+        received_events.incidents(IncidentKind::Disconnected).len(),
+        1,
+        "the absence is reported once"
+    );
     // Starts that came due before the first connection are neither late nor skipped: the schedule begins with the
     // run.
-    let (iterations, started) = (received_events.iterations(), received_events.runs()[0].started);
+    let (iterations, started) = (received_events.iterations(), received_events.run_starts()[0].started);
     let first = iterations.iter().find(|it| it.number == 1).expect("the first");
     assert_eq!(value(&first.tree, "skipped-starts"), None);
     assert!(iterations.iter().all(|it| it.tree.anchors()[0].wall >= started), "{started:?}");
@@ -90,17 +94,17 @@ async fn dead_cloud_loses_iterations_in_flight_and_run_continues() {
     let second = TestAgent::start("cloud", None, &cloud(port)).await;
     let received_events =
         aggregator.until(|received_events| received_events.iterations().len() >= before + 20).await;
-    assert_eq!(received_events.runs().len(), 1, "the same run");
-    assert!(received_events.ended().is_empty());
+    assert_eq!(received_events.run_starts().len(), 1, "the same run");
+    assert!(received_events.run_ends().is_empty());
     let incidents = received_events.incidents(IncidentKind::Disconnected);
     assert!(
-        incidents.iter().any(|it| it.peer.is_some() && it.run == Some(received_events.runs()[0].run)),
+        incidents.iter().any(|it| it.peer.is_some() && it.run == Some(received_events.run_starts()[0].run)),
         "{incidents:?}"
     );
     edge.stop().await.expect("stops well");
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     assert_contiguous(&received_events.iterations());
-    assert_eq!(received_events.ended()[0].reason, EndReason::Stopped);
+    assert_eq!(received_events.run_ends()[0].reason, EndReason::Stopped);
     second.stop().await.expect("stops well");
 }
 
@@ -137,7 +141,7 @@ async fn short_outage_while_sensor_waits_loses_no_sample() {
         "{:?}",
         received_events.iterations()
     );
-    assert_eq!(received_events.runs().len(), 1, "the same run");
+    assert_eq!(received_events.run_starts().len(), 1, "the same run");
     edge.stop().await.expect("stops well");
     second.stop().await.expect("stops well");
 }
@@ -174,7 +178,7 @@ async fn wrong_device_is_refused_with_models_device() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn only_lost_edge_is_incident() {
+async fn only_session_end_without_goodbye_is_incident() {
     let (aggregator, port) = (Aggregator::start().await, free_port());
     let cloud = TestAgent::start("cloud", Some(&aggregator.address), &cloud(port)).await;
     let mut served = cloud.running.served_counts();
@@ -202,29 +206,31 @@ async fn only_lost_edge_is_incident() {
 async fn connections_ended_without_aggregator_are_counted() {
     let port = free_port();
     let cloud = TestAgent::start("cloud", None, &cloud(port)).await;
-    let absent = Aggregator::start().await.stop().await;
+    let absent_aggregator = Aggregator::start().await.stop().await;
     let tables = format!("{}limit = {{ iterations = 3 }}\n", edge(port, "slow"));
-    let edge = TestAgent::start("edge", Some(&absent.0), &tables).await;
+    let edge = TestAgent::start("edge", Some(&absent_aggregator.0), &tables).await;
     edge.until_state(|state| *state == PipelineState::Finished).await;
     edge.until(|live| live.links.is_empty()).await;
 
-    let welcomes = |received_events: &ReceivedEvents| {
+    let connection_texts = |received_events: &ReceivedEvents| {
         let texts = received_events
             .incidents(IncidentKind::Connected)
             .into_iter()
             .map(|incident| incident.text.clone());
         texts.filter(|text| text.starts_with("connected to the aggregator")).collect::<Vec<_>>()
     };
-    let aggregator = Aggregator::restart(absent).await;
-    let received_events = aggregator.until(|received_events| welcomes(received_events).len() == 1).await;
-    let reported = &welcomes(&received_events)[0];
+    let aggregator = Aggregator::restart(absent_aggregator).await;
+    let received_events =
+        aggregator.until(|received_events| connection_texts(received_events).len() == 1).await;
+    let reported = &connection_texts(&received_events)[0];
     assert!(reported.contains("1 connection to a cloud ended in the meantime"), "{reported}");
-    aggregator.until(|received_events| !received_events.lives.is_empty()).await;
+    aggregator.until(|received_events| !received_events.live_updates.is_empty()).await;
 
     // A number that was reported is not reported again.
     let aggregator = Aggregator::restart(aggregator.stop().await).await;
-    let received_events = aggregator.until(|received_events| welcomes(received_events).len() == 2).await;
-    let reported = &welcomes(&received_events)[1];
+    let received_events =
+        aggregator.until(|received_events| connection_texts(received_events).len() == 2).await;
+    let reported = &connection_texts(&received_events)[1];
     assert!(!reported.contains("ended in the meantime"), "{reported}");
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");

@@ -1,4 +1,4 @@
-//! Tests of the outbox: no event is lost uncounted, none is stored twice.
+//! Tests of the outbox: no event is lost without being counted, and no event is stored twice.
 
 use std::sync::Arc;
 
@@ -16,8 +16,8 @@ fn pipeline(keys: &str) -> String {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn every_event_arrives_exactly_once_over_reconnects() {
-    // The aggregator ends after storing the third batch and before acknowledging it: the agent must send it again,
-    // and it must not count twice.
+    // The aggregator ends after storing the third batch and before acknowledging it. The agent must send this batch
+    // again, and the aggregator must not store it twice.
     let behaviour = AggregatorBehaviour { end_before_ack: Some(3), ..AggregatorBehaviour::default() };
     let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), behaviour).await;
     let keys = "load = { mode = 'rate', hz = 200.0 }\nmax_in_flight = 64\nlimit = { iterations = 300 }";
@@ -25,10 +25,10 @@ async fn every_event_arrives_exactly_once_over_reconnects() {
     aggregator.until(|received_events| !received_events.iterations().is_empty()).await;
     let aggregator = Aggregator::restart(aggregator.wait_for_end().await).await;
     let received_events = aggregator.until(|received_events| received_events.iterations().len() >= 150).await;
-    assert_eq!((received_events.hellos, received_events.runs().len()), (2, 1));
+    assert_eq!((received_events.hellos, received_events.run_starts().len()), (2, 1));
     let aggregator = Aggregator::restart(aggregator.stop().await).await;
 
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     assert_contiguous(&received_events.iterations());
     assert_eq!(received_events.iterations().len(), 305);
     assert!(received_events.gaps().is_empty());
@@ -48,7 +48,7 @@ async fn refusal_of_aggregator_is_retried_and_reported_once() {
         TestAgent::start("edge", Some(&aggregator.address), &pipeline("limit = { iterations = 5 }")).await;
     aggregator.until(|received_events| received_events.hellos >= 2).await;
     let aggregator = Aggregator::restart(aggregator.stop().await).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     assert_eq!(received_events.iterations().len(), 10, "measured while the aggregator refused the agent");
     let refused = received_events.incidents(IncidentKind::Refused);
     assert_eq!(refused.len(), 1, "{refused:?}");
@@ -63,14 +63,14 @@ async fn run_starts_are_repeated_to_emptied_aggregator() {
     let agent = TestAgent::start("edge", Some(&aggregator.address), &pipeline(keys)).await;
     agent.until(|live| live.accounting.stored >= 20).await;
     let (address, _) = aggregator.stop().await;
-    let fresh = Aggregator::restart((address, Arc::default())).await;
-    let received_events = fresh
+    let emptied_aggregator = Aggregator::restart((address, Arc::default())).await;
+    let received_events = emptied_aggregator
         .until(|received_events| {
-            !received_events.iterations().is_empty() && !received_events.runs().is_empty()
+            !received_events.iterations().is_empty() && !received_events.run_starts().is_empty()
         })
         .await;
-    assert_eq!(received_events.runs()[0].pipeline.as_str(), "line");
-    assert_eq!(received_events.runs()[0].run, received_events.iterations()[0].run);
+    assert_eq!(received_events.run_starts()[0].pipeline.as_str(), "line");
+    assert_eq!(received_events.run_starts()[0].run, received_events.iterations()[0].run);
     agent.stop().await.expect("stops well");
 }
 
@@ -81,7 +81,8 @@ async fn silent_listener_is_reported_once_and_retried() {
     let agent =
         TestAgent::start("edge", Some(&silent_aggregator.address), &pipeline("limit = { iterations = 5 }"))
             .await;
-    // The model, the run's two ends and ten iterations; a further event is the report.
+    // 13 events are the loaded model, start and end of the run, and ten iterations. One more event is the report of the
+    // silent listener.
     agent.until(|live| live.accounting.waiting > 13).await;
     let aggregator = Aggregator::restart(silent_aggregator.stop().await).await;
     let received_events = aggregator

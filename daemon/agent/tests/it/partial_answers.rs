@@ -4,8 +4,9 @@ use peernet_stream::{Iteration, Outcome};
 
 use crate::harness::{Aggregator, TestAgent, value};
 
-/// Models that yield many more partial answers than may be unread. Those of `Fitting` fill the send queue, those of
-/// `Oversized` are larger than a message. `Stalling` takes longer than the time limit after three partial answers.
+/// Models that yield many more partial answers than may be unread. The partial answers of `Fitting` fill the send
+/// queue; the partial answers of `Oversized` are larger than a message. `Stalling` sends three partial answers, and
+/// then takes longer than the time limit.
 const MODELS: &str = "
 class Fitting:
     def infer(self, x):
@@ -41,7 +42,7 @@ async fn run(object: &str, keys: &str) -> Vec<Iteration> {
         cloud.address()
     );
     let edge = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
     received_events.iterations().into_iter().cloned().collect()

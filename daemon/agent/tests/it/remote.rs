@@ -33,7 +33,7 @@ async fn same_clock_gives_exact_delays() {
     let cloud = TestAgent::start("cloud", None, CLOUD).await;
     let tables = edge(&cloud, "echo", "limit = { iterations = 50 }");
     let edge = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
 
     let iterations = received_events.iterations();
     assert_eq!(iterations.len(), 50);
@@ -49,13 +49,13 @@ async fn same_clock_gives_exact_delays() {
         assert_eq!(value(&iteration.tree, "download-bytes"), Some(20000.0));
         let (bytes, seconds) =
             (value(&iteration.tree, "upload-logger-bytes"), value(&iteration.tree, "upload"));
-        let (Some(logger), Some(seconds)) = (bytes, seconds) else { panic!("{:?}", iteration.tree) };
+        let (Some(logger_bytes), Some(seconds)) = (bytes, seconds) else { panic!("{:?}", iteration.tree) };
         let throughput = value(&iteration.tree, "upload-throughput").expect("a throughput");
-        assert!((throughput * seconds - 8.0 * (20000.0 + logger)).abs() < 1.0);
+        assert!((throughput * seconds - 8.0 * (20000.0 + logger_bytes)).abs() < 1.0);
         assert!(value(&iteration.tree, "download-throughput").is_some());
         assert_eq!(iteration.tree.anchors().len(), 2, "both hosts are in the tree");
     }
-    let run = received_events.runs()[0];
+    let run = received_events.run_starts()[0];
     let serving_cloud = edge.running.serving_cloud(&run.pipeline).expect("it was served");
     assert_eq!((run.version.as_str(), serving_cloud.version.as_str()), (VERSION, VERSION));
     assert_eq!(run.placement.kind, PlacementKind::Remote);
@@ -79,7 +79,7 @@ async fn several_requests_are_in_flight_at_once() {
     let cloud = TestAgent::start("cloud", None, &cloud).await;
     let keys = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 4\nlimit = { iterations = 60 }";
     let edge = TestAgent::start("edge", Some(&aggregator.address), &edge(&cloud, "slow", keys)).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     let iterations = received_events.iterations();
     assert_contiguous(&iterations);
     // The model takes 22 ms: if requests were sent one at a time, the iterations could not overlap.
@@ -105,7 +105,7 @@ async fn overloaded_cloud_is_reported() {
     let cloud = TestAgent::start("cloud", None, &cloud).await;
     let keys = "load = { mode = 'rate', hz = 400.0 }\nmax_in_flight = 16\nlimit = { iterations = 40 }";
     let edge = TestAgent::start("edge", Some(&aggregator.address), &edge(&cloud, "slow", keys)).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     let overloaded = received_events.iterations().into_iter().filter(|it| {
         matches!(&it.outcome, Outcome::Failed(reason) if reason.contains("overloaded") && reason.contains("full"))
     });
@@ -121,7 +121,7 @@ async fn late_remote_answer_is_timeout() {
         TestAgent::start("cloud", None, &CLOUD.replace("inference_ms = 20", "inference_ms = 300")).await;
     let keys = "timeout_ms = 30\ndeadline_ms = 20\nlimit = { iterations = 3 }";
     let edge = TestAgent::start("edge", Some(&aggregator.address), &edge(&cloud, "slow", keys)).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     for iteration in received_events.iterations() {
         let Outcome::Timeout(reason) = &iteration.outcome else { panic!("{:?}", iteration.outcome) };
         for part in ["cloud cloud", "model slow", "within 30", "timeout_ms", "--timeout"] {

@@ -25,11 +25,11 @@ limit = { iterations = 3 }
 ";
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn run_with_drawn_latencies_says_so() {
+async fn run_states_that_its_latencies_are_drawn() {
     let aggregator = Aggregator::start().await;
     let edge = TestAgent::start("edge", Some(&aggregator.address), LINE).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
-    let run = received_events.runs()[0];
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
+    let run = received_events.run_starts()[0];
     let fact = |name: &str| run.facts.iter().find(|(known, _)| known == name).map(|(_, text)| text.as_str());
     let expected = "inference is drawn from a log-normal distribution with mean 2 ms and standard deviation 0.5 ms, seed 0";
     assert_eq!(fact("Replayed"), Some(expected));

@@ -19,10 +19,10 @@ async fn iterations_in_flight_are_finished_before_stop() {
     agent.stop().await.expect("stops well");
     let received_events = aggregator.until(|received_events| !received_events.goodbyes.is_empty()).await;
     assert_eq!(received_events.goodbyes, [host]);
-    let last = received_events.lives.last().expect("it sent live states");
+    let last = received_events.live_updates.last().expect("it sent live states");
     assert_eq!(last.pipelines[0].state, peernet_stream::PipelineState::Finished);
     assert_eq!((last.accounting.waiting, last.accounting.stored), (0, last.accounting.produced));
-    assert_eq!(received_events.ended()[0].reason, EndReason::Stopped);
+    assert_eq!(received_events.run_ends()[0].reason, EndReason::Stopped);
     assert_contiguous(&received_events.iterations());
     assert!(received_events.iterations().iter().all(|iteration| iteration.outcome == Outcome::Ok));
 }
@@ -35,7 +35,7 @@ async fn iterations_beyond_stop_timeout_are_lost() {
         SLOW.replace("inference_ms = 100", "inference_ms = 1500")
     );
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    aggregator.until(|received_events| !received_events.runs().is_empty()).await;
+    aggregator.until(|received_events| !received_events.run_starts().is_empty()).await;
     agent.stop().await.expect("stops well");
     let received_events = aggregator.until(|received_events| !received_events.goodbyes.is_empty()).await;
     let lost = |outcome: &Outcome| matches!(outcome, Outcome::Lost(reason) if reason.contains("stopped"));
@@ -45,7 +45,7 @@ async fn iterations_beyond_stop_timeout_are_lost() {
         received_events.iterations()
     );
     assert_contiguous(&received_events.iterations());
-    assert_eq!(received_events.ended().len(), 1);
+    assert_eq!(received_events.run_ends().len(), 1);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -56,10 +56,10 @@ async fn stop_does_not_wait_for_slow_model() {
         SLOW.replace("inference_ms = 100", "inference_ms = 86400000")
     );
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    aggregator.until(|received_events| !received_events.runs().is_empty()).await;
+    aggregator.until(|received_events| !received_events.run_starts().is_empty()).await;
     agent.stop().await.expect("stops well");
     let received_events = aggregator.until(|received_events| !received_events.goodbyes.is_empty()).await;
-    assert_eq!(received_events.ended().len(), 1);
+    assert_eq!(received_events.run_ends().len(), 1);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

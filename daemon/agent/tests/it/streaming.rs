@@ -1,4 +1,4 @@
-//! Tests of a language model on a cloud, whose answer reaches the edge in parts.
+//! Tests of a language model on a cloud whose answer reaches the edge as partial answers.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -47,10 +47,10 @@ fn start_server(end: Option<&'static str>) -> (SocketAddr, Receiver<()>) {
 
 fn serve(listener: TcpListener, end: Option<&'static str>) -> (SocketAddr, Receiver<()>) {
     let address = listener.local_addr().expect("is bound");
-    let (closed, closings) = sync_channel(8);
+    let (report_closing, closings) = sync_channel(8);
     thread::spawn(move || {
         for stream in listener.incoming().map_while(Result::ok) {
-            let closed = closed.clone();
+            let report_closing = report_closing.clone();
             thread::spawn(move || {
                 let mut stream = BufReader::new(stream);
                 let Some(request) = read_request(&mut stream) else { return };
@@ -68,7 +68,7 @@ fn serve(listener: TcpListener, end: Option<&'static str>) -> (SocketAddr, Recei
                 if let Some(end) = end {
                     let _ = output.write_all(end.as_bytes());
                 } else if read_request(&mut stream).is_none() {
-                    let _ = closed.send(());
+                    let _ = report_closing.send(());
                 }
             });
         }
@@ -105,11 +105,11 @@ async fn pipeline_waits_for_server_of_its_model() {
     );
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
     let state = agent.until_state(|state| matches!(state, PipelineState::Waiting(_))).await;
-    let PipelineState::Waiting(reason) = state else { unreachable!("it was awaited") };
+    let PipelineState::Waiting(reason) = state else { unreachable!("the pipeline waits") };
     assert!(reason.contains(&address.to_string()) && reason.contains("start the server"), "{reason}");
     let end = "data: {\"choices\":[{\"delta\":{},\"finish_reason\":\"stop\"}]}\n\ndata: [DONE]\n\n";
     let (_, _closings) = serve(TcpListener::bind(address).expect("the port is still free"), Some(end));
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     assert!(received_events.iterations().iter().all(|iteration| iteration.outcome == Outcome::Ok));
     assert_eq!(
         (received_events.iterations().len(), received_events.incidents(IncidentKind::Disconnected).len()),
@@ -129,7 +129,7 @@ async fn first_part_of_answer_is_timed_across_network() {
     let aggregator = Aggregator::start().await;
     let cloud = TestAgent::start("cloud", None, &cloud_tables(server)).await;
     let edge = TestAgent::start("edge", Some(&aggregator.address), &edge_tables(&cloud, "")).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     assert_eq!(received_events.iterations().len(), 3);
     for iteration in received_events.iterations() {
         assert_eq!(iteration.outcome, Outcome::Ok);
@@ -157,7 +157,7 @@ async fn timeout_at_edge_stops_language_model() {
     let cloud = TestAgent::start("cloud", None, &cloud_tables(server)).await;
     let tables = edge_tables(&cloud, "timeout_ms = 200");
     let edge = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     assert!(received_events.iterations().iter().all(|it| matches!(it.outcome, Outcome::Timeout(_))));
     // The connection to the server is closed long before the time limits of the model.
     let closing = tokio::task::spawn_blocking(move || closings.recv().expect("the server runs"));

@@ -7,7 +7,7 @@ use crate::harness::{Aggregator, TestAgent, assert_adds_up, value};
 /// Sensor whose samples are the numbers from 1.
 const COUNTER: &str = "n=0; while read -r request; do n=$((n + 1)); \
                        printf \"answer %d text/plain\\n%s\" ${#n} $n; done";
-/// Model that answers with its input, to odd numbers 200 ms later than to even ones.
+/// Model that answers with its input. The answers to odd numbers take 200 ms longer than the answers to even numbers.
 const UNEVEN: &str = "while read -r word bytes rest; do n=$(head -c \"$bytes\"); \
                       if [ $((n % 2)) = 1 ]; then sleep 0.2; fi; printf \"answer %d text/plain\\n%s\" ${#n} $n; done";
 
@@ -26,11 +26,11 @@ async fn run_with_actuator(actuator: &str) -> (Vec<Iteration>, Vec<u64>) {
     );
     let aggregator = Aggregator::start().await;
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     let mut iterations: Vec<Iteration> = received_events.iterations().into_iter().cloned().collect();
     iterations.sort_by_key(|iteration| iteration.number);
     agent.stop().await.expect("stops well");
-    let acted = std::fs::read_to_string(&file).expect("the actuator wrote it");
+    let acted = std::fs::read_to_string(&file).expect("the actuator wrote the file");
     (iterations, acted.lines().map(|line| line.parse().expect("a number")).collect())
 }
 
@@ -43,19 +43,20 @@ async fn older_answer_is_recorded_but_not_acted_on() {
     assert_eq!(iterations.len(), 40);
     let mut superseded = 0;
     for iteration in &iterations {
-        assert_eq!(iteration.outcome, Outcome::Ok, "its answer came");
+        assert_eq!(iteration.outcome, Outcome::Ok, "the answer arrived");
         assert_adds_up(iteration);
         let was_acted_on = acted.contains(&iteration.number);
         assert_eq!(value(&iteration.tree, "actuation").is_some(), was_acted_on, "{}", iteration.number);
         assert_eq!(value(&iteration.tree, "superseded"), (!was_acted_on).then_some(1.0));
         superseded += u32::from(!was_acted_on);
     }
-    assert!(superseded >= 5, "the answers to odd samples are overtaken: {acted:?}");
+    assert!(superseded >= 5, "newer answers overtake the answers to odd samples: {acted:?}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn answers_that_wait_for_actuator_stay_in_order() {
-    // Several answers wait while it acts, and a failed action counts as well: a part of it may have been done.
+    // Several answers wait while the actuator acts. The actuator has acted on an answer even if the action fails,
+    // because a part of the action may have been done.
     let actuator = "while read -r word bytes rest; do n=$(head -c \"$bytes\"); echo $n >> FILE; sleep 0.06; \
                     if [ $((n % 4)) = 0 ]; then echo error stuck; else echo done; fi; done";
     let (iterations, acted) = run_with_actuator(actuator).await;
@@ -107,7 +108,7 @@ async fn answers_of_one_batch_are_acted_on_in_order() {
     );
     let aggregator = Aggregator::start().await;
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     let iterations = received_events.iterations();
     agent.stop().await.expect("stops well");
     assert_eq!(iterations.len(), 400);

@@ -24,13 +24,13 @@ async fn unreadable_host_secret_is_refused_before_anything_starts() {
     let (tap, mut events) = mpsc::channel(1000);
     let started =
         Agent::start_with_tap(config, VERSION, clock("system"), CancellationToken::new(), tap).await;
-    let error = started.expect_err("the secret is none");
+    let error = started.expect_err("the file contains no secret");
     assert!(matches!(error, StartError::Identity(_)) && error.to_string().contains("host-secret"), "{error}");
     assert_eq!(events.recv().await, None, "no pipeline ran");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn program_receives_events_and_missed_ones_are_counted() {
+async fn program_receives_events_and_missed_events_are_counted() {
     for capacity in [1000, 10] {
         let state = tempfile::tempdir().expect("a folder");
         let mut config = config(LINE);
@@ -54,11 +54,12 @@ async fn program_receives_events_and_missed_ones_are_counted() {
         let iterations = received_events.iter().filter(|event| matches!(event, Event::Iteration(_))).count();
         let ended = received_events.iter().filter(|event| matches!(event, Event::RunEnded(_))).count();
         if capacity > 104 {
-            // The loading and the unloading of the model, the run's two ends and a hundred iterations.
+            // The events are: model loaded, model unloaded, run started, run ended, and 100 iterations.
             assert_eq!(received_events.len(), 104);
             assert_eq!((iterations, ended, events_missed_by_tap), (100, 1, 0));
         } else {
-            // The model was unloaded after the missed events had been counted.
+            // The number of missed events was read before the model was unloaded, so one of the 104 events is not
+            // counted.
             assert_eq!((received_events.len(), events_missed_by_tap), (capacity, 93));
         }
     }

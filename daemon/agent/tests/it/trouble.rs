@@ -20,7 +20,7 @@ async fn broken_picture_fails_iteration_and_run_continues() {
         folder.path().display()
     );
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     assert_contiguous(&received_events.iterations());
     for iteration in received_events.iterations() {
         match &iteration.outcome {
@@ -49,7 +49,7 @@ async fn traceback_becomes_reason_of_one_line() {
         folder.path().display()
     );
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     let iterations = received_events.iterations();
     let reason = iterations[0].outcome.reason().expect("it failed");
     assert!(reason.contains("out of focus") && reason.contains("in sample"), "{reason}");
@@ -90,8 +90,11 @@ async fn cloud_learns_of_missing_iterations_at_run_end() {
     edge.stop().await.expect("stops well");
     let mut served = cloud.running.served_counts();
     let missed = served.wait_for(|served| served.sessions == 0);
-    let missed =
-        tokio::time::timeout(WAIT_TIMEOUT, missed).await.expect("it leaves").expect("it serves").missed;
+    let missed = tokio::time::timeout(WAIT_TIMEOUT, missed)
+        .await
+        .expect("the session ends in time")
+        .expect("the agent serves")
+        .missed;
     assert_eq!(missed, 10);
     cloud.stop().await.expect("stops well");
 }
@@ -111,10 +114,10 @@ async fn missing_pictures_are_reported_once() {
     aggregator.until(|received_events| received_events.iterations().len() >= 3).await;
     std::fs::remove_file(folder.path().join("a.png")).expect("removed");
     let failed = |outcome: &Outcome| matches!(outcome, Outcome::Failed(_));
-    let many = |received_events: &crate::harness::ReceivedEvents| {
+    let has_many_failures = |received_events: &crate::harness::ReceivedEvents| {
         received_events.iterations().iter().filter(|iteration| failed(&iteration.outcome)).count() >= 30
     };
-    let received_events = aggregator.until(many).await;
+    let received_events = aggregator.until(has_many_failures).await;
     let reported = received_events.incidents(IncidentKind::PipelineFailed);
     assert_eq!(reported.len(), 1, "{reported:?}");
     assert!(reported[0].text.contains("a.png"), "{}", reported[0].text);
@@ -123,21 +126,21 @@ async fn missing_pictures_are_reported_once() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn pipeline_failing_to_start_reports_reason_and_spares_others() {
+async fn pipeline_that_cannot_start_reports_reason_and_others_run() {
     let aggregator = Aggregator::start().await;
     let tables = "[[model]]\nname = 'echo'\nkind = 'echo'\n\
-        [[pipeline]]\nname = 'blind'\nsensor = { kind = 'images', path = '/nowhere/at/all' }\n\
+        [[pipeline]]\nname = 'missing-pictures'\nsensor = { kind = 'images', path = '/nowhere/at/all' }\n\
         placement = { kind = 'local', model = 'echo' }\n\
-        [[pipeline]]\nname = 'brainless'\nsensor = { kind = 'synthetic', size_bytes = 1 }\n\
+        [[pipeline]]\nname = 'unknown-model'\nsensor = { kind = 'synthetic', size_bytes = 1 }\n\
         placement = { kind = 'local', model = 'ecco' }\n\
         [[pipeline]]\nname = 'idle'\nsensor = { kind = 'synthetic', size_bytes = 1 }\nstart = 'manual'\n\
         placement = { kind = 'local', model = 'echo' }\n\
-        [[pipeline]]\nname = 'sound'\nsensor = { kind = 'synthetic', size_bytes = 1 }\n\
+        [[pipeline]]\nname = 'valid'\nsensor = { kind = 'synthetic', size_bytes = 1 }\n\
         placement = { kind = 'local', model = 'echo' }\nlimit = { iterations = 10 }\n";
     let agent = TestAgent::start("edge", Some(&aggregator.address), tables).await;
     let received_events = aggregator
         .until(|received_events| {
-            received_events.ended().len() == 1
+            received_events.run_ends().len() == 1
                 && received_events.incidents(IncidentKind::PipelineFailed).len() == 2
         })
         .await;
@@ -148,12 +151,14 @@ async fn pipeline_failing_to_start_reports_reason_and_spares_others() {
         let found = live.pipelines.iter().find(|pipeline| pipeline.pipeline.as_str() == name);
         found.map(|pipeline| pipeline.state.clone()).expect("shown")
     };
-    assert!(matches!(state("blind"), PipelineState::Failed(why) if why.contains("/nowhere/at/all")));
     assert!(
-        matches!(state("brainless"), PipelineState::Failed(why) if why.contains("ecco") && why.contains("echo"))
+        matches!(state("missing-pictures"), PipelineState::Failed(why) if why.contains("/nowhere/at/all"))
+    );
+    assert!(
+        matches!(state("unknown-model"), PipelineState::Failed(why) if why.contains("ecco") && why.contains("echo"))
     );
     assert!(matches!(state("idle"), PipelineState::Waiting(why) if why.contains("manual")));
-    assert_eq!(state("sound"), PipelineState::Finished);
+    assert_eq!(state("valid"), PipelineState::Finished);
     agent.stop().await.expect("stops well");
 }
 
@@ -171,7 +176,7 @@ async fn timeout_names_cancelled_request_that_holds_the_worker() {
         folder.path().display()
     );
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     let mut iterations = received_events.iterations();
     iterations.sort_by_key(|iteration| iteration.number);
     let reason = |index: usize| iterations[index].outcome.reason().expect("it has no answer");

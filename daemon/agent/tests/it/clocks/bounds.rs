@@ -15,7 +15,7 @@ async fn every_delay_is_bounded_from_first_exchange_on() {
     let load = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 4\nlimit = { iterations = 250 }";
     let tables = config(&pipeline("line", &cloud, load));
     let edge = TestAgent::start_with("edge", Some(&aggregator.address), tables, "edge").await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
 
     assert_eq!(received_events.iterations().len(), 250);
     for iteration in received_events.iterations() {
@@ -41,7 +41,7 @@ async fn every_delay_is_bounded_from_first_exchange_on() {
     edge.stop().await.expect("stops well");
 
     let received_events = aggregator.until(|received_events| !received_events.goodbyes.is_empty()).await;
-    let samples = received_events.clocks();
+    let samples = received_events.clock_samples();
     assert!(samples.len() >= 3, "250 iterations at 100 Hz take 2.5 s: {samples:?}");
     let judged: u32 = samples.iter().filter_map(|sample| sample.up).map(|up| up.count).sum();
     assert_eq!(judged, 250);
@@ -59,8 +59,11 @@ async fn every_delay_is_bounded_from_first_exchange_on() {
     }
     // The live updates contain the same delays: each has a verdict and the bounds of its interval.
     let mut seconds = std::collections::BTreeMap::new();
-    for second in
-        received_events.lives.iter().flat_map(|live| &live.pipelines).flat_map(|pipeline| &pipeline.seconds)
+    for second in received_events
+        .live_updates
+        .iter()
+        .flat_map(|live| &live.pipelines)
+        .flat_map(|pipeline| &pipeline.seconds)
     {
         seconds.insert(second.at, second.clone());
     }
@@ -95,7 +98,8 @@ async fn wrong_clock_does_not_change_delays() {
         let load = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 4\nlimit = { iterations = 200 }";
         let tables = config(&pipeline("line", &cloud, load));
         let edge = TestAgent::start_on(edge_clock, "edge", Some(&aggregator.address), tables).await;
-        let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+        let received_events =
+            aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
 
         assert_eq!(received_events.iterations().len(), 200);
         let true_time = |faults: &Option<ClockFaults>, shown| {
@@ -116,7 +120,7 @@ async fn wrong_clock_does_not_change_delays() {
             assert_eq!(delay.raw, received - sent, "the raw value is the difference of the stamps");
             assert_adds_up(iteration);
         }
-        let facts = &received_events.runs()[0].facts;
+        let facts = &received_events.run_starts()[0].facts;
         let fact = |name: &str| facts.iter().find(|(key, _)| key == name).map(|(_, text)| text.as_str());
         let expected = if edge_faults.is_some() {
             (Some("offset -1000 ms, drift -40 ppm"), None)

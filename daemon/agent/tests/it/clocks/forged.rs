@@ -117,7 +117,7 @@ async fn forged_answers_to_probes_reach_no_delay() {
         reason.contains("not authenticated by the key") && reason.ends_with(" refused)")
     };
     edge.until(|live| live.links.iter().any(|link| is_refused(&link.probing))).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     let mut judged = 0;
     for iteration in received_events.iterations() {
         for name in DELAY_NAMES {
@@ -133,15 +133,15 @@ async fn forged_answers_to_probes_reach_no_delay() {
     assert!(judged > 500, "{judged}");
     edge.stop().await.expect("stops well");
     let received_events = aggregator.until(|received_events| !received_events.goodbyes.is_empty()).await;
-    let counts = received_events.clocks().iter().fold((0, 0), |(answered, lost), sample| {
+    let counts = received_events.clock_samples().iter().fold((0, 0), |(answered, lost), sample| {
         (answered + sample.probes.answered, lost + sample.probes.lost)
     });
     assert!(counts.0 == 0 && counts.1 > 0, "{counts:?}");
     assert!(
-        received_events.clocks().iter().any(|sample| sample.probes.refused > 0),
+        received_events.clock_samples().iter().any(|sample| sample.probes.refused > 0),
         "clock samples count the refused answers"
     );
-    let probed = received_events.clocks().into_iter().filter(|sample| sample.probes.sent > 0);
+    let probed = received_events.clock_samples().into_iter().filter(|sample| sample.probes.sent > 0);
     for sample in probed {
         assert_eq!(sample.basis.and_then(|basis| basis.probes_authenticated), Some(true));
     }

@@ -47,7 +47,7 @@ impl Cloud {
 
     fn accept(&self, open: OpenRequest) {
         let identity: &ClockIdentity = self.clock.identity();
-        let model = open.hello.model.clone().expect("the pipeline names one");
+        let model = open.hello.model.clone().expect("the pipeline names a model");
         assert!(open.accept(SessionAccepted {
             host: self.host,
             name: "cloud".parse().expect("a name"),
@@ -65,7 +65,7 @@ impl Cloud {
         }));
     }
 
-    /// Keeps the session open until the task is aborted.
+    /// Keeps the sessions open until the returned task is aborted.
     fn keep_open(mut self) -> JoinHandle<()> {
         tokio::spawn(async move { while self.listener.next().await.is_some() {} })
     }
@@ -107,7 +107,7 @@ async fn answers_of_another_process_are_refused_and_reported() {
     assert_eq!(
         (sample.probes.answered, sample.exchanges.accepted, &sample.offset),
         (0, 0, &None),
-        "and the answers were not used"
+        "the link used no answer of the other process"
     );
 
     edge.stop().await.expect("stops well");
@@ -119,27 +119,27 @@ async fn answers_of_another_process_are_refused_and_reported() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn restarted_cloud_does_not_join_link_of_hanging_session() {
     let host = HostId::random();
-    let mut before = Cloud::start(host, 1, None).await;
-    let mut after = Cloud::start(host, 2, None).await;
-    let lines = config(&format!("{}{}", before.pipeline("first"), after.pipeline("second")));
+    let mut old_cloud = Cloud::start(host, 1, None).await;
+    let mut new_cloud = Cloud::start(host, 2, None).await;
+    let lines = config(&format!("{}{}", old_cloud.pipeline("first"), new_cloud.pipeline("second")));
     let edge = TestAgent::start_with("edge", None, lines, "edge").await;
-    let open = before.next_open().await;
-    before.accept(open);
-    let before = before.keep_open();
+    let open = old_cloud.next_open().await;
+    old_cloud.accept(open);
+    let old_cloud = old_cloud.keep_open();
     let has_pipeline = |name: &'static str| {
         move |live: &peernet_stream::LiveUpdate| {
             live.links.iter().any(|link| link.pipelines.iter().any(|pipeline| pipeline.as_str() == name))
         }
     };
     edge.until(has_pipeline("first")).await;
-    let open = after.next_open().await;
-    after.accept(open);
-    let after = after.keep_open();
+    let open = new_cloud.next_open().await;
+    new_cloud.accept(open);
+    let new_cloud = new_cloud.keep_open();
     let live = edge.until(has_pipeline("second")).await;
     let [link] = &live.links[..] else { panic!("{:?}", live.links) };
     assert_eq!(link.pipelines.len(), 1, "{link:?}");
 
     edge.stop().await.expect("stops well");
-    before.abort();
-    after.abort();
+    old_cloud.abort();
+    new_cloud.abort();
 }

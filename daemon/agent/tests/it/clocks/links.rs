@@ -74,7 +74,7 @@ async fn each_network_of_pair_has_all_probe_results() {
     let folder = tempfile::tempdir().expect("a folder");
     let key = folder.path().join("key");
     std::fs::write(&key, "0123456789abcdef0123456789abcdef\n").expect("written");
-    std::fs::set_permissions(&key, Permissions::from_mode(0o600)).expect("mine");
+    std::fs::set_permissions(&key, Permissions::from_mode(0o600)).expect("this user owns the file");
     let probes = format!("[probes]\nrate_hz = 50.0\nkey_file = '{}'\n", key.display());
     let tables = format!("{probes}{}{}", pipeline("first", tcp), pipeline("second", udp));
     let edge = TestAgent::start_with("edge", Some(&aggregator.address), config(&tables), "edge").await;
@@ -86,14 +86,19 @@ async fn each_network_of_pair_has_all_probe_results() {
     edge.stop().await.expect("stops well");
     let received_events = aggregator.until(|received_events| !received_events.goodbyes.is_empty()).await;
     for network in ["zmq-tcp", "zmq-udp"] {
-        let (mut sent, mut ended) = (0, 0);
-        for sample in received_events.clocks().iter().filter(|sample| sample.network.to_string() == network) {
+        let (mut sent, mut answered_or_lost) = (0, 0);
+        for sample in
+            received_events.clock_samples().iter().filter(|sample| sample.network.to_string() == network)
+        {
             sent += sample.probes.sent;
-            ended += sample.probes.answered + sample.probes.lost;
+            answered_or_lost += sample.probes.answered + sample.probes.lost;
         }
         // About a hundred probes are in flight at the end (2 s at 50 Hz). A few were sent in the second before one of the
         // sessions began.
-        assert!(sent > 50 && sent.abs_diff(ended) < 10, "{network}: {sent} sent, {ended} answered or lost");
+        assert!(
+            sent > 50 && sent.abs_diff(answered_or_lost) < 10,
+            "{network}: {sent} sent, {answered_or_lost} answered or lost"
+        );
     }
     cloud.stop().await.expect("stops well");
 }

@@ -1,4 +1,4 @@
-//! Tests of networks that block probes, and of ports that are taken.
+//! Tests of networks that block probes, and of probe ports that are in use.
 
 use std::fs::Permissions;
 use std::net::UdpSocket;
@@ -30,7 +30,8 @@ async fn delays_are_bounded_by_data_without_probes() {
             live.links.iter().any(|link| matches!(&link.probing, Probing::Off(text) if text.contains(reason)))
         })
         .await;
-        let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+        let received_events =
+            aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
         assert_eq!(received_events.iterations().len(), 60);
         for iteration in received_events.iterations() {
             for name in DELAY_NAMES {
@@ -46,8 +47,8 @@ async fn delays_are_bounded_by_data_without_probes() {
         }
         edge.stop().await.expect("stops well");
         let received_events = aggregator.until(|received_events| !received_events.goodbyes.is_empty()).await;
-        assert!(!received_events.clocks().is_empty());
-        for sample in received_events.clocks() {
+        assert!(!received_events.clock_samples().is_empty());
+        for sample in received_events.clock_samples() {
             assert_eq!((sample.probes.sent, sample.round_trip), (0, None));
             assert!(sample.upper.is_some() && sample.lower.is_some() && sample.exchanges.accepted > 0);
         }
@@ -60,26 +61,28 @@ async fn probes_are_answered_only_with_shared_key() {
     let folder = tempfile::tempdir().expect("a folder");
     let key = folder.path().join("key");
     std::fs::write(&key, "0123456789abcdef0123456789abcdef\n").expect("written");
-    std::fs::set_permissions(&key, Permissions::from_mode(0o600)).expect("mine");
-    let keyed = format!("[probes]\nkey_file = '{}'\n", key.display());
+    std::fs::set_permissions(&key, Permissions::from_mode(0o600)).expect("this user owns the file");
+    let probes_with_key = format!("[probes]\nkey_file = '{}'\n", key.display());
     // Without the key an edge gets no answer, as with a firewall.
-    let cloud = TestAgent::start_with("cloud", None, config(&format!("{CLOUD}{keyed}")), "cloud").await;
+    let cloud =
+        TestAgent::start_with("cloud", None, config(&format!("{CLOUD}{probes_with_key}")), "cloud").await;
     let load = "load = { mode = 'rate', hz = 20.0 }";
     let tables = |keys: &str| config(&format!("{keys}{}", pipeline("line", &cloud, load)));
     let edge_without_key =
         TestAgent::start_with("edge_without_key", None, tables(""), "edge_without_key").await;
-    let edge_with_key = TestAgent::start_with("edge_with_key", None, tables(&keyed), "edge_with_key").await;
+    let edge_with_key =
+        TestAgent::start_with("edge_with_key", None, tables(&probes_with_key), "edge_with_key").await;
 
     let live = edge_with_key
         .until(|live| live.links.iter().any(|link| link.latest_sample.probes.answered > 0))
         .await;
     assert!(matches!(live.links[0].probing, Probing::On { .. }), "{:?}", live.links[0].probing);
-    let at = |address: &str| address.starts_with("udp://127.0.0.1:");
+    let is_loopback = |address: &str| address.starts_with("udp://127.0.0.1:");
     let unanswered =
-        |probing: &Probing| matches!(probing, Probing::Unanswered { address, .. } if at(address));
+        |probing: &Probing| matches!(probing, Probing::Unanswered { address, .. } if is_loopback(address));
     let live = edge_without_key.until(|live| live.links.iter().any(|link| unanswered(&link.probing))).await;
     assert_eq!(live.links[0].latest_sample.probes.answered, 0);
-    let offset = live.links[0].latest_sample.offset.as_ref().expect("known by the data");
+    let offset = live.links[0].latest_sample.offset.as_ref().expect("the data exchanges show the offset");
     assert!(offset.bounds.lo <= offset.estimate && offset.estimate <= offset.bounds.hi);
     for agent in [edge_without_key, edge_with_key, cloud] {
         agent.stop().await.expect("stops well");
@@ -91,11 +94,12 @@ async fn key_only_at_edge_is_named_as_reason() {
     let folder = tempfile::tempdir().expect("a folder");
     let key = folder.path().join("key");
     std::fs::write(&key, "0123456789abcdef0123456789abcdef\n").expect("written");
-    std::fs::set_permissions(&key, Permissions::from_mode(0o600)).expect("mine");
-    let keyed = format!("[probes]\nkey_file = '{}'\n", key.display());
+    std::fs::set_permissions(&key, Permissions::from_mode(0o600)).expect("this user owns the file");
+    let probes_with_key = format!("[probes]\nkey_file = '{}'\n", key.display());
     let aggregator = Aggregator::start().await;
     let cloud = TestAgent::start_with("cloud", None, config(CLOUD), "cloud").await;
-    let tables = format!("{keyed}{}", pipeline("line", &cloud, "load = { mode = 'rate', hz = 20.0 }"));
+    let tables =
+        format!("{probes_with_key}{}", pipeline("line", &cloud, "load = { mode = 'rate', hz = 20.0 }"));
     let edge = TestAgent::start_with("edge", Some(&aggregator.address), config(&tables), "edge").await;
     let names_key = |probing: &Probing| matches!(probing, Probing::Unanswered { reason: Some(reason), .. } if reason.contains("same key"));
     edge.until(|live| live.links.iter().any(|link| names_key(&link.probing))).await;
@@ -103,7 +107,7 @@ async fn key_only_at_edge_is_named_as_reason() {
     let received_events = aggregator.until(|received_events| !received_events.goodbyes.is_empty()).await;
     // Probes that were in flight when the edge stopped are also lost.
     let (mut sent, mut lost) = (0, 0);
-    for sample in received_events.clocks() {
+    for sample in received_events.clock_samples() {
         (sent, lost) = (sent + sample.probes.sent, lost + sample.probes.lost);
         assert_eq!(sample.probes.answered, 0);
     }

@@ -1,5 +1,5 @@
-//! Tests of foreign reflectors that the configuration names: they are accepted, and their answers count for their own
-//! clock only.
+//! Tests of foreign reflectors that the configuration names: their answers are used for the relation with the
+//! reflector's clock only.
 
 use std::net::SocketAddr;
 use std::process::{Child, Command, Stdio};
@@ -16,14 +16,14 @@ struct ForeignReflector(Child);
 
 impl Drop for ForeignReflector {
     fn drop(&mut self) {
-        // It may have ended already.
+        // The process may have ended already.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
 }
 
-/// Starts the reflector of stamp-suite at an address. Its clock is this machine's.
-fn stamp_suite(address: SocketAddr) -> ForeignReflector {
+/// Starts the reflector of stamp-suite at an address. The reflector reads this machine's clock.
+fn start_stamp_suite(address: SocketAddr) -> ForeignReflector {
     let program = std::env::var_os("PEERNET_STAMP_SUITE").unwrap_or_else(|| "stamp-suite".into());
     let mut command = Command::new(&program);
     command
@@ -51,15 +51,15 @@ async fn start_with_reflector(reflector: SocketAddr) -> (TestAgent, TestAgent) {
     (edge, cloud)
 }
 
-fn any_reflector(wanted: impl Fn(&ReflectorLive) -> bool) -> impl Fn(&LiveUpdate) -> bool {
-    move |live| live.links.iter().any(|link| link.reflector.as_ref().is_some_and(&wanted))
+fn any_reflector(condition: impl Fn(&ReflectorLive) -> bool) -> impl Fn(&LiveUpdate) -> bool {
+    move |live| live.links.iter().any(|link| link.reflector.as_ref().is_some_and(&condition))
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn named_foreign_reflector_gets_relation_of_its_own() {
-    // Outside the range of ephemeral ports, on an address that only this test uses.
+    // The port is outside the range of ephemeral ports. Only this test uses the address.
     let address: SocketAddr = "127.86.21.1:18620".parse().expect("an address");
-    let _foreign = stamp_suite(address);
+    let _foreign = start_stamp_suite(address);
     let (edge, cloud) = start_with_reflector(address).await;
     let is_known = |reflector: &ReflectorLive| {
         let offset = reflector.offset.as_ref();
@@ -79,7 +79,7 @@ async fn named_foreign_reflector_gets_relation_of_its_own() {
     assert!(offset.bounds.width() < Span::from_millis(100), "{offset:?}");
     assert!(reflector.round_trip.is_some_and(|trip| trip.min > Span::ZERO), "{reflector:?}");
     assert_eq!(reflector.probes.refused, 0, "{reflector:?}");
-    // The relation of the data's two hosts is a separate one, between their own clocks.
+    // The relation of edge and cloud is separate, and relates the free-running clocks of these two hosts.
     assert_eq!(link.latest_sample.clocks(), RelatedClocks::Raw);
     assert!(matches!(&link.probing, Probing::On { address: to, .. } if *to != reflector.address), "{link:?}");
     edge.stop().await.expect("stops well");
@@ -93,7 +93,7 @@ async fn garbage_from_configured_reflector_gives_no_offset() {
     let garbage = tokio::spawn(async move {
         let mut buffer = [0; 2048];
         while let Ok((length, from)) = socket.recv_from(&mut buffer).await {
-            // Too short; the request itself; and noise as long as a reply.
+            // The answers are: too few bytes, the request itself, and noise as long as a reply.
             for answer in [&buffer[..3], &buffer[..length], &[0x5A; 200][..]] {
                 socket.send_to(answer, from).await.expect("loopback takes it");
             }

@@ -13,21 +13,23 @@ use crate::harness::{
 
 const LOAD: &str = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 8";
 
-fn stepping(by: Span) -> ClockFaults {
+/// Returns the faults of a clock that is stepped by `by` 300 ms from now.
+fn step_soon(by: Span) -> ClockFaults {
     let step = ClockFaultStep::wall_step(Span::from_millis(300), by);
     ClockFaults { steps: vec![step], ..faults_from_now_on(Span::ZERO, 0.0) }
 }
 
-/// Returns the true time at which a clock that is set by whole seconds showed `shown`, shortly before or after the
-/// other clock showed `near`. A clock that is set back shows the same time twice.
+/// Returns the true time at which a stepped clock showed `shown`. `near` is a true time shortly before or after: it is
+/// needed because a clock that is set back shows the same time twice.
 fn true_time(faults: Option<&ClockFaults>, shown: WallTime, near: WallTime) -> WallTime {
     let Some(faults) = faults else { return shown };
     let moment = Span::from_millis(400);
     let candidates = [near - moment, near + moment].map(|at| shown - faults.wall_error_at(at));
-    candidates.into_iter().min_by_key(|at| (*at - near).abs()).expect("two")
+    candidates.into_iter().min_by_key(|at| (*at - near).abs()).expect("there are two candidates")
 }
 
-/// Returns the number of delays after the step whose verdict is good.
+/// Returns the number of delays after the step whose verdict is good. Asserts that the intervals of all delays contain
+/// the truth.
 fn count_good_delays(
     received_events: &ReceivedEvents,
     edge: Option<&ClockFaults>,
@@ -35,10 +37,10 @@ fn count_good_delays(
 ) -> usize {
     let mut good = 0;
     for iteration in received_events.iterations() {
-        let moved = Span::from_seconds(1);
+        let min_raw_difference = Span::from_seconds(1);
         let (sent, received, up) = transit(iteration, "upload");
-        let (left, back, down) = transit(iteration, "download");
-        // One of the two clocks is right, and so is its stamp.
+        let (departed, returned, down) = transit(iteration, "download");
+        // One of the two clocks has no fault, so its stamp is the true time.
         let true_delay = |from: WallTime,
                           from_faults: Option<&ClockFaults>,
                           to: WallTime,
@@ -46,13 +48,15 @@ fn count_good_delays(
             let near = if from_faults.is_some() { to } else { from };
             true_time(to_faults, to, near) - true_time(from_faults, from, near)
         };
-        for (delay, truth) in
-            [(up, true_delay(sent, edge, received, cloud)), (down, true_delay(left, cloud, back, edge))]
-        {
+        for (delay, truth) in [
+            (up, true_delay(sent, edge, received, cloud)),
+            (down, true_delay(departed, cloud, returned, edge)),
+        ] {
             // No delay depends on a wall clock.
             assert_interval_contains(&delay, truth);
             good += usize::from(
-                matches!(delay.verdict, Verdict::Ok | Verdict::Limited) && delay.raw.abs() > moved,
+                matches!(delay.verdict, Verdict::Ok | Verdict::Limited)
+                    && delay.raw.abs() > min_raw_difference,
             );
         }
         assert_adds_up(iteration);
@@ -62,7 +66,7 @@ fn count_good_delays(
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn wall_clock_set_in_mid_run_reaches_no_delay() {
+async fn wall_clock_set_during_run_changes_no_delay() {
     for (on_edge, by) in [(false, Span::from_seconds(3)), (true, Span::from_seconds(-3))] {
         let aggregator = Aggregator::start().await;
         let switchable_clock = Arc::new(SwitchableClock::new(clock(if on_edge { "edge" } else { "cloud" })));
@@ -79,14 +83,14 @@ async fn wall_clock_set_in_mid_run_reaches_no_delay() {
             TestAgent::start_on(clock_of("edge", on_edge), "edge", Some(&aggregator.address), tables).await;
         aggregator
             .until(|received_events| {
-                received_events.iterations().len() >= 50 && !received_events.clocks().is_empty()
+                received_events.iterations().len() >= 50 && !received_events.clock_samples().is_empty()
             })
             .await;
-        let wrong = stepping(by);
-        switchable_clock.inject(wrong.clone());
-        let (edge_wrong, cloud_wrong) = if on_edge { (Some(&wrong), None) } else { (None, Some(&wrong)) };
+        let faults = step_soon(by);
+        switchable_clock.inject(faults.clone());
+        let (edge_faults, cloud_faults) = if on_edge { (Some(&faults), None) } else { (None, Some(&faults)) };
         let received_events = aggregator
-            .until(|received_events| count_good_delays(received_events, edge_wrong, cloud_wrong) >= 200)
+            .until(|received_events| count_good_delays(received_events, edge_faults, cloud_faults) >= 200)
             .await;
 
         let link_steps = |received_events: &ReceivedEvents| {
@@ -113,9 +117,10 @@ async fn wall_clock_set_in_mid_run_reaches_no_delay() {
 
         edge.stop().await.expect("stops well");
         let received_events = aggregator.until(|received_events| !received_events.goodbyes.is_empty()).await;
-        let windows: BTreeSet<_> = received_events.clocks().iter().map(|sample| sample.window).collect();
-        assert_eq!(windows.len(), 1, "nothing that was learnt is void");
-        assert_eq!(link_steps(&received_events).len(), usize::from(!on_edge), "reported once");
+        let windows: BTreeSet<_> =
+            received_events.clock_samples().iter().map(|sample| sample.window).collect();
+        assert_eq!(windows.len(), 1, "the step begins no new window");
+        assert_eq!(link_steps(&received_events).len(), usize::from(!on_edge), "the step is reported once");
         cloud.stop().await.expect("stops well");
     }
 }
@@ -127,12 +132,12 @@ async fn step_is_announced_to_idle_peers() {
         TestAgent::start_on(Arc::<SwitchableClock>::clone(&switchable_clock), "cloud", None, config(CLOUD))
             .await;
     // One sample now and the next in an hour, and no probes.
-    let rare = "load = { mode = 'rate', hz = 0.0003 }\n[probes]\nsend = false";
-    let edge = TestAgent::start_with("edge", None, config(&pipeline("line", &cloud, rare)), "edge").await;
+    let load = "load = { mode = 'rate', hz = 0.0003 }\n[probes]\nsend = false";
+    let edge = TestAgent::start_with("edge", None, config(&pipeline("line", &cloud, load)), "edge").await;
     let epoch = |live: &LiveUpdate| live.links.first().and_then(|link| Some(link.cloud.as_ref()?.epoch));
     let live = edge.until(|live| live.links.iter().any(|link| link.latest_sample.offset.is_some())).await;
     assert_eq!(epoch(&live), Some(0));
-    switchable_clock.inject(stepping(Span::from_seconds(3)));
+    switchable_clock.inject(step_soon(Span::from_seconds(3)));
     let live = edge.until(|live| epoch(live) == Some(1)).await;
     assert!(
         live.links[0].latest_sample.offset.is_some(),

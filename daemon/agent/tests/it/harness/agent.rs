@@ -12,27 +12,27 @@ use tokio_util::sync::CancellationToken;
 
 use super::{VERSION, WAIT_TIMEOUT};
 
-/// A running agent with its token and folder.
+/// A running agent with its stop token and its state directory.
 pub(crate) struct TestAgent {
     pub(crate) running: RunningAgent,
     stop: CancellationToken,
-    /// Folder that is deleted after the last agent that uses it.
-    state: State,
+    /// The state directory, which is deleted after the last agent that uses it.
+    state: StateDir,
 }
 
-/// State directory, which may outlive an agent.
-pub(crate) type State = Arc<TempDir>;
+/// A state directory, which may outlive an agent.
+pub(crate) type StateDir = Arc<TempDir>;
 
 /// Returns this machine's clock under a name.
 pub(crate) fn clock(name: &str) -> SharedClock {
     Arc::new(SystemClock::new(ClockIdentity::from_system(name).expect("linux has a boot id")))
 }
 
-/// Returns this machine's clock under another name, with injected faults.
-pub(crate) fn faulty_clock(name: &str, wrong: ClockFaults) -> SharedClock {
+/// Returns this machine's clock under a name, with injected faults.
+pub(crate) fn faulty_clock(name: &str, faults: ClockFaults) -> SharedClock {
     let system = clock(name);
     let identity = system.identity().clone();
-    Arc::new(FaultyClock::new(system, identity, wrong))
+    Arc::new(FaultyClock::new(system, identity, faults))
 }
 
 /// Returns the configuration of these tables, without `[agent]`.
@@ -67,8 +67,8 @@ impl TestAgent {
         Self::try_start(clock, name, aggregator, config, state).await.expect("starts")
     }
 
-    /// Starts an agent on the system's clock in the folder of an earlier agent.
-    pub(crate) async fn start_in(state: State, aggregator: &str, config: AgentConfig) -> Self {
+    /// Starts an agent on the system's clock with the state directory of an earlier agent.
+    pub(crate) async fn start_in(state: StateDir, aggregator: &str, config: AgentConfig) -> Self {
         Self::try_start(clock("system"), "edge", Some(aggregator), config, state).await.expect("starts")
     }
 
@@ -78,7 +78,7 @@ impl TestAgent {
         name: &str,
         aggregator: Option<&str>,
         mut config: AgentConfig,
-        state: State,
+        state: StateDir,
     ) -> Result<Self, StartError> {
         config.agent.name = Some(name.parse().expect("a name"));
         config.agent.state_dir = state.path().to_owned();
@@ -88,33 +88,34 @@ impl TestAgent {
         Ok(Self { running, stop, state })
     }
 
-    /// Returns the path of its spool.
+    /// Returns the path of the agent's spool.
     pub(crate) fn spool(&self) -> PathBuf {
         self.state.path().join("spool.sqlite")
     }
 
-    /// Returns the address at which it serves.
+    /// Returns the first address at which the agent serves.
     pub(crate) fn address(&self) -> String {
         self.running.serve_addresses().first().expect("it serves").to_string()
     }
 
-    /// Returns the live state of its only pipeline.
+    /// Returns the live state of the agent's only pipeline.
     pub(crate) fn pipeline(&self) -> PipelineLive {
         self.running.live_update().pipelines.pop().expect("it has a pipeline")
     }
 
-    /// Waits until its only pipeline is in a wanted state.
-    pub(crate) async fn until_state(&self, wanted: impl Fn(&PipelineState) -> bool) -> PipelineState {
-        let live = self.until(|live| wanted(&live.pipelines[0].state)).await;
+    /// Waits until the state of the agent's only pipeline satisfies a condition. Returns the state.
+    pub(crate) async fn until_state(&self, condition: impl Fn(&PipelineState) -> bool) -> PipelineState {
+        let live = self.until(|live| condition(&live.pipelines[0].state)).await;
         live.pipelines.into_iter().map(|pipeline| pipeline.state).next().expect("it has a pipeline")
     }
 
-    /// Waits until its live update is as wanted. It is polled, because changes are not announced.
-    pub(crate) async fn until(&self, wanted: impl Fn(&LiveUpdate) -> bool) -> LiveUpdate {
+    /// Waits until the agent's live update satisfies a condition. Returns the update.
+    // The update is polled, because changes are not announced.
+    pub(crate) async fn until(&self, condition: impl Fn(&LiveUpdate) -> bool) -> LiveUpdate {
         let checks = async {
             loop {
                 let live = self.running.live_update();
-                if wanted(&live) {
+                if condition(&live) {
                     return live;
                 }
                 tokio::time::sleep(Duration::from_millis(5)).await;
@@ -122,39 +123,44 @@ impl TestAgent {
         };
         match tokio::time::timeout(WAIT_TIMEOUT, checks).await {
             Ok(live) => live,
-            Err(_) => panic!("never came: {:?}", self.running.live_update()),
+            Err(_) => panic!("the condition was not met in time: {:?}", self.running.live_update()),
         }
     }
 
-    /// Stops it like a regular end of the process.
+    /// Stops the agent as at a regular end of the process.
     pub(crate) async fn stop(self) -> Result<(), Failure> {
         self.stop_and_keep().await.map(drop)
     }
 
-    /// Stops it like a regular end of the process, and returns its folder.
-    pub(crate) async fn stop_and_keep(self) -> Result<State, Failure> {
+    /// Stops the agent as at a regular end of the process, and returns the state directory.
+    pub(crate) async fn stop_and_keep(self) -> Result<StateDir, Failure> {
         self.stop.cancel();
         tokio::time::timeout(WAIT_TIMEOUT, self.running.join()).await.expect("stops in time")?;
         Ok(self.state)
     }
 
-    /// Ends it like a crash: without a goodbye and without completing anything.
+    /// Ends the agent like a crash: without a goodbye, and without completing the iterations in flight.
     pub(crate) fn kill(self) {
         drop(self.running);
     }
 
-    /// Ends it like a crash, and waits until its folder and its spool are unlocked: a child process that is just
-    /// being started, such as `chronyc`, holds the locks of its parent until it has executed its program.
-    pub(crate) async fn crash(self) -> State {
+    /// Ends the agent like a crash, and waits until the state directory and the spool are unlocked. Returns the state
+    /// directory.
+    // A child process that is just being started, such as `chronyc`, holds the locks of the agent until the child
+    // executes its program.
+    pub(crate) async fn crash(self) -> StateDir {
         let locks = ["lock", "spool.sqlite-lock"].map(|name| self.state.path().join(name));
         drop(self.running);
         let free = tokio::task::spawn_blocking(move || {
             for lock in locks {
-                let file = std::fs::File::open(lock).expect("it had a folder and a spool");
-                file.lock().expect("becomes free");
+                let file = std::fs::File::open(lock).expect("the agent had a state directory and a spool");
+                file.lock().expect("the lock becomes free");
             }
         });
-        tokio::time::timeout(WAIT_TIMEOUT, free).await.expect("ends in time").expect("no panic");
+        tokio::time::timeout(WAIT_TIMEOUT, free)
+            .await
+            .expect("the locks become free in time")
+            .expect("no panic");
         self.state
     }
 }

@@ -19,24 +19,24 @@ use zeromq::{IdentitySocket, Message, Options, Socket, SocketType};
 
 use super::{WAIT_TIMEOUT, clock};
 
-/// Everything that an aggregator has received, over restarts.
+/// Everything that an aggregator has received, also before its restarts.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ReceivedEvents {
     pub(crate) hellos: usize,
     pub(crate) goodbyes: Vec<HostId>,
     /// All events, each once, in order.
     pub(crate) events: Vec<Event>,
-    pub(crate) lives: Vec<LiveUpdate>,
-    /// Mark up to which each stream is stored.
+    pub(crate) live_updates: Vec<LiveUpdate>,
+    /// Mark of each stream.
     marks: HashMap<StreamId, HighWaterMark>,
     /// Streams of the hellos, in this order.
     pub(crate) streams: Vec<StreamId>,
     /// Batches that were reported as missing.
-    pub(crate) missing: Vec<MissingBatches>,
-    /// Streams that ended because the spool was another one at the next hello.
-    pub(crate) replaced: Vec<StreamId>,
-    /// Number of batches that arrived although they were stored.
-    pub(crate) repeated: usize,
+    pub(crate) missing_batches: Vec<MissingBatches>,
+    /// Streams that ended because the next hello of the host named the stream of another spool.
+    pub(crate) replaced_streams: Vec<StreamId>,
+    /// Number of batches that arrived although they were already stored.
+    pub(crate) repeated_batches: usize,
 }
 
 /// A running aggregator, which listens until it is dropped.
@@ -52,11 +52,11 @@ pub(crate) struct Aggregator {
 pub(crate) struct AggregatorBehaviour {
     /// Reason with which hellos are refused.
     pub(crate) refusal: Option<String>,
-    /// Number of a batch after whose storage the aggregator ends without acknowledging it.
+    /// Number of a batch. The aggregator stores this batch, and ends before it acknowledges the batch.
     pub(crate) end_before_ack: Option<u64>,
-    /// `true` if nothing is answered.
+    /// `true` if the aggregator answers no message.
     pub(crate) is_silent: bool,
-    /// Time that each batch takes.
+    /// Time for which the aggregator waits before it handles a batch.
     pub(crate) batch_delay: Option<Duration>,
 }
 
@@ -74,49 +74,51 @@ impl Aggregator {
         let address = bind(&socket, address).await;
         let socket = socket.identity_routing().expect("a router");
         let stop = CancellationToken::new();
-        let (stopped, memory) = (stop.clone(), Arc::clone(&received_events));
+        let (stopped, kept_events) = (stop.clone(), Arc::clone(&received_events));
         let task = tokio::spawn(async move {
-            stopped.run_until_cancelled(serve(&socket, &memory, behaviour)).await;
+            stopped.run_until_cancelled(serve(&socket, &kept_events, behaviour)).await;
             socket.into_inner().close().await.expect("closes");
         });
         Self { address, received_events, stop, task }
     }
 
-    /// Waits until it has ended by itself. What it received is kept.
+    /// Waits until the aggregator has ended by itself. Returns its address and the received events, for a restart.
     pub(crate) async fn wait_for_end(self) -> (String, Arc<watch::Sender<ReceivedEvents>>) {
         tokio::time::timeout(WAIT_TIMEOUT, self.task).await.expect("in time").expect("no panic");
         (self.address, self.received_events)
     }
 
-    /// Ends without a message to the agents. What it received is kept.
+    /// Ends without a message to the agents. Returns the address and the received events, for a restart.
     pub(crate) async fn stop(self) -> (String, Arc<watch::Sender<ReceivedEvents>>) {
         self.stop.cancel();
         self.wait_for_end().await
     }
 
-    /// Starts again at the same address with what was kept.
+    /// Starts an aggregator again at its address, with the events that it had received.
     pub(crate) async fn restart(
         (address, received_events): (String, Arc<watch::Sender<ReceivedEvents>>),
     ) -> Self {
         Self::start_at(&address, received_events, AggregatorBehaviour::default()).await
     }
 
-    /// Waits until what it has received is enough.
-    pub(crate) async fn until(&self, enough: impl FnMut(&ReceivedEvents) -> bool) -> ReceivedEvents {
+    /// Waits until the received events satisfy a condition.
+    pub(crate) async fn until(&self, condition: impl FnMut(&ReceivedEvents) -> bool) -> ReceivedEvents {
         let mut changes = self.received_events.subscribe();
-        match tokio::time::timeout(WAIT_TIMEOUT, changes.wait_for(enough)).await {
+        match tokio::time::timeout(WAIT_TIMEOUT, changes.wait_for(condition)).await {
             Ok(received_events) => received_events.expect("the sender is here").clone(),
-            Err(_) => panic!("never came: {:#?}", self.received_events.borrow().summary()),
+            Err(_) => {
+                panic!("the condition was not met in time: {:#?}", self.received_events.borrow().summary())
+            }
         }
     }
 }
 
 impl ReceivedEvents {
-    pub(crate) fn runs(&self) -> Vec<&RunDescription> {
+    pub(crate) fn run_starts(&self) -> Vec<&RunDescription> {
         self.pick(|event| if let Event::RunStarted(run) = event { Some(run) } else { None })
     }
 
-    pub(crate) fn ended(&self) -> Vec<&RunEnded> {
+    pub(crate) fn run_ends(&self) -> Vec<&RunEnded> {
         self.pick(|event| if let Event::RunEnded(ended) = event { Some(ended) } else { None })
     }
 
@@ -124,7 +126,7 @@ impl ReceivedEvents {
         self.pick(|event| if let Event::Iteration(iteration) = event { Some(iteration) } else { None })
     }
 
-    pub(crate) fn clocks(&self) -> Vec<&ClockSample> {
+    pub(crate) fn clock_samples(&self) -> Vec<&ClockSample> {
         self.pick(|event| if let Event::Clock(sample) = event { Some(sample.as_ref()) } else { None })
     }
 
@@ -153,8 +155,8 @@ impl ReceivedEvents {
     }
 }
 
-/// Binds to an address. The library frees a port a moment after its socket was closed, so this may have to be
-/// repeated.
+/// Binds to an address. The library frees a port a moment after its socket was closed, so binding is repeated until the
+/// port is free.
 async fn bind(socket: &Socket, address: &str) -> String {
     let binding = async {
         loop {
@@ -181,11 +183,11 @@ async fn serve(
         let Ok((peer, message)) = socket.recv_from().await else { return };
         let mut frame = message.part_bytes(0).expect("one frame");
         if let Some(part) = codec::decode_part(&frame) {
-            let Some(whole) = aggregator_state.receiving.handle_part(&part, aggregator_state.clock.mono())
+            let Some(message) = aggregator_state.receiving.handle_part(&part, aggregator_state.clock.mono())
             else {
                 continue;
             };
-            frame = whole;
+            frame = message;
         }
         let head = codec::decode_batch_head(&frame);
         if let (Some(pause), Some(_)) = (aggregator_state.behaviour.batch_delay, head) {
@@ -226,14 +228,16 @@ impl AggregatorState {
         }
         let now = self.clock.mono();
         match head {
-            Some(head) => self.batch(received_events, head, frame, now),
-            None => match codec::decode(frame).expect("the agent sends sense") {
+            Some(head) => self.answer_batch(received_events, head, frame, now),
+            None => match codec::decode(frame).expect("the agent sends valid messages") {
                 // This aggregator accepts every hello without a proof.
-                ToAggregator::Hello(hello) => self.hello(received_events, &hello, now),
-                ToAggregator::Proof(proof) => panic!("nobody asked for {proof:?}"),
+                ToAggregator::Hello(hello) => self.answer_hello(received_events, &hello, now),
+                ToAggregator::Proof(proof) => {
+                    panic!("the aggregator requested no proof, but received {proof:?}")
+                }
                 ToAggregator::Live(update) => {
                     let reply = self.receiving.handle_live(update.host, now);
-                    received_events.lives.push(update);
+                    received_events.live_updates.push(update);
                     reply.into_iter().collect()
                 }
                 ToAggregator::Echo { host, bytes } => vec![self.receiving.handle_echo(host, bytes, now)],
@@ -246,25 +250,30 @@ impl AggregatorState {
         }
     }
 
-    fn hello(&mut self, received_events: &mut ReceivedEvents, hello: &Hello, now: MonoTime) -> Vec<ToAgent> {
+    fn answer_hello(
+        &mut self,
+        received_events: &mut ReceivedEvents,
+        hello: &Hello,
+        now: MonoTime,
+    ) -> Vec<ToAgent> {
         received_events.hellos += 1;
         if let Some(reason) = &self.behaviour.refusal {
             return vec![ToAgent::Refused { reason: reason.clone() }];
         }
         let mark_of = |stream| received_events.marks.get(&stream).copied();
-        let known = StreamRecord {
+        let record = StreamRecord {
             mark: mark_of(hello.stream),
             was_used: received_events.streams.contains(&hello.stream),
             last_stream: received_events.streams.last().copied(),
             previous_mark: hello.previous_stream.and_then(mark_of),
             seniority: None,
         };
-        match self.receiving.handle_hello(hello, known, now) {
+        match self.receiving.handle_hello(hello, record, now) {
             HelloResult::Welcome { reply, missing, replaced, .. } => {
                 received_events.streams.push(hello.stream);
-                received_events.replaced.extend(replaced);
+                received_events.replaced_streams.extend(replaced);
                 let stored = missing.and_then(|missing| {
-                    received_events.missing.push(missing);
+                    received_events.missing_batches.push(missing);
                     self.store(received_events, missing.stream, missing.into())
                 });
                 std::iter::once(reply).chain(stored).collect()
@@ -274,26 +283,26 @@ impl AggregatorState {
         }
     }
 
-    fn batch(
+    fn answer_batch(
         &mut self,
         received_events: &mut ReceivedEvents,
         head: BatchHead,
         frame: &Bytes,
         now: MonoTime,
     ) -> Vec<ToAgent> {
-        let body = codec::decode_batch_body(Bytes::clone(frame)).expect("whole");
+        let body = codec::decode_batch_body(Bytes::clone(frame)).expect("a whole batch");
         match self.receiving.handle_batch(&head, true, now) {
             Arrival::Accept => {
                 received_events.events.extend(codec::decode_events(&body, head.events).expect("events"));
                 self.store(received_events, head.stream, head.into()).into_iter().collect()
             }
             Arrival::Duplicate(reply) => {
-                received_events.repeated += 1;
+                received_events.repeated_batches += 1;
                 vec![reply]
             }
             Arrival::Rejected(reply) => reply.into_iter().collect(),
             Arrival::Unknown(reply) => vec![reply],
-            Arrival::Pending | Arrival::AcceptDamaged => panic!("all is whole and stored at once"),
+            Arrival::Pending | Arrival::AcceptDamaged => panic!("every batch is intact and stored at once"),
         }
     }
 

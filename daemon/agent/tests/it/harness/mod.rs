@@ -4,7 +4,7 @@ mod agent;
 mod aggregator;
 mod switchable_clock;
 
-pub(crate) use agent::{State, TestAgent, clock, config, faulty_clock};
+pub(crate) use agent::{StateDir, TestAgent, clock, config, faulty_clock};
 pub(crate) use aggregator::{Aggregator, AggregatorBehaviour, ReceivedEvents};
 pub(crate) use switchable_clock::SwitchableClock;
 
@@ -27,9 +27,9 @@ pub(crate) fn value(tree: &Tree, name: &str) -> Option<f64> {
 pub(crate) fn assert_adds_up(iteration: &Iteration) {
     let tree = &iteration.tree;
     let all = ["total", "stages-total", "unattributed"].map(|name| value(tree, name));
-    let [Some(total), Some(stages), Some(rest)] = all else { panic!("{all:?} in {tree:?}") };
-    assert!((total - stages - rest).abs() < 1e-8, "{total} ≠ {stages} + {rest}");
-    assert!(stages > 0.0 && rest >= 0.0, "{stages} + {rest}");
+    let [Some(total), Some(stages_total), Some(unattributed)] = all else { panic!("{all:?} in {tree:?}") };
+    assert!((total - stages_total - unattributed).abs() < 1e-8, "{total} ≠ {stages_total} + {unattributed}");
+    assert!(stages_total > 0.0 && unattributed >= 0.0, "{stages_total} + {unattributed}");
 }
 
 /// Asserts that iterations are numbered from 1 without gaps, in whatever order they ended.

@@ -1,4 +1,4 @@
-//! A clock fault that begins when the test wants it, so that nothing depends on the speed of the machine.
+//! A clock whose faults begin when a test injects them, so that no test depends on the speed of the machine.
 
 use std::sync::OnceLock;
 
@@ -21,11 +21,11 @@ impl SwitchableClock {
     /// Injects faults from now on.
     pub(crate) fn inject(&self, faults: ClockFaults) {
         let identity = self.true_clock.identity().clone();
-        let wrong = FaultyClock::new(SharedClock::clone(&self.true_clock), identity, faults);
-        self.faulty_clock.set(wrong).expect("once");
+        let faulty_clock = FaultyClock::new(SharedClock::clone(&self.true_clock), identity, faults);
+        self.faulty_clock.set(faulty_clock).expect("faults are injected once");
     }
 
-    fn now(&self) -> &dyn Clock {
+    fn current(&self) -> &dyn Clock {
         match self.faulty_clock.get() {
             Some(faulty_clock) => faulty_clock,
             None => &*self.true_clock,
@@ -35,7 +35,7 @@ impl SwitchableClock {
 
 impl Clock for SwitchableClock {
     fn wall(&self) -> WallTime {
-        self.now().wall()
+        self.current().wall()
     }
 
     fn mono(&self) -> MonoTime {
@@ -43,7 +43,7 @@ impl Clock for SwitchableClock {
     }
 
     fn raw(&self) -> RawTime {
-        self.now().raw()
+        self.current().raw()
     }
 
     fn identity(&self) -> &ClockIdentity {
@@ -51,34 +51,34 @@ impl Clock for SwitchableClock {
     }
 
     fn readings(&self) -> Readings {
-        self.now().readings()
+        self.current().readings()
     }
 
     fn epoch(&self) -> u32 {
-        self.now().epoch()
+        self.current().epoch()
     }
 
     fn begin_epoch(&self) {
-        self.now().begin_epoch();
+        self.current().begin_epoch();
     }
 
     fn wall_epoch(&self) -> u32 {
-        self.now().wall_epoch()
+        self.current().wall_epoch()
     }
 
     fn begin_wall_epoch(&self) {
-        self.now().begin_wall_epoch();
+        self.current().begin_wall_epoch();
     }
 
     fn last_step(&self) -> Option<Span> {
-        self.now().last_step()
+        self.current().last_step()
     }
 
     fn apply_faults(&self, system: WallTime) -> WallTime {
-        self.now().apply_faults(system)
+        self.current().apply_faults(system)
     }
 
     fn injected_faults(&self) -> Option<&ClockFaults> {
-        self.now().injected_faults()
+        self.current().injected_faults()
     }
 }

@@ -1,4 +1,4 @@
-//! Tests of agents that die, and of their successors that deliver what they left.
+//! Tests of agents that end, and of the next agents, which deliver the events that are still in the spool.
 
 use std::time::Duration;
 
@@ -21,15 +21,15 @@ async fn spool_of_killed_agent_is_delivered_exactly_once() {
     let account = agent.until(|live| live.accounting.spooled >= 200).await.accounting;
     let file = agent.spool();
     let state = agent.crash().await;
-    let left = spooled_events(&file).await;
-    assert!(left.len() as u64 >= account.spooled, "{} < {}", left.len(), account.spooled);
+    let left_events = spooled_events(&file).await;
+    assert!(left_events.len() as u64 >= account.spooled, "{} < {}", left_events.len(), account.spooled);
 
-    // It crashes once more while it delivers.
+    // The next agent crashes while it delivers the events.
     let agent = TestAgent::start_in(state, &address, idle_config()).await;
     let restarted = agent.running.live_update().accounting;
     assert_eq!(
-        (restarted.spooled, restarted.waiting >= left.len() as u64),
-        (left.len() as u64, true),
+        (restarted.spooled, restarted.waiting >= left_events.len() as u64),
+        (left_events.len() as u64, true),
         "{restarted:?}"
     );
     let aggregator = Aggregator::restart((address, received_events)).await;
@@ -37,8 +37,8 @@ async fn spool_of_killed_agent_is_delivered_exactly_once() {
     let state = agent.crash().await;
     let agent = TestAgent::start_in(state, &aggregator.address, idle_config()).await;
     let received_events =
-        aggregator.until(|received_events| received_events.events.len() >= left.len()).await;
-    assert_eq!(received_events.events[..left.len()], left);
+        aggregator.until(|received_events| received_events.events.len() >= left_events.len()).await;
+    assert_eq!(received_events.events[..left_events.len()], left_events);
     assert_contiguous(&received_events.iterations());
     let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
     // Events that had not reached the spool are counted as lost.
@@ -46,10 +46,10 @@ async fn spool_of_killed_agent_is_delivered_exactly_once() {
 
     assert!(
         received_events.streams.iter().all(|stream| *stream == received_events.streams[0]),
-        "one stream: {:?}",
+        "all hellos name one stream: {:?}",
         received_events.streams
     );
-    assert!(received_events.missing.is_empty() && received_events.replaced.is_empty());
+    assert!(received_events.missing_batches.is_empty() && received_events.replaced_streams.is_empty());
     assert_eq!(agent.running.live_update().host, host);
     agent.stop().await.expect("stops well");
 }
@@ -64,19 +64,20 @@ async fn stop_without_aggregator_keeps_events_in_spool() {
     agent.until_state(|state| *state == PipelineState::Running).await;
     agent.until(|live| live.accounting.produced >= 100).await;
     let file = agent.spool();
-    // It stops at once, because there is nothing to wait for.
+    // The agent stops at once, because no aggregator is there to wait for.
     let stopping = tokio::time::timeout(Duration::from_secs(20), agent.stop_and_keep()).await;
     let state = stopping.expect("does not wait for the aggregator").expect("stops well");
-    let left = spooled_events(&file).await;
+    let left_events = spooled_events(&file).await;
     assert!(
-        left.iter()
+        left_events
+            .iter()
             .any(|event| matches!(event, Event::RunEnded(ended) if ended.reason == EndReason::Stopped))
     );
 
     let aggregator = Aggregator::restart((address, received_events)).await;
     let agent = TestAgent::start_in(state, &aggregator.address, idle_config()).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
-    assert_eq!(received_events.events[..left.len()], left);
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
+    assert_eq!(received_events.events[..left_events.len()], left_events);
     assert_contiguous(&received_events.iterations());
     let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
     assert_eq!((account.dropped, account.produced), (0, account.stored));
@@ -91,7 +92,8 @@ async fn undelivered_events_are_sent_after_next_start() {
     let mut config = pipeline("load = { mode = 'rate', hz = 1000.0 }\nmax_in_flight = 64");
     config.agent.stop_timeout_ms = 1000;
     config.agent.batch_nodes = std::num::NonZeroUsize::new(50).expect("not zero");
-    // Few events are in flight; otherwise the aggregator would store them all while the goodbye waits behind them.
+    // Batches are small, so few events are in flight. Otherwise the aggregator would store all events before it
+    // receives the goodbye.
     config.agent.batch_bytes = std::num::NonZeroUsize::new(4096).expect("not zero");
     config.agent.batch_delay_ms = 10;
     let agent = TestAgent::start_in(state(), &aggregator.address, config).await;
@@ -99,14 +101,14 @@ async fn undelivered_events_are_sent_after_next_start() {
     let before = agent.running.live_update().accounting.stored;
     let state = agent.stop_and_keep().await.expect("stops well");
     let received_events = aggregator.until(|received_events| !received_events.goodbyes.is_empty()).await;
-    assert!(received_events.events.len() as u64 > before, "some was handed over while it stopped");
-    assert!(received_events.ended().is_empty(), "and not all");
+    assert!(received_events.events.len() as u64 > before, "some events were sent while the agent stopped");
+    assert!(received_events.run_ends().is_empty(), "not all events were sent");
 
     let aggregator = Aggregator::restart(aggregator.stop().await).await;
     let agent = TestAgent::start_in(state, &aggregator.address, idle_config()).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     assert_contiguous(&received_events.iterations());
-    assert_eq!((received_events.ended()[0].reason.as_str(), received_events.gaps().len()), ("stopped", 0));
+    assert_eq!((received_events.run_ends()[0].reason.as_str(), received_events.gaps().len()), ("stopped", 0));
     agent.stop().await.expect("stops well");
 }
 
@@ -119,7 +121,8 @@ async fn intact_batches_of_damaged_spool_are_stored_once() {
     agent.until(|live| live.accounting.produced >= 200).await;
     let file = agent.spool();
     let state = agent.stop_and_keep().await.expect("stops well");
-    // A memory card loses a batch in the middle, and the agent has noticed.
+    // The test damages a batch in the middle, as a worn memory card does. The file `spool.sqlite-condemned` says that
+    // the agent has noticed the damage.
     let mut connection = SqliteConnectOptions::new().filename(&file).connect().await.expect("opens");
     let (batches, damaged): (i64, i64) = sqlx::query_as("SELECT COUNT(*), COUNT(*) / 2 FROM batch")
         .fetch_one(&mut connection)
@@ -143,11 +146,11 @@ async fn intact_batches_of_damaged_spool_are_stored_once() {
     let received_events =
         aggregator.until(|received_events| !received_events.incidents(IncidentKind::Gap).is_empty()).await;
     let text = &received_events.incidents(IncidentKind::Gap)[0].text;
-    let parts = [
+    let expected = [
         format!("a new spool has the {} batches before the damage, with {intact} events", damaged - 1),
         format!("{} batches from the damage on, with at least ", batches - damaged + 1),
     ];
-    assert!(parts.iter().all(|part| text.contains(part)), "{parts:?}: {text}");
+    assert!(expected.iter().all(|words| text.contains(words)), "{expected:?}: {text}");
     let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
     assert_eq!(account.produced, account.stored + account.dropped, "{account:?}");
     let state = agent.stop_and_keep().await.expect("stops well");
@@ -159,9 +162,9 @@ async fn intact_batches_of_damaged_spool_are_stored_once() {
     let iterations = received_events.iterations();
     assert_contiguous(&iterations);
     assert!(
-        !iterations.is_empty() && received_events.repeated == 0,
-        "{} batches were stored twice",
-        received_events.repeated
+        !iterations.is_empty() && received_events.repeated_batches == 0,
+        "{} batches were sent twice",
+        received_events.repeated_batches
     );
-    assert!(received_events.streams.windows(2).all(|pair| pair[0] == pair[1]), "one stream");
+    assert!(received_events.streams.windows(2).all(|pair| pair[0] == pair[1]), "all hellos name one stream");
 }

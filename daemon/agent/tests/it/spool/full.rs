@@ -23,19 +23,23 @@ async fn newest_events_are_dropped_counted_and_replaced_by_gap() {
     let before = received_events.iterations().len();
     aggregator.until(|received_events| received_events.iterations().len() > before + 100).await;
     let state = agent.stop_and_keep().await.expect("stops well");
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
-    let run = received_events.runs()[0].run;
-    let all: u64 = received_events.gaps().iter().map(|gap| gap.count).sum();
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
+    let run = received_events.run_starts()[0].run;
+    let all_missing: u64 = received_events.gaps().iter().map(|gap| gap.count).sum();
     let of_run = |gap: &&&Gap| gap.run == Some(run);
     let missing: u64 = received_events.gaps().iter().filter(of_run).map(|gap| gap.count).sum();
     let numbers: Vec<u64> = received_events.iterations().iter().map(|iteration| iteration.number).collect();
     let newest = received_events.iterations().into_iter().max_by_key(|iteration| iteration.number);
-    let newest = newest.expect("there are some");
+    let newest = newest.expect("iterations were stored");
     // The spool may be full again when the agent stops: nothing is stored after that gap.
     let began = newest.tree.wall_start(&newest.tree.nodes()[0]).expect("the root has a start");
     let after_newest = |gap: &&&Gap| of_run(gap) && gap.from > began;
     let later: u64 = received_events.gaps().iter().filter(after_newest).map(|gap| gap.count).sum();
-    assert_eq!(numbers.len() as u64 + missing, newest.number + later, "each is there or in a gap");
+    assert_eq!(
+        numbers.len() as u64 + missing,
+        newest.number + later,
+        "each iteration is stored or counted in a gap"
+    );
     for gap in received_events.gaps().iter().filter(of_run) {
         assert_eq!(gap.pipeline.as_ref().map(Slug::as_str), Some("line"));
         assert!(gap.from <= gap.to && !gap.reason.is_empty());
@@ -44,11 +48,14 @@ async fn newest_events_are_dropped_counted_and_replaced_by_gap() {
     // The counts are kept over a restart.
     let agent =
         TestAgent::start_in(state, &aggregator.address, pipeline("limit = { iterations = 50 }")).await;
-    let received_events = aggregator.until(|received_events| received_events.ended().len() == 2).await;
-    let second = received_events.ended()[1].run;
-    assert_eq!(received_events.iterations().iter().filter(|iteration| iteration.run == second).count(), 50);
+    let received_events = aggregator.until(|received_events| received_events.run_ends().len() == 2).await;
+    let second_run = received_events.run_ends()[1].run;
+    assert_eq!(
+        received_events.iterations().iter().filter(|iteration| iteration.run == second_run).count(),
+        50
+    );
     let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
-    assert_eq!((account.dropped, account.gaps), (all, received_events.gaps().len() as u64));
+    assert_eq!((account.dropped, account.gaps), (all_missing, received_events.gaps().len() as u64));
     assert_eq!(account.produced, account.stored + account.dropped);
     agent.stop().await.expect("stops well");
 }

@@ -11,19 +11,19 @@ async fn deleted_spool_begins_new_stream() {
     let aggregator = Aggregator::start().await;
     let agent =
         TestAgent::start_in(state(), &aggregator.address, pipeline("limit = { iterations = 20 }")).await;
-    aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     let file = agent.spool();
     let state = agent.stop_and_keep().await.expect("stops well");
     std::fs::remove_file(file).expect("removed");
     let agent =
         TestAgent::start_in(state, &aggregator.address, pipeline("limit = { iterations = 20 }")).await;
-    let received_events = aggregator.until(|received_events| received_events.ended().len() == 2).await;
+    let received_events = aggregator.until(|received_events| received_events.run_ends().len() == 2).await;
     assert_eq!(received_events.iterations().len(), 40);
     assert_ne!(received_events.streams.first(), received_events.streams.last());
     assert_eq!(
-        received_events.replaced,
+        received_events.replaced_streams,
         received_events.streams[..1],
-        "the aggregator sees that it was replaced"
+        "the aggregator sees that the stream was replaced"
     );
     agent.stop().await.expect("stops well");
 }
@@ -35,13 +35,16 @@ async fn damaged_spool_is_quarantined_and_measuring_starts() {
     std::fs::write(&file, b"not a database".repeat(100)).expect("written");
     let agent =
         TestAgent::start_in(state, &aggregator.address, pipeline("limit = { iterations = 20 }")).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     assert_eq!(received_events.iterations().len(), 20);
     let reported = received_events.incidents(IncidentKind::Gap);
     assert_eq!(reported.len(), 1, "{reported:?}");
-    let (_, kept) = reported[0].text.split_once("moved to ").expect("says where");
-    let (kept, _) = kept.split_once(',').expect("says more");
-    assert!(std::fs::read(kept).expect("kept").starts_with(b"not a database"), "{kept}");
+    let (_, quarantined) = reported[0].text.split_once("moved to ").expect("the text names the new path");
+    let (quarantined, _) = quarantined.split_once(',').expect("a comma follows the path");
+    assert!(
+        std::fs::read(quarantined).expect("the file is in quarantine").starts_with(b"not a database"),
+        "{quarantined}"
+    );
     agent.stop().await.expect("stops well");
 }
 
@@ -53,12 +56,12 @@ async fn two_agents_cannot_use_one_spool() {
     let first = TestAgent::start_in(state(), &aggregator.address, config.clone()).await;
     let start =
         |config| TestAgent::try_start(clock("system"), "other", Some(&aggregator.address), config, state());
-    let refused = start(config.clone()).await.err().expect("the first has it");
+    let refused = start(config.clone()).await.err().expect("the first agent has locked the spool");
     assert!(matches!(&refused, StartError::Spool(_)), "{refused}");
     assert!(refused.to_string().contains("another agent uses the spool"), "{refused}");
     first.stop().await.expect("stops well");
-    // The spool holds the events of another host.
-    let refused = start(config).await.err().expect("it is not its own").to_string();
+    // The spool contains the events of another host.
+    let refused = start(config).await.err().expect("the spool belongs to another host").to_string();
     assert!(refused.contains("has events of the host"), "{refused}");
 }
 

@@ -1,4 +1,4 @@
-//! Tests of events on the disk, which survive the agent, its aggregator and failures of the disk.
+//! Tests of spooled events, which survive the end of the agent, an absent aggregator and failures of the disk.
 
 mod crash;
 mod full;
@@ -12,7 +12,7 @@ use peernet_stream::{Event, codec};
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection};
 
-use crate::harness::{Aggregator, State, config};
+use crate::harness::{Aggregator, StateDir, config};
 
 /// Returns a pipeline with small iterations.
 fn pipeline(keys: &str) -> AgentConfig {
@@ -28,7 +28,7 @@ fn idle_config() -> AgentConfig {
     config("")
 }
 
-/// Returns a free address, for an aggregator that starts later.
+/// Returns a free address and the empty received events, for an aggregator that starts later.
 async fn address_without_aggregator()
 -> (String, std::sync::Arc<tokio::sync::watch::Sender<crate::harness::ReceivedEvents>>) {
     Aggregator::start().await.stop().await
@@ -47,7 +47,7 @@ async fn spooled_events(file: &Path) -> Vec<Event> {
     rows.iter().flat_map(events).collect()
 }
 
-/// Returns a folder for an agent and its successors.
-fn state() -> State {
-    State::new(tempfile::tempdir().expect("a folder"))
+/// Returns a state directory for an agent, and for the agents that are started after its end.
+fn state() -> StateDir {
+    StateDir::new(tempfile::tempdir().expect("a folder"))
 }

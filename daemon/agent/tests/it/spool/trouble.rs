@@ -14,10 +14,10 @@ async fn events_are_sent_from_memory_while_file_is_missing() {
     let aggregator = Aggregator::start().await;
     let agent = TestAgent::start_in(state(), &aggregator.address, pipeline(RATE)).await;
     aggregator.until(|received_events| received_events.iterations().len() >= 50).await;
-    let (file, away) = (agent.spool(), agent.spool().with_extension("away"));
-    std::fs::rename(&file, &away).expect("moved");
+    let (file, moved_file) = (agent.spool(), agent.spool().with_extension("away"));
+    std::fs::rename(&file, &moved_file).expect("moved");
     let trouble = agent.until(|live| live.accounting.trouble.is_some()).await.accounting.trouble;
-    assert!(trouble.as_ref().is_some_and(|words| words.contains("moved")), "{trouble:?}");
+    assert!(trouble.as_ref().is_some_and(|text| text.contains("moved")), "{trouble:?}");
     let received_events =
         aggregator.until(|received_events| !received_events.incidents(IncidentKind::Gap).is_empty()).await;
     let reported = &received_events.incidents(IncidentKind::Gap)[0].text;
@@ -25,24 +25,24 @@ async fn events_are_sent_from_memory_while_file_is_missing() {
     let before = received_events.iterations().len();
     aggregator.until(|received_events| received_events.iterations().len() >= before + 100).await;
 
-    std::fs::rename(&away, &file).expect("moved back");
+    std::fs::rename(&moved_file, &file).expect("moved back");
     agent.until(|live| live.accounting.trouble.is_none()).await;
     let before = aggregator.until(|_| true).await.iterations().len();
     aggregator.until(|received_events| received_events.iterations().len() >= before + 50).await;
     let state = agent.stop_and_keep().await.expect("stops well");
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     assert_contiguous(&received_events.iterations());
     assert_eq!(
         (received_events.gaps().len(), received_events.incidents(IncidentKind::Gap).len()),
         (0, 2),
-        "failed, recovered"
+        "one incident reports the failure, the other the recovery"
     );
 
     // The file is consistent with the batches that were sent from memory.
     let agent =
         TestAgent::start_in(state, &aggregator.address, pipeline("limit = { iterations = 20 }")).await;
-    let received_events = aggregator.until(|received_events| received_events.ended().len() == 2).await;
-    assert!(received_events.missing.is_empty() && received_events.replaced.is_empty());
+    let received_events = aggregator.until(|received_events| received_events.run_ends().len() == 2).await;
+    assert!(received_events.missing_batches.is_empty() && received_events.replaced_streams.is_empty());
     assert!(received_events.streams.iter().all(|stream| *stream == received_events.streams[0]));
     let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
     assert_eq!((account.dropped, account.produced), (0, account.stored));
@@ -56,13 +56,13 @@ async fn events_beyond_memory_are_counted_without_file_and_aggregator() {
         pipeline("limit = { iterations = 5000 }\nload = { mode = 'rate', hz = 5000.0 }\nmax_in_flight = 64");
     config.agent.queue_events = NonZeroUsize::new(500).expect("not zero");
     let agent = TestAgent::start_in(state(), &address, config).await;
-    let (file, away) = (agent.spool(), agent.spool().with_extension("away"));
-    std::fs::rename(&file, &away).expect("moved");
+    let (file, moved_file) = (agent.spool(), agent.spool().with_extension("away"));
+    std::fs::rename(&file, &moved_file).expect("moved");
     agent.until(|live| live.accounting.trouble.is_some() && live.accounting.dropped > 500).await;
-    std::fs::rename(&away, &file).expect("moved back");
+    std::fs::rename(&moved_file, &file).expect("moved back");
     agent.until_state(|state| *state == PipelineState::Finished).await;
     let aggregator = Aggregator::restart((address, received_events)).await;
-    let received_events = aggregator.until(|received_events| !received_events.ended().is_empty()).await;
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
     assert_eq!((account.produced, account.trouble), (account.stored + account.dropped, None));
     drop(received_events);
@@ -70,7 +70,7 @@ async fn events_beyond_memory_are_counted_without_file_and_aggregator() {
         aggregator.until(|received_events| received_events.events.len() as u64 == account.stored).await;
     let missing: u64 = received_events.gaps().iter().map(|gap| gap.count).sum();
     assert_eq!(missing, account.dropped);
-    // Iterations whose start was skipped have no event of their own.
+    // Skipped starts have no event.
     let skipped = |it: &&Iteration| value(&it.tree, "skipped-starts");
     let skipped: f64 = received_events.iterations().iter().filter_map(skipped).sum();
     assert!(received_events.iterations().len() as u64 + missing + skipped as u64 >= 5000 - 64);
@@ -84,19 +84,19 @@ async fn stop_without_file_and_aggregator_ends_at_deadline() {
     config.agent.stop_timeout_ms = 600;
     let agent = TestAgent::start_in(state(), &address, config).await;
     agent.until(|live| live.accounting.spooled >= 100).await;
-    let (file, away) = (agent.spool(), agent.spool().with_extension("away"));
-    std::fs::rename(&file, &away).expect("moved");
-    let safe = agent.until(|live| live.accounting.trouble.is_some()).await.accounting.spooled;
+    let (file, moved_file) = (agent.spool(), agent.spool().with_extension("away"));
+    std::fs::rename(&file, &moved_file).expect("moved");
+    let spooled = agent.until(|live| live.accounting.trouble.is_some()).await.accounting.spooled;
     let state = agent.stop_and_keep().await.expect("stops well");
-    std::fs::rename(&away, &file).expect("moved back");
+    std::fs::rename(&moved_file, &file).expect("moved back");
 
     let aggregator = Aggregator::restart((address, received_events)).await;
     let agent = TestAgent::start_in(state, &aggregator.address, idle_config()).await;
     let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
     let received_events =
         aggregator.until(|received_events| received_events.events.len() as u64 == account.stored).await;
-    assert!(account.stored >= safe, "{account:?}");
+    assert!(account.stored >= spooled, "{account:?}");
     assert_contiguous(&received_events.iterations());
-    assert!(received_events.ended().is_empty(), "the end of the run was in memory only");
+    assert!(received_events.run_ends().is_empty(), "the end of the run was in memory only");
     agent.stop().await.expect("stops well");
 }
