@@ -150,7 +150,7 @@ async fn start(
     let events = EventSinks { event_queue, incidents, runs: Runs::default() };
     let io = IoThreads::start(config.agent.io_threads).map_err(StartError::Threads)?;
     // The ports are opened within the runtime of the I/O threads, because a socket belongs to the runtime that opened
-    // it.
+    // the socket.
     let endpoints = io.with_context(ServeEndpoints::open(&config, &probes, &host)).await?;
     let serve_addresses = endpoints.as_ref().map(ServeEndpoints::addresses).unwrap_or_default();
     for address in &serve_addresses {
@@ -198,7 +198,7 @@ async fn start(
             watch_outbox(&mut tasks, &outbox);
             Some(outbox)
         }
-        // Without `[agent] aggregator` there is no receiver, no spool and no secret.
+        // Without `[agent] aggregator` there is no receiver, no spool and no secret, and nothing is sent.
         _ => None,
     };
     tracing::info!(host = %host.name, id = %host.id, "the agent has started");
@@ -283,7 +283,7 @@ impl RunningAgent {
     }
 
     /// Returns the description of the host for the aggregator. Reads the hardware of the host and the folders of
-    /// models, so this is too slow to be called once a second.
+    /// models. This is too slow for calls once a second.
     pub fn description(&self) -> HostDescription {
         describe_host(&self.host, &self.bank, &self.serve_addresses)
     }
@@ -343,6 +343,7 @@ impl RunningAgent {
     /// When a task ended before it was stopped.
     pub async fn join(self) -> Result<(), Failure> {
         let Self { bank, stoppable, .. } = self;
+        // The I/O threads and the lock of the state directory stay alive until this function returns.
         let StoppableParts { tasks, outbox, io: _io, stop_timeout, _state } = stoppable;
         let stop = tasks.stop_token();
         let stop_request = stop.clone();

@@ -50,7 +50,7 @@ fn read_key(folder: &Path) -> Result<Option<[u8; KEY_BYTES]>, IdentityError> {
     let path = folder.join(FILE_NAME);
     let invalid_key = || {
         let reason =
-            "it is not a key of 64 hexadecimal digits; remove it, and the next start creates a new one";
+            "it is not a key of 64 hexadecimal digits; remove the file, and the next start creates a new key";
         cannot("use", &path)(io::Error::new(io::ErrorKind::InvalidData, reason))
     };
     match fs::read_to_string(&path) {
@@ -102,6 +102,6 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         fs::write(folder.path().join(FILE_NAME), "hunter2").expect("writable");
         let error = argument_key(folder.path()).expect_err("the file contains no key").to_string();
-        assert!(error.contains("remove it") && !error.contains("hunter2"), "{error}");
+        assert!(error.contains("remove the file") && !error.contains("hunter2"), "{error}");
     }
 }

@@ -51,7 +51,7 @@ const MAX_RUN_S: f64 = 365.0 * 86_400.0;
 pub struct Problem {
     /// Path of the key, such as `pipeline[1].placement.model`; indices count from 0.
     pub key: String,
-    /// Text that says what is wrong and what to do about it.
+    /// Text that says what is wrong, and what to do.
     pub text: String,
 }
 
@@ -210,7 +210,7 @@ fn check_serve(report: &mut Report, serve: &ServeConfig, offers_nothing: bool) {
 /// Checks that this host can listen at an address.
 fn check_listen(report: &mut Report, address: &Address) {
     // A port in use is not a problem, because the agent with this configuration may be running. The start of an agent
-    // reports it.
+    // reports a port that another program uses.
     if let Err(error) = address.network().try_bind(address)
         && error.kind() != io::ErrorKind::AddrInUse
     {
@@ -283,6 +283,7 @@ fn check_pipeline(
     if let Some(hz) = pipeline.load.hz()
         && !(hz * MAX_RUN_S >= 1.0 && hz <= 100_000.0)
     {
+        // The debug format shows 1e-300 as such; the normal format would print 300 zeros.
         report.add(
             format!("{prefix}.load.hz"),
             format!("{hz:?} is not a rate of at least one start a year and at most 100000 per second"),
@@ -308,7 +309,7 @@ fn check_pipeline(
     }
     let warm_up = &pipeline.warm_up;
     if pipeline.episode_steps.is_none() && (warm_up.episodes > 0 || warm_up.steps > 0) {
-        let text = "episodes and steps need episode_steps; set it, or use iterations instead";
+        let text = "episodes and steps need episode_steps; set episode_steps, or use iterations instead";
         report.add(format!("{prefix}.warm_up"), text);
     }
 }
@@ -365,6 +366,7 @@ fn check_writable(folder: &Path, key: &'static str) -> Result<(), FolderError> {
     if !existing.is_dir() {
         return Err(FolderError::NotAFolder { path: existing.to_owned(), key });
     }
+    // Creating a file in a folder needs permission both to write to the folder and to enter it.
     access(existing, Access::WRITE_OK | Access::EXEC_OK).map_err(|error| FolderError::NotWritable {
         path: existing.to_owned(),
         key,

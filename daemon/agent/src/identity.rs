@@ -187,10 +187,10 @@ mod tests {
     #[test]
     fn second_agent_cannot_lock_folder() {
         let folder = tempfile::tempdir().expect("a folder");
-        let first = StateLock::acquire(folder.path()).expect("the folder is free");
+        let lock_of_first_agent = StateLock::acquire(folder.path()).expect("the folder is free");
         let error = StateLock::acquire(folder.path()).expect_err("the folder is locked").to_string();
         assert!(error.contains("another agent uses"), "{error}");
-        drop(first);
+        drop(lock_of_first_agent);
         StateLock::acquire(folder.path()).expect("the folder is free again");
     }
 

@@ -21,7 +21,7 @@ pub(super) fn check_spool(report: &mut Report, config: &AgentConfig) {
         report.add("spool.limit_bytes", format!("{limit} is too small; at least {MIN_LIMIT_BYTES}"));
     } else if limit < 4 * batch {
         let text = format!(
-            "{limit} is too small: the spool must have space for four batches, {} bytes; raise it or lower agent.batch_bytes",
+            "{limit} is too small: the spool must have space for four batches, {} bytes; raise spool.limit_bytes or lower agent.batch_bytes",
             4 * batch
         );
         report.add("spool.limit_bytes", text);

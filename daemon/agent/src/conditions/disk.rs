@@ -27,6 +27,7 @@ pub(super) fn free_space_of(purpose: &str, folder: &Path) -> Finding {
             format!("the free space of {} for the {purpose} cannot be read", folder.display()),
         );
     };
+    // `f_bavail` leaves out the blocks that are reserved for the superuser.
     let free = disk.f_bavail.saturating_mul(disk.f_frsize);
     let found = format!("{:.1} GiB for the {purpose}", free as f64 / f64::from(1 << 30));
     let advice = format!("free disk space at {}", folder.display());

@@ -51,7 +51,7 @@ pub(super) fn governor(settings: &InspectionSettings) -> Option<Finding> {
     })
 }
 
-/// Returns whether the limits allow only one frequency, as `jetson_clocks` sets them.
+/// Returns whether the limits allow a single frequency, as after `jetson_clocks`.
 fn is_fixed(folder: &Path) -> bool {
     let limit = |name: &str| read_value::<u64>(&folder.join(name));
     matches!((limit("scaling_min_freq"), limit("scaling_max_freq")), (Some(min), Some(max)) if min == max)

@@ -11,7 +11,7 @@ const ABOUT: &str = "thermal throttling";
 const COOLING_ADVICE: &str = "cool the host or lower its load, wait, and repeat the run";
 const OBSERVING_ADVICE: &str = "compare the halves of the run to find out whether the host is throttled during the run as well, and \
                                 improve the cooling";
-/// Distance below a trip point within which a temperature counts as near it, °C.
+/// Distance below a trip point within which a temperature counts as near the trip point, °C.
 const TRIP_POINT_MARGIN_CELSIUS: f64 = 5.0;
 /// Prefixes of the types of cooling devices that slow down processors or GPUs, on x86, Arm and Jetson.
 const THROTTLING_DEVICES: [&str; 6] =
@@ -51,7 +51,7 @@ fn active_cooling_devices(sys: &Path) -> Option<Vec<Finding>> {
         }
         let Some(state) = read_value::<i64>(&device.join("cur_state")) else { continue };
         has_devices = true;
-        // The power clamp reports −1 while it is off.
+        // The power clamp reports −1 while the clamp is off.
         if state > 0 && !active.contains(&kind) {
             active.push(kind);
         }
@@ -78,6 +78,7 @@ fn zones_near_trip_point(sys: &Path) -> Option<Vec<Finding>> {
             let temperature_file = path.to_string_lossy().replace("_type", "_temp");
             read_value::<f64>(Path::new(&temperature_file))
                 .map(|millis| millis / 1e3)
+                // A trip point that is not set has a temperature of 0 °C or below.
                 .filter(|celsius| *celsius > 0.0)
         });
         let Some(point) = trip_points.min_by(f64::total_cmp) else { continue };

@@ -33,6 +33,7 @@ pub(super) fn competing_threads(settings: &InspectionSettings) -> Finding {
         let Some(running) = runnable_threads(settings) else {
             return Finding::unknown(ABOUT, "the kernel does not report the number of runnable threads");
         };
+        // The two numbers are read one after the other, so the number of own threads may be the larger one.
         sum += running.saturating_sub(own_threads(settings));
     }
     let other_threads = f64::from(sum) / f64::from(counting_rounds);
@@ -59,8 +60,8 @@ fn runnable_threads(settings: &InspectionSettings) -> Option<u32> {
 fn own_threads(settings: &InspectionSettings) -> u32 {
     let threads = list_entries(&settings.proc.join("self/task"), "").into_iter();
     let is_runnable = |path: &std::path::PathBuf| {
-        // The state follows the name in parentheses. The name itself may contain a parenthesis, so the last
-        // one counts.
+        // The state follows the name in parentheses. The name itself may contain a parenthesis, so the text after the
+        // last parenthesis is used.
         read_text(&path.join("stat")).is_some_and(|stat| {
             stat.rsplit(')').next().is_some_and(|rest| rest.trim_start().starts_with('R'))
         })

@@ -121,6 +121,7 @@ fn container(settings: &InspectionSettings) -> Option<String> {
 /// Returns whether a component of a control group's path is a container of a manager, and not a service of the host
 /// such as `docker.service`.
 fn is_container_of(manager: &str, component: &str) -> bool {
+    // Kubernetes names the group of a container of containerd `cri-containerd-ID.scope`.
     let Some(rest) = component.strip_prefix("cri-").unwrap_or(component).strip_prefix(manager) else {
         return false;
     };

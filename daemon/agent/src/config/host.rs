@@ -21,7 +21,7 @@ pub struct HostConfig {
     /// Default: `/var/lib/peernet/agent`, which the package creates.
     pub state_dir: PathBuf,
     /// Address of the aggregator, to which finished iterations and live statistics are sent: `tcp://host:port`, usually
-    /// port 5550. Without it the agent measures and serves, and nothing is stored.
+    /// port 5550. Without this key the agent measures and serves, and nothing is stored.
     #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "event_stream_address")]
     pub aggregator: Option<Address>,
     /// Name of the clock that this agent reads. Agents of one machine with equal names can prove that they read the

@@ -124,8 +124,8 @@ mod tests {
             let read: ListenAddresses = from_value(written.clone()).expect("addresses");
             assert_eq!((read.count().get(), to_value(&read).expect("writes")), (count, written));
         }
-        let alone: ListenAddresses = from_value(json!(["tcp://a:1"])).expect("an address");
-        assert_eq!(to_value(&alone).expect("writes"), json!("tcp://a:1"));
+        let single_address: ListenAddresses = from_value(json!(["tcp://a:1"])).expect("an address");
+        assert_eq!(to_value(&single_address).expect("writes"), json!("tcp://a:1"));
     }
 
     #[test]

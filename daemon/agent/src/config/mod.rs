@@ -47,7 +47,7 @@ pub struct AgentConfig {
     /// `[clock_fault]`: faults that are injected into the wall clock and the free-running clock, for tests.
     #[serde(default, alias = "rehearsal", skip_serializing_if = "Option::is_none")]
     pub clock_fault: Option<ClockFaultConfig>,
-    /// `[serve]`: addresses at which this host serves its models to peers; without it the host does not serve.
+    /// `[serve]`: addresses at which this host serves its models to peers; without this table the host does not serve.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub serve: Option<ServeConfig>,
     /// `[[model]]`: the models that this host offers to its own pipelines and, with `[serve]`, to its peers.

@@ -12,11 +12,11 @@ use super::ReflectorAddress;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ProbesConfig {
-    /// `true` if peers' probes are answered; only a host with `[serve]` has peers that send them. Default: true.
+    /// `true` if peers' probes are answered; only a host with `[serve]` has peers that send probes. Default: true.
     pub reflect: bool,
     /// `true` if probes are sent to the peers of this host's pipelines. Default: true.
     pub send: bool,
-    /// UDP port for probes, opened at each IP address of `[serve] listen`; peers learn it with their session. Ports
+    /// UDP port for probes, opened at each IP address of `[serve] listen`; peers get the port with their session. Ports
     /// below 1024, such as the standard's 862, need a capability, which the systemd unit grants. A configured port must
     /// be free; 0 selects any free port. Default: 8620, or any free port if 8620 is in use.
     #[serde(skip_serializing_if = "Option::is_none")]

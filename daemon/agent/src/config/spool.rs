@@ -15,8 +15,8 @@ pub struct SpoolConfig {
     /// agent needs a separate file. Default: `spool.sqlite` in `[agent] state_dir`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub file: Option<PathBuf>,
-    /// Maximum number of bytes of events in the file; beyond it the newest events are dropped, counted and reported as
-    /// a gap. The file itself is a few per cent larger. 1 MiB to 1 TiB. Default: 1073741824 (1 GiB).
+    /// Maximum number of bytes of events in the file; beyond this number the newest events are dropped, counted and
+    /// reported as a gap. The file itself is a few per cent larger. 1 MiB to 1 TiB. Default: 1073741824 (1 GiB).
     pub limit_bytes: NonZeroU64,
     /// Interval at which the file is synced to the disk; milliseconds, up to a minute. Events in the spool survive a
     /// crash of the process; a power cut loses at most the events of the last interval. Default: 1000.

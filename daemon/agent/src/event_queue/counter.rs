@@ -13,8 +13,8 @@
 //! spool does not use the file, and a file whose spool was deleted can be removed.
 //!
 //! Batches that were sent while the spool could not be written are also recorded. Only the aggregator knows which of
-//! these batches it stored, so the next process queries the aggregator before it reports a loss (`peernet_stream`,
-//! `unresolved.rs`).
+//! these batches it stored, so the next process queries the aggregator before the process reports a loss
+//! (`peernet_stream`, `unresolved.rs`).
 
 mod abandoned;
 mod owner;
@@ -256,7 +256,7 @@ fn create_file(name: &str) -> io::Result<File> {
 
 /// Opens the file of this name in shared memory, if it belongs to this user.
 fn open_owned_file(name: &str) -> Option<File> {
-    // Opening must not block if another user created a FIFO of this name.
+    // Other users can create files in this folder: opening must not block on a FIFO, and must not follow a link.
     let flags = i32::try_from((OFlags::NOFOLLOW | OFlags::NONBLOCK).bits()).ok()?;
     // The name comes from the spool and may be any path. The last component of a path cannot lead out of the folder.
     let path = Path::new(SHARED_MEMORY).join(Path::new(name).file_name()?);

@@ -214,13 +214,13 @@ mod tests {
 
     #[test]
     fn measurements_before_step_are_not_accepted() {
-        let before = Tracking::parse(BIASED).expect("chronyc printed it");
-        let after = Tracking { measured_at: "1795179453.193074185".to_owned(), ..before.clone() };
+        let old_answer = Tracking::parse(BIASED).expect("chronyc printed it");
+        let new_answer = Tracking { measured_at: "1795179453.193074185".to_owned(), ..old_answer.clone() };
         let mut answer_freshness = AnswerFreshness::new(0);
-        assert!(answer_freshness.accepts(&before, 0));
-        assert!(!answer_freshness.accepts(&before, 1), "the clock was stepped");
-        assert!(!answer_freshness.accepts(&before, 1));
-        assert!(answer_freshness.accepts(&after, 1));
-        assert!(answer_freshness.accepts(&after, 1));
+        assert!(answer_freshness.accepts(&old_answer, 0));
+        assert!(!answer_freshness.accepts(&old_answer, 1), "the clock was stepped");
+        assert!(!answer_freshness.accepts(&old_answer, 1));
+        assert!(answer_freshness.accepts(&new_answer, 1));
+        assert!(answer_freshness.accepts(&new_answer, 1));
     }
 }

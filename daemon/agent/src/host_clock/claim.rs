@@ -6,7 +6,7 @@ use peernet_clock::{ClockClaim, DelaySource, Interval, MonoTime, Span};
 /// of RFC 5905, section 7.2).
 pub(super) const FREQUENCY_TOLERANCE_PPM: f64 = 15.0;
 
-/// Report of one source, such as chrony, about the wall clock.
+/// Report of a source, such as chrony, about the wall clock.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct SourceReport {
     /// The source.

@@ -7,7 +7,7 @@ const BOUND: Span = Span::from_micros(1);
 
 /// Returns a claim that contains the clock's error at `true_time`. Unless the clock is stepped, the claim also contains
 /// the error at any time within `reach` before or after `true_time`.
-// The claim is also used for messages that were stamped before it was made.
+// The claim is also used for messages that were stamped before the claim was made.
 pub(super) fn exact_claim(faults: &ClockFaults, true_time: WallTime, reach: Span) -> ClockClaim {
     let current_error = faults.wall_error_at(true_time);
     let drift = Span::from_nanos((reach.nanos() as f64 * faults.drift_ppm.abs() * 1e-6).ceil() as i64);

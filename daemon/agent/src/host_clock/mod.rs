@@ -126,7 +126,7 @@ pub(crate) async fn run(
             ticks.tick().await;
             let epochs = (clock.wall_epoch(), clock.epoch());
             let summary = sources.query().await;
-            // An answer from before a step says nothing about the clock after it.
+            // An answer from before a step says nothing about the clock after the step.
             if (clock.wall_epoch(), clock.epoch()) == epochs {
                 publish.send_if_modified(|published| {
                     let (epoch, raw_epoch) = epochs;
@@ -149,6 +149,7 @@ pub(crate) async fn run(
 
 fn interval(period: Duration) -> tokio::time::Interval {
     let mut ticks = tokio::time::interval(period);
+    // Ticks that were missed, for example while the host slept, are not made up for.
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     ticks
 }

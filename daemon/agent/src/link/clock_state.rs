@@ -358,6 +358,7 @@ impl LinkClockState {
                     ViolatedLimit::DriftChange => settings.max_drift_change_ppm_per_s,
                 };
                 let violation = self.relation.violated_limit().map(|violation| (violation, limit(violation)));
+                // One update reports one restart at most: the latest report replaces an earlier one.
                 changes.restart = self.reports.report_restart(movement, violation).or(changes.restart.take());
             }
             LearnResult::Jumped(movement) => {

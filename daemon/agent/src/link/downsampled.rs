@@ -54,25 +54,25 @@ mod tests {
 
     #[test]
     fn few_values_are_all_kept() {
-        let mut few = DownsampledValues::default();
-        assert_eq!(few.median(|value: &i32| *value), None);
+        let mut values = DownsampledValues::default();
+        assert_eq!(values.median(|value: &i32| *value), None);
         for value in [9, 1, 5] {
-            few.push(value);
+            values.push(value);
         }
-        assert_eq!(few.median(|value| *value), Some(5));
+        assert_eq!(values.median(|value| *value), Some(5));
     }
 
     #[test]
     fn many_values_are_downsampled_evenly() {
-        let mut many = DownsampledValues::default();
+        let mut values = DownsampledValues::default();
         for value in 0..100_000_i64 {
-            many.push(value);
-            assert!(many.values.len() <= MAX_VALUES);
+            values.push(value);
+            assert!(values.values.len() <= MAX_VALUES);
         }
-        assert!(many.values.len() > MAX_VALUES / 2);
-        let steps: Vec<i64> = many.values.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        assert!(values.values.len() > MAX_VALUES / 2);
+        let steps: Vec<i64> = values.values.windows(2).map(|pair| pair[1] - pair[0]).collect();
         assert!(steps.iter().all(|step| *step == steps[0]), "{steps:?}");
-        let median = many.median(|value| *value).expect("not empty");
+        let median = values.median(|value| *value).expect("not empty");
         assert!((49_000..51_000).contains(&median), "{median}");
     }
 }

@@ -15,8 +15,8 @@ pub(super) const VERSION: u32 = 1;
 /// Maximum number of messages in a request.
 pub(crate) const MAX_KEYS: usize = 256;
 
-/// Longest request or answer in bytes. It is several times the size of [`MAX_KEYS`] keys, and so short that it does not
-/// delay the receiver's other peers.
+/// Longest request or answer in bytes. It is several times the size of [`MAX_KEYS`] keys, and so short that a message
+/// does not delay the receiver's other peers.
 const MAX_MESSAGE_BYTES: usize = 256 << 10;
 
 /// Request for the stamps of messages.

@@ -178,12 +178,12 @@ mod tests {
         for part in ["host rack", "planner", "observing pipelines: detector", "peer_pipeline"] {
             assert!(unknown.contains(part), "{unknown}");
         }
-        let other = refused(&StampRequest::new(slug("detector"), PairBy::Sequence, Vec::new()));
+        let other_pairing = refused(&StampRequest::new(slug("detector"), PairBy::Sequence, Vec::new()));
         for part in ["header.stamp", "sequence number", "pair_by"] {
-            assert!(other.contains(part), "{other}");
+            assert!(other_pairing.contains(part), "{other_pairing}");
         }
-        let many = refused(&StampRequest::new(slug("detector"), PairBy::Stamp, vec![0; MAX_KEYS + 1]));
-        assert!(many.contains("at most 256"), "{many}");
+        let too_many = refused(&StampRequest::new(slug("detector"), PairBy::Stamp, vec![0; MAX_KEYS + 1]));
+        assert!(too_many.contains("at most 256"), "{too_many}");
     }
 
     #[test]

@@ -44,7 +44,7 @@ impl StampRing {
         match self.entries.get(&key) {
             Some(entry) if at - entry.first_received < self.lifetime => {}
             Some(_) => {
-                // A linear search is acceptable, because it is needed only when a recording is played again.
+                // The linear search is acceptable, because only a recording that is played again needs this case.
                 self.keys.retain(|other| *other != key);
                 self.entries.insert(key, new_entry);
                 self.keys.push_back(key);

@@ -104,7 +104,7 @@ pub(crate) async fn prove(
     std::future::pending().await
 }
 
-/// Queries one process.
+/// Sends the queries to one of the connected processes.
 struct Prover<'a, F> {
     proof: Proof,
     clock: &'a SharedClock,

@@ -139,9 +139,9 @@ async fn cloud_continues_without_listener_or_with_full_queue() {
 async fn garbage_and_silence_do_not_hide_the_cloud() {
     let clock = system_clock();
     let socket = listen(&clock);
-    let mut garbage = connect(socket.name()).expect("it listens");
+    let mut garbage = connect(socket.name()).expect("the edge listens");
     garbage.write_all(&[0x55; 4 * ClockAnswer::BYTES]).expect("there is room");
-    let mut silent = connect(socket.name()).expect("it listens");
+    let mut silent = connect(socket.name()).expect("the edge listens");
     let _closed = connect(socket.name()).map(drop);
     let _responder = start_responder(&hello(&clock, Some(socket.name())), 1, &clock).expect("connects");
     let (mut proofs, _task) = start_proving(socket.into_peers(session(1)), clock);
@@ -170,7 +170,7 @@ async fn cloud_closes_connection_after_invalid_query() {
     stream.write_all(&[0x55; ClockQuery::BYTES]).expect("there is room");
     tokio::time::timeout(WAIT_TIMEOUT, responder.answer()).await.expect("the responder ends");
     let mut bytes = Vec::new();
-    assert_eq!(stream.read_to_end(&mut bytes).expect("it is closed"), 0);
+    assert_eq!(stream.read_to_end(&mut bytes).expect("the cloud has closed the connection"), 0);
 }
 
 /// This test takes as long as a proof is valid.
@@ -178,7 +178,7 @@ async fn cloud_closes_connection_after_invalid_query() {
 async fn proof_expires_without_answers_and_is_renewed_by_answers() {
     let clock = system_clock();
     let socket = listen(&clock);
-    let cloud = connect(socket.name()).expect("it listens");
+    let cloud = connect(socket.name()).expect("the edge listens");
     let (mut proofs, _task) = start_proving(socket.into_peers(session(1)), SharedClock::clone(&clock));
     cloud.set_nonblocking(true).expect("a socket");
     let mut cloud = tokio::net::UnixStream::from_std(cloud).expect("a socket");
@@ -193,7 +193,7 @@ async fn proof_expires_without_answers_and_is_renewed_by_answers() {
     assert!(matches!(receive_result(&mut proofs).await, Err(NotProven::Ended(_))));
 }
 
-/// Answers one query as the cloud of the first session does.
+/// Answers one query as the cloud of session 1 does.
 async fn answer(cloud: &mut tokio::net::UnixStream, clock: &SharedClock) {
     let mut query = [0; ClockQuery::BYTES];
     cloud.read_exact(&mut query).await.expect("the edge sends a query");

@@ -311,8 +311,8 @@ impl Server {
     /// opened.
     fn update_reflectors(&self, opening: Option<IpAddr>) {
         for allowed in &self.allowed_probers {
-            let open = self.peers.values().filter_map(|peer| peer.address);
-            allowed.send_replace(open.chain(opening).collect());
+            let open_addresses = self.peers.values().filter_map(|peer| peer.address);
+            allowed.send_replace(open_addresses.chain(opening).collect());
         }
     }
 

@@ -212,7 +212,7 @@ async fn simulation_is_advanced_by_total_of_last_iteration() {
     for pair in iterations.windows(2) {
         let (last, next) = (&pair[0], &pair[1]);
         if (next.episode, next.step) == (2, 2) {
-            let reason = next.outcome.reason().expect("it failed");
+            let reason = next.outcome.reason().expect("the iteration failed");
             let text = "RuntimeError: unstable";
             assert!(
                 reason.starts_with("cannot advance the simulation by ") && reason.contains(text),
@@ -228,7 +228,10 @@ async fn simulation_is_advanced_by_total_of_last_iteration() {
             continue;
         }
         let total = value(&last.tree, "total").expect("a total");
-        assert!((advanced.expect("it advances") - total).abs() < 1e-6, "{advanced:?} after {total}");
+        assert!(
+            (advanced.expect("the simulation was advanced") - total).abs() < 1e-6,
+            "{advanced:?} after {total}"
+        );
         let start = |iteration: &Iteration| iteration.tree.anchors()[0].wall;
         let pause = (start(next) - start(last)).seconds() - total;
         assert!(pause >= 0.05, "advancing, which takes 50 ms, is outside of both iterations: {pause}");
@@ -261,7 +264,7 @@ async fn open_loop_advances_simulation_before_each_sample() {
                     assert_adds_up(next);
                     assert_eq!(next.outcome, Outcome::Ok);
                     let total = value(&last.tree, "total").expect("a total");
-                    let advanced = value(&next.tree, "reward").expect("it advances");
+                    let advanced = value(&next.tree, "reward").expect("the simulation was advanced");
                     assert!((advanced - total).abs() < 1e-6, "{load}: {advanced} after {total}");
                 }
             }
@@ -288,7 +291,7 @@ async fn hanging_actuator_fails_its_iteration_only() {
     let iterations = run("kind = 'echo'", ("Sensor", "Stuck"), keys).await;
     let outcomes: Vec<bool> = iterations.iter().map(|iteration| iteration.outcome == Outcome::Ok).collect();
     assert_eq!(outcomes, [true, false, true]);
-    let reason = iterations[1].outcome.reason().expect("it failed");
+    let reason = iterations[1].outcome.reason().expect("the iteration failed");
     assert!(reason.contains("own::Stuck did not answer within 0.3 s and was killed"), "{reason}");
     assert!(iterations[2].tree.find(&["actuation", "actuation-restart"]).is_some());
     assert_eq!(results(&iterations), [(0, 1.0, 2.0)]);

@@ -40,7 +40,7 @@ async fn each_address_is_served_within_its_own_limits() {
     .await;
     let mut served = cloud.running.served_counts();
     let served = tokio::time::timeout(WAIT_TIMEOUT, served.wait_for(|served| served.sessions == 2)).await;
-    served.expect("in time").expect("it serves");
+    served.expect("in time").expect("the agent serves");
     let live = edge.until(|live| live.links.iter().any(|link| link.latest_sample.probes.answered > 0)).await;
     let [link] = &live.links[..] else { panic!("one pair of hosts, one network: {:?}", live.links) };
     assert_eq!((link.pipelines.len(), link.network().as_str()), (2, "zmq-tcp"));

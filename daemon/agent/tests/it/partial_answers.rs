@@ -74,7 +74,8 @@ async fn oversized_partial_answer_fails_iteration_with_key_and_size() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn timeout_keeps_partial_answers_that_arrived() {
     let iterations = run("Stalling", "timeout_ms = 1500").await;
-    let first = iterations.iter().min_by_key(|iteration| iteration.number).expect("it is recorded");
+    let first =
+        iterations.iter().min_by_key(|iteration| iteration.number).expect("the iterations are recorded");
     let Outcome::Timeout(reason) = &first.outcome else { panic!("{:?}", first.outcome) };
     assert!(reason.contains("after partial answer 3: if it needs longer"), "{reason}");
     assert_eq!(value(&first.tree, "parts"), Some(3.0));

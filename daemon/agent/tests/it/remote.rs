@@ -56,7 +56,7 @@ async fn same_clock_gives_exact_delays() {
         assert_eq!(iteration.tree.anchors().len(), 2, "both hosts are in the tree");
     }
     let run = received_events.run_starts()[0];
-    let serving_cloud = edge.running.serving_cloud(&run.pipeline).expect("it was served");
+    let serving_cloud = edge.running.serving_cloud(&run.pipeline).expect("a cloud served the pipeline");
     assert_eq!((run.version.as_str(), serving_cloud.version.as_str()), (VERSION, VERSION));
     assert_eq!(run.placement.kind, PlacementKind::Remote);
     assert_eq!(run.placement.peer.as_ref().map(peernet_logger::Slug::as_str), Some("cloud"));

@@ -19,7 +19,7 @@ async fn iterations_in_flight_are_finished_before_stop() {
     agent.stop().await.expect("stops well");
     let received_events = aggregator.until(|received_events| !received_events.goodbyes.is_empty()).await;
     assert_eq!(received_events.goodbyes, [host]);
-    let last = received_events.live_updates.last().expect("it sent live states");
+    let last = received_events.live_updates.last().expect("the agent sent live updates");
     assert_eq!(last.pipelines[0].state, peernet_stream::PipelineState::Finished);
     assert_eq!((last.accounting.waiting, last.accounting.stored), (0, last.accounting.produced));
     assert_eq!(received_events.run_ends()[0].reason, EndReason::Stopped);

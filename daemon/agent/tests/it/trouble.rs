@@ -51,7 +51,7 @@ async fn traceback_becomes_reason_of_one_line() {
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
     let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     let iterations = received_events.iterations();
-    let reason = iterations[0].outcome.reason().expect("it failed");
+    let reason = iterations[0].outcome.reason().expect("the iteration failed");
     assert!(reason.contains("out of focus") && reason.contains("in sample"), "{reason}");
     assert!(!reason.contains(char::is_control), "{reason:?}");
     agent.stop().await.expect("stops well");
@@ -179,7 +179,7 @@ async fn timeout_names_cancelled_request_that_holds_the_worker() {
     let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     let mut iterations = received_events.iterations();
     iterations.sort_by_key(|iteration| iteration.number);
-    let reason = |index: usize| iterations[index].outcome.reason().expect("it has no answer");
+    let reason = |index: usize| iterations[index].outcome.reason().expect("the iteration has no answer");
     assert!(reason(0).contains("if it needs longer, raise timeout_ms"), "{}", reason(0));
     let advice = "within 300 ms: it still computes an earlier request, which was cancelled and began ";
     assert!(reason(1).contains(advice), "{}", reason(1));

@@ -93,8 +93,8 @@ async fn each_network_of_pair_has_all_probe_results() {
             sent += sample.probes.sent;
             answered_or_lost += sample.probes.answered + sample.probes.lost;
         }
-        // About a hundred probes are in flight at the end (2 s at 50 Hz). A few were sent in the second before one of the
-        // sessions began.
+        // About a hundred probes are in flight at the end (2 s at 50 Hz). A few probes were sent in the second before one
+        // of the sessions began.
         assert!(
             sent > 50 && sent.abs_diff(answered_or_lost) < 10,
             "{network}: {sent} sent, {answered_or_lost} answered or lost"

@@ -67,7 +67,7 @@ async fn named_foreign_reflector_gets_relation_of_its_own() {
     };
     let live = edge.until(any_reflector(is_known)).await;
     let link = &live.links[0];
-    let reflector = link.reflector.as_ref().expect("it is named");
+    let reflector = link.reflector.as_ref().expect("the configuration names a reflector");
     assert_eq!(reflector.address, format!("udp://{address}"));
     assert!(
         matches!(&reflector.probing, Probing::On { address: to, .. } if *to == reflector.address),
@@ -103,7 +103,7 @@ async fn garbage_from_configured_reflector_gives_no_offset() {
     let is_unanswered = |reflector: &ReflectorLive| matches!(&reflector.probing, Probing::Unanswered { reason: Some(reason), .. } if reason.contains("refused"));
     let live = edge.until(any_reflector(is_unanswered)).await;
     let link = &live.links[0];
-    let reflector = link.reflector.as_ref().expect("it is named");
+    let reflector = link.reflector.as_ref().expect("the configuration names a reflector");
     assert!(reflector.probes.refused > 0 && reflector.probes.lost > 0, "{reflector:?}");
     assert_eq!((reflector.probes.answered, &reflector.offset), (0, &None));
     // The cloud's own reflector is still probed.

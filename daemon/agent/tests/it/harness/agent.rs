@@ -95,18 +95,18 @@ impl TestAgent {
 
     /// Returns the first address at which the agent serves.
     pub(crate) fn address(&self) -> String {
-        self.running.serve_addresses().first().expect("it serves").to_string()
+        self.running.serve_addresses().first().expect("the agent serves").to_string()
     }
 
     /// Returns the live state of the agent's only pipeline.
     pub(crate) fn pipeline(&self) -> PipelineLive {
-        self.running.live_update().pipelines.pop().expect("it has a pipeline")
+        self.running.live_update().pipelines.pop().expect("the agent has a pipeline")
     }
 
     /// Waits until the state of the agent's only pipeline satisfies a condition. Returns the state.
     pub(crate) async fn until_state(&self, condition: impl Fn(&PipelineState) -> bool) -> PipelineState {
         let live = self.until(|live| condition(&live.pipelines[0].state)).await;
-        live.pipelines.into_iter().map(|pipeline| pipeline.state).next().expect("it has a pipeline")
+        live.pipelines.into_iter().map(|pipeline| pipeline.state).next().expect("the agent has a pipeline")
     }
 
     /// Waits until the agent's live update satisfies a condition. Returns the update.
