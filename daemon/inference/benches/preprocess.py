@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
-"""The work of preprocess.rs with Pillow, numpy and, where installed, Python's onnxruntime.
+"""Does the work of preprocess.rs with Pillow, numpy and, if it is installed, Python's onnxruntime.
 
     preprocess.py MODEL_FOLDER PICTURE [ROUNDS]
 
-Cards with one of the resizes `exact` and `letterbox`; the boxes of a detector of layout `yolov8` are read and suppressed with numpy.
+The resize mode of the card must be `exact` or `letterbox`. For a detector of layout `yolov8`, numpy selects the boxes and suppresses those
+that overlap; for other models, no postprocessing is measured.
 """
 
 import io
@@ -16,44 +17,44 @@ import numpy as np
 from PIL import Image
 
 
-def resized(image, resize):
+def resize_exact(image, resize):
     return np.asarray(image.resize((resize["width"], resize["height"]), Image.BILINEAR))
 
 
-def letterboxed(image, resize):
-    wide, high = resize["width"], resize["height"]
-    factor = min(wide / image.width, high / image.height)
+def resize_letterbox(image, resize):
+    canvas_width, canvas_height = resize["width"], resize["height"]
+    factor = min(canvas_width / image.width, canvas_height / image.height)
     width, height = round(image.width * factor), round(image.height * factor)
-    canvas = np.full((high, wide, 3), resize.get("fill", 114), np.uint8)
-    x, y = (wide - width) // 2, (high - height) // 2
+    canvas = np.full((canvas_height, canvas_width, 3), resize.get("fill", 114), np.uint8)
+    x, y = (canvas_width - width) // 2, (canvas_height - height) // 2
     canvas[y : y + height, x : x + width] = np.asarray(image.resize((width, height), Image.BILINEAR))
     return canvas
 
 
-def boxes(rows, output):
-    """Boxes, classes and scores of an output [4 + classes, n]; overlapping boxes of one class are suppressed."""
-    kinds, scores = rows[4:].argmax(axis=0), rows[4:].max(axis=0)
-    chosen = np.flatnonzero(scores > output.get("score_threshold", 0.25))
-    chosen = chosen[np.argsort(-scores[chosen], kind="stable")]
-    centres, halves = rows[:2, chosen].T, rows[2:4, chosen].T / 2
-    edges, kinds, scores = np.concatenate([centres - halves, centres + halves], axis=1), kinds[chosen], scores[chosen]
+def select_boxes(rows, output):
+    """Returns boxes, classes and scores of an output [4 + classes, n], without overlapping boxes of one class."""
+    classes, scores = rows[4:].argmax(axis=0), rows[4:].max(axis=0)
+    candidates = np.flatnonzero(scores > output.get("score_threshold", 0.25))
+    candidates = candidates[np.argsort(-scores[candidates], kind="stable")]
+    centres, halves = rows[:2, candidates].T, rows[2:4, candidates].T / 2
+    edges, classes, scores = np.concatenate([centres - halves, centres + halves], axis=1), classes[candidates], scores[candidates]
     areas = np.prod(edges[:, 2:] - edges[:, :2], axis=1)
-    kept, left = [], np.arange(len(chosen))
-    while len(left) and len(kept) < output.get("max_detections", 100):
-        best, left = left[0], left[1:]
+    kept, remaining = [], np.arange(len(candidates))
+    while len(remaining) and len(kept) < output.get("max_detections", 100):
+        best, remaining = remaining[0], remaining[1:]
         kept.append(best)
-        sides = np.minimum(edges[left, 2:], edges[best, 2:]) - np.maximum(edges[left, :2], edges[best, :2])
-        common = np.prod(np.clip(sides, 0, None), axis=1)
-        overlaps = common / (areas[left] + areas[best] - common)
-        left = left[(kinds[left] != kinds[best]) | (overlaps <= output.get("iou_threshold", 0.45))]
-    return edges[kept], kinds[kept], scores[kept]
+        common_sides = np.minimum(edges[remaining, 2:], edges[best, 2:]) - np.maximum(edges[remaining, :2], edges[best, :2])
+        common_areas = np.prod(np.clip(common_sides, 0, None), axis=1)
+        overlaps = common_areas / (areas[remaining] + areas[best] - common_areas)
+        remaining = remaining[(classes[remaining] != classes[best]) | (overlaps <= output.get("iou_threshold", 0.45))]
+    return edges[kept], classes[kept], scores[kept]
 
 
 def main():
-    root = Path(__file__).resolve().parents[3] / "models/quality-control"
+    demo = Path(__file__).resolve().parents[3] / "models/quality-control"
     arguments = dict(enumerate(sys.argv[1:]))
-    folder = Path(arguments.get(0, root))
-    file = Path(arguments.get(1, root / "pictures/part-0001.jpg")).read_bytes()
+    folder = Path(arguments.get(0, demo))
+    file = Path(arguments.get(1, demo / "pictures/part-0001.jpg")).read_bytes()
     rounds = int(arguments.get(2, 200))
     card = tomllib.loads((folder / "model.toml").read_text())
     steps, resize = card["preprocessing"], card["preprocessing"]["resize"]
@@ -61,7 +62,7 @@ def main():
 
     def preprocess():
         image = Image.open(io.BytesIO(file)).convert("RGB")
-        pixels = letterboxed(image, resize) if resize["mode"] == "letterbox" else resized(image, resize)
+        pixels = resize_letterbox(image, resize) if resize["mode"] == "letterbox" else resize_exact(image, resize)
         values = (pixels.astype(np.float32) * scale - mean) / std
         return np.ascontiguousarray(values.transpose(2, 0, 1)[None])
 
@@ -83,7 +84,7 @@ def main():
     output = card["output"]
     is_detector = card["task"] == "detection" and output["layout"] == "yolov8"
 
-    # One after the other, as an agent does, so that both programs' caches are as warm.
+    # The stages of a picture run one after the other, as in an agent, so that the processor's caches are equally warm in both programs.
     durations = {"preprocessing": [], "inference": [], "postprocessing": []}
     for _ in range(rounds + 1):
         begin = time.perf_counter()
@@ -95,7 +96,7 @@ def main():
             end = time.perf_counter()
             durations["inference"].append(end - middle)
             if is_detector:
-                boxes(outputs[0][0], output)
+                select_boxes(outputs[0][0], output)
                 durations["postprocessing"].append(time.perf_counter() - end)
     print(f"{'':<16}{'min':>10}{'median':>10}   ms, {rounds} rounds")
     for stage, times in durations.items():

@@ -1,4 +1,4 @@
-//! Benchmark of one picture, stage by stage, through the pool that serves an agent.
+//! Benchmark of the stages of a model for one picture. The pool is that of an agent.
 //!
 //!     cargo bench -p peernet-inference --bench preprocess -- MODEL_FOLDER PICTURE [ROUNDS]
 //!
@@ -18,9 +18,9 @@ const STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
 #[expect(clippy::print_stdout, reason = "a benchmark prints its table")]
 fn main() {
     let arguments: Vec<_> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
-    let root = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/quality-control"));
-    let folder = arguments.first().map_or(root.clone(), PathBuf::from);
-    let picture = arguments.get(1).map_or(root.join("pictures/part-0001.jpg"), PathBuf::from);
+    let demo = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/quality-control"));
+    let folder = arguments.first().map_or(demo.clone(), PathBuf::from);
+    let picture = arguments.get(1).map_or(demo.join("pictures/part-0001.jpg"), PathBuf::from);
     let rounds = arguments.get(2).map_or(200, |rounds| rounds.parse().expect("ROUNDS is a number"));
 
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", ClockIdentity::SYSTEM)));
@@ -34,11 +34,13 @@ fn main() {
     let mut durations = STAGES.map(|_| Vec::with_capacity(rounds));
     for _ in 0..rounds {
         let (sender, receiver) = sync_channel(1);
-        let reply = Box::new(move |done: FinishedJob| sender.send(done).expect("is awaited"));
+        let reply = Box::new(move |finished: FinishedJob| {
+            sender.send(finished).expect("the benchmark waits for the result")
+        });
         let recorder = Recorder::new(Arc::clone(&clock), HostId::random());
         let job = Job::for_whole_answer(sample.clone(), recorder, clock.mono(), reply);
         pool.submit(job).expect("the queue is empty");
-        let FinishedJob { recorder, result } = receiver.recv().expect("is answered");
+        let FinishedJob { recorder, result } = receiver.recv().expect("the job is answered");
         result.expect("the picture is answered");
         let tree = recorder.finish();
         for (stage, times) in STAGES.iter().zip(&mut durations) {

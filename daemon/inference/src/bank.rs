@@ -33,13 +33,13 @@ use cache_entry::CacheEntry;
 use load_watch::LoadWatch;
 use model_cache::ModelCache;
 
-/// Models that a host offers. Each is loaded when it is first requested, and shared afterwards.
+/// Models that a host offers. A model is loaded when it is first requested; later requests share the loaded model.
 pub struct Bank {
     /// The configured models, which stay loaded.
     entries: Vec<Arc<CacheEntry>>,
     /// Name of a model in `entries` that is used only if it is requested by name.
     built_in: Option<Slug>,
-    /// The models of the folders, which are loaded and unloaded.
+    /// The models of the folders, which are loaded when they are requested and unloaded to make room for others.
     cache: Option<ModelCache>,
     temp_dirs: TempDirs,
     runtime: OnnxRuntimeConfig,
@@ -47,7 +47,7 @@ pub struct Bank {
     loaded: LoadedModelCounter,
     on_load: Option<LoadObserver>,
     on_unload: Option<UnloadObserver>,
-    fingerprints: Option<FingerprintKey>,
+    fingerprint_key: Option<FingerprintKey>,
     /// Cancelled by a shutdown, so that models stop computing where they can.
     stop: CancellationToken,
 }
@@ -69,7 +69,7 @@ impl Bank {
             loaded: LoadedModelCounter::default(),
             on_load: None,
             on_unload: None,
-            fingerprints: None,
+            fingerprint_key: None,
             stop: CancellationToken::new(),
         }
     }
@@ -77,7 +77,7 @@ impl Bank {
     /// Adds a key for fingerprints. Facts then identify the arguments of programs by fingerprints made with this key.
     #[must_use]
     pub fn with_fingerprints(mut self, key: FingerprintKey) -> Self {
-        self.fingerprints = Some(key);
+        self.fingerprint_key = Some(key);
         self
     }
 
@@ -96,15 +96,16 @@ impl Bank {
         self
     }
 
-    /// Calls `observer` with each pool after it was loaded; [`Pool::load_duration`] is the duration.
+    /// Calls `observer` with the pool of each model after the model was loaded; [`Pool::load_duration`] is the duration
+    /// of loading.
     #[must_use]
     pub fn on_load(mut self, observer: impl Fn(&Pool) + Send + Sync + 'static) -> Self {
         self.on_load = Some(Box::new(observer));
         self
     }
 
-    /// Calls `observer` with each model after it was unloaded: a model of the folders to make room or because its
-    /// files have changed, and any model by [`shutdown`](Self::shutdown).
+    /// Calls `observer` with each model after the model was unloaded. A model of the folders is unloaded to make room
+    /// or because its files have changed; [`shutdown`](Self::shutdown) unloads all models.
     #[must_use]
     pub fn on_unload(mut self, observer: impl Fn(&UnloadedModel) + Send + Sync + 'static) -> Self {
         self.on_unload = Some(Arc::new(observer));
@@ -121,7 +122,8 @@ impl Bank {
         self.models().map(|model| model.name().clone()).collect()
     }
 
-    /// Returns the configurations of the models whose [`names`](Self::names) are returned, in the same order.
+    /// Returns the configurations of the configured models and of the built-in model, in the order of
+    /// [`names`](Self::names).
     pub fn models(&self) -> impl Iterator<Item = &ModelConfig> {
         self.entries.iter().map(|entry| &entry.config)
     }
@@ -138,8 +140,8 @@ impl Bank {
         names
     }
 
-    /// Returns the model for requests without a name: the only configured model or, if none is configured, the only
-    /// model of the folders. The built-in model does not count.
+    /// Returns the name of the model for requests that name no model: the only configured model or, if none is
+    /// configured, the only model of the folders. The built-in model does not count.
     ///
     /// # Errors
     /// If there are several such models, or none.
@@ -158,9 +160,9 @@ impl Bank {
 
     /// Returns the pool of a model; loads the model if it is not loaded.
     ///
-    /// `device` is the requested device; `None` stands for the configured device. A model of the folders stays loaded
-    /// while its pool is in use. Blocks while the model loads, which may take seconds, so that this must not be
-    /// called on an I/O thread.
+    /// `device` is the requested device; `None` stands for the configured device or, for a model of the folders, for
+    /// the first offered device. A model of the folders stays loaded while its pool is in use. Blocks while the model
+    /// loads, which may take seconds; must not be called on an I/O thread.
     ///
     /// # Errors
     /// If the model does not exist, is not offered on that device or cannot be loaded, or if too many models of the
@@ -170,9 +172,9 @@ impl Bank {
             return self.load_from_folders(name, device);
         };
         let configured = entry.config.device();
-        if let Some(asked) = device.filter(|asked| *asked != configured) {
-            let (model, asked, offered) = (name.to_string(), asked.to_owned(), configured.to_owned());
-            return Err(LoadError::OtherDevice { model, asked, offered });
+        if let Some(requested) = device.filter(|requested| *requested != configured) {
+            let (model, requested, offered) = (name.to_string(), requested.to_owned(), configured.to_owned());
+            return Err(LoadError::OtherDevice { model, requested, offered });
         }
         self.load_entry(entry)
     }
@@ -184,7 +186,7 @@ impl Bank {
         };
         let cache = self.cache.as_ref().ok_or_else(unknown)?;
         let (entry, to_unload) = cache.entry(name, device).map_err(|error| match error {
-            // A peer is informed which models exist, but not in which folders.
+            // A peer learns which models exist, but not in which folders.
             LoadError::NotFound { .. } => unknown(),
             error => error,
         })?;
@@ -201,7 +203,9 @@ impl Bank {
     }
 
     fn load_entry(&self, entry: &CacheEntry) -> Result<Arc<Pool>, LoadError> {
-        let (pool, is_new) = entry.pool(|| self.start(&entry.config))?;
+        // The observer is called after the lock of the entry is released, so that a slow observer delays no other
+        // request.
+        let (pool, is_new) = entry.pool(|| self.start_pool(&entry.config))?;
         if let Some(observer) = self.on_load.as_ref().filter(|_| is_new) {
             observer(&pool);
         }
@@ -216,11 +220,12 @@ impl Bank {
     /// Returns each error with the position of its model in the configuration.
     pub fn check(&self) -> Vec<(usize, LoadError)> {
         let mut errors = Vec::new();
-        let mut seen = HashSet::new();
+        let mut seen_names = HashSet::new();
         for (index, config) in self.models().enumerate() {
-            if !seen.insert(config.name()) {
+            if !seen_names.insert(config.name()) {
                 errors.push((index, LoadError::Duplicate(config.name().to_string())));
             }
+            // Each check adds its own error, so that a user can correct all errors at once.
             if let Err(error) = config.check_limits() {
                 errors.push((index, error));
             }
@@ -232,7 +237,7 @@ impl Bank {
     }
 
     /// Checks the table `[bank]`; returns each error with its key. Errors of single models in the folders are not
-    /// included, because such models are not offered.
+    /// included, because a model with an error is not offered.
     pub fn check_folders(&self) -> Vec<(&'static str, LoadError)> {
         self.cache.as_ref().map(ModelCache::check).unwrap_or_default()
     }
@@ -250,8 +255,8 @@ impl Bank {
 
     /// Ends the threads of all loaded models, but waits no longer than `timeout`. Blocks.
     ///
-    /// Returns the models that are still loading or computing: their threads are left running, and their temporary
-    /// files are removed.
+    /// Returns the models that are still loading or computing. The threads of these models are left running, and their
+    /// temporary files are removed.
     pub fn shutdown_within(&self, timeout: Duration) -> Vec<Slug> {
         self.stop.cancel();
         // Loading or computing may take minutes, for which the end of the process must not wait.
@@ -260,27 +265,27 @@ impl Bank {
         let entries = self.all_entries();
         // The channel has a place for each model, so that a thread that ends after the deadline does not wait for a
         // receiver.
-        let (done, ended) = mpsc::sync_channel(entries.len());
+        let (ended_sender, ended_receiver) = mpsc::sync_channel(entries.len());
         let mut running: Vec<(usize, Slug)> =
             entries.iter().enumerate().map(|(index, entry)| (index, entry.config.name().clone())).collect();
         for (index, entry) in entries.into_iter().enumerate() {
-            let (done, unloader) = (done.clone(), self.unloader());
+            let (ended_sender, unloader) = (ended_sender.clone(), self.unloader());
             let thread = thread::Builder::new().name(format!("end-{}", entry.config.name()));
-            let ending = thread.spawn(move || {
+            let spawned = thread.spawn(move || {
                 unloader.unload(&entry, UnloadReason::Shutdown);
-                // The receiver is gone if ending this model took too long.
-                let _ = done.send(index);
+                // The receiver no longer exists if unloading this model took too long.
+                let _ = ended_sender.send(index);
             });
-            if let Err(error) = ending {
+            if let Err(error) = spawned {
                 tracing::error!(%error, "cannot start a thread to end a model");
             }
         }
-        // The threads hold the only senders from here on, so that the loop ends as soon as all threads have ended,
-        // even if one did not start.
-        drop(done);
+        // From here on, only the threads hold senders. The loop therefore ends as soon as all threads have ended, even
+        // if a thread could not be started.
+        drop(ended_sender);
         while !running.is_empty() {
             let remaining = (deadline - self.clock.mono()).nanos().max(0).unsigned_abs();
-            match ended.recv_timeout(Duration::from_nanos(remaining)) {
+            match ended_receiver.recv_timeout(Duration::from_nanos(remaining)) {
                 Ok(index) => running.retain(|(other, _)| *other != index),
                 Err(_) => break,
             }
@@ -301,23 +306,25 @@ impl Bank {
         }
     }
 
-    fn start(&self, config: &ModelConfig) -> Result<Pool, LoadError> {
+    /// Loads a model and starts its pool.
+    fn start_pool(&self, config: &ModelConfig) -> Result<Pool, LoadError> {
         config.check_limits()?;
         let started_at = self.clock.mono();
         let _watch = LoadWatch::start(config.name(), config.device());
         let memory_before = resident_memory();
+        // The growth is measured until the workers are created, because a worker may have its own copy of the weights.
         let model = config.load(&self.context())?;
         let sizes = Sizes { workers: config.workers(), queue: config.queue() };
         let pool = Pool::start(config.name().clone(), model, sizes, &self.clock, started_at)?;
         let memory_growth =
             memory_before.zip(resident_memory()).map(|(before, after)| after.saturating_sub(before));
         Ok(pool
-            .with_facts(config.facts(self.fingerprints.as_ref()))
+            .with_facts(config.facts(self.fingerprint_key.as_ref()))
             .with_memory_growth(memory_growth, &self.loaded))
     }
 }
 
-/// Unloads models and tells the observer.
+/// Unloads models and calls the observer.
 struct Unloader {
     clock: SharedClock,
     observer: Option<UnloadObserver>,
@@ -330,10 +337,10 @@ impl Unloader {
         let (name, device, loaded_at) = (pool.name().clone(), pool.device(), pool.loaded_at());
         let memory_before = resident_memory();
         pool.shutdown();
-        // The pool owns the model, so that its memory is released before the second reading.
+        // The pool owns the model. Dropping the pool releases the model's memory before the resident memory is read
+        // again.
         drop(pool);
-        // At the end all models are unloaded at the same time, so that nobody can tell how much memory one of them
-        // released.
+        // A shutdown unloads all models at the same time. How much memory one of them released is then unknown.
         let memory_before = memory_before.filter(|_| reason != UnloadReason::Shutdown);
         let memory_released =
             memory_before.zip(resident_memory()).map(|(before, after)| before.saturating_sub(after));

@@ -1,4 +1,4 @@
-//! Computing several requests together.
+//! Limits and requests of a batch.
 
 use std::time::Duration;
 
@@ -17,10 +17,10 @@ pub struct Batching {
 }
 
 impl Batching {
-    /// Each request is computed alone.
+    /// No batches: each request is computed alone.
     pub const OFF: Self = Self { max_size: 1, max_wait: Duration::ZERO };
 
-    /// Returns whether requests may be computed together.
+    /// Returns whether several requests may be computed together.
     pub const fn is_on(self) -> bool {
         self.max_size > 1
     }

@@ -1,4 +1,5 @@
-//! Detection of blockages: all workers of a model still compute cancelled requests, while other requests wait.
+//! Detection of blockages. In a blockage, all workers of a model still compute cancelled requests, while other requests
+//! wait.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -8,8 +9,8 @@ use tokio_util::sync::CancellationToken;
 
 use crate::Job;
 
-/// Time in which workers should notice that their requests are cancelled; a longer blockage is logged.
-const GRACE: Span = Span::from_millis(1000);
+/// Time within which workers should notice that their requests are cancelled. A longer blockage is logged.
+const GRACE_PERIOD: Span = Span::from_millis(1000);
 
 /// The computation of one worker, shared with the pool.
 #[derive(Debug, Default)]
@@ -50,14 +51,14 @@ impl CurrentComputation {
 pub(crate) struct BlockageDetector {
     computations: Vec<Arc<CurrentComputation>>,
     clock: SharedClock,
-    /// The current or the last blockage.
-    last: Mutex<Option<Blockage>>,
+    /// The current blockage; if there is none, the previous one.
+    latest: Mutex<Option<Blockage>>,
 }
 
-/// A time in which all workers compute only cancelled requests.
+/// A period in which all workers compute only cancelled requests.
 #[derive(Debug)]
 struct Blockage {
-    /// Start of the oldest of the computations.
+    /// Start of the oldest computation.
     started_at: MonoTime,
     noticed_at: MonoTime,
     is_logged: bool,
@@ -65,7 +66,7 @@ struct Blockage {
 
 impl BlockageDetector {
     pub(crate) const fn new(computations: Vec<Arc<CurrentComputation>>, clock: SharedClock) -> Self {
-        Self { computations, clock, last: Mutex::new(None) }
+        Self { computations, clock, latest: Mutex::new(None) }
     }
 
     /// Returns the time since the start of the oldest computation if every worker computes only cancelled requests.
@@ -74,33 +75,35 @@ impl BlockageDetector {
     }
 
     fn started_at(&self) -> Option<MonoTime> {
-        let starts: Option<Vec<_>> = self.computations.iter().map(|one| one.cancelled_start()).collect();
+        let starts: Option<Vec<_>> =
+            self.computations.iter().map(|computation| computation.cancelled_start()).collect();
         starts?.into_iter().min()
     }
 
-    /// Logs a blockage that was noticed at least [`GRACE`] ago; each blockage is logged once. Called for each request.
-    /// Returns whether it logged.
+    /// Logs a blockage that was noticed at least [`GRACE_PERIOD`] ago; each blockage is logged once. The pool calls
+    /// this for each request. Returns whether it logged.
     pub(crate) fn check(&self, model: &Slug) -> bool {
         let Some(started_at) = self.started_at() else { return false };
         let now = self.clock.mono();
-        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
-        match &mut *last {
+        let mut latest = self.latest.lock().unwrap_or_else(PoisonError::into_inner);
+        match &mut *latest {
             Some(blockage) if blockage.started_at == started_at => {
-                if blockage.is_logged || now - blockage.noticed_at < GRACE {
+                // The oldest computation has not ended since the last check, so this is still the same blockage.
+                if blockage.is_logged || now - blockage.noticed_at < GRACE_PERIOD {
                     return false;
                 }
                 blockage.is_logged = true;
             }
-            last => {
-                *last = Some(Blockage { started_at, noticed_at: now, is_logged: false });
+            latest => {
+                *latest = Some(Blockage { started_at, noticed_at: now, is_logged: false });
                 return false;
             }
         }
         let computing_s = (now - started_at).seconds();
         tracing::warn!(
             %model, computing_s,
-            "every worker of the model still computes a request that was cancelled, so that further requests wait: its computation \
-             cannot be interrupted; make samples smaller, or raise workers"
+            "every worker of the model still computes a cancelled request, so that further requests wait: the model cannot interrupt a \
+             computation; make samples smaller, or raise workers"
         );
         true
     }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use peernet_external::exec::ProgramCallError;
 use peernet_external::python::PythonError;
 
-/// Maximum number of names in a message.
+/// Maximum number of models' names in a message.
 const MAX_LISTED: usize = 30;
 
 /// Reason why a model cannot be loaded.
@@ -30,7 +30,7 @@ pub enum LoadError {
         name: String,
         /// The folders that were searched.
         searched: Vec<PathBuf>,
-        /// The models in them.
+        /// The models in these folders.
         known: Vec<String>,
     },
     /// The request names no model although several are offered.
@@ -44,29 +44,29 @@ pub enum LoadError {
     Changed(String),
     /// The largest number of loaded models is reached, and all are in use.
     #[error(
-        "cannot load model {model}: the limit of {most} loaded models is reached and all are in use ({}); try again later, or \
+        "cannot load model {model}: the limit of {max} loaded models is reached and all are in use ({}); try again later, or \
          raise [bank] most_loaded on the serving host", .in_use.join(", ")
     )]
     BankFull {
         /// The requested model.
         model: String,
         /// Maximum number of loaded models.
-        most: usize,
-        /// The loaded models.
+        max: usize,
+        /// The loaded models, each with its device.
         in_use: Vec<String>,
     },
     /// Two models have the same name.
     #[error("two models are named {0}; give each a different name")]
     Duplicate(String),
     /// A value is above its upper limit.
-    #[error("{value} is too large; at most {most}")]
+    #[error("{value} is too large; at most {max}")]
     AboveLimit {
         /// Key in the model's table.
         key: &'static str,
         /// Configured value.
         value: u64,
         /// Upper limit.
-        most: u64,
+        max: u64,
     },
     /// A key of the model's table has an invalid value, or is missing.
     #[error("{key} of model {model}: {reason}")]
@@ -79,12 +79,12 @@ pub enum LoadError {
         reason: String,
     },
     /// The model is configured for another device.
-    #[error("model {model} is not offered on {asked}, only on {offered}; request that device or none")]
+    #[error("model {model} is not offered on {requested}, only on {offered}; request that device or none")]
     OtherDevice {
         /// The model.
         model: String,
         /// The requested device.
-        asked: String,
+        requested: String,
         /// The configured device.
         offered: String,
     },
@@ -197,14 +197,14 @@ impl LoadError {
         matches!(self, Self::Python(PythonError::Name(_)))
     }
 
-    /// Returns the text for a peer that requested the model. It says what can be requested instead, and reveals
-    /// nothing of this host's files and of the addresses of servers behind this host. `host` is the name of this host.
+    /// Returns the text for a peer that requested the model. The text says what can be requested instead. It contains
+    /// neither paths of this host nor addresses of servers behind this host. `host` is the name of this host.
     pub fn to_peer(&self, model: &str, host: &str) -> String {
         match self {
             // The peer tries again until loading succeeds, and shows this reason to its user meanwhile. The reason
             // contains neither the server's address nor the name of the environment variable that holds the API key.
             // Only a text quoted from the server may contain the address; such a reason is not shown.
-            Self::Server { url, is_transient: true, reason, .. } if !names_server(reason, url) => {
+            Self::Server { url, is_transient: true, reason, .. } if !contains_host(reason, url) => {
                 format!("model {model} cannot be loaded on host {host}: {reason}")
             }
             Self::NotFound { .. }
@@ -242,11 +242,11 @@ impl LoadError {
     }
 }
 
-/// Returns whether a text contains the address in a URL.
-fn names_server(text: &str, url: &str) -> bool {
+/// Returns whether `text` contains the host name of `url`.
+fn contains_host(text: &str, url: &str) -> bool {
     let address = url.split_once("://").map_or(url, |(_, rest)| rest);
-    let authority = address.split(['/', '?']).next().unwrap_or(address);
-    let host = authority.rsplit_once(':').map_or(authority, |(host, _)| host);
+    let host_and_port = address.split(['/', '?']).next().unwrap_or(address);
+    let host = host_and_port.rsplit_once(':').map_or(host_and_port, |(host, _)| host);
     !host.is_empty() && text.contains(host)
 }
 
@@ -264,7 +264,7 @@ pub enum LibraryError {
         /// Each path that was searched, in order, with the result.
         searched: Vec<String>,
     },
-    /// The library was found and cannot be used.
+    /// A library was found, but cannot be used.
     #[error(
         "ONNX Runtime at {} ({origin}) cannot be used: {reason}; fetch the tested one with `make setup` in a \
          checkout or `python3 deploy/onnxruntime/fetch.py`",
@@ -278,7 +278,7 @@ pub enum LibraryError {
         /// Defect of the file.
         reason: String,
     },
-    /// The process has loaded another library; it can load one only.
+    /// The process has already loaded another library. A process can load only one library.
     #[error(
         "ONNX Runtime is already loaded from {}; a process cannot load {} in addition",
         .loaded.display(), .wanted.display()
@@ -291,7 +291,7 @@ pub enum LibraryError {
     },
 }
 
-/// Reason why a sample was not answered.
+/// Reason why a request has no answer.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InferenceError {
     /// The model cannot use this input.
@@ -340,7 +340,7 @@ pub enum InferenceError {
         /// Capacity of the queue.
         capacity: usize,
     },
-    /// The request was cancelled before its answer was complete. The model continues with other requests.
+    /// The request was cancelled before its answer was complete. The model computes other requests as before.
     #[error("model {model} gave up this request: nobody waits for its answer any more")]
     Cancelled {
         /// The model.
@@ -366,8 +366,8 @@ impl InferenceError {
     }
 }
 
-/// Returns a text with `http://…` in place of URLs. The text of a server or of a redirect may contain the address of
-/// a server.
+/// Replaces URLs in a text by `http://…` or `https://…`. The error text of a server, or the target of a redirect, may
+/// contain the address of a server.
 fn hide_urls(text: &str) -> String {
     let hide = |word: &str| {
         let schemes = ["http://", "https://"].into_iter();
@@ -381,7 +381,7 @@ fn list_folders(folders: &[PathBuf]) -> String {
     folders.iter().map(|folder| folder.display().to_string()).collect::<Vec<_>>().join(", ")
 }
 
-/// Lists the first names of a list, because an answer to a peer must not be long.
+/// Lists at most [`MAX_LISTED`] names, because an answer to a peer must not be long.
 fn first_names(names: &[String]) -> String {
     match names.get(..MAX_LISTED) {
         Some(first_names) if names.len() > MAX_LISTED => {

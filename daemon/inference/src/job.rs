@@ -15,18 +15,18 @@ pub struct Job {
     pub sample: Sample,
     /// Recorder of the stages; it is returned in [`FinishedJob`].
     pub recorder: Recorder,
-    /// Time at which this host received the sample: the beginning of the stage `queue`.
-    pub received: MonoTime,
+    /// Time at which this host received the sample: the start of the stage `queue`.
+    pub received_at: MonoTime,
     /// Receiver of partial answers, which may cancel the request.
     pub requester: Arc<dyn Requester>,
-    /// Callback for the result. It is called once, on the thread that computed the result, and must not block.
+    /// Callback for the result. The pool calls it once, on any thread; it must not block.
     pub reply: Reply,
 }
 
 impl Job {
     /// Returns a job whose requester takes no partial answers and never cancels.
-    pub fn for_whole_answer(sample: Sample, recorder: Recorder, received: MonoTime, reply: Reply) -> Self {
-        Self { sample, recorder, received, requester: Arc::new(UncancelledRequester), reply }
+    pub fn for_whole_answer(sample: Sample, recorder: Recorder, received_at: MonoTime, reply: Reply) -> Self {
+        Self { sample, recorder, received_at, requester: Arc::new(UncancelledRequester), reply }
     }
 }
 
@@ -57,6 +57,6 @@ impl fmt::Debug for Job {
 
 impl fmt::Debug for RefusedJob {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Refused").field("reason", &self.reason).finish_non_exhaustive()
+        f.debug_struct("RefusedJob").field("reason", &self.reason).finish_non_exhaustive()
     }
 }

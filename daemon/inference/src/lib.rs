@@ -1,5 +1,5 @@
-//! Models ([`model::ModelConfig`] lists the kinds): each is loaded once and run by its own threads, which take
-//! samples from a bounded queue.
+//! Models of the kinds that [`model::ModelConfig`] lists. A model is loaded once. Its own threads take samples from a
+//! bounded queue; a model that does not block computes on the thread of its caller instead.
 //!
 //! [`Bank`] holds the models that a host offers. It loads a requested model once and returns its [`Pool`];
 //! [`Pool::submit`] accepts jobs, and each job's `reply` receives the result.
@@ -38,12 +38,12 @@ use peernet_sample::Sample;
 
 /// Computes answers with a loaded model; used by one thread at a time.
 pub trait Worker: Send {
-    /// Computes the answer to a sample, and records each of the stages `preprocessing`, `inference` and
-    /// `postprocessing` that the model has. May send partial answers to `requester`, and stops early, where it can,
-    /// if the request is cancelled.
+    /// Computes the answer to a sample, and records those of the stages `preprocessing`, `inference` and
+    /// `postprocessing` that the model has. May send partial answers to `requester`. If the request is cancelled, stops
+    /// early where the model can be interrupted.
     ///
     /// # Errors
-    /// If this sample cannot be computed. The next sample may succeed.
+    /// If the model cannot answer this sample. The next sample may succeed.
     fn infer(
         &mut self,
         sample: &Sample,
@@ -52,10 +52,11 @@ pub trait Worker: Send {
     ) -> Result<Sample, InferenceError>;
 
     /// Computes the answers of several requests together, at most as many as [`Model::batching`] allows. Returns one
-    /// result per request, in their order. Each stage is recorded with the same start and end for all requests: those
-    /// of the stage for the whole batch.
+    /// result per request, in their order. For each request, a stage is recorded with the start and the end that the
+    /// stage has for the whole batch.
     ///
-    /// The default is for models without batches: it calls [`infer`](Self::infer) for one request after the other.
+    /// The default implementation, for models without batches, calls [`infer`](Self::infer) for one request after the
+    /// other.
     fn infer_batch(&mut self, requests: &mut [Request<'_>]) -> Vec<Result<Sample, InferenceError>> {
         requests
             .iter_mut()
@@ -72,12 +73,12 @@ pub trait Model: Send + Sync {
     /// If the device has no memory for another worker.
     fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError>;
 
-    /// Returns whether `infer` may block or compute for long, so it must not run on an I/O thread.
+    /// Returns whether `infer` may block or compute for long. Such a model must not run on an I/O thread.
     fn blocks(&self) -> bool {
         true
     }
 
-    /// Returns how many requests a worker computes together.
+    /// Returns the limits of the batches that a worker computes.
     fn batching(&self) -> Batching {
         Batching::OFF
     }

@@ -7,16 +7,16 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 pub struct LoadedModels {
     /// Number of models.
     pub count: u32,
-    /// Sum of the growth of this process's resident memory while each was loaded, bytes; see
+    /// Sum over the models of the growth of this process's resident memory while the model was loaded, bytes; see
     /// [`Pool::memory_growth`](crate::Pool::memory_growth).
     pub memory_bytes: u64,
 }
 
-/// Counts the loaded models. Clones share the counts.
+/// Counter of the loaded models and of their memory. Clones share the counter.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct LoadedModelCounter(Arc<Mutex<LoadedModels>>);
 
-/// A loaded model, which counts until it is dropped.
+/// Entry of one loaded model in the counter; dropping the entry removes the model from the counter.
 #[derive(Debug)]
 pub(crate) struct CountedModel {
     counter: LoadedModelCounter,
@@ -24,7 +24,7 @@ pub(crate) struct CountedModel {
 }
 
 impl LoadedModelCounter {
-    /// Counts a model until the returned value is dropped.
+    /// Adds a model to the counter until the returned entry is dropped.
     pub(crate) fn count(&self, memory_bytes: u64) -> CountedModel {
         let mut loaded = self.lock();
         loaded.count += 1;
@@ -33,7 +33,7 @@ impl LoadedModelCounter {
         CountedModel { counter: self.clone(), memory_bytes }
     }
 
-    /// Returns the current counts.
+    /// Returns the current number and memory of the models.
     pub(crate) fn get(&self) -> LoadedModels {
         *self.lock()
     }

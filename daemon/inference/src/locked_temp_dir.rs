@@ -5,9 +5,10 @@ use std::io;
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
-/// Prefix of the names of all such folders.
+/// Prefix of the names of all folders that this module creates.
 const PREFIX: &str = "peernet-";
-/// Name of a file in each folder, which the owner keeps locked while it lives. Folders without it are never removed.
+/// Name of a file in each folder, which the owner keeps locked while it lives. Folders without this file are never
+/// removed.
 const LOCK_FILE: &str = ".held";
 
 /// Temporary folder with a file that its owner keeps locked. Dropping it deletes the folder; if the owner was killed,
@@ -24,7 +25,7 @@ impl LockedTempDir {
     /// processes that have ended.
     ///
     /// # Errors
-    /// If it cannot be created.
+    /// If the folder cannot be created.
     pub fn new(kind: &str) -> io::Result<Self> {
         Self::new_in(&std::env::temp_dir(), kind)
     }
@@ -61,7 +62,7 @@ fn remove_abandoned(parent: &Path) {
         if !is_ours || !file.is_file() {
             continue;
         }
-        // The lock is held until the folder is deleted, so that no other program takes the folder before.
+        // The lock is held until the folder is deleted, so that no second program deletes the folder at the same time.
         let Ok(lock) = File::open(&file) else { continue };
         if lock.try_lock().is_ok()
             && let Err(error) = fs::remove_dir_all(&folder)
@@ -76,7 +77,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn folders_of_ended_processes_are_removed_others_stay() {
+    fn new_folder_removes_only_folders_of_ended_processes() {
         let parent = tempfile::tempdir().expect("a folder");
         let new = || LockedTempDir::new_in(parent.path(), "model").expect("made");
         let in_use = new();
@@ -90,7 +91,7 @@ mod tests {
         fs::write(other.join(LOCK_FILE), "").expect("written");
 
         let later = new();
-        assert!(kept_folder.exists(), "its lock is held still");
+        assert!(kept_folder.exists(), "its lock is still held, as by a running process");
         drop(lock);
         drop(new());
         assert!(!kept_folder.exists());

@@ -13,7 +13,7 @@ use crate::queue::{Queue, Rejection};
 use crate::thread::{WorkerSlot, deliver};
 use crate::{FinishedJob, InferenceError, Job, LoadError, Model, RefusedJob};
 
-/// Loaded model with its workers, shared by all its users.
+/// Loaded model with its workers. All pipelines and sessions that use the model share this pool.
 ///
 /// Dropping the last `Arc`, or [`shutdown`](Self::shutdown), ends the threads: each finishes its current sample;
 /// waiting jobs get [`InferenceError::Stopped`].
@@ -24,7 +24,7 @@ pub struct Pool {
     /// Growth of the process's resident memory while the model was loaded, bytes.
     memory_growth: Option<u64>,
     /// Counts this model as loaded until the pool is dropped.
-    counted: Option<CountedModel>,
+    counted_model: Option<CountedModel>,
     loaded_at: MonoTime,
     workers: usize,
     execution: Execution,
@@ -32,7 +32,7 @@ pub struct Pool {
     additional_facts: Vec<(String, String)>,
 }
 
-/// Way in which jobs are run.
+/// Threads on which jobs run.
 enum Execution {
     /// On threads of the pool, which take jobs from a queue.
     Threads { queue: Arc<Queue<Job>>, handles: Mutex<Vec<JoinHandle<()>>>, blockage: BlockageDetector },
@@ -49,19 +49,25 @@ impl Pool {
         clock: &SharedClock,
         started_at: MonoTime,
     ) -> Result<Self, LoadError> {
-        let slot = |_| {
+        let new_slot = |_| {
             let worker = Some(model.create_worker()?);
             let (name, model, clock) = (name.clone(), Arc::clone(&model), Arc::clone(clock));
-            Ok(WorkerSlot { name, model, clock, worker, current: Arc::<CurrentComputation>::default() })
+            Ok(WorkerSlot {
+                name,
+                model,
+                clock,
+                worker,
+                current_computation: Arc::<CurrentComputation>::default(),
+            })
         };
         // A model that does not block runs on the thread of its caller, one sample at a time.
         let workers = if model.blocks() { sizes.workers } else { 1 };
-        let mut slots = (0..workers).map(slot).collect::<Result<Vec<_>, LoadError>>()?;
+        let mut slots = (0..workers).map(new_slot).collect::<Result<Vec<_>, LoadError>>()?;
         let execution = match slots.pop() {
             Some(slot) if !model.blocks() => Execution::Inline(Mutex::new(slot)),
-            last => {
-                slots.extend(last);
-                let computations = slots.iter().map(|slot| Arc::clone(&slot.current)).collect();
+            last_slot => {
+                slots.extend(last_slot);
+                let computations = slots.iter().map(|slot| Arc::clone(&slot.current_computation)).collect();
                 let blockage = BlockageDetector::new(computations, Arc::clone(clock));
                 Execution::threads(&name, slots, sizes.queue, blockage)?
             }
@@ -70,7 +76,7 @@ impl Pool {
         Ok(Self {
             load_duration: loaded_at - started_at,
             memory_growth: None,
-            counted: None,
+            counted_model: None,
             loaded_at,
             name,
             model,
@@ -84,7 +90,7 @@ impl Pool {
     /// loaded.
     pub(crate) fn with_memory_growth(mut self, bytes: Option<u64>, counter: &LoadedModelCounter) -> Self {
         self.memory_growth = bytes;
-        self.counted = Some(counter.count(bytes.unwrap_or(0)));
+        self.counted_model = Some(counter.count(bytes.unwrap_or(0)));
         self
     }
 
@@ -94,8 +100,8 @@ impl Pool {
         self
     }
 
-    /// Submits a job and returns at once. For a model that does not [block](Model::blocks) the callback of the job
-    /// has run by then, on this thread.
+    /// Submits a job and returns at once. For a model that does not [block](Model::blocks), the callback of the job
+    /// runs on this thread, before `submit` returns.
     ///
     /// # Errors
     /// Returns the job if the queue is full or the pool is shut down.
@@ -107,19 +113,20 @@ impl Pool {
                 let taken_at = slot.clock.mono();
                 let finished = slot.compute(vec![job], taken_at);
                 drop(slot);
-                for (reply, done) in finished {
-                    deliver(&self.name, reply, done);
+                for (reply, finished_job) in finished {
+                    deliver(&self.name, reply, finished_job);
                 }
                 Ok(())
             }
             Execution::Threads { queue, blockage, .. } => {
+                // A blockage delays only submitted requests, so that no timer has to look for blockages.
                 blockage.check(&self.name);
                 if queue.is_full() {
                     self.drop_cancelled(queue);
                 }
-                queue.push(job).map_err(|(job, why)| {
+                queue.push(job).map_err(|(job, rejection)| {
                     let model = self.name.to_string();
-                    let reason = match why {
+                    let reason = match rejection {
                         Rejection::Full => InferenceError::QueueFull { model, capacity: queue.capacity() },
                         Rejection::Closed => InferenceError::Stopped { model },
                     };
@@ -130,7 +137,8 @@ impl Pool {
     }
 
     /// Answers the waiting jobs that were cancelled, which frees their places in the queue.
-    // Otherwise they would keep their places until a worker takes them, and a worker may compute for long.
+    // Otherwise the cancelled jobs would keep their places until a worker takes them, and a worker may compute for
+    // long.
     fn drop_cancelled(&self, queue: &Queue<Job>) {
         for Job { recorder, reply, .. } in queue.remove(|job| job.requester.cancellation().is_cancelled()) {
             let result = Err(InferenceError::Cancelled { model: self.name.to_string() });
@@ -193,13 +201,13 @@ impl Pool {
         self.memory_growth
     }
 
-    /// Returns the number of samples that are computed at the same time.
+    /// Returns the number of workers, each of which computes one sample or one batch at a time.
     pub fn workers(&self) -> usize {
         self.workers
     }
 
-    /// Returns the age of the oldest computation if every worker still computes requests that were cancelled, so that
-    /// all others wait. `None` if a worker is free or computes an awaited request.
+    /// Returns the age of the oldest computation if every worker computes only cancelled requests, so that all other
+    /// requests wait. `None` if a worker is free or computes a request that is not cancelled.
     pub fn blocked_for(&self) -> Option<Span> {
         match &self.execution {
             Execution::Threads { blockage, .. } => blockage.duration(),

@@ -1,6 +1,6 @@
 //! Resident memory of this process.
 
-/// Resident memory of this process, bytes; memory of a GPU and of other processes does not count.
+/// Resident memory of this process, bytes; memory of a GPU and of other processes is not included.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ProcessMemory {
     /// Resident memory now.
@@ -35,6 +35,9 @@ mod tests {
         assert_eq!(ProcessMemory::parse(status), Some(ProcessMemory { resident: 1 << 20, peak: 2 << 20 }));
         // A kernel thread has no memory of its own.
         assert_eq!(ProcessMemory::parse("Name:\tkthreadd\n"), None);
-        assert!(ProcessMemory::read().is_some_and(|memory| memory.resident > 1 << 20), "this process");
+        assert!(
+            ProcessMemory::read().is_some_and(|memory| memory.resident > 1 << 20),
+            "this process uses more than 1 MiB"
+        );
     }
 }

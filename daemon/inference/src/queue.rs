@@ -9,8 +9,8 @@ use std::time::Duration;
 /// At most `capacity` items wait. Each idle consumer allows one more item, because it takes the item at once.
 ///
 /// An item is *unfinished* from [`push`](Self::push) until [`finish`](Self::finish). A consumer that collects a batch
-/// stops waiting when the number of unfinished items reaches the largest number seen before: then every producer
-/// probably waits for an answer, and none will add an item.
+/// stops waiting when the number of unfinished items reaches the largest number so far: every producer then probably
+/// waits for an answer, and no producer will add an item.
 // Channels of the standard library and of tokio do not count idle consumers.
 pub(crate) struct Queue<T> {
     capacity: usize,
@@ -20,14 +20,14 @@ pub(crate) struct Queue<T> {
 
 struct State<T> {
     waiting: VecDeque<T>,
-    /// Number of items that waiting consumers will take as soon as they arrive.
+    /// Number of items that waiting consumers will take as soon as the items are added.
     awaited_items: usize,
-    /// Number of items that were added and are not finished.
+    /// Number of unfinished items, in the queue and with consumers.
     unfinished: usize,
     /// Largest number of unfinished items since a consumer's wait last timed out. A consumer does not wait when this
     /// number is reached.
     max_unfinished: usize,
-    closed: bool,
+    is_closed: bool,
 }
 
 /// Reason why an item was not added.
@@ -39,14 +39,14 @@ pub(crate) enum Rejection {
 
 impl<T> Queue<T> {
     pub(crate) fn new(capacity: usize) -> Self {
-        // Nothing is known about the producers yet, so the first batch waits.
+        // Nothing is known about the producers yet, so the first batch waits for its whole time.
         let max_unfinished = usize::MAX;
         let state = State {
             waiting: VecDeque::new(),
             awaited_items: 0,
             unfinished: 0,
             max_unfinished,
-            closed: false,
+            is_closed: false,
         };
         Self { capacity, state: Mutex::new(state), changed: Condvar::new() }
     }
@@ -55,7 +55,7 @@ impl<T> Queue<T> {
         self.capacity
     }
 
-    /// Returns whether [`push`](Self::push) would reject an item now because there is no place.
+    /// Returns whether [`push`](Self::push) would reject an item now because the queue is full.
     pub(crate) fn is_full(&self) -> bool {
         self.is_full_in(&self.lock())
     }
@@ -72,10 +72,10 @@ impl<T> Queue<T> {
     /// Adds an item at the end; never waits.
     ///
     /// # Errors
-    /// When the queue is full or closed; returns the item.
+    /// If the queue is full or closed; the error contains the item.
     pub(crate) fn push(&self, item: T) -> Result<(), (T, Rejection)> {
         let mut state = self.lock();
-        if state.closed {
+        if state.is_closed {
             return Err((item, Rejection::Closed));
         }
         if self.is_full_in(&state) {
@@ -85,10 +85,10 @@ impl<T> Queue<T> {
         state.unfinished += 1;
         state.max_unfinished = state.max_unfinished.max(state.unfinished);
         let is_last_expected = state.unfinished >= state.max_unfinished;
-        // This comes before the notification, so that the woken consumer does not wait for the lock.
+        // The lock is released before the notification, so that the woken consumer does not wait for the lock.
         drop(state);
         if is_last_expected {
-            // An idle consumer may take the item, and another one may collect a batch that need not wait any more.
+            // An idle consumer may take the item. Another consumer may collect a batch, and need not wait any more.
             self.changed.notify_all();
         } else {
             self.changed.notify_one();
@@ -106,8 +106,8 @@ impl<T> Queue<T> {
         removed.into()
     }
 
-    /// Marks `count` of the taken items as finished. Call this before their producers learn the results: a producer
-    /// that adds its next item would otherwise count twice.
+    /// Marks `count` of the taken items as finished. Call this before the producers of these items learn the results:
+    /// otherwise a producer that adds its next item has two unfinished items.
     pub(crate) fn finish(&self, count: usize) {
         let mut state = self.lock();
         state.unfinished = state.unfinished.saturating_sub(count);
@@ -117,37 +117,38 @@ impl<T> Queue<T> {
     pub(crate) fn pop(&self) -> Option<T> {
         let mut state = self.lock();
         state.awaited_items += 1;
-        while state.waiting.is_empty() && !state.closed {
+        while state.waiting.is_empty() && !state.is_closed {
             state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
         state.awaited_items -= 1;
-        if state.closed { None } else { state.waiting.pop_front() }
+        if state.is_closed { None } else { state.waiting.pop_front() }
     }
 
-    /// Adds waiting items to `items` until there are `size`. Waits at most `timeout`, and only while more items are
-    /// expected; see [`Queue`]. Takes none if the queue is closed.
+    /// Adds waiting items to `items` until `items` has `size` elements. Waits at most `timeout`, and only while more
+    /// items are expected; see [`Queue`]. Takes no item if the queue is closed.
     pub(crate) fn pop_more(&self, items: &mut Vec<T>, size: usize, timeout: Duration) {
         let missing = size.saturating_sub(items.len());
         let mut state = self.lock();
-        // This consumer takes all missing items as soon as they arrive, so the queue admits as many more items.
+        // This consumer takes all missing items as soon as they arrive, so the queue accepts as many further items.
         state.awaited_items += missing;
-        let is_short = |state: &mut State<T>| {
-            state.waiting.len() < missing && state.unfinished < state.max_unfinished && !state.closed
+        let must_wait = |state: &mut State<T>| {
+            state.waiting.len() < missing && state.unfinished < state.max_unfinished && !state.is_closed
         };
-        let waited = self.changed.wait_timeout_while(state, timeout, is_short);
+        let waited = self.changed.wait_timeout_while(state, timeout, must_wait);
         let (mut state, wait) = waited.unwrap_or_else(PoisonError::into_inner);
         state.awaited_items -= missing;
         if wait.timed_out() {
+            // The expected items were not added, so fewer producers are active than before.
             state.max_unfinished = state.unfinished;
         }
-        if state.closed {
+        if state.is_closed {
             return;
         }
         let ready = missing.min(state.waiting.len());
         items.extend(state.waiting.drain(..ready));
         let is_more_waiting = !state.waiting.is_empty();
         drop(state);
-        // The notification of a further item may have come to this consumer instead of an idle one.
+        // This consumer may have received the notification of a further item in place of an idle consumer.
         if is_more_waiting {
             self.changed.notify_one();
         }
@@ -156,7 +157,7 @@ impl<T> Queue<T> {
     /// Closes the queue: wakes all consumers, and returns the items that none of them took.
     pub(crate) fn close(&self) -> VecDeque<T> {
         let mut state = self.lock();
-        state.closed = true;
+        state.is_closed = true;
         let waiting = std::mem::take(&mut state.waiting);
         drop(state);
         self.changed.notify_all();
@@ -223,7 +224,7 @@ mod tests {
             items
         };
         queue.push('a').expect("has room");
-        assert_eq!(take(moment), ['a'], "the first batch waits in vain");
+        assert_eq!(take(moment), ['a'], "the first batch waits, but no other item is added");
         queue.finish(1);
         queue.push('a').expect("has room");
         assert_eq!(take(hour), ['a'], "the only producer has its item in the batch");
@@ -232,10 +233,10 @@ mod tests {
         queue.finish(2);
         queue.push('b').expect("has room");
         queue.push('a').expect("has room");
-        assert_eq!(take(hour), ['b', 'a'], "both producers have theirs");
+        assert_eq!(take(hour), ['b', 'a'], "both producers have an item in the batch");
         queue.finish(2);
         queue.push('a').expect("has room");
-        assert_eq!(take(moment), ['a'], "`b` was expected in vain");
+        assert_eq!(take(moment), ['a'], "`b` is expected, but is not added");
         queue.finish(1);
         queue.push('a').expect("has room");
         assert_eq!(take(hour), ['a'], "`b` is not expected any more");
@@ -243,7 +244,11 @@ mod tests {
         assert_eq!(queue.remove(|item| *item == 'b'), ['b']);
         queue.finish(1);
         queue.push('a').expect("has room");
-        assert_eq!(take(moment), ['a'], "a removed item was unfinished before");
+        assert_eq!(
+            take(moment),
+            ['a'],
+            "two items are expected, because the removed item counted as unfinished"
+        );
     }
 
     #[test]

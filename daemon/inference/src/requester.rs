@@ -10,10 +10,10 @@ use crate::InferenceError;
 /// Receiver of one answer. A model may send it partial answers before the answer is complete, and stops computing
 /// when the request is cancelled.
 pub trait Requester: Send + Sync {
-    /// Sends a partial answer. Waits while too many earlier ones are unread or wait to be sent.
+    /// Sends a partial answer. Waits while too many earlier partial answers are unread or not yet sent.
     ///
     /// # Errors
-    /// If the request was cancelled, or the partial answer cannot be sent. The model stops computing then.
+    /// If the request was cancelled, or the partial answer cannot be sent. The model then stops computing.
     fn send_partial_answer(&self, partial_answer: Sample) -> Result<(), PartialAnswerError>;
 
     /// Returns the token that is cancelled when the time limit of the request passes or the other end is gone.
@@ -22,7 +22,7 @@ pub trait Requester: Send + Sync {
     /// Waits for `duration`.
     ///
     /// # Errors
-    /// If the request is cancelled; returns at once then.
+    /// If the request is cancelled. The function then returns at once.
     fn wait(&self, duration: Duration) -> Result<(), Cancelled>;
 }
 
@@ -37,13 +37,13 @@ pub enum PartialAnswerError {
     /// The request was cancelled.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
-    /// The partial answer cannot be sent to the requester, for this reason.
+    /// The partial answer cannot be sent to the requester, for the contained reason.
     #[error("{0}")]
     Refused(String),
 }
 
 impl PartialAnswerError {
-    /// Returns the failure of the request to `model`.
+    /// Converts this error into the error with which `model` fails the request.
     pub(crate) fn into_inference_error(self, model: &str) -> InferenceError {
         let model = model.to_owned();
         match self {

@@ -1,4 +1,4 @@
-//! Temporary folders to be removed at the end of the process, even if models still use them.
+//! Temporary folders that are removed at the end of the process, even if models still use them.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -39,17 +39,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn registered_folders_are_deleted() {
+    fn only_registered_folders_are_deleted() {
         let parent = tempfile::tempdir().expect("a folder");
-        let [kept, abandoned] = ["kept", "abandoned"].map(|name| parent.path().join(name));
+        let [deregistered, registered] = ["deregistered", "registered"].map(|name| parent.path().join(name));
         let temp_dirs = TempDirs::default();
-        for folder in [&kept, &abandoned] {
+        for folder in [&deregistered, &registered] {
             fs::create_dir(folder).expect("made");
             fs::write(folder.join("weights.bin"), b"x").expect("written");
             temp_dirs.register(folder);
         }
-        temp_dirs.deregister(&kept);
+        temp_dirs.deregister(&deregistered);
         temp_dirs.delete_all();
-        assert!(kept.exists() && !abandoned.exists());
+        assert!(deregistered.exists() && !registered.exists());
     }
 }

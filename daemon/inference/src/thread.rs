@@ -13,14 +13,14 @@ use crate::job::Reply;
 use crate::queue::Queue;
 use crate::{FinishedJob, InferenceError, Job, Model, Request, Worker};
 
-/// A worker with the objects that it needs to answer jobs; used by one thread at a time.
+/// A worker, with what is needed to answer jobs and to rebuild the worker; used by one thread at a time.
 pub(crate) struct WorkerSlot {
     pub(crate) name: Slug,
     pub(crate) model: Arc<dyn Model>,
     pub(crate) clock: SharedClock,
-    /// The worker; `None` after a panic, until it is rebuilt.
+    /// The worker; `None` after a panic, until the next job rebuilds the worker.
     pub(crate) worker: Option<Box<dyn Worker>>,
-    pub(crate) current: Arc<CurrentComputation>,
+    pub(crate) current_computation: Arc<CurrentComputation>,
 }
 
 impl WorkerSlot {
@@ -35,8 +35,8 @@ impl WorkerSlot {
             }
             let finished = self.compute(jobs, taken_at);
             queue.finish(finished.len());
-            for (reply, done) in finished {
-                deliver(&self.name, reply, done);
+            for (reply, finished_job) in finished {
+                deliver(&self.name, reply, finished_job);
             }
         }
     }
@@ -47,21 +47,21 @@ impl WorkerSlot {
         let started_at = self.clock.mono();
         let is_batching = self.model.batching().is_on();
         for job in &mut jobs {
-            // A request that arrives after the first request of its batch was taken does not wait in the queue.
-            let left_queue_at = if is_batching { taken_at.max(job.received) } else { started_at };
-            job.recorder.record_timer(stage::QUEUE, job.received, left_queue_at);
+            // A request that arrives while its batch is collected spends no time in the queue.
+            let left_queue_at = if is_batching { taken_at.max(job.received_at) } else { started_at };
+            job.recorder.record_timer(stage::QUEUE, job.received_at, left_queue_at);
             if is_batching {
                 job.recorder.record_timer(stage::BATCH_WAIT, left_queue_at, started_at);
             }
         }
         // A request that was cancelled in the queue costs no computation.
-        let (cancelled, mut awaited): (Vec<_>, Vec<_>) =
+        let (cancelled, mut to_compute): (Vec<_>, Vec<_>) =
             jobs.into_iter().partition(|job| job.requester.cancellation().is_cancelled());
-        let results = if awaited.is_empty() { Vec::new() } else { self.infer(&mut awaited) };
+        let results = if to_compute.is_empty() { Vec::new() } else { self.infer(&mut to_compute) };
         let cancellation = || Err(InferenceError::Cancelled { model: self.name.to_string() });
         let cancelled = cancelled.into_iter().map(|job| (job, cancellation()));
         let finished = |(job, result): (Job, _)| (job.reply, FinishedJob { recorder: job.recorder, result });
-        awaited.into_iter().zip(results).chain(cancelled).map(finished).collect()
+        to_compute.into_iter().zip(results).chain(cancelled).map(finished).collect()
     }
 
     /// Returns one result per job, in their order.
@@ -87,9 +87,10 @@ impl WorkerSlot {
                 }
             }
         };
-        let count = jobs.len();
-        self.current.begin(jobs, self.clock.mono());
-        // The panic closes the recorders' open nodes as it unwinds, so they stay usable. The worker is discarded.
+        let job_count = jobs.len();
+        self.current_computation.begin(jobs, self.clock.mono());
+        // As a panic unwinds, it closes the open nodes of the recorders, which therefore stay usable. The worker is
+        // discarded.
         let outcome = catch_unwind(AssertUnwindSafe(|| match jobs {
             [Job { sample, recorder, requester, .. }] => vec![worker.infer(sample, recorder, &**requester)],
             jobs => {
@@ -97,7 +98,7 @@ impl WorkerSlot {
                 worker.infer_batch(&mut requests)
             }
         }));
-        self.current.end();
+        self.current_computation.end();
         match outcome {
             Ok(results) => {
                 self.worker = Some(worker);
@@ -105,15 +106,15 @@ impl WorkerSlot {
             }
             Err(panic) => {
                 let message = panic_message(panic.as_ref()).to_owned();
-                vec![Err(InferenceError::Panicked { model: self.name.to_string(), message }); count]
+                vec![Err(InferenceError::Panicked { model: self.name.to_string(), message }); job_count]
             }
         }
     }
 }
 
 /// Calls a job's reply and catches its panics, so that a faulty receiver does not end a thread of the pool.
-pub(crate) fn deliver(model: &Slug, reply: Reply, done: FinishedJob) {
-    if let Err(panic) = catch_unwind(AssertUnwindSafe(|| reply(done))) {
+pub(crate) fn deliver(model: &Slug, reply: Reply, finished_job: FinishedJob) {
+    if let Err(panic) = catch_unwind(AssertUnwindSafe(|| reply(finished_job))) {
         tracing::error!(%model, panic = panic_message(panic.as_ref()), "the receiver of a model's answer panicked");
     }
 }

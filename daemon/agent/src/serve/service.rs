@@ -93,7 +93,7 @@ impl Service {
                     reply.send(recorder, result.map_err(|error| failure_from_error(&error)));
                 });
                 let requester = Arc::new(PeerRequester(partial_answers));
-                let job = Job { sample, recorder, received: received.mono, requester, reply };
+                let job = Job { sample, recorder, received_at: received.mono, requester, reply };
                 // A refusal is answered as well, so that the edge does not wait for its timeout.
                 if let Err(refused) = pool.submit(job) {
                     let Job { recorder, reply, .. } = *refused.job;

@@ -36,11 +36,12 @@ impl CacheEntry {
         Ok((pool, true))
     }
 
-    /// Returns whether the pool is not in use. The caller must be the only holder of the entry.
+    /// Returns whether the pool is not in use. The caller must make sure that no other thread gets the pool from this
+    /// entry meanwhile.
     pub(super) fn is_idle(&self) -> bool {
-        // The lock is held while the model loads.
+        // Another thread holds the lock while it loads the model.
         let Ok(pool) = self.pool.try_lock() else { return false };
-        // Each user holds a reference to the pool, and need not announce the end of the use.
+        // Whoever uses the pool holds a reference to the pool, and only drops this reference at the end of the use.
         pool.as_ref().is_none_or(|pool| Arc::strong_count(pool) == 1)
     }
 
@@ -50,7 +51,8 @@ impl CacheEntry {
     }
 }
 
-/// Sizes and modification times of a model's files. A change shows that files were replaced.
+/// Sizes and modification times of a model's files. If two stamps differ, a file was replaced.
+// The stamp is read for each request. A hash of a large model's files would take too long.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct FilesStamp(Vec<Option<(u64, SystemTime)>>);
 

@@ -14,23 +14,26 @@ use crate::{CommonSettings, ModelConfig};
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct BankConfig {
-    /// Folders that hold one folder per model. If several hold a model of the same name, the first one is used. An
-    /// empty list offers no models. Default: `["/var/lib/peernet/models"]`, to which only root can add models.
+    /// Folders that contain one folder for each model. If several of them contain a model of the same name, the model
+    /// in the first folder is used. An empty list offers no models. Default: `["/var/lib/peernet/models"]`, to which
+    /// only root can add models.
     pub folders: Vec<PathBuf>,
-    /// Devices that may be requested, named like a model's `device`; the first one is used for requests without a
+    /// Devices that may be requested, named like a model's `device`; the first device is used for requests without a
     /// device. Default: `["cpu"]`.
     pub devices: Vec<String>,
-    /// Maximum number of these models that may be loaded at the same time, 1 to 64. When a further model is requested,
-    /// the model whose last request is the oldest is unloaded if it is not in use. Default: 2.
+    /// Maximum number of models of these folders that may be loaded at the same time, 1 to 64. When a further model is
+    /// requested, the model whose last request is the oldest is unloaded if it is not in use. Default: 2.
     #[serde(rename = "most_loaded")]
     pub max_loaded: NonZeroUsize,
-    /// Number of worker threads of each model; each computes one sample at a time. Default: 1.
+    /// Number of worker threads of each model; each thread computes one sample at a time. Default: 1.
     pub workers: NonZeroUsize,
-    /// Maximum number of samples that wait for a free worker; more are rejected. Default: 16.
+    /// Maximum number of samples that wait for a free worker; further samples are rejected. Default: 16.
     pub queue: NonZeroUsize,
-    /// Threads of each worker within one operator of the model, including the worker's own thread. Default: 1.
+    /// Number of threads with which a worker computes one operator of the model, including the worker's own thread.
+    /// Default: 1.
     pub intra_threads: NonZeroUsize,
-    /// Threads of each worker across independent operators; above 1 these run in parallel. Default: 1.
+    /// Number of threads with which a worker computes independent operators in parallel; with 1, one operator runs
+    /// after the other. Default: 1.
     pub inter_threads: NonZeroUsize,
 }
 
@@ -53,7 +56,8 @@ impl BankConfig {
     /// Largest permitted value of `most_loaded`.
     pub(super) const MAX_LOADED: usize = 64;
 
-    /// Returns the configuration of a model in the folders, as a `[[model]]` table would have it.
+    /// Returns the configuration of a model in the folders: equal to that of a `[[model]]` table with the values of
+    /// this table.
     pub fn model(&self, name: &Slug, folder: &Path, device: &str) -> ModelConfig {
         let (workers, queue) = (self.workers, self.queue);
         let common = CommonSettings { name: name.clone(), device: device.to_owned(), workers, queue };

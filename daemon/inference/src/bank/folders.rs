@@ -11,11 +11,11 @@ use super::BankConfig;
 use crate::model::onnx::{self, CardSummary};
 use crate::{LoadError, ModelConfig};
 
-/// Default folder of the package and of `peernet models`.
+/// Folder of models in which the agent of the package and `peernet models` search by default.
 pub const DEFAULT_MODEL_FOLDER: &str = "/var/lib/peernet/models";
 
 /// Environment variable with further folders, separated by colons.
-const VARIABLE: &str = "PEERNET_MODELS";
+const FOLDERS_VARIABLE: &str = "PEERNET_MODELS";
 
 /// Folders that hold one folder per model, in the order in which they are searched.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -39,12 +39,14 @@ impl ModelFolders {
     /// Returns the folders that the command line searches: `extra`, then the folders of `PEERNET_MODELS`,
     /// [`DEFAULT_MODEL_FOLDER`] and `models`.
     pub fn search(extra: &[PathBuf]) -> Self {
-        let variable = std::env::var_os(VARIABLE).unwrap_or_default();
-        let named = std::env::split_paths(&variable).filter(|path| !path.as_os_str().is_empty());
-        Self::new(extra.iter().cloned().chain(named).chain([DEFAULT_MODEL_FOLDER.into(), "models".into()]))
+        let variable = std::env::var_os(FOLDERS_VARIABLE).unwrap_or_default();
+        let of_variable = std::env::split_paths(&variable).filter(|path| !path.as_os_str().is_empty());
+        Self::new(
+            extra.iter().cloned().chain(of_variable).chain([DEFAULT_MODEL_FOLDER.into(), "models".into()]),
+        )
     }
 
-    /// Creates the list of these folders. A folder that occurs again, perhaps by another path, is left out.
+    /// Creates the list of these folders. A folder that occurs a second time, perhaps under another path, is left out.
     pub fn new(folders: impl IntoIterator<Item = PathBuf>) -> Self {
         let mut seen = HashSet::new();
         let is_new = |folder: &PathBuf| seen.insert(folder.canonicalize().unwrap_or_else(|_| folder.clone()));
@@ -56,15 +58,15 @@ impl ModelFolders {
         &self.0
     }
 
-    /// Lists all models, folder by folder, and by name within each. A folder that does not exist has none.
+    /// Lists all models, folder by folder, and in each folder by name. A folder that does not exist contains no models.
     pub fn list(&self) -> Vec<ModelOnDisk> {
         let mut models: Vec<ModelOnDisk> = Vec::new();
         for parent in &self.0 {
             let mut names = model_names(parent).unwrap_or_default();
             names.sort();
             for name in names {
-                let first = models.iter().find(|model| model.name == name && model.shadowed_by.is_none());
-                let shadowed_by = first.map(|model| model.folder.clone());
+                let preferred = models.iter().find(|model| model.name == name && model.shadowed_by.is_none());
+                let shadowed_by = preferred.map(|model| model.folder.clone());
                 models.push(ModelOnDisk {
                     shadowed_by,
                     ..ModelOnDisk::read(name.clone(), parent.join(name.as_str()))
@@ -74,21 +76,21 @@ impl ModelFolders {
         models
     }
 
-    /// Finds the model of this name, or in this folder if the name contains a slash.
+    /// Finds the model of this name. A name with a slash is the path of the model's folder.
     ///
     /// # Errors
-    /// When there is no such model. A model with an error is returned as well; its card holds the error.
+    /// If there is no such model. A model with an error is found, too; the error is in the field `card`.
     pub fn find(&self, name: &str) -> Result<ModelOnDisk, LoadError> {
         if name.contains('/') {
             return ModelOnDisk::in_folder(Path::new(name));
         }
         let slug: Option<Slug> = name.parse().ok();
-        let mut places =
-            self.0.iter().filter_map(|place| Some((slug.clone()?, place.join(slug.as_ref()?.as_str()))));
-        if let Some((name, folder)) = places.find(|(_, folder)| is_model(folder)) {
+        let mut candidates =
+            self.0.iter().filter_map(|parent| Some((slug.clone()?, parent.join(slug.as_ref()?.as_str()))));
+        if let Some((name, folder)) = candidates.find(|(_, folder)| is_model(folder)) {
             return Ok(ModelOnDisk::read(name, folder));
         }
-        let names = self.0.iter().flat_map(|place| model_names(place).unwrap_or_default());
+        let names = self.0.iter().flat_map(|parent| model_names(parent).unwrap_or_default());
         let mut known: Vec<String> = names.map(|name| name.to_string()).collect();
         known.sort();
         let mut seen = HashSet::new();
@@ -98,9 +100,9 @@ impl ModelFolders {
 
     /// Returns an error for each folder that exists and cannot be read.
     pub fn check(&self) -> Vec<LoadError> {
-        let unreadable = |place: &PathBuf| match model_names(place) {
+        let unreadable = |parent: &PathBuf| match model_names(parent) {
             Err(error) if error.kind() != ErrorKind::NotFound => {
-                Some(LoadError::File { file: place.clone(), reason: error.to_string() })
+                Some(LoadError::File { file: parent.clone(), reason: error.to_string() })
             }
             _ => None,
         };
@@ -115,19 +117,20 @@ impl ModelOnDisk {
     }
 
     fn in_folder(folder: &Path) -> Result<Self, LoadError> {
-        let wrong = |reason: String| LoadError::File { file: folder.to_owned(), reason };
-        // A path such as `./` has no name of its own.
-        let folder = folder.canonicalize().map_err(|error| wrong(error.to_string()))?;
+        let file_error = |reason: String| LoadError::File { file: folder.to_owned(), reason };
+        // A path such as `./` does not end with the name of a folder.
+        let folder = folder.canonicalize().map_err(|error| file_error(error.to_string()))?;
         if !is_model(&folder) {
-            return Err(wrong("the folder contains neither model.onnx nor model.toml".to_owned()));
+            return Err(file_error("the folder contains neither model.onnx nor model.toml".to_owned()));
         }
         let name = folder.file_name().unwrap_or_default().to_string_lossy();
-        let name = name.parse().map_err(|error: peernet_logger::InvalidName| wrong(error.to_string()))?;
+        let name =
+            name.parse().map_err(|error: peernet_logger::InvalidName| file_error(error.to_string()))?;
         Ok(Self::read(name, folder))
     }
 
-    /// Returns the configuration of this model with one worker on `device`, as a `[[model]]` table would give it. All
-    /// other keys have their defaults.
+    /// Returns the configuration of this model on `device`, with one worker and with the defaults of all other keys of
+    /// `[[model]]`.
     pub fn configuration(&self, device: &str) -> ModelConfig {
         BankConfig::default().model(&self.name, &self.folder, device)
     }
@@ -136,7 +139,7 @@ impl ModelOnDisk {
     /// and arrays of zeros.
     ///
     /// # Errors
-    /// When the card is invalid.
+    /// If the card is invalid.
     pub fn example_sample(&self) -> Result<Sample, LoadError> {
         onnx::example_sample(&self.folder)
     }
@@ -144,7 +147,7 @@ impl ModelOnDisk {
     /// Computes the SHA-256 of `model.onnx` and the data files of its weights, in hexadecimal.
     ///
     /// # Errors
-    /// When a file cannot be read.
+    /// If a file cannot be read.
     pub fn hash(&self) -> Result<String, LoadError> {
         onnx::hash_model(&self.folder)
     }

@@ -6,31 +6,31 @@ use std::time::Duration;
 
 use peernet_logger::Slug;
 
-/// Time from the start of loading to the first line. The time between two lines doubles with each line.
-const FIRST_REPORT: Duration = Duration::from_secs(30);
+/// Time from the start of loading to the first log line. The time between two lines doubles with each line.
+const FIRST_LINE_AFTER: Duration = Duration::from_secs(30);
 
-/// Log target of the lines. Programs that show no other log lines show these lines.
+/// Log target of the lines. Commands that show no other log lines select these lines by this target.
 pub const LOAD_LOG_TARGET: &str = "peernet_inference::loading";
 
-/// Logs that a model is still loading, until this is dropped.
+/// Logs that a model is still loading, until the `LoadWatch` is dropped.
 // The first inference of a model may never end, and building an engine for a GPU may take many minutes.
 pub(super) struct LoadWatch {
-    /// Dropping it ends the thread that logs.
-    loading: Option<SyncSender<()>>,
+    /// Dropping this sender ends the thread that logs.
+    loading_sender: Option<SyncSender<()>>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl LoadWatch {
     /// Starts to watch the loading of a model on a device.
     pub(super) fn start(model: &Slug, device: &str) -> Self {
-        let (loading, loaded) = sync_channel(0);
+        let (loading_sender, loading_receiver) = sync_channel(0);
         let (model, device) = (model.clone(), device.to_owned());
         let report = move || {
-            let mut next = FIRST_REPORT;
+            let mut next_wait = FIRST_LINE_AFTER;
             let mut elapsed_s = 0;
-            while loaded.recv_timeout(next) == Err(RecvTimeoutError::Timeout) {
-                elapsed_s += next.as_secs();
-                next *= 2;
+            while loading_receiver.recv_timeout(next_wait) == Err(RecvTimeoutError::Timeout) {
+                elapsed_s += next_wait.as_secs();
+                next_wait *= 2;
                 tracing::warn!(
                     target: LOAD_LOG_TARGET,
                     "model {model} is still loading on {device} after {elapsed_s} s: its files are read, or its first computation has not \
@@ -42,13 +42,13 @@ impl LoadWatch {
         let thread = thread.inspect_err(
             |error| tracing::error!(%error, "cannot start the thread that reports long loading"),
         );
-        Self { loading: Some(loading), thread: thread.ok() }
+        Self { loading_sender: Some(loading_sender), thread: thread.ok() }
     }
 }
 
 impl Drop for LoadWatch {
     fn drop(&mut self) {
-        drop(self.loading.take());
+        drop(self.loading_sender.take());
         if self.thread.take().is_some_and(|thread| thread.join().is_err()) {
             tracing::error!("the thread that reports long loading panicked");
         }

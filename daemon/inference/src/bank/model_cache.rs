@@ -13,7 +13,7 @@ use crate::LoadError;
 pub(super) struct ModelCache {
     config: BankConfig,
     folders: ModelFolders,
-    /// Entries, ordered by their last request; the oldest comes first.
+    /// Entries in the order of their last requests. The entry that was requested longest ago comes first.
     entries: Mutex<Vec<Arc<CacheEntry>>>,
 }
 
@@ -25,7 +25,7 @@ impl ModelCache {
 
     /// Returns the names of the models on disk that can be requested.
     pub(super) fn names(&self) -> Vec<Slug> {
-        // Without a device no model of the folders can be requested.
+        // If no device is offered, no model of the folders can be requested.
         if self.config.devices.is_empty() {
             return Vec::new();
         }
@@ -34,8 +34,8 @@ impl ModelCache {
         usable.map(|found| found.name).collect()
     }
 
-    /// Returns the entry of a model, on the first device if none is named, and the entries that the caller must
-    /// unload before it loads the model.
+    /// Returns the entry of a model, and the entries that the caller must unload before it loads the model. `None` as
+    /// device stands for the first offered device.
     ///
     /// # Errors
     /// If the model does not exist or has an error, if the device is not offered, or if all entries are in use.
@@ -47,21 +47,23 @@ impl ModelCache {
         let found = self.folders.find(name.as_str())?;
         found.card?;
         let devices = &self.config.devices;
-        let other = |asked: &str| LoadError::OtherDevice {
+        let other_device = |requested: &str| LoadError::OtherDevice {
             model: name.to_string(),
-            asked: asked.to_owned(),
+            requested: requested.to_owned(),
             offered: devices.join(", "),
         };
         let device = match device {
-            Some(asked) => devices.iter().find(|offered| *offered == asked).ok_or_else(|| other(asked))?,
-            None => devices.first().ok_or_else(|| other("any device"))?,
+            Some(requested) => {
+                devices.iter().find(|offered| *offered == requested).ok_or_else(|| other_device(requested))?
+            }
+            None => devices.first().ok_or_else(|| other_device("any device"))?,
         };
         let stamp = FilesStamp::read(&found.folder);
         let mut entries = self.lock();
         let to_unload = entries_to_unload(&mut entries, name, device, &stamp, self.config.max_loaded.get())?;
         let existing = entries.iter().position(|entry| is_entry(entry, name, device));
         let entry = match existing {
-            Some(at) => entries.remove(at),
+            Some(index) => entries.remove(index),
             None => CacheEntry::new(self.config.model(name, &found.folder, device), Some(stamp)),
         };
         entries.push(Arc::clone(&entry));
@@ -70,9 +72,9 @@ impl ModelCache {
 
     /// Removes an entry whose model could not be loaded.
     pub(super) fn discard(&self, failed: &Arc<CacheEntry>) {
-        // Other callers may be retrying at this moment; then the last of them removes the entry.
+        // Other callers may be loading the same model again at this moment. The last of them then removes the entry.
         self.lock().retain(|entry| {
-            // Two references: that of the list and that of the caller.
+            // The list and the caller hold one reference each.
             !(Arc::ptr_eq(entry, failed) && Arc::strong_count(entry) == 2 && entry.is_idle())
         });
     }
@@ -84,15 +86,16 @@ impl ModelCache {
     /// Checks the folders and limits; returns each error with its key.
     pub(super) fn check(&self) -> Vec<(&'static str, LoadError)> {
         let mut errors: Vec<_> = self.folders.check().into_iter().map(|error| ("folders", error)).collect();
-        let (value, most) = (self.config.max_loaded.get(), BankConfig::MAX_LOADED);
-        if value > most {
-            let (value, most) = (value as u64, most as u64);
-            errors.push(("most_loaded", LoadError::AboveLimit { key: "most_loaded", value, most }));
+        let (value, max) = (self.config.max_loaded.get(), BankConfig::MAX_LOADED);
+        if value > max {
+            let (value, max) = (value as u64, max as u64);
+            errors.push(("most_loaded", LoadError::AboveLimit { key: "most_loaded", value, max }));
         }
-        // The limited keys are those of `[bank]`, so the configuration of any model serves for the check.
-        let probe = self.config.model(&Slug::any(), Path::new("."), "cpu");
-        if let Err(LoadError::AboveLimit { key, value, most }) = probe.check_limits() {
-            errors.push((key, LoadError::AboveLimit { key, value, most }));
+        // `check_limits()` needs the configuration of a model. Any model serves, because all models of the folders have
+        // the limited keys of `[bank]`.
+        let any_model = self.config.model(&Slug::any(), Path::new("."), "cpu");
+        if let Err(LoadError::AboveLimit { key, value, max }) = any_model.check_limits() {
+            errors.push((key, LoadError::AboveLimit { key, value, max }));
         }
         for device in &self.config.devices {
             if let Err(error) = crate::model::onnx::check_device(device) {
@@ -113,7 +116,7 @@ fn is_entry(entry: &CacheEntry, name: &Slug, device: &str) -> bool {
     entry.config.name() == name && entry.config.device() == device
 }
 
-/// Entries that have to be unloaded, with the reason.
+/// Entries that have to be unloaded, each with the reason.
 pub(super) type ToUnload = Vec<(Arc<CacheEntry>, UnloadReason)>;
 
 /// Removes and returns the entries that have to be unloaded for the requested model.
@@ -122,29 +125,29 @@ fn entries_to_unload(
     name: &Slug,
     device: &str,
     stamp: &FilesStamp,
-    most: usize,
+    max: usize,
 ) -> Result<ToUnload, LoadError> {
     // The caller holds the lock of the list, so no other thread can get an entry that only the list references.
     let is_idle = |entry: &Arc<CacheEntry>| Arc::strong_count(entry) == 1 && entry.is_idle();
-    if let Some(at) = entries.iter().position(|entry| is_entry(entry, name, device)) {
-        if entries[at].stamp.as_ref() == Some(stamp) {
+    if let Some(index) = entries.iter().position(|entry| is_entry(entry, name, device)) {
+        if entries[index].stamp.as_ref() == Some(stamp) {
             return Ok(Vec::new());
         }
         // The files have changed. Two versions of one model must not be in use at the same time.
-        if !is_idle(&entries[at]) {
+        if !is_idle(&entries[index]) {
             return Err(LoadError::Changed(name.to_string()));
         }
-        return Ok(vec![(entries.remove(at), UnloadReason::FilesChanged)]);
+        return Ok(vec![(entries.remove(index), UnloadReason::FilesChanged)]);
     }
-    if entries.len() < most {
+    if entries.len() < max {
         return Ok(Vec::new());
     }
     match entries.iter().position(is_idle) {
-        Some(at) => Ok(vec![(entries.remove(at), UnloadReason::MakesRoomFor(name.clone()))]),
+        Some(index) => Ok(vec![(entries.remove(index), UnloadReason::MakesRoomFor(name.clone()))]),
         None => {
             let in_use =
                 entries.iter().map(|entry| format!("{} on {}", entry.config.name(), entry.config.device()));
-            Err(LoadError::BankFull { model: name.to_string(), most, in_use: in_use.collect() })
+            Err(LoadError::BankFull { model: name.to_string(), max, in_use: in_use.collect() })
         }
     }
 }

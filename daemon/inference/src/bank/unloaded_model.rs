@@ -10,14 +10,14 @@ use peernet_logger::Slug;
 pub struct UnloadedModel {
     /// Name of the model.
     pub name: Slug,
-    /// Device on which it ran, such as `cpu`.
+    /// Device on which the model ran, such as `cpu`.
     pub device: String,
-    /// Time for which it was loaded.
+    /// Time for which the model was loaded.
     pub loaded_for: Span,
-    /// Shrinkage of this process's resident memory while the model was unloaded, bytes; `None` if it is unknown. The
-    /// memory allocator may keep memory for later use.
+    /// Decrease of this process's resident memory while the model was unloaded, bytes; `None` if it is unknown. The
+    /// decrease may be smaller than the model, because the memory allocator may keep memory for later use.
     pub memory_released: Option<u64>,
-    /// Reason for unloading it.
+    /// Reason for unloading the model.
     pub reason: UnloadReason,
 }
 

@@ -56,7 +56,7 @@ fn pool(
 }
 
 fn start(model: Arc<dyn Model>, sizes: Sizes, clock: Arc<ManualClock>) -> Arc<Pool> {
-    let name = "told".parse().expect("is a name");
+    let name = "test".parse().expect("is a name");
     let clock: SharedClock = clock;
     Arc::new(Pool::start(name, model, sizes, &clock, clock.mono()).expect("starts"))
 }
@@ -73,24 +73,25 @@ fn job(text: &'static str, reply: impl FnOnce(FinishedJob) + Send + 'static) -> 
 /// Creates a job and the receiver of its result.
 fn job_with_receiver(text: &'static str) -> (Job, Receiver<FinishedJob>) {
     let (sender, receiver) = sync_channel(1);
-    (job(text, move |done| sender.send(done).expect("is awaited")), receiver)
+    (job(text, move |done| sender.send(done).expect("the test waits for the result")), receiver)
 }
 
 fn run(pool: &Pool, text: &'static str) -> FinishedJob {
-    let (job, done) = job_with_receiver(text);
+    let (job, receiver) = job_with_receiver(text);
     pool.submit(job).expect("has room");
-    done.recv().expect("is answered")
+    receiver.recv().expect("is answered")
 }
 
-/// Returns a computation that reports its beginning and waits until the test releases it.
+/// Returns a computation that sends a message when it begins, and then waits until the test releases it. Returns the
+/// receiver of the messages and the sender that releases one computation.
 fn gated_computation()
 -> (impl Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync, Receiver<()>, SyncSender<()>) {
-    let (begun, begins) = sync_channel(8);
+    let (begin_sender, begins) = sync_channel(8);
     let (release, gate) = sync_channel::<()>(8);
     let gate = Mutex::new(gate);
     let compute = move |sample: &Sample| {
-        begun.send(()).expect("is awaited");
-        gate.lock().expect("is not poisoned").recv().expect("is let go");
+        begin_sender.send(()).expect("the test waits for the beginning");
+        gate.lock().expect("is not poisoned").recv().expect("the test releases the computation");
         Ok(sample.clone())
     };
     (compute, begins, release)
@@ -121,17 +122,17 @@ fn full_queue_returns_the_job() {
     assert_eq!(pool.waiting_samples(), 1);
     let refused = pool.submit(job_with_receiver("third").0).expect_err("the queue is full");
     assert_eq!(refused.job.sample, sample("third"));
-    assert_eq!(refused.reason, InferenceError::QueueFull { model: "told".to_owned(), capacity: 1 });
+    assert_eq!(refused.reason, InferenceError::QueueFull { model: "test".to_owned(), capacity: 1 });
     for done in [first_done, second_done] {
         release.send(()).expect("a worker waits");
         assert!(done.recv().expect("is answered").result.is_ok());
     }
 }
 
-/// Requester that was cancelled after its request was queued.
-struct CancelledRequester(CancellationToken);
+/// Requester whose request the test cancels with a token.
+struct CancellableRequester(CancellationToken);
 
-impl Requester for CancelledRequester {
+impl Requester for CancellableRequester {
     fn send_partial_answer(&self, _partial_answer: Sample) -> Result<(), PartialAnswerError> {
         Ok(())
     }
@@ -146,22 +147,24 @@ impl Requester for CancelledRequester {
 }
 
 #[test]
-fn worker_that_ignores_cancellation_is_reported_once() {
+fn worker_that_ignores_cancellation_is_logged_once() {
     let (compute, begins, release) = gated_computation();
     let clock = clock();
     let pool = start(Arc::new(TestModel(Arc::new(compute))), Sizes { workers: 2, queue: 4 }, clock.clone());
     let tokens = [CancellationToken::new(), CancellationToken::new()];
     for token in &tokens {
-        let job = Job { requester: Arc::new(CancelledRequester(token.clone())), ..job("long", |_| {}) };
+        let job = Job { requester: Arc::new(CancellableRequester(token.clone())), ..job("long", |_| {}) };
         pool.submit(job).expect("has room");
         begins.recv().expect("begins");
     }
     tokens[0].cancel();
-    assert_eq!(pool.blocked_for(), None, "the answer of the second worker is awaited");
+    assert_eq!(pool.blocked_for(), None, "the request of the second worker is not cancelled");
     tokens[1].cancel();
     clock.advance(Span::from_millis(600));
     assert_eq!(pool.blocked_for(), Some(Span::from_millis(600)));
-    let Execution::Threads { blockage, .. } = &pool.execution else { panic!("it blocks") };
+    let Execution::Threads { blockage, .. } = &pool.execution else {
+        panic!("the test model runs on threads")
+    };
     let mut logged = Vec::new();
     for _ in 0..4 {
         logged.push(blockage.check(pool.name()));
@@ -170,7 +173,7 @@ fn worker_that_ignores_cancellation_is_reported_once() {
     assert_eq!(logged, [false, false, true, false]);
     let (next, done) = job_with_receiver("next");
     pool.submit(next).expect("has room");
-    (0..3).for_each(|_| release.send(()).expect("is awaited"));
+    (0..3).for_each(|_| release.send(()).expect("a computation waits"));
     done.recv().expect("is answered").result.expect("is computed");
     pool.shutdown();
     assert_eq!(pool.blocked_for(), None);
@@ -185,12 +188,12 @@ fn cancelled_request_gives_up_its_place_in_full_queue() {
     begins.recv().expect("the worker began");
     let (mut second, second_done) = job_with_receiver("second");
     let token = CancellationToken::new();
-    second.requester = Arc::new(CancelledRequester(token.clone()));
+    second.requester = Arc::new(CancellableRequester(token.clone()));
     pool.submit(second).expect("the queue has room");
     token.cancel();
     let (third, third_done) = job_with_receiver("third");
     pool.submit(third).expect("the place of the second is free");
-    let cancelled = Err(InferenceError::Cancelled { model: "told".to_owned() });
+    let cancelled = Err(InferenceError::Cancelled { model: "test".to_owned() });
     assert_eq!(second_done.recv().expect("is answered").result, cancelled);
     for done in [first_done, third_done] {
         release.send(()).expect("a worker waits");
@@ -200,9 +203,9 @@ fn cancelled_request_gives_up_its_place_in_full_queue() {
 
 #[test]
 fn workers_compute_at_the_same_time() {
-    let both = Barrier::new(2);
+    let both_workers = Barrier::new(2);
     let pool = pool(2, 2, move |sample| {
-        both.wait();
+        both_workers.wait();
         Ok(sample.clone())
     });
     let (a, a_done) = job_with_receiver("a");
@@ -214,19 +217,19 @@ fn workers_compute_at_the_same_time() {
 }
 
 #[test]
-fn panic_fails_one_sample_and_no_more() {
+fn panic_fails_only_the_current_sample() {
     let pool = pool(1, 4, |sample| {
         assert!(&sample.parts[0].bytes[..] != b"bad", "cannot take {}", "this");
         Ok(sample.clone())
     });
     let done = run(&pool, "bad");
     let message = "cannot take this".to_owned();
-    assert_eq!(done.result, Err(InferenceError::Panicked { model: "told".to_owned(), message }));
+    assert_eq!(done.result, Err(InferenceError::Panicked { model: "test".to_owned(), message }));
     let tree = done.recorder.finish();
     assert!(!tree.find(&["inference"]).expect("was begun").1.measure.is_open());
     let done = run(&pool, "good");
     assert_eq!(done.result, Ok(sample("good")));
-    assert!(done.recorder.finish().find(&["restart"]).is_some(), "its worker was built anew");
+    assert!(done.recorder.finish().find(&["restart"]).is_some(), "the worker was rebuilt after the panic");
     assert!(run(&pool, "good").recorder.finish().find(&["restart"]).is_none());
 }
 
@@ -251,7 +254,7 @@ fn shutdown_answers_all_jobs() {
         let pool = Arc::clone(&pool);
         move || pool.shutdown()
     });
-    let stopped = Err(InferenceError::Stopped { model: "told".to_owned() });
+    let stopped = Err(InferenceError::Stopped { model: "test".to_owned() });
     assert_eq!(waiting_done.recv().expect("is answered").result, stopped);
     let refused = pool.submit(job_with_receiver("late").0).expect_err("is shut down");
     assert_eq!(Err(refused.reason), stopped);
@@ -268,7 +271,7 @@ fn last_handle_may_be_dropped_on_pool_thread() {
     let handle = Arc::clone(&pool);
     pool.submit(job("a", move |_| {
         drop(handle);
-        sender.send(()).expect("is awaited");
+        sender.send(()).expect("the test waits for the reply");
     }))
     .expect("has room");
     begins.recv().expect("the worker began");
@@ -289,9 +292,11 @@ fn echo_answers_on_thread_of_caller() {
     assert!(done.recorder.finish().find(&["queue"]).is_some());
 
     let (sender, receiver) = sync_channel(1);
-    let again = Arc::clone(&pool);
+    let same_pool = Arc::clone(&pool);
     let reply = move |_: FinishedJob| {
-        again.submit(job("b", move |done| sender.send(done).expect("has room"))).expect("nests");
+        same_pool
+            .submit(job("b", move |done| sender.send(done).expect("has room")))
+            .expect("a reply may submit a job");
     };
     pool.submit(job("a", reply)).expect("always has room");
     assert_eq!(receiver.try_recv().expect("was answered already").result, Ok(sample("b")));

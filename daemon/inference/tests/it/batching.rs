@@ -50,7 +50,7 @@ fn run_all(bank: &Bank, name: &str, requests: Vec<(Vec<Part>, Arc<dyn Requester>
         let job = Job {
             sample: Sample { parts, source: String::new(), label: None },
             recorder: Recorder::new(Arc::clone(&clock), HostId::random()),
-            received: clock.mono(),
+            received_at: clock.mono(),
             requester,
             reply: Box::new(move |done| sender.send((index, done)).expect("is awaited")),
         };

@@ -82,7 +82,7 @@ fn run_until(
     let job = Job {
         sample,
         recorder: Recorder::new(Arc::clone(&clock), HostId::random()),
-        received: clock.mono(),
+        received_at: clock.mono(),
         requester: Arc::clone(&listener) as Arc<dyn Requester>,
         reply: Box::new(move |done: FinishedJob| sender.send(done.result).expect("is awaited")),
     };

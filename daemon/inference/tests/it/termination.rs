@@ -43,7 +43,7 @@ fn submit(pool: &Pool, runs: i64, token: &CancellationToken) -> std::sync::mpsc:
     let job = Job {
         sample: Sample { parts: vec![part], source: String::new(), label: None },
         recorder: Recorder::new(Arc::clone(&clock), HostId::random()),
-        received: clock.mono(),
+        received_at: clock.mono(),
         requester: Arc::new(CancellableRequester(token.clone())),
         // The receiver is gone if the test has failed.
         reply: Box::new(move |done| drop(sender.send(done))),
