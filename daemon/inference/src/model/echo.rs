@@ -13,11 +13,11 @@ use crate::{InferenceError, LoadError, Model, Requester, Worker};
 /// Largest fixed answer, bytes (1 GiB).
 const MAX_ANSWER_BYTES: usize = 1 << 30;
 
-/// Configuration of a model of `kind = "echo"`. It runs on the thread of its caller.
+/// Keys of a model of `kind = "echo"`. The model runs on the thread of its caller.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EchoConfig {
-    /// Number of bytes of a fixed answer that replaces the payload.
+    /// Length of the answer, bytes. With this key, the answer consists of zeros; without it, the answer is the sample.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub answer_bytes: Option<usize>,
 }
@@ -47,7 +47,7 @@ impl ModelConfig {
     }
 }
 
-/// Model that answers without computing, so that only the time around the model is measured.
+/// Model that answers without computing: an iteration then takes only the time that is spent outside the model.
 pub(crate) struct Echo {
     config: EchoConfig,
     answer: Option<Sample>,
@@ -55,8 +55,8 @@ pub(crate) struct Echo {
 
 impl Echo {
     pub(crate) fn new(config: EchoConfig) -> Self {
-        let fixed = |length| Sample::from_part(Description::bytes(), Bytes::from(vec![0; length]));
-        let answer = config.answer_bytes.map(fixed);
+        let zeros = |length| Sample::from_part(Description::bytes(), Bytes::from(vec![0; length]));
+        let answer = config.answer_bytes.map(zeros);
         Self { config, answer }
     }
 }

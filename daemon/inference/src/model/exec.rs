@@ -16,7 +16,7 @@ use super::{CommonSettings, Keys, LoadContext, ModelConfig, ModelKind, ModelTabl
 use crate::{Cancelled, InferenceError, LoadError, Model, PartialAnswerError, Requester, Worker};
 
 /// Environment variable that contains the device.
-const DEVICE: &str = "PEERNET_DEVICE";
+const DEVICE_VARIABLE: &str = "PEERNET_DEVICE";
 
 impl ModelConfig {
     /// Returns the configuration of a program, given as a line for the shell.
@@ -51,44 +51,44 @@ impl ModelKind for ExecConfig {
     }
 
     fn check(&self, common: &CommonSettings, _context: &LoadContext<'_>) -> Result<(), LoadError> {
-        // This check does not run the program.
-        on_device(self, common)
+        // A check must not run custom code; this one only looks for the program.
+        with_device(self, common)
             .check_for(Role::Model)
-            .map_err(|reason| failed(self, common, ProgramCallError::Command(reason)))
+            .map_err(|reason| load_error(self, common, ProgramCallError::Command(reason)))
     }
 
     /// Starts one process.
     fn load(&self, common: &CommonSettings, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
-        let config = on_device(self, common);
+        let config = with_device(self, common);
         let (common, clock) = (common.clone(), SharedClock::clone(context.clock));
         let facts = config.facts_for(Role::Model);
-        let first = Mutex::new(Some(start(&config, &common, &clock)?));
-        Ok(Arc::new(Exec { config, common, clock, facts, first }))
+        let first_program = Mutex::new(Some(start(&config, &common, &clock)?));
+        Ok(Arc::new(Exec { config, common, clock, facts, first_program }))
     }
 }
 
 /// Returns the configuration with the device in the program's environment.
-fn on_device(config: &ExecConfig, common: &CommonSettings) -> ExecConfig {
+fn with_device(config: &ExecConfig, common: &CommonSettings) -> ExecConfig {
     let mut config = config.clone();
-    config.env.insert(DEVICE.to_owned(), common.device.clone());
+    config.env.insert(DEVICE_VARIABLE.to_owned(), common.device.clone());
     config
 }
 
-/// Program that runs once for each worker.
+/// Program of which each worker runs its own process.
 struct Exec {
     config: ExecConfig,
     common: CommonSettings,
     clock: SharedClock,
     facts: Vec<(String, String)>,
-    /// Process that was started while the model was loaded, to check that the program can be started; the first
-    /// worker takes it.
-    first: Mutex<Option<Program>>,
+    /// Process that was started while the model was loaded, which shows that the program can be started. The first
+    /// worker takes this process.
+    first_program: Mutex<Option<Program>>,
 }
 
 impl Model for Exec {
     fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError> {
-        let first = self.first.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let program = first.map_or_else(|| start(&self.config, &self.common, &self.clock), Ok)?;
+        let first_program = self.first_program.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let program = first_program.map_or_else(|| start(&self.config, &self.common, &self.clock), Ok)?;
         Ok(Box::new(ExecWorker { model: self.common.name.to_string(), program }))
     }
 
@@ -103,10 +103,10 @@ impl Model for Exec {
 
 fn start(config: &ExecConfig, common: &CommonSettings, clock: &SharedClock) -> Result<Program, LoadError> {
     Program::start(config, Role::Model, &format!("model {}", common.name), clock)
-        .map_err(|error| failed(config, common, error))
+        .map_err(|error| load_error(config, common, error))
 }
 
-fn failed(config: &ExecConfig, common: &CommonSettings, error: ProgramCallError) -> LoadError {
+fn load_error(config: &ExecConfig, common: &CommonSettings, error: ProgramCallError) -> LoadError {
     LoadError::Program { model: common.name.to_string(), command: config.command.to_string(), error }
 }
 
@@ -124,12 +124,12 @@ impl Worker for ExecWorker {
     ) -> Result<Sample, InferenceError> {
         let failed = |reason| InferenceError::Failed { model: self.model.clone(), reason };
         let mut send_error = None;
-        let called = self.program.call_with_partial_answers(Request::Sample(sample), &mut |part| {
+        let result = self.program.call_with_partial_answers(Request::Sample(sample), &mut |part| {
             let partial_answer = Sample { parts: vec![part], source: String::new(), label: None };
             send_error = requester.send_partial_answer(partial_answer).err();
             send_error.is_none()
         });
-        let program_call = called.map_err(|error| match error {
+        let program_call = result.map_err(|error| match error {
             ProgramCallError::Cancelled => send_error
                 .unwrap_or(PartialAnswerError::Cancelled(Cancelled))
                 .into_inference_error(&self.model),
@@ -143,7 +143,7 @@ impl Worker for ExecWorker {
         }
         match program_call.outcome {
             ReplyOutcome::Parts(parts) => Ok(Sample { parts, source: String::new(), label: None }),
-            other => Err(failed(format!("it replied with {other:?} instead of an answer"))),
+            outcome => Err(failed(format!("it replied with {outcome:?} instead of an answer"))),
         }
     }
 }

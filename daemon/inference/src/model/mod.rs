@@ -27,13 +27,13 @@ use crate::temp_dirs::TempDirs;
 use crate::{LoadError, Model};
 use onnx::OnnxRuntimeConfig;
 
-/// Maximum number of threads that compute samples of one model.
+/// Maximum number of worker threads of one model.
 const MAX_WORKERS: usize = 256;
 /// Maximum number of samples that wait for one model.
 const MAX_QUEUE: usize = 65_536;
 
-/// Kind of model. The type with the settings of only this kind implements it; settings that several kinds have are in
-/// [`CommonSettings`].
+/// Kind of model. The type that implements this trait has the settings that only this kind has; [`CommonSettings`] has
+/// those of several kinds.
 pub trait ModelKind {
     /// Returns the keys of the common settings that a model of this kind has; `name` is one of them. Default: all.
     ///
@@ -43,7 +43,7 @@ pub trait ModelKind {
     where
         Self: Sized,
     {
-        CommonSettings::names()
+        CommonSettings::keys()
     }
 
     /// Returns the device of a model whose table does not name one.
@@ -54,8 +54,8 @@ pub trait ModelKind {
         CommonSettings::DEFAULT_DEVICE
     }
 
-    /// Returns the keys that the description of a run omits: their values are recorded elsewhere in it, or show where
-    /// files are on this host.
+    /// Returns the keys that the description of a run omits. Their values are recorded elsewhere in the description, or
+    /// show where files are on this host.
     fn keys_omitted_from_runs(&self) -> &'static [&'static str] {
         &[]
     }
@@ -65,7 +65,7 @@ pub trait ModelKind {
         Vec::new()
     }
 
-    /// Returns whether this kind runs a custom program, whose arguments are published as a fingerprint only.
+    /// Returns whether this kind runs a custom program. The program's arguments are published only as a fingerprint.
     fn is_program(&self) -> bool {
         false
     }
@@ -81,14 +81,14 @@ pub trait ModelKind {
         None
     }
 
-    /// Returns the seed of the model's random numbers, which the configuration may leave out; `None` if the kind uses
-    /// no random numbers.
+    /// Returns the setting of the seed of the model's random numbers, which may be missing; `None` if the kind uses no
+    /// random numbers.
     fn seed_mut(&mut self) -> Option<&mut Option<u64>> {
         None
     }
 
-    /// Removes keys that are not recorded while they have their defaults.
-    // Settings of runs are compared as texts: a default that earlier versions did not record would appear as a
+    /// Removes those keys from `keys` that are recorded only if they differ from their defaults.
+    // The settings of two runs are compared as texts. A default that earlier versions did not record would appear as a
     // difference.
     fn remove_defaults(&self, _keys: &mut Keys) {}
 
@@ -112,7 +112,7 @@ pub trait ModelKind {
 pub struct LoadContext<'a> {
     /// The table `[onnxruntime]`.
     pub(crate) runtime: &'a OnnxRuntimeConfig,
-    /// Set to which temporary folders are added.
+    /// The bank's set of temporary folders, to which a model adds its own.
     pub(crate) temp_dirs: &'a TempDirs,
     /// Clock for deadlines.
     pub(crate) clock: &'a SharedClock,
@@ -135,11 +135,11 @@ pub enum ModelConfig {
     Exec(ModelTable<exec::ExecConfig>),
     /// A model that answers with its input at once, to measure the time around a model.
     Echo(ModelTable<echo::EchoConfig>),
-    /// A model of known latency, which waits for the configured times.
+    /// A model of known latency: each stage waits for the configured time.
     Sleep(ModelTable<sleep::SleepConfig>),
     /// A language model behind a server with the chat API of OpenAI.
     Openai(ModelTable<openai::OpenaiConfig>),
-    /// A model whose latencies are drawn from a distribution, to plan for a machine that one does not have.
+    /// A model whose latencies are drawn from a distribution, in place of a machine that is not available.
     Distribution(ModelTable<distribution::DistributionConfig>),
 }
 
@@ -176,17 +176,17 @@ impl ModelConfig {
         &self.common().device
     }
 
-    /// Returns the number of threads that compute; `echo` runs on the thread of its caller and counts as one.
+    /// Returns the number of worker threads; 1 for `echo`, which runs on the thread of its caller.
     pub fn workers(&self) -> usize {
         self.common().workers.get()
     }
 
-    /// Returns the largest number of samples that wait for a free worker.
+    /// Returns the maximum number of samples that wait for a free worker.
     pub fn queue(&self) -> usize {
         self.common().queue.get()
     }
 
-    /// Returns whether the model runs a custom program, whose arguments are published as a fingerprint only.
+    /// Returns whether the model runs a custom program. The program's arguments are published only as a fingerprint.
     pub fn is_program(&self) -> bool {
         self.kind_settings().is_program()
     }
@@ -197,13 +197,13 @@ impl ModelConfig {
         self.kind_settings_mut().env_mut()
     }
 
-    /// Returns the seed of the model's random numbers, which the configuration may leave out; `None` if the kind uses
-    /// no random numbers.
+    /// Returns the setting of the seed of the model's random numbers, which may be missing; `None` if the kind uses no
+    /// random numbers.
     pub fn seed_mut(&mut self) -> Option<&mut Option<u64>> {
         self.kind_settings_mut().seed_mut()
     }
 
-    /// Removes what must not be published: the values of `env`.
+    /// Hides the values of `env`, which must not be published.
     pub fn hide_secrets(&mut self) {
         self.env_mut().into_iter().for_each(hide_values);
     }
@@ -217,10 +217,10 @@ impl ModelConfig {
         match common_limits
             .into_iter()
             .chain(self.kind_settings().limits())
-            .find(|(_, value, most)| value > most)
+            .find(|(_, value, max)| value > max)
         {
-            Some((key, value, most)) => {
-                Err(LoadError::AboveLimit { key, value: value as u64, most: most as u64 })
+            Some((key, value, max)) => {
+                Err(LoadError::AboveLimit { key, value: value as u64, max: max as u64 })
             }
             None => Ok(()),
         }

@@ -14,7 +14,8 @@ use super::{CommonSettings, Keys, LoadContext, ModelConfig, ModelKind, ModelTabl
 use crate::{InferenceError, LoadError, Model, Requester, Worker};
 
 impl ModelConfig {
-    /// Returns the configuration of a Python object; `pickle` as in [`PythonConfig`].
+    /// Returns the configuration of a Python object. [`PythonConfig`] describes `pickle` and `timeout_ms`; `None`
+    /// stands for the default time limit.
     pub fn python_object(
         common: CommonSettings,
         object: &str,
@@ -55,25 +56,25 @@ impl ModelKind for PythonConfig {
         let (config, common, clock) = (self.clone(), common.clone(), SharedClock::clone(context.clock));
         let object = start(&config, &common, &clock)?;
         let facts = object.description().facts("Model");
-        Ok(Arc::new(Python { config, common, clock, facts, first: Mutex::new(Some(object)) }))
+        Ok(Arc::new(Python { config, common, clock, facts, first_object: Mutex::new(Some(object)) }))
     }
 }
 
-/// Python object that is created once for each worker.
+/// Python object that each worker creates in its own process.
 struct Python {
     config: PythonConfig,
     common: CommonSettings,
     clock: SharedClock,
     facts: Vec<(String, String)>,
-    /// Object that was created while the model was loaded, to check that it can be created; the first worker takes
-    /// it.
-    first: Mutex<Option<PythonObject>>,
+    /// Object that was created while the model was loaded, which shows that it can be created. The first worker takes
+    /// this object.
+    first_object: Mutex<Option<PythonObject>>,
 }
 
 impl Model for Python {
     fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError> {
-        let first = self.first.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let object = first.map_or_else(|| start(&self.config, &self.common, &self.clock), Ok)?;
+        let first_object = self.first_object.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let object = first_object.map_or_else(|| start(&self.config, &self.common, &self.clock), Ok)?;
         Ok(Box::new(PythonWorker { model: self.common.name.to_string(), object }))
     }
 
@@ -108,18 +109,18 @@ impl Worker for PythonWorker {
         requester: &dyn Requester,
     ) -> Result<Sample, InferenceError> {
         let mut send_error = None;
-        let called = self.object.call_with_partial_answers(&sample.parts, &mut |parts| {
+        let call = self.object.call_with_partial_answers(&sample.parts, &mut |parts| {
             let partial_answer = Sample { parts, source: String::new(), label: None };
             send_error = requester.send_partial_answer(partial_answer).err();
             send_error.is_none()
         });
-        let call_began_at = called.times.started_at;
-        if let Some(from) = called.times.restart_began_at {
+        let call_began_at = call.times.started_at;
+        if let Some(from) = call.times.restart_began_at {
             recorder.record_timer(stage::RESTART, from, call_began_at);
         }
-        recorder.record_timer(stage::IPC, call_began_at, call_began_at + called.times.overhead());
-        let has_inferred = called.times.steps.iter().any(|(step, ..)| *step == Step::Infer);
-        for (step, from, to) in called.times.steps {
+        recorder.record_timer(stage::IPC, call_began_at, call_began_at + call.times.overhead());
+        let has_inferred = call.times.steps.iter().any(|(step, ..)| *step == Step::Infer);
+        for (step, from, to) in call.times.steps {
             let name = match step {
                 Step::Preprocess => stage::PREPROCESSING,
                 Step::Infer => stage::INFERENCE,
@@ -133,8 +134,8 @@ impl Worker for PythonWorker {
             return Err(error.into_inference_error(&self.model));
         }
         let failed = |reason| InferenceError::Failed { model: self.model.clone(), reason };
-        let parts = called.result.map_err(|error| match error {
-            // The failure came after the conversion of the sample, so it concerns the answer.
+        let parts = call.result.map_err(|error| match error {
+            // After the step `infer`, the value that cannot be transferred is the answer and not the sample.
             PythonError::Value(reason) if has_inferred => failed(format!("its answer: {reason}")),
             PythonError::Value(reason) => {
                 let (model, sample) = (self.model.clone(), sample.source.clone());

@@ -1,4 +1,4 @@
-//! A model's settings as facts, so that another host can offer the same model.
+//! A model's settings as facts of a run. With these facts, another host can offer the same model.
 
 use peernet_external::environment;
 use peernet_external::exec::FingerprintKey;
@@ -12,7 +12,7 @@ const RECORDED_ELSEWHERE: [&str; 2] = ["name", "device"];
 const ENVIRONMENT: &str = "env";
 
 impl ModelConfig {
-    /// Returns the settings of the model and the environment that it runs in, as pairs.
+    /// Returns the settings of the model and the environment of its process, each as name and text.
     pub(crate) fn facts(&self, key: Option<&FingerprintKey>) -> Vec<(String, String)> {
         let mut facts = vec![("Model settings".to_owned(), self.settings())];
         facts.extend(key.and_then(|key| self.kind_settings().arguments_fact(key)));
@@ -20,7 +20,8 @@ impl ModelConfig {
         facts
     }
 
-    /// Returns the keys and values of its table that a run records, defaults included: `kind = onnx, workers = 2, …`.
+    /// Returns those keys and values of the model's table that a run records, including defaults: `kind = onnx, workers
+    /// = 2, …`.
     fn settings(&self) -> String {
         let table = serde_json::to_value(self).unwrap_or_default();
         let omitted = [&RECORDED_ELSEWHERE, self.kind_settings().keys_omitted_from_runs()].concat();
@@ -50,9 +51,10 @@ mod tests {
     #[test]
     fn settings_are_recorded_without_folders_and_secrets() {
         let text = settings("kind = 'sleep'\nname = 's'\ninference_ms = 3\nworkers = 2");
-        for part in ["kind = sleep", "inference_ms = 3", "preprocessing_ms = 10", "workers = 2", "queue = 16"]
+        for expected in
+            ["kind = sleep", "inference_ms = 3", "preprocessing_ms = 10", "workers = 2", "queue = 16"]
         {
-            assert!(text.split(", ").any(|key| key == part), "{text}");
+            assert!(text.split(", ").any(|key| key == expected), "{text}");
         }
         let text = settings(
             "kind = 'python'\nname = 'p'\nobject = 'a::B'\nfolder = '/home/me'\nenv = { TOKEN = 'secret' }",

@@ -11,11 +11,11 @@ use serde::{Deserialize, Serialize};
 use super::{CommonSettings, LoadContext, ModelConfig, ModelKind, ModelTable};
 use crate::{InferenceError, LoadError, Model, Requester, Worker};
 
-/// Longest stage, milliseconds: one day.
+/// Maximum duration of a stage, milliseconds: one day.
 const MAX_STAGE_MS: usize = 24 * 3600 * 1000;
 
-/// Keys of a model of `kind = "sleep"`. It computes nothing: a worker processes one sample at a time and sleeps
-/// instead of computing.
+/// Keys of a model of `kind = "sleep"`. The model computes nothing. A worker processes one sample at a time, and sleeps
+/// for the duration of each stage.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SleepConfig {
@@ -57,7 +57,7 @@ impl ModelKind for SleepConfig {
 }
 
 impl ModelConfig {
-    /// Returns the configuration of a model that takes 100 ms.
+    /// Returns the configuration of a model whose stages take 100 ms together.
     pub fn sleep(name: Slug) -> Self {
         let kind_settings = SleepConfig {
             preprocessing_ms: ten_ms(),

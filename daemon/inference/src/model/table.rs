@@ -1,4 +1,5 @@
-//! The table of one model: settings that several kinds of model have, and the settings of its kind.
+//! The table of one model: the settings that several kinds of model have, and the settings that only the kind of this
+//! model has.
 
 use std::num::NonZeroUsize;
 
@@ -10,7 +11,7 @@ use serde_json::{Map, Value};
 
 use super::ModelKind;
 
-/// Entries of a table: keys with their values.
+/// Keys of a table with their values.
 pub type Keys = Map<String, Value>;
 
 /// Settings that several kinds of model have. A kind lists the keys that it has ([`ModelKind::common_keys`]); the other
@@ -19,16 +20,16 @@ pub type Keys = Map<String, Value>;
 pub struct CommonSettings {
     /// Name under which peers request the model.
     pub name: Slug,
-    /// Device on which the model runs. For kind `onnx`: `cpu`, `cuda:0`, `tensorrt:0` or `openvino:CPU`; the whole
-    /// model runs there or is refused. Custom code finds it in the variable `PEERNET_DEVICE`. Default:
-    /// [`ModelKind::default_device`].
+    /// Device on which the model runs. For kind `onnx`: `cpu`, `cuda:0`, `tensorrt:0` or `openvino:CPU`; if a part of
+    /// the model cannot run on this device, loading fails. Custom code finds the device in the environment variable
+    /// `PEERNET_DEVICE`. Default: [`ModelKind::default_device`].
     #[serde(default = "default_device")]
     pub device: String,
-    /// Number of worker threads, each of which computes one sample at a time; for custom code, number of processes.
-    /// Default: 1.
+    /// Number of worker threads, each of which computes one sample at a time; for custom code, also the number of
+    /// processes. Default: 1.
     #[serde(default = "default_workers")]
     pub workers: NonZeroUsize,
-    /// Maximum number of samples that wait for a free worker; more are rejected. Default: 16.
+    /// Maximum number of samples that wait for a free worker; further samples are rejected. Default: 16.
     #[serde(default = "default_queue")]
     pub queue: NonZeroUsize,
 }
@@ -46,24 +47,24 @@ const fn default_queue() -> NonZeroUsize {
 }
 
 impl CommonSettings {
-    /// Device of kinds that compute on this host.
+    /// Default device of kinds that compute on this host.
     pub(super) const DEFAULT_DEVICE: &str = "cpu";
 
-    /// Returns the settings of a model with this name and otherwise the defaults.
+    /// Returns settings with this name and with the defaults of all other keys.
     pub fn new(name: Slug) -> Self {
         Self { name, device: default_device(), workers: default_workers(), queue: default_queue() }
     }
 
     /// Returns the keys of all common settings.
-    pub(super) fn names() -> &'static [&'static str] {
+    pub(super) fn keys() -> &'static [&'static str] {
         field_names::<Self>()
     }
 }
 
 /// Table of one model.
 ///
-/// In a file both groups of keys form one table. serde's `flatten` could read that, but would not report a misspelt
-/// key with the list of known keys. Therefore the table is split here before each group is read.
+/// In a file, both groups of keys form one table. serde's `flatten` could read such a table, but its error about a
+/// misspelt key would not list the known keys. Therefore the table is split here, and then each group is read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ModelTable<K> {
     /// Settings that other kinds have, too.
@@ -82,15 +83,15 @@ impl<'de, K: ModelKind + DeserializeOwned> Deserialize<'de> for ModelTable<K> {
                 one_of(&known_keys)
             )));
         }
-        // TOML has NaN and infinity, JSON has not, so they were read as null.
+        // NaN and infinity in TOML have become null, because JSON has no such numbers.
         if let Some((key, _)) = entries.iter().find(|(_, value)| value.is_null()) {
             return Err(de::Error::custom(format!("`{key}` is nan or inf; write a finite number")));
         }
         let mut common: Keys = K::common_keys().iter().filter_map(|key| entries.remove_entry(*key)).collect();
         common.entry("device").or_insert_with(|| K::default_device().into());
         let common = serde_json::from_value(common.into()).map_err(de::Error::custom)?;
-        // What is left are the keys of the kind. For a kind without keys, serde reads `struct Name {}` from a map and
-        // `struct Name;` from null.
+        // The remaining entries are the keys of the kind. For a kind without keys, serde reads `struct Name {}` from a
+        // map and `struct Name;` from null.
         let is_keyless = entries.is_empty() && field_names::<K>().is_empty();
         let read = serde_json::from_value(entries.into());
         let kind_settings =
@@ -121,7 +122,7 @@ impl<K: ModelKind + Serialize + DeserializeOwned> Serialize for ModelTable<K> {
     }
 }
 
-/// Returns the names of a struct's fields, as serde reads them.
+/// Returns the names of a struct's fields under which serde reads the fields.
 fn field_names<T: DeserializeOwned>() -> &'static [&'static str] {
     let mut names: &[&str] = &[];
     // Deserialization ends with an error as soon as the names are known.
@@ -158,8 +159,8 @@ impl<'de> Deserializer<'de> for FieldNames<'_> {
 /// Formats a list of known fields as serde does.
 fn one_of(names: &[&str]) -> String {
     match names {
-        [one] => format!("`{one}`"),
-        [one, other] => format!("`{one}` or `{other}`"),
+        [name] => format!("`{name}`"),
+        [first, second] => format!("`{first}` or `{second}`"),
         _ => format!("one of `{}`", names.join("`, `")),
     }
 }

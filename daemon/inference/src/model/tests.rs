@@ -7,18 +7,18 @@ fn read(text: &str) -> Result<ModelConfig, toml::de::Error> {
 }
 
 #[test]
-fn short_forms_have_sensible_defaults() {
+fn omitted_keys_have_defaults() {
     let onnx = read("name = \"q\"\nkind = \"onnx\"\npath = \"models/q\"").expect("reads");
     assert_eq!((onnx.device(), onnx.workers(), onnx.queue()), ("cpu", 1, 16));
     let ModelConfig::Sleep(sleep) = read("name = \"s\"\nkind = \"sleep\"").expect("reads") else {
-        panic!("kind = sleep is a sleep");
+        panic!("the kind of the model is not sleep");
     };
     let sleep = sleep.kind_settings;
     assert_eq!((sleep.preprocessing_ms, sleep.inference_ms, sleep.postprocessing_ms), (10, 80, 10));
 }
 
 #[test]
-fn foreign_or_misspelt_key_is_refused() {
+fn key_of_other_kind_and_misspelt_key_are_refused() {
     let error = read("name = \"e\"\nkind = \"echo\"\nworkers = 2").expect_err("echo has no workers");
     assert!(error.to_string().contains("workers"), "{error}");
     let error = read("name = \"q\"\nkind = \"onnx\"\npath = \"x\"\nworker = 2").expect_err("misspelt");
@@ -44,7 +44,7 @@ fn number_that_is_not_finite_is_named() {
 
 #[test]
 fn every_number_has_an_upper_limit() {
-    for (kind, key, most) in [
+    for (kind, key, max) in [
         ("'onnx'\npath = 'x'", "workers", 256_u64),
         ("'onnx'\npath = 'x'", "queue", 65_536),
         ("'onnx'\npath = 'x'", "intra_threads", 1024),
@@ -58,14 +58,14 @@ fn every_number_has_an_upper_limit() {
         ("'openai'\nurl = 'http://x'\nmodel = 'x'", "token_timeout_ms", 86_400_000),
         ("'distribution'", "workers", 256),
     ] {
-        let with = |value| {
+        let check_with = |value| {
             let text = format!("name = 'm'\nkind = {kind}\n{key} = {value}");
             read(&text).expect("reads").check_limits()
         };
-        assert!(with(most).is_ok(), "{key}");
-        let error = with(most + 1).expect_err(key);
+        assert!(check_with(max).is_ok(), "{key}");
+        let error = check_with(max + 1).expect_err(key);
         assert!(matches!(error, LoadError::AboveLimit { key: k, .. } if k == key), "{error}");
-        assert!(error.to_string().contains(&most.to_string()), "{error}");
+        assert!(error.to_string().contains(&max.to_string()), "{error}");
     }
 }
 
@@ -152,7 +152,7 @@ macro_rules! keyless {
     ($($kind:ty),*) => { $(
         impl ModelKind for $kind {
             fn load(&self, _: &CommonSettings, _: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
-                Err(LoadError::AboveLimit { key: "name", value: 1, most: 0 })
+                Err(LoadError::AboveLimit { key: "name", value: 1, max: 0 })
             }
         }
     )* };
@@ -162,11 +162,11 @@ keyless!(UnitConfig, EmptyConfig);
 
 #[test]
 fn kind_without_keys_is_read_and_written() {
-    let (given, wrong) = (r#"{"name":"m","device":"cpu","workers":1,"queue":2}"#, r#"{"name":"m","zz":1}"#);
-    let unit: ModelTable<UnitConfig> = serde_json::from_str(given).expect("reads");
-    let empty: ModelTable<EmptyConfig> = serde_json::from_str(given).expect("reads");
-    assert_eq!(serde_json::to_string(&unit).expect("can be written"), given);
-    assert_eq!(serde_json::to_string(&empty).expect("can be written"), given);
-    assert!(serde_json::from_str::<ModelTable<UnitConfig>>(wrong).is_err());
-    assert!(serde_json::from_str::<ModelTable<EmptyConfig>>(wrong).is_err());
+    let (valid, invalid) = (r#"{"name":"m","device":"cpu","workers":1,"queue":2}"#, r#"{"name":"m","zz":1}"#);
+    let unit: ModelTable<UnitConfig> = serde_json::from_str(valid).expect("reads");
+    let empty: ModelTable<EmptyConfig> = serde_json::from_str(valid).expect("reads");
+    assert_eq!(serde_json::to_string(&unit).expect("can be written"), valid);
+    assert_eq!(serde_json::to_string(&empty).expect("can be written"), valid);
+    assert!(serde_json::from_str::<ModelTable<UnitConfig>>(invalid).is_err());
+    assert!(serde_json::from_str::<ModelTable<EmptyConfig>>(invalid).is_err());
 }

@@ -1,4 +1,4 @@
-//! Names of the columns of a `data.csv` whose sum is the latency.
+//! Columns of a `data.csv`. The sum of these columns in a row is one latency.
 
 use std::collections::HashSet;
 use std::fmt;
@@ -9,11 +9,10 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// Maximum number of columns.
 const MAX_COLUMNS: usize = 64;
-/// Stages that a remote pipeline measures itself: their replayed latencies would count twice.
-const TRANSPORT: [Name; 3] = [stage::UPLOAD, stage::QUEUE, stage::DOWNLOAD];
+/// Stages that a remote pipeline measures itself. If the latencies contained these stages, they would count twice.
+const TRANSPORT_STAGES: [Name; 3] = [stage::UPLOAD, stage::QUEUE, stage::DOWNLOAD];
 
-/// Different columns of a `data.csv`, at least one; their sum in a row is one latency. Written as one name or a list
-/// of names.
+/// One or more different columns of a `data.csv`. The configuration has one name or a list of names.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Columns(Vec<String>);
 
@@ -23,7 +22,7 @@ impl Columns {
         &self.0
     }
 
-    /// Returns whether this is one of the columns.
+    /// Returns whether one of the columns has this name.
     pub(super) fn contains(&self, name: &str) -> bool {
         self.0.iter().any(|column| column == name)
     }
@@ -37,15 +36,15 @@ impl Columns {
             return Err(format!("{} columns are too many; at most {MAX_COLUMNS}", names.len()));
         }
         if let Some(transport) =
-            names.iter().find(|name| TRANSPORT.iter().any(|stage| stage.as_str() == name.as_str()))
+            names.iter().find(|name| TRANSPORT_STAGES.iter().any(|stage| stage.as_str() == name.as_str()))
         {
             return Err(format!(
-                "{transport} depends on the network and on the other users, and a remote pipeline with this model has its own; \
+                "{transport} depends on the network and on the other users, and a remote pipeline with this model measures its own {transport}; \
                  name stages of the computation, such as inference"
             ));
         }
         match names.iter().find(|name| !seen.insert(name.as_str())) {
-            Some(twice) => Err(format!("the list contains {twice} twice")),
+            Some(duplicate) => Err(format!("the list contains {duplicate} twice")),
             None => Ok(Self(names)),
         }
     }
@@ -74,15 +73,15 @@ impl Serialize for Columns {
 
 impl<'de> Deserialize<'de> for Columns {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_any(OneOrSeveral)
+        deserializer.deserialize_any(ColumnsVisitor)
     }
 }
 
 /// Visitor that reads a name or a list of names.
 // An untagged enum would be shorter, but its error would not say what is wrong.
-struct OneOrSeveral;
+struct ColumnsVisitor;
 
-impl<'de> Visitor<'de> for OneOrSeveral {
+impl<'de> Visitor<'de> for ColumnsVisitor {
     type Value = Columns;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

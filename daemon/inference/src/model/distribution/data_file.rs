@@ -14,10 +14,10 @@ use crate::LoadError;
 const MAX_LATENCIES: usize = 10_000_000;
 /// Maximum number of columns that an error names.
 const MAX_NAMED_COLUMNS: usize = 60;
-/// Longest text of a cell in an error, characters.
+/// Maximum length of the text of a cell in an error, characters.
 const MAX_SHOWN_CHARS: usize = 40;
 
-/// Smallest share of the mean latency at which a stage that is not part of the latencies is reported.
+/// A stage that is not part of the latencies is reported if its mean is at least this fraction of the mean latency.
 const MIN_REPORTED_SHARE: f64 = 0.01;
 
 /// Latencies of a recorded run.
@@ -25,51 +25,54 @@ const MIN_REPORTED_SHARE: f64 = 0.01;
 pub(super) struct RecordedLatencies {
     /// Latencies, seconds; at least one.
     pub(super) latencies: Vec<f64>,
-    /// Stages of the model that the latencies do not contain, with their means in seconds, if they are 1 % of the
-    /// mean latency or more.
+    /// Stages of the model that are not part of the latencies, each with its mean in seconds. Stages whose mean is
+    /// below 1 % of the mean latency are not listed.
     pub(super) omitted_stages: Vec<(String, f64)>,
 }
 
-/// Reads the latencies in a `data.csv`, each the sum of the columns in a row, from the iterations that statistics
-/// include: iterations with an answer that are not warm-up. A file without columns for outcome and warm-up has only
-/// such iterations; for example, a file of the program that was published with the paper. A row in which a column is
-/// empty has no latency.
+/// Reads the latencies in a `data.csv`. A latency is the sum of the columns in one row. Only iterations that are in the
+/// statistics count: they have an answer and are not warm-up. If the file has no columns for outcome and warm-up, all
+/// iterations count; the program that was published with the paper writes such files. A row in which one of the columns
+/// is empty has no latency.
 ///
 /// # Errors
-/// If the file is not a regular file or cannot be read, lacks a column or has it twice, a row is too long or has a
-/// cell that is neither empty nor a latency, or no row has a latency.
+/// If the file is not a regular file or cannot be read; if a column is missing or occurs twice; if a row is too long or
+/// has a cell that is neither empty nor a latency; or if no row has a latency.
 pub(super) fn read_latencies(file: &Path, columns: &Columns) -> Result<RecordedLatencies, LoadError> {
-    let wrong = |reason: String| LoadError::File { file: file.to_owned(), reason };
-    let mut rows = LatencyRows::open(file).map_err(wrong)?;
+    let file_error = |reason: String| LoadError::File { file: file.to_owned(), reason };
+    let mut rows = LatencyRows::open(file).map_err(file_error)?;
     let header = rows.header().clone();
-    let position = |name: &str| column_position(&header, name);
-    let named = columns.names().iter().map(|column| {
-        position(column)?.ok_or_else(|| {
+    let position_of = |name: &str| column_position(&header, name);
+    let positions = columns.names().iter().map(|column| {
+        position_of(column)?.ok_or_else(|| {
             let known: Vec<&str> = header.iter().take(MAX_NAMED_COLUMNS).collect();
             format!("it has no column {column}; it has {}", known.join(", "))
         })
     });
-    let value_positions = named.collect::<Result<Vec<usize>, String>>().map_err(wrong)?;
-    let (outcome_at, warm_up_at) = (position("outcome").map_err(wrong)?, position("warm-up").map_err(wrong)?);
-    let mut omitted = omitted_stages(columns, position).map_err(wrong)?;
+    let value_positions = positions.collect::<Result<Vec<usize>, String>>().map_err(file_error)?;
+    let (outcome_position, warm_up_position) =
+        (position_of("outcome").map_err(file_error)?, position_of("warm-up").map_err(file_error)?);
+    let mut omitted = omitted_stages(columns, position_of).map_err(file_error)?;
     let mut latencies = Vec::new();
-    while let Some((line, record)) = rows.next_row().map_err(wrong)? {
-        let cell = |at: Option<usize>| at.and_then(|at| record.get(at));
-        let is_in_statistics = cell(outcome_at).is_none_or(|outcome| outcome == "ok")
-            && cell(warm_up_at).is_none_or(|warm_up| warm_up == "0");
+    while let Some((line, record)) = rows.next_row().map_err(file_error)? {
+        let cell = |position: Option<usize>| position.and_then(|position| record.get(position));
+        let is_in_statistics = cell(outcome_position).is_none_or(|outcome| outcome == "ok")
+            && cell(warm_up_position).is_none_or(|warm_up| warm_up == "0");
         if !is_in_statistics {
             continue;
         }
         let sum = sum_of_cells(&record, &value_positions)
-            .map_err(|reason| wrong(format!("line {line}: {reason}")))?;
+            .map_err(|reason| file_error(format!("line {line}: {reason}")))?;
         let Some(latency) = sum else { continue };
         latencies.push(latency);
-        // No latency is drawn from this column, so a defect in its cells is ignored.
+        // No latency is drawn from the columns of omitted stages, so a defect in their cells is ignored.
         omitted.iter_mut().for_each(|stage| {
-            stage.sum_s += latency_in_cell(&record, stage.at).ok().flatten().unwrap_or_default();
+            stage.sum_s += latency_in_cell(&record, stage.position).ok().flatten().unwrap_or_default();
         });
         if latencies.len() > MAX_LATENCIES {
-            return Err(wrong(format!("it has more than {MAX_LATENCIES} latencies; give a shorter file")));
+            return Err(file_error(format!(
+                "it has more than {MAX_LATENCIES} latencies; give a shorter file"
+            )));
         }
     }
     if latencies.is_empty() {
@@ -77,36 +80,37 @@ pub(super) fn read_latencies(file: &Path, columns: &Columns) -> Result<RecordedL
             [column] => format!("its column {column} has no number in a row with an answer"),
             _ => format!("no row with an answer has a number in each of the columns {columns}"),
         };
-        return Err(wrong(reason));
+        return Err(file_error(reason));
     }
-    let least_s = latencies.iter().sum::<f64>() * MIN_REPORTED_SHARE;
+    let min_sum_s = latencies.iter().sum::<f64>() * MIN_REPORTED_SHARE;
     let count = latencies.len() as f64;
-    omitted.retain(|stage| stage.sum_s > 0.0 && stage.sum_s >= least_s);
+    omitted.retain(|stage| stage.sum_s > 0.0 && stage.sum_s >= min_sum_s);
     let omitted_stages = omitted.into_iter().map(|stage| (stage.column, stage.sum_s / count)).collect();
     Ok(RecordedLatencies { latencies, omitted_stages })
 }
 
-/// A stage of the model that is in the file and not in the latencies.
+/// A stage of the model that has a column in the file, but is not part of the latencies.
 struct OmittedStage {
     column: String,
-    at: usize,
+    position: usize,
     sum_s: f64,
 }
 
-/// Returns the stages of the model that are not among the columns. Returns none if `inference` is not among them,
-/// because another column, such as `total`, may contain all stages.
+/// Returns the stages of the model that are not among `columns`. Returns none if `inference` is not among `columns`:
+/// another column, such as `total`, may contain all stages.
 fn omitted_stages(
     columns: &Columns,
-    position: impl Fn(&str) -> Result<Option<usize>, String>,
+    position_of: impl Fn(&str) -> Result<Option<usize>, String>,
 ) -> Result<Vec<OmittedStage>, String> {
     if !columns.contains(stage::INFERENCE.as_str()) {
         return Ok(Vec::new());
     }
     let stages = [stage::PREPROCESSING, stage::POSTPROCESSING].map(|stage| stage.to_string());
     let omitted = stages.into_iter().filter(|stage| !columns.contains(stage));
-    let found =
-        omitted.map(|column| Ok(position(&column)?.map(|at| OmittedStage { column, at, sum_s: 0.0 })));
-    found.filter_map(Result::transpose).collect()
+    let with_positions = omitted.map(|column| {
+        Ok(position_of(&column)?.map(|position| OmittedStage { column, position, sum_s: 0.0 }))
+    });
+    with_positions.filter_map(Result::transpose).collect()
 }
 
 /// Returns the position of a column; `None` if no column has that name.
@@ -114,16 +118,18 @@ fn omitted_stages(
 /// # Errors
 /// Returns the reason if several columns have the name.
 fn column_position(header: &StringRecord, name: &str) -> Result<Option<usize>, String> {
-    let mut positions = header.iter().enumerate().filter(|(_, cell)| *cell == name).map(|(at, _)| at);
+    let mut positions =
+        header.iter().enumerate().filter(|(_, cell)| *cell == name).map(|(position, _)| position);
     match (positions.next(), positions.next()) {
         (first, None) => Ok(first),
         (_, Some(_)) => Err(format!("it has several columns {name}; rename or remove all but one")),
     }
 }
 
-/// Returns the sum of the latencies in some cells, seconds; `None` if one is unknown.
+/// Returns the sum of the latencies in the cells at `positions`, seconds; `None` if one of the cells is empty.
 fn sum_of_cells(record: &StringRecord, positions: &[usize]) -> Result<Option<f64>, String> {
-    let values = positions.iter().map(|at| latency_in_cell(record, *at)).collect::<Result<Vec<_>, _>>()?;
+    let values =
+        positions.iter().map(|position| latency_in_cell(record, *position)).collect::<Result<Vec<_>, _>>()?;
     let Some(sum) = values.into_iter().sum::<Option<f64>>() else { return Ok(None) };
     if sum > MAX_LATENCY_S {
         return Err(format!(
@@ -133,20 +139,20 @@ fn sum_of_cells(record: &StringRecord, positions: &[usize]) -> Result<Option<f64
     Ok(Some(sum))
 }
 
-/// Returns the latency in a cell, seconds; `None` if it is unknown.
-fn latency_in_cell(record: &StringRecord, at: usize) -> Result<Option<f64>, String> {
-    let cell = record.get(at).unwrap_or_default();
+/// Returns the latency in a cell, seconds; `None` if the cell is empty.
+fn latency_in_cell(record: &StringRecord, position: usize) -> Result<Option<f64>, String> {
+    let cell = record.get(position).unwrap_or_default();
     if cell.is_empty() {
         return Ok(None);
     }
-    let shown = || cell.chars().take(MAX_SHOWN_CHARS).collect::<String>();
-    let number: f64 = cell.parse().map_err(|_| format!("{:?} is not a number", shown()))?;
+    let shortened = || cell.chars().take(MAX_SHOWN_CHARS).collect::<String>();
+    let number: f64 = cell.parse().map_err(|_| format!("{:?} is not a number", shortened()))?;
     if (0.0..=MAX_LATENCY_S).contains(&number) {
         Ok(Some(number))
     } else {
         Err(format!(
             "{} is not a latency in seconds, from 0 to {MAX_LATENCY_S}; correct or empty the cell, or name another column",
-            shown()
+            shortened()
         ))
     }
 }
@@ -179,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn published_file_and_unfinished_line_are_read() {
+    fn published_file_is_read_without_unfinished_line() {
         assert_eq!(read("iteration,inference\n1,0.5\n2,0.25\n3,0.7", "inference"), Ok(vec![0.5, 0.25]));
         assert_eq!(read("iteration,inference\n1,0.5\n2", "inference"), Ok(vec![0.5]));
     }
@@ -236,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn omitted_stages_are_those_of_one_percent() {
+    fn omitted_stage_below_one_percent_is_not_reported() {
         let text = |preprocessing: f64, postprocessing: f64| {
             format!(
                 "preprocessing,inference,postprocessing,total\n{preprocessing},1.0,{postprocessing},3.0\n"

@@ -13,7 +13,7 @@ use super::data_file::RecordedLatencies;
 /// Longest latency, seconds: one day.
 pub(super) const MAX_LATENCY_S: f64 = 24.0 * 3600.0;
 /// Longest latency, milliseconds.
-const MAX_MS: f64 = MAX_LATENCY_S * 1e3;
+const MAX_LATENCY_MS: f64 = MAX_LATENCY_S * 1e3;
 /// Maximum number of bins of a histogram.
 const MAX_BINS: usize = 10_000;
 
@@ -21,20 +21,20 @@ const MAX_BINS: usize = 10_000;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Histogram {
-    /// Edges of the bins, milliseconds, ascending; one more than bins.
+    /// Edges of the bins, milliseconds, ascending; one edge more than there are bins.
     #[serde(deserialize_with = "finite_edges")]
     pub edges_ms: Vec<f64>,
     /// Number of latencies in each bin.
     pub counts: Vec<u64>,
 }
 
-/// Reads edges; NaN and infinity of TOML arrive as null, because the table was read as JSON.
+/// Reads edges. NaN and infinity in TOML arrive here as null, because the table was converted to JSON.
 fn finite_edges<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<f64>, D::Error> {
     let edges = Vec::<Option<f64>>::deserialize(deserializer)?.into_iter().enumerate();
     let finite = edges.map(|(position, edge)| {
         edge.ok_or_else(|| {
             let message = format!(
-                "`histogram.edges_ms[{position}]` is nan or inf; write milliseconds from 0 to {MAX_MS}"
+                "`histogram.edges_ms[{position}]` is nan or inf; write milliseconds from 0 to {MAX_LATENCY_MS}"
             );
             D::Error::custom(message)
         })
@@ -47,12 +47,12 @@ fn finite_edges<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<f64>, 
 pub(super) enum LatencyDistribution {
     /// Recorded latencies, each drawn with the same probability.
     Empirical {
-        /// Latencies, and the stages that they lack.
+        /// Latencies, and the stages of the model that are not part of the latencies.
         recorded: RecordedLatencies,
         /// Columns of `data.csv`; each latency is the sum of these columns in one row.
         columns: Columns,
     },
-    /// Counts in bins; latencies are uniform within each bin.
+    /// Numbers of latencies in bins; within a bin, all latencies are equally probable.
     Histogram(Histogram),
     /// Logarithms of the latencies are normally distributed.
     LogNormal {
@@ -67,7 +67,7 @@ impl Histogram {
     /// Checks the histogram.
     ///
     /// # Errors
-    /// Returns a description of the defect if no latency can be drawn from it.
+    /// Returns a description of the defect if no latency can be drawn from the histogram.
     pub(super) fn check(&self) -> Result<(), String> {
         let Self { edges_ms, counts } = self;
         if counts.is_empty() || edges_ms.len() != counts.len() + 1 {
@@ -96,13 +96,13 @@ impl Histogram {
     fn draw(&self, random: &mut SplitMix64) -> f64 {
         let total: u64 = self.counts.iter().sum();
         let mut position = random.unit() * total as f64;
-        let within = random.unit();
-        // Rounding can lead beyond the last bin; then the last non-empty bin is used.
+        let fraction_in_bin = random.unit();
+        // Because of rounding, `position` may lie beyond the last bin. The latency is then in the last non-empty bin.
         let mut drawn = self.edges_ms.first().copied().unwrap_or_default();
         for (count, edges) in
             self.counts.iter().zip(self.edges_ms.windows(2)).filter(|(count, _)| **count > 0)
         {
-            drawn = edges[0] + within * (edges[1] - edges[0]);
+            drawn = edges[0] + fraction_in_bin * (edges[1] - edges[0]);
             position -= *count as f64;
             if position < 0.0 {
                 break;
@@ -122,8 +122,8 @@ impl LatencyDistribution {
             }
             Self::Histogram(histogram) => histogram.draw(random),
             Self::LogNormal { mean_ms, std_ms } => {
-                // Mean m and standard deviation s of a log-normal distribution belong to σ² = ln(1 + s²/m²) and
-                // μ = ln m − σ²/2 of the logarithms.
+                // If a log-normal distribution has the mean m and the standard deviation s, its logarithms have the
+                // variance σ² = ln(1 + s²/m²) and the mean μ = ln m − σ²/2.
                 let variance = (std_ms / mean_ms).powi(2).ln_1p();
                 let location = mean_ms.ln() - variance / 2.0;
                 (location + variance.sqrt() * normal(random)).exp() / 1e3
@@ -132,7 +132,7 @@ impl LatencyDistribution {
         drawn.clamp(0.0, MAX_LATENCY_S)
     }
 
-    /// Returns the description for people, such as `a log-normal distribution with mean 80 ms and …`.
+    /// Returns a description for the facts of a run, such as `a log-normal distribution with mean 80 ms and …`.
     pub(super) fn describe(&self) -> String {
         match self {
             Self::Empirical { recorded: RecordedLatencies { latencies, omitted_stages }, columns } => {
@@ -174,18 +174,18 @@ pub(super) fn describe_stages(stages: &[(String, f64)]) -> String {
 /// Checks a latency of the configuration, milliseconds.
 ///
 /// # Errors
-/// Returns a description of the defect if it is not a number from 0 to a day.
+/// Returns a description of the defect if `latency` is not a number from 0 to one day.
 pub(super) fn check_ms(latency: f64) -> Result<(), String> {
-    if (0.0..=MAX_MS).contains(&latency) {
+    if (0.0..=MAX_LATENCY_MS).contains(&latency) {
         Ok(())
     } else {
-        Err(format!("{latency} is not a latency; write milliseconds from 0 to {MAX_MS}"))
+        Err(format!("{latency} is not a latency; write milliseconds from 0 to {MAX_LATENCY_MS}"))
     }
 }
 
 /// Returns a number of the standard normal distribution (G. E. P. Box and M. E. Muller, *A note on the generation of
 /// random normal deviates*, 1958).
-// `SplitMix64::normal` has no values beyond ±6, and too few beyond ±3: the slowest latencies would be too fast.
+// `SplitMix64::normal` returns no values beyond ±6, and too few beyond ±3: the slowest latencies would be too short.
 fn normal(random: &mut SplitMix64) -> f64 {
     // 1 − u is never 0, so the logarithm is finite.
     let radius = (-2.0 * (1.0 - random.unit()).ln()).sqrt();
@@ -196,8 +196,8 @@ fn normal(random: &mut SplitMix64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Returns mean, standard deviation and 99th percentile of many draws, seconds.
-    fn draws(distribution: &LatencyDistribution) -> [f64; 3] {
+    /// Returns the mean, the standard deviation and the 99th percentile of many draws, seconds.
+    fn moments_of_draws(distribution: &LatencyDistribution) -> [f64; 3] {
         let mut random = SplitMix64::new(7);
         let mut drawn: Vec<f64> = (0..200_000).map(|_| distribution.draw(&mut random)).collect();
         let mean = drawn.iter().sum::<f64>() / drawn.len() as f64;
@@ -212,20 +212,24 @@ mod tests {
 
     #[test]
     fn log_normal_draws_have_configured_moments() {
-        let [mean, std, p99] = draws(&LatencyDistribution::LogNormal { mean_ms: 80.0, std_ms: 40.0 });
+        let [mean, std, p99] =
+            moments_of_draws(&LatencyDistribution::LogNormal { mean_ms: 80.0, std_ms: 40.0 });
         assert_close(mean, 0.080);
         assert_close(std, 0.040);
         // exp(μ + 2.3263 σ) with σ² = ln 1.25 and μ = ln 80 − σ²/2.
         assert_close(p99, 0.21476);
-        let [mean, std, _] = draws(&LatencyDistribution::LogNormal { mean_ms: 5.0, std_ms: 0.0 });
-        assert!((mean - 0.005).abs() < 1e-12 && std < 1e-12, "without deviation each draw is the mean");
+        let [mean, std, _] = moments_of_draws(&LatencyDistribution::LogNormal { mean_ms: 5.0, std_ms: 0.0 });
+        assert!(
+            (mean - 0.005).abs() < 1e-12 && std < 1e-12,
+            "with a standard deviation of 0, each draw is the mean"
+        );
     }
 
     #[test]
     fn histogram_draws_follow_counts() {
         let histogram = Histogram { edges_ms: vec![0.0, 10.0, 20.0, 40.0], counts: vec![3, 0, 1] };
         histogram.check().expect("is valid");
-        let [mean, _, p99] = draws(&LatencyDistribution::Histogram(histogram.clone()));
+        let [mean, _, p99] = moments_of_draws(&LatencyDistribution::Histogram(histogram.clone()));
         assert_close(mean, 0.75 * 0.005 + 0.25 * 0.030);
         assert_close(p99, 0.0392);
         let mut random = SplitMix64::new(1);
@@ -239,7 +243,7 @@ mod tests {
         let latencies = vec![0.001, 0.002, 0.004];
         let recorded = RecordedLatencies { latencies: latencies.clone(), omitted_stages: Vec::new() };
         let empirical = LatencyDistribution::Empirical { recorded, columns: Columns::default() };
-        let [mean, _, _] = draws(&empirical);
+        let [mean, _, _] = moments_of_draws(&empirical);
         assert_close(mean, 0.007 / 3.0);
         let mut random = SplitMix64::new(1);
         assert!((0..100).all(|_| latencies.contains(&empirical.draw(&mut random))));

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use csv::StringRecord;
 
-/// Longest header and longest row, bytes. A row that PEERNet writes has a few thousand bytes.
+/// Maximum length of the header and of a row, bytes. A row that PEERNet writes has a few thousand bytes.
 const MAX_ROW_BYTES: usize = 64 << 10;
 
 /// Opens a regular file.
@@ -14,7 +14,8 @@ const MAX_ROW_BYTES: usize = 64 << 10;
 /// # Errors
 /// If it is not a regular file or cannot be opened.
 pub(super) fn open(file: &Path) -> io::Result<File> {
-    // The type is checked before opening, because opening a named pipe waits for its writer. Devices may have no end.
+    // The type is checked before the file is opened: opening a named pipe waits for a writer, and reading a device may
+    // never end.
     if !file.metadata()?.is_file() {
         return Err(io::Error::other("it is not a regular file; name the data.csv of a run"));
     }
@@ -25,10 +26,11 @@ pub(super) fn open(file: &Path) -> io::Result<File> {
 pub(super) struct LatencyRows {
     reader: csv::Reader<BoundedReader>,
     header: StringRecord,
-    /// Row that follows; `None` at the end.
+    /// Next row; `None` at the end.
+    // One row is read ahead, because only the end of the file shows which row is the last one.
     next: Option<StringRecord>,
-    /// Whether the file ends with a line feed.
-    is_complete: bool,
+    /// Whether the last line ends with a line feed.
+    is_last_line_complete: bool,
 }
 
 impl LatencyRows {
@@ -38,13 +40,13 @@ impl LatencyRows {
     /// Returns the reason if the file is not regular or cannot be read.
     pub(super) fn open(file: &Path) -> Result<Self, String> {
         let mut opened = open(file).map_err(|error| error.to_string())?;
-        let is_complete = ends_with_line_feed(&mut opened).map_err(|error| error.to_string())?;
+        let is_last_line_complete = ends_with_line_feed(&mut opened).map_err(|error| error.to_string())?;
         let bounded = BoundedReader { file: opened, remaining: MAX_ROW_BYTES };
-        // An unfinished last row may have too few cells. `next_row` checks the number of cells, because it recognises
-        // that row.
+        // `flexible` switches off the reader's check of the number of cells, because an unfinished last row may have
+        // too few. `next_row` skips such a row and checks all others.
         let mut reader = csv::ReaderBuilder::new().flexible(true).from_reader(bounded);
         let header = reader.headers().map_err(|error| format!("its header: {error}"))?.clone();
-        let mut rows = Self { reader, header, next: None, is_complete };
+        let mut rows = Self { reader, header, next: None, is_last_line_complete };
         rows.next = rows.read()?;
         Ok(rows)
     }
@@ -62,7 +64,7 @@ impl LatencyRows {
         let Some(row) = self.next.take() else { return Ok(None) };
         let following = self.read();
         // A last line without a line feed is unfinished: the program that writes it still runs, or was killed.
-        if matches!(following, Ok(None)) && !self.is_complete {
+        if matches!(following, Ok(None)) && !self.is_last_line_complete {
             return Ok(None);
         }
         let line = row.position().map_or(0, csv::Position::line);
@@ -75,7 +77,7 @@ impl LatencyRows {
 
     fn read(&mut self) -> Result<Option<StringRecord>, String> {
         let line = self.reader.position().line();
-        // The reader reads ahead, so that a row may exceed the limit by the size of the reader's buffer.
+        // The reader fills its buffer ahead of the row, so that a row may exceed the limit by the size of this buffer.
         self.reader.get_mut().remaining = MAX_ROW_BYTES;
         let mut row = StringRecord::new();
         match self.reader.read_record(&mut row) {
@@ -87,8 +89,9 @@ impl LatencyRows {
     }
 }
 
-/// Reader that fails after a number of bytes.
-// A file without line feeds, or with a quotation mark that nothing closes, would be one row, as large as the file.
+/// Reader that fails when the permitted number of bytes has been read.
+// Without this limit, a file without line feeds, or with a quotation mark that is never closed, would be one row as
+// large as the file.
 struct BoundedReader {
     file: File,
     /// Number of bytes until the failure.
@@ -129,14 +132,14 @@ mod tests {
     #[test]
     fn special_and_sparse_files_are_refused() {
         let folder = tempfile::tempdir().expect("a folder");
-        let refused = |file: &Path| LatencyRows::open(file).err().expect("is refused");
+        let refusal = |file: &Path| LatencyRows::open(file).err().expect("is refused");
         let pipe = folder.path().join("pipe");
         mknodat(CWD, &pipe, FileType::Fifo, Mode::RUSR, 0).expect("a pipe");
         for special in [&*pipe, Path::new("/dev/zero"), folder.path()] {
-            assert_eq!(refused(special), "it is not a regular file; name the data.csv of a run");
+            assert_eq!(refusal(special), "it is not a regular file; name the data.csv of a run");
         }
         let sparse = folder.path().join("sparse");
         File::create(&sparse).and_then(|file| file.set_len(1 << 40)).expect("written");
-        assert_eq!(refused(&sparse), "its header: it is longer than 64 KiB, so the file is no data.csv");
+        assert_eq!(refusal(&sparse), "its header: it is longer than 64 KiB, so the file is no data.csv");
     }
 }

@@ -1,4 +1,5 @@
-//! Model kind `distribution`, whose latencies are drawn from a distribution instead of measured.
+//! Model kind `distribution`. Its latencies are drawn at random from a distribution; they are not those of a
+//! computation.
 
 mod columns;
 mod data_file;
@@ -29,28 +30,29 @@ use latency_rows::open;
 use run_folder::data_file;
 
 /// Name of the fact that marks the latencies of a run as replayed, with their distribution.
-// peernet-analysis reads it by this name.
-const REPLAYED: &str = "Replayed";
+// peernet-analysis finds the fact by this name.
+const REPLAYED_FACT: &str = "Replayed";
 
 /// Largest ratio of the standard deviation to the mean. Nearly all values of a wider log-normal distribution are 0.
 const MAX_RELATIVE_STD: f64 = 100.0;
 
 /// Node below `inference`: the latency that was drawn for the iteration, seconds.
 const DRAWN_LATENCY: Name = Name::from_static("drawn-latency");
-/// Node below `inference`: the time of the inner model. The stages of the inner model are below this node.
+/// Node below `inference`: the time that the inner model took. The stages of the inner model are below this node.
 const INNER_MODEL: Name = Name::from_static("inner-model");
-/// Node below `inference`: the time by which `inference` took longer than the drawn latency, seconds: because the
-/// inner model was slower, or because this host woke up late.
+/// Node below `inference`: the time by which `inference` took longer than the drawn latency, seconds. Either the inner
+/// model was slower, or the wait on this host ended late.
 const OVERRUN: Name = Name::from_static("overrun");
 
-/// Keys of a model of `kind = "distribution"`. One of `data`, `histogram` and `mean_ms` names the distribution.
+/// Keys of a model of `kind = "distribution"`. Exactly one of `data`, `histogram` and `mean_ms` must be set.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DistributionConfig {
-    /// `data.csv` of a run, or the folder that contains it: its latencies are drawn, each with the same probability.
+    /// `data.csv` of a run, or the folder that contains this file. The latencies in the file are drawn, each with the
+    /// same probability.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub data: Option<PathBuf>,
-    /// Columns of `data` whose sum in a row is a latency, seconds.
+    /// Columns of `data`. The sum of these columns in a row is one latency, seconds.
     #[serde(default)]
     pub column: Columns,
     /// Mean of a log-normal distribution, milliseconds.
@@ -59,12 +61,12 @@ pub struct DistributionConfig {
     /// Standard deviation of the log-normal distribution, milliseconds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub std_ms: Option<f64>,
-    /// Seed of the draws: equal seeds draw equal latencies after the model was loaded. Default: a new one each time
-    /// the model is loaded; in an experiment the seed of the repeat and the user.
+    /// Seed of the random numbers. After loading, models with equal seeds draw equal sequences of latencies. Default: a
+    /// new seed each time the model is loaded; in an experiment, a seed for each repeat and user.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
-    /// Name of another model of this host, whose answer is returned after the drawn time. Without it the answer is
-    /// empty.
+    /// Name of another model of this host, the inner model. Its answer is returned after the drawn latency. Without an
+    /// inner model, the answer is empty.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub inner: Option<Slug>,
     /// Histogram of latencies.
@@ -74,7 +76,7 @@ pub struct DistributionConfig {
 }
 
 impl ModelKind for DistributionConfig {
-    /// The latencies are those of another machine.
+    /// Returns `replayed`, because the latencies are those of another machine.
     fn default_device() -> &'static str {
         "replayed"
     }
@@ -107,8 +109,8 @@ impl ModelKind for DistributionConfig {
             let omitted = describe_stages(&recorded.omitted_stages);
             tracing::warn!(
                 model = %common.name, %columns,
-                "the drawn latencies are without {omitted}, which the file has as well; to replay them, name their columns in \
-                 column of [[model]], too"
+                "the drawn latencies do not include {omitted}, although the file has these stages; to replay them, too, add their \
+                 columns to column in this [[model]]"
             );
         }
         let inner = self.inner_model(common, context)?.map(|inner| inner.load(context)).transpose()?;
@@ -118,7 +120,7 @@ impl ModelKind for DistributionConfig {
             hash.map_err(|error| LoadError::File { file, reason: error.to_string() })
         });
         let seed = self.seed.unwrap_or_else(|| {
-            // 53 bits: every JSON and TOML program keeps them, so that the seed can be written into a configuration.
+            // A seed has at most 53 bits, because programs that read JSON or TOML may store numbers as 64-bit floats.
             let seed = rand::random::<u64>() >> 11;
             tracing::info!(
                 model = %common.name,
@@ -141,34 +143,37 @@ impl ModelKind for DistributionConfig {
 impl DistributionConfig {
     /// Returns the configured distribution; reads the file.
     fn distribution(&self, common: &CommonSettings) -> Result<LatencyDistribution, LoadError> {
-        let wrong = |key, reason| LoadError::InvalidKey { model: common.name.to_string(), key, reason };
+        let invalid_key = |key, reason| LoadError::InvalidKey { model: common.name.to_string(), key, reason };
         match (&self.data, &self.histogram, self.mean_ms) {
             (Some(data), None, None) => {
                 let recorded = read_latencies(&data_file(data)?, &self.column)?;
                 Ok(LatencyDistribution::Empirical { recorded, columns: self.column.clone() })
             }
             (None, Some(histogram), None) => {
-                histogram.check().map_err(|reason| wrong("histogram", reason))?;
+                histogram.check().map_err(|reason| invalid_key("histogram", reason))?;
                 Ok(LatencyDistribution::Histogram(histogram.clone()))
             }
             (None, None, Some(mean_ms)) => {
-                check_ms(mean_ms).map_err(|reason| wrong("mean_ms", reason))?;
+                check_ms(mean_ms).map_err(|reason| invalid_key("mean_ms", reason))?;
                 if mean_ms == 0.0 {
-                    return Err(wrong("mean_ms", "a log-normal distribution has a mean above 0".to_owned()));
+                    return Err(invalid_key(
+                        "mean_ms",
+                        "a log-normal distribution has a mean above 0".to_owned(),
+                    ));
                 }
                 let std_ms = self.std_ms.ok_or_else(|| {
-                    wrong("std_ms", "a log-normal distribution needs its standard deviation".to_owned())
+                    invalid_key("std_ms", "a log-normal distribution needs its standard deviation".to_owned())
                 })?;
-                check_ms(std_ms).map_err(|reason| wrong("std_ms", reason))?;
+                check_ms(std_ms).map_err(|reason| invalid_key("std_ms", reason))?;
                 if std_ms > MAX_RELATIVE_STD * mean_ms {
                     let reason = format!(
                         "{std_ms} is more than {MAX_RELATIVE_STD} times mean_ms; both are milliseconds"
                     );
-                    return Err(wrong("std_ms", reason));
+                    return Err(invalid_key("std_ms", reason));
                 }
                 Ok(LatencyDistribution::LogNormal { mean_ms, std_ms })
             }
-            _ => Err(wrong(
+            _ => Err(invalid_key(
                 "data",
                 "it needs a source of latencies: give one of data, histogram and mean_ms".to_owned(),
             )),
@@ -182,19 +187,21 @@ impl DistributionConfig {
         context: &LoadContext<'a>,
     ) -> Result<Option<&'a ModelConfig>, LoadError> {
         let Some(inner) = &self.inner else { return Ok(None) };
-        let wrong = |reason| LoadError::InvalidKey { model: common.name.to_string(), key: "inner", reason };
+        let invalid_key =
+            |reason| LoadError::InvalidKey { model: common.name.to_string(), key: "inner", reason };
         match context.models.iter().find(|model| model.name() == inner) {
-            None => Err(wrong(format!("no [[model]] of this file is named {inner}"))),
-            // Two models of this kind could name each other.
+            None => Err(invalid_key(format!("no [[model]] of this file is named {inner}"))),
+            // Two models of this kind could name each other as inner models.
             Some(ModelConfig::Distribution(_)) => {
-                Err(wrong(format!("{inner} draws its latencies, too; name a model that computes")))
+                Err(invalid_key(format!("{inner} draws its latencies, too; name a model that computes")))
             }
             Some(found) => Ok(Some(found)),
         }
     }
 }
 
-/// Source of latencies, shared by all workers: the sequence of latencies depends on the seed only.
+/// Source of latencies. All workers share one source, so that the sequence of latencies depends only on the seed, and
+/// not on the number of workers.
 struct LatencySource {
     distribution: LatencyDistribution,
     random: Mutex<SplitMix64>,
@@ -202,13 +209,13 @@ struct LatencySource {
 
 impl LatencySource {
     /// Returns the next latency.
-    fn next(&self) -> Span {
+    fn next_latency(&self) -> Span {
         let mut random = self.random.lock().unwrap_or_else(PoisonError::into_inner);
         Span::from_nanos((self.distribution.draw(&mut random) * 1e9).round() as i64)
     }
 }
 
-/// Model that takes the time drawn from a distribution.
+/// Model whose `inference` takes a time that is drawn from a distribution.
 struct Distribution {
     name: String,
     source: Arc<LatencySource>,
@@ -232,9 +239,9 @@ impl Model for Distribution {
         let distribution = self.source.distribution.describe();
         let mut facts = vec![
             ("Model".to_owned(), "replayed latencies".to_owned()),
-            (REPLAYED.to_owned(), format!("inference is drawn from {distribution}, seed {}", self.seed)),
+            (REPLAYED_FACT.to_owned(), format!("inference is drawn from {distribution}, seed {}", self.seed)),
         ];
-        facts.extend(self.data_hash.iter().map(|hash| (format!("{REPLAYED} SHA-256"), hash.clone())));
+        facts.extend(self.data_hash.iter().map(|hash| (format!("{REPLAYED_FACT} SHA-256"), hash.clone())));
         // The inner model computes the answers, so this model also has the classes and the hash of the inner model.
         facts.extend(self.inner.iter().flat_map(|inner| inner.facts()).map(|(name, text)| match &*name {
             "Model" => ("Inner model".to_owned(), text),
@@ -244,11 +251,11 @@ impl Model for Distribution {
     }
 }
 
-/// A requester that gets no partial answers of the inner model: they would arrive at the times of this machine, and not
-/// at those of the machine whose latencies are replayed.
-struct WithoutPartialAnswers<'a>(&'a dyn Requester);
+/// Requester that discards the inner model's partial answers: their times would be those of this machine, and not those
+/// of the machine whose latencies are replayed.
+struct WholeAnswerRequester<'a>(&'a dyn Requester);
 
-impl Requester for WithoutPartialAnswers<'_> {
+impl Requester for WholeAnswerRequester<'_> {
     fn send_partial_answer(&self, _: Sample) -> Result<(), PartialAnswerError> {
         if self.cancellation().is_cancelled() { Err(Cancelled.into()) } else { Ok(()) }
     }
@@ -275,24 +282,24 @@ impl Worker for DistributionWorker {
         recorder: &mut Recorder,
         requester: &dyn Requester,
     ) -> Result<Sample, InferenceError> {
-        let drawn = self.source.next();
+        let drawn_latency = self.source.next_latency();
         let started_at = recorder.clock().mono();
         let mut inference = recorder.time(stage::INFERENCE);
-        inference.record_value(DRAWN_LATENCY, drawn.seconds(), Unit::SECONDS);
+        inference.record_value(DRAWN_LATENCY, drawn_latency.seconds(), Unit::SECONDS);
         let answer = match &mut self.inner {
             None => Sample::from_part(Description::bytes(), Bytes::new()),
             // The inner model's stages are below a node of their own, so that they do not count as stages of the
             // iteration.
             Some(inner) => {
-                inner.infer(sample, &mut inference.time(INNER_MODEL), &WithoutPartialAnswers(requester))?
+                inner.infer(sample, &mut inference.time(INNER_MODEL), &WholeAnswerRequester(requester))?
             }
         };
-        let remaining = started_at + drawn - inference.clock().mono();
+        let remaining = started_at + drawn_latency - inference.clock().mono();
         requester
             .wait(Duration::from_nanos(u64::try_from(remaining.nanos()).unwrap_or(0)))
             .map_err(|_| InferenceError::Cancelled { model: self.name.clone() })?;
-        // Measured after the wait, because a busy host may end the wait late, too.
-        let overrun = (inference.clock().mono() - started_at - drawn).max(Span::ZERO);
+        // The overrun is measured after the wait, because on a busy host the wait may also end late.
+        let overrun = (inference.clock().mono() - started_at - drawn_latency).max(Span::ZERO);
         inference.record_value(OVERRUN, overrun.seconds(), Unit::SECONDS);
         drop(inference);
         if recorder.tree().find(&[&stage::INFERENCE, &INNER_MODEL, &stage::UNKNOWN_LABEL]).is_some() {
