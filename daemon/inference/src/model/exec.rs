@@ -51,7 +51,7 @@ impl ModelKind for ExecConfig {
     }
 
     fn check(&self, common: &CommonSettings, _context: &LoadContext<'_>) -> Result<(), LoadError> {
-        // A check must not run custom code; this one only looks for the program.
+        // A check must not run custom code. This one checks the settings and that the program exists.
         with_device(self, common)
             .check_for(Role::Model)
             .map_err(|reason| load_error(self, common, ProgramCallError::Command(reason)))

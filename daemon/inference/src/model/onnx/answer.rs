@@ -1,4 +1,4 @@
-//! The answer to a sample: conversion of a run's outputs by the card's task.
+//! The answer to a sample: the outputs of the model, converted as the task of the card requires.
 
 use bytes::Bytes;
 use peernet_sample::{Description, ElementType, MediaType, Part, Sample};
@@ -9,7 +9,8 @@ use super::geometry::PictureTransform;
 use super::outputs::{Output, OutputError, Outputs};
 use super::{detection, segment};
 
-/// Converts the outputs of a sample to its answer. `transform` relates the sample's first picture to its input.
+/// Converts the model's outputs for a sample to the answer. `transform` relates the sample's first picture to the input
+/// that the picture fills.
 ///
 /// # Errors
 /// If an output contains NaN, or does not fit the card.
@@ -35,7 +36,8 @@ pub(super) fn answer(
     Ok(Sample { parts, source: String::new(), label: None })
 }
 
-/// Checks only the names, types and shapes of the outputs, for a run on an example input, whose numbers mean nothing.
+/// Checks the names, types and shapes of the outputs for the zeros with which a session is warmed up. The numbers in
+/// these outputs mean nothing and are not checked.
 pub(super) fn check(card: &Card, outputs: &Outputs<'_, '_>) -> Result<(), OutputError> {
     let size = || card.picture().map(|picture| picture.size).ok_or(OutputError::NoPicture);
     match &card.task {
@@ -49,7 +51,7 @@ pub(super) fn check(card: &Card, outputs: &Outputs<'_, '_>) -> Result<(), Output
     }
 }
 
-/// Returns a classifier's numbers, which may be NaN.
+/// Returns the numbers of a classifier, one for each class. They may be NaN.
 fn class_numbers<'a>(output: &Output<'a>, labels: usize) -> Result<std::borrow::Cow<'a, [f32]>, OutputError> {
     let expected = format!("[1, {labels}] (`labels` of the card has {labels})");
     if output.unbatched(&expected)? != [labels] {
@@ -58,7 +60,7 @@ fn class_numbers<'a>(output: &Output<'a>, labels: usize) -> Result<std::borrow::
     output.unchecked_numbers()
 }
 
-/// Returns an output of the type and shape that the card gives.
+/// Returns an output; checks that it has the shape that the card declares.
 fn declared_output<'a>(
     tensor: &'a TensorOutput,
     outputs: &Outputs<'a, '_>,
@@ -73,11 +75,11 @@ fn declared_output<'a>(
 fn embedding(task: &Embedding, output: &Output<'_>) -> Result<Part, OutputError> {
     let [length] = output.unbatched("[1, n]")?;
     let numbers = output.numbers()?;
-    // Summed up as 64-bit floats, so that no square overflows.
+    // The squares are 64-bit floats, so that none overflows.
     let norm = numbers.iter().map(|number| f64::from(*number).powi(2)).sum::<f64>().sqrt();
-    let infinite = numbers.iter().find(|number| number.is_infinite());
+    let first_infinite = numbers.iter().find(|number| number.is_infinite());
     let name = || output.name.to_owned();
-    let divisor = match (task.normalise, infinite) {
+    let divisor = match (task.normalise, first_infinite) {
         (false, _) => 1.0,
         (true, Some(number)) => return Err(OutputError::NotFinite { name: name(), number: *number }),
         (true, None) if norm > 0.0 => norm,

@@ -9,7 +9,7 @@ use super::card::{
 };
 
 impl Card {
-    /// Returns the card as text.
+    /// Returns the texts that describe the card.
     pub(super) fn summary(&self) -> CardSummary {
         let is_single = self.inputs.len() == 1;
         let named = |input: &Input, text: String| {
@@ -102,7 +102,7 @@ fn describe_output(task: &Task) -> String {
 }
 
 fn describe_resize(resize: Resize) -> String {
-    let (what, filter, antialias) = match resize {
+    let (size, filter, antialias) = match resize {
         Resize::Exact { width, height, filter, antialias } => {
             (format!("to {width} × {height}"), filter, antialias)
         }
@@ -110,15 +110,15 @@ fn describe_resize(resize: Resize) -> String {
             (format!("shorter side to {size}"), filter, antialias)
         }
         Resize::Letterbox { width, height, filter, antialias, fill, position } => {
-            let place = match position {
+            let position = match position {
                 Position::Centre => "in the centre",
                 Position::TopLeft => "in the upper left corner",
             };
-            (format!("into {width} × {height} {place}, filled with {fill}"), filter, antialias)
+            (format!("into {width} × {height} {position}, filled with {fill}"), filter, antialias)
         }
     };
-    let how = if antialias { "antialiased" } else { "not antialiased" };
-    format!("resize {what}, {}, {how}", format!("{filter:?}").to_lowercase())
+    let antialiasing = if antialias { "antialiased" } else { "not antialiased" };
+    format!("resize {size}, {}, {antialiasing}", format!("{filter:?}").to_lowercase())
 }
 
 fn describe_crop(CentreCrop { width, height, rounding }: CentreCrop) -> String {
@@ -129,24 +129,24 @@ fn describe_crop(CentreCrop { width, height, rounding }: CentreCrop) -> String {
     format!("centre crop {width} × {height}{rounding}")
 }
 
-/// Returns a value as text; a string without its quotes.
+/// Returns a TOML value as text; a string has no quotes.
 fn plain_text(value: &toml::Value) -> String {
     value.as_str().map_or_else(|| value.to_string(), str::to_owned)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::card::tests::{POLICY, changed, detector};
+    use super::super::card::tests::{POLICY, detector, small_card_with};
     use super::*;
 
     #[test]
-    fn plan_describes_every_step() {
-        let card = changed(
+    fn summary_describes_every_step() {
+        let card = small_card_with(
             "resize = { mode = \"exact\", width = 2, height = 1 }",
             "resize = { mode = \"shortest\", size = 3, filter = \"bicubic\" }\n\
              crop = { width = 2, height = 1, rounding = \"half-even\" }",
         );
-        let summary = card.expect("is right").summary();
+        let summary = card.expect("the card is valid").summary();
         assert_eq!(summary.input, "1 × 1 × 1 × 2 float32 nchw");
         assert_eq!(
             summary.preprocessing,
@@ -162,7 +162,7 @@ mod tests {
 
     #[test]
     fn several_inputs_are_described_by_name() {
-        let summary = Card::parse(POLICY).expect("is right").summary();
+        let summary = Card::parse(POLICY).expect("the card is valid").summary();
         assert_eq!(
             summary.input,
             "front: 1 × 1 × 2 × 3 uint8 nhwc, state: 2 float64, wrist: 1 × 1 × 1 × 1 × 2 float32 nchw, \
@@ -176,7 +176,8 @@ mod tests {
             ]
         );
         assert_eq!(summary.output, "action: 1 × 2 float32, done: one bool");
-        let summary = Card::parse(&detector("layout = 'yolov8'\nname = 'o'")).expect("is right").summary();
+        let summary =
+            Card::parse(&detector("layout = 'yolov8'\nname = 'o'")).expect("the card is valid").summary();
         assert_eq!(
             summary.preprocessing[1],
             "resize into 2 × 2 in the centre, filled with 114, bilinear, antialiased"

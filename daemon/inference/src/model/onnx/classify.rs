@@ -20,11 +20,11 @@ struct RankedLabel<'a> {
     score: f32,
 }
 
-/// Computes the scores of the labels from the model's numbers, and returns the answer. The numbers are replaced by
-/// the scores.
+/// Computes the score of each label from the model's numbers, and returns the answer. Replaces the numbers by the
+/// scores.
 ///
 /// # Errors
-/// If a number is not finite, because such an output has no order.
+/// If a number is infinite or NaN.
 pub(super) fn classify(output: &Classification, numbers: &mut [f32]) -> Result<Vec<u8>, OutputError> {
     if let Some(number) = numbers.iter().find(|number| !number.is_finite()) {
         return Err(OutputError::NotFinite { name: output.name.clone(), number: *number });
@@ -40,6 +40,7 @@ pub(super) fn classify(output: &Classification, numbers: &mut [f32]) -> Result<V
     Ok(serde_json::to_vec(&answer)?)
 }
 
+/// Replaces the numbers of the model by scores.
 fn activate(activation: Activation, numbers: &mut [f32]) {
     match activation {
         Activation::None => {}
@@ -82,9 +83,9 @@ mod tests {
     }
 
     #[test]
-    fn non_finite_output_is_a_failure() {
-        for bad in [f32::NAN, f32::INFINITY] {
-            assert!(classify(&output(Activation::Softmax, 3), &mut [0.0, bad, 1.0]).is_err());
+    fn output_with_infinity_or_nan_is_refused() {
+        for non_finite in [f32::NAN, f32::INFINITY] {
+            assert!(classify(&output(Activation::Softmax, 3), &mut [0.0, non_finite, 1.0]).is_err());
         }
     }
 

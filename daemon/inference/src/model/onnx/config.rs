@@ -17,7 +17,7 @@ use crate::{Batching, LibraryError, LoadError, Model};
 const MAX_THREADS: usize = 1024;
 /// Maximum number of requests in a batch.
 const MAX_BATCH: usize = 1024;
-/// Longest wait for further requests of a batch, milliseconds.
+/// Largest permitted value of `max_wait_ms`.
 const MAX_BATCH_WAIT_MS: f64 = 60_000.0;
 
 /// Keys of a model of `kind = "onnx"`.
@@ -26,25 +26,27 @@ const MAX_BATCH_WAIT_MS: f64 = 60_000.0;
 pub struct OnnxConfig {
     /// Folder with `model.onnx` and its card `model.toml`.
     pub path: PathBuf,
-    /// Threads of each worker within one operator of the model, including the worker's own thread.
+    /// Number of threads with which a worker computes one operator of the model, including the worker's own thread.
     #[serde(default = "one_thread")]
     pub intra_threads: NonZeroUsize,
-    /// Threads of each worker across independent operators; above 1 these run in parallel.
+    /// Number of threads with which a worker computes independent operators in parallel; with 1, one operator runs
+    /// after the other.
     #[serde(default = "one_thread")]
     pub inter_threads: NonZeroUsize,
-    /// Limits of the batches in which each worker computes concurrent requests. Without it each is computed alone.
+    /// Limits of the batches in which a worker computes concurrent requests. Without this key, each request is computed
+    /// alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub batch: Option<BatchConfig>,
 }
 
-/// The key `batch`: several requests in one run of the model.
+/// The key `batch`: limits of the requests that are computed in one run of the session.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BatchConfig {
     /// Maximum number of requests in a batch.
     pub max_size: NonZeroUsize,
-    /// Longest time that the first request of a batch waits for further ones, milliseconds. 0 takes only those that
-    /// wait already.
+    /// Longest time for which the first request of a batch waits for further requests, milliseconds. With 0, a batch
+    /// has only requests that already wait in the queue.
     #[serde(default)]
     pub max_wait_ms: f64,
 }
@@ -110,7 +112,7 @@ impl ModelConfig {
     }
 }
 
-/// Loads ONNX Runtime as the first model does. A process loads it once.
+/// Loads ONNX Runtime, as the first model of kind `onnx` would do. A process loads the library only once.
 ///
 /// # Errors
 /// If the library cannot be found or used.
@@ -122,8 +124,9 @@ pub fn check_library(config: &OnnxRuntimeConfig, clock: &SharedClock) -> Result<
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct OnnxRuntimeConfig {
-    /// The library file, or the folder that holds `libonnxruntime.so`. Without this key `ORT_DYLIB_PATH`, the folder
-    /// `onnxruntime/lib` and the system's library path are searched, in this order.
+    /// The library file, or the folder that holds `libonnxruntime.so`. Without this key, the library is the one that
+    /// `ORT_DYLIB_PATH` names. If this variable is not set, folders `onnxruntime/lib` and then the system's library
+    /// path are searched.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub library: Option<PathBuf>,
 }

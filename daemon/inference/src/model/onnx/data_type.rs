@@ -61,7 +61,7 @@ impl DataType {
     }
 
     fn names(self) -> &'static (Self, &'static str, ElementType, TensorElementType) {
-        // The variants are declared in the order of the list; a test compares them.
+        // The variants are declared in the order of `NAMES`; a test checks this.
         &NAMES[self as usize]
     }
 }

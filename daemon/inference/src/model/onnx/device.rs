@@ -24,14 +24,14 @@ impl FromStr for Device {
 
     fn from_str(text: &str) -> Result<Self, LoadError> {
         let invalid_device = || LoadError::InvalidDevice(text.to_owned());
-        let number = |text: &str| match text.parse() {
-            Ok(number) if number >= 0 => Ok(number),
+        let device_index = |text: &str| match text.parse() {
+            Ok(index) if index >= 0 => Ok(index),
             _ => Err(invalid_device()),
         };
         match text.split_once(':') {
             None if text == "cpu" => Ok(Self::Cpu),
-            Some(("cuda", index)) => number(index).map(Self::Cuda),
-            Some(("tensorrt", index)) => number(index).map(Self::TensorRt),
+            Some(("cuda", index)) => device_index(index).map(Self::Cuda),
+            Some(("tensorrt", index)) => device_index(index).map(Self::TensorRt),
             Some(("openvino", name)) if !name.is_empty() => Ok(Self::OpenVino(name.to_owned())),
             _ => Err(invalid_device()),
         }
@@ -50,8 +50,8 @@ impl fmt::Display for Device {
 }
 
 impl Device {
-    /// Returns the execution provider of the device; `None` for the CPU, which every build has. If the provider
-    /// fails, opening the session fails.
+    /// Returns the execution provider of the device; `None` for the CPU, whose provider is in every build of the
+    /// library. If the returned provider fails, opening the session fails.
     pub(super) fn provider(&self) -> Option<ExecutionProviderDispatch> {
         let provider = match self {
             Self::Cpu => return None,
@@ -63,7 +63,8 @@ impl Device {
         Some(provider.error_on_failure())
     }
 
-    /// Checks that the loaded library was built for the device. The library must be loaded.
+    /// Checks that the loaded library has the execution provider of the device. `library` is the path of the library,
+    /// for the error.
     pub(super) fn check(&self, model: &Slug, library: &Path) -> Result<(), LoadError> {
         let available = providers();
         let provider = match self {
@@ -85,7 +86,7 @@ impl Device {
     }
 }
 
-/// Returns the execution providers of the loaded library that a device can name.
+/// Returns those execution providers of the loaded library that belong to a kind of device.
 fn providers() -> Vec<&'static str> {
     let known = [
         (ep::CPU::NAME, ep::CPU::is_available()),

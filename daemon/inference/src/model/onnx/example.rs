@@ -1,4 +1,4 @@
-//! A sample that a model accepts, for trying it without data.
+//! A sample that a model accepts, to try the model without data.
 
 use std::path::Path;
 
@@ -9,10 +9,10 @@ use super::CARD;
 use super::card::{Card, Input, Source};
 use crate::LoadError;
 
-/// Size of a generated picture in pixels, a usual size of camera pictures.
-const SIZE: (u32, u32) = (1280, 720);
+/// Width and height of a generated picture, pixels: a usual size of camera pictures.
+const PICTURE_SIZE: (u32, u32) = (1280, 720);
 
-/// Returns a sample with what the model takes: generated pixels, and arrays of zeros.
+/// Returns a sample with one part for each input: generated pixels for pictures, and zeros for arrays.
 ///
 /// # Errors
 /// If the card is invalid.
@@ -22,18 +22,19 @@ pub(crate) fn example_sample(folder: &Path) -> Result<Sample, LoadError> {
     Ok(Sample { parts, source: String::new(), label: None })
 }
 
-/// Returns a part for an input; `None` if the input takes none.
+/// Returns a part for an input; `None` for a constant.
 fn example_part(input: &Input) -> Option<Part> {
     match &input.source {
         Source::Picture(picture) => {
             // Without resizing, only a picture of the input's size is accepted.
-            let (width, height) = if picture.preprocessing.resize.is_some() { SIZE } else { picture.size };
+            let (width, height) =
+                if picture.preprocessing.resize.is_some() { PICTURE_SIZE } else { picture.size };
             Some(pixels(width, height))
         }
         Source::Array => {
             let shape = input.shape.iter().map(|length| u32::try_from(*length).unwrap_or(u32::MAX)).collect();
             let element = input.data_type.element();
-            let bytes = vec![0; input.count() * element.bytes() as usize];
+            let bytes = vec![0; input.element_count() * element.bytes() as usize];
             let description = Description { media: MediaType::Tensor, shape, element: Some(element) };
             Some(Part { description, bytes: bytes.into() })
         }
@@ -62,7 +63,7 @@ mod tests {
         std::fs::write(folder.path().join(CARD), POLICY).expect("written");
         let sample = example_sample(folder.path()).expect("the card is right");
         assert_eq!(sample.parts.len(), 3);
-        let card = Card::parse(POLICY).expect("is right");
+        let card = Card::parse(POLICY).expect("the card is valid");
         ModelInputs::new(&card.inputs, 1, |_| false).fill(&[&sample]).remove(0).expect("fits");
     }
 }

@@ -1,4 +1,5 @@
-//! Changes of a picture's orientation and size before inference, and the way back from the input to the picture.
+//! Changes of a picture's orientation and size before inference, and the conversion of points of the input to points of
+//! the picture.
 
 use peernet_imaging::{
     Crop, Orientation, Padding, Picture, Resizer, Scaling, crop, pad, read_part, turn_upright,
@@ -14,14 +15,14 @@ pub(super) struct Geometry {
     resize: Option<Resize>,
     crop: Option<CentreCrop>,
     /// Width and height of the model's input, pixels.
-    expected: (u32, u32),
+    input_size: (u32, u32),
     resizer: Resizer,
     decoded: Picture,
     resized: Picture,
     padded: Picture,
     cropped: Picture,
-    /// Buffer that holds the picture in the size of the input.
-    last: LastStep,
+    /// Step whose buffer holds the picture in the size of the input.
+    last_step: LastStep,
 }
 
 /// Step that changed a picture last.
@@ -33,14 +34,14 @@ enum LastStep {
     Crop,
 }
 
-/// Relation between the pixels of a sample's picture and those of the model's input.
+/// Relation between the pixels of a sample's picture and the pixels of the model's input.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PictureTransform {
     /// Width and height of the picture, after its orientation was changed; pixels.
     pub(super) picture: (u32, u32),
     /// Width and height of the input, pixels.
     pub(super) input: (u32, u32),
-    /// Factors of the resizing in both directions.
+    /// Horizontal and vertical factor of the resizing.
     scale: (f32, f32),
     /// Position of the picture's upper left corner in the input, pixels.
     offset: (f32, f32),
@@ -65,20 +66,20 @@ impl Geometry {
             orientation: steps.orientation,
             resize: steps.resize,
             crop: steps.crop,
-            expected: source.size,
+            input_size: source.size,
             resizer: Resizer::new(),
             decoded: Picture::default(),
             resized: Picture::default(),
             padded: Picture::default(),
             cropped: Picture::default(),
-            last: LastStep::Decode,
+            last_step: LastStep::Decode,
         }
     }
 
     /// Reads a picture and applies the steps. Afterwards [`picture`](Self::picture) returns it in the size of the
     /// input.
     pub(super) fn apply(&mut self, part: &Part, format: PixelFormat) -> Result<PictureTransform, InputError> {
-        self.last = LastStep::Decode;
+        self.last_step = LastStep::Decode;
         read_part(part, format, &mut self.decoded)?;
         if self.orientation == Orientation::Exif {
             turn_upright(part, &mut self.decoded)?;
@@ -88,30 +89,30 @@ impl Geometry {
         let mut offset = (0.0, 0.0);
         if let Some(resize) = self.resize {
             let (width, height, scaling) = target_size(resize, original);
-            // A picture that has the size already is not copied.
+            // A picture that already has the target size is not copied.
             if (width, height) != original {
                 self.resizer.resize(picture, width, height, scaling, &mut self.resized)?;
                 picture = &self.resized;
-                self.last = LastStep::Resize;
+                self.last_step = LastStep::Resize;
             }
         }
         let resized = size(picture);
         if let Some(padding) = self.resize.and_then(|resize| padding(resize, resized)) {
             pad(picture, padding, &mut self.padded)?;
             picture = &self.padded;
-            self.last = LastStep::Pad;
+            self.last_step = LastStep::Pad;
             offset = (padding.x as f32, padding.y as f32);
         }
-        if let Some(centre) = self.crop {
-            let rectangle = rectangle(centre, picture);
+        if let Some(centre_crop) = self.crop {
+            let rectangle = centre_rectangle(centre_crop, picture);
             crop(picture, rectangle, &mut self.cropped)?;
             picture = &self.cropped;
-            self.last = LastStep::Crop;
+            self.last_step = LastStep::Crop;
             // The crop moves the origin of the input into the picture.
             offset.0 -= rectangle.x.unwrap_or_default() as f32;
             offset.1 -= rectangle.y.unwrap_or_default() as f32;
         }
-        let (actual, expected) = (size(picture), self.expected);
+        let (actual, expected) = (size(picture), self.input_size);
         if actual != expected {
             return Err(InputError::Size { actual, expected });
         }
@@ -124,7 +125,7 @@ impl Geometry {
 
     /// Returns the picture of the last [`apply`](Self::apply) that succeeded.
     pub(super) fn picture(&self) -> &Picture {
-        match self.last {
+        match self.last_step {
             LastStep::Decode => &self.decoded,
             LastStep::Resize => &self.resized,
             LastStep::Pad => &self.padded,
@@ -137,13 +138,13 @@ fn size(picture: &Picture) -> (u32, u32) {
     (picture.width(), picture.height())
 }
 
-/// Returns the rectangle in the centre of a picture. A picture that is too small is refused by the cropping.
-fn rectangle(CentreCrop { width, height, rounding }: CentreCrop, picture: &Picture) -> Crop {
-    let before = |whole: u32, part: u32| Some(rounding.before(whole.saturating_sub(part)));
-    Crop { width, height, x: before(picture.width(), width), y: before(picture.height(), height) }
+/// Returns the rectangle in the centre of a picture. If the picture is too small, `crop` refuses the rectangle.
+fn centre_rectangle(CentreCrop { width, height, rounding }: CentreCrop, picture: &Picture) -> Crop {
+    let first_margin = |whole: u32, part: u32| Some(rounding.first_margin(whole.saturating_sub(part)));
+    Crop { width, height, x: first_margin(picture.width(), width), y: first_margin(picture.height(), height) }
 }
 
-/// Returns the size to scale a picture of this width and height to, and the kind of scaling.
+/// Returns the size to which a picture of this width and height is resized, and the kind of scaling.
 fn target_size(resize: Resize, (width, height): (u32, u32)) -> (u32, u32, Scaling) {
     match resize {
         Resize::Exact { width, height, filter, antialias } => (width, height, Scaling { filter, antialias }),
@@ -154,21 +155,22 @@ fn target_size(resize: Resize, (width, height): (u32, u32)) -> (u32, u32, Scalin
             let scaled = |side: u64| u32::try_from(side * u64::from(size) / shortest).unwrap_or(u32::MAX);
             (scaled(width), scaled(height), Scaling { filter, antialias })
         }
-        Resize::Letterbox { width: wide, height: high, filter, antialias, .. } => {
-            let factor = (f64::from(wide) / f64::from(width)).min(f64::from(high) / f64::from(height));
+        Resize::Letterbox { width: max_width, height: max_height, filter, antialias, .. } => {
+            let factor =
+                (f64::from(max_width) / f64::from(width)).min(f64::from(max_height) / f64::from(height));
             // A very long picture keeps at least one pixel of its shorter side.
             let scaled =
-                |side: u32, most: u32| ((f64::from(side) * factor).round() as u32).clamp(1, most.max(1));
-            (scaled(width, wide), scaled(height, high), Scaling { filter, antialias })
+                |side: u32, max: u32| ((f64::from(side) * factor).round() as u32).clamp(1, max.max(1));
+            (scaled(width, max_width), scaled(height, max_height), Scaling { filter, antialias })
         }
     }
 }
 
-/// Returns the padding around a picture that was resized to this width and height; `None` if it needs none.
+/// Returns the padding around a picture that was resized to this width and height; `None` if no padding is needed.
 fn padding(resize: Resize, (resized_width, resized_height): (u32, u32)) -> Option<Padding> {
     let Resize::Letterbox { width, height, fill, position, .. } = resize else { return None };
-    let before = |whole: u32, part: u32| position.before(whole.saturating_sub(part));
-    let (x, y) = (before(width, resized_width), before(height, resized_height));
+    let first_margin = |whole: u32, part: u32| position.first_margin(whole.saturating_sub(part));
+    let (x, y) = (first_margin(width, resized_width), first_margin(height, resized_height));
     ((resized_width, resized_height) != (width, height)).then_some(Padding { width, height, x, y, fill })
 }
 
@@ -187,7 +189,9 @@ mod tests {
         let card = detector(OUTPUT)
             .replace("shape = [1, 1, 2, 2]", &format!("shape = [1, 1, {}, {}]", size.1, size.0))
             .replace("resize = { mode = \"letterbox\", width = 2, height = 2 }", resize);
-        Geometry::new(Card::parse(&card).expect("is right").picture().expect("is one"))
+        Geometry::new(
+            Card::parse(&card).expect("the card is valid").picture().expect("the input is a picture"),
+        )
     }
 
     fn grey(width: u32, height: u32, bytes: Vec<u8>) -> Part {
@@ -199,7 +203,7 @@ mod tests {
     fn letterbox_centres_picture_in_grey() {
         let mut geometry = geometry((4, 4), "resize = { mode = 'letterbox', width = 4, height = 4 }");
         let transform = geometry.apply(&grey(8, 2, vec![200; 16]), PixelFormat::Grey8).expect("fits");
-        // Half the size is 4 × 1: one row above it and two below.
+        // The picture becomes 4 × 1 pixels, with one row of margin above and two rows below.
         let rows: Vec<&[u8]> = geometry.picture().pixels().chunks(4).collect();
         assert_eq!(rows, [[114; 4], [200; 4], [114; 4], [114; 4]]);
         assert_eq!(transform.to_picture((0.0, 1.0)), (0.0, 0.0));
@@ -241,7 +245,7 @@ mod tests {
             }
             let (right, bottom) = transform.to_input((width as f32, height as f32));
             let (left, top) = transform.to_input((0.0, 0.0));
-            // One direction fills the input.
+            // The picture fills the input in one direction.
             prop_assert!(right - left > 63.0 || bottom - top > 47.0);
         }
     }

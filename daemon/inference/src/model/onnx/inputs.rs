@@ -1,4 +1,4 @@
-//! The inputs of a model: their numbers, which are filled from the parts of a sample.
+//! The inputs of a model, which are filled with the numbers in the parts of a sample.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -19,22 +19,22 @@ pub(super) struct ModelInputs {
     inputs: Vec<InputBuffer>,
     /// For each sample of the largest batch, one preprocessor for each input that takes a picture.
     preprocessors: Vec<Vec<PicturePreprocessor>>,
-    /// For each row of the batch, the relation of its first picture to its input.
+    /// For each row of the batch, the relation between the first picture and the input that this picture fills.
     transforms: Vec<Option<PictureTransform>>,
 }
 
 /// One input with its numbers.
 struct InputBuffer {
     input: Input,
-    /// Numbers of all samples of the largest batch. If all samples share a constant, it is contained once.
+    /// Numbers of all samples of the largest batch. A constant that all samples share is stored once.
     numbers: Numbers,
     /// Shape in the next run of the session.
     shape: Vec<usize>,
 }
 
 impl ModelInputs {
-    /// Creates inputs for at most `max_size` samples: constants as they are in the card, all others zeros. An input
-    /// has one row for each sample if `is_batched`.
+    /// Creates inputs for at most `max_size` samples. Constants have the numbers of the card; all other inputs are
+    /// zeros. An input for which `is_batched` is true has one row for each sample.
     pub(super) fn new(inputs: &[Input], max_size: usize, is_batched: impl Fn(&Input) -> bool) -> Self {
         let buffer = |input: &Input| InputBuffer::new(input, if is_batched(input) { max_size } else { 1 });
         let preprocessors =
@@ -46,8 +46,9 @@ impl ModelInputs {
         }
     }
 
-    /// Fills the inputs from the parts of the samples, in the order of the card: the samples that can be used have
-    /// the first rows, in their order. Returns for each sample whether it can be used.
+    /// Fills the inputs with the parts of the samples; the first part of a sample belongs to the first input of the
+    /// card that is not a constant, and so on. The samples that can be used fill the first rows, in their order.
+    /// Returns for each sample whether it can be used.
     ///
     /// # Errors
     /// A sample cannot be used if it has fewer or more parts than the model takes, or if an input cannot be made from
@@ -59,7 +60,8 @@ impl ModelInputs {
         for (index, (result, sample)) in results.iter_mut().zip(samples).enumerate() {
             if result.is_ok() {
                 *result = self.fill_row(row, sample, index);
-                // Otherwise the next sample overwrites the row, so that the rows of a run have no hole.
+                // The next sample overwrites the row of a sample that cannot be used, so that a run needs no unused
+                // rows.
                 row += usize::from(result.is_ok());
             }
         }
@@ -68,7 +70,7 @@ impl ModelInputs {
 
     /// Checks that a sample has as many parts as the model takes.
     fn check_parts(&self, sample: &Sample) -> Result<(), InputError> {
-        let part_buffers = || self.inputs.iter().filter(|buffer| buffer.takes_part());
+        let part_buffers = || self.inputs.iter().filter(|buffer| buffer.is_filled_by_part());
         let is_tree = |part: &Part| part.description.media.iana() == TREE;
         if sample.parts.iter().any(is_tree) {
             let expected: Vec<String> = part_buffers().map(InputBuffer::describe_for_python).collect();
@@ -87,18 +89,23 @@ impl ModelInputs {
         Ok(())
     }
 
-    /// Reads the pictures of all samples and brings them to the sizes of their inputs: files on several threads,
-    /// because decoding takes most of the time before inference.
+    /// Reads the pictures of all samples and resizes them to the sizes of their inputs. Several files are read on
+    /// several threads, because decoding takes most of the time before inference.
     fn read_pictures(&mut self, samples: &[&Sample]) {
-        let takes_picture: Vec<bool> =
-            self.inputs.iter().filter(|buffer| buffer.takes_part()).map(InputBuffer::takes_picture).collect();
+        let takes_picture: Vec<bool> = self
+            .inputs
+            .iter()
+            .filter(|buffer| buffer.is_filled_by_part())
+            .map(InputBuffer::takes_picture)
+            .collect();
         let mut unread: Vec<(&mut PicturePreprocessor, &Part)> = Vec::new();
         for (preprocessors, sample) in self.preprocessors.iter_mut().zip(samples) {
             let parts = sample.parts.iter().zip(&takes_picture).filter(|(_, takes_picture)| **takes_picture);
             unread.extend(preprocessors.iter_mut().zip(parts.map(|(part, _)| part)));
         }
         let files = unread.iter().filter(|(_, part)| is_file(part)).count();
-        // One file, and pixels, which are only copied, stay on this thread: to wake another would take longer.
+        // A single file is read on this thread, and so are pixels, which are only copied: waking another thread would
+        // take longer.
         if files > 1 {
             unread.into_par_iter().for_each(|(preprocessor, part)| preprocessor.read(part));
         } else {
@@ -106,11 +113,13 @@ impl ModelInputs {
         }
     }
 
-    /// Fills a row of all inputs from a sample, whose pictures were read by the preprocessors at `index`.
+    /// Fills a row of all inputs with the parts of a sample. The preprocessors at `index` have read the pictures of
+    /// this sample.
     fn fill_row(&mut self, row: usize, sample: &Sample, index: usize) -> Result<(), InputError> {
         self.transforms[row] = None;
         let mut preprocessors = self.preprocessors[index].iter_mut();
-        let mut buffers: Vec<_> = self.inputs.iter_mut().filter(|buffer| buffer.takes_part()).collect();
+        let mut buffers: Vec<_> =
+            self.inputs.iter_mut().filter(|buffer| buffer.is_filled_by_part()).collect();
         let count = buffers.len();
         for (position, (buffer, part)) in buffers.iter_mut().zip(&sample.parts).enumerate() {
             let preprocessor = if buffer.takes_picture() { preprocessors.next() } else { None };
@@ -119,7 +128,7 @@ impl ModelInputs {
                 Some(preprocessor) => preprocessor.normalise(&mut buffer.numbers, range).map(Some),
                 None => buffer.fill_from_array(range, part).map(|()| None),
             };
-            // With one input it is clear which part is meant.
+            // If there is only one input, the error need not name the part.
             let transform = filled.map_err(|error| match count {
                 1 => error,
                 _ => {
@@ -127,17 +136,20 @@ impl ModelInputs {
                     InputError::Part { number: position + 1, input, error: Box::new(error) }
                 }
             })?;
+            // Boxes and pixels of an answer relate to the first picture of a sample.
             self.transforms[row] = self.transforms[row].or(transform);
         }
         Ok(())
     }
 
-    /// Returns the relation between the first picture of a row and its input; `None` without a picture.
+    /// Returns the relation between the first picture of a row and the input that this picture fills; `None` without a
+    /// picture.
     pub(super) fn transform(&self, row: usize) -> Option<&PictureTransform> {
         self.transforms[row].as_ref()
     }
 
-    /// Returns the inputs of the first `size` samples for a run of the session, by name and without a copy.
+    /// Returns the name and the numbers of each input, for a run of the session with the first `size` samples. The
+    /// numbers are not copied.
     pub(super) fn values(&mut self, size: usize) -> ort::Result<Vec<(Cow<'_, str>, SessionInputValue<'_>)>> {
         for buffer in self.inputs.iter_mut().filter(|buffer| buffer.is_batched()) {
             buffer.shape[0] = size;
@@ -148,7 +160,7 @@ impl ModelInputs {
 
 impl InputBuffer {
     fn new(input: &Input, rows: usize) -> Self {
-        let mut numbers = Numbers::zeros(input.data_type, input.count() * rows);
+        let mut numbers = Numbers::zeros(input.data_type, input.element_count() * rows);
         if let Source::Constant(values) = &input.source {
             numbers.fill(values);
         }
@@ -160,14 +172,14 @@ impl InputBuffer {
         Ok((Cow::Borrowed(self.input.name.as_str()), self.numbers.as_input(&self.shape)?))
     }
 
-    fn takes_part(&self) -> bool {
+    fn is_filled_by_part(&self) -> bool {
         !matches!(self.input.source, Source::Constant(_))
     }
 
     /// Returns whether the input has a row for each sample of a batch.
     fn is_batched(&self) -> bool {
         // If the largest batch has one sample, this is `false`: the shape in the card fits as it is.
-        self.numbers.len() > self.input.count()
+        self.numbers.len() > self.input.element_count()
     }
 
     fn takes_picture(&self) -> bool {
@@ -176,7 +188,7 @@ impl InputBuffer {
 
     /// Returns the range of the numbers of a row.
     fn range(&self, row: usize) -> Range<usize> {
-        let count = self.input.count();
+        let count = self.input.element_count();
         row * count..(row + 1) * count
     }
 
@@ -187,7 +199,7 @@ impl InputBuffer {
         Description { media: MediaType::Tensor, shape, element: Some(self.input.data_type.element()) }
     }
 
-    /// Returns a text that says what a sensor in Python must return for this input.
+    /// Returns what a sensor in Python must return for this input, for the text of an error.
     fn describe_for_python(&self) -> String {
         let name = &self.input.name;
         if self.takes_picture() {
@@ -224,7 +236,7 @@ fn is_file(part: &Part) -> bool {
     matches!(part.description.media, MediaType::Jpeg | MediaType::Png)
 }
 
-/// Returns type and shape of an array in the words of cards: `float32 [1, 7]`.
+/// Returns the type and the shape of an array as a card writes them: `float32 [1, 7]`.
 fn describe_array(Description { shape, element, .. }: &Description) -> String {
     let name = |element: &ElementType| match DataType::from_element(*element) {
         Some(data_type) => format!("{data_type} "),
@@ -239,7 +251,7 @@ mod tests {
     use peernet_sample::PixelFormat;
 
     use super::super::card::Card;
-    use super::super::card::tests::{POLICY, changed};
+    use super::super::card::tests::{POLICY, small_card_with};
     use super::*;
 
     fn pixels(format: PixelFormat, width: u32, bytes: &'static [u8]) -> Part {
@@ -267,7 +279,8 @@ mod tests {
 
     #[test]
     fn parts_fill_inputs_in_order_of_card() {
-        let mut inputs = ModelInputs::new(&Card::parse(POLICY).expect("is right").inputs, 1, |_| false);
+        let mut inputs =
+            ModelInputs::new(&Card::parse(POLICY).expect("the card is valid").inputs, 1, |_| false);
         inputs.fill(&[&sample(parts())]).remove(0).expect("fits");
         let numbers: Vec<&Numbers> = inputs.inputs.iter().map(|buffer| &buffer.numbers).collect();
         assert_eq!(
@@ -279,31 +292,32 @@ mod tests {
                 &Numbers::Int64(vec![3, 4]),
             ]
         );
-        assert_eq!(inputs.transform(0).expect("of the first picture").picture, (2, 1));
+        assert_eq!(inputs.transform(0).expect("the first picture has a transform").picture, (2, 1));
     }
 
     #[test]
     fn part_that_does_not_fit_is_named() {
-        let mut inputs = ModelInputs::new(&Card::parse(POLICY).expect("is right").inputs, 1, |_| false);
+        let mut inputs =
+            ModelInputs::new(&Card::parse(POLICY).expect("the card is valid").inputs, 1, |_| false);
         let mut refusal = |change: &dyn Fn(&mut Vec<Part>)| {
             let mut changed = parts();
             change(&mut changed);
             inputs.fill(&[&sample(changed)]).remove(0).expect_err("does not fit").to_string()
         };
-        let other = |part: Part| move |parts: &mut Vec<Part>| parts[1] = part.clone();
+        let replace_state = |part: Part| move |parts: &mut Vec<Part>| parts[1] = part.clone();
         for (error, expected) in [
             (refusal(&|parts| parts.truncate(2)), "it has 2 parts, the model takes 3: front, state, wrist"),
             (refusal(&|parts| parts.clear()), "it has no payload"),
             (
-                refusal(&other(array(ElementType::F32, &[2], vec![0; 8]))),
+                refusal(&replace_state(array(ElementType::F32, &[2], vec![0; 8]))),
                 "part 2 for input \"state\": its array is float32 [2], the model requires float64 [2]",
             ),
             (
-                refusal(&other(array(ElementType::F64, &[2], vec![0; 8]))),
+                refusal(&replace_state(array(ElementType::F64, &[2], vec![0; 8]))),
                 "part 2 for input \"state\": its array has 8 bytes, 16 are needed for its type and shape",
             ),
             (
-                refusal(&other(parts().swap_remove(0))),
+                refusal(&replace_state(parts().swap_remove(0))),
                 "part 2 for input \"state\": it is image/x-rgb8, not an array",
             ),
             (
@@ -320,21 +334,23 @@ mod tests {
     }
 
     #[test]
-    fn object_of_python_is_refused_with_what_to_return() {
+    fn python_object_is_refused_with_expected_values() {
         let tree = || Description::unshaped(MediaType::Other(TREE.to_owned()));
         let part = Part { description: tree(), bytes: b"{}".to_vec().into() };
-        let mut inputs = ModelInputs::new(&Card::parse(POLICY).expect("is right").inputs, 1, |_| false);
+        let mut inputs =
+            ModelInputs::new(&Card::parse(POLICY).expect("the card is valid").inputs, 1, |_| false);
         let mut refusal = |parts: Vec<Part>| {
             inputs.fill(&[&sample(parts)]).remove(0).expect_err("does not fit").to_string()
         };
-        // The number of parts is right by chance.
+        // The number of parts is that of the model, so that only the type of the first part is wrong.
         assert_eq!(
             refusal([vec![part.clone()], parts()[..2].to_vec()].concat()),
             "it is an object of Python with lists, numbers or dictionaries in it; return a tuple of: for \"front\" a PIL image, or a \
              JPEG or PNG as bytes, for \"state\" a numpy array of float64 [2], for \"wrist\" a PIL image, or a JPEG or PNG as bytes"
         );
-        let mut one = ModelInputs::new(&changed("", "").expect("is right").inputs, 1, |_| false);
-        let error = one.fill(&[&sample(vec![part])]).remove(0).expect_err("wrong").to_string();
+        let mut single_input =
+            ModelInputs::new(&small_card_with("", "").expect("the card is valid").inputs, 1, |_| false);
+        let error = single_input.fill(&[&sample(vec![part])]).remove(0).expect_err("wrong").to_string();
         assert!(
             error.contains("in it; return for \"")
                 && error.ends_with("a PIL image, or a JPEG or PNG as bytes"),
@@ -349,7 +365,8 @@ mod tests {
 
     #[test]
     fn payload_without_picture_is_refused() {
-        let mut inputs = ModelInputs::new(&changed("", "").expect("is right").inputs, 1, |_| false);
+        let mut inputs =
+            ModelInputs::new(&small_card_with("", "").expect("the card is valid").inputs, 1, |_| false);
         let mut fill = |sample: &Sample| inputs.fill(&[sample]).remove(0).expect_err("wrong").to_string();
         assert_eq!(fill(&sample(Vec::new())), "it has no payload");
         let plain = Sample::from_part(Description::bytes(), vec![0; 4].into());
@@ -357,8 +374,8 @@ mod tests {
     }
 
     #[test]
-    fn pictures_of_a_batch_have_rows_in_order_of_samples_that_fit() {
-        let card = changed("", "").expect("is right");
+    fn unusable_samples_leave_no_empty_rows_in_batch() {
+        let card = small_card_with("", "").expect("the card is valid");
         let file = |grey: u8| {
             let picture = Picture::new(PixelFormat::Grey8, 2, 1, vec![grey, grey]).expect("fits");
             sample(vec![encode(&picture, Encoding::Png).expect("fits")])

@@ -24,10 +24,10 @@ pub(super) struct Runtime {
 /// Number of threads that open, have or use a session.
 static USES: AtomicUsize = AtomicUsize::new(0);
 
-/// Use of the library by a thread, from before it opens a session until after it has released the session.
-// Opening a session cannot be terminated, unlike a run. If the process ends meanwhile, the destructors of the
-// library's static objects would run while the call still uses these objects: with a graph of 100,000 nodes, 2 of 40
-// stops ended with a segmentation fault.
+/// Use of the library by a thread: starts before the thread opens a session, and ends after the session is released.
+// Unlike a run, the opening of a session cannot be terminated. If the process ends while a session is opened, the
+// destructors of the library's static objects would run while the call still uses these objects: with a graph of
+// 100,000 nodes, 2 of 40 stops ended with a segmentation fault.
 #[derive(Debug)]
 pub(super) struct LibraryUse(());
 
@@ -44,8 +44,8 @@ impl Drop for LibraryUse {
     }
 }
 
-/// Returns whether any thread uses ONNX Runtime. The process must then end without the destructors of libraries, that
-/// is with `_exit(2)`.
+/// Returns whether any thread uses ONNX Runtime. The process must then end without running the destructors of
+/// libraries: with `_exit(2)`.
 pub fn is_library_in_use() -> bool {
     USES.load(Ordering::SeqCst) > 0
 }
@@ -53,10 +53,11 @@ pub fn is_library_in_use() -> bool {
 static LOADED: Mutex<Option<Arc<Runtime>>> = Mutex::new(None);
 
 impl Runtime {
-    /// Returns the library that the search finds; loads it on the first call. `clock` limits the rate of its messages.
+    /// Returns the library that the search finds; loads the library on the first call. `clock` is for the limit on the
+    /// library's log messages.
     pub(super) fn get(config: &OnnxRuntimeConfig, clock: &SharedClock) -> Result<Arc<Self>, LibraryError> {
         let search_settings = SearchSettings::from_environment(config.library.as_deref());
-        // The lock is held while the library loads, so that it is loaded once.
+        // The lock is held while the library loads, so that two threads do not load it at the same time.
         let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
         let (found, mut searched) = search_settings.search()?;
         if let Some(runtime) = loaded.as_ref() {
@@ -80,21 +81,21 @@ impl Runtime {
         &self.environment
     }
 
-    /// Returns the file, or the name under which the system found it.
+    /// Returns the path of the library, or the name under which the system's loader found the library.
     pub(super) fn library(&self) -> &Path {
         &self.library
     }
 
-    /// Describes the library: the file behind all links, whose name ends with the version, and the build.
+    /// Describes the library: the file, without symbolic links because its name ends with the version, and the build.
     pub(super) fn describe(&self) -> String {
         let file = self.library.canonicalize().unwrap_or_else(|_| self.library.clone());
-        // The call of the compiler is left out: it is long and follows from the rest.
+        // The rest is the call of the compiler, which is long and says nothing more about the library.
         let build = ort::info().trim_start_matches("ORT Build Info: ");
         let build = build.split_once(", cmake").map_or(build, |(build, _)| build);
         format!("{}, {build}", file.display())
     }
 
-    /// Loads the library by the names that the system's loader knows, with and without the version of its interface.
+    /// Lets the system's loader find the library, by its names with and without the version of the interface.
     fn load_from_system(searched: &mut Vec<String>, clock: &SharedClock) -> Result<Self, LibraryError> {
         for name in ["libonnxruntime.so.1", "libonnxruntime.so"] {
             match ort::init_from(name) {
@@ -133,8 +134,8 @@ impl Runtime {
         origin: &'static str,
         clock: &SharedClock,
     ) -> Result<Self, LibraryError> {
-        // The creation of the environment already sends a telemetry event; therefore both programs also set
-        // `ORT_DISABLE_TELEMETRY`.
+        // Creating the environment sends a telemetry event before `with_telemetry(false)` has an effect. Therefore both
+        // programs also set `ORT_DISABLE_TELEMETRY`.
         let log = LibraryLog::new(clock);
         let log = move |level, _: &str, _: &str, place: &str, message: &str| log.log(level, place, message);
         let environment =
@@ -153,7 +154,7 @@ impl Runtime {
 
 fn reason(error: &LoadDynamicError) -> String {
     match error {
-        // The loader's message is the source of the error.
+        // `error` itself has no reason; its source is the message of the system's loader.
         LoadDynamicError::Dlopen { error, .. } => {
             error.source().map_or(error.to_string(), ToString::to_string)
         }

@@ -5,11 +5,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 use ort::logging::LogLevel;
 use peernet_clock::{LogThrottle, MonoTime, SharedClock};
 
-/// Text of the message about a run that this program has terminated, which is no error.
+/// Part of the message about a run that this program has terminated. Such a message is not an error.
 const TERMINATED: &str = "Exiting due to terminate flag";
 
-/// Writes the library's messages into this program's log: at most one line per minute for each kind, because every
-/// sample that a model refuses leads to a message.
+/// Writes the library's messages into this program's log. Each kind of message has at most one line per minute, because
+/// every sample that a model refuses leads to a message.
 pub(super) struct LibraryLog {
     clock: SharedClock,
     throttle: Mutex<LogThrottle>,
@@ -20,8 +20,8 @@ impl LibraryLog {
         Self { clock: Arc::clone(clock), throttle: Mutex::default() }
     }
 
-    /// Logs a message. The level is `debug` if the message is no warning or error, is about a terminated run, or
-    /// follows within a minute of a line of its kind.
+    /// Logs a message. The level is `debug` if the message is neither a warning nor an error, if it is about a
+    /// terminated run, or if a line of the same kind was logged within the last minute.
     pub(super) fn log(&self, level: LogLevel, place: &str, message: &str) {
         let messages = self.messages_since_last_line(level, (place, message), self.clock.mono());
         let repeated = match messages {
@@ -53,12 +53,12 @@ impl LibraryLog {
     }
 }
 
-/// Returns the place and the message without digits, up to `Status Message:`. The text after it may contain values of
-/// the sample.
+/// Returns the kind of a message: the place and the text without digits, up to `Status Message:`. The text after
+/// `Status Message:` may contain values of the sample.
 fn kind(place: &str, message: &str) -> String {
-    let (node, _) = message.split_once("Status Message:").unwrap_or((message, ""));
+    let (text, _) = message.split_once("Status Message:").unwrap_or((message, ""));
     let is_no_digit = |character: &char| !character.is_ascii_digit();
-    place.chars().chain([' ']).chain(node.chars().filter(is_no_digit)).collect()
+    place.chars().chain([' ']).chain(text.chars().filter(is_no_digit)).collect()
 }
 
 #[cfg(test)]

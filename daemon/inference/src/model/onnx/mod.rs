@@ -73,7 +73,7 @@ const CLASSES: &str = "Classes";
 /// Checks the name of a device.
 ///
 /// # Errors
-/// If it is not the name of a device.
+/// If no device has this name.
 pub(crate) fn check_device(name: &str) -> Result<(), LoadError> {
     name.parse::<Device>().map(drop)
 }
@@ -84,19 +84,20 @@ struct Onnx {
     hash: String,
     card_hash: String,
     runtime: Arc<Runtime>,
-    /// Optimised model whose weights several workers share; `None` if there is only one worker.
+    /// Optimised model whose weights several workers share; `None` if the workers share nothing, see
+    /// [`SharedModel::prepare`].
     shared: Option<SharedModel>,
     /// Cancelled when the host stops; terminates running computations.
     stop: CancellationToken,
     clock: SharedClock,
 }
 
-/// Settings of a model that are known before a session is opened.
+/// Settings and card of a model, which are read before a session is opened.
 struct Plan {
     name: Slug,
     file: PathBuf,
     card: Card,
-    /// The card's labels in the form in which they are compared; `None` if the task has none.
+    /// The card's labels in the form in which labels are compared; `None` if the task has no classes.
     classes: Option<HashSet<String>>,
     device: Device,
     workers: usize,
@@ -159,12 +160,12 @@ impl Onnx {
 }
 
 impl Plan {
-    /// Returns whether the model could give the answer that a label expects: whether it has the classes of the label,
-    /// or no classes.
+    /// Returns whether the model could give the answer that a label expects. It could if it has all classes of the
+    /// label, or if its task has no classes.
     fn has_classes_of(&self, label: &str) -> bool {
         let Some(classes) = &self.classes else { return true };
         let has = |class: &str| classes.contains(&normalized_label(class));
-        // The classes of a mask are known only on the sensor's host, which scores the answer.
+        // Only the sensor's host, which scores the answer, has the mask and knows its classes.
         if MaskLabel::parse(label).is_some() {
             return true;
         }

@@ -1,4 +1,4 @@
-//! The file `model.onnx`: a check of its form, and the files that its weights are in.
+//! The file `model.onnx`: a check of its format, and the names of the files that contain its weights.
 //!
 //! ONNX stores a model as a protocol buffer of type `ModelProto`. The numbers of a tensor are in the file itself or
 //! in another file ("external data"), for example if a model is larger than 2 GB. The path of that file is relative
@@ -18,10 +18,10 @@ use crate::LoadError;
 /// deeper than the graph of the node.
 const MAX_DEPTH: u32 = 100;
 
-/// Beginning of a file that Git LFS puts in place of a large file until the large file is fetched.
+/// Beginning of the small file that Git LFS stores in place of a large file until the large file is fetched.
 const GIT_LFS_POINTER: &[u8] = b"version https://git-lfs";
 
-/// Longest path of a data file, bytes.
+/// Maximum length of the path of a data file, bytes.
 const MAX_PATH: u64 = 4096;
 
 /// Message of `onnx.proto3` that leads to a tensor.
@@ -34,12 +34,12 @@ enum Message {
     Attribute,
     SparseTensor,
     Tensor,
-    /// An entry of `external_data`: a key and a value.
+    /// Entry of `external_data`: a key and a value.
     Entry,
 }
 
 impl Message {
-    /// Returns the message in a field, if it leads to a tensor.
+    /// Returns the message in a field of this number; `None` if the field does not lead to a tensor.
     fn in_field(self, number: u64) -> Option<Self> {
         // The numbers of the fields are those of onnx.proto3.
         Some(match (self, number) {
@@ -55,12 +55,12 @@ impl Message {
     }
 }
 
-/// Reason that a file is not a usable model.
+/// Reason why a file is not a usable model.
 #[derive(Debug, thiserror::Error)]
 enum ModelFileError {
     #[error(transparent)]
     Io(#[from] io::Error),
-    #[error("it is not an ONNX model, or incomplete: {0}")]
+    #[error("it is not an ONNX model, or is incomplete: {0}")]
     Form(&'static str),
     #[error("it is not an ONNX model but a pointer of Git LFS; run `git lfs pull` in its repository")]
     Pointer,
@@ -89,21 +89,21 @@ fn data_files(file: &Path) -> Result<BTreeSet<PathBuf>, ModelFileError> {
     if file.fill_buf()?.starts_with(GIT_LFS_POINTER) {
         return Err(ModelFileError::Pointer);
     }
-    let mut reader = ModelReader { file, at: 0, graphs: 0, names: BTreeSet::new() };
+    let mut reader = ModelReader { file, position: 0, graphs: 0, data_files: BTreeSet::new() };
     reader.read_message(Message::Model, length, 0)?;
     if reader.graphs == 0 {
         return Err(ModelFileError::Form("it contains no graph"));
     }
-    Ok(reader.names)
+    Ok(reader.data_files)
 }
 
 /// Reader of `model.onnx`, with the number of graphs and the names of data files that it has found so far.
 struct ModelReader {
     file: BufReader<File>,
     /// Position in the file, bytes.
-    at: u64,
+    position: u64,
     graphs: u64,
-    names: BTreeSet<PathBuf>,
+    data_files: BTreeSet<PathBuf>,
 }
 
 impl ModelReader {
@@ -116,7 +116,7 @@ impl ModelReader {
         if message == Message::Entry {
             return self.read_entry(end);
         }
-        while self.at < end {
+        while self.position < end {
             let (number, field_end) = self.read_field(end)?;
             match message.in_field(number) {
                 Some(inner) => self.read_message(inner, field_end, depth + 1)?,
@@ -129,7 +129,7 @@ impl ModelReader {
     /// Reads an entry of `external_data`; keeps the value of the key `location`.
     fn read_entry(&mut self, end: u64) -> Result<(), ModelFileError> {
         let (mut key, mut value) = (String::new(), String::new());
-        while self.at < end {
+        while self.position < end {
             let (number, field_end) = self.read_field(end)?;
             match number {
                 1 => key = self.read_text(field_end)?,
@@ -146,7 +146,7 @@ impl ModelReader {
         if !is_inside {
             return Err(ModelFileError::Outside(value));
         }
-        self.names.insert(path);
+        self.data_files.insert(path);
         Ok(())
     }
 
@@ -154,27 +154,27 @@ impl ModelReader {
     /// its end.
     fn read_field(&mut self, end: u64) -> Result<(u64, u64), ModelFileError> {
         let tag = self.read_varint()?;
-        // No field has this number. A file that was not received to its end often continues with zeros.
+        // No field has the number 0. If a file was received only in part, the rest often consists of zeros.
         if tag >> 3 == 0 {
             return Err(ModelFileError::Form("it has a field with the number 0"));
         }
         let field_end = match tag & 7 {
             0 => {
                 self.read_varint()?;
-                Some(self.at)
+                Some(self.position)
             }
-            1 => self.at.checked_add(8),
+            1 => self.position.checked_add(8),
             2 => {
                 let length = self.read_varint()?;
-                self.at.checked_add(length)
+                self.position.checked_add(length)
             }
-            5 => self.at.checked_add(4),
+            5 => self.position.checked_add(4),
             // Groups (types 3 and 4) do not exist in proto3.
             _ => return Err(ModelFileError::Form("it has a field of an unknown type")),
         };
         match field_end {
-            // The tag or the length may itself extend beyond the end of the message.
-            Some(field_end) if field_end <= end && self.at <= end => Ok((tag >> 3, field_end)),
+            // The tag or the length itself may extend beyond the end of the message.
+            Some(field_end) if field_end <= end && self.position <= end => Ok((tag >> 3, field_end)),
             _ => Err(ModelFileError::Form("a field is longer than its message")),
         }
     }
@@ -187,7 +187,7 @@ impl ModelReader {
                 io::ErrorKind::UnexpectedEof => ModelFileError::Form("it ends within a field"),
                 _ => ModelFileError::Io(error),
             })?;
-            self.at += 1;
+            self.position += 1;
             number |= u64::from(byte[0] & 0x7f) << shift;
             if byte[0] < 0x80 {
                 return Ok(number);
@@ -197,22 +197,22 @@ impl ModelReader {
     }
 
     fn read_text(&mut self, end: u64) -> Result<String, ModelFileError> {
-        let length = end - self.at;
+        let length = end - self.position;
         if length > MAX_PATH {
             return Err(ModelFileError::Form("the name of a data file is too long"));
         }
         let mut bytes = Vec::new();
         self.file.by_ref().take(length).read_to_end(&mut bytes)?;
-        self.at = end;
+        self.position = end;
         String::from_utf8(bytes).map_err(|_| ModelFileError::Form("the name of a data file is not text"))
     }
 
     fn skip_to(&mut self, end: u64) -> Result<(), ModelFileError> {
-        let length = i64::try_from(end - self.at)
+        let length = i64::try_from(end - self.position)
             .map_err(|_| ModelFileError::Form("a field is longer than a file can be"))?;
         // `seek` would discard the buffer after each field.
         self.file.seek_relative(length)?;
-        self.at = end;
+        self.position = end;
         Ok(())
     }
 }
@@ -221,7 +221,7 @@ impl ModelReader {
 mod tests {
     use super::*;
 
-    /// Returns a field with contents.
+    /// Returns a field with these contents.
     fn field(number: u8, contents: &[u8]) -> Vec<u8> {
         let length = u8::try_from(contents.len()).expect("short");
         [&[number << 3 | 2, length], contents].concat()

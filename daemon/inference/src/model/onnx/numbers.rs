@@ -1,4 +1,4 @@
-//! Numbers of any element type: the contents of inputs and outputs.
+//! Numbers of any element type, in inputs and outputs.
 
 use std::ops::Range;
 
@@ -10,7 +10,8 @@ use super::data_type::DataType;
 
 /// Element of a tensor.
 pub(super) trait Element: Copy {
-    /// Converts a number. Integers are rounded, half away from zero, and limited to the range of the type.
+    /// Converts a number. For integers, the number is rounded (half away from zero) and limited to the range of the
+    /// type.
     fn from_f32(number: f32) -> Self;
 
     /// Converts a number, as [`from_f32`](Self::from_f32) does.
@@ -19,7 +20,7 @@ pub(super) trait Element: Copy {
     /// Returns the nearest 32-bit float.
     fn to_f32(self) -> f32;
 
-    /// Returns whether this is NaN. Integers and truth values never are.
+    /// Returns whether the element is NaN. Integers and truth values are never NaN.
     fn is_nan(self) -> bool {
         false
     }
@@ -113,7 +114,7 @@ macro_rules! integers {
     )*};
 }
 
-// Integers of more than 24 bits have no lossless conversion: `as` takes the nearest float.
+// A 32-bit float cannot represent every integer of more than 24 bits: `as` takes the nearest float.
 integers!(
     i8: f32::from,
     i16: f32::from,
@@ -125,7 +126,7 @@ integers!(
     u64: |number| number as f32
 );
 
-/// Runs an expression for the vector in `$numbers`, whatever its element type.
+/// Evaluates an expression for the vector in `$numbers`, independent of the element type.
 macro_rules! for_elements {
     ($numbers:expr, $elements:ident => $result:expr) => {
         match $numbers {
@@ -188,13 +189,13 @@ impl Numbers {
         for_elements!(self, elements => elements.len())
     }
 
-    /// Replaces all numbers by `values`, which are repeated as often as necessary.
+    /// Replaces all numbers by `values`; repeats `values` if there are more numbers.
     pub(super) fn fill(&mut self, values: &[f64]) {
         for_elements!(self, elements => fill(elements, values));
     }
 
-    /// Replaces the numbers at `range` by the bytes of a sample: little-endian, as many as the numbers need. A byte
-    /// other than 0 is true.
+    /// Replaces the numbers in `range` by those that `bytes` contains, little-endian. The caller has checked the number
+    /// of bytes. For truth values, a byte other than 0 is true.
     pub(super) fn read(&mut self, range: Range<usize>, bytes: &[u8]) {
         match self {
             Self::Float16(elements) => copy(&mut elements[range], bytes, f16::from_le_bytes),
@@ -212,7 +213,8 @@ impl Numbers {
         }
     }
 
-    /// Returns the first numbers, as many as `shape` has, as an input of a session, without a copy.
+    /// Returns the first numbers, as many as `shape` has elements, as an input of a session. The numbers are not
+    /// copied.
     pub(super) fn as_input<'a>(&'a self, shape: &'a [usize]) -> ort::Result<SessionInputValue<'a>> {
         for_elements!(self, elements => {
             TensorRef::from_array_view((shape, &elements[..shape.iter().product()])).map(SessionInputValue::from)

@@ -6,21 +6,21 @@ use super::card::{Card, Detection, DetectionOutputs, Input, Source, Task};
 use super::data_type::DataType;
 use super::outputs::is_float;
 
-/// Reason that a card does not fit its model.
+/// Reason why a card does not fit its model.
 #[derive(Debug, PartialEq, thiserror::Error)]
 pub(super) enum MismatchError {
-    /// The model has no input or output of that name.
-    #[error("its card names the {what} {name:?}, but it has {}", .names.join(", "))]
-    Name { what: &'static str, name: String, names: Vec<String> },
+    /// The model has no input or output of that name. In this and the next variant, `kind` is `input` or `output`.
+    #[error("its card names the {kind} {name:?}, but it has {}", .names.join(", "))]
+    Name { kind: &'static str, name: String, names: Vec<String> },
     /// Type or shape differ.
-    #[error("its {what} {name:?} is {actual}, its card says {expected}")]
-    Form { what: &'static str, name: String, actual: String, expected: String },
+    #[error("its {kind} {name:?} is {actual}, its card says {expected}")]
+    Form { kind: &'static str, name: String, actual: String, expected: String },
     /// The model has an input that the card does not name.
     #[error(
         "it has the input {0:?}, which its card does not name; add an [[input]], with `value` if it is a constant"
     )]
     UnnamedInput(String),
-    /// The model takes a fixed number of samples, so it cannot compute batches.
+    /// The model takes a fixed number of samples, so that it cannot compute batches.
     #[error(
         "its input {0:?} takes one sample at a time; remove `batch`, or export the model with an open first dimension \
          (dynamic_axes); the shape in the card, which is that of one sample, then begins with 1"
@@ -28,9 +28,9 @@ pub(super) enum MismatchError {
     FixedBatch(String),
 }
 
-/// Elements that an output may have.
+/// Types that the elements of an input or output may have.
 #[derive(Clone, Copy)]
-enum Elements {
+enum ElementTypes {
     /// One type.
     Exactly(DataType),
     /// Any float.
@@ -39,7 +39,7 @@ enum Elements {
     Any,
 }
 
-/// Length of a dimension that an output must have; `None` for any.
+/// Required length of a dimension; `None` if any length fits.
 type Length = Option<usize>;
 
 /// Returns whether the model takes any number of samples along the first dimension of an input.
@@ -62,7 +62,7 @@ pub(super) fn check_batch(card: &Card, outlets: &[Outlet]) -> Result<(), Mismatc
 pub(super) fn check(card: &Card, inputs: &[Outlet], outputs: &[Outlet]) -> Result<(), MismatchError> {
     for input in &card.inputs {
         let shape: Vec<Length> = input.shape.iter().copied().map(Some).collect();
-        check_outlet("input", inputs, &input.name, Elements::Exactly(input.data_type), &[&shape])?;
+        check_outlet("input", inputs, &input.name, ElementTypes::Exactly(input.data_type), &[&shape])?;
     }
     let is_named = |outlet: &&Outlet| card.inputs.iter().any(|input| input.name == outlet.name());
     if let Some(outlet) = inputs.iter().find(|outlet| !is_named(outlet)) {
@@ -74,59 +74,59 @@ pub(super) fn check(card: &Card, inputs: &[Outlet], outputs: &[Outlet]) -> Resul
 fn check_outputs(task: &Task, outlets: &[Outlet]) -> Result<(), MismatchError> {
     let check =
         |name: &str, elements, shapes: &[&[Length]]| check_outlet("output", outlets, name, elements, shapes);
-    // The dimension of the batch, which has the length 1, may be left out where the rest is unambiguous.
+    // The dimension of the batch has the length 1. It may be missing where the other dimensions are unambiguous.
     let one = Some(1);
     match task {
         Task::Classification(task) => check_with_labels(task.labels.len(), |classes| {
-            check(&task.name, Elements::Floats, &[&[one, classes], &[classes]])
+            check(&task.name, ElementTypes::Floats, &[&[one, classes], &[classes]])
         }),
         Task::Detection(task) => check_detection(task, &check),
         Task::Segmentation(task) => {
-            // Floats are scores, other numbers are classes. Whether the shape fits the type is checked in the first
-            // inference.
+            // Floats are scores, other numbers are classes. The first inference checks whether the shape fits the type.
             check_with_labels(task.labels.len(), |classes| {
                 let scores = [one, classes, None, None];
-                check(&task.name, Elements::Any, &[&scores, &[one, None, None], &[one, one, None, None]])
+                check(&task.name, ElementTypes::Any, &[&scores, &[one, None, None], &[one, one, None, None]])
             })
         }
-        Task::Embedding(task) => check(&task.name, Elements::Floats, &[&[one, None], &[None]]),
+        Task::Embedding(task) => check(&task.name, ElementTypes::Floats, &[&[one, None], &[None]]),
         Task::Tensors(tensors) => tensors.iter().try_for_each(|tensor| {
             let shape: Vec<Length> = tensor.shape.iter().copied().map(Some).collect();
-            check(&tensor.name, Elements::Exactly(tensor.data_type), &[&shape])
+            check(&tensor.name, ElementTypes::Exactly(tensor.data_type), &[&shape])
         }),
     }
 }
 
 fn check_detection(
     task: &Detection,
-    check: &impl Fn(&str, Elements, &[&[Length]]) -> Result<(), MismatchError>,
+    check: &impl Fn(&str, ElementTypes, &[&[Length]]) -> Result<(), MismatchError>,
 ) -> Result<(), MismatchError> {
     let (one, four, labels) = (Some(1), Some(4), task.labels.len());
     match &task.outputs {
         // Each candidate has four coordinates, an objectness, and a score for each class.
         DetectionOutputs::Yolov5 { name, .. } => check_with_labels(labels, |classes| {
-            check(name, Elements::Floats, &[&[one, None, classes.map(|classes| 5 + classes)]])
+            check(name, ElementTypes::Floats, &[&[one, None, classes.map(|classes| 5 + classes)]])
         }),
-        // No objectness, and candidates are columns.
+        // Each candidate is a column: four coordinates and a score for each class, without an objectness.
         DetectionOutputs::Yolov8 { name, .. } => check_with_labels(labels, |classes| {
-            check(name, Elements::Floats, &[&[one, classes.map(|classes| 4 + classes), None]])
+            check(name, ElementTypes::Floats, &[&[one, classes.map(|classes| 4 + classes), None]])
         }),
-        // Four coordinates, the score and the number of the class: the number of labels does not show in the shape.
-        DetectionOutputs::Yolov10 { name } => check(name, Elements::Floats, &[&[one, None, Some(6)]]),
+        // Each candidate has four coordinates, the score and the number of the class, so the shape does not depend on
+        // the number of labels.
+        DetectionOutputs::Yolov10 { name } => check(name, ElementTypes::Floats, &[&[one, None, Some(6)]]),
         DetectionOutputs::Detr { scores, boxes, is_softmax } => {
             check_with_labels(labels, |classes| {
                 // With softmax, the last logit means "no object".
                 let logits = classes.map(|classes| classes + usize::from(*is_softmax));
-                check(scores, Elements::Floats, &[&[one, None, logits]])
+                check(scores, ElementTypes::Floats, &[&[one, None, logits]])
             })?;
-            check(boxes, Elements::Floats, &[&[one, None, four]])
+            check(boxes, ElementTypes::Floats, &[&[one, None, four]])
         }
         DetectionOutputs::Nms { boxes, scores, classes, count } => {
-            check(boxes, Elements::Floats, &[&[one, None, four], &[None, four]])?;
-            check(scores, Elements::Floats, &[&[one, None], &[None]])?;
-            check(classes, Elements::Any, &[&[one, None], &[None]])?;
+            check(boxes, ElementTypes::Floats, &[&[one, None, four], &[None, four]])?;
+            check(scores, ElementTypes::Floats, &[&[one, None], &[None]])?;
+            check(classes, ElementTypes::Any, &[&[one, None], &[None]])?;
             match count {
-                Some(count) => check(count, Elements::Any, &[&[one, one], &[one], &[]]),
+                Some(count) => check(count, ElementTypes::Any, &[&[one, one], &[one], &[]]),
                 None => Ok(()),
             }
         }
@@ -134,59 +134,60 @@ fn check_detection(
 }
 
 /// Checks an output with a length that depends on the number of labels. If only this length does not fit, the error
-/// names `labels`, because the card has labels and no shape.
+/// names `labels`: the card states the length by its labels and not by a shape.
 fn check_with_labels(
     labels: usize,
     check: impl Fn(Length) -> Result<(), MismatchError>,
 ) -> Result<(), MismatchError> {
     check(Some(labels)).map_err(|mismatch| match mismatch {
-        MismatchError::Form { what, name, actual, expected } if check(None).is_ok() => {
+        MismatchError::Form { kind, name, actual, expected } if check(None).is_ok() => {
             let expected = format!("{expected}, because `labels` has {labels}; write a label for each class");
-            MismatchError::Form { what, name, actual, expected }
+            MismatchError::Form { kind, name, actual, expected }
         }
         other => other,
     })
 }
 
-/// Checks that there is an input or output with this name, these elements and one of the shapes.
+/// Checks that there is an input or output with this name, these types of elements and one of these shapes.
 fn check_outlet(
-    what: &'static str,
+    kind: &'static str,
     outlets: &[Outlet],
     name: &str,
-    elements: Elements,
+    elements: ElementTypes,
     shapes: &[&[Length]],
 ) -> Result<(), MismatchError> {
     let name = name.to_owned();
     let Some(outlet) = outlets.iter().find(|outlet| outlet.name() == name) else {
         let names = outlets.iter().map(|outlet| format!("{:?}", outlet.name())).collect();
-        return Err(MismatchError::Name { what, name, names });
+        return Err(MismatchError::Name { kind, name, names });
     };
     let dtype = outlet.dtype();
     let fits_any_shape = |actual: &[i64]| {
-        // A model that does not declare a shape appears to have no dimension; the first inference then shows its shape.
+        // A shape that the model does not declare appears to have no dimension. The first inference then checks the
+        // shape.
         actual.is_empty() || shapes.iter().any(|shape| shape_fits(actual, shape))
     };
-    if dtype.tensor_type().is_some_and(|onnx| elements.contain(onnx))
+    if dtype.tensor_type().is_some_and(|onnx| elements.contains(onnx))
         && dtype.tensor_shape().is_some_and(|shape| fits_any_shape(shape))
     {
         return Ok(());
     }
-    let shapes: Vec<String> = shapes.iter().map(|shape| text(shape)).collect();
-    let expected = format!("{} of shape {}", elements.text(), shapes.join(" or "));
-    Err(MismatchError::Form { what, name, actual: form(dtype), expected })
+    let shapes: Vec<String> = shapes.iter().map(|shape| describe_shape(shape)).collect();
+    let expected = format!("{} of shape {}", elements.describe(), shapes.join(" or "));
+    Err(MismatchError::Form { kind, name, actual: describe_type(dtype), expected })
 }
 
-/// Returns type and shape of an input or output in the words of cards: `float32 of shape [1, 3, n, n]`.
-fn form(dtype: &ValueType) -> String {
+/// Returns the type and the shape of an input or output as a card writes them: `float32 of shape [1, 3, n, n]`.
+fn describe_type(dtype: &ValueType) -> String {
     let (Some(onnx), Some(shape)) = (dtype.tensor_type(), dtype.tensor_shape()) else {
         return dtype.to_string();
     };
     let elements = DataType::from_onnx(onnx).map_or_else(|| onnx.to_string(), |known| known.to_string());
     let shape: Vec<Length> = shape.iter().map(|length| usize::try_from(*length).ok()).collect();
-    format!("{elements} of shape {}", text(&shape))
+    format!("{elements} of shape {}", describe_shape(&shape))
 }
 
-/// Returns whether a declared shape fits; the model leaves a length of -1 open.
+/// Returns whether a declared shape fits; a declared length of -1 is open and fits any length.
 fn shape_fits(actual: &[i64], shape: &[Length]) -> bool {
     let length_fits = |(actual, length): (&i64, &Length)| {
         *actual < 0 || length.is_none_or(|length| i64::try_from(length) == Ok(*actual))
@@ -195,13 +196,13 @@ fn shape_fits(actual: &[i64], shape: &[Length]) -> bool {
 }
 
 /// Formats a shape: `[1, 84, n]`.
-fn text(shape: &[Length]) -> String {
+fn describe_shape(shape: &[Length]) -> String {
     let length = |length: &Length| length.map_or_else(|| "n".to_owned(), |length| length.to_string());
     format!("[{}]", shape.iter().map(length).collect::<Vec<_>>().join(", "))
 }
 
-impl Elements {
-    fn contain(self, onnx: TensorElementType) -> bool {
+impl ElementTypes {
+    fn contains(self, onnx: TensorElementType) -> bool {
         match self {
             Self::Exactly(data_type) => DataType::from_onnx(onnx) == Some(data_type),
             Self::Floats => is_float(onnx),
@@ -209,7 +210,7 @@ impl Elements {
         }
     }
 
-    fn text(self) -> String {
+    fn describe(self) -> String {
         match self {
             Self::Exactly(data_type) => data_type.to_string(),
             Self::Floats => "float32, float16 or float64".to_owned(),
@@ -234,6 +235,6 @@ mod tests {
         ] {
             assert_eq!(shape_fits(actual, shape), is_fitting, "{actual:?} {shape:?}");
         }
-        assert_eq!(text(&[Some(1), None]), "[1, n]");
+        assert_eq!(describe_shape(&[Some(1), None]), "[1, n]");
     }
 }

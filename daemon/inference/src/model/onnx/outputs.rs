@@ -1,4 +1,4 @@
-//! The outputs of a run, with checks of their names, types and shapes.
+//! The outputs of a run of the session, with checks of their names, types and shapes.
 
 use std::borrow::Cow;
 
@@ -9,7 +9,7 @@ use ort::value::{DynValue, TensorElementType, ValueType};
 use super::data_type::DataType;
 use super::numbers::Element;
 
-/// Reason that outputs cannot be convert to an answer.
+/// Reason why outputs cannot be converted to an answer.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum OutputError {
     /// Error of ONNX Runtime.
@@ -18,10 +18,10 @@ pub(super) enum OutputError {
     /// The model has no such output.
     #[error("there is no output {0:?}")]
     Missing(String),
-    /// The output has another type than the card's.
+    /// The output has another type than the card requires.
     #[error("its output {name:?} has elements of type {actual}, {expected} are required")]
     Type { name: String, actual: String, expected: &'static str },
-    /// The output has another shape than the card's.
+    /// The output has another shape than the card requires.
     #[error("its output {name:?} has the shape {actual:?}, {expected} is required")]
     Shape { name: String, actual: Vec<usize>, expected: String },
     /// The output contains a number that is not finite.
@@ -30,7 +30,7 @@ pub(super) enum OutputError {
     /// The output contains NaN.
     #[error("its output {0:?} contains NaN")]
     NotANumber(String),
-    /// The output states a number of rows that it cannot have.
+    /// The output with the number of valid rows states an impossible number.
     #[error(
         "its output {name:?} states {count} valid rows of {rows}; it must be a whole number from 0 to {rows}"
     )]
@@ -44,15 +44,15 @@ pub(super) enum OutputError {
     /// A vector of zeros has no direction.
     #[error("its output {0:?} has the length 0, so it cannot be normalised")]
     NoDirection(String),
-    /// The answer relates to a picture, and there was none.
-    #[error("it had no picture")]
+    /// The answer relates to a picture, but the sample had none.
+    #[error("its sample has no picture")]
     NoPicture,
     /// The answer cannot be encoded.
     #[error(transparent)]
     Json(#[from] serde_json::Error),
 }
 
-/// The outputs of one sample in a run, in the host's memory.
+/// The outputs for one sample of a run, in the host's memory.
 pub(super) struct Outputs<'a, 'run> {
     run: &'a SessionOutputs<'run>,
     row: Row,
@@ -67,7 +67,7 @@ pub(super) struct Row {
     pub(super) batch: usize,
 }
 
-/// One output.
+/// An output for one sample.
 pub(super) struct Output<'a> {
     pub(super) name: &'a str,
     pub(super) shape: Vec<usize>,
@@ -102,7 +102,7 @@ impl<'a, 'run> Outputs<'a, 'run> {
         let mut output = Output { name, shape, data_type, value, row: self.row };
         let batch = self.row.batch;
         match output.shape.first_mut() {
-            // The output of a single sample may lack the dimension of the batch.
+            // The output for a single sample need not have a dimension for the batch.
             _ if batch == 1 => {}
             Some(rows) if *rows == batch => *rows = 1,
             _ => {
@@ -128,7 +128,7 @@ impl<'a> Output<'a> {
         }
     }
 
-    /// Returns the error that another shape is required.
+    /// Returns the error that says which shape is required.
     pub(super) fn wrong_shape(&self, expected: &str) -> OutputError {
         OutputError::Shape {
             name: self.name.to_owned(),
@@ -137,20 +137,20 @@ impl<'a> Output<'a> {
         }
     }
 
-    /// Returns the numbers as 32-bit floats; only numbers of another type are copied.
+    /// Returns the numbers as 32-bit floats. Numbers that already are 32-bit floats are not copied.
     ///
     /// # Errors
-    /// If one is not a number.
+    /// If one of them is NaN.
     pub(super) fn numbers(&self) -> Result<Cow<'a, [f32]>, OutputError> {
         let numbers = self.unchecked_numbers()?;
-        // The loop has no branch for each number, so that the compiler vectorises.
+        // `fold` has no branch for each number, so that the compiler vectorises the loop.
         if numbers.iter().fold(false, |any, number| any | number.is_nan()) {
             return Err(OutputError::NotANumber(self.name.to_owned()));
         }
         Ok(numbers)
     }
 
-    /// Returns the numbers as 32-bit floats, which may be NaN; only numbers of another type are copied.
+    /// Returns the numbers as 32-bit floats, which may be NaN. Numbers that already are 32-bit floats are not copied.
     pub(super) fn unchecked_numbers(&self) -> Result<Cow<'a, [f32]>, OutputError> {
         Ok(match self.data_type {
             DataType::Float32 => Cow::Borrowed(self.elements::<f32>()?),
@@ -185,7 +185,7 @@ impl<'a> Output<'a> {
     /// Returns the numbers as the bytes of a sample: little-endian, a truth value as 0 or 1.
     ///
     /// # Errors
-    /// If one is not a number.
+    /// If one of them is NaN.
     pub(super) fn bytes(&self) -> Result<Vec<u8>, OutputError> {
         match self.data_type {
             DataType::Float16 => self.to_bytes(f16::to_le_bytes),

@@ -23,14 +23,14 @@ pub(super) struct SearchSettings {
 pub(super) struct Candidate {
     /// The file, with links resolved.
     pub(super) path: PathBuf,
-    /// Step of the search that led to it.
+    /// Step of the search that found the file.
     pub(super) origin: &'static str,
 }
 
-/// Path of the library's folder below each folder that is searched.
-const FOLDER: &str = "onnxruntime/lib";
+/// Path of the library's folder, relative to each folder that is searched.
+const LIBRARY_FOLDER: &str = "onnxruntime/lib";
 /// Folder in which the package installs the library.
-const INSTALLED: &str = "/usr/lib/peernet";
+const INSTALL_FOLDER: &str = "/usr/lib/peernet";
 /// Names of the library's file; the first one is preferred.
 const NAMES: [&str; 2] = ["libonnxruntime.so", "libonnxruntime.so.1"];
 
@@ -44,16 +44,17 @@ impl SearchSettings {
         }
     }
 
-    /// Returns the first file in the order of the search, and the paths that were searched before it. The last step,
-    /// the system's library path, is left to the loader.
+    /// Returns the first library that the search finds, and the paths that were searched before. The last step, the
+    /// system's library path, is left to the system's loader: the first value is then `None`.
     ///
-    /// If a library is named explicitly, it is used or gives an error: it is never replaced by another library.
+    /// A library that the configuration or the variable names is never replaced by another one: if it cannot be used,
+    /// the search fails.
     pub(super) fn search(&self) -> Result<(Option<Candidate>, Vec<String>), LibraryError> {
         let mut searched = Vec::new();
         let variable = self.variable.as_ref().map(PathBuf::from);
-        let named =
+        let explicit =
             [("[onnxruntime] library", self.configured.as_ref()), ("ORT_DYLIB_PATH", variable.as_ref())];
-        for (origin, path) in named {
+        for (origin, path) in explicit {
             let Some(path) = path else {
                 searched.push(format!("{origin}: not set"));
                 continue;
@@ -81,19 +82,19 @@ impl SearchSettings {
         Ok((None, searched))
     }
 
-    /// Returns the folders to search: below the current directory, below the program's folder and all folders above
-    /// it, and where the package installs the library.
+    /// Returns the folders to search: one below the current directory, one below the program's folder and below each
+    /// folder above that folder, and the folder in which the package installs the library.
     fn folders(&self) -> Vec<PathBuf> {
-        let mut folders = vec![self.current.join(FOLDER)];
-        folders.extend(self.executable.ancestors().skip(1).map(|ancestor| ancestor.join(FOLDER)));
-        folders.push(INSTALLED.into());
+        let mut folders = vec![self.current.join(LIBRARY_FOLDER)];
+        folders.extend(self.executable.ancestors().skip(1).map(|ancestor| ancestor.join(LIBRARY_FOLDER)));
+        folders.push(INSTALL_FOLDER.into());
         let mut seen = std::collections::HashSet::new();
         folders.retain(|folder| seen.insert(folder.clone()));
         folders
     }
 }
 
-/// Returns the library at a path: the file itself, or the file in the folder.
+/// Returns the library at a path: the file itself, or a file in the folder with one of the library's names.
 fn library_at(path: &Path) -> Option<PathBuf> {
     let resolved = |path: &Path| path.canonicalize().ok().filter(|path| path.is_file());
     resolved(path).or_else(|| NAMES.iter().find_map(|name| resolved(&path.join(name))))
@@ -112,11 +113,11 @@ mod tests {
     }
 
     fn found(search_settings: &SearchSettings) -> Option<PathBuf> {
-        search_settings.search().expect("nothing wrong is named").0.map(|candidate| candidate.path)
+        search_settings.search().expect("no explicit path is wrong").0.map(|candidate| candidate.path)
     }
 
     #[test]
-    fn order_is_configuration_variable_folders() {
+    fn search_order_is_configuration_variable_folders() {
         let root = tempfile::tempdir().expect("can be made");
         let at = |path: &str| root.path().join(path);
         let mut search_settings = SearchSettings {
@@ -141,13 +142,13 @@ mod tests {
     #[test]
     fn missing_configured_library_has_no_fallback() {
         let root = tempfile::tempdir().expect("can be made");
-        create_file(&root.path().join(FOLDER), "libonnxruntime.so");
+        create_file(&root.path().join(LIBRARY_FOLDER), "libonnxruntime.so");
         let mut search_settings = SearchSettings { current: root.path().to_owned(), ..Default::default() };
         search_settings.variable = Some("nowhere.so".into());
-        let error = search_settings.search().expect_err("is named").to_string();
+        let error = search_settings.search().expect_err("the variable names a missing file").to_string();
         assert!(error.contains("nowhere.so (ORT_DYLIB_PATH)") && error.contains("make setup"), "{error}");
         search_settings.configured = Some(root.path().to_owned());
-        let error = search_settings.search().expect_err("is empty").to_string();
+        let error = search_settings.search().expect_err("the folder contains no library").to_string();
         assert!(error.contains("contains no libonnxruntime.so"), "{error}");
     }
 
@@ -158,17 +159,17 @@ mod tests {
             executable: "/nowhere/bin/program".into(),
             ..Default::default()
         };
-        let (_, searched) = search_settings.search().expect("nothing is named");
+        let (_, searched) = search_settings.search().expect("no path is explicit");
         for place in [
             "[onnxruntime] library",
             "ORT_DYLIB_PATH",
             "/nowhere/current/onnxruntime/lib",
             "/nowhere/bin/onnxruntime/lib",
-            INSTALLED,
+            INSTALL_FOLDER,
         ] {
             assert!(searched.iter().any(|line| line.starts_with(place)), "{place}: {searched:?}");
         }
         let error = LibraryError::NotFound { searched }.to_string();
-        assert!(error.contains(INSTALLED) && error.contains("make setup"), "{error}");
+        assert!(error.contains(INSTALL_FOLDER) && error.contains("make setup"), "{error}");
     }
 }

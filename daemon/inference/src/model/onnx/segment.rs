@@ -16,8 +16,8 @@ use super::outputs::{Output, OutputError, Outputs};
 struct Answer<'a> {
     /// The classes that the picture shows, the most frequent one first.
     classes: Vec<SegmentedClass<'a>>,
-    /// Number of the model's classes. A pixel of a mask with this number or a larger one, except 255, has a class
-    /// that the model does not have.
+    /// Number of the model's classes. In the mask of a sample's label, a pixel with this value or a larger one has a
+    /// class that the model does not have; the value 255 is an exception.
     class_count: usize,
     /// Width of the sample's picture, pixels.
     width: u32,
@@ -28,18 +28,18 @@ struct Answer<'a> {
 #[derive(Debug, PartialEq, Serialize)]
 struct SegmentedClass<'a> {
     label: &'a str,
-    /// Share of the picture's pixels.
+    /// Fraction of the picture's pixels that have this class.
     share: f64,
 }
 
-/// Classes of the pixels of a model's output.
+/// The class of each pixel of the model's output.
 struct ClassMap {
     width: usize,
     height: usize,
     classes: Vec<u8>,
 }
 
-/// Returns the answer: its summary, and the classes of the pixels of the sample's picture, one byte each.
+/// Returns the two parts of the answer: the summary, and the class of each pixel of the sample's picture as one byte.
 ///
 /// # Errors
 /// If the output has another shape than the task needs, contains NaN, or names a class without label.
@@ -75,7 +75,8 @@ pub(super) fn segment(
     ])
 }
 
-/// Checks only the type and shape of the output, for a run on an example input, whose numbers mean nothing.
+/// Checks the type and shape of the output for the zeros with which a session is warmed up. The numbers in this output
+/// mean nothing and are not checked.
 pub(super) fn check(segmentation: &Segmentation, outputs: &Outputs<'_, '_>) -> Result<(), OutputError> {
     match ClassMap::read(segmentation, outputs) {
         Ok(_) | Err(OutputError::NotANumber(_) | OutputError::UnknownClass { .. }) => Ok(()),
@@ -84,8 +85,8 @@ pub(super) fn check(segmentation: &Segmentation, outputs: &Outputs<'_, '_>) -> R
 }
 
 impl ClassMap {
-    /// Reads scores `[1, classes, height, width]`, of which the largest of a pixel decides its class, or the classes
-    /// themselves, integers `[1, height, width]`.
+    /// Reads one of two kinds of output: scores `[1, classes, height, width]`, where a pixel has the class with the
+    /// largest score, or class numbers `[1, height, width]`, which are integers.
     fn read(segmentation: &Segmentation, outputs: &Outputs<'_, '_>) -> Result<Self, OutputError> {
         let output = outputs.get(&segmentation.name)?;
         let labels = segmentation.labels.len();
@@ -99,6 +100,7 @@ impl ClassMap {
             return Err(output.wrong_shape(&expected));
         }
         let scores = output.numbers()?;
+        // The scores of class 0 are the first candidates for the best scores.
         let mut best = scores[..width * height].to_vec();
         let mut classes = vec![0; width * height];
         // The scores are read class by class, because the scores of one class are contiguous.
@@ -131,13 +133,13 @@ impl ClassMap {
         Ok(Self { width, height, classes: numbers.iter().map(class).collect::<Result<_, _>>()? })
     }
 
-    /// Returns the class of each pixel of the picture. It is the class of the output's pixel that contains the centre
+    /// Returns the class of each pixel of the picture: the class of that pixel of the output that contains the centre
     /// of the picture's pixel.
     fn in_picture(&self, transform: &PictureTransform) -> Vec<u8> {
         let (width, height) = transform.picture;
-        let index = |at: f32, input: u32, length: usize| {
+        let index = |position: f32, input: u32, length: usize| {
             // A float below 0 becomes 0.
-            ((at * length as f32 / input as f32) as usize).min(length - 1)
+            ((position * length as f32 / input as f32) as usize).min(length - 1)
         };
         let column = |x: u32| {
             let (x, _) = transform.to_input((x as f32 + 0.5, 0.0));

@@ -1,7 +1,7 @@
-//! A session of ONNX Runtime, one per worker.
+//! A session of ONNX Runtime. Each worker has its own session.
 //!
-//! `ort` runs a session by `&mut`, because parts of the library are not safe under concurrent runs. Each worker
-//! therefore has its own session, and [`SharedModel`] lets them share the weights.
+//! `ort` needs `&mut` access to run a session, because parts of the library are not safe under concurrent runs.
+//! Therefore two workers cannot use one session. [`SharedModel`] lets the sessions share the weights.
 
 use ort::session::Session;
 use ort::session::builder::{GraphOptimizationLevel, SessionBuilder};
@@ -29,7 +29,7 @@ pub(super) fn open(
 
 fn build(plan: &Plan, runtime: &Runtime, shared: Option<&SharedModel>) -> ort::Result<Session> {
     let builder = builder(plan, runtime)?;
-    // Other programs may delete temporary folders; a worker that is rebuilt later works without the shared file.
+    // Other programs may delete temporary folders. A worker that is rebuilt later then opens the original file.
     match shared.filter(|shared| shared.file().exists()) {
         Some(shared) => {
             let level = GraphOptimizationLevel::Disable; // the shared model is already optimised
@@ -46,7 +46,7 @@ pub(super) fn builder(plan: &Plan, runtime: &Runtime) -> ort::Result<SessionBuil
         builder = builder.with_parallel_execution(true)?.with_inter_threads(plan.inter_threads)?;
     }
     if let Some(provider) = plan.device.provider() {
-        // With both settings either the whole model runs on the device or the session is refused.
+        // With these two settings, the whole model runs on the device, or the session cannot be opened.
         builder = builder.with_execution_providers([provider])?.with_disable_cpu_fallback()?;
     }
     Ok(builder)
@@ -60,8 +60,8 @@ pub(super) fn session_error(plan: &Plan, error: &ort::Error) -> LoadError {
     }
 }
 
-/// Returns the message of ONNX Runtime in one line, without the position in its source code, and with the next step
-/// if a library was not loaded or the file has a newer format.
+/// Returns the message of ONNX Runtime in one line, without the position in its source code. Adds what to do if a
+/// library was not loaded or if the file has a newer format.
 fn reason(text: &str) -> String {
     // As in "…/info.cc:63 static … [ONNXRuntimeError] : 1 : FAIL : options.h:187 Parse Failed to parse …: Invalid
     // device ID: 7".
@@ -74,10 +74,10 @@ fn reason(text: &str) -> String {
     // As in "…/model.cc:256 onnxruntime::Model::Model(…) Unsupported model IR version: 14, max supported IR version:
     // 13".
     let newer_format = line.find("Unsupported model IR version").map(|start| &line[start..]);
-    if let Some(refusal) = newer_format {
-        let supported = refusal.rsplit(' ').next().unwrap_or_default();
+    if let Some(message) = newer_format {
+        let supported = message.rsplit(' ').next().unwrap_or_default();
         format!(
-            "{refusal}; save it with Python's onnx package after `model.ir_version = {supported}`, or install a newer ONNX Runtime"
+            "{message}; save it with Python's onnx package after `model.ir_version = {supported}`, or install a newer ONNX Runtime"
         )
     } else if line.contains("Failed to load library") {
         format!("{line}; check that the device's own libraries, such as CUDA's, are in LD_LIBRARY_PATH")
@@ -91,7 +91,7 @@ mod tests {
     use super::reason;
 
     #[test]
-    fn refusal_is_one_line_without_source_location() {
+    fn library_error_is_one_line_without_source_location() {
         let message = "/onnxruntime_src/cuda_execution_provider_info.cc:63 static onnxruntime::Info [ONNXRuntimeError] : 1 : FAIL : \
                     options.h:187 Parse Failed to parse provider option \"device_id\": Invalid device ID: 7, must be between 0 \
                     (inclusive) and 1 (exclusive).\n";

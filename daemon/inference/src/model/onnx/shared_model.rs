@@ -1,10 +1,10 @@
 //! One copy of a model's weights for several workers.
 //!
-//! Optimising a model rearranges its weights, so each session that optimises has its own copy; prepacked
-//! weights do not avoid that. With a ResNet-50 of 94 MB each further worker took another 120 MB. Therefore the model
-//! is optimised once and written to a temporary folder, with its weights in a separate file. Each session maps that
-//! file, and the kernel keeps one copy for all: a further worker takes 10 MB and is ready after 55 ms instead of 350
-//! ms.
+//! Optimising a model rearranges its weights, so each session that optimises has its own copy. Sharing prepacked
+//! weights between sessions does not avoid these copies. With a ResNet-50 of 94 MB each further worker took another 120
+//! MB. Therefore the model is optimised once and written to a temporary folder, with its weights in a separate file.
+//! Each session maps that file, and the kernel keeps one copy for all sessions: a further worker takes 10 MB and is
+//! ready after 55 ms instead of 350 ms.
 
 use std::path::PathBuf;
 
@@ -17,10 +17,10 @@ use super::{MODEL, Plan, session};
 use crate::temp_dirs::TempDirs;
 use crate::{LoadError, LockedTempDir};
 
-/// Initialisers shorter than this number of bytes stay in the model's file.
+/// Initialisers (constant tensors) with fewer bytes stay in the model's file.
 const MIN_SHARED_BYTES: &str = "1024";
 
-/// Optimised model on disk; dropping it deletes the files.
+/// Optimised model on disk; dropping the value deletes the files.
 pub(super) struct SharedModel {
     folder: LockedTempDir,
     temp_dirs: TempDirs,
@@ -33,8 +33,8 @@ impl Drop for SharedModel {
 }
 
 impl SharedModel {
-    /// Optimises the model for this machine. Returns `None` if nothing would be shared: with one worker, and on
-    /// devices other than the CPU, whose memory holds a copy for each session anyway.
+    /// Optimises the model for this machine. Returns `None` if nothing would be shared: with one worker, and on devices
+    /// other than the CPU, whose own memory holds a copy for each session in any case.
     pub(super) fn prepare(
         plan: &Plan,
         runtime: &Runtime,

@@ -23,12 +23,13 @@ pub struct CardSummary {
     pub task: String,
     /// Description; may be empty.
     pub description: String,
-    /// Shape, element type and order of dimensions: `1 × 3 × 384 × 384 float32 nchw`. Several inputs have their names
-    /// before it.
+    /// Shape, element type and order of dimensions of the input: `1 × 3 × 384 × 384 float32 nchw`. If there are several
+    /// inputs, each description begins with the input's name.
     pub input: String,
     /// Colours, resize, crop and normalisation, in the order in which they are applied.
     pub preprocessing: Vec<String>,
-    /// Answer: for a classification the number of classes, scoring, and number of listed classes.
+    /// Description of the answer: for a classification, the number of classes, the activation function and the number
+    /// of listed classes.
     pub output: String,
     /// The classes, in the order of the output; empty if the task has none.
     pub labels: Vec<String>,
@@ -36,7 +37,7 @@ pub struct CardSummary {
     pub provenance: Vec<(String, String)>,
 }
 
-/// Returns the card of the model in a folder.
+/// Returns the summary of the card in a model's folder.
 ///
 /// # Errors
 /// If the card is invalid, or if an ONNX file is missing or invalid.
@@ -48,8 +49,8 @@ pub(crate) fn summarise(folder: &Path) -> Result<CardSummary, LoadError> {
     Ok(card.summary())
 }
 
-/// Returns the SHA-256 of the ONNX files in a model's folder, in hexadecimal: of `model.onnx` followed by its data
-/// files in the order of their names.
+/// Returns the SHA-256 of the ONNX files in a model's folder, in hexadecimal. The hashed bytes are those of
+/// `model.onnx`, followed by those of its data files in the order of the files' names.
 ///
 /// # Errors
 /// If a file is missing or cannot be read, or if `model.onnx` is not an ONNX model.
@@ -65,7 +66,7 @@ pub(crate) fn hash_model(folder: &Path) -> Result<String, LoadError> {
 /// Returns the SHA-256 of the card in a model's folder, in hexadecimal.
 ///
 /// # Errors
-/// If it cannot be read.
+/// If the card cannot be read.
 pub(crate) fn hash_card(folder: &Path) -> Result<String, LoadError> {
     let file = folder.join(CARD);
     let hash = regular_file::open(&file).and_then(sha256);

@@ -1,4 +1,4 @@
-//! Termination of a run of ONNX Runtime whose requests are cancelled.
+//! Termination of a run of a session of ONNX Runtime whose requests are cancelled.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -10,23 +10,24 @@ use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
 
 /// Options of one run, which is terminated as soon as one of three conditions is true: all of its requests are
 /// cancelled; one of them is cancelled and the run is overdue; the host stops.
-// A thread that still computes must not keep the process from stopping in time. Opening a session cannot be
-// terminated; `LibraryUse` makes that safe.
+// A thread that still computes must not delay the end of the process. Opening a session cannot be terminated;
+// `LibraryUse` makes that safe.
 pub(super) struct TerminableRun {
     conditions: Arc<Conditions>,
-    /// Futures that were polled once, so that each token wakes `conditions` when it is cancelled.
+    /// One future for each token. Each future was polled once, so that its token wakes `conditions` when the token is
+    /// cancelled.
     _subscriptions: Vec<Pin<Box<WaitForCancellationFutureOwned>>>,
 }
 
 /// Conditions under which a run is terminated.
 struct Conditions {
     options: RunOptions,
-    /// Cancellations of the requests; without requests only a stop terminates the run.
+    /// Cancellation tokens of the requests. Without requests, only `stop` terminates the run.
     requests: Vec<CancellationToken>,
     stop: CancellationToken,
     clock: SharedClock,
     /// Time from which on one cancelled request terminates the run of all requests.
-    // Before this time, the run probably ends soon, and computing the other requests again would take longer.
+    // Before this time, the run probably ends soon. Computing the other requests again would take longer.
     overdue_at: MonoTime,
 }
 
@@ -69,8 +70,8 @@ impl Conditions {
         !self.requests.is_empty() && self.requests.iter().all(CancellationToken::is_cancelled)
     }
 
-    /// Returns whether a request is cancelled that the run should have answered by now. Its sample may be the reason
-    /// why the run does not end.
+    /// Returns whether a request is cancelled and the run should have ended by now. The sample of this request may be
+    /// the reason why the run does not end.
     fn is_overdue(&self) -> bool {
         self.requests.iter().any(CancellationToken::is_cancelled) && self.clock.mono() >= self.overdue_at
     }
@@ -79,7 +80,7 @@ impl Conditions {
         if (self.is_unneeded() || self.is_overdue() || self.stop.is_cancelled())
             && let Err(error) = self.options.terminate()
         {
-            tracing::warn!(%error, "cannot terminate a run of ONNX Runtime that nobody waits for; it goes on");
+            tracing::warn!(%error, "cannot terminate a run of ONNX Runtime, which continues although its answer is not needed");
         }
     }
 }

@@ -16,7 +16,8 @@ use super::termination::TerminableRun;
 use super::{Plan, answer, outlets};
 use crate::{InferenceError, LoadError, Request, Requester, Worker};
 
-/// Node below `inference`: the number of samples of the run. Recorded if the model computes batches.
+/// Node below `inference`: the number of samples that the session computed in one run. Recorded for models with the key
+/// `batch`.
 const BATCH_SIZE: Name = Name::from_static("batch-size");
 
 pub(super) struct OnnxWorker {
@@ -28,15 +29,16 @@ pub(super) struct OnnxWorker {
     clock: SharedClock,
     /// Duration of the longest run that succeeded, including the runs that warmed the session up.
     longest_run: Span,
-    /// The last field, because fields are dropped in the order of their declaration, and the use ends after the
-    /// session is released.
+    /// This is the last field: fields are dropped in the order of their declaration, and the use of the library must
+    /// end after the session is released.
     _library_use: LibraryUse,
 }
 
 impl OnnxWorker {
-    /// Creates a worker, and runs it on zeros and the card's constants, once for each size of a batch that needs
-    /// another amount of memory: one sample, and the largest batch.
-    // The first inference of a session is slow. It also shows whether the card fits the model before a sample arrives.
+    /// Creates a worker and warms it up: computes zeros, with the card's constants, as one sample and as the largest
+    /// batch. These two sizes need different amounts of memory.
+    // The first inference of a session is slow. It also shows, before a sample arrives, whether the card fits the
+    // model.
     pub(super) fn new_warmed_up(
         plan: Arc<Plan>,
         session: Session,
@@ -59,6 +61,7 @@ impl OnnxWorker {
         Ok(worker)
     }
 
+    /// Computes a batch of zeros and checks the outputs.
     fn warm_up(&mut self, batch: usize) -> Result<(), OutputError> {
         let started_at = self.clock.mono();
         let run = TerminableRun::new(Vec::new(), &self.stop, &self.clock, started_at)?;
@@ -72,8 +75,8 @@ impl OnnxWorker {
         InferenceError::Failed { model: self.plan.name.to_string(), reason: "it gave no answer".to_owned() }
     }
 
-    /// Fills the inputs. Returns for each sample whether it can be computed; those that can have the first rows, in
-    /// their order.
+    /// Fills the inputs. Returns for each sample whether it can be computed. The samples that can be computed fill the
+    /// first rows, in their order.
     fn preprocess(&mut self, samples: &[&Sample]) -> Vec<Result<(), InferenceError>> {
         let failed = |(result, sample): (Result<(), InputError>, &&Sample)| {
             result.map_err(|error| InferenceError::Input {
@@ -85,8 +88,8 @@ impl OnnxWorker {
         self.inputs.fill(samples).into_iter().zip(samples).map(failed).collect()
     }
 
-    /// Computes the answers of the first rows, one for each recorder, unless the `cancellations` terminate the run.
-    /// The outer error is an error of the whole run.
+    /// Computes the answers to the samples in the first rows, as many rows as there are recorders. The `cancellations`
+    /// may terminate the run. The outer error is an error of the whole run.
     fn compute(
         &mut self,
         recorders: &mut [&mut Recorder],
@@ -96,7 +99,7 @@ impl OnnxWorker {
         let failed = |reason: String| InferenceError::Failed { model: plan.name.to_string(), reason };
         let batch = recorders.len();
         let started_at = clock.mono();
-        // Twice the longest run, because a run may share its processor with others now.
+        // Twice the longest run, because this run may share the processor with other programs.
         let overdue_at = started_at + *longest_run + *longest_run;
         let run = TerminableRun::new(cancellations, stop, clock, overdue_at)
             .map_err(|error| failed(error.to_string()))?;
@@ -135,42 +138,43 @@ impl OnnxWorker {
         Ok((0..batch).map(answer).collect())
     }
 
-    /// Computes the answers of several requests in one run. If the library refuses the run, or it is overdue when a
-    /// request is cancelled, each request is computed alone, because the sample of one of them may be the reason.
+    /// Computes the answers of several requests in one run. If the library refuses the run, or if a request is
+    /// cancelled while the run is overdue, each request is computed alone: the sample of one request may be the reason.
     fn compute_together(&mut self, requests: &mut [Request<'_>]) -> Vec<Result<Sample, InferenceError>> {
         let samples: Vec<&Sample> = requests.iter().map(|request| request.sample).collect();
         let tokens: Vec<_> = requests.iter().map(|request| request.requester.cancellation()).collect();
         let mut recorders: Vec<&mut Recorder> =
             requests.iter_mut().map(|request| &mut *request.recorder).collect();
-        let prepared = {
+        let preprocessed = {
             let _stages = time_all(&mut recorders, &stage::PREPROCESSING);
             self.preprocess(&samples)
         };
-        let mut ready: Vec<&mut Recorder> = recorders
+        let mut ready_recorders: Vec<&mut Recorder> = recorders
             .into_iter()
-            .zip(&prepared)
+            .zip(&preprocessed)
             .filter_map(|(recorder, result)| result.is_ok().then_some(recorder))
             .collect();
         let cancellations = tokens
             .into_iter()
-            .zip(&prepared)
+            .zip(&preprocessed)
             .filter_map(|(token, result)| result.is_ok().then_some(token))
             .collect();
-        let count = ready.len();
-        let computed = if count == 0 { Ok(Vec::new()) } else { self.compute(&mut ready, cancellations) };
+        let count = ready_recorders.len();
+        let computed =
+            if count == 0 { Ok(Vec::new()) } else { self.compute(&mut ready_recorders, cancellations) };
         let mut answers = match computed {
             Err(InferenceError::Failed { .. }) if count > 1 => return self.compute_one_by_one(requests),
             Err(error) => vec![Err(error); count].into_iter(),
             Ok(answers) => answers.into_iter(),
         };
-        prepared
+        preprocessed
             .into_iter()
             .map(|result| result.and_then(|()| answers.next().unwrap_or_else(|| Err(self.no_answer()))))
             .collect()
     }
 
-    /// Computes each request alone after the run of all has failed. While the others are computed, a request is in
-    /// the stage `batch-wait`.
+    /// Computes each request alone after the run with all requests has failed. While other requests are computed, a
+    /// request is in the stage `batch-wait`.
     fn compute_one_by_one(&mut self, requests: &mut [Request<'_>]) -> Vec<Result<Sample, InferenceError>> {
         let started_at = self.clock.mono();
         let mut results = Vec::with_capacity(requests.len());
@@ -210,8 +214,7 @@ impl Worker for OnnxWorker {
 
     fn infer_batch(&mut self, requests: &mut [Request<'_>]) -> Vec<Result<Sample, InferenceError>> {
         let results = self.compute_together(requests);
-        // All stages have ended by now, so that the value is recorded directly below the root, where the edge looks
-        // for it.
+        // All stages have ended, so that the value is recorded directly below the root, where the edge looks for it.
         for (request, _) in requests.iter_mut().zip(&results).filter(|(_, result)| result.is_ok()) {
             let label = request.sample.label.as_ref();
             if label.is_some_and(|label| !self.plan.has_classes_of(label)) {

@@ -5,15 +5,15 @@ use serde::Deserialize;
 use super::ModelCardError;
 use super::output::{Activation, check_labels};
 
-/// Score above which an object is reported, by default.
-// The defaults of YOLOv5's `detect.py`, for both thresholds.
-const SCORE_THRESHOLD: f64 = 0.25;
+/// Default of `score_threshold`: objects with a higher score are reported.
+// Both thresholds have the defaults of YOLOv5's `detect.py`.
+const DEFAULT_SCORE_THRESHOLD: f64 = 0.25;
 
 /// Default of `iou_threshold` for models that do not suppress overlapping boxes themselves.
-const IOU_THRESHOLD: f64 = 0.45;
+const DEFAULT_IOU_THRESHOLD: f64 = 0.45;
 
 /// Default of `max_detections`.
-const MAX_DETECTIONS: usize = 100;
+const DEFAULT_MAX_DETECTIONS: usize = 100;
 
 /// Largest permitted value of `max_detections`.
 const MAX_MAX_DETECTIONS: usize = 10_000;
@@ -28,8 +28,8 @@ pub(in crate::model::onnx) struct Detection {
     pub(in crate::model::onnx) labels: Vec<String>,
     /// Objects with a higher score are reported.
     pub(in crate::model::onnx) score_threshold: f32,
-    /// If two boxes of one class have a higher ratio of intersection to union, the box with the lower score is
-    /// dropped. `None` to drop none.
+    /// If two boxes of one class have a higher ratio of intersection to union, the box with the lower score is dropped.
+    /// `None`: all boxes are kept.
     pub(in crate::model::onnx) iou_threshold: Option<f32>,
     /// Maximum number of objects in an answer. Objects with the highest scores are reported.
     pub(in crate::model::onnx) max_detections: usize,
@@ -38,18 +38,19 @@ pub(in crate::model::onnx) struct Detection {
 /// Outputs of the model, with their names. `n` is the number of candidates.
 #[derive(Clone, Debug, PartialEq)]
 pub(in crate::model::onnx) enum DetectionOutputs {
-    /// One output, `[1, n, 5 + classes]`: box, score of an object being there, scores of the classes (YOLOv5, YOLOv7,
-    /// YOLOX).
+    /// One output, `[1, n, 5 + classes]`: box, score that the box contains an object, scores of the classes (YOLOv5,
+    /// YOLOv7, YOLOX).
     Yolov5 { name: String, activation: Activation },
     /// One output, `[1, 4 + classes, n]`: box, scores of the classes (YOLOv8 and later).
     Yolov8 { name: String, activation: Activation },
     /// One output, `[1, n, 6]`: box, score, number of the class (YOLOv10, exports with suppression).
     Yolov10 { name: String },
-    /// Two outputs, logits and boxes `[1, n, 4]`. With softmax the logits are `[1, n, classes + 1]`, the last for "no
-    /// object" (DETR); with sigmoid `[1, n, classes]` (Deformable DETR, RT-DETR).
+    /// Two outputs, logits and boxes `[1, n, 4]`. With softmax, the logits are `[1, n, classes + 1]`, and the last one
+    /// means "no object" (DETR); with sigmoid, they are `[1, n, classes]` (Deformable DETR, RT-DETR).
     Detr { scores: String, boxes: String, is_softmax: bool },
     /// Boxes `[n, 4]`, scores `[n]` and numbers of classes `[n]`, each optionally with a first dimension of length 1
-    /// for the batch, and optionally the number of valid candidates: models that contain the suppression.
+    /// for the batch; optionally, a fourth output has the number of valid candidates. For models that contain the
+    /// suppression.
     Nms { boxes: String, scores: String, classes: String, count: Option<String> },
 }
 
@@ -109,7 +110,7 @@ enum Layout {
     Nms,
 }
 
-/// The table as it is written.
+/// The table `[output]` as it stands in the card.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct DetectionTable {
@@ -131,11 +132,11 @@ pub(super) struct DetectionTable {
 }
 
 const fn default_score_threshold() -> f64 {
-    SCORE_THRESHOLD
+    DEFAULT_SCORE_THRESHOLD
 }
 
 const fn default_max_detections() -> usize {
-    MAX_DETECTIONS
+    DEFAULT_MAX_DETECTIONS
 }
 
 impl Layout {
@@ -169,15 +170,15 @@ impl TryFrom<DetectionTable> for Detection {
         table.check_keys()?;
         check_labels(&table.labels)?;
         let is_yolo = matches!(layout, Layout::Yolov5 | Layout::Yolov8);
-        let default_iou = is_yolo.then_some(IOU_THRESHOLD);
-        let (format, unit) = match layout {
+        let default_iou = is_yolo.then_some(DEFAULT_IOU_THRESHOLD);
+        let (default_format, default_unit) = match layout {
             Layout::Yolov5 | Layout::Yolov8 => (BoxFormat::Cxcywh, BoxUnit::Pixels),
             Layout::Yolov10 | Layout::Nms => (BoxFormat::Xyxy, BoxUnit::Pixels),
             Layout::Detr => (BoxFormat::Cxcywh, BoxUnit::Fraction),
         };
         let detection = Self {
-            box_format: table.box_format.unwrap_or(format),
-            box_unit: table.box_unit.unwrap_or(unit),
+            box_format: table.box_format.unwrap_or(default_format),
+            box_unit: table.box_unit.unwrap_or(default_unit),
             score_threshold: table.score_threshold as f32,
             iou_threshold: table.iou_threshold.or(default_iou).map(|iou| iou as f32),
             max_detections: table.max_detections,
@@ -217,7 +218,7 @@ impl DetectionTable {
         }
         match self.max_detections {
             1..=MAX_MAX_DETECTIONS => Ok(()),
-            other => Err(ModelCardError::MaxDetections(other)),
+            out_of_range => Err(ModelCardError::MaxDetections(out_of_range)),
         }
     }
 
@@ -233,7 +234,7 @@ impl DetectionTable {
             Layout::Detr => DetectionOutputs::Detr {
                 scores: required("scores", self.scores)?,
                 boxes: required("boxes", self.boxes)?,
-                // Softmax and sigmoid differ in the number of logits, so no default is safe.
+                // The number of logits depends on the activation, so the card must name one of softmax and sigmoid.
                 is_softmax: match activation {
                     Activation::Softmax => true,
                     Activation::Sigmoid => false,

@@ -1,4 +1,5 @@
-//! The table `[input]` of a card, or its tables `[[input]]`: what the model's inputs are made from.
+//! The table `[input]` of a card, or its tables `[[input]]`: the type, the shape and the source of each input of the
+//! model.
 
 use std::collections::HashSet;
 
@@ -28,7 +29,7 @@ pub(in crate::model::onnx) enum Source {
     Picture(Box<PictureSource>),
     /// An array in the sample's next part, of the input's type and shape.
     Array,
-    /// Numbers in the card: one for all elements, or one for each.
+    /// Numbers in the card: one number for all elements, or one number for each element.
     Constant(Vec<f64>),
 }
 
@@ -43,7 +44,7 @@ pub(in crate::model::onnx) struct PictureSource {
     pub(in crate::model::onnx) size: (u32, u32),
 }
 
-/// An input as it is written.
+/// The table of an input as it stands in the card.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct InputTable {
@@ -54,16 +55,16 @@ pub(super) struct InputTable {
     /// Order of a picture's dimensions, which are the last three of `shape`.
     layout: Option<Layout>,
     colour: Option<Colour>,
-    /// Preprocessing of this picture. Default: the card's table `[preprocessing]`.
+    /// Preprocessing of the pictures for this input. Default: the card's table `[preprocessing]`.
     preprocessing: Option<Preprocessing>,
-    /// A number, or a list of numbers with further lists in it.
+    /// A number, or a list of numbers or further lists.
     #[serde(default, deserialize_with = "numbers")]
     value: Option<Vec<f64>>,
 }
 
 impl Input {
-    /// Converts and checks the tables of a card; `shared` is the preprocessing of pictures whose table has no
-    /// preprocessing.
+    /// Converts and checks the tables of a card; `shared` is the card's table `[preprocessing]`, for inputs without
+    /// preprocessing of their own.
     pub(super) fn from_tables(
         tables: Vec<InputTable>,
         shared: Option<&Preprocessing>,
@@ -102,7 +103,7 @@ impl Input {
         Ok(Self { name, data_type, shape, source })
     }
 
-    /// Returns the conversion of a picture, if the input is one.
+    /// Returns the conversion of a picture, if the input is a picture.
     pub(in crate::model::onnx) fn picture(&self) -> Option<&PictureSource> {
         match &self.source {
             Source::Picture(picture) => Some(picture),
@@ -111,7 +112,7 @@ impl Input {
     }
 
     /// Returns the number of elements.
-    pub(in crate::model::onnx) fn count(&self) -> usize {
+    pub(in crate::model::onnx) fn element_count(&self) -> usize {
         self.shape.iter().product()
     }
 }
@@ -135,9 +136,9 @@ impl PictureSource {
         }
         let expected = colour.channels();
         if channels != expected {
-            let other = layout.other().dimensions(shape);
-            let fits_other = other.is_some_and(|(channels, ..)| channels == expected);
-            return Err(ModelCardError::Channels { channels, layout, colour, expected, fits_other });
+            let with_other_layout = layout.other().dimensions(shape);
+            let fits_other_layout = with_other_layout.is_some_and(|(channels, ..)| channels == expected);
+            return Err(ModelCardError::Channels { channels, layout, colour, expected, fits_other_layout });
         }
         let normalisation = preprocessing.normalisation(channels, !data_type.is_float())?;
         preprocessing.check_size((width, height))?;
@@ -146,7 +147,7 @@ impl PictureSource {
     }
 }
 
-/// Checks the number of a constant's values, and that each can be represented.
+/// Checks the number of a constant's values, and that the input's type can represent each value.
 fn check_constant(
     input: &str,
     data_type: DataType,
@@ -159,22 +160,22 @@ fn check_constant(
     }
     let mut converted = Numbers::zeros(data_type, values.len());
     converted.fill(&values);
-    let is_same = |at: usize| {
-        let converted = for_elements!(&converted, elements => f64::from(elements[at].to_f32()));
+    let is_same = |index: usize| {
+        let converted = for_elements!(&converted, elements => f64::from(elements[index].to_f32()));
         // Floats may be rounded, but not to infinity. Integers must not be rounded.
         if data_type.is_float() {
             return data_type == DataType::Float64 || converted.is_finite();
         }
-        converted == f64::from(values[at] as f32) && values[at].fract() == 0.0
+        converted == f64::from(values[index] as f32) && values[index].fract() == 0.0
     };
-    match (0..values.len()).find(|at| !values[*at].is_finite() || !is_same(*at)) {
-        Some(at) => Err(ModelCardError::ConstantValue { input, value: values[at], data_type }),
+    match (0..values.len()).find(|index| !values[*index].is_finite() || !is_same(*index)) {
+        Some(index) => Err(ModelCardError::ConstantValue { input, value: values[index], data_type }),
         None => Ok(values),
     }
 }
 
 /// Deserialises the lengths of a shape. An exported model often has -1 or a name for a dimension without a fixed
-/// length; a card must have a number.
+/// length; a card must state a number.
 pub(super) fn lengths<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<usize>, D::Error> {
     let length = |value: &toml::Value| {
         let length = value.as_integer().and_then(|number| usize::try_from(number).ok());
@@ -200,7 +201,7 @@ const MAX_ELEMENTS: usize = 1 << 28;
 fn numbers<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vec<f64>>, D::Error> {
     fn flatten<E: Error>(value: &toml::Value, numbers: &mut Vec<f64>) -> Result<(), E> {
         match value {
-            // Larger numbers are not exact as 64-bit floats.
+            // A 64-bit float cannot represent every larger integer.
             toml::Value::Integer(number) if number.unsigned_abs() > 1 << f64::MANTISSA_DIGITS => {
                 return Err(E::custom(format_args!(
                     "{number} is not between -2^53 and 2^53; write it as a constant of the model's graph"

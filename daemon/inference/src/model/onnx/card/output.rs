@@ -8,10 +8,10 @@ use super::ModelCardError;
 use super::input::lengths;
 use crate::model::onnx::data_type::DataType;
 
-/// Number of classes in an answer by default.
+/// Default number of classes that an answer lists.
 const DEFAULT_TOP_K: usize = 5;
 
-/// Maximum number of classes of a segmentation, whose pixels have one byte.
+/// Maximum number of classes of a segmentation: the class of a pixel is one byte.
 const MAX_SEGMENTATION_CLASSES: usize = 256;
 
 /// Output of a classifier.
@@ -22,10 +22,10 @@ pub(in crate::model::onnx) struct Classification {
     pub(in crate::model::onnx) name: String,
     #[serde(default)]
     pub(in crate::model::onnx) activation: Activation,
-    /// Number of classes in an answer, best first. Default: five, or all if there are fewer.
+    /// Number of classes that an answer lists, best first. Default: five, or all classes if there are fewer.
     #[serde(default)]
     pub(in crate::model::onnx) top_k: Option<usize>,
-    /// One label per number of the output.
+    /// One label for each number of the output.
     pub(in crate::model::onnx) labels: Vec<String>,
 }
 
@@ -36,9 +36,10 @@ pub(in crate::model::onnx) enum Activation {
     /// No function: the numbers are scores already.
     #[default]
     None,
-    /// Softmax: the scores add up to 1, for exactly one right class.
+    /// Softmax: the scores add up to 1. For models of which exactly one class is right.
     Softmax,
-    /// Sigmoid: each score is between 0 and 1 on its own, for any number of right classes.
+    /// Sigmoid: each score is between 0 and 1, independent of the others. For models of which any number of classes may
+    /// be right.
     Sigmoid,
 }
 
@@ -77,7 +78,7 @@ pub(in crate::model::onnx) struct TensorOutput {
 }
 
 impl Classification {
-    /// Returns the number of classes in an answer.
+    /// Returns the number of classes that an answer lists.
     pub(in crate::model::onnx) fn listed_classes(&self) -> usize {
         self.top_k.unwrap_or(DEFAULT_TOP_K).min(self.labels.len())
     }

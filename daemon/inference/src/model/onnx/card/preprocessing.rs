@@ -11,7 +11,9 @@ use super::ModelCardError;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(in crate::model::onnx) enum Layout {
+    /// Batch, channels, height, width.
     Nchw,
+    /// Batch, height, width, channels.
     Nhwc,
 }
 
@@ -24,9 +26,9 @@ impl Layout {
         }
     }
 
-    /// Returns channels, height and width of a shape; `None` if it has fewer than three lengths.
+    /// Returns channels, height and width of a shape; `None` if the shape has fewer than three lengths.
     pub(in crate::model::onnx) fn dimensions(self, shape: &[usize]) -> Option<(usize, usize, usize)> {
-        // A dimension before these three is the batch.
+        // Dimensions before these three belong to the batch.
         let [.., a, b, c] = *shape else { return None };
         Some(match self {
             Self::Nchw => (a, b, c),
@@ -80,7 +82,7 @@ pub(in crate::model::onnx) struct Preprocessing {
     /// Orientation of the picture before the other steps.
     #[serde(default)]
     pub(in crate::model::onnx) orientation: Orientation,
-    /// Resizing. Without it pictures must have the size of the input.
+    /// Resizing. Without this key, and without a crop, pictures must have the size of the input.
     #[serde(default)]
     pub(in crate::model::onnx) resize: Option<Resize>,
     /// Rectangle that is cut out of the centre.
@@ -108,7 +110,7 @@ pub(in crate::model::onnx) struct Normalisation {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(tag = "mode", rename_all = "lowercase", deny_unknown_fields)]
 pub(in crate::model::onnx) enum Resize {
-    /// Resizes to this size, without regard to the picture's proportions.
+    /// Resizes to this size, pixels; the picture's proportions may change.
     Exact {
         width: u32,
         height: u32,
@@ -118,7 +120,7 @@ pub(in crate::model::onnx) enum Resize {
         #[serde(default = "default_true")]
         antialias: bool,
     },
-    /// Resizes the shorter side to this length, and the other side in proportion, rounded down. Pixels.
+    /// Resizes the shorter side to `size` pixels, and the longer side in proportion, rounded down.
     Shortest {
         size: u32,
         #[serde(default)]
@@ -127,8 +129,8 @@ pub(in crate::model::onnx) enum Resize {
         #[serde(default = "default_true")]
         antialias: bool,
     },
-    /// Resizes to the largest size of the picture's proportions that fits into this size, rounded to the nearest
-    /// pixel, and fills the rest.
+    /// Resizes to the largest size that keeps the picture's proportions and fits into `width` × `height`, rounded to
+    /// the nearest pixel, and fills the rest.
     Letterbox {
         width: u32,
         height: u32,
@@ -145,11 +147,11 @@ pub(in crate::model::onnx) enum Resize {
     },
 }
 
-/// Position of a picture in a larger one.
+/// Position of the resized picture in the input.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(in crate::model::onnx) enum Position {
-    /// In the centre; if the margins cannot be equal, the left and the upper one are smaller.
+    /// In the centre. If two margins cannot be equal, the left or upper margin is the smaller one.
     #[default]
     Centre,
     /// In the upper left corner.
@@ -157,10 +159,10 @@ pub(in crate::model::onnx) enum Position {
 }
 
 impl Position {
-    /// Returns the number of pixels before the picture if `margin` pixels are left over.
-    pub(in crate::model::onnx) const fn before(self, margin: u32) -> u32 {
+    /// Returns the left or upper margin, pixels, if both margins together have `total` pixels.
+    pub(in crate::model::onnx) const fn first_margin(self, total: u32) -> u32 {
         match self {
-            Self::Centre => margin / 2,
+            Self::Centre => total / 2,
             Self::TopLeft => 0,
         }
     }
@@ -171,7 +173,7 @@ impl Position {
 pub(in crate::model::onnx) struct CentreCrop {
     pub(in crate::model::onnx) width: u32,
     pub(in crate::model::onnx) height: u32,
-    /// Position of the rectangle if the margins cannot be equal.
+    /// Rounding of the left and upper margins if two margins cannot be equal.
     #[serde(default)]
     pub(in crate::model::onnx) rounding: Rounding,
 }
@@ -188,12 +190,13 @@ pub(in crate::model::onnx) enum Rounding {
 }
 
 impl Rounding {
-    /// Returns the number of pixels before the crop if `margin` pixels are left over.
-    pub(in crate::model::onnx) const fn before(self, margin: u32) -> u32 {
+    /// Returns the left or upper margin, pixels, if both margins together have `total` pixels.
+    pub(in crate::model::onnx) const fn first_margin(self, total: u32) -> u32 {
         match self {
-            // Half of an odd margin lies between k and k + 1. If the remainder is 3, k is odd and k + 1 is even.
-            Self::HalfEven if margin % 4 == 3 => margin / 2 + 1,
-            _ => margin / 2,
+            // Half of an odd total lies between the integers k and k + 1. If `total % 4` is 3, k is odd and k + 1 is
+            // even.
+            Self::HalfEven if total % 4 == 3 => total / 2 + 1,
+            _ => total / 2,
         }
     }
 }
@@ -202,18 +205,18 @@ const fn default_true() -> bool {
     true
 }
 
-/// Returns the grey that models of the YOLO family expect beside the picture.
+/// Returns the grey of the margins with which models of the YOLO family are trained.
 const fn default_fill() -> u8 {
     114
 }
 
 impl Preprocessing {
-    /// Checks that the steps produce a picture of `wanted` width and height, pixels.
-    pub(super) fn check_size(&self, wanted: (usize, usize)) -> Result<(), ModelCardError> {
+    /// Checks that the steps make a picture of the `expected` width and height, pixels.
+    pub(super) fn check_size(&self, expected: (usize, usize)) -> Result<(), ModelCardError> {
         if let (Some(resize), Some(CentreCrop { width, height, .. })) = (self.resize, self.crop) {
             // The picture may be wide or high, so one side of a crop may be longer than the shorter side of the
             // picture.
-            let (fits, made) = match resize {
+            let (fits, resized) = match resize {
                 Resize::Shortest { size, .. } => {
                     (width.min(height) <= size, format!("a shorter side of {size}"))
                 }
@@ -222,52 +225,53 @@ impl Preprocessing {
                 }
             };
             if !fits {
-                return Err(ModelCardError::Crop { crop: (width, height), made });
+                return Err(ModelCardError::Crop { crop: (width, height), resized });
             }
         }
-        let made = match (self.resize, self.crop) {
-            // The crop is the last step that changes the size, so it decides alone.
+        let actual = match (self.resize, self.crop) {
+            // The crop is the last step that changes the size, so the size is that of the crop.
             (_, Some(CentreCrop { width, height, .. }))
             | (Some(Resize::Exact { width, height, .. } | Resize::Letterbox { width, height, .. }), None) => {
                 (width, height)
             }
             // The longer side depends on the picture, so the size is not fixed without a crop.
             (Some(Resize::Shortest { .. }), None) => return Err(ModelCardError::NoCrop),
-            // The size of each picture is compared with the input when it arrives.
+            // The size of each picture is compared with that of the input when the picture arrives.
             (None, None) => return Ok(()),
         };
-        if (made.0 as usize, made.1 as usize) == wanted {
+        if (actual.0 as usize, actual.1 as usize) == expected {
             Ok(())
         } else {
-            Err(ModelCardError::Size { made, wanted })
+            Err(ModelCardError::Size { actual, expected })
         }
     }
 
-    /// Returns the numbers of the last step for `channels` channels. They have defaults if `has_defaults`: if the
-    /// input has integers.
+    /// Returns the numbers of the last step for `channels` channels. `has_defaults` is `true` if the input has
+    /// integers: missing numbers then have defaults, with which the bytes stay as they are.
     pub(super) fn normalisation(
         &self,
         channels: usize,
         has_defaults: bool,
     ) -> Result<Normalisation, ModelCardError> {
-        let missing = |key| if has_defaults { Ok(()) } else { Err(ModelCardError::NoNormalisation(key)) };
+        let require_default =
+            |key| if has_defaults { Ok(()) } else { Err(ModelCardError::NoNormalisation(key)) };
         let list = |key, values: &Option<Vec<f64>>, default: f64| match values {
             Some(values) if values.len() != channels => {
                 Err(ModelCardError::Numbers { key, count: values.len(), channels })
             }
             Some(values) => Ok(values.clone()),
-            None => missing(key).map(|()| vec![default; channels]),
+            None => require_default(key).map(|()| vec![default; channels]),
         };
         let mean = list("mean", &self.mean, 0.0)?;
         let std = list("std", &self.std, 1.0)?;
         let scale = match self.scale {
             Some(scale) => scale,
-            None => missing("scale").map(|()| 1.0)?,
+            None => require_default("scale").map(|()| 1.0)?,
         };
         if !mean.iter().chain(&std).chain([&scale]).all(|number| number.is_finite()) {
             return Err(ModelCardError::NotFinite);
         }
-        // All pixels would be the same number.
+        // With a factor of 0, all pixels would become the same number.
         if scale == 0.0 {
             return Err(ModelCardError::NoScale);
         }

@@ -1,4 +1,4 @@
-//! Tests of reading cards.
+//! Tests of the parser of cards.
 
 use peernet_imaging::Filter;
 
@@ -87,17 +87,18 @@ labels = ["a", "b"]
     )
 }
 
-pub(in crate::model::onnx) fn changed(from: &str, to: &str) -> Result<Card, ModelCardError> {
+/// Reads the card [`SMALL`] with `to` in place of `from`.
+pub(in crate::model::onnx) fn small_card_with(from: &str, to: &str) -> Result<Card, ModelCardError> {
     assert!(SMALL.contains(from), "{from}");
     Card::parse(&SMALL.replace(from, to))
 }
 
 #[test]
 fn card_is_read_with_its_defaults() {
-    let card = changed("", "").expect("is right");
+    let card = small_card_with("", "").expect("the card is valid");
     let Task::Classification(output) = &card.task else { panic!("{:?}", card.task) };
-    assert_eq!(output.listed_classes(), 2, "all, because there are fewer than five");
-    let picture = card.picture().expect("is one");
+    assert_eq!(output.listed_classes(), 2, "all classes are listed, because there are fewer than five");
+    let picture = card.picture().expect("the input is a picture");
     assert_eq!(
         picture.preprocessing.resize,
         Some(Resize::Exact { width: 2, height: 1, filter: Filter::Bilinear, antialias: true })
@@ -107,16 +108,16 @@ fn card_is_read_with_its_defaults() {
 
 #[test]
 fn inputs_have_any_rank_and_type() {
-    let card = Card::parse(POLICY).expect("is right");
+    let card = Card::parse(POLICY).expect("the card is valid");
     let [front, state, wrist, steps] = &card.inputs[..] else { panic!("{:?}", card.inputs) };
     // Bytes of an input of integers stay as they are.
     let unchanged = Normalisation { scale: 1.0, mean: vec![0.0; 3], std: vec![1.0; 3] };
-    assert_eq!(front.picture().expect("is one").normalisation, unchanged);
+    assert_eq!(front.picture().expect("the input is a picture").normalisation, unchanged);
     assert_eq!(
         (state.data_type, &state.shape[..], &state.source),
         (DataType::Float64, &[2][..], &Source::Array)
     );
-    assert_eq!(wrist.picture().expect("is one").normalisation.scale, 2.0);
+    assert_eq!(wrist.picture().expect("the input is a picture").normalisation.scale, 2.0);
     assert_eq!((wrist.shape.len(), &steps.source), (5, &Source::Constant(vec![3.0, 4.0])));
     let Task::Tensors(outputs) = &card.task else { panic!("{:?}", card.task) };
     assert_eq!(outputs.len(), 2);
@@ -127,7 +128,7 @@ fn inputs_have_any_rank_and_type() {
 fn layout_of_detector_has_defaults() {
     let task_of = |output: &str| match Card::parse(&detector(output)).expect(output).task {
         Task::Detection(detection) => detection,
-        other => panic!("{other:?}"),
+        task => panic!("{task:?}"),
     };
     let yolo = task_of("layout = 'yolov8'\nname = 'output0'");
     assert_eq!((yolo.score_threshold, yolo.iou_threshold, yolo.max_detections), (0.25, Some(0.45), 100));
@@ -142,18 +143,21 @@ fn layout_of_detector_has_defaults() {
 
 #[test]
 fn odd_margin_is_split_as_configured() {
-    let before = |rounding: Rounding| [0, 1, 2, 3, 4, 5, 7].map(|margin| rounding.before(margin));
-    assert_eq!(before(Rounding::Down), [0, 0, 1, 1, 2, 2, 3]);
+    let first_margins =
+        |rounding: Rounding| [0, 1, 2, 3, 4, 5, 7].map(|margin| rounding.first_margin(margin));
+    assert_eq!(first_margins(Rounding::Down), [0, 0, 1, 1, 2, 2, 3]);
     // As `int(round(margin / 2.0))` computes in Python.
-    assert_eq!(before(Rounding::HalfEven), [0, 0, 1, 2, 2, 2, 4]);
-    assert_eq!([Position::Centre.before(3), Position::TopLeft.before(3)], [1, 0]);
+    assert_eq!(first_margins(Rounding::HalfEven), [0, 0, 1, 2, 2, 2, 4]);
+    assert_eq!([Position::Centre.first_margin(3), Position::TopLeft.first_margin(3)], [1, 0]);
 }
 
+/// Checks that each change of a card leads to an error that contains a text. A change is the old text, the new text,
+/// and the text in the error.
 fn assert_refused(card: &str, changes: &[(&str, &str, &str)]) {
-    for (from, to, named) in changes {
+    for (from, to, expected) in changes {
         assert!(card.contains(from), "{from}");
         let error = Card::parse(&card.replacen(from, to, 1)).expect_err(to).to_string();
-        assert!(error.contains(named), "{to}: {error}");
+        assert!(error.contains(expected), "{to}: {error}");
     }
 }
 
@@ -228,7 +232,7 @@ fn contradictory_inputs_and_outputs_are_named() {
             ("name = \"wrist\"", "name = \"front\"", "input names \"front\" twice"),
             ("name = \"done\"", "name = \"action\"", "output names \"action\" twice"),
             ("value = [[3, 4]]", "value = [3, 4, 5]", "has 3 numbers; its shape needs 2"),
-            ("value = [[3, 4]]", "value = [3, 4.5]", "has 4.5, which is not a int64"),
+            ("value = [[3, 4]]", "value = [3, 4.5]", "has 4.5, which the type int64 cannot represent"),
             (
                 "value = [[3, 4]]",
                 "value = 9007199254740993",
@@ -237,12 +241,12 @@ fn contradictory_inputs_and_outputs_are_named() {
             (
                 "dtype = \"int64\"\nshape = [1, 2]\nvalue = [[3, 4]]",
                 "dtype = \"float16\"\nshape = [1, 2]\nvalue = [[3, 70000]]",
-                "has 70000, which is not a float16",
+                "has 70000, which the type float16 cannot represent",
             ),
             (
                 "dtype = \"int64\"\nshape = [1, 2]\nvalue = [[3, 4]]",
                 "dtype = \"float64\"\nshape = [1, 2]\nvalue = [[1e300, inf]]",
-                "has inf, which is not a float64",
+                "has inf, which the type float64 cannot represent",
             ),
             ("value = [[3, 4]]", "value = \"three\"", "is not a number"),
             ("dtype = \"bool\"", "", "missing field `dtype`"),

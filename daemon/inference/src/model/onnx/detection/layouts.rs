@@ -4,15 +4,15 @@ use super::nms::{Candidate, Rectangle};
 use crate::model::onnx::card::{Activation, BoxFormat, BoxUnit, Detection, DetectionOutputs};
 use crate::model::onnx::outputs::{Output, OutputError, Outputs};
 
-/// Reader of candidates with a score above the threshold, as the card defines.
-pub(super) struct Candidates<'a> {
+/// Reader of the candidates whose score is above the card's threshold.
+pub(super) struct CandidateReader<'a> {
     detection: &'a Detection,
-    /// Factors from the numbers of a box to pixels of the input, horizontal and vertical.
+    /// Horizontal and vertical size of the unit of the boxes, in pixels of the input.
     unit: (f32, f32),
-    found: Vec<Candidate>,
+    candidates: Vec<Candidate>,
 }
 
-impl<'a> Candidates<'a> {
+impl<'a> CandidateReader<'a> {
     /// Reads the candidates, with boxes in pixels of an input of this width and height.
     ///
     /// # Errors
@@ -26,28 +26,28 @@ impl<'a> Candidates<'a> {
             BoxUnit::Pixels => (1.0, 1.0),
             BoxUnit::Fraction => (width as f32, height as f32),
         };
-        let mut candidates = Self { detection, unit, found: Vec::new() };
+        let mut reader = Self { detection, unit, candidates: Vec::new() };
         match &detection.outputs {
             DetectionOutputs::Yolov5 { name, activation } => {
-                candidates.read_yolov5(&outputs.get(name)?, *activation)?;
+                reader.read_yolov5(&outputs.get(name)?, *activation)?;
             }
             DetectionOutputs::Yolov8 { name, activation } => {
-                candidates.read_yolov8(&outputs.get(name)?, *activation)?;
+                reader.read_yolov8(&outputs.get(name)?, *activation)?;
             }
-            DetectionOutputs::Yolov10 { name } => candidates.read_yolov10(&outputs.get(name)?)?,
+            DetectionOutputs::Yolov10 { name } => reader.read_yolov10(&outputs.get(name)?)?,
             DetectionOutputs::Detr { scores, boxes, is_softmax } => {
-                candidates.read_detr(&outputs.get(scores)?, &outputs.get(boxes)?, *is_softmax)?;
+                reader.read_detr(&outputs.get(scores)?, &outputs.get(boxes)?, *is_softmax)?;
             }
             DetectionOutputs::Nms { boxes, scores, classes, count } => {
                 let count = count.as_ref().map(|name| outputs.get(name)).transpose()?;
                 let outputs = [outputs.get(boxes)?, outputs.get(scores)?, outputs.get(classes)?];
-                candidates.read_separate(&outputs, count.as_ref())?;
+                reader.read_nms(&outputs, count.as_ref())?;
             }
         }
-        Ok(candidates.found)
+        Ok(reader.candidates)
     }
 
-    fn labels(&self) -> usize {
+    fn label_count(&self) -> usize {
         self.detection.labels.len()
     }
 
@@ -55,12 +55,12 @@ impl<'a> Candidates<'a> {
     fn add(&mut self, class: usize, score: f32, numbers: [f32; 4]) {
         if score > self.detection.score_threshold {
             let rectangle = rectangle(self.detection.box_format, numbers, self.unit);
-            self.found.push(Candidate { class, score, rectangle });
+            self.candidates.push(Candidate { class, score, rectangle });
         }
     }
 
     fn read_yolov5(&mut self, output: &Output<'_>, activation: Activation) -> Result<(), OutputError> {
-        let length = 5 + self.labels();
+        let length = 5 + self.label_count();
         let expected = format!("[1, n, {length}]");
         let [_, actual] = output.unbatched(&expected)?;
         if actual != length {
@@ -69,7 +69,7 @@ impl<'a> Candidates<'a> {
         for row in output.numbers()?.chunks_exact(length) {
             let (numbers, scores) = row.split_at(4);
             let object = activate(activation, scores[0]);
-            // The product of both scores cannot exceed the score of an object, so most rows are skipped here.
+            // The final score is the product with a class's score, and so at most `object`. Most rows are skipped here.
             if object <= self.detection.score_threshold {
                 continue;
             }
@@ -80,7 +80,7 @@ impl<'a> Candidates<'a> {
     }
 
     fn read_yolov8(&mut self, output: &Output<'_>, activation: Activation) -> Result<(), OutputError> {
-        let rows = 4 + self.labels();
+        let rows = 4 + self.label_count();
         let expected = format!("[1, {rows}, n]");
         let [actual, count] = output.unbatched(&expected)?;
         if actual != rows {
@@ -100,7 +100,7 @@ impl<'a> Candidates<'a> {
         }
         for (at, (class, score)) in best.into_iter().enumerate() {
             let numbers = [0, 1, 2, 3].map(|row| boxes[row * count + at]);
-            // The activation keeps the order of scores, so it is computed for the best class only.
+            // The activation keeps the order of scores, so it is computed only for the best class.
             self.add(class, activate(activation, score), numbers);
         }
         Ok(())
@@ -111,9 +111,9 @@ impl<'a> Candidates<'a> {
         let [_, 6] = output.unbatched(expected)? else { return Err(output.wrong_shape(expected)) };
         for row in output.numbers()?.chunks_exact(6) {
             let (numbers, score, class) = (first_four(row), row[4], row[5]);
-            // Rows that pad the output often have no valid class.
+            // Rows with which a model pads the output have low scores and often no valid class.
             if score > self.detection.score_threshold {
-                self.add(self.class(output.name, class)?, score, numbers);
+                self.add(self.class_index(output.name, class)?, score, numbers);
             }
         }
         Ok(())
@@ -125,7 +125,7 @@ impl<'a> Candidates<'a> {
         boxes: &Output<'_>,
         is_softmax: bool,
     ) -> Result<(), OutputError> {
-        let labels = self.labels();
+        let labels = self.label_count();
         let logits = labels + usize::from(is_softmax);
         let expected = format!("[1, n, {logits}]");
         let [count, actual] = scores.unbatched(&expected)?;
@@ -140,11 +140,11 @@ impl<'a> Candidates<'a> {
         for (row, numbers) in scores.chunks_exact(logits).zip(boxes.chunks_exact(4)) {
             let numbers = first_four(numbers);
             if is_softmax {
-                // "No object" is no class, but has its share of the softmax.
+                // "No object" is not a class, but its logit is part of the softmax.
                 let (class, score) = best(&row[..labels]);
                 self.add(class, softmax(row, score), numbers);
             } else {
-                // A query may show several classes, each with a score of its own.
+                // A row may belong to several classes, each with a score of its own.
                 for (class, logit) in row.iter().enumerate() {
                     self.add(class, activate(Activation::Sigmoid, *logit), numbers);
                 }
@@ -153,8 +153,8 @@ impl<'a> Candidates<'a> {
         Ok(())
     }
 
-    /// Reads boxes, scores and classes.
-    fn read_separate(
+    /// Reads the layout `nms`: boxes, scores and classes in three outputs.
+    fn read_nms(
         &mut self,
         [boxes, scores, classes]: &[Output<'_>; 3],
         count: Option<&Output<'_>>,
@@ -176,31 +176,32 @@ impl<'a> Candidates<'a> {
             let numbers = output.numbers()?;
             let count = numbers.first().filter(|_| count == 1).copied();
             let count = count.ok_or_else(|| output.wrong_shape("[1]"))?;
-            // The cast saturates and drops fractions; only whole numbers within the range are equal to it.
-            let valid = (count as usize).min(rows);
+            // The cast saturates and drops fractions. Only a whole number from 0 to `rows` stays equal.
+            let valid_rows = (count as usize).min(rows);
             let error = || OutputError::RowCount { name: output.name.to_owned(), count, rows };
-            if valid as f32 == count { Ok(valid) } else { Err(error()) }
+            if valid_rows as f32 == count { Ok(valid_rows) } else { Err(error()) }
         });
-        // Rows after the last valid one may have any numbers.
-        let valid = count.transpose()?.unwrap_or(rows);
-        let (numbers, values, class_numbers) = (boxes.numbers()?, scores.numbers()?, classes.numbers()?);
+        // Rows after the last valid row may have any numbers.
+        let valid_rows = count.transpose()?.unwrap_or(rows);
+        let (box_numbers, score_numbers, class_numbers) =
+            (boxes.numbers()?, scores.numbers()?, classes.numbers()?);
         for ((numbers, score), class) in
-            numbers.chunks_exact(4).zip(values.iter()).zip(class_numbers.iter()).take(valid)
+            box_numbers.chunks_exact(4).zip(score_numbers.iter()).zip(class_numbers.iter()).take(valid_rows)
         {
             if *score > self.detection.score_threshold {
-                self.add(self.class(classes.name, *class)?, *score, first_four(numbers));
+                self.add(self.class_index(classes.name, *class)?, *score, first_four(numbers));
             }
         }
         Ok(())
     }
 
-    /// Returns the number of a class that an output has as a number.
-    fn class(&self, name: &str, class: f32) -> Result<usize, OutputError> {
-        let labels = self.labels();
-        // The cast saturates and drops fractions; the comparison below lets only whole numbers pass.
-        let number = class as usize;
-        if number < labels && number as f32 == class {
-            Ok(number)
+    /// Converts the number of a class in an output to the index of the class's label.
+    fn class_index(&self, name: &str, class: f32) -> Result<usize, OutputError> {
+        let labels = self.label_count();
+        // The cast saturates and drops fractions. The comparison with `class` accepts only whole numbers.
+        let index = class as usize;
+        if index < labels && index as f32 == class {
+            Ok(index)
         } else {
             Err(OutputError::UnknownClass { name: name.to_owned(), class, labels })
         }
@@ -223,7 +224,7 @@ fn first_four(numbers: &[f32]) -> [f32; 4] {
     [numbers[0], numbers[1], numbers[2], numbers[3]]
 }
 
-/// Returns the index of the largest score, and this score. Of equal scores it takes the first. Returns 0 and minus
+/// Returns the index of the largest score, and this score; the first of several equal scores. Returns 0 and minus
 /// infinity if there are no scores.
 fn best(scores: &[f32]) -> (usize, f32) {
     let mut best = (0, f32::NEG_INFINITY);
@@ -235,16 +236,16 @@ fn best(scores: &[f32]) -> (usize, f32) {
     best
 }
 
-/// Returns the softmax of one of the logits.
+/// Returns the softmax score of `logit`, which is one of `logits`.
 fn softmax(logits: &[f32], logit: f32) -> f32 {
-    // Without the greatest logit, which cancels out, `exp` could be infinite.
+    // The greatest logit is subtracted, so that `exp` is never infinite. The result does not depend on it.
     let (_, greatest) = best(logits);
     let sum: f32 = logits.iter().map(|other| (other - greatest).exp()).sum();
     (logit - greatest).exp() / sum
 }
 
-/// Returns the score of a number. A softmax needs all numbers and is not an activation of YOLO's outputs; the card's
-/// check excludes it.
+/// Returns the score that belongs to a number of the model. The card's check excludes `Softmax` for YOLO's outputs, and
+/// `read_detr` does not call this function with it.
 fn activate(activation: Activation, number: f32) -> f32 {
     match activation {
         Activation::Sigmoid => 1.0 / (1.0 + (-number).exp()),

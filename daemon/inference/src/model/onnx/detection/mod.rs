@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::card::Detection;
 use super::geometry::PictureTransform;
 use super::outputs::{OutputError, Outputs};
-use layouts::Candidates;
+use layouts::CandidateReader;
 use nms::{Rectangle, keep_best};
 
 /// Answer of a detector, as JSON: `{"detections": [{"label": "dented", "score": 0.98, "box": [12.5, 40, 81, 96.25]},
@@ -43,7 +43,7 @@ pub(super) fn detect(
     outputs: &Outputs<'_, '_>,
     transform: &PictureTransform,
 ) -> Result<Vec<u8>, OutputError> {
-    let mut candidates = Candidates::read(detection, outputs, transform.input)?;
+    let mut candidates = CandidateReader::read(detection, outputs, transform.input)?;
     if let Some(candidate) = candidates.iter().find(|candidate| !candidate.score.is_finite()) {
         let name = detection.outputs.scores().to_owned();
         return Err(OutputError::NotFinite { name, number: candidate.score });
@@ -58,14 +58,15 @@ pub(super) fn detect(
     Ok(serde_json::to_vec(&Answer { detections: objects.collect(), width, height })?)
 }
 
-/// Checks only the types and shapes of the outputs, for a run on an example input, whose numbers mean nothing.
+/// Checks the types and shapes of the outputs for the zeros with which a session is warmed up. The numbers in these
+/// outputs mean nothing and are not checked.
 pub(super) fn check(
     detection: &Detection,
     outputs: &Outputs<'_, '_>,
     input: (u32, u32),
 ) -> Result<(), OutputError> {
-    match Candidates::read(detection, outputs, input) {
-        // Zeros are not a picture, so their answer may be anything.
+    match CandidateReader::read(detection, outputs, input) {
+        // These errors are about the numbers of an output.
         Ok(_)
         | Err(OutputError::NotANumber(_) | OutputError::UnknownClass { .. } | OutputError::RowCount { .. }) => {
             Ok(())
@@ -74,7 +75,7 @@ pub(super) fn check(
     }
 }
 
-/// Returns the edges of a box in the picture; `None` if it is outside, or not finite.
+/// Returns the edges of a box in the picture; `None` if the box is outside of the picture, or an edge is NaN.
 fn in_picture(rectangle: Rectangle, transform: &PictureTransform) -> Option<[f32; 4]> {
     let Rectangle { left, top, right, bottom } = rectangle;
     let ((left, top), (right, bottom)) =

@@ -1,6 +1,6 @@
-//! Boxes, their overlap, and the suppression of boxes that show one object.
+//! Boxes, their overlap, and the suppression of boxes that show the same object.
 
-/// Rectangle along the axes. The unit is that of the picture in question, usually pixels.
+/// Rectangle along the axes, in pixels of the model's input.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::model::onnx) struct Rectangle {
     pub(super) left: f32,
@@ -22,7 +22,7 @@ impl Rectangle {
         (self.right - self.left).max(0.0) * (self.bottom - self.top).max(0.0)
     }
 
-    /// Returns the ratio of the intersection's area to the union's, 0 if both are empty.
+    /// Returns the area of the intersection divided by the area of the union; 0 if both rectangles are empty.
     pub(super) fn overlap(self, other: Self) -> f32 {
         let intersection = Self {
             left: self.left.max(other.left),
@@ -36,18 +36,18 @@ impl Rectangle {
     }
 }
 
-/// Sorts candidates by score and keeps the best ones, at most `most`. A candidate is dropped if its overlap with a
-/// better candidate of the same class is above `iou_threshold` (greedy non-maximum suppression, as torchvision's
+/// Sorts candidates by score and keeps the best ones, at most `max_kept`. A candidate is dropped if its overlap with a
+/// kept candidate of the same class is above `iou_threshold` (greedy non-maximum suppression, as torchvision's
 /// `batched_nms`).
-pub(super) fn keep_best(candidates: &mut Vec<Candidate>, iou_threshold: Option<f32>, most: usize) {
+pub(super) fn keep_best(candidates: &mut Vec<Candidate>, iou_threshold: Option<f32>, max_kept: usize) {
     // The sort is stable: candidates with equal scores stay in the order of the model.
     candidates.sort_by(|a, b| b.score.total_cmp(&a.score));
     if let Some(threshold) = iou_threshold {
-        let mut kept: Vec<Candidate> = Vec::with_capacity(most.min(candidates.len()));
-        // Each candidate is compared only with the kept candidates. There are at most `most` of them, so a noisy
+        let mut kept: Vec<Candidate> = Vec::with_capacity(max_kept.min(candidates.len()));
+        // Each candidate is compared only with the kept candidates. They are at most `max_kept`, so a noisy
         // output takes bounded time.
         for candidate in candidates.iter() {
-            if kept.len() == most {
+            if kept.len() == max_kept {
                 break;
             }
             let is_same_object = |other: &Candidate| {
@@ -59,7 +59,7 @@ pub(super) fn keep_best(candidates: &mut Vec<Candidate>, iou_threshold: Option<f
         }
         *candidates = kept;
     }
-    candidates.truncate(most);
+    candidates.truncate(max_kept);
 }
 
 #[cfg(test)]
@@ -86,9 +86,9 @@ mod tests {
     fn weaker_box_of_same_class_is_dropped() {
         let all =
             [candidate(0, 0.5, 1.0), candidate(0, 0.9, 0.0), candidate(1, 0.4, 1.0), candidate(0, 0.3, 9.0)];
-        let kept = |iou, most| {
+        let kept = |iou, max_kept| {
             let mut candidates = all.to_vec();
-            keep_best(&mut candidates, iou, most);
+            keep_best(&mut candidates, iou, max_kept);
             candidates.iter().map(|kept| kept.score).collect::<Vec<_>>()
         };
         assert_eq!(kept(Some(0.5), 10), [0.9, 0.4, 0.3]);
