@@ -16,8 +16,8 @@ use super::termination::TerminableRun;
 use super::{Plan, answer, outlets};
 use crate::{InferenceError, LoadError, Request, Requester, Worker};
 
-/// Node below `inference`: the number of samples that the session computed in one run. Recorded for models with the key
-/// `batch`.
+/// Node below `inference`: the number of samples that the session computed in one run. Recorded for models that compute
+/// batches.
 const BATCH_SIZE: Name = Name::from_static("batch-size");
 
 pub(super) struct OnnxWorker {

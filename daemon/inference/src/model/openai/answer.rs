@@ -1,7 +1,7 @@
 //! An answer that arrives in chunks: its text, and the times at which its chunks arrived. No I/O.
 //!
-//! A chunk is an event of the stream with text of the answer or of the reasoning. Events with a role or the number of
-//! tokens only are not chunks.
+//! A chunk is an event of the stream with text of the answer or of the reasoning. Events that have only a role or the
+//! number of tokens are not chunks.
 
 use peernet_clock::{MonoTime, Span};
 
@@ -9,7 +9,7 @@ use super::event_data::{Choice, EventData, Usage, error_text_of_body};
 use super::event_stream::{Event, EventStream};
 use super::stream_error::StreamError;
 
-/// Largest text of an answer, bytes.
+/// Maximum length of the text of an answer, bytes.
 const MAX_TEXT_BYTES: usize = 1 << 20;
 /// Maximum number of bytes of a stream: an event with one token has a few hundred bytes.
 const MAX_STREAM_BYTES: usize = 256 << 20;
@@ -34,17 +34,19 @@ pub(super) struct StreamedAnswer {
     pub(super) chunk_times: Vec<MonoTime>,
     /// Text of the answer, without the reasoning.
     pub(super) text: String,
-    /// Number of tokens as the server counted them.
+    /// Numbers of tokens, as the server counted them.
     pub(super) usage: Option<Usage>,
-    /// First reported value that cannot be a number of tokens.
+    /// First value in the stream that the server reports as a number of tokens and that cannot be one.
     pub(super) usage_defect: Option<String>,
     /// Reason why the answer ended, such as `stop` or `length`.
     pub(super) finish_reason: Option<String>,
-    /// Index of a choice that had text and is not the first choice, whose text is the answer.
+    /// Index of a choice that has text although its index is not 0. Only the text of the choice with index 0 is the
+    /// answer.
     other_choice: Option<String>,
     is_done: bool,
     events: EventStream,
-    /// Number of events with data so far, chunks or not; without the one that ends the stream.
+    /// Number of events with data so far, whether they are chunks or not; does not count the event that ends the
+    /// stream.
     event_count: u64,
     byte_count: usize,
 }
@@ -70,10 +72,11 @@ impl StreamedAnswer {
         }
     }
 
-    /// Takes bytes of the stream that arrived at the given time. Passes the new text of the answer to `receive_text`.
+    /// Takes the next bytes of the stream, which arrived at the time `at`. Passes the new text of the answer to
+    /// `receive_text`.
     ///
     /// # Errors
-    /// If the stream is no answer. The text and times so far remain.
+    /// If the stream is not an answer. The text and the times that were received before remain.
     pub(super) fn receive(
         &mut self,
         at: MonoTime,
@@ -84,7 +87,7 @@ impl StreamedAnswer {
         if self.byte_count > MAX_STREAM_BYTES {
             return Err(StreamError::TooLong("256 MiB"));
         }
-        // Taken out, because the closure borrows the rest of the answer.
+        // The parser is taken out of `self`, because the closure borrows `self`.
         let mut events = std::mem::take(&mut self.events);
         let result = events.receive(bytes, |event| self.receive_event(at, &event, &mut receive_text));
         self.events = events;
@@ -132,7 +135,7 @@ impl StreamedAnswer {
     }
 
     const fn server_error(&self, text: String) -> StreamError {
-        StreamError::Server { after: self.chunk_count(), text }
+        StreamError::Server { chunk_count: self.chunk_count(), text }
     }
 
     fn receive_choice(
@@ -144,7 +147,8 @@ impl StreamedAnswer {
         if let Some(text) = choice.error_text() {
             return Err(self.server_error(text));
         }
-        // A server that streams may repeat the whole answer in its last event.
+        // Once there are chunks, a whole text is no error: a server may stream an answer and repeat it in the last
+        // event.
         if let Some(field) = choice.field_of_whole_text().filter(|_| self.chunk_times.is_empty()) {
             return Err(StreamError::NoDelta { number: self.event_count, field });
         }
@@ -173,17 +177,18 @@ impl StreamedAnswer {
         Ok(())
     }
 
-    /// Returns whether the stream has said that the answer is complete and nothing follows.
+    /// Returns whether the event that ends the stream has arrived.
     pub(super) const fn is_done(&self) -> bool {
         self.is_done
     }
 
-    /// Checks the answer when the answer or the connection has ended. A server may leave out the last event if it has given a reason
-    /// for the end. An answer with a reason may have no text; for example, one that calls a tool.
+    /// Checks that the answer is complete, when the stream or the connection has ended. If the server has sent a finish
+    /// reason, the event that ends the stream may be missing, and the answer may have no text; for example, an answer
+    /// that only calls a tool.
     ///
     /// # Errors
     /// If the answer is incomplete.
-    pub(super) fn end(&self) -> Result<(), StreamError> {
+    pub(super) fn check_complete(&self) -> Result<(), StreamError> {
         if self.finish_reason.is_some() || (self.is_done && self.chunk_count() > 0) {
             Ok(())
         } else if let Some(index) = self.other_choice.as_ref().filter(|_| self.chunk_times.is_empty()) {
@@ -197,7 +202,7 @@ impl StreamedAnswer {
         }
     }
 
-    /// Returns the number of chunks. A chunk may have several tokens.
+    /// Returns the number of chunks. A chunk may consist of several tokens.
     pub(super) const fn chunk_count(&self) -> u64 {
         self.chunk_times.len() as u64
     }
@@ -241,14 +246,15 @@ mod tests {
         receive(&mut answer, 10, role).expect("is an event");
         receive(&mut answer, 20, "data:\n\n: ping\n\ndata: {\"choices\":[]}\n\n").expect("is an event");
         assert_eq!((answer.first_content_at, answer.chunk_count()), (None, 0));
-        let mut passed_on = String::new();
+        let mut passed_text = String::new();
         let stream = [content("a"), content("b c")].concat();
-        answer.receive(at(30), stream.as_bytes(), |text| passed_on.push_str(text)).expect("are chunks");
+        answer.receive(at(30), stream.as_bytes(), |text| passed_text.push_str(text)).expect("are chunks");
         assert_eq!((answer.first_content_at, answer.chunk_count()), (Some(at(30)), 2));
-        assert_eq!((&*answer.text, &*passed_on), ("ab c", "ab c"));
-        assert!(answer.end().is_err());
-        receive(&mut answer, 40, "data: [DONE]\n\ndata: not a chunk\n\n").expect("nothing follows");
-        assert!(answer.is_done() && answer.end().is_ok());
+        assert_eq!((&*answer.text, &*passed_text), ("ab c", "ab c"));
+        assert!(answer.check_complete().is_err());
+        receive(&mut answer, 40, "data: [DONE]\n\ndata: not a chunk\n\n")
+            .expect("events after the end are ignored");
+        assert!(answer.is_done() && answer.check_complete().is_ok());
     }
 
     #[test]
@@ -271,9 +277,10 @@ mod tests {
         let error = receive(&mut answer, 2, "data: {\"error\":{\"message\":\"out of memory\"}}\n\n");
         let error = error.expect_err("is an error").to_string();
         assert_eq!(error, "its server ended the answer after 1 chunk: out of memory");
-        let error = receive(&mut answer, 3, "data: {\"choices\":\n\n").expect_err("is cut").to_string();
+        let error =
+            receive(&mut answer, 3, "data: {\"choices\":\n\n").expect_err("the event is cut off").to_string();
         assert!(error.starts_with("event 3 of its answer cannot be read: EOF"), "{error}");
-        let error = answer.end().expect_err("is not complete").to_string();
+        let error = answer.check_complete().expect_err("is not complete").to_string();
         assert_eq!(error, "its server closed the connection after 1 chunk without ending the answer");
         let long = content(&"x".repeat(600_000));
         receive(&mut answer, 4, &long).expect("is short enough");

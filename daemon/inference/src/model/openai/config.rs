@@ -16,7 +16,7 @@ use crate::{LoadError, Model};
 /// Longest time limit, milliseconds: one day.
 const MAX_TIMEOUT_MS: usize = 24 * 3600 * 1000;
 
-/// Fields of a request that are not parameters of the model.
+/// Fields of a request that this program sets; they must not be in `parameters`.
 const RESERVED_PARAMETERS: [&str; 5] = ["model", "messages", "stream", "stream_options", "n"];
 
 /// Keys of a model of `kind = "openai"`. Each worker waits for one answer at a time.
@@ -28,7 +28,7 @@ pub struct OpenaiConfig {
     pub url: String,
     /// Name of the model on the server.
     pub model: String,
-    /// Environment variable with the key of the API; without it no key is sent.
+    /// Name of the environment variable with the key of the API. Without this setting, no key is sent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub api_key_env: Option<String>,
     /// Text of the system message.
@@ -65,7 +65,7 @@ fn ten_minutes() -> NonZeroU64 {
 }
 
 impl ModelKind for OpenaiConfig {
-    /// The server computes, on a device that this host does not know.
+    /// Returns `server`: the model computes on a device of the server, which this host does not know.
     fn default_device() -> &'static str {
         "server"
     }
@@ -85,7 +85,7 @@ impl ModelKind for OpenaiConfig {
         self.server(common).map(|_| ())
     }
 
-    /// Asks the server for the list of its models, to see whether it can be reached.
+    /// Asks the server for the list of its models, which shows whether the server can be reached.
     fn load(&self, common: &CommonSettings, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
         let model = Openai {
             name: common.name.to_string(),
@@ -96,6 +96,7 @@ impl ModelKind for OpenaiConfig {
             usage_warning: Once::new(),
         };
         model.check_server()?;
+        // `Model` is implemented for `Arc<Openai>`, because each worker holds a reference to the model.
         Ok(Arc::new(Arc::new(model)))
     }
 }
@@ -113,21 +114,21 @@ impl OpenaiConfig {
 
     /// Returns the server, with the key from the environment.
     fn server(&self, common: &CommonSettings) -> Result<Server, LoadError> {
-        let wrong = |key, reason| LoadError::InvalidKey { model: common.name.to_string(), key, reason };
+        let invalid_key = |key, reason| LoadError::InvalidKey { model: common.name.to_string(), key, reason };
         if let Some(reserved) = RESERVED_PARAMETERS.iter().find(|name| self.parameters.contains_key(**name)) {
-            return Err(wrong("parameters", format!("{reserved} is set by this program; remove it")));
+            return Err(invalid_key("parameters", format!("{reserved} is set by this program; remove it")));
         }
-        // TOML has NaN and infinity, JSON has not, so they were read as null.
+        // NaN and infinity in TOML have become null, because JSON has no such numbers.
         if let Some((name, _)) = self.parameters.iter().find(|(_, value)| value.is_null()) {
-            return Err(wrong("parameters", format!("{name} is no finite number; write a finite one")));
+            return Err(invalid_key("parameters", format!("{name} is no finite number; write a finite one")));
         }
         let key = self.api_key_env.as_ref().map(|variable| {
             let text = std::env::var(variable)
                 .map_err(|_| format!("the environment variable {variable} is not set; set it to the key"))?;
-            // The library's error does not show the key either, but this error also names the variable.
+            // This error replaces that of the library, because it names the variable. Neither error shows the key.
             ApiKey::new(text).map_err(|_| format!("the environment variable {variable} holds no valid key"))
         });
-        let key = key.transpose().map_err(|reason| wrong("api_key_env", reason))?;
-        Server::new(&self.url, key).map_err(|reason| wrong("url", reason))
+        let key = key.transpose().map_err(|reason| invalid_key("api_key_env", reason))?;
+        Server::new(&self.url, key).map_err(|reason| invalid_key("url", reason))
     }
 }

@@ -13,7 +13,7 @@ use tokio_rustls::rustls::{self, CertificateError, ClientConfig, RootCertStore};
 
 use super::error::RequestError;
 
-/// Environment variables whose files replace the certificates of the operating system.
+/// Environment variables that name files with certificates in place of those of the operating system.
 const ROOT_VARIABLES: [&str; 2] = ["SSL_CERT_FILE", "SSL_CERT_DIR"];
 
 /// An open connection.
@@ -45,7 +45,7 @@ impl Connector {
     /// the operating system, or those that `SSL_CERT_FILE` and `SSL_CERT_DIR` name.
     ///
     /// # Errors
-    /// Returns the reason if the host is no valid name or no certificate can be read.
+    /// Returns the reason if the host is not a valid name, or if no certificate can be read.
     pub(super) fn tls(host: String, port: u16) -> Result<Self, String> {
         let name = ServerName::try_from(host.clone())
             .map_err(|error| format!("{host:?} is no host name or address for TLS: {error}"))?;
@@ -55,7 +55,7 @@ impl Connector {
             .map_err(|error| format!("TLS cannot be set up: {error}"))?
             .with_root_certificates(trusted_roots()?)
             .with_no_client_auth();
-        // `exchange` speaks HTTP/1 only.
+        // `exchange` in server.rs speaks only HTTP/1.
         config.alpn_protocols = vec![b"http/1.1".to_vec()];
         Ok(Self { host, port, tls: Some(Tls { connector: TlsConnector::from(Arc::new(config)), name }) })
     }
@@ -63,7 +63,8 @@ impl Connector {
     /// Opens a connection; the TLS handshake is part of it.
     ///
     /// # Errors
-    /// If the server cannot be reached, or its certificate is not valid for its name.
+    /// If the server cannot be reached, if the handshake fails, or if the certificate is not valid for the server's
+    /// name.
     pub(super) async fn connect(&self) -> Result<Box<dyn Connection>, RequestError> {
         let failed = |error: io::Error| RequestError::Connect(error.to_string());
         let stream = TcpStream::connect((self.host.as_str(), self.port)).await.map_err(failed)?;
@@ -79,8 +80,8 @@ impl Connector {
         }
     }
 
-    /// Returns what the server has to complete before a request is sent, for messages.
-    pub(super) const fn awaited(&self) -> &'static str {
+    /// Returns what is needed before a request can be sent, as text for messages.
+    pub(super) const fn connection_text(&self) -> &'static str {
         if self.tls.is_some() { "connection with a complete TLS handshake" } else { "connection" }
     }
 }
@@ -100,13 +101,13 @@ impl fmt::Display for Connector {
 fn trusted_roots() -> Result<RootCertStore, String> {
     let found = rustls_native_certs::load_native_certs();
     let mut roots = RootCertStore::empty();
-    // Some hosts have old certificates that rustls cannot read, beside the ones that are needed.
+    // Besides the certificates that are needed, some hosts have old ones that rustls cannot read.
     let (trusted, unreadable) = roots.add_parsable_certificates(found.certs);
     let errors = found.errors.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
     if trusted == 0 {
         let errors = if errors.is_empty() { String::new() } else { format!(": {errors}") };
         return Err(format!(
-            "TLS needs the certificates of trusted authorities, and {} could be read from {}{errors}; install the package \
+            "TLS needs the certificates of trusted authorities, but {} could be read from {}{errors}; install the package \
              ca-certificates, or name a PEM file in the environment variable SSL_CERT_FILE",
             if unreadable == 0 { "none".to_owned() } else { format!("0 of {unreadable}") },
             source_of_roots(),
@@ -118,21 +119,21 @@ fn trusted_roots() -> Result<RootCertStore, String> {
     Ok(roots)
 }
 
-/// Returns where the certificates of trusted authorities come from.
+/// Returns the source of the certificates of trusted authorities, for messages.
 fn source_of_roots() -> String {
-    let set = ROOT_VARIABLES
+    let variables = ROOT_VARIABLES
         .into_iter()
         .filter_map(|name| env::var_os(name).map(|value| format!("{name}={}", value.to_string_lossy())));
-    let set: Vec<String> = set.collect();
-    if set.is_empty() { "the operating system".to_owned() } else { set.join(" and ") }
+    let variables: Vec<String> = variables.collect();
+    if variables.is_empty() { "the operating system".to_owned() } else { variables.join(" and ") }
 }
 
 /// Returns what to do after a failed handshake.
 fn remedy(error: Option<&rustls::Error>) -> String {
     use rustls::Error::{InvalidCertificate, InvalidMessage};
     match error {
-        // A bad signature: the server's authority has the name of a trusted one but another key, for example because
-        // it was created again.
+        // The signature is bad if the server's authority has the name of a trusted authority, but another key; for
+        // example, because the authority was created again.
         Some(InvalidCertificate(CertificateError::UnknownIssuer | CertificateError::BadSignature)) => format!(
             "its certificate is signed by no authority of {}: add this authority to those of the operating system, or name \
              a PEM file with all trusted authorities in the environment variable SSL_CERT_FILE",

@@ -6,7 +6,7 @@ use peernet_sample::printable_line;
 
 use super::stream_error::{StreamError, chunks};
 
-/// Maximum length of a server's text in a message, characters.
+/// Maximum length of a text of the server in a message, characters.
 const MAX_TEXT_CHARS: usize = 500;
 
 /// Reason why a request has no answer.
@@ -15,7 +15,7 @@ pub(super) enum RequestError {
     /// No connection can be opened.
     #[error("cannot connect to its server: {0}; start the server, or correct url")]
     Connect(String),
-    /// The server accepts a connection and does not answer.
+    /// The server accepts connections, but does not answer.
     #[error(
         "its server accepts connections and did not answer GET {path} within {} ms; restart it, or correct url", .limit.as_millis()
     )]
@@ -23,29 +23,29 @@ pub(super) enum RequestError {
     /// The TLS handshake failed.
     #[error("cannot open a TLS connection to its server {server}: {reason}; {remedy}")]
     Tls { server: String, reason: String, remedy: String },
-    /// The connection broke.
+    /// The connection broke. In this and the other variants, `chunk_count` is the number of chunks that had arrived.
     #[error(
         "the connection to its server broke after {}: {reason}; the server's log says why; the next request connects again",
-        chunks(*.after)
+        chunks(*.chunk_count)
     )]
-    Connection { after: u64, reason: String },
+    Connection { chunk_count: u64, reason: String },
     /// The first token did not arrive in time.
     #[error("its server sent no token within {} ms; raise first_token_timeout_ms if it needs longer", .0.as_millis())]
     FirstToken(Duration),
     /// A further token, or the end, did not arrive in time.
     #[error(
         "its server sent nothing for {} ms after {}; raise token_timeout_ms if it needs longer",
-        .limit.as_millis(), chunks(*.after)
+        .limit.as_millis(), chunks(*.chunk_count)
     )]
-    Token { limit: Duration, after: u64 },
+    Token { limit: Duration, chunk_count: u64 },
     /// The answer took too long.
     #[error(
         "its answer is not complete within {} ms, after {}; raise timeout_ms, or set max_tokens in parameters",
-        .limit.as_millis(), chunks(*.after)
+        .limit.as_millis(), chunks(*.chunk_count)
     )]
-    Total { limit: Duration, after: u64 },
+    Total { limit: Duration, chunk_count: u64 },
     /// The server refused the request.
-    #[error("its server answered with HTTP status {status}{}; {}", colon(.text), status_remedy(*.status, .hint.as_deref()))]
+    #[error("its server answered with HTTP status {status}{}; {}", after_colon(.text), status_remedy(*.status, .hint.as_deref()))]
     Status {
         status: hyper::StatusCode,
         text: String,
@@ -100,9 +100,9 @@ impl RequestError {
         }
     }
 
-    /// Returns the message, with asterisks in place of a secret and with the texts of the server shortened.
-    // A server may repeat the key that it refuses, in any of these texts. A text that was shortened first could end
-    // within the key.
+    /// Returns the message. Asterisks replace the secret, and the texts of the server are shortened.
+    // A server may repeat the key that it refuses in any of these texts. The key is removed before a text is shortened,
+    // because a shortened text could end within the key.
     pub(super) fn message(mut self, secret: Option<&str>) -> String {
         let secret = secret.filter(|secret| !secret.is_empty());
         let clean = |text: &mut String| {
@@ -151,13 +151,14 @@ fn shorten(text: &str) -> String {
     }
 }
 
-fn colon(text: &str) -> String {
+/// Returns a text after a colon; nothing for an empty text.
+fn after_colon(text: &str) -> String {
     if text.is_empty() { String::new() } else { format!(": {text}") }
 }
 
 /// Returns what to do about an answer with this status. `hint` is the value of the header `Location` or `Retry-After`.
 fn status_remedy(status: hyper::StatusCode, hint: Option<&str>) -> String {
-    let slower = "lower the rate of the pipeline, or the number of workers";
+    let lower_load = "lower the rate of the pipeline, or the number of workers";
     match (hint, status.as_u16()) {
         (Some(location), 300..=399) => {
             format!(
@@ -166,20 +167,20 @@ fn status_remedy(status: hyper::StatusCode, hint: Option<&str>) -> String {
         }
         (None, 300..=399) => "redirects are not followed: write the address of the API into url".to_owned(),
         (_, ..=299) => "a chat API answers with 200 and an event stream: check url".to_owned(),
-        (Some(after), _) if after.bytes().all(|byte| byte.is_ascii_digit()) => {
-            format!("the server asks to wait {after} s; {slower}")
+        (Some(retry_after), _) if retry_after.bytes().all(|byte| byte.is_ascii_digit()) => {
+            format!("the server asks to wait {retry_after} s; {lower_load}")
         }
-        (Some(after), _) => format!("the server asks to wait until {after}; {slower}"),
+        (Some(retry_after), _) => format!("the server asks to wait until {retry_after}; {lower_load}"),
         (None, 401 | 403) => "check the key in the environment variable that api_key_env names".to_owned(),
         (None, 404) => "check url and model".to_owned(),
-        (None, 429) => slower.to_owned(),
+        (None, 429) => lower_load.to_owned(),
         (None, 503) => "it may still be loading its model, or be overloaded; its log says why".to_owned(),
         (None, 500..) => "its log says why".to_owned(),
         (None, _) => "check parameters, and that the model accepts such samples".to_owned(),
     }
 }
 
-/// Returns what to do about a stream that is no complete answer; empty if the error says it.
+/// Returns what to do about a stream that is not a complete answer; empty if the error itself says what to do.
 const fn stream_remedy(error: &StreamError) -> &'static str {
     match error {
         StreamError::Server { .. } | StreamError::EndedEarly(_) | StreamError::WithoutText => {
@@ -205,7 +206,7 @@ mod tests {
         let errors = [
             RequestError::Connect(text()),
             RequestError::Tls { server: "gpu".to_owned(), reason: text(), remedy: String::new() },
-            RequestError::Connection { after: 1, reason: text() },
+            RequestError::Connection { chunk_count: 1, reason: text() },
             RequestError::Status {
                 status: hyper::StatusCode::UNAUTHORIZED,
                 text: text(),
@@ -213,7 +214,7 @@ mod tests {
             },
             RequestError::NotStreamed(text()),
             RequestError::Encoded(text()),
-            RequestError::Stream(StreamError::Server { after: 1, text: text() }),
+            RequestError::Stream(StreamError::Server { chunk_count: 1, text: text() }),
             RequestError::Stream(StreamError::Event { number: 1, reason: text() }),
         ];
         for error in errors {
@@ -223,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn status_has_remedy() {
+    fn message_of_each_status_has_remedy() {
         let message = |status: u16, hint: Option<&str>| {
             let status = hyper::StatusCode::from_u16(status).expect("a status");
             let hint = hint.map(str::to_owned);
@@ -250,7 +251,7 @@ mod tests {
     #[test]
     fn secret_at_end_of_shortened_text_is_removed() {
         let text = format!("{}{KEY}", "ä".repeat(MAX_TEXT_CHARS - 5));
-        let error = RequestError::Connection { after: 0, reason: text };
+        let error = RequestError::Connection { chunk_count: 0, reason: text };
         let message = error.message(Some(KEY));
         assert!(message.contains("ä***; ") && !message.contains("sk-"), "{message}");
         let long = RequestError::NotStreamed("ä".repeat(600)).message(None);

@@ -13,8 +13,10 @@ use serde_json::value::RawValue;
 #[derive(Debug, Default, Deserialize)]
 pub(super) struct EventData<'a> {
     pub(super) choices: Option<Vec<Choice>>,
-    /// Number of tokens of the whole answer in the last event; some servers send the number so far in each event.
-    // A count that cannot be read must not make the text of the answer unreadable. `Value` cannot hold 1e999.
+    /// Numbers of tokens. Most servers send those of the whole answer in the last event; some send the numbers so far
+    /// in each event.
+    // An invalid number of tokens must not make the text of the answer unreadable. `RawValue` accepts any number;
+    // `Value` refuses 1e999.
     #[serde(borrow)]
     pub(super) usage: Option<&'a RawValue>,
     /// Error that ended the answer; some servers send `false` in each event.
@@ -28,10 +30,10 @@ pub(super) struct EventData<'a> {
     detail: Option<IgnoredAny>,
 }
 
-/// Part of one answer; a request asks for one answer only.
+/// New text of one choice, which is one of several alternative answers. A request asks for only one choice.
 #[derive(Debug, Default, Deserialize)]
 pub(super) struct Choice {
-    /// Number of the answer; 0 if it is missing.
+    /// Index of the choice; a missing index stands for 0.
     index: Option<Value>,
     pub(super) delta: Option<Delta>,
     pub(super) finish_reason: Option<String>,
@@ -39,7 +41,7 @@ pub(super) struct Choice {
     error: Option<Value>,
     /// Whole answer of a server that does not stream.
     message: Option<Value>,
-    /// Text of the API for completions without chat.
+    /// Text of the answer in the API for completions without chat.
     text: Option<Value>,
 }
 
@@ -55,8 +57,8 @@ pub(super) struct Delta {
 }
 
 /// Finish reason of an answer that an error ended.
-const FAILED: &str = "error";
-/// JSON of a missing value.
+const ERROR_FINISH_REASON: &str = "error";
+/// JSON text of a missing value.
 const NULL: &str = "null";
 /// Maximum number of tokens: a 64-bit float represents all integers up to this one exactly.
 const MAX_TOKENS: u64 = 1 << 53;
@@ -75,8 +77,7 @@ pub(super) struct Usage {
 }
 
 impl EventData<'_> {
-    /// Returns whether the event reports an error instead of a partial answer. vLLM and FastAPI do so without the
-    /// object `error`.
+    /// Returns whether the event reports an error. vLLM and FastAPI report errors without the object `error`.
     pub(super) fn is_error(&self) -> bool {
         let is_error_object = self.object.as_ref().is_some_and(|object| object == "error");
         let has_error_text = self.message.as_ref().is_some_and(Value::is_string) || self.detail.is_some();
@@ -86,7 +87,7 @@ impl EventData<'_> {
 }
 
 impl Choice {
-    /// Returns whether this choice belongs to the answer that the request asks for.
+    /// Returns whether this is the choice with the index 0, which is the only one that a request asks for.
     pub(super) fn is_first(&self) -> bool {
         self.index.as_ref().is_none_or(|index| {
             let number = index.as_f64().or_else(|| index.as_str()?.trim().parse().ok());
@@ -94,7 +95,7 @@ impl Choice {
         })
     }
 
-    /// Returns the number of the answer as the server wrote it.
+    /// Returns the index of the choice as the server wrote it.
     pub(super) fn index_text(&self) -> String {
         self.index.as_ref().map_or_else(|| "0".to_owned(), Value::to_string)
     }
@@ -108,15 +109,15 @@ impl Choice {
 
     /// Returns the text of the error that ended this answer; `None` without an error.
     pub(super) fn error_text(&self) -> Option<String> {
-        let has_failed = self.finish_reason.as_deref() == Some(FAILED);
+        let has_failed = self.finish_reason.as_deref() == Some(ERROR_FINISH_REASON);
         self.error
             .as_ref()
             .filter(|error| **error != Value::Bool(false))
             .map(error_text)
-            .or_else(|| has_failed.then(|| format!("finish_reason is {FAILED}")))
+            .or_else(|| has_failed.then(|| format!("finish_reason is {ERROR_FINISH_REASON}")))
     }
 
-    /// Returns the name of the field that has text although there is no `delta`.
+    /// Returns the name of the field that has the text of a whole answer; `None` if there is a `delta` or no such text.
     pub(super) fn field_of_whole_text(&self) -> Option<&'static str> {
         let has_text =
             |value: Option<&Value>| value.and_then(Value::as_str).is_some_and(|text| !text.is_empty());
@@ -131,15 +132,15 @@ impl Choice {
 }
 
 impl Delta {
-    /// Returns whether the event has text of the reasoning.
+    /// Returns whether there is text of the reasoning.
     pub(super) fn has_reasoning(&self) -> bool {
         [&self.reasoning_content, &self.reasoning].into_iter().flatten().any(|text| !text.is_empty())
     }
 }
 
 impl Usage {
-    /// Reads the object `usage`. A value that cannot be a number of tokens is left out; the first one is returned as
-    /// text, such as `completion_tokens = -5`.
+    /// Reads the object `usage`. Invalid numbers of tokens are left out. Also returns the first invalid number as text,
+    /// such as `completion_tokens = -5`.
     pub(super) fn read(usage: &RawValue) -> (Self, Option<String>) {
         let Some(table) = members(usage) else {
             return (Self::default(), Some(format!("usage = {usage}")));
@@ -160,29 +161,30 @@ impl Usage {
             completion_tokens: count(None, "completion_tokens"),
             reasoning_tokens: count(Some("completion_tokens_details"), "reasoning_tokens"),
         };
-        // A count cannot exceed the total that contains it.
-        for (part, part_name, whole, whole_name) in [
+        // Cached tokens are part of the tokens of the request, and tokens of the reasoning are part of the
+        // completion's.
+        for (count, count_name, total, total_name) in [
             (&mut read.cached_tokens, "cached_tokens", read.prompt_tokens, "prompt_tokens"),
             (&mut read.reasoning_tokens, "reasoning_tokens", read.completion_tokens, "completion_tokens"),
         ] {
-            if let (Some(tokens), Some(whole)) = (*part, whole)
-                && tokens > whole
+            if let (Some(tokens), Some(total)) = (*count, total)
+                && tokens > total
             {
-                defect.get_or_insert_with(|| format!("{part_name} = {tokens} of {whole_name} = {whole}"));
-                *part = None;
+                defect.get_or_insert_with(|| format!("{count_name} = {tokens} of {total_name} = {total}"));
+                *count = None;
             }
         }
         (read, defect)
     }
 }
 
-/// Returns the members of an object, unread; `None` if the value is no object.
+/// Returns the members of an object without parsing their values; `None` if the value is not an object.
 fn members(value: &RawValue) -> Option<BTreeMap<String, &RawValue>> {
     serde_json::from_str(value.get()).ok()
 }
 
-/// Returns the text of a server's error: `message` or `detail` of the object `error`, `error` itself, or the whole
-/// text.
+/// Returns the text of a server's error: the text itself, or the member `message` or `detail` of an object; otherwise
+/// the value as JSON.
 fn error_text(error: &Value) -> String {
     let text = |name| error.get(name).and_then(Value::as_str);
     match error {
@@ -191,7 +193,7 @@ fn error_text(error: &Value) -> String {
     }
 }
 
-/// Returns the text of a server's error from the body of its answer.
+/// Returns the text of a server's error from the body of an answer or the data of an event.
 pub(super) fn error_text_of_body(body: &[u8]) -> String {
     match serde_json::from_slice::<Value>(body) {
         Ok(json) => error_text(json.get("error").filter(|error| !error.is_null()).unwrap_or(&json)),
@@ -222,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn odd_counts_of_tokens_are_left_out() {
+    fn invalid_numbers_of_tokens_are_left_out() {
         let whole = Usage { prompt_tokens: Some(12), completion_tokens: Some(5), ..Usage::default() };
         for (usage, expected, defect) in [
             (r#"{"prompt_tokens":12,"completion_tokens":5,"prompt_tokens_details":7}"#, whole, None),
@@ -276,13 +278,13 @@ mod tests {
     }
 
     #[test]
-    fn error_of_false_is_no_error() {
+    fn error_false_or_null_is_no_error() {
         let read = |data| serde_json::from_str::<EventData<'_>>(data).expect("is JSON");
-        for none in [r#"{"error":false,"choices":[{"error":false}]}"#, r#"{"error":null,"choices":[{}]}"#] {
-            let event = read(none);
-            assert!(!event.is_error(), "{none}");
+        for data in [r#"{"error":false,"choices":[{"error":false}]}"#, r#"{"error":null,"choices":[{}]}"#] {
+            let event = read(data);
+            assert!(!event.is_error(), "{data}");
             let choices = event.choices.expect("is there");
-            assert!(choices.iter().all(|choice| choice.error_text().is_none()), "{none}");
+            assert!(choices.iter().all(|choice| choice.error_text().is_none()), "{data}");
         }
         for error in
             [r#"{"error":"oom"}"#, r#"{"error":{"message":"oom"},"choices":[]}"#, r#"{"error":true}"#]

@@ -1,6 +1,6 @@
 //! Parser of server-sent events (WHATWG HTML Living Standard, section 9.2). No I/O.
 
-/// Largest event and largest line, bytes. The longest events of an answer have the text of many tokens.
+/// Maximum length of an event and of a line, bytes. The longest events of an answer have the text of many tokens.
 const MAX_EVENT_BYTES: usize = 1 << 20;
 
 /// Byte order mark that may precede a stream.
@@ -8,49 +8,49 @@ const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 
 /// Parser of one stream, which takes bytes in pieces of any length.
 ///
-/// Only the data of events is used, and whether they report an error; the fields `id` and `retry` and comments are
+/// An event consists of its data and of a mark if it reports an error; the fields `id` and `retry` and comments are
 /// ignored.
 #[derive(Debug, Default)]
 pub(super) struct EventStream {
-    /// Bytes of the line that has no end yet.
+    /// Bytes of the current line, whose end has not arrived.
     line: Vec<u8>,
-    /// Lines of the event's data, each with a line feed.
+    /// Lines of the current event's data, each with a line feed.
     data: Vec<u8>,
-    /// Whether the event's name is `error`, or its data is in a field of that name.
+    /// Whether the name of the current event is `error`, or a field with the name `error` contains its data.
     is_error: bool,
-    /// Whether the last byte was a carriage return, so a line feed after it ends no further line.
+    /// Whether the last byte was a carriage return. A line feed that follows belongs to the same line end.
     ends_with_return: bool,
     /// Whether the first line has ended.
-    has_line: bool,
-    /// Whether a line was a comment or a field of the standard.
+    has_ended_line: bool,
+    /// Whether any line so far was a comment or a field of the standard.
     has_field: bool,
 }
 
-/// Names of the standard's fields; a comment has an empty name.
-const FIELDS: [&[u8]; 5] = [b"", b"data", b"event", b"id", b"retry"];
+/// Names of the fields of the standard; a comment is a field with an empty name.
+const FIELD_NAMES: [&[u8]; 5] = [b"", b"data", b"event", b"id", b"retry"];
 
 /// An event of the stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Event<'a> {
     pub(super) data: &'a str,
-    /// Whether the server marks its data as an error.
+    /// Whether the server marks the data as an error.
     pub(super) is_error: bool,
 }
 
 /// Name of events that report an error. llama.cpp writes their data into a field of this name, which the standard
 /// does not have.
-const ERROR: &[u8] = b"error";
+const ERROR_NAME: &[u8] = b"error";
 
 /// Error: an event is longer than 1 MiB.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct EventTooLong;
 
 impl EventStream {
-    /// Takes the next bytes and passes the data of each event that they complete to `receive_event`.
+    /// Takes the next bytes of the stream. Passes each event that these bytes complete to `receive_event`.
     ///
     /// # Errors
-    /// If an event is too long, or `receive_event` fails. The stream cannot be used any more then.
-    // Events are decoded when they are complete: a character may be divided between two pieces.
+    /// If an event is too long, or `receive_event` fails. The parser cannot be used after an error.
+    // UTF-8 is decoded when an event is complete, because a character may be divided between two pieces.
     pub(super) fn receive<E: From<EventTooLong>>(
         &mut self,
         mut bytes: &[u8],
@@ -64,9 +64,9 @@ impl EventStream {
         }
         while let Some(end) = bytes.iter().position(|byte| matches!(byte, b'\n' | b'\r')) {
             self.extend_line(&bytes[..end])?;
-            let is_pair = bytes[end..].starts_with(b"\r\n");
+            let is_crlf = bytes[end..].starts_with(b"\r\n");
             self.ends_with_return = bytes[end..] == *b"\r";
-            bytes = &bytes[end + 1 + usize::from(is_pair)..];
+            bytes = &bytes[end + 1 + usize::from(is_crlf)..];
             if let Some((data, is_error)) = self.end_line()? {
                 receive_event(Event { data: &String::from_utf8_lossy(&data), is_error })?;
             }
@@ -74,9 +74,9 @@ impl EventStream {
         Ok(self.extend_line(bytes)?)
     }
 
-    /// Returns whether the bytes so far have a comment or a field of the standard, as those of every event stream do.
+    /// Returns whether the bytes so far contain a comment or a field of the standard. Those of every event stream do.
     pub(super) fn has_field(&self) -> bool {
-        // The last line may have no end yet.
+        // The end of the current line may be missing.
         self.has_field || is_field(&self.line)
     }
 
@@ -88,10 +88,10 @@ impl EventStream {
         Ok(())
     }
 
-    /// Ends a line. An empty line ends an event: returns the data of the event, if it has data, and whether it is an
-    /// error.
+    /// Ends a line. An empty line ends an event. Returns the data of the ended event and whether it is an error; `None`
+    /// if no event with data has ended.
     fn end_line(&mut self) -> Result<Option<(Vec<u8>, bool)>, EventTooLong> {
-        let is_first = !std::mem::replace(&mut self.has_line, true);
+        let is_first = !std::mem::replace(&mut self.has_ended_line, true);
         let mut line = &self.line[..];
         if is_first {
             line = line.strip_prefix(BYTE_ORDER_MARK).unwrap_or(line);
@@ -100,7 +100,7 @@ impl EventStream {
             self.line.clear();
             let mut data = std::mem::take(&mut self.data);
             let is_error = std::mem::take(&mut self.is_error);
-            // The standard removes the last line feed, and dispatches no event without data.
+            // According to the standard, the last line feed is removed, and an event without data is ignored.
             return Ok(data.pop().map(|_| (data, is_error)));
         }
         self.has_field |= is_field(line);
@@ -108,13 +108,13 @@ impl EventStream {
             Some(colon) => (&line[..colon], &line[colon + 1..]),
             None => (line, &line[line.len()..]),
         };
-        // The standard removes one space after the colon, not all of them.
+        // According to the standard, only one space after the colon is removed.
         let value = value.strip_prefix(b" ").unwrap_or(value);
         if name == b"event" {
-            self.is_error = value == ERROR;
+            self.is_error = value == ERROR_NAME;
         }
-        self.is_error |= name == ERROR;
-        if name == b"data" || name == ERROR {
+        self.is_error |= name == ERROR_NAME;
+        if name == b"data" || name == ERROR_NAME {
             if self.data.len() + value.len() > MAX_EVENT_BYTES {
                 return Err(EventTooLong);
             }
@@ -128,7 +128,7 @@ impl EventStream {
 
 /// Returns whether a line begins with the name of a field and a colon.
 fn is_field(line: &[u8]) -> bool {
-    line.iter().position(|byte| *byte == b':').is_some_and(|colon| FIELDS.contains(&&line[..colon]))
+    line.iter().position(|byte| *byte == b':').is_some_and(|colon| FIELD_NAMES.contains(&&line[..colon]))
 }
 
 #[cfg(test)]

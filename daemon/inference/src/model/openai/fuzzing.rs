@@ -1,23 +1,23 @@
-//! Arbitrary bytes as the stream of an answer, for the fuzz target in `fuzz/` and for a test.
+//! Check with arbitrary bytes as the stream of an answer, for the fuzz target in `fuzz/` and for tests.
 
 use peernet_clock::MonoTime;
 
 use super::answer::StreamedAnswer;
 
-/// Receives the bytes as the stream of an answer, once in pieces and once as a whole. A piece has as many bytes as the
-/// first byte says, plus one.
+/// Checks that an answer does not depend on how its stream is divided: receives the bytes once in pieces and once as a
+/// whole. The value of the first byte, plus one, is the length of a piece.
 ///
 /// # Panics
-/// If the pieces change the answer, or the texts that were passed on are not its text.
-pub fn any_stream(data: &[u8]) {
-    let Some((&step, data)) = data.split_first() else { return };
+/// If the two answers differ, or if the texts that were passed on together are not the text of the answer.
+pub fn check_stream(data: &[u8]) {
+    let Some((&first_byte, data)) = data.split_first() else { return };
     let mut in_pieces = StreamedAnswer::new(MonoTime::from_nanos(0));
-    let mut passed_on = String::new();
-    let mut pieces = data.chunks(usize::from(step) + 1).zip(0..);
+    let mut passed_text = String::new();
+    let mut pieces = data.chunks(usize::from(first_byte) + 1).zip(0..);
     let result = pieces.try_for_each(|(piece, at)| {
-        in_pieces.receive(MonoTime::from_nanos(at), piece, |text| passed_on.push_str(text))
+        in_pieces.receive(MonoTime::from_nanos(at), piece, |text| passed_text.push_str(text))
     });
-    assert_eq!(in_pieces.text, passed_on);
+    assert_eq!(in_pieces.text, passed_text);
     let mut whole = StreamedAnswer::new(MonoTime::from_nanos(0));
     let whole_result = whole.receive(MonoTime::from_nanos(0), data, |_| ());
     assert_eq!(result, whole_result);
@@ -41,13 +41,13 @@ mod tests {
         let files: Vec<_> = std::fs::read_dir(corpus).expect("is committed").collect();
         assert!(files.len() >= 4);
         for file in files {
-            any_stream(&std::fs::read(file.expect("is readable").path()).expect("is readable"));
+            check_stream(&std::fs::read(file.expect("is readable").path()).expect("is readable"));
         }
     }
 
     proptest! {
         #[test]
-        fn random_streams_break_no_invariant(step: u8, events in proptest::collection::vec(prop_oneof![
+        fn random_streams_break_no_invariant(first_byte: u8, events in proptest::collection::vec(prop_oneof![
             Just("data: {\"choices\":[{\"delta\":{\"content\":\"漢 a\"}}]}\n\n"),
             Just("data: {\"choices\":[{\"delta\":{\"reasoning\":\"b\"},\"finish_reason\":\"stop\"}]}\r\n\r\n"),
             Just("data: {\"choices\":[],\"usage\":{\"completion_tokens\":7}}\n\n"),
@@ -60,12 +60,12 @@ mod tests {
             Just(": ping\n\n"),
             Just("data: {\n"),
         ], 0..20)) {
-            any_stream(&[&[step], events.concat().as_bytes()].concat());
+            check_stream(&[&[first_byte], events.concat().as_bytes()].concat());
         }
 
         #[test]
         fn random_bytes_break_no_invariant(data in proptest::collection::vec(any::<u8>(), 0..200)) {
-            any_stream(&data);
+            check_stream(&data);
         }
     }
 }

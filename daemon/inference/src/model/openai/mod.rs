@@ -5,7 +5,8 @@
 //! sample ── request ── server (HTTP over TCP or TLS) ── event_stream ── event_data ── answer ── nodes, sample
 //! ```
 //!
-//! `event_stream`, `event_data` and `answer` have no I/O; `server` stamps the bytes that arrive before they are parsed.
+//! `event_stream`, `event_data` and `answer` have no I/O. `server` takes the time at which bytes arrive before the
+//! bytes are parsed.
 
 mod answer;
 mod config;
@@ -40,7 +41,7 @@ struct Openai {
     config: OpenaiConfig,
     server: Server,
     clock: SharedClock,
-    /// Whether a wrong number of tokens has been logged.
+    /// Makes sure that invalid numbers of tokens are logged only once.
     usage_warning: Once,
 }
 
@@ -57,7 +58,7 @@ impl Openai {
         })
     }
 
-    /// Creates a runtime for the thread of one worker.
+    /// Creates a runtime for one thread.
     fn runtime(&self) -> Result<Runtime, LoadError> {
         let failed =
             |error: std::io::Error| LoadError::Thread { model: self.name.clone(), reason: error.to_string() };

@@ -1,4 +1,4 @@
-//! Nodes that describe an answer, below `inference`. docs/language-models.md has their definitions.
+//! Nodes below `inference` that describe an answer. docs/language-models.md defines these nodes.
 
 use peernet_clock::Span;
 use peernet_logger::{Name, Recorder, Unit, stage};
@@ -15,7 +15,7 @@ const INTER_TOKEN_LATENCY: Name = Name::from_static("inter-token-latency");
 const INTER_TOKEN_LATENCY_P50: Name = Name::from_static("inter-token-latency-p50");
 /// Longest time between successive chunks.
 const INTER_TOKEN_LATENCY_MAX: Name = Name::from_static("inter-token-latency-max");
-/// Time from the first to the last chunk, divided by the number of tokens after the first.
+/// Time from the first to the last chunk, divided by the number of tokens minus one.
 const TIME_PER_OUTPUT_TOKEN: Name = Name::from_static("time-per-output-token");
 /// Tokens of reasoning and answer, divided by the time from the start of the request to the last chunk.
 const OUTPUT_TOKEN_RATE: Name = Name::from_static("output-token-rate");
@@ -34,7 +34,7 @@ const FINISH_REASON_STOP: Name = Name::from_static("finish-reason-stop");
 /// 1 if the limit on tokens ended the answer, otherwise 0.
 const FINISH_REASON_LENGTH: Name = Name::from_static("finish-reason-length");
 
-/// Records an answer, complete or not. Unknown numbers are left out.
+/// Records the nodes of an answer, which may be incomplete. Nodes with unknown values are left out.
 pub(super) fn record(answer: &StreamedAnswer, inference: &mut Recorder) {
     let started_at = answer.started_at;
     for (name, at) in [
@@ -56,7 +56,7 @@ pub(super) fn record(answer: &StreamedAnswer, inference: &mut Recorder) {
     }
     inference.record_value(OUTPUT_CHUNKS, answer.chunk_count() as f64, Unit::NONE);
     let usage = answer.usage.unwrap_or_default();
-    if let (Some(tokens), Some(last)) = (usage.completion_tokens, answer.last_chunk_at()) {
+    if let (Some(tokens), Some(last_chunk_at)) = (usage.completion_tokens, answer.last_chunk_at()) {
         if let Some(time) = answer.decode_time().filter(|_| tokens > 1) {
             inference.record_value(
                 TIME_PER_OUTPUT_TOKEN,
@@ -64,7 +64,7 @@ pub(super) fn record(answer: &StreamedAnswer, inference: &mut Recorder) {
                 Unit::SECONDS,
             );
         }
-        let time = last - started_at;
+        let time = last_chunk_at - started_at;
         if time > Span::ZERO {
             inference.record_value(
                 OUTPUT_TOKEN_RATE,
@@ -90,7 +90,7 @@ pub(super) fn record(answer: &StreamedAnswer, inference: &mut Recorder) {
     }
 }
 
-/// Returns the median of sorted times, seconds; 0 for none.
+/// Returns the median of sorted times, seconds; 0 if there are no times.
 fn median(sorted: &[Span]) -> f64 {
     let at = |index: usize| sorted.get(index).map_or(0.0, |time| time.seconds());
     f64::midpoint(at(sorted.len().saturating_sub(1) / 2), at(sorted.len() / 2))

@@ -22,13 +22,13 @@ pub(super) fn body(config: &OpenaiConfig, sample: &Sample) -> Result<Bytes, Stri
     body.insert("model".to_owned(), config.model.clone().into());
     body.insert("messages".to_owned(), messages.into());
     body.insert("stream".to_owned(), true.into());
-    // Without this option, no server says how many tokens a streamed answer has.
+    // Without this option, servers do not report how many tokens a streamed answer has.
     body.insert("stream_options".to_owned(), json!({ "include_usage": true }));
     serde_json::to_vec(&body).map(Bytes::from).map_err(|error| error.to_string())
 }
 
-/// Returns the content of the user's message: a text if there is no picture, which servers without support of pictures
-/// understand, too.
+/// Returns the content of the message with the role `user`. Without a picture, the content is one text, which servers
+/// that do not support pictures understand, too.
 fn content(config: &OpenaiConfig, sample: &Sample) -> Result<Value, String> {
     let mut texts: Vec<&str> = config.prompt.as_deref().into_iter().collect();
     let mut items: Vec<Value> = texts.iter().map(|text| text_item(text)).collect();
@@ -41,10 +41,10 @@ fn content(config: &OpenaiConfig, sample: &Sample) -> Result<Value, String> {
                 items.push(text_item(text));
             }
             MediaType::Jpeg | MediaType::Png => items.push(picture_item(part)),
-            other => {
+            media => {
                 return Err(format!(
                     "a part is {}; a language model takes text, JPEG and PNG (the transform `encode` turns pixels into JPEG or PNG)",
-                    other.iana()
+                    media.iana()
                 ));
             }
         }

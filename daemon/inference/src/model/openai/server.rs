@@ -17,24 +17,24 @@ use super::answer::StreamedAnswer;
 use super::connection::{Connection, Connector};
 use super::error::RequestError;
 use super::status_error::{content_encoding, status_error};
-use super::time_limits::{TimeLimits, Waits};
+use super::time_limits::{AnswerDeadlines, TimeLimits};
 
-/// Time limit for the body of an error.
+/// Time limit for receiving the body of an answer with an error status.
 const ERROR_TIMEOUT: Duration = Duration::from_secs(5);
-/// Longest time limit for the check whether the server can be reached.
+/// Upper bound of the time limit for the check whether the server can be reached.
 const CHECK_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Address of a server, with the key of its user.
+/// Address of a server, with the API key.
 pub(super) struct Server {
     connector: Connector,
     /// Value of the header `Host`.
     authority: HeaderValue,
-    /// Path of the API without a slash at its end, such as `/v1`.
+    /// Path of the API without a trailing slash, such as `/v1`.
     path: String,
     key: Option<ApiKey>,
 }
 
-/// Key of a user of the server.
+/// API key, with which the server identifies the account.
 pub(super) struct ApiKey {
     text: String,
     authorization: HeaderValue,
@@ -44,7 +44,7 @@ impl ApiKey {
     /// Creates a key.
     ///
     /// # Errors
-    /// If it has characters that a header cannot have.
+    /// If the key has characters that a header cannot have.
     pub(super) fn new(text: String) -> Result<Self, InvalidHeaderValue> {
         let mut authorization = HeaderValue::try_from(format!("Bearer {text}"))?;
         // The libraries never print a sensitive value.
@@ -61,11 +61,12 @@ impl Server {
     /// authorities cannot be read.
     pub(super) fn new(url: &str, key: Option<ApiKey>) -> Result<Self, String> {
         let uri: Uri = url.parse().map_err(|error| format!("{url:?} is not a URL: {error}"))?;
-        // A user or a query may contain a secret, and the URL is published with the results.
+        // A user name or a query may contain a secret, and the URL is published with the results.
         if uri.authority().is_some_and(|authority| authority.as_str().contains('@')) || uri.query().is_some()
         {
             return Err(
-                "a URL with a user or a query can hold a secret; name the key with api_key_env".to_owned()
+                "a URL with a user name or a query may contain a secret; name the key with api_key_env"
+                    .to_owned(),
             );
         }
         let is_tls = match uri.scheme_str() {
@@ -75,23 +76,24 @@ impl Server {
         };
         let authority = uri.authority().ok_or_else(|| format!("{url:?} names no host"))?;
         let host = authority.host().trim_start_matches('[').trim_end_matches(']').to_owned();
-        let value = HeaderValue::try_from(authority.as_str()).map_err(|error| format!("{url:?}: {error}"))?;
+        let header_value =
+            HeaderValue::try_from(authority.as_str()).map_err(|error| format!("{url:?}: {error}"))?;
         let path = uri.path().trim_end_matches('/').to_owned();
         let port = authority.port_u16().unwrap_or(if is_tls { 443 } else { 80 });
         let connector = if is_tls { Connector::tls(host, port)? } else { Connector::plain(host, port) };
-        Ok(Self { connector, authority: value, path, key })
+        Ok(Self { connector, authority: header_value, path, key })
     }
 
-    /// Returns the key, to remove it from texts.
+    /// Returns the key, which must be removed from texts.
     pub(super) fn secret(&self) -> Option<&str> {
         self.key.as_ref().map(|key| key.text.as_str())
     }
 
-    /// Checks that the server can be reached and accepts the key, by the list of its models. A server without this list
-    /// passes. The check ends within `limit`, and within ten seconds.
+    /// Checks that the server can be reached and accepts the key, by requesting the list of its models. A server that
+    /// does not offer this list passes the check. The check ends within `limit`, and at the latest after ten seconds.
     ///
     /// # Errors
-    /// If it cannot be reached, does not answer, or refuses the key.
+    /// If the server cannot be reached, does not answer, or refuses the key.
     pub(super) async fn check(&self, limit: Duration) -> Result<(), RequestError> {
         let limit = limit.min(CHECK_TIMEOUT);
         let request = self.request(Method::GET, "/models", Bytes::new())?;
@@ -103,8 +105,10 @@ impl Server {
                 let response =
                     sender.send_request(request).await.map_err(|error| connection_error(0, &error))?;
                 match response.status() {
-                    // Any other status shows that the server is there; some servers have no list of models.
+                    // Any other status shows that the server can be reached; some servers have no list of models.
                     StatusCode::UNAUTHORIZED | StatusCode::FORBIDDEN => {
+                        // Half of the limit remains, so that the error with the status is returned before the check
+                        // itself times out.
                         Err(status_error(response, ERROR_TIMEOUT.min(limit / 2)).await)
                     }
                     _ => Ok(()),
@@ -120,20 +124,20 @@ impl Server {
             }
             Err(_) => Err(RequestError::Connect(format!(
                 "no {} within {} ms",
-                self.connector.awaited(),
+                self.connector.connection_text(),
                 limit.as_millis()
             ))),
         }
     }
 
-    /// Sends a request for a chat completion, and receives the streamed answer; passes its text to `receive_text` as it
-    /// arrives.
+    /// Sends a request for a chat completion and receives the streamed answer. Passes the text of the answer to
+    /// `receive_text` as the text arrives.
     ///
     /// Each request opens a connection, so that no request fails because the server has closed an idle connection. The
-    /// time of connecting, with the TLS handshake, is recorded.
+    /// time that opening the connection takes, including the TLS handshake, is recorded.
     ///
     /// # Errors
-    /// If the answer is incomplete. The text and times so far are in `answer`.
+    /// If the answer is incomplete. The text and the times that have arrived are in `answer`.
     pub(super) async fn complete(
         &self,
         body: Bytes,
@@ -143,15 +147,15 @@ impl Server {
         mut receive_text: impl FnMut(&str),
     ) -> Result<(), RequestError> {
         let request = self.request(Method::POST, "/chat/completions", body)?;
-        let mut waits = Waits::new(limits, clock, answer.started_at);
-        let stream = waits.within(answer, self.connector.connect()).await??;
+        let mut deadlines = AnswerDeadlines::new(limits, clock, answer.started_at);
+        let stream = deadlines.within(answer, self.connector.connect()).await??;
         answer.connected_at = Some(clock.mono());
         exchange(stream, async |mut sender: SendRequest<Full<Bytes>>| {
-            let response = waits.within(answer, sender.send_request(request)).await?;
+            let response = deadlines.within(answer, sender.send_request(request)).await?;
             let mut response = response.map_err(|error| connection_error(0, &error))?;
             if response.status() != StatusCode::OK {
-                let remaining = waits.remaining(answer).0.min(ERROR_TIMEOUT);
-                return Err(status_error(response, remaining).await);
+                let limit = deadlines.remaining(answer).0.min(ERROR_TIMEOUT);
+                return Err(status_error(response, limit).await);
             }
             if let Some(encoding) = content_encoding(&response) {
                 return Err(RequestError::Encoded(encoding));
@@ -163,28 +167,28 @@ impl Server {
                 return Err(RequestError::NotStreamed(media.to_owned()));
             }
             while !answer.is_done() {
-                let frame = waits.within(answer, response.body_mut().frame()).await?;
+                let frame = deadlines.within(answer, response.body_mut().frame()).await?;
                 // The time of arrival is taken before the bytes are parsed.
                 let arrived_at = clock.mono();
                 match frame {
-                    None => return Ok(answer.end()?),
+                    None => return Ok(answer.check_complete()?),
                     Some(Ok(frame)) => {
                         if let Some(bytes) = frame.data_ref() {
                             let chunks_before = answer.chunk_count();
                             answer.receive(arrived_at, bytes, &mut receive_text)?;
-                            // `receive_text` may have waited for the requester; this time does not count against the
-                            // server's limit.
+                            // `receive_text` may have waited for the requester. The time of this wait does not count
+                            // against the server's limit.
                             if answer.chunk_count() > chunks_before {
-                                waits.waiting_since = clock.mono();
+                                deadlines.waiting_since = clock.mono();
                             }
                         }
                     }
-                    // Some servers close the connection without the end of the last HTTP chunk.
-                    Some(Err(_)) if answer.end().is_ok() => return Ok(()),
+                    // Some servers close the connection without ending the HTTP body.
+                    Some(Err(_)) if answer.check_complete().is_ok() => return Ok(()),
                     Some(Err(error)) => return Err(connection_error(answer.chunk_count(), &error)),
                 }
             }
-            Ok(answer.end()?)
+            Ok(answer.check_complete()?)
         })
         .await
     }
@@ -203,31 +207,31 @@ impl Server {
         }
         request
             .body(Full::new(body))
-            .map_err(|error| RequestError::Connection { after: 0, reason: error.to_string() })
+            .map_err(|error| RequestError::Connection { chunk_count: 0, reason: error.to_string() })
     }
 }
 
-/// Runs `requests`, which sends requests over a connection.
+/// Runs `send_requests`, which sends requests over a connection.
 async fn exchange<R: AsyncFnOnce(SendRequest<Full<Bytes>>) -> Result<(), RequestError>>(
     stream: Box<dyn Connection>,
-    requests: R,
+    send_requests: R,
 ) -> Result<(), RequestError> {
     let handshake = hyper::client::conn::http1::handshake(TokioIo::new(stream)).await;
     let (sender, connection) = handshake.map_err(|error| connection_error(0, &error))?;
-    let requests = requests(sender);
+    let requests = send_requests(sender);
     tokio::pin!(requests, connection);
     tokio::select! {
         result = &mut requests => result,
-        // The server closes the connection after its answer, which perhaps has not been read yet.
+        // After the server has closed the connection, the rest of its answer may still have to be read.
         _ = &mut connection => requests.await,
     }
 }
 
-fn connection_error(after: u64, error: &hyper::Error) -> RequestError {
-    // The library's own text only says that the body could not be read.
+fn connection_error(chunk_count: u64, error: &hyper::Error) -> RequestError {
+    // The library's text only says that the body could not be read. The source of the error says why.
     let cause = std::error::Error::source(error);
     let reason = cause.map_or_else(|| error.to_string(), |cause| format!("{error}: {cause}"));
-    RequestError::Connection { after, reason }
+    RequestError::Connection { chunk_count, reason }
 }
 
 #[cfg(test)]

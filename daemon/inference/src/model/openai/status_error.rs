@@ -1,4 +1,4 @@
-//! Answers with another status than 200, as errors.
+//! Conversion of answers with another status than 200 to errors.
 
 use std::time::Duration;
 
@@ -11,10 +11,10 @@ use tokio::time::timeout;
 use super::error::RequestError;
 use super::event_data::error_text_of_body;
 
-/// Largest body of an error that is read, bytes.
+/// Maximum number of bytes that are read of the body of an error.
 const MAX_ERROR_BYTES: usize = 64 << 10;
 
-/// Returns the coding of an answer that is compressed.
+/// Returns the compression of an answer, such as `gzip`; `None` if the answer is not compressed.
 pub(super) fn content_encoding(response: &Response<Incoming>) -> Option<String> {
     let encoding = header_text(response, CONTENT_ENCODING)?;
     (!encoding.is_empty() && !encoding.eq_ignore_ascii_case("identity")).then_some(encoding)
@@ -25,7 +25,7 @@ fn header_text(response: &Response<Incoming>, name: HeaderName) -> Option<String
     response.headers().get(name).map(|value| String::from_utf8_lossy(value.as_bytes()).trim().to_owned())
 }
 
-/// Reads the body of an error, as far as it arrives within the limit.
+/// Converts an answer with an error status to an error. Reads as much of the body as arrives within `limit`.
 pub(super) async fn status_error(mut response: Response<Incoming>, limit: Duration) -> RequestError {
     let status = response.status();
     let hint = if status.is_redirection() {
@@ -42,7 +42,7 @@ pub(super) async fn status_error(mut response: Response<Incoming>, limit: Durati
             }
         }
     };
-    // If the limit passes, the part of the body that has arrived is used.
+    // If the body does not end within the limit, the bytes that have arrived are used.
     let _ = timeout(limit, reading).await;
     let text = if content_encoding(&response).is_some() { String::new() } else { error_text_of_body(&body) };
     RequestError::Status { status, text, hint }

@@ -11,26 +11,27 @@ pub(super) enum StreamError {
     /// An event is too long.
     #[error("its server sent an event longer than 1 MiB; check that url is the server's chat API")]
     EventTooLong,
-    /// The server reported an error in the stream.
-    #[error("its server ended the answer after {}: {text}", chunks(*.after))]
-    Server { after: u64, text: String },
-    /// The answer has text, but not in the form of a stream.
+    /// The server reported an error in the stream. In this and the other variants, `chunk_count` is the number of
+    /// chunks that had arrived.
+    #[error("its server ended the answer after {}: {text}", chunks(*.chunk_count))]
+    Server { chunk_count: u64, text: String },
+    /// An event has the whole text of an answer instead of a `delta`.
     #[error(
         "event {number} of its answer has text in `{field}` and no `delta`: the server does not stream its answer as chat"
     )]
     NoDelta { number: u64, field: &'static str },
-    /// All text belongs to another choice than the first.
+    /// All text belongs to choices with another index than 0.
     #[error(
         "its answer has text only in a choice with the index {0}, and PEERNet reads the choice with the index 0"
     )]
     OtherChoice(String),
-    /// The answer ended without text, reasoning or a finish reason.
+    /// The stream has ended without any text, reasoning or finish reason.
     #[error("its server ended the answer without text")]
     WithoutText,
-    /// The bytes are no stream of events.
+    /// The bytes are not a stream of events.
     #[error("its answer of {0} bytes is no event stream")]
     NoEvents(usize),
-    /// The stream ended without a reason.
+    /// The connection was closed before the answer had ended.
     #[error("its server closed the connection after {} without ending the answer", chunks(*.0))]
     EndedEarly(u64),
     /// The answer is too long.
@@ -44,7 +45,7 @@ impl From<EventTooLong> for StreamError {
     }
 }
 
-/// Returns the number of chunks with its noun.
+/// Returns a number of chunks as text, such as `1 chunk`.
 pub(super) fn chunks(count: u64) -> String {
     format!("{count} chunk{}", if count == 1 { "" } else { "s" })
 }

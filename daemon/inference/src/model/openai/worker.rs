@@ -12,7 +12,7 @@ use super::answer::StreamedAnswer;
 use super::{Openai, nodes, request};
 use crate::{InferenceError, Requester, Worker};
 
-/// Longest text of a wrong number of tokens in the log, characters.
+/// Maximum length of the text of an invalid number of tokens in the log, characters.
 const MAX_DEFECT_CHARS: usize = 100;
 
 /// Worker with the runtime in which its thread waits for the server.
@@ -55,10 +55,11 @@ impl Worker for OpenaiWorker {
         let mut inference = recorder.time(stage::INFERENCE);
         let mut answer = StreamedAnswer::new(clock.mono());
         let limits = config.time_limits();
-        // Also cancelled when a partial answer cannot be sent.
+        // This token is also cancelled when a partial answer cannot be sent.
         let cancellation = requester.cancellation().child_token();
         let mut send_error = None;
-        // While the requester has too many unread partial answers, this thread waits and reads nothing from the server.
+        // If the requester has too many unread partial answers, sending waits. Meanwhile this thread reads nothing from
+        // the server.
         let send_text = |text: &str| {
             if send_error.is_none()
                 && let Err(error) = requester.send_partial_answer(partial_answer(text))
@@ -70,7 +71,7 @@ impl Worker for OpenaiWorker {
         let request = server.complete(body, &limits, clock, &mut answer, send_text);
         // Dropping the request closes the connection, so that the server can stop computing.
         let result = self.runtime.block_on(cancellation.run_until_cancelled(request));
-        // What is known of a failed answer is recorded, too.
+        // The nodes of a failed answer are recorded, too, as far as they are known.
         nodes::record(&answer, &mut inference);
         drop(inference);
         if let Some(defect) = &answer.usage_defect {
@@ -78,8 +79,8 @@ impl Worker for OpenaiWorker {
                 let defect: String = defect.chars().take(MAX_DEFECT_CHARS).collect();
                 tracing::warn!(
                     model = name, url = config.url, defect,
-                    "the server reports a number of tokens that cannot be one; the columns of such numbers stay empty. Further such \
-                     answers are not logged"
+                    "the server reports an invalid number of tokens; the columns of such numbers stay empty; this warning is logged \
+                     only once"
                 );
             });
         }
