@@ -3,8 +3,8 @@
 
     preprocess.py MODEL_FOLDER PICTURE [ROUNDS]
 
-The resize mode of the card must be `exact` or `letterbox`. For a detector of layout `yolov8`, numpy selects the boxes and suppresses those
-that overlap; for other models, no postprocessing is measured.
+The resize mode of the card must be `exact` or `letterbox`. For a detector of layout `yolov8`, numpy selects the boxes and
+suppresses overlapping ones. For other models, no postprocessing is measured.
 """
 
 import io
@@ -37,7 +37,8 @@ def select_boxes(rows, output):
     candidates = np.flatnonzero(scores > output.get("score_threshold", 0.25))
     candidates = candidates[np.argsort(-scores[candidates], kind="stable")]
     centres, halves = rows[:2, candidates].T, rows[2:4, candidates].T / 2
-    edges, classes, scores = np.concatenate([centres - halves, centres + halves], axis=1), classes[candidates], scores[candidates]
+    edges = np.concatenate([centres - halves, centres + halves], axis=1)
+    classes, scores = classes[candidates], scores[candidates]
     areas = np.prod(edges[:, 2:] - edges[:, :2], axis=1)
     kept, remaining = [], np.arange(len(candidates))
     while len(remaining) and len(kept) < output.get("max_detections", 100):
@@ -84,7 +85,8 @@ def main():
     output = card["output"]
     is_detector = card["task"] == "detection" and output["layout"] == "yolov8"
 
-    # The stages of a picture run one after the other, as in an agent, so that the processor's caches are equally warm in both programs.
+    # The stages of a picture run one after the other, as in an agent, so that the processor's caches are equally warm in
+    # both programs.
     durations = {"preprocessing": [], "inference": [], "postprocessing": []}
     for _ in range(rounds + 1):
         begin = time.perf_counter()

@@ -3,7 +3,8 @@ use peernet_sample::PixelFormat;
 
 use super::{answer, bank, jpeg, loaded, pictures, quality_control, run};
 
-/// Runs all pictures and requires that 97 % of the answers are right; the failure lists the wrong ones.
+/// Computes the answers for all pictures and checks that at least 97 % are right. The message of a failure lists the
+/// wrong answers.
 fn assert_97_percent(pictures: &[(Vec<u8>, String)], prepare: impl Fn(&[u8]) -> Vec<u8>) {
     let bank = bank(&[&quality_control("")]);
     let pool = loaded(&bank, "qc");
@@ -20,7 +21,7 @@ fn assert_97_percent(pictures: &[(Vec<u8>, String)], prepare: impl Fn(&[u8]) -> 
         }
     }
     let (all, right) = (pictures.len(), pictures.len() - wrong.len());
-    assert!(right * 100 >= all * 97, "{right} of {all} right\n{}", wrong.join("\n"));
+    assert!(right * 100 >= all * 97, "{right} of {all} answers are right\n{}", wrong.join("\n"));
 }
 
 #[test]
@@ -37,7 +38,7 @@ fn demo_model_is_right_on_test_pictures() {
     assert_97_percent(&held_out, <[u8]>::to_vec);
 }
 
-/// The preparation is that of the demo's third pipeline: resize to 320 × 240, encode again.
+/// The pictures are prepared as in the demo's third pipeline: resized to 320 × 240 pixels and encoded again.
 #[test]
 fn demo_model_is_right_on_pictures_resized_first() {
     let mut all = pictures("pictures");

@@ -26,10 +26,10 @@ fn models_are_listed_in_configured_order() {
 #[test]
 fn model_is_loaded_once_and_shared() {
     let loads = Arc::new(AtomicUsize::new(0));
-    let counted = Arc::clone(&loads);
+    let load_counter = Arc::clone(&loads);
     let bank = bank(&[&quality_control("")]).on_load(move |pool| {
         assert_eq!((pool.name().as_str(), pool.device().as_str()), ("qc", "cpu"));
-        counted.fetch_add(1, Ordering::SeqCst);
+        load_counter.fetch_add(1, Ordering::SeqCst);
     });
     let pools = std::thread::scope(|scope| {
         let loaders = [(); 4].map(|()| scope.spawn(|| loaded(&bank, "qc")));
@@ -78,5 +78,5 @@ fn shutdown_does_not_wait_for_long_computation() {
         std::thread::yield_now();
     }
     assert_eq!(bank.shutdown_within(Duration::from_millis(300)), [slug("long")]);
-    assert!(bank.shutdown_within(Duration::from_secs(60)).is_empty(), "there is nothing left to end");
+    assert!(bank.shutdown_within(Duration::from_secs(60)).is_empty(), "no model is loaded any more");
 }

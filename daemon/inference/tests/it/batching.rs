@@ -16,7 +16,7 @@ use super::graphs::{array, bytes, floats, models, pixels, table};
 use super::termination::CancellableRequester;
 use super::{bank, clock, loaded, slug};
 
-/// Requester that does not wait for an answer any more.
+/// Requester whose request was cancelled before it was submitted.
 struct CancelledRequester;
 
 impl Requester for CancelledRequester {
@@ -35,7 +35,7 @@ impl Requester for CancelledRequester {
     }
 }
 
-/// Returns a bank with a generated model and its key `batch`.
+/// Returns a bank with a generated model that has the key `batch`.
 fn batching_bank(name: &str, batch: &str) -> Bank {
     bank(&[&format!("{}\nbatch = {batch}", table(name, &models().join(name)))])
 }
@@ -52,7 +52,7 @@ fn run_all(bank: &Bank, name: &str, requests: Vec<(Vec<Part>, Arc<dyn Requester>
             recorder: Recorder::new(Arc::clone(&clock), HostId::random()),
             received_at: clock.mono(),
             requester,
-            reply: Box::new(move |done| sender.send((index, done)).expect("is awaited")),
+            reply: Box::new(move |done| sender.send((index, done)).expect("the test waits for the result")),
         };
         pool.submit(job).expect("the queue has room");
     }
@@ -62,7 +62,7 @@ fn run_all(bank: &Bank, name: &str, requests: Vec<(Vec<Part>, Arc<dyn Requester>
     finished.into_iter().map(|(_, done)| done).collect()
 }
 
-fn awaited_request(parts: Vec<Part>) -> (Vec<Part>, Arc<dyn Requester>) {
+fn uncancelled_request(parts: Vec<Part>) -> (Vec<Part>, Arc<dyn Requester>) {
     (parts, Arc::new(UncancelledRequester))
 }
 
@@ -70,13 +70,13 @@ fn row(numbers: &[f32]) -> Vec<Part> {
     vec![array(ElementType::F32, &[1, numbers.len() as u32], bytes(numbers))]
 }
 
-/// Returns the numbers of the first part of an answer.
+/// Returns the numbers in the first part of an answer.
 fn numbers(done: &FinishedJob) -> Vec<f32> {
     let answer = done.result.as_ref().unwrap_or_else(|error| panic!("{error}"));
     floats(&answer.parts[0].bytes)
 }
 
-/// Ends the recorder of a job, and returns the value of a node.
+/// Returns the value of a node of a finished job.
 fn value(done: FinishedJob, path: &[&str]) -> Option<f64> {
     done.recorder.finish().find(path)?.1.measure.value()
 }
@@ -88,7 +88,7 @@ fn batch_answers_each_of_its_samples() {
         let front = pixels((2, 2), vec![10 * index; 12]);
         let mut parts = vec![front];
         parts.extend(row(&[f32::from(index), 600.0]));
-        awaited_request(parts)
+        uncancelled_request(parts)
     };
     let finished = run_all(&bank, "open-policy", (0..4).map(sample).collect());
     for (index, done) in finished.into_iter().enumerate() {
@@ -109,7 +109,7 @@ fn batch_answers_each_of_its_samples() {
 #[test]
 fn batch_starts_when_its_first_request_has_waited() {
     let bank = batching_bank("open-root", "{ max_size = 4, max_wait_ms = 20 }");
-    let mut finished = run_all(&bank, "open-root", vec![awaited_request(row(&[4.0, 9.0, 16.0]))]);
+    let mut finished = run_all(&bank, "open-root", vec![uncancelled_request(row(&[4.0, 9.0, 16.0]))]);
     let done = finished.remove(0);
     assert_eq!(numbers(&done), [2.0, 3.0, 4.0]);
     let tree = done.recorder.finish();
@@ -120,27 +120,27 @@ fn batch_starts_when_its_first_request_has_waited() {
 }
 
 #[test]
-fn only_user_waits_once_for_others() {
+fn single_requester_waits_only_once_for_others() {
     let bank = batching_bank("open-root", "{ max_size = 4, max_wait_ms = 1000 }");
     let wait_s = || {
-        let done = run_all(&bank, "open-root", vec![awaited_request(row(&[4.0, 9.0, 16.0]))]).remove(0);
+        let done = run_all(&bank, "open-root", vec![uncancelled_request(row(&[4.0, 9.0, 16.0]))]).remove(0);
         value(done, &["batch-wait"]).expect("is recorded")
     };
-    assert!(wait_s() >= 1.0, "others may come");
+    assert!(wait_s() >= 1.0, "the first batch waits for other requests");
     for _ in 0..20 {
         let seconds = wait_s();
-        assert!(seconds < 1.0, "nobody came: {seconds}");
+        assert!(seconds < 1.0, "no other requests are expected: waited {seconds} s");
     }
 }
 
 #[test]
-fn failure_of_one_sample_leaves_the_others() {
+fn failure_of_one_sample_does_not_affect_others() {
     let bank = batching_bank("open-root", "{ max_size = 4, max_wait_ms = 60000 }");
     let requests = vec![
-        awaited_request(row(&[4.0, 9.0, 16.0])),
-        awaited_request(row(&[1.0, 2.0])),
+        uncancelled_request(row(&[4.0, 9.0, 16.0])),
+        uncancelled_request(row(&[1.0, 2.0])),
         (row(&[1.0, 1.0, 1.0]), Arc::new(CancelledRequester) as Arc<dyn Requester>),
-        awaited_request(row(&[1.0, -1.0, 1.0])),
+        uncancelled_request(row(&[1.0, -1.0, 1.0])),
     ];
     let mut finished = run_all(&bank, "open-root", requests);
     assert_eq!(numbers(&finished[0]), [2.0, 3.0, 4.0]);
@@ -152,8 +152,12 @@ fn failure_of_one_sample_leaves_the_others() {
     );
     assert_eq!(errors[1], InferenceError::Cancelled { model: "open-root".to_owned() });
     assert!(errors[2].to_string().contains("contains NaN"), "{}", errors[2]);
-    assert_eq!(value(finished.remove(0), &["inference", "batch-size"]), Some(2.0), "two could be computed");
-    assert_eq!(value(finished.remove(0), &["inference"]), None, "it was not computed");
+    assert_eq!(
+        value(finished.remove(0), &["inference", "batch-size"]),
+        Some(2.0),
+        "two samples of the batch were computed"
+    );
+    assert_eq!(value(finished.remove(0), &["inference"]), None, "the second sample was not computed");
 }
 
 fn indices(numbers: [i64; 3]) -> Vec<Part> {
@@ -164,7 +168,7 @@ fn indices(numbers: [i64; 3]) -> Vec<Part> {
 #[test]
 fn run_that_library_refuses_is_repeated_for_each_sample() {
     let bank = batching_bank("table", "{ max_size = 3, max_wait_ms = 60000 }");
-    let requests = [[1, 2, 3], [4, 5_000, 6], [7, 8, 9]].map(|numbers| awaited_request(indices(numbers)));
+    let requests = [[1, 2, 3], [4, 5_000, 6], [7, 8, 9]].map(|numbers| uncancelled_request(indices(numbers)));
     let finished = run_all(&bank, "table", requests.into());
     assert_eq!(numbers(&finished[0]), [1.0, 4.0, 9.0]);
     assert_eq!(numbers(&finished[2]), [49.0, 64.0, 81.0]);
@@ -172,23 +176,24 @@ fn run_that_library_refuses_is_repeated_for_each_sample() {
     assert!(error.contains("5000"), "{error}");
     let trees: Vec<Tree> = finished.into_iter().map(|done| done.recorder.finish()).collect();
     for tree in &trees {
-        // The refused run took time of this iteration, too, but only the run that answered has a size.
+        // The refused run also took time of this iteration, but only the run with an answer has the node `batch-size`.
         assert_eq!(values(tree, "inference").len(), 2, "{tree:?}");
         assert_eq!(values(tree, "batch-size"), [1.0], "{tree:?}");
         assert_eq!(values(tree, "batch-wait").len(), 3, "{tree:?}");
     }
-    // The first sample waits for the others after its own run, and the last one before.
+    // The first sample waits for the others after its own run, and the last sample waits before its own run.
     let (first, last) = (values(&trees[0], "batch-wait"), values(&trees[2], "batch-wait"));
     assert!(first[2] >= values(&trees[2], "inference")[1], "{trees:?}");
     assert!(last[1] >= values(&trees[0], "inference")[1], "{trees:?}");
 }
 
-/// Returns the values of all nodes of a name, in their order.
+/// Returns the values of all nodes with a name, in their order.
 fn values(tree: &Tree, name: &str) -> Vec<f64> {
     tree.nodes().iter().filter(|node| node.name == name).filter_map(|node| node.measure.value()).collect()
 }
 
-/// A batch of a sample that never ends, of two that do, and of others whose requesters give up one after the other.
+/// The batch has a sample whose computation never ends, two samples whose computations end, and seven further samples.
+/// The requests of the first and the further samples are cancelled one after the other.
 #[test]
 fn cancelled_request_does_not_hold_up_its_batch() {
     const ENDLESS: i64 = 1 << 60;
@@ -197,29 +202,29 @@ fn cancelled_request_does_not_hold_up_its_batch() {
     let requester =
         |token: &CancellationToken| Arc::new(CancellableRequester(token.clone())) as Arc<dyn Requester>;
     let mut requests = vec![(count(ENDLESS), requester(&tokens[0]))];
-    requests.extend([awaited_request(count(5)), awaited_request(count(7))]);
+    requests.extend([uncancelled_request(count(5)), uncancelled_request(count(7))]);
     requests.extend(tokens[1..].iter().map(|token| (count(1), requester(token))));
     let batch = format!("{{ max_size = {}, max_wait_ms = 60000 }}", requests.len());
     let bank = batching_bank("open-counter", &batch);
-    let (end, ended) = sync_channel::<()>(0);
+    let (end_sender, end_receiver) = sync_channel::<()>(0);
     let canceller = std::thread::spawn(move || {
-        // The first cancellation may come before the run is overdue; a later one then ends it.
-        while ended.recv_timeout(Duration::from_millis(500)) == Err(RecvTimeoutError::Timeout) {
+        // The first cancellation may come before the run is overdue. A later cancellation then ends the run.
+        while end_receiver.recv_timeout(Duration::from_millis(500)) == Err(RecvTimeoutError::Timeout) {
             if !tokens.is_empty() {
                 tokens.remove(0).cancel();
             }
         }
     });
     let finished = run_all(&bank, "open-counter", requests);
-    drop(end);
+    drop(end_sender);
     canceller.join().expect("does not panic");
     assert_eq!(finished[0].result, Err(InferenceError::Cancelled { model: "open-counter".to_owned() }));
     for (done, expected) in finished[1..3].iter().zip([5_i64, 7]) {
         let answer = done.result.as_ref().unwrap_or_else(|error| panic!("{error}"));
         assert_eq!(answer.parts[0].bytes[..], expected.to_le_bytes());
     }
-    let awaited = finished.last().expect("has the last token");
-    assert!(awaited.result.is_ok(), "the batch ended before all others gave up: {:?}", awaited.result);
+    let last = finished.last().expect("the batch has requests");
+    assert!(last.result.is_ok(), "the run ended only after all requests were cancelled: {:?}", last.result);
 }
 
 #[test]

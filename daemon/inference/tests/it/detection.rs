@@ -12,29 +12,29 @@ use super::{bank, demo, jpeg, loaded, run};
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Answer {
-    detections: Vec<Detected>,
+    detections: Vec<DetectedObject>,
     width: u32,
     height: u32,
 }
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Detected {
+struct DetectedObject {
     label: String,
     score: f32,
     r#box: [f32; 4],
 }
 
 #[test]
-fn every_layout_gives_boxes_of_numpy() {
+fn boxes_of_every_layout_equal_those_of_numpy() {
     for name in ["yolov5", "yolov8", "yolov8-half", "yolov10", "detr", "rt-detr", "nms", "nms-plain"] {
         let answer = answer(name, vec![grey_picture()]).unwrap_or_else(|error| panic!("{error}"));
         assert_eq!(answer.parts[0].description.media, MediaType::Json);
-        let answer: Answer = serde_json::from_slice(&answer.parts[0].bytes).expect("has the promised keys");
+        let answer: Answer = serde_json::from_slice(&answer.parts[0].bytes).expect("has the documented keys");
         assert_eq!((answer.width, answer.height), PICTURE);
         let expected = fs::read(models().join(name).join("expected.json")).expect("is written");
-        let expected: Vec<Detected> = serde_json::from_slice(&expected).expect("has these keys");
-        assert!(expected.len() > 10, "{name}: the test needs boxes");
+        let expected: Vec<DetectedObject> = serde_json::from_slice(&expected).expect("has these keys");
+        assert!(expected.len() > 10, "{name}: too few boxes for a test");
         assert_eq!(answer.detections.len(), expected.len(), "{name}");
         for (found, expected) in answer.detections.iter().zip(&expected) {
             assert_eq!(found.label, expected.label, "{name}");
@@ -46,7 +46,7 @@ fn every_layout_gives_boxes_of_numpy() {
     }
 }
 
-/// A line of the labels of the committed detector's pictures; a picture without defects has no numbers.
+/// Line of the `labels.csv` of the committed detector's pictures. A picture without a defect has no edges.
 #[derive(Debug, Deserialize)]
 struct LabelledDefect {
     file: String,
@@ -75,18 +75,20 @@ fn committed_detector_finds_most_defects() {
         let row: LabelledDefect = row.expect("has a file and a label");
         let file = fs::read(pictures.join(&row.file)).expect("is committed");
         let answer = run(&pool, jpeg(file)).result.unwrap_or_else(|error| panic!("{error}"));
-        let answer: Answer = serde_json::from_slice(&answer.parts[0].bytes).expect("has the promised keys");
+        let answer: Answer = serde_json::from_slice(&answer.parts[0].bytes).expect("has the documented keys");
         assert_eq!((answer.width, answer.height), (640, 480));
         let (Some(left), Some(top), Some(right), Some(bottom)) = (row.left, row.top, row.right, row.bottom)
         else {
             continue;
         };
         all += 1;
-        let is_found =
-            |one: &Detected| one.label == row.label && overlap(one.r#box, [left, top, right, bottom]) >= 0.5;
+        let is_found = |object: &DetectedObject| {
+            object.label == row.label && overlap(object.r#box, [left, top, right, bottom]) >= 0.5
+        };
         found += u32::from(answer.detections.iter().any(is_found));
     }
-    // 21 of 30 with the card's thresholds; a rounded pixel may change one or two.
+    // The detector finds 21 of 30 defects with the card's thresholds. Another rounding of a pixel may change one or
+    // two.
     assert!(all == 30 && found >= 19, "{found} of {all}");
 }
 

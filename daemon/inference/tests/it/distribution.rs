@@ -15,7 +15,7 @@ fn bytes() -> Sample {
     Sample::from_part(Description::bytes(), vec![7; 3].into())
 }
 
-/// Returns the drawn latency and the duration of `inference`, seconds.
+/// Returns the drawn latency and the duration of `inference`, in seconds.
 fn latencies(finished: FinishedJob) -> (f64, f64) {
     let tree = finished.recorder.finish();
     let value =
@@ -39,7 +39,7 @@ fn inference_takes_the_drawn_latency() {
             |path: &[&str]| tree.find(path).and_then(|(_, node)| node.measure.value()).expect("is recorded");
         let (drawn, inference) = (value(&["inference", "drawn-latency"]), value(&["inference"]));
         assert!(drawn > 0.0 && inference >= drawn, "{inference} {drawn}");
-        // A wait ends after its time, never at it.
+        // A wait always takes a little longer than its time.
         assert!(value(&["inference", "overrun"]) > 0.0);
     }
 }
@@ -94,7 +94,7 @@ fn recorded_latencies_are_replayed_from_file() {
     let hash = std::process::Command::new("sh").args(["-c", hash, text]).output().expect("runs").stdout;
     assert_eq!(fact("Replayed SHA-256").map(str::as_bytes), Some(&hash[..]));
     let settings = fact("Model settings").expect("is recorded");
-    assert!(!settings.contains(&*folder.path().to_string_lossy()), "no paths are published: {settings}");
+    assert!(!settings.contains(&*folder.path().to_string_lossy()), "the settings contain a path: {settings}");
 
     // Another column, and the file itself as the path.
     let bank = super::bank(&[&table(&folder.path().join("data.csv"), "column = 'total'")]);
@@ -103,7 +103,7 @@ fn recorded_latencies_are_replayed_from_file() {
 }
 
 #[test]
-fn whole_cloud_is_replayed_from_several_columns() {
+fn latency_is_replayed_from_several_columns() {
     let folder = tempfile::tempdir().expect("a folder");
     let text = "preprocessing,inference,postprocessing\n0.25,0.125,0.001\n0.125,0.125,0.001\n";
     fs::write(folder.path().join("data.csv"), text).expect("written");
@@ -126,12 +126,12 @@ fn whole_cloud_is_replayed_from_several_columns() {
     let value = |path: &[&str]| tree.find(path).and_then(|(_, node)| node.measure.value());
     let drawn = value(&["inference", "drawn-latency"]).expect("is drawn");
     assert!(drawn >= 0.250, "{drawn}");
-    // What the wait for the rest took too long, not the inner model.
+    // The overrun is that of the wait for the rest of the latency, and not that of the inner model.
     assert!(value(&["inference", "overrun"]).is_some_and(|overrun| overrun < drawn - 0.120));
     let whole = "inference is drawn from columns preprocessing + inference + postprocessing of 2 iterations of a data.csv, \
                  with mean 314 ms, seed 0";
     assert_eq!(replayed(&pool), whole);
-    // The postprocessing is below 1 %.
+    // The mean of `postprocessing` is below 1 % of the mean latency, so this stage is not named.
     let without = "inference is drawn from column inference of 2 iterations of a data.csv, with mean 125 ms, without \
                    preprocessing (mean 188 ms), seed 0";
     assert_eq!(replayed(&load("")), without);
@@ -154,7 +154,11 @@ fn inner_model_answers_after_drawn_latency() {
     let value = |path: &[&str]| tree.find(path).and_then(|(_, node)| node.measure.value());
     assert!(value(&["inference"]) >= Some(0.030));
     assert!(value(&["inference", "inner-model", "preprocessing"]).is_some());
-    assert_eq!(value(&["preprocessing"]), None, "its stages are not those of the iteration");
+    assert_eq!(
+        value(&["preprocessing"]),
+        None,
+        "the stages of the inner model are not stages of the iteration"
+    );
     assert_eq!(value(&[stage::UNKNOWN_LABEL.as_str()]), Some(1.0));
     let facts = pool.facts();
     let named = |name: &str| facts.iter().filter(|(known, _)| known == name).count();
@@ -172,10 +176,13 @@ fn slower_inner_model_is_recorded_as_overrun() {
         let value = |path: &[&str]| tree.find(path).and_then(|(_, node)| node.measure.value());
         (value(&["inference", "overrun"]).expect("is recorded"), value(&["inference"]).expect("is recorded"))
     };
-    let (slower, inference) = overrun(5.0);
-    assert!(slower >= 0.015 && inference >= 0.020, "{slower} {inference}");
+    let (overrun_s, inference) = overrun(5.0);
+    assert!(overrun_s >= 0.015 && inference >= 0.020, "{overrun_s} {inference}");
     let (waited, inference) = overrun(500.0);
-    assert!(waited < 0.480 && inference >= 0.500, "only the wait was late: {waited} {inference}");
+    assert!(
+        waited < 0.480 && inference >= 0.500,
+        "the overrun is only that of the wait: {waited} {inference}"
+    );
 }
 
 #[test]
@@ -203,7 +210,7 @@ fn invalid_distribution_is_refused_with_key() {
             [(0, error @ LoadError::InvalidKey { key: found, .. })] => {
                 assert!(*found == key && error.to_string().contains(reason), "{error}");
             }
-            other => panic!("{lines}: {other:?}"),
+            errors => panic!("{lines}: {errors:?}"),
         }
         assert!(bank.load(&"gpu".parse().expect("is a name"), None).is_err());
     }

@@ -3,10 +3,11 @@
 use peernet_inference::{InferenceError, LoadError};
 use peernet_sample::{Description, MediaType, Sample};
 
-use super::listener::{REFUSED, run_until_partial_answer};
+use super::recording_requester::{REFUSED, run_until_partial_answer};
 use super::{bank, jpeg, loaded, run, slug};
 
-/// Program that answers with its input and its device, and reports durations if the sample asks for them.
+/// Program that answers with its input and its device. For the sample `stages` it also reports the durations of stages,
+/// and for the sample `lie` an impossible duration.
 const MODEL: &str = r#"
 while read -r word bytes media shape source; do
     sample=$(head -c "$bytes")
@@ -72,7 +73,11 @@ done
         assert!(done.result.is_ok());
         let tree = done.recorder.finish();
         let value = |name: &str| tree.find(&[name]).and_then(|(_, node)| node.measure.value());
-        assert!(value("restart").is_some_and(|seconds| seconds >= 0.3), "{sample}: {:?}", value("restart"));
+        assert!(
+            value("restart").is_some_and(|restart_s| restart_s >= 0.3),
+            "{sample}: {:?}",
+            value("restart")
+        );
         assert_eq!((value("inference"), value("ipc")), (inference, None), "{sample}");
         assert!(run(&pool, text(sample)).recorder.finish().find(&["restart"]).is_none());
     }
@@ -82,7 +87,7 @@ done
 fn stages_longer_than_call_fail_one_sample() {
     let bank = bank(&[&model("")]);
     let pool = loaded(&bank, "p");
-    let error = run(&pool, text("lie")).result.expect_err("an hour has not passed");
+    let error = run(&pool, text("lie")).result.expect_err("the call took less than an hour");
     assert!(
         matches!(&error, InferenceError::Failed { .. }) && error.to_string().contains("3600s"),
         "{error}"
@@ -115,7 +120,7 @@ fn partial_lines_are_partial_answers() {
         (result, partial_answers.len()),
         (Err(InferenceError::Cancelled { model: "p".to_owned() }), 2)
     );
-    assert!(run(&pool, text("x")).result.is_ok(), "the program is started again");
+    assert!(run(&pool, text("x")).result.is_ok(), "the program was started again");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Folders of models: the models that are found in them, and a bank of such folders.
+//! Folders of models: which models are found in folders, and which of them a bank offers.
 
 use std::fs;
 use std::os::unix::fs::symlink;
@@ -36,13 +36,13 @@ fn bank(folder: &Path, keys: &str) -> Bank {
 fn models_are_found_by_name_and_path() {
     let root = tempfile::tempdir().expect("a folder");
     let (first, second) = (root.path().join("first"), root.path().join("second"));
-    let chosen = link_demo_model(&first, "twin");
-    let hidden = link_demo_model(&second, "twin");
+    let preferred = link_demo_model(&first, "twin");
+    let shadowed = link_demo_model(&second, "twin");
     link_demo_model(&second, "efficientnet_v2_s");
     fs::create_dir(second.join("scripts")).expect("made");
     link_demo_model(&second, "-no-name");
-    fs::create_dir(second.join("torn")).expect("made");
-    fs::write(second.join("torn/model.toml"), "name = 7").expect("written");
+    fs::create_dir(second.join("broken")).expect("made");
+    fs::write(second.join("broken/model.toml"), "name = 7").expect("written");
     let folders = ModelFolders::new([first, root.path().join("nowhere"), second.clone(), second]);
 
     let listed: Vec<(String, bool, bool)> = folders
@@ -53,15 +53,18 @@ fn models_are_found_by_name_and_path() {
     let expected = [
         ("twin", true, false),
         ("efficientnet_v2_s", true, false),
-        ("torn", false, false),
+        ("broken", false, false),
         ("twin", true, true),
     ];
-    assert_eq!(listed, expected.map(|(name, card, hidden)| (name.to_owned(), card, hidden)));
-    assert!(folders.check().is_empty(), "a folder that is not there is none");
+    assert_eq!(
+        listed,
+        expected.map(|(name, is_card_valid, is_shadowed)| (name.to_owned(), is_card_valid, is_shadowed))
+    );
+    assert!(folders.check().is_empty(), "a missing folder is no error");
 
-    assert_eq!(folders.find("twin").expect("is there").folder, chosen);
-    let path = format!("{}/", hidden.display());
-    assert_eq!(folders.find(&path).expect("is there").folder, hidden);
+    assert_eq!(folders.find("twin").expect("is there").folder, preferred);
+    let path = format!("{}/", shadowed.display());
+    assert_eq!(folders.find(&path).expect("is there").folder, shadowed);
     for missing in ["twins", "..", "", "no such name"] {
         let error = folders.find(missing).expect_err(missing);
         assert!(matches!(&error, LoadError::NotFound { .. }), "{error}");
@@ -80,20 +83,20 @@ fn bank_offers_complete_models_on_allowed_devices() {
     let bank = bank(root.path(), "");
     assert!(matches!(bank.default_model(), Err(LoadError::Unnamed { known }) if known.is_empty()));
     link_demo_model(root.path(), "plates");
-    fs::create_dir(root.path().join("torn")).expect("made");
-    fs::write(root.path().join("torn/model.onnx"), "").expect("written");
+    fs::create_dir(root.path().join("broken")).expect("made");
+    fs::write(root.path().join("broken/model.onnx"), "").expect("written");
     assert_eq!(bank.offered_names(), [slug("plates")]);
     assert_eq!(bank.default_model().expect("the only one"), slug("plates"));
 
     let pool = bank.load(&slug("plates"), Some("cpu")).expect("loads");
     assert_eq!((pool.name().as_str(), pool.device().as_str()), ("plates", "cpu"));
-    let hash = pool.facts().into_iter().find(|(name, _)| name == MODEL_HASH).expect("is told").1;
+    let hash = pool.facts().into_iter().find(|(name, _)| name == MODEL_HASH).expect("is recorded").1;
     let card = fs::read_to_string(demo().join("model.toml")).expect("is committed");
-    assert!(card.contains(&hash), "{hash} is what the card says of its own file");
+    assert!(card.contains(&hash), "the card does not state the hash {hash} of its model");
 
     let error = bank.load(&slug("plates"), Some("cuda:0")).expect_err("not offered").to_string();
     assert!(error.contains("cuda:0") && error.contains("only on cpu"), "{error}");
-    assert!(matches!(bank.load(&slug("torn"), None), Err(LoadError::File { .. })));
+    assert!(matches!(bank.load(&slug("broken"), None), Err(LoadError::File { .. })));
     let error = bank.load(&slug("plate"), None).expect_err("unknown").to_string();
     assert!(error.contains("plates") && !error.contains(&root.path().display().to_string()), "{error}");
     link_demo_model(root.path(), "second");
@@ -103,7 +106,7 @@ fn bank_offers_complete_models_on_allowed_devices() {
 }
 
 #[test]
-fn configured_model_has_priority_over_folder_model() {
+fn configured_model_takes_precedence_over_folder_model() {
     let root = tempfile::tempdir().expect("a folder");
     link_demo_model(root.path(), "echo");
     link_demo_model(root.path(), "plates");
@@ -113,31 +116,35 @@ fn configured_model_has_priority_over_folder_model() {
         .with_folders(config(root.path(), ""));
     assert_eq!(bank.offered_names(), [slug("echo"), slug("plates")]);
     assert_eq!(bank.default_model().expect("the configured one"), slug("echo"));
-    assert!(!bank.load(&slug("echo"), None).expect("is there").runs_on_threads(), "the one that echoes");
+    assert!(
+        !bank.load(&slug("echo"), None).expect("is there").runs_on_threads(),
+        "the configured model echoes"
+    );
     assert!(bank.load(&slug("calibration"), None).is_ok());
 }
 
 #[test]
-fn limit_of_loaded_models_unloads_idle_ones_only() {
+fn only_idle_models_are_unloaded_at_limit() {
     let root = tempfile::tempdir().expect("a folder");
     for name in ["a", "b", "c"] {
         link_demo_model(root.path(), name);
     }
-    let (unloaded, unloads) = sync_channel(2);
+    let (unload_sender, unloads) = sync_channel(2);
     let bank = bank(root.path(), "most_loaded = 2")
-        .on_unload(move |model| unloaded.send(model.clone()).expect("is awaited"));
+        .on_unload(move |model| unload_sender.send(model.clone()).expect("the channel has room"));
     let load = |name: &str| bank.load(&slug(name), None);
     assert_eq!(bank.loaded_models(), LoadedModels::default());
     let a = load("a").expect("has room");
     let b = load("b").expect("has room");
     let error = load("c").expect_err("both are in use").to_string();
     assert!(error.contains("a on cpu, b on cpu") && error.contains("most_loaded"), "{error}");
-    assert!(Arc::ptr_eq(&a, &load("a").expect("is loaded")), "and now b was asked for longest ago");
+    assert!(Arc::ptr_eq(&a, &load("a").expect("is loaded")), "model a is already loaded");
 
+    // Now model b is the one that was requested longest ago.
     let weak_b = Arc::downgrade(&b);
     drop((a, b));
-    let c = load("c").expect("b goes");
-    assert!(weak_b.upgrade().is_none(), "b is out of memory");
+    let c = load("c").expect("b is unloaded");
+    assert!(weak_b.upgrade().is_none(), "b was unloaded");
     let model = unloads.try_recv().expect("is reported");
     assert_eq!((&model.name, &*model.device), (&slug("b"), "cpu"));
     assert_eq!(model.reason, UnloadReason::MakesRoomFor(slug("c")));
@@ -147,25 +154,26 @@ fn limit_of_loaded_models_unloads_idle_ones_only() {
         bank.loaded_models(),
         LoadedModels { count: 2, memory_bytes: memory(&c) + memory(&load("a").expect("is loaded")) }
     );
-    let again = load("b").expect("a goes, c is in use");
+    let reloaded_b = load("b").expect("a is unloaded, because c is in use");
     assert!(load("a").is_err());
-    drop((c, again));
+    drop((c, reloaded_b));
     assert_eq!(unloads.try_recv().map(|model| model.name), Ok(slug("a")));
     bank.shutdown();
     assert_eq!(bank.loaded_models(), LoadedModels::default());
-    let mut at_end: Vec<_> = unloads.try_iter().map(|model| (model.name.to_string(), model.reason)).collect();
-    at_end.sort_by(|(a, _), (b, _)| a.cmp(b));
-    let unloaded = |name: &str| (name.to_owned(), UnloadReason::Shutdown);
-    assert_eq!(at_end, [unloaded("b"), unloaded("c")]);
+    let mut unloaded_at_shutdown: Vec<_> =
+        unloads.try_iter().map(|model| (model.name.to_string(), model.reason)).collect();
+    unloaded_at_shutdown.sort_by(|(a, _), (b, _)| a.cmp(b));
+    let expected = |name: &str| (name.to_owned(), UnloadReason::Shutdown);
+    assert_eq!(unloaded_at_shutdown, [expected("b"), expected("c")]);
 }
 
 #[test]
 fn replaced_model_is_reloaded_when_unused() {
     let root = tempfile::tempdir().expect("a folder");
     let folder = link_demo_model(root.path(), "plates");
-    let (unloaded, unloads) = sync_channel(1);
+    let (unload_sender, unloads) = sync_channel(1);
     let bank = bank(root.path(), "")
-        .on_unload(move |model| unloaded.send(model.reason.clone()).expect("is awaited"));
+        .on_unload(move |model| unload_sender.send(model.reason.clone()).expect("the channel has room"));
     let old = bank.load(&slug("plates"), None).expect("loads");
     let card = fs::read_to_string(demo().join("model.toml")).expect("is committed");
     fs::remove_file(folder.join("model.toml")).expect("removed");
@@ -190,30 +198,30 @@ fn failed_load_leaves_no_cache_entry() {
     for _ in 0..2 {
         assert!(matches!(bank.load(&slug("bad"), None), Err(LoadError::Session { .. })));
     }
-    let good = bank.load(&slug("good"), None).expect("has the place");
+    let good = bank.load(&slug("good"), None).expect("the failed model takes no place in the cache");
     assert!(matches!(bank.load(&slug("bad"), None), Err(LoadError::BankFull { .. })));
     drop(good);
 }
 
 #[test]
-fn table_errors_name_their_key() {
+fn errors_of_table_name_their_key() {
     let root = tempfile::tempdir().expect("a folder");
     fs::write(root.path().join("file"), "").expect("written");
     let keys = "devices = ['cpu', 'gpu']\nmost_loaded = 65\nqueue = 70000";
     let wrong = bank(&root.path().join("file"), keys).check_folders();
     let named: Vec<&str> = wrong.iter().map(|(key, _)| *key).collect();
     assert_eq!(named, ["folders", "most_loaded", "queue", "devices"], "{wrong:?}");
-    let none = config(root.path(), "devices = []");
+    let without_devices = config(root.path(), "devices = []");
     link_demo_model(root.path(), "plates");
-    let bank = Bank::new(Vec::new(), OnnxRuntimeConfig::default(), clock()).with_folders(none);
+    let bank = Bank::new(Vec::new(), OnnxRuntimeConfig::default(), clock()).with_folders(without_devices);
     assert!(bank.offered_names().is_empty());
 }
 
 #[test]
-fn invalid_card_blocks_no_other_model() {
-    let place = tempfile::tempdir().expect("a folder");
+fn invalid_cards_do_not_block_listing() {
+    let parent = tempfile::tempdir().expect("a folder");
     let folder = |name: &str| {
-        let folder = place.path().join(name);
+        let folder = parent.path().join(name);
         std::fs::create_dir(&folder).expect("writable");
         folder
     };
@@ -221,7 +229,7 @@ fn invalid_card_blocks_no_other_model() {
     std::fs::write(folder("long").join("model.toml"), vec![b'#'; 2 << 20]).expect("writable");
     std::fs::write(folder("secret").join("model.toml"), "root:x:0:0:root").expect("writable");
 
-    let found = ModelFolders::new([place.path().to_owned()]).list();
+    let found = ModelFolders::new([parent.path().to_owned()]).list();
     let reasons: Vec<_> =
         found.iter().map(|found| found.card.as_ref().expect_err("no card").to_string()).collect();
     assert_eq!(found.len(), 3, "{reasons:?}");
@@ -232,7 +240,7 @@ fn invalid_card_blocks_no_other_model() {
         let text_for_peer = found.card.as_ref().expect_err("no card").to_peer(found.name.as_str(), "cloud");
         assert!(text_for_peer.contains(found.name.as_str()), "{text_for_peer}");
         assert!(
-            !text_for_peer.contains("root:x") && !text_for_peer.contains(&*place.path().to_string_lossy()),
+            !text_for_peer.contains("root:x") && !text_for_peer.contains(&*parent.path().to_string_lossy()),
             "{text_for_peer}"
         );
     }

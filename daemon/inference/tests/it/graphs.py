@@ -3,9 +3,9 @@
 
     graphs.py OUT
 
-Each model is a folder of OUT. Detectors have constant outputs, drawn at random; `expected.json` in their folders has the
-answer for a picture of PICTURE's size. The computation is written from the definitions of the layouts and shares nothing with
-the code under test.
+Each model is a folder in OUT. The outputs of detectors are random constants; `expected.json` in the folder of a detector has
+the answer for a picture of the size PICTURE. The computation follows the definitions of the layouts and shares no code with
+the program under test.
 """
 
 import json
@@ -35,7 +35,7 @@ std = [0.5, 1.0, 2.0]
 """.format(*INPUT)
 
 
-def value(name, dtype, shape):
+def tensor_info(name, dtype, shape):
     return helper.make_tensor_value_info(name, TYPES[dtype], shape)
 
 
@@ -58,18 +58,18 @@ def picture_input(width=INPUT[0], height=INPUT[1]):
 
 
 def detector(out, name, outputs, lines, candidates, iou):
-    """A model with constant outputs, and the answer that `candidates` (class, score, left, top, right, bottom in pixels of the
-    input) lead to."""
+    """Writes a model with constant outputs, and the answer that follows from `candidates`. A candidate is a class, a score, and
+    the edges left, top, right and bottom in pixels of the input."""
     names = list(outputs)
     nodes = [helper.make_node("Identity", ["c_" + n], [n]) for n in names]
     types = {code: name for name, code in TYPES.items()}
-    infos = [value(n, types[numpy_helper.from_array(a).data_type], a.shape) for n, a in outputs.items()]
+    infos = [tensor_info(n, types[numpy_helper.from_array(a).data_type], a.shape) for n, a in outputs.items()]
     labels = json.dumps(LABELS)
     card = f'task = "detection"\n{picture_input()}{PREPROCESSING}[output]\nlabels = {labels}\n'
     card += f"score_threshold = {SCORE}\nmax_detections = {MAX_DETECTIONS}\n{lines}\n"
     if iou is not None:
         card += f"iou_threshold = {iou}\n"
-    inputs = [value("image", "float32", [1, 3, INPUT[1], INPUT[0]])]
+    inputs = [tensor_info("image", "float32", [1, 3, INPUT[1], INPUT[0]])]
     constants = [("c_" + n, a) for n, a in outputs.items()]
     folder = write(out, name, card, nodes, inputs, infos, constants)
     found = to_picture(suppress_overlaps([c for c in candidates if c[1] > SCORE], iou))
@@ -77,24 +77,24 @@ def detector(out, name, outputs, lines, candidates, iou):
 
 
 def suppress_overlaps(candidates, iou):
-    left = sorted(candidates, key=lambda c: -c[1])
+    remaining = sorted(candidates, key=lambda c: -c[1])
     kept = []
-    while left and len(kept) < MAX_DETECTIONS:
-        best = left.pop(0)
+    while remaining and len(kept) < MAX_DETECTIONS:
+        best = remaining.pop(0)
         kept.append(best)
         if iou is not None:
-            boxes = np.array([c[2:] for c in left]).reshape(-1, 4)
+            boxes = np.array([c[2:] for c in remaining]).reshape(-1, 4)
             low, high = np.maximum(boxes[:, :2], best[2:4]), np.minimum(boxes[:, 2:], best[4:6])
             common = np.prod(np.clip(high - low, 0, None), axis=1)
             areas = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)
             area = (best[4] - best[2]) * (best[5] - best[3])
             overlap = common / (areas + area - common)
-            left = [c for c, o in zip(left, overlap) if c[0] != best[0] or o <= iou]
+            remaining = [c for c, o in zip(remaining, overlap) if c[0] != best[0] or o <= iou]
     return kept
 
 
 def letterbox():
-    """Size of the picture in the input, and its upper left corner there."""
+    """Returns the size of the resized picture, and the position of its upper left corner in the input."""
     factor = min(INPUT[0] / PICTURE[0], INPUT[1] / PICTURE[1])
     size = [round(side * factor) for side in PICTURE]
     return size, [(whole - part) // 2 for whole, part in zip(INPUT, size)]
@@ -103,32 +103,33 @@ def letterbox():
 def to_picture(candidates):
     size, corner = letterbox()
     answer = []
-    for kind, score, *edges in candidates:
+    for class_index, score, *edges in candidates:
         points = (np.array(edges).reshape(2, 2) - corner) * np.array(PICTURE) / size
         points = np.clip(points, 0, PICTURE)
         if (points[1] > points[0]).all():
-            answer.append({"label": LABELS[int(kind)], "score": float(score), "box": points.ravel().tolist()})
+            answer.append({"label": LABELS[int(class_index)], "score": float(score), "box": points.ravel().tolist()})
     return answer
 
 
-def boxes(rng, count):
-    """Boxes [count, 4] as centre and size, around a few places so that many overlap."""
+def random_boxes(rng, count):
+    """Returns boxes [count, 4] as centre and size. They lie around a few places, so that many boxes overlap."""
     places = rng.uniform(10, 54, (6, 2))
     centres = places[rng.integers(0, len(places), count)] + rng.normal(0, 2, (count, 2))
     return np.concatenate([centres, rng.uniform(8, 30, (count, 2))], axis=1).astype(np.float32)
 
 
-def edges(b):
-    return np.concatenate([b[:, :2] - b[:, 2:] / 2, b[:, :2] + b[:, 2:] / 2], axis=1)
+def edges(boxes):
+    """Returns the edges left, top, right and bottom of boxes."""
+    return np.concatenate([boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2], axis=1)
 
 
 def detectors(out):
     rng = np.random.default_rng(11)
     count = 150
-    b, scores = boxes(rng, count), rng.uniform(0, 1, (count, 3)).astype(np.float32)
-    kinds = scores.argmax(axis=1)
-    best = [(k, s[k], *e) for k, s, e in zip(kinds, scores, edges(b))]
-    rows = np.concatenate([b.T, scores.T])[None]
+    boxes, scores = random_boxes(rng, count), rng.uniform(0, 1, (count, 3)).astype(np.float32)
+    classes = scores.argmax(axis=1)
+    best = [(k, s[k], *e) for k, s, e in zip(classes, scores, edges(boxes))]
+    rows = np.concatenate([boxes.T, scores.T])[None]
     detector(out, "yolov8", {"output0": rows}, 'layout = "yolov8"\nname = "output0"', best, IOU)
 
     half = rows.astype(np.float16)
@@ -139,46 +140,46 @@ def detectors(out):
     objects = rng.normal(0, 2, count).astype(np.float32)
     logits = rng.normal(0, 2, (count, 3)).astype(np.float32)
     sigmoid = lambda x: 1 / (1 + np.exp(-x.astype(np.float64)))
-    raw = np.concatenate([b, objects[:, None], logits], axis=1)[None]
-    found = [(l.argmax(), sigmoid(o) * sigmoid(l).max(), *e) for o, l, e in zip(objects, logits, edges(b))]
+    raw = np.concatenate([boxes, objects[:, None], logits], axis=1)[None]
+    found = [(l.argmax(), sigmoid(o) * sigmoid(l).max(), *e) for o, l, e in zip(objects, logits, edges(boxes))]
     detector(out, "yolov5", {"output": raw}, 'layout = "yolov5"\nname = "output"\nactivation = "sigmoid"', found, IOU)
 
-    top = np.concatenate([edges(b), scores.max(axis=1)[:, None], kinds[:, None].astype(np.float32)], axis=1)
-    top[-20:, 4:] = (0.0, -1.0)  # padding without a class
+    top = np.concatenate([edges(boxes), scores.max(axis=1)[:, None], classes[:, None].astype(np.float32)], axis=1)
+    top[-20:, 4:] = (0.0, -1.0)  # rows that pad the output and have no class
     found = [(r[5], r[4], *r[:4]) for r in top[:-20]]
     detector(out, "yolov10", {"output0": top[None].astype(np.float32)}, 'layout = "yolov10"\nname = "output0"', found, None)
 
     queries = rng.normal(0, 2, (count, 4)).astype(np.float32)
     softmax = np.exp(queries.astype(np.float64))
     softmax /= softmax.sum(axis=1, keepdims=True)
-    found = [(s[:3].argmax(), s[:3].max(), *e) for s, e in zip(softmax, edges(b))]
-    fractions = b / np.array([*INPUT, *INPUT], np.float32)
+    found = [(s[:3].argmax(), s[:3].max(), *e) for s, e in zip(softmax, edges(boxes))]
+    fractions = boxes / np.array([*INPUT, *INPUT], np.float32)
     lines = 'layout = "detr"\nscores = "logits"\nboxes = "pred_boxes"\n'
     both = {"logits": queries[None], "pred_boxes": fractions[None]}
     detector(out, "detr", both, lines + 'activation = "softmax"', found, None)
 
-    pairs = [(k, sigmoid(l[k]), *e) for l, e in zip(logits, edges(b)) for k in range(3)]
+    pairs = [(k, sigmoid(l[k]), *e) for l, e in zip(logits, edges(boxes)) for k in range(3)]
     both = {"logits": logits[None], "pred_boxes": fractions[None]}
     detector(out, "rt-detr", both, lines + 'activation = "sigmoid"', pairs, None)
 
-    e = edges(b) / np.array([*INPUT, *INPUT])
+    e = edges(boxes) / np.array([*INPUT, *INPUT])
     separate = {
         "boxes": e[:, [1, 0, 3, 2]].astype(np.float32)[None],
         "scores": scores.max(axis=1)[None],
-        "classes": np.where(np.arange(count) < 100, kinds, 99).astype(np.int64)[None],
+        "classes": np.where(np.arange(count) < 100, classes, 99).astype(np.int64)[None],
         "count": np.array([[100]], np.int32),
     }
     lines = 'layout = "nms"\nboxes = "boxes"\nscores = "scores"\nclasses = "classes"\ncount = "count"\n'
     detector(out, "nms", separate, lines + 'box_format = "yxyx"\nbox_unit = "fraction"', best[:100], None)
 
-    plain = {"boxes": edges(b), "scores": scores.max(axis=1), "classes": kinds.astype(np.float32)}
+    plain = {"boxes": edges(boxes), "scores": scores.max(axis=1), "classes": classes.astype(np.float32)}
     lines = 'layout = "nms"\nboxes = "boxes"\nscores = "scores"\nclasses = "classes"'
     detector(out, "nms-plain", plain, lines, best, None)
     infinite = {**plain, "scores": np.where(np.arange(count) == 7, np.inf, plain["scores"]).astype(np.float32)}
     detector(out, "nms-infinite-score", infinite, lines, [], None)
     with_count = {**plain, "count": np.array([1.5], np.float32)}
     detector(out, "nms-fraction-of-rows", with_count, lines + '\ncount = "count"', [], None)
-    plain["classes"] = kinds.astype(np.float32) + 1
+    plain["classes"] = classes.astype(np.float32) + 1
     detector(out, "nms-unknown-class", plain, lines, [], None)
 
 
@@ -186,7 +187,7 @@ def detectors(out):
 
 
 def policy(out, name, batch):
-    """action = 2 state + mean(front) + offset; done = action > 0, for each sample of a batch."""
+    """Writes a model that computes, for each sample of a batch: action = 2 state + mean(front) + offset; done = action > 0."""
     card = """
 task = "tensors"
 [[input]]
@@ -225,11 +226,11 @@ shape = [1, 2]
         helper.make_node("Greater", ["action", "zero"], ["done"]),
     ]
     inputs = [
-        value("front", "uint8", [batch, 2, 2, 3]),
-        value("state", "float32", [batch, 2]),
-        value("offset", "int64", [1, 2]),
+        tensor_info("front", "uint8", [batch, 2, 2, 3]),
+        tensor_info("state", "float32", [batch, 2]),
+        tensor_info("offset", "int64", [1, 2]),
     ]
-    outputs = [value("action", "float32", [batch, 2]), value("done", "bool", [batch, 2])]
+    outputs = [tensor_info("action", "float32", [batch, 2]), tensor_info("done", "bool", [batch, 2])]
     write(out, name, card, nodes, inputs, outputs, [("zero", np.zeros(1, np.float32))])
 
 
@@ -238,49 +239,51 @@ def arrays(out):
         card = f'task = "tensors"\n[input]\nname = "x"\ndtype = "{name}"\nshape = [3]\n'
         card += f'[output]\nname = "y"\ndtype = "{name}"\nshape = [3]\n'
         node = helper.make_node("Identity", ["x"], ["y"])
-        write(out, "identity-" + name, card, [node], [value("x", name, [3])], [value("y", name, [3])])
+        write(out, "identity-" + name, card, [node], [tensor_info("x", name, [3])], [tensor_info("y", name, [3])])
 
     policy(out, "policy", 1)
     policy(out, "open-policy", "batch")
 
-    # The root of a negative number is NaN. The zeros of the run at loading have a root, so the model can be loaded.
+    # The root of a negative number is NaN. Loading a model computes zeros, which have roots, so that the model can be loaded.
     for name, shape in (("root", [3]), ("open-root", ["batch", 3])):
         card_shape = [1 if length == "batch" else length for length in shape]
         card = f'task = "tensors"\n[input]\nname = "x"\ndtype = "float32"\nshape = {card_shape}\n'
         card += f'[output]\nname = "y"\ndtype = "float32"\nshape = {card_shape}\n'
         node = helper.make_node("Sqrt", ["x"], ["y"])
-        write(out, name, card, [node], [value("x", "float32", shape)], [value("y", "float32", shape)])
+        write(out, name, card, [node], [tensor_info("x", "float32", shape)], [tensor_info("y", "float32", shape)])
 
-    # The batch dimension of the input is open, but the output has one row for all samples of a batch: such a model
+    # The batch dimension of the input is open, but the output has one row for all samples of a batch. Such a model
     # cannot compute batches.
     card = 'task = "tensors"\n[input]\nname = "x"\ndtype = "float32"\nshape = [1, 3]\n'
     card += '[output]\nname = "y"\ndtype = "float32"\nshape = [1, 3]\n'
     node = helper.make_node("ReduceMean", ["x"], ["y"], axes=[0])
-    write(out, "mean-of-rows", card, [node], [value("x", "float32", ["batch", 3])], [value("y", "float32", [1, 3])])
+    write(out, "mean-of-rows", card, [node], [tensor_info("x", "float32", ["batch", 3])], [tensor_info("y", "float32", [1, 3])])
 
     # ONNX Runtime refuses the whole run if one sample of a batch has an index beyond the table.
     card = 'task = "tensors"\n[input]\nname = "x"\ndtype = "int64"\nshape = [1, 3]\n'
     card += '[output]\nname = "y"\ndtype = "float32"\nshape = [1, 3]\n'
     node = helper.make_node("Gather", ["squares", "x"], ["y"])
     squares = ("squares", np.arange(1000, dtype=np.float32) ** 2)
-    write(out, "table", card, [node], [value("x", "int64", ["batch", 3])], [value("y", "float32", ["batch", 3])], [squares])
+    inputs, outputs = [tensor_info("x", "int64", ["batch", 3])], [tensor_info("y", "float32", ["batch", 3])]
+    write(out, "table", card, [node], inputs, outputs, [squares])
 
-    # Runs of a loop: as many as the first number says, or, in `endless`, always more than a run can end.
+    # A loop that runs as often as the first number says. The loop of `endless` always runs longer than a test can wait.
     card = 'task = "tensors"\n[input]\nname = "x"\ndtype = "int64"\nshape = [1]\n'
     card += '[output]\nname = "y"\ndtype = "int64"\nshape = [1]\n'
     body = helper.make_graph(
         [helper.make_node("Identity", ["goes_on"], ["continues"]), helper.make_node("Add", ["sum", "one"], ["more"])],
         "body",
-        [value("index", "int64", []), value("goes_on", "bool", []), value("sum", "int64", [1])],
-        [value("continues", "bool", []), value("more", "int64", [1])],
+        [tensor_info("index", "int64", []), tensor_info("goes_on", "bool", []), tensor_info("sum", "int64", [1])],
+        [tensor_info("continues", "bool", []), tensor_info("more", "int64", [1])],
     )
     loops = {"counter": ("x", []), "endless": ("most", [("most", np.array([1 << 60]))])}
     constants = [("true", np.array(True)), ("zero", np.zeros(1, np.int64)), ("one", np.ones(1, np.int64))]
     for name, (runs, initialisers) in loops.items():
         node = helper.make_node("Loop", [runs, "true", "zero"], ["y"], body=body)
-        write(out, name, card, [node], [value("x", "int64", [1])], [value("y", "int64", [1])], constants + initialisers)
+        inputs, outputs = [tensor_info("x", "int64", [1])], [tensor_info("y", "int64", [1])]
+        write(out, name, card, [node], inputs, outputs, constants + initialisers)
 
-    # As many runs as the largest number of a batch says. The answer is the number of the sample.
+    # A loop that runs as often as the largest number of a batch says. The answer to a sample is the sample's number.
     nodes = [
         helper.make_node("ReduceMax", ["x"], ["runs"], keepdims=0),
         helper.make_node("Loop", ["runs", "true", "zero"], ["sum"], body=body),
@@ -288,14 +291,14 @@ def arrays(out):
     ]
     card = card.replace("shape = [1]", "shape = [1, 1]")
     shape = ["batch", 1]
-    inputs, outputs = [value("x", "int64", shape)], [value("y", "int64", shape)]
+    inputs, outputs = [tensor_info("x", "int64", shape)], [tensor_info("y", "int64", shape)]
     write(out, "open-counter", card, nodes, inputs, outputs, constants)
 
     card = f'task = "tensors"\n{picture_input()}{PREPROCESSING}'
     card += f'[output]\nname = "y"\ndtype = "float32"\nshape = [1, 3, {INPUT[1]}, {INPUT[0]}]\n'
     shape = [1, 3, INPUT[1], INPUT[0]]
     node = helper.make_node("Identity", ["image"], ["y"])
-    folder = write(out, "picture", card, [node], [value("image", "float32", shape)], [value("y", "float32", shape)])
+    folder = write(out, "picture", card, [node], [tensor_info("image", "float32", shape)], [tensor_info("y", "float32", shape)])
     rng = np.random.default_rng(5)
     coarse = rng.integers(0, 256, (10, 15, 3), np.uint8)
     picture = Image.fromarray(coarse).resize(PICTURE, Image.BICUBIC)
@@ -317,16 +320,16 @@ def other_tasks(out):
     # The strongest colour is the class.
     card = f'task = "segmentation"\n{picture_input()}{plain}[output]\nname = "y"\nlabels = ["red", "green", "blue"]\n'
     node = helper.make_node("Identity", ["image"], ["y"])
-    write(out, "segmentation", card, [node], [value("image", "float32", shape)], [value("y", "float32", shape)])
+    write(out, "segmentation", card, [node], [tensor_info("image", "float32", shape)], [tensor_info("y", "float32", shape)])
     node = helper.make_node("ArgMax", ["image"], ["y"], axis=1, keepdims=0)
-    outputs = [value("y", "int64", [1, INPUT[1], INPUT[0]])]
-    write(out, "segmentation-classes", card, [node], [value("image", "float32", shape)], outputs)
+    outputs = [tensor_info("y", "int64", [1, INPUT[1], INPUT[0]])]
+    write(out, "segmentation-classes", card, [node], [tensor_info("image", "float32", shape)], outputs)
 
     card = f'task = "embedding"\n{picture_input()}{plain}[output]\nname = "y"\nnormalise = true\n'
     node = helper.make_node("ReduceMean", ["image"], ["y"], axes=[2, 3], keepdims=0)
-    write(out, "embedding", card, [node], [value("image", "float32", shape)], [value("y", "float32", [1, 3])])
+    write(out, "embedding", card, [node], [tensor_info("image", "float32", shape)], [tensor_info("y", "float32", [1, 3])])
 
-    # Constant outputs that no answer can be made of, or that no card of their task fits.
+    # Constant outputs that cannot be converted to an answer, or that fit no card of the task.
     classes = '[output]\nname = "y"\nlabels = ["red", "green", "blue"]\nactivation = "softmax"\n'
     vector = '[output]\nname = "y"\nnormalise = true\n'
     one = np.ones((1, 3), np.float32)
@@ -343,8 +346,8 @@ def other_tasks(out):
         card = f'task = "{task}"\n{picture_input()}{plain}{output}'
         node = helper.make_node("Identity", ["constant"], ["y"])
         dtype = "bool" if numbers.dtype == bool else "float32"
-        outputs = [value("y", dtype, numbers.shape)]
-        write(out, name, card, [node], [value("image", "float32", shape)], outputs, [("constant", numbers)])
+        outputs = [tensor_info("y", dtype, numbers.shape)]
+        write(out, name, card, [node], [tensor_info("image", "float32", shape)], outputs, [("constant", numbers)])
 
 
 def main():

@@ -1,4 +1,4 @@
-//! Models of all tasks, as small graphs that `graphs.py` writes, with what numpy computes from them.
+//! Models of all tasks: small graphs that `graphs.py` writes, together with the answers that numpy computes.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -14,12 +14,12 @@ use super::{bank, loaded, run, slug};
 /// Size of the picture in `graphs.py`.
 pub(super) const PICTURE: (u32, u32) = (120, 80);
 
-/// Returns the folder with the models, which are written once for all tests.
+/// Returns the folder with the models. The first call writes the models.
 pub(super) fn models() -> &'static Path {
     static MODELS: OnceLock<PathBuf> = OnceLock::new();
     MODELS.get_or_init(|| {
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("graphs");
-        // Other interpreters than the system's do not find Debian's packages.
+        // Only the system's interpreter finds the packages of Debian.
         let python = std::env::var_os("PEERNET_PYTHON").unwrap_or_else(|| "/usr/bin/python3".into());
         let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/graphs.py");
         let output = Command::new(python).arg(script).arg(&folder).output().expect("Python is installed");
@@ -108,7 +108,7 @@ fn policy_gets_picture_state_and_constant() {
             array(ElementType::Bool, &[1, 2], vec![1, 0]),
         ]
     );
-    assert!(done.recorder.finish().find(&["unknown-label"]).is_none(), "it has no classes");
+    assert!(done.recorder.finish().find(&["unknown-label"]).is_none(), "the model has no classes");
 
     let error = run(&pool, sample(vec![front(), state(&[1.0])])).result.expect_err("is too short");
     assert!(matches!(error, InferenceError::Input { .. }), "{error}");
@@ -132,24 +132,24 @@ fn nan_in_output_fails_iteration_with_reason() {
 }
 
 #[test]
-fn letterboxed_picture_is_that_of_numpy() {
+fn letterboxed_picture_equals_that_of_numpy() {
     let folder = models().join("picture");
     let picture = pixels(PICTURE, fs::read(folder.join("picture.rgb")).expect("is written"));
     let answer = answer("picture", vec![picture]).unwrap_or_else(|error| panic!("{error}"));
     let expected = floats(&fs::read(folder.join("expected.f32")).expect("is written"));
     let found = floats(&answer.parts[0].bytes);
     assert_eq!(found.len(), expected.len());
-    // Two ways of rounding bytes may differ by 1 of 255; the smallest `std` is 0.5.
-    let most = 1.01 / 255.0 / 0.5;
-    let worst = found.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-    assert!(worst < most, "{worst}");
+    // Because of rounding, bytes may differ by 1 of 255. The smallest `std` is 0.5.
+    let max_difference = 1.01 / 255.0 / 0.5;
+    let largest_difference = found.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    assert!(largest_difference < max_difference, "{largest_difference}");
     let differing = found.iter().zip(&expected).filter(|(a, b)| (*a - *b).abs() > 1e-4).count();
     assert!(differing * 5 < found.len(), "{differing} of {}", found.len());
 }
 
 #[test]
 fn class_map_has_regions_of_picture() {
-    // Left third red, the rest blue, in the size of a camera and not of the model.
+    // The left third is red, the rest is blue. The picture has another size than the model's input.
     let red = |x: u32| if x < 40 { [200, 10, 0] } else { [0, 10, 200] };
     let bytes: Vec<u8> = (0..PICTURE.1).flat_map(|_| (0..PICTURE.0).flat_map(red)).collect();
     for name in ["segmentation", "segmentation-classes"] {
@@ -161,7 +161,7 @@ fn class_map_has_regions_of_picture() {
         let map = &answer.parts[1];
         assert_eq!(map.description, Description::pixels(PixelFormat::Grey8, PICTURE.0, PICTURE.1));
         for (at, class) in map.bytes.iter().enumerate() {
-            // Scaling merges columns, so the border may be anywhere in columns 38 to 41.
+            // Resizing merges columns, so the border may be anywhere in columns 38 to 41.
             match at as u32 % PICTURE.0 {
                 0..=37 => assert_eq!(*class, 0, "{name} {at}"),
                 42.. => assert_eq!(*class, 2, "{name} {at}"),
@@ -181,7 +181,7 @@ fn embedding_has_length_one() {
 }
 
 #[test]
-fn card_that_does_not_fit_names_the_field() {
+fn mismatch_error_names_field_of_card() {
     for (name, from, to, expected) in [
         (
             "policy",
@@ -246,7 +246,7 @@ fn refusal_of_newer_format_names_supported_version() {
 }
 
 #[test]
-fn input_that_card_leaves_out_is_named() {
+fn error_names_input_that_card_omits() {
     let folder = tempfile::tempdir().expect("can be made");
     let source = models().join("policy");
     fs::copy(source.join("model.onnx"), folder.path().join("model.onnx")).expect("can be copied");
@@ -254,8 +254,9 @@ fn input_that_card_leaves_out_is_named() {
     let (before, rest) = card.split_once("[[input]]\nname = \"offset\"").expect("is there");
     let (_, after) = rest.split_once("[preprocessing]").expect("is there");
     fs::write(folder.path().join("model.toml"), format!("{before}[preprocessing]{after}")).expect("written");
-    let error =
-        bank(&[&table("changed", folder.path())]).load(&slug("changed"), None).expect_err("lacks one");
+    let error = bank(&[&table("changed", folder.path())])
+        .load(&slug("changed"), None)
+        .expect_err("the card lacks an input");
     assert!(
         error.to_string().contains("it has the input \"offset\", which its card does not name"),
         "{error}"

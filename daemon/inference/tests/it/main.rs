@@ -1,5 +1,5 @@
-//! Tests of the committed demo model on its committed pictures, through the bank and the pool that serve an agent,
-//! with the real ONNX Runtime (`make setup` fetches it).
+//! Tests of models through the bank and the pool, as an agent uses them. Many tests use the committed demo model and
+//! its pictures, and ONNX Runtime, which `make setup` fetches.
 
 mod accuracy;
 mod bank;
@@ -9,11 +9,11 @@ mod distribution;
 mod exec;
 mod folders;
 mod graphs;
-mod listener;
-mod odd_outputs;
+mod invalid_outputs;
 mod openai;
 mod process;
 mod python;
+mod recording_requester;
 mod refusals;
 mod samples;
 mod termination;
@@ -41,15 +41,15 @@ fn clock() -> SharedClock {
     Arc::new(SystemClock::new(ClockIdentity::new("test", ClockIdentity::SYSTEM)))
 }
 
-/// Returns a bank of `[[model]]` tables, each given as its text.
+/// Returns a bank of `[[model]]` tables; each table is given as TOML text.
 fn bank(models: &[&str]) -> Bank {
     let models = models.iter().map(|model| toml::from_str::<ModelConfig>(model).expect(model));
     Bank::new(models.collect(), OnnxRuntimeConfig::default(), clock())
 }
 
-/// Returns the table of the demo model with additional lines.
-fn quality_control(more: &str) -> String {
-    format!("name = \"qc\"\nkind = \"onnx\"\npath = {:?}\n{more}", demo())
+/// Returns the `[[model]]` table of the demo model, with additional lines.
+fn quality_control(lines: &str) -> String {
+    format!("name = \"qc\"\nkind = \"onnx\"\npath = {:?}\n{lines}", demo())
 }
 
 fn slug(name: &str) -> Slug {
@@ -68,7 +68,7 @@ fn jpeg(bytes: Vec<u8>) -> Sample {
 fn run(pool: &Pool, sample: Sample) -> FinishedJob {
     let (sender, receiver) = sync_channel(1);
     let clock = clock();
-    let reply = Box::new(move |done| sender.send(done).expect("is awaited"));
+    let reply = Box::new(move |done| sender.send(done).expect("the test waits for the result"));
     let recorder = Recorder::new(Arc::clone(&clock), HostId::random());
     pool.submit(Job::for_whole_answer(sample, recorder, clock.mono(), reply)).expect("the queue has room");
     receiver.recv().expect("is answered")
@@ -93,17 +93,17 @@ struct RankedLabel {
 fn answer(result: Result<Sample, InferenceError>) -> Answer {
     let sample = result.unwrap_or_else(|error| panic!("{error}"));
     assert_eq!(sample.parts[0].description.media, MediaType::Json);
-    serde_json::from_slice(&sample.parts[0].bytes).expect("has the promised keys")
+    serde_json::from_slice(&sample.parts[0].bytes).expect("has the documented keys")
 }
 
-/// Picture of the demo with its label.
+/// Line of a `labels.csv`: a picture of the demo with its label.
 #[derive(Deserialize)]
 struct LabelledPicture {
     file: String,
     label: String,
 }
 
-/// Returns the labelled pictures in a folder of the demo model: file contents and labels.
+/// Returns the pictures in a folder of the demo model, each as the contents of its file and its label.
 fn pictures(folder: &str) -> Vec<(Vec<u8>, String)> {
     let folder = demo().join(folder);
     let mut labels = csv::Reader::from_path(folder.join("labels.csv")).expect("is committed");

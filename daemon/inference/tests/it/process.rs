@@ -1,5 +1,5 @@
-//! Tests that need a process of their own, because a process loads one library for ever, and because they count its
-//! threads.
+//! Tests that need a process of their own: some load another library, and a process can load only one; one counts the
+//! threads of its process.
 
 use std::fs;
 use std::path::Path;
@@ -8,7 +8,7 @@ use std::process::Command;
 use super::{bank, loaded, quality_control};
 
 /// Runs one of the ignored tests below in a separate process and returns its output.
-fn alone(test: &str, library: Option<&Path>) -> String {
+fn run_in_own_process(test: &str, library: Option<&Path>) -> String {
     let mut command = Command::new(std::env::current_exe().expect("is known"));
     command.args(["--ignored", "--exact", "--nocapture", &format!("process::{test}")]);
     if let Some(library) = library {
@@ -46,7 +46,7 @@ fn unusable_library_error_names_file_reason_and_remedy() {
         ("old.so", "it is version 1.16.3, at least 1.17 is needed"),
         ("missing.so", "the file does not exist"),
     ] {
-        let printed = alone("child_checks", Some(&at(name)));
+        let printed = run_in_own_process("child_checks", Some(&at(name)));
         for part in [name, reason, "ORT_DYLIB_PATH", "make setup"] {
             assert!(printed.contains(part), "{part}: {printed}");
         }
@@ -74,13 +74,14 @@ fn child_counts_threads() {
     let weights = mapped.split_whitespace().last().expect("ends with the file").to_owned();
     assert!(weights.ends_with("weights.bin") && Path::new(&weights).exists(), "{mapped}");
     drop((pool, bank));
-    assert!(!Path::new(&weights).exists(), "{weights} is left behind");
-    println!("{} left", threads() - before);
+    assert!(!Path::new(&weights).exists(), "{weights} was not deleted");
+    println!("{} threads remain", threads() - before);
 }
 
-/// Two workers, each with two threads of ONNX Runtime; both map one copy of the weights.
+/// There are two workers. Each has its own thread and two threads of ONNX Runtime, and both map the same copy of the
+/// weights.
 #[test]
 fn configured_threads_are_used_and_weights_shared() {
-    let printed = alone("child_counts_threads", None);
-    assert!(printed.contains("6 more threads") && printed.contains("0 left"), "{printed}");
+    let printed = run_in_own_process("child_counts_threads", None);
+    assert!(printed.contains("6 more threads") && printed.contains("0 threads remain"), "{printed}");
 }

@@ -5,7 +5,7 @@ use std::fs;
 use peernet_inference::{InferenceError, LoadError};
 use peernet_sample::{Description, MediaType, Sample};
 
-use super::listener::run_until_partial_answer;
+use super::recording_requester::run_until_partial_answer;
 use super::{bank, loaded, run, slug};
 
 const MODEL: &str = "
@@ -29,7 +29,7 @@ fn text(text: &'static str) -> Sample {
 }
 
 #[test]
-fn each_step_is_a_stage_remainder_is_ipc() {
+fn steps_are_stages_and_remaining_time_is_ipc() {
     let folder = tempfile::tempdir().expect("can be made");
     let config = model(&folder, "net::Net", "device = 'cuda:3'\nenv = { COLOUR = 'red' }\nworkers = 2");
     let bank = bank(&[&config]);
@@ -57,7 +57,7 @@ fn exceptions_and_unsupported_values_fail_one_sample() {
     let message = error.to_string();
     assert!(matches!(error, InferenceError::Failed { .. }), "{message}");
     assert!(message.contains("ValueError: nothing to see") && message.contains("net.py"), "{message}");
-    assert!(done.recorder.finish().find(&["inference"]).is_none(), "it never began");
+    assert!(done.recorder.finish().find(&["inference"]).is_none(), "the step infer never began");
     let error = run(&pool, text("set")).result.expect_err("a set cannot be transferred");
     assert!(matches!(error, InferenceError::Failed { .. }), "{error}");
     assert!(error.to_string().contains("its answer: a builtins.set cannot be transferred"), "{error}");
@@ -103,7 +103,7 @@ fn run_generator(
     let bank = bank(&[&model(folder, &format!("generators::{object}"), "")]);
     let pool = loaded(&bank, "p");
     let (result, partial_answers) = run_until_partial_answer(&pool, text("one two three"), limit);
-    // The process serves the next sample as well, whatever became of the last one.
+    // The process also serves the next sample, independent of the result of this one.
     assert_eq!(run(&pool, text("one two three")).result.is_ok(), !["Broken", "Many"].contains(&object));
     (result, partial_answers)
 }
@@ -127,7 +127,7 @@ fn values_that_infer_yields_are_partial_answers() {
     assert_eq!(
         result.expect("answers").parts[0].bytes,
         "one two three ",
-        "without a returned value it is all of them"
+        "without a returned value, the answer is all yielded values"
     );
     // Bytes of 50 kB are in the shared memory, one after the other.
     let (result, partial_answers) = run_generator(&folder, "Count", 10);
@@ -148,12 +148,12 @@ fn values_that_infer_yields_are_partial_answers() {
 }
 
 #[test]
-fn yielded_values_that_are_no_answer_are_not_kept() {
+fn yielded_values_are_not_kept_if_value_is_returned() {
     let folder = tempfile::tempdir().expect("can be made");
     fs::write(folder.path().join("generators.py"), GENERATORS).expect("can be written");
     let bank = bank(&[&model(&folder, "generators::Endless", "")]);
     let answered = run(&loaded(&bank, "p"), text("one")).result;
-    assert_eq!(answered.expect("1 GiB is yielded and not kept").parts[0].bytes, "the end");
+    assert_eq!(answered.expect("1 GiB of yielded values does not fill the memory").parts[0].bytes, "the end");
 }
 
 #[test]
@@ -161,7 +161,7 @@ fn generator_is_closed_when_nobody_waits() {
     let folder = tempfile::tempdir().expect("can be made");
     let (result, partial_answers) = run_generator(&folder, "Words", 2);
     assert_eq!(result, Err(InferenceError::Cancelled { model: "p".to_owned() }));
-    assert_eq!(partial_answers.len(), 2, "the third is not computed");
+    assert_eq!(partial_answers.len(), 2, "the third partial answer is not computed");
     assert!(folder.path().join("closed").exists());
 }
 
@@ -189,16 +189,20 @@ class Net:
     fs::write(folder.path().join("own.py"), source).expect("can be written");
     let bank = bank(&[&model(&folder, "own::Net", "")]);
     let pool = loaded(&bank, "p");
-    let restart = |sample: &'static str| {
+    // Returns whether there is an answer, the time of a restart, and whether `ipc` was recorded.
+    let run_and_read_times = |sample: &'static str| {
         let done = run(&pool, text(sample));
         let tree = done.recorder.finish();
         let value = |name: &str| tree.find(&[name]).and_then(|(_, node)| node.measure.value());
         (done.result.is_ok(), value("restart"), value("ipc").is_some())
     };
-    assert_eq!([restart("cat"), restart("die")], [(true, None, true), (false, None, true)]);
-    let (answered, waited, _) = restart("cat");
-    assert!(answered && waited.is_some_and(|seconds| seconds >= 0.3), "{waited:?}");
-    assert_eq!(restart("cat"), (true, None, true));
+    assert_eq!(
+        [run_and_read_times("cat"), run_and_read_times("die")],
+        [(true, None, true), (false, None, true)]
+    );
+    let (is_answered, restart_s, _) = run_and_read_times("cat");
+    assert!(is_answered && restart_s.is_some_and(|restart_s| restart_s >= 0.3), "{restart_s:?}");
+    assert_eq!(run_and_read_times("cat"), (true, None, true));
 }
 
 #[test]
@@ -208,7 +212,7 @@ fn missing_object_is_found_by_check_or_load() {
     let checked = missing.check();
     assert!(matches!(checked.as_slice(), [(0, LoadError::Python(_))]) && checked[0].1.is_missing());
     let without = bank(&[&model(&folder, "net::Camera", "")]);
-    assert!(without.check().is_empty(), "a check runs nothing");
-    let error = without.load(&slug("p"), None).expect_err("has none").to_string();
+    assert!(without.check().is_empty(), "the check does not run the module");
+    let error = without.load(&slug("p"), None).expect_err("the module has no Camera").to_string();
     assert!(error.contains("net has no Camera") && error.contains("Net"), "{error}");
 }

@@ -4,24 +4,24 @@ use peernet_inference::{Bank, LibraryError, LoadError, ModelConfig, OnnxRuntimeC
 
 use super::{bank, clock, demo, loaded, quality_control, slug};
 
-fn refused(bank: &Bank, name: &str, device: Option<&str>) -> LoadError {
+fn load_refusal(bank: &Bank, name: &str, device: Option<&str>) -> LoadError {
     bank.load(&slug(name), device).expect_err("is refused")
 }
 
 #[test]
-fn unknown_model_is_refused_with_the_list() {
+fn unknown_model_is_refused_with_offered_models() {
     let two = bank(&[&quality_control(""), "name = \"echo\"\nkind = \"echo\""]);
-    let error = refused(&two, "qd", None);
+    let error = load_refusal(&two, "qd", None);
     assert_eq!(error.to_string(), "no model named qd; this host offers qc, echo");
-    let error = refused(&bank(&[]), "qd", None).to_string();
+    let error = load_refusal(&bank(&[]), "qd", None).to_string();
     assert!(error.contains("this host offers none: add a [[model]]"), "{error}");
 }
 
 #[test]
 fn refusal_of_device_names_offered_device() {
-    let error = refused(&bank(&[&quality_control("")]), "qc", Some("cuda:0")).to_string();
+    let error = load_refusal(&bank(&[&quality_control("")]), "qc", Some("cuda:0")).to_string();
     assert_eq!(error, "model qc is not offered on cuda:0, only on cpu; request that device or none");
-    let error = refused(&bank(&[&quality_control("device = \"gpu\"")]), "qc", None).to_string();
+    let error = load_refusal(&bank(&[&quality_control("device = \"gpu\"")]), "qc", None).to_string();
     assert!(error.contains("\"gpu\" is not a device") && error.contains("cuda:N"), "{error}");
 }
 
@@ -40,7 +40,8 @@ fn unsupported_device_is_refused_with_reason() {
         ("openvino:CPU", "OpenVINOExecutionProvider"),
     ] {
         let bank = bank(&[&quality_control(&format!("device = \"{device}\""))]);
-        for error in bank.check().into_iter().map(|(_, error)| error).chain([refused(&bank, "qc", None)]) {
+        for error in bank.check().into_iter().map(|(_, error)| error).chain([load_refusal(&bank, "qc", None)])
+        {
             assert!(matches!(error, LoadError::NoProvider { .. }), "{error}");
             let text = error.to_string();
             for part in [device, provider, "libonnxruntime", "it has CPUExecutionProvider", "ORT_DYLIB_PATH"]
@@ -60,12 +61,12 @@ fn second_library_is_refused_in_one_process() {
     fs::write(&library, "").expect("can be written");
     let model: ModelConfig = toml::from_str(&quality_control("")).expect("is right");
     let second = Bank::new(vec![model], OnnxRuntimeConfig { library: Some(library) }, clock());
-    let error = refused(&second, "qc", None);
+    let error = load_refusal(&second, "qc", None);
     assert!(matches!(error, LoadError::Library(LibraryError::OtherLibraryLoaded { .. })), "{error}");
 }
 
-/// Creates a model's folder from changed files of the demo, and a bank of it.
-fn changed(model: &[u8], card: &str) -> (tempfile::TempDir, Bank) {
+/// Creates a folder with these files of a model, and a bank with the model.
+fn write_model(model: &[u8], card: &str) -> (tempfile::TempDir, Bank) {
     let folder = tempfile::tempdir().expect("can be made");
     fs::write(folder.path().join("model.onnx"), model).expect("can be written");
     fs::write(folder.path().join("model.toml"), card).expect("can be written");
@@ -77,7 +78,7 @@ fn changed(model: &[u8], card: &str) -> (tempfile::TempDir, Bank) {
 #[test]
 fn missing_and_broken_files_are_named() {
     let missing = bank(&["name = \"qc\"\nkind = \"onnx\"\npath = \"/nowhere\""]);
-    let error = refused(&missing, "qc", None).to_string();
+    let error = load_refusal(&missing, "qc", None).to_string();
     assert!(error.contains("/nowhere/model.toml"), "{error}");
     assert!(
         error.ends_with("write a card for the model (docs/models.md), or correct the path of its folder"),
@@ -85,8 +86,8 @@ fn missing_and_broken_files_are_named() {
     );
 
     let card = fs::read_to_string(demo().join("model.toml")).expect("is committed");
-    let (_folder, bank) = changed(b"this is no model", &card);
-    let error = refused(&bank, "qc", None);
+    let (_folder, bank) = write_model(b"this is no model", &card);
+    let error = load_refusal(&bank, "qc", None);
     assert!(matches!(error, LoadError::File { .. }), "{error}");
     assert!(error.to_string().contains("model.onnx: it is not an ONNX model"), "{error}");
 }
@@ -95,14 +96,14 @@ fn missing_and_broken_files_are_named() {
 fn card_that_contradicts_model_is_refused_at_load() {
     let model = fs::read(demo().join("model.onnx")).expect("is committed");
     let card = fs::read_to_string(demo().join("model.toml")).expect("is committed");
-    for (from, to, named) in [
+    for (from, to, expected) in [
         ("name = \"image\"", "name = \"picture\"", "its card names the input \"picture\""),
         ("name = \"logits\"", "name = \"scores\"", "its card names the output \"scores\""),
         ("\"hole missing\"]", "\"hole missing\", \"bent\"]", "[1, 5]"),
         ("colour = \"rgb\"", "colour = \"grey\"", "3 channels"),
     ] {
-        let (_folder, bank) = changed(&model, &card.replace(from, to));
-        let error = refused(&bank, "qc", None).to_string();
-        assert!(error.contains(named), "{named}: {error}");
+        let (_folder, bank) = write_model(&model, &card.replace(from, to));
+        let error = load_refusal(&bank, "qc", None).to_string();
+        assert!(error.contains(expected), "{expected}: {error}");
     }
 }

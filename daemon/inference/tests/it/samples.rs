@@ -40,7 +40,7 @@ fn label_outside_model_classes_is_marked() {
 }
 
 #[test]
-fn decoded_pixels_are_taken_as_well() {
+fn decoded_pixels_give_same_answer_as_file() {
     let bank = bank(&[&quality_control("")]);
     let pool = loaded(&bank, "qc");
     let (file, _) = pictures("pictures").swap_remove(0);
@@ -51,7 +51,7 @@ fn decoded_pixels_are_taken_as_well() {
 }
 
 #[test]
-fn bad_sample_fails_alone_with_the_reason() {
+fn unusable_sample_fails_without_affecting_next_one() {
     let bank = bank(&[&quality_control("")]);
     let pool = loaded(&bank, "qc");
     let (file, _) = pictures("pictures").swap_remove(0);
@@ -59,13 +59,14 @@ fn bad_sample_fails_alone_with_the_reason() {
     let frame = huge.windows(2).position(|pair| pair == [0xff, 0xc0]).expect("has a frame header");
     huge[frame + 5..frame + 9].fill(0xff);
     let plain = |media| Sample::from_part(Description::unshaped(media), file.clone().into());
-    let lie = Sample::from_part(Description::pixels(PixelFormat::Rgb8, 40_000, 40_000), vec![0; 12].into());
+    let wrong_size =
+        Sample::from_part(Description::pixels(PixelFormat::Rgb8, 40_000, 40_000), vec![0; 12].into());
     let bad = [
         (jpeg(file[..file.len() / 2].to_vec()), "the jpeg file cannot be read"),
         (jpeg(b"\xff\xd8\xff\xe0 broken".to_vec()), "the jpeg file cannot be read"),
         (jpeg(Vec::new()), "neither a jpeg nor a png"),
         (jpeg(huge), ""),
-        (lie, "40000 × 40000 pixels is not supported"),
+        (wrong_size, "40000 × 40000 pixels is not supported"),
         (plain(MediaType::Bytes), "plain bytes, not a picture"),
         (plain(MediaType::Json), "json, not a picture"),
         (Sample { parts: Vec::new(), source: String::new(), label: None }, "no payload"),
@@ -73,7 +74,7 @@ fn bad_sample_fails_alone_with_the_reason() {
     for (mut sample, expected) in bad {
         sample.source = "line-3/part.jpg".to_owned();
         let done = run(&pool, sample);
-        let error = done.result.expect_err("cannot be computed on");
+        let error = done.result.expect_err("the sample cannot be used");
         assert!(matches!(error, InferenceError::Input { .. }), "{error}");
         let text = error.to_string();
         assert!(text.contains(expected) && text.contains("qc") && text.contains("line-3/part.jpg"), "{text}");

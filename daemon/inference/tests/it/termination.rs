@@ -12,10 +12,10 @@ use tokio_util::sync::CancellationToken;
 use super::graphs::{array, model};
 use super::{clock, loaded, slug};
 
-/// More runs of a loop than end within the life of a test.
+/// Number of runs of a loop that do not end within the time of a test.
 const ENDLESS: i64 = 1 << 60;
 /// Time within which a terminated computation must have ended, also on a busy machine.
-const LONG: Duration = Duration::from_secs(60);
+const END_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// Requester with a token that the test cancels.
 #[derive(Default)]
@@ -35,7 +35,7 @@ impl Requester for CancellableRequester {
     }
 }
 
-/// Submits a request for so many runs of a loop. Returns the receiver of the result.
+/// Submits a request for `runs` runs of a loop. Returns the receiver of the result.
 fn submit(pool: &Pool, runs: i64, token: &CancellationToken) -> std::sync::mpsc::Receiver<FinishedJob> {
     let (sender, receiver) = sync_channel(1);
     let clock = clock();
@@ -45,7 +45,7 @@ fn submit(pool: &Pool, runs: i64, token: &CancellationToken) -> std::sync::mpsc:
         recorder: Recorder::new(Arc::clone(&clock), HostId::random()),
         received_at: clock.mono(),
         requester: Arc::new(CancellableRequester(token.clone())),
-        // The receiver is gone if the test has failed.
+        // If the test has failed, the receiver no longer exists.
         reply: Box::new(move |done| drop(sender.send(done))),
     };
     pool.submit(job).expect("the queue has room");
@@ -60,21 +60,21 @@ fn cancelled_request_ends_its_computation() {
     let endless = submit(&pool, ENDLESS, &token);
     let next = submit(&pool, 3, &CancellationToken::new());
     token.cancel();
-    let done = endless.recv_timeout(LONG).expect("is terminated");
+    let done = endless.recv_timeout(END_TIMEOUT).expect("is terminated");
     assert_eq!(done.result, Err(InferenceError::Cancelled { model: "counter".to_owned() }));
-    let answer = next.recv_timeout(LONG).expect("the worker is free again").result.expect("computes");
+    let answer = next.recv_timeout(END_TIMEOUT).expect("the worker is free again").result.expect("computes");
     assert_eq!(answer.parts[0].bytes[..], 3_i64.to_le_bytes());
 }
 
 #[test]
-fn shutdown_ends_a_computation() {
+fn shutdown_ends_running_computation() {
     let bank = model("counter");
     let pool = loaded(&bank, "counter");
-    assert!(peernet_inference::is_library_in_use(), "the process must not unload the library");
+    assert!(peernet_inference::is_library_in_use(), "the library is in use while the model is loaded");
     let endless = submit(&pool, ENDLESS, &CancellationToken::new());
-    assert_eq!(bank.shutdown_within(LONG), [] as [peernet_logger::Slug; 0]);
+    assert_eq!(bank.shutdown_within(END_TIMEOUT), [] as [peernet_logger::Slug; 0]);
     let stopped = Err(InferenceError::Stopped { model: "counter".to_owned() });
-    assert_eq!(endless.recv_timeout(LONG).expect("is answered").result, stopped);
+    assert_eq!(endless.recv_timeout(END_TIMEOUT).expect("is answered").result, stopped);
 }
 
 #[test]
@@ -82,7 +82,7 @@ fn shutdown_ends_first_run_of_a_model() {
     let bank = model("endless");
     let loading = std::thread::scope(|scope| {
         let loading = scope.spawn(|| bank.load(&slug("endless"), None).map(drop));
-        assert_eq!(bank.shutdown_within(LONG), [] as [peernet_logger::Slug; 0]);
+        assert_eq!(bank.shutdown_within(END_TIMEOUT), [] as [peernet_logger::Slug; 0]);
         loading.join().expect("does not panic")
     });
     assert!(loading.is_err(), "the first inference was terminated");

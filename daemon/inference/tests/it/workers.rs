@@ -6,16 +6,18 @@ use peernet_logger::{HostId, Recorder};
 
 use super::{Answer, answer, bank, clock, jpeg, loaded, pictures, quality_control, run};
 
-/// Returns the answers of a model with this configuration to all pictures of the demo, which are submitted at the same
-/// time.
-fn answers(more: &str) -> Vec<Answer> {
-    let bank = bank(&[&quality_control(more)]);
+/// Returns the answers of the demo model to all pictures of the demo. All pictures are submitted before the first
+/// answer is received. `lines` are further lines of the model's table.
+fn answers(lines: &str) -> Vec<Answer> {
+    let bank = bank(&[&quality_control(lines)]);
     let pool = loaded(&bank, "qc");
     let clock = clock();
     let (sender, receiver) = sync_channel(30);
     for (index, (file, _)) in pictures("pictures").into_iter().enumerate() {
         let sender = sender.clone();
-        let reply = Box::new(move |done: FinishedJob| sender.send((index, done.result)).expect("is awaited"));
+        let reply = Box::new(move |done: FinishedJob| {
+            sender.send((index, done.result)).expect("the test waits for the result")
+        });
         let recorder = Recorder::new(Arc::clone(&clock), HostId::random());
         let job = Job::for_whole_answer(jpeg(file), recorder, clock.mono(), reply);
         pool.submit(job).expect("the queue has room");
@@ -26,7 +28,7 @@ fn answers(more: &str) -> Vec<Answer> {
     results.into_iter().map(|(_, result)| answer(result)).collect()
 }
 
-/// Compares answers up to rounding: a kernel may add up in another order.
+/// Checks that answers are equal up to rounding: another number of threads may change the order of additions.
 fn assert_equal(a: &[Answer], b: &[Answer]) {
     assert_eq!(a.len(), b.len());
     for (a, b) in a.iter().zip(b) {
@@ -37,9 +39,9 @@ fn assert_equal(a: &[Answer], b: &[Answer]) {
 
 #[test]
 fn answers_are_independent_of_workers_and_threads() {
-    let alone = answers("queue = 30");
-    assert_equal(&alone, &answers("queue = 30\nworkers = 3"));
-    assert_equal(&alone, &answers("queue = 30\nworkers = 2\nintra_threads = 2\ninter_threads = 2"));
+    let one_worker = answers("queue = 30");
+    assert_equal(&one_worker, &answers("queue = 30\nworkers = 3"));
+    assert_equal(&one_worker, &answers("queue = 30\nworkers = 2\nintra_threads = 2\ninter_threads = 2"));
 }
 
 #[test]

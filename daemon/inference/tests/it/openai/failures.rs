@@ -1,4 +1,4 @@
-//! Servers that refuse, stall or break off.
+//! Servers that refuse a request, send nothing, or close the connection too early.
 
 use std::net::TcpListener;
 
@@ -6,7 +6,7 @@ use peernet_inference::{InferenceError, LoadError};
 
 use super::*;
 
-/// Returns the reason for which a request fails, and the tree of the iteration.
+/// Returns the reason why a request fails, and the tree of the iteration.
 pub(super) fn failure(script: Vec<Step>, more: &str) -> (String, Tree) {
     let finished = ask(script, more);
     let reason = match finished.result {
@@ -17,7 +17,7 @@ pub(super) fn failure(script: Vec<Step>, more: &str) -> (String, Tree) {
             assert!(model_and_url.starts_with("model vlm at http://127.0.0.1:"), "{text}");
             reason.to_owned()
         }
-        other => panic!("{other:?}"),
+        result => panic!("{result:?}"),
     };
     (reason, finished.recorder.finish())
 }
@@ -51,7 +51,10 @@ fn stall_between_tokens_ends_at_limit() {
     let expected =
         "its server sent nothing for 120 ms after 2 chunks; raise token_timeout_ms if it needs longer";
     assert_eq!(reason, expected);
-    assert!(value(&tree, "time-to-first-token").is_some(), "what is known is recorded");
+    assert!(
+        value(&tree, "time-to-first-token").is_some(),
+        "the time of the first token is recorded although the request fails"
+    );
     assert_eq!(value(&tree, "output-chunks"), Some(2.0));
 }
 
@@ -140,12 +143,12 @@ fn refusal_is_reported_with_text_of_server() {
              and url must end before /chat/completions",
         ),
     ] {
-        assert_eq!(failure(whole(status, headers, body), "").0, expected);
+        assert_eq!(failure(whole_response(status, headers, body), "").0, expected);
     }
 }
 
 #[test]
-fn answer_broken_off_is_no_answer() {
+fn interrupted_answer_fails_request() {
     // The body has no end.
     let (reason, tree) = failure(vec![head(), content("a")], "");
     assert!(reason.starts_with("the connection to its server broke after 1 chunk: "), "{reason}");
@@ -166,7 +169,7 @@ fn answer_broken_off_is_no_answer() {
 }
 
 #[test]
-fn slow_text_of_refusal_is_reported_at_limit() {
+fn partial_text_of_refusal_is_reported_at_limit() {
     let part = "HTTP/1.1 500 Internal Server Error\r\nContent-Length: 100\r\n\r\nout of mem";
     let script = vec![Step::Send(part.as_bytes().to_vec()), Step::Stall];
     let (reason, tree) = failure(script, "timeout_ms = 400");
@@ -200,8 +203,8 @@ fn too_long_answer_is_refused() {
 
 #[test]
 fn key_in_answer_of_server_is_hidden() {
-    let key = &some_variable();
-    let refused = whole("401 Unauthorized", "", &format!("{{\"error\":\"wrong key {key}\"}}"));
+    let key = &api_key();
+    let refused = whole_response("401 Unauthorized", "", &format!("{{\"error\":\"wrong key {key}\"}}"));
     let (reason, _) = failure(refused, "api_key_env = 'PATH'");
     assert_eq!(
         reason,
@@ -224,12 +227,12 @@ fn server_that_is_down_is_refused_at_load() {
     let text = error.to_string();
     assert!(text.starts_with(&format!("model vlm at {url}: cannot connect to its server: ")), "{text}");
     assert!(text.ends_with("start the server, or correct url"), "{text}");
-    let told = error.to_peer("vlm", "gpu-1");
+    let text_for_peer = error.to_peer("vlm", "gpu-1");
     assert!(
-        told.starts_with("model vlm cannot be loaded on host gpu-1: cannot connect to its server: "),
-        "{told}"
+        text_for_peer.starts_with("model vlm cannot be loaded on host gpu-1: cannot connect to its server: "),
+        "{text_for_peer}"
     );
-    assert!(!told.contains("127.0.0.1"), "a peer does not see the address: {told}");
+    assert!(!text_for_peer.contains("127.0.0.1"), "a peer does not see the address: {text_for_peer}");
 }
 
 #[test]
@@ -257,7 +260,7 @@ fn invalid_keys_are_refused_with_reason() {
             [(0, error @ LoadError::InvalidKey { key: found, .. })] => {
                 assert!(*found == key && error.to_string().contains(reason), "{error}");
             }
-            other => panic!("{lines}: {other:?}"),
+            errors => panic!("{lines}: {errors:?}"),
         }
     }
 }

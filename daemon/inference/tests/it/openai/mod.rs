@@ -1,4 +1,4 @@
-//! Language models behind a server, which scripts play over real sockets.
+//! Language models behind a server. The server follows scripts and uses real sockets.
 
 mod failures;
 mod scripted_server;
@@ -12,7 +12,7 @@ use serde_json::json;
 
 use super::{bank, jpeg, loaded, run};
 use scripted_server::{
-    ScriptedServer, Step, content, done, event, finish, head, http_chunk, pause, usage, whole,
+    ScriptedServer, Step, content, done, event, finish, head, http_chunk, pause, usage, whole_response,
 };
 
 /// Returns the table of a model on a server, with further lines.
@@ -24,7 +24,7 @@ fn text(text: &'static str) -> Sample {
     Sample::from_part(Description::unshaped(MediaType::Text), text.into())
 }
 
-/// Sends one sample to a model whose server plays a script.
+/// Sends one sample to a model whose server follows a script.
 fn ask(script: Vec<Step>, more: &str) -> FinishedJob {
     let server = ScriptedServer::start(vec![script]);
     let bank = bank(&[&model(&server, more)]);
@@ -44,8 +44,8 @@ fn parts(answer: &Sample) -> (&str, serde_json::Value) {
     (text, serde_json::from_slice(&details.bytes).expect("is JSON"))
 }
 
-/// Returns the value of the variable `PATH`, which is set for every test and serves as a key.
-fn some_variable() -> String {
+/// Returns the value of the variable `PATH`, which the tests use as API key because it is always set.
+fn api_key() -> String {
     std::env::var("PATH").expect("is set")
 }
 
@@ -78,7 +78,7 @@ fn answer_has_text_times_and_token_counts() {
     let inference =
         tree.find(&["inference"]).and_then(|(_, node)| node.measure.value()).expect("is recorded");
     let gap = value("inter-token-latency").expect("is recorded");
-    assert!(first >= 0.040, "the chunk with the role is no token: {first}");
+    assert!(first >= 0.040, "the event with the role counted as a token: {first}");
     // A busy machine may stamp the first chunk late, so only the time until the second has a lower limit.
     assert!(gap > 0.0 && first + gap >= 0.070 && inference >= first + gap, "{inference} {first} {gap}");
     assert_eq!(value("inter-token-latency-max"), Some(gap));
@@ -99,7 +99,7 @@ fn answer_has_text_times_and_token_counts() {
 fn request_has_configured_fields_and_key() {
     let answer = vec![head(), content("yes"), finish("length"), done()];
     let server = ScriptedServer::start(vec![answer.clone(), answer]);
-    let key = &some_variable();
+    let key = &api_key();
     let more = "api_key_env = 'PATH'\nprompt = 'Is it open?'\ndevice = 'cuda:0'\n\
                 parameters = { max_tokens = 3, temperature = 0.0 }";
     let bank = bank(&[&model(&server, more)]);
@@ -137,7 +137,7 @@ fn request_has_configured_fields_and_key() {
 }
 
 #[test]
-fn reasoning_counts_apart_from_first_content_token() {
+fn reasoning_does_not_count_as_first_token() {
     let reasoning =
         |text: &str| event(&json!({ "choices": [{ "delta": { "reasoning": text } }] }).to_string());
     let counts = json!({
@@ -154,13 +154,13 @@ fn reasoning_counts_apart_from_first_content_token() {
     let tree = finished.recorder.finish();
     let value = |name| value(&tree, name).unwrap_or_else(|| panic!("{name} is recorded"));
     assert!(value("time-to-first-token") > value("time-to-first-reasoning-token"));
-    assert!(value("time-to-first-token") >= 0.030, "the reasoning is no content");
+    assert!(value("time-to-first-token") >= 0.030, "the reasoning counted as text of the answer");
     assert_eq!((value("reasoning-tokens"), value("output-tokens")), (25.0, 30.0));
     assert_eq!((value("cached-input-tokens"), value("output-chunks")), (8.0, 2.0));
 }
 
 #[test]
-fn other_choices_are_left_out() {
+fn choices_other_than_first_are_ignored() {
     let choices = |choices: serde_json::Value| event(&json!({ "choices": choices }).to_string());
     let other = json!([{ "index": 1, "delta": { "content": "B" }, "finish_reason": "length" }]);
     let both = json!([
@@ -182,7 +182,7 @@ fn call_of_a_tool_is_an_answer_without_text() {
 }
 
 #[test]
-fn odd_usage_leaves_columns_empty() {
+fn invalid_usage_is_not_recorded() {
     for usage in [
         r#"{"prompt_tokens":12.0,"completion_tokens":-5}"#,
         r#"{"prompt_tokens":"12","completion_tokens":18446744073709551615}"#,
@@ -207,7 +207,7 @@ fn character_split_over_http_chunks_is_complete() {
     let stream =
         "data: {\"choices\":[{\"delta\":{\"content\":\"grün 漢\"},\"finish_reason\":\"stop\"}]}\r\n\r\n";
     let mut script = vec![head()];
-    // One byte at a time, with time to arrive alone.
+    // Each byte is sent alone, with a pause so that it also arrives alone.
     for byte in stream.as_bytes() {
         script.extend([http_chunk(&[*byte]), pause(1)]);
     }
@@ -221,17 +221,17 @@ fn character_split_over_http_chunks_is_complete() {
 
 #[test]
 fn events_of_one_http_chunk_are_counted_separately() {
-    let one = |text: &str| format!("data: {{\"choices\":[{{\"delta\":{{\"content\":\"{text}\"}}}}]}}\n\n");
-    let stream = [one("a"), one("b"), one("c")].concat();
+    let chunk = |text: &str| format!("data: {{\"choices\":[{{\"delta\":{{\"content\":\"{text}\"}}}}]}}\n\n");
+    let stream = [chunk("a"), chunk("b"), chunk("c")].concat();
     let finished = ask(vec![head(), http_chunk(stream.as_bytes()), finish("stop"), usage(1, 3), done()], "");
     assert_eq!(parts(&finished.result.expect("answers")).0, "abc");
     let tree = finished.recorder.finish();
     assert_eq!((value(&tree, "output-chunks"), value(&tree, "output-tokens")), (Some(3.0), Some(3.0)));
-    assert_eq!(value(&tree, "inter-token-latency"), Some(0.0), "they arrived at the same time");
+    assert_eq!(value(&tree, "inter-token-latency"), Some(0.0), "the three events arrived at the same time");
 }
 
 #[test]
-fn end_without_last_event_is_accepted_after_reason() {
+fn last_event_may_be_missing_after_finish_reason() {
     let close = Step::Send(b"0\r\n\r\n".to_vec());
     let finished = ask(vec![head(), content("a"), finish("stop"), close], "");
     assert_eq!(parts(&finished.result.expect("answers")).0, "a");
@@ -247,8 +247,11 @@ fn end_without_last_event_is_accepted_after_reason() {
 #[test]
 fn failed_request_does_not_affect_next_one() {
     let answer = vec![head(), content("yes"), finish("stop"), done()];
-    let busy =
-        whole("429 Too Many Requests", "Retry-After: 7\r\n", "{\"error\":{\"message\":\"slow down\"}}");
+    let busy = whole_response(
+        "429 Too Many Requests",
+        "Retry-After: 7\r\n",
+        "{\"error\":{\"message\":\"slow down\"}}",
+    );
     let server = ScriptedServer::start(vec![busy, answer]);
     let bank = bank(&[&model(&server, "")]);
     let pool = loaded(&bank, "vlm");

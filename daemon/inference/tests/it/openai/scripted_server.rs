@@ -1,4 +1,4 @@
-//! Server that answers each request for a chat completion with the next script.
+//! Server that answers each request for a chat completion as the next script says.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use tokio_rustls::rustls::{ServerConfig, ServerConnection, StreamOwned};
 
-/// One step of a script. The connection is closed after the last one.
+/// One step of a script. The connection is closed after the last step.
 #[derive(Clone, Debug)]
 pub(super) enum Step {
     /// Sends bytes.
@@ -36,12 +36,13 @@ pub(super) struct Request {
 }
 
 impl ScriptedServer {
-    /// Starts a server that answers the first request with the first script, and so on.
+    /// Starts a server that follows the first script for the first request, the second script for the second request,
+    /// and so on.
     pub(super) fn start(scripts: Vec<Vec<Step>>) -> Self {
         Self::start_with("http", scripts, |stream| Ok(Box::new(stream)))
     }
 
-    /// Starts such a server with TLS.
+    /// Starts a server as [`start`](Self::start) does, but with TLS.
     pub(super) fn start_tls(scripts: Vec<Vec<Step>>, config: Arc<ServerConfig>) -> Self {
         Self::start_with("https", scripts, move |stream| Ok(Box::new(tls_stream(stream, &config)?)))
     }
@@ -59,7 +60,7 @@ impl ScriptedServer {
             for stream in listener.incoming() {
                 let stream = stream.expect("is accepted");
                 stream.set_nodelay(true).expect("is a TCP socket");
-                // A client may refuse the certificate.
+                // The handshake fails if the client refuses the certificate.
                 let Ok(mut stream) = open(stream) else { continue };
                 let (head, body) = read_request(&mut stream);
                 if head.starts_with("get /v1/models ") {
@@ -154,12 +155,12 @@ pub(super) fn content(text: &str) -> Step {
     event(&serde_json::json!({ "choices": [{ "index": 0, "delta": { "content": text } }] }).to_string())
 }
 
-/// Returns the last chunk of an answer, with the reason for its end.
+/// Returns the event with the finish reason of an answer.
 pub(super) fn finish(reason: &str) -> Step {
     event(&serde_json::json!({ "choices": [{ "delta": {}, "finish_reason": reason }] }).to_string())
 }
 
-/// Returns the chunk with the numbers of tokens of request and answer.
+/// Returns the event with the numbers of tokens of the request and of the answer.
 pub(super) fn usage(prompt: u64, completion: u64) -> Step {
     let usage = serde_json::json!({ "prompt_tokens": prompt, "completion_tokens": completion });
     event(&serde_json::json!({ "choices": [], "usage": usage }).to_string())
@@ -170,8 +171,8 @@ pub(super) fn done() -> Step {
     Step::Send(b"e\r\ndata: [DONE]\n\n\r\n0\r\n\r\n".to_vec())
 }
 
-/// Returns a whole answer that is not streamed.
-pub(super) fn whole(status: &str, headers: &str, body: &str) -> Vec<Step> {
+/// Returns a whole HTTP response, which is not streamed.
+pub(super) fn whole_response(status: &str, headers: &str, body: &str) -> Vec<Step> {
     let length = body.len();
     vec![Step::Send(
         format!("HTTP/1.1 {status}\r\n{headers}Content-Length: {length}\r\n\r\n{body}").into_bytes(),

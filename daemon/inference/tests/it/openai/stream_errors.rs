@@ -1,9 +1,9 @@
-//! Streams in which a server reports an error, or that have text in another form than this API.
+//! Streams in which a server reports an error, or which have text in another form than the chat API.
 
 use super::failures::failure;
 use super::*;
 
-/// Returns the reason for which a request fails whose stream has these events and ends with `[DONE]`.
+/// Returns the reason why a request fails. The stream of its answer has these events and ends with `[DONE]`.
 fn reason(events: &[Step]) -> String {
     failure([&[head()][..], events, &[done()][..]].concat(), "").0
 }

@@ -1,4 +1,4 @@
-//! Servers with `https://`, whose certificates are made by the tests.
+//! Servers with `https://`. The tests create the certificates.
 
 use std::fs;
 use std::io::{Read, Write};
@@ -17,23 +17,23 @@ use tokio_rustls::rustls::{ServerConfig, crypto::ring};
 
 use super::scripted_server::tls_stream;
 use super::*;
-use crate::listener::run_cancelled_by;
+use crate::recording_requester::run_cancelled_by;
 
-/// Variable with the file of trusted authorities. It is set for a separate process, because a process of several
-/// tests cannot change its environment.
-const VARIABLE: &str = "SSL_CERT_FILE";
+/// Variable with the file of trusted authorities. Each test sets it for a process of its own, because the tests of one
+/// process share its environment.
+const ROOTS_VARIABLE: &str = "SSL_CERT_FILE";
 
 /// Runs `test` in a separate process, with the path of the file of trusted authorities.
 fn with_file_of_authorities(name: &str, test: impl FnOnce(&Path)) {
     if let Some(file) =
-        std::env::var_os(VARIABLE).map(PathBuf::from).filter(|file| file.ends_with("tls-test.pem"))
+        std::env::var_os(ROOTS_VARIABLE).map(PathBuf::from).filter(|file| file.ends_with("tls-test.pem"))
     {
         return test(&file);
     }
     let folder = tempfile::tempdir().expect("can be made");
     let output = Command::new(std::env::current_exe().expect("is known"))
         .args(["--exact", "--nocapture", &format!("openai::tls::{name}")])
-        .env(VARIABLE, folder.path().join("tls-test.pem"))
+        .env(ROOTS_VARIABLE, folder.path().join("tls-test.pem"))
         .env_remove("SSL_CERT_DIR")
         .output()
         .expect("can be started");
@@ -218,8 +218,9 @@ fn missing_authorities_are_refused_with_reason() {
     });
 }
 
-/// Starts a server that answers `/models` and then never answers a handshake. Returns its URL, and a receiver of one
-/// message when the handshake has begun, and of one when the client has closed the connection.
+/// Starts a server that answers `/models` and then never answers a handshake. Returns the URL of the server and a
+/// receiver of two messages: the first says that the handshake has begun, the second that the client has closed the
+/// connection.
 fn server_with_stalled_handshake(file: &Path) -> (String, Receiver<()>) {
     let authority = Authority::new("a");
     fs::write(file, &authority.pem).expect("can be written");
@@ -229,13 +230,13 @@ fn server_with_stalled_handshake(file: &Path) -> (String, Receiver<()>) {
     let (sender, events) = sync_channel(2);
     thread::spawn(move || {
         let accept = || listener.accept().expect("is accepted").0;
-        let mut first = tls_stream(accept(), &config).expect("the handshake is complete");
-        assert_ne!(first.read(&mut [0; 4096]).expect("sends a request"), 0);
-        first.write_all(b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\n{}").expect("is received");
-        let mut second = accept();
-        assert_ne!(second.read(&mut [0]).expect("sends its hello"), 0);
+        let mut check_stream = tls_stream(accept(), &config).expect("the handshake is complete");
+        assert_ne!(check_stream.read(&mut [0; 4096]).expect("sends a request"), 0);
+        check_stream.write_all(b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\n{}").expect("is received");
+        let mut request_stream = accept();
+        assert_ne!(request_stream.read(&mut [0]).expect("sends its hello"), 0);
         sender.send(()).expect("the test is running");
-        second.read_to_end(&mut Vec::new()).expect("is closed in order");
+        request_stream.read_to_end(&mut Vec::new()).expect("is closed in order");
         sender.send(()).expect("the test is running");
     });
     (url, events)
@@ -243,7 +244,7 @@ fn server_with_stalled_handshake(file: &Path) -> (String, Receiver<()>) {
 
 /// Waits for the next message of a server.
 fn wait_for(events: &Receiver<()>) {
-    events.recv_timeout(Duration::from_secs(60)).expect("happens");
+    events.recv_timeout(Duration::from_secs(60)).expect("the server sends a message");
 }
 
 #[test]
@@ -252,7 +253,9 @@ fn stalled_handshake_ends_at_limit() {
         let (url, events) = server_with_stalled_handshake(file);
         let bank = bank_at(&url, "first_token_timeout_ms = 120");
         let finished = run(&loaded(&bank, "vlm"), text("a"));
-        let Err(InferenceError::Server { reason, .. }) = finished.result else { panic!("is late") };
+        let Err(InferenceError::Server { reason, .. }) = finished.result else {
+            panic!("the request did not fail")
+        };
         let expected =
             "its server sent no token within 120 ms; raise first_token_timeout_ms if it needs longer";
         assert_eq!(reason, expected);

@@ -14,10 +14,11 @@ use super::clock;
 /// Beginning of a partial answer that the requester refuses.
 pub(super) const REFUSED: &str = "refused";
 
-/// Requester that keeps partial answers and cancels after some of them, or when its token is cancelled.
+/// Requester that keeps partial answers. Its request is cancelled with a certain partial answer, or when the test
+/// cancels the token.
 struct RecordingRequester {
     partial_answers: Mutex<Vec<Sample>>,
-    /// Number of the partial answer with which the request is cancelled.
+    /// Number of the partial answer with which the request is cancelled, counted from 1.
     limit: usize,
     cancellation: CancellationToken,
 }
@@ -41,26 +42,26 @@ impl Requester for RecordingRequester {
     }
 }
 
-/// Submits a sample, and cancels its request with the partial answer of this number. Returns the result and the
+/// Submits a sample, and cancels its request with the partial answer of the number `limit`. Returns the result and the
 /// partial answers.
 pub(super) fn run_until_partial_answer(
     pool: &Pool,
     sample: Sample,
     limit: usize,
 ) -> (Result<Sample, InferenceError>, Vec<Sample>) {
-    let (finished, listener) = run_until(pool, sample, limit, |_| ());
-    let partial_answers = std::mem::take(&mut *listener.partial_answers.lock().expect("is not poisoned"));
+    let (finished, requester) = run_until(pool, sample, limit, |_| ());
+    let partial_answers = std::mem::take(&mut *requester.partial_answers.lock().expect("is not poisoned"));
     (finished, partial_answers)
 }
 
-/// Submits a sample, and cancels its request when `event` returns. Returns the result.
+/// Submits a sample, calls `wait_for_event` and then cancels the request. Returns the result.
 pub(super) fn run_cancelled_by(
     pool: &Pool,
     sample: Sample,
-    event: impl FnOnce(),
+    wait_for_event: impl FnOnce(),
 ) -> Result<Sample, InferenceError> {
     let cancel = |cancellation: &CancellationToken| {
-        event();
+        wait_for_event();
         cancellation.cancel();
     };
     run_until(pool, sample, usize::MAX, cancel).0
@@ -73,7 +74,7 @@ fn run_until(
     when_submitted: impl FnOnce(&CancellationToken),
 ) -> (Result<Sample, InferenceError>, Arc<RecordingRequester>) {
     let clock = clock();
-    let listener = Arc::new(RecordingRequester {
+    let requester = Arc::new(RecordingRequester {
         partial_answers: Mutex::default(),
         limit,
         cancellation: CancellationToken::new(),
@@ -83,10 +84,12 @@ fn run_until(
         sample,
         recorder: Recorder::new(Arc::clone(&clock), HostId::random()),
         received_at: clock.mono(),
-        requester: Arc::clone(&listener) as Arc<dyn Requester>,
-        reply: Box::new(move |done: FinishedJob| sender.send(done.result).expect("is awaited")),
+        requester: Arc::clone(&requester) as Arc<dyn Requester>,
+        reply: Box::new(move |done: FinishedJob| {
+            sender.send(done.result).expect("the test waits for the result")
+        }),
     };
     pool.submit(job).expect("the queue has room");
-    when_submitted(&listener.cancellation);
-    (receiver.recv().expect("is answered"), listener)
+    when_submitted(&requester.cancellation);
+    (receiver.recv().expect("is answered"), requester)
 }

@@ -4,7 +4,7 @@ use super::graphs::{answer, grey_picture, model};
 use super::slug;
 
 #[test]
-fn output_that_is_not_finite_is_named() {
+fn error_names_output_with_unusable_numbers() {
     for (name, reason) in [
         ("classes-nan", "its output \"y\" contains NaN"),
         ("classes-infinite", "its output \"y\" contains inf"),
@@ -18,8 +18,8 @@ fn output_that_is_not_finite_is_named() {
 }
 
 #[test]
-fn labels_are_named_only_for_wrong_number() {
-    let says = "its card says float32, float16 or float64 of shape [1, 3] or [3]";
+fn error_names_labels_only_for_wrong_class_count() {
+    let card_form = "its card says float32, float16 or float64 of shape [1, 3] or [3]";
     for (name, form, remedy) in [
         ("classes-bool", "bool of shape [1, 3]", ""),
         ("classes-rank-3", "float32 of shape [1, 3, 1]", ""),
@@ -27,6 +27,6 @@ fn labels_are_named_only_for_wrong_number() {
         ("classes-four", "float32 of shape [1, 4]", ", because `labels` has 3; write a label for each class"),
     ] {
         let error = model(name).load(&slug(name), None).expect_err(name).to_string();
-        assert!(error.ends_with(&format!("its output \"y\" is {form}, {says}{remedy}")), "{error}");
+        assert!(error.ends_with(&format!("its output \"y\" is {form}, {card_form}{remedy}")), "{error}");
     }
 }
