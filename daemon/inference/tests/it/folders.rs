@@ -208,9 +208,9 @@ fn errors_of_table_name_their_key() {
     let root = tempfile::tempdir().expect("a folder");
     fs::write(root.path().join("file"), "").expect("written");
     let keys = "devices = ['cpu', 'gpu']\nmost_loaded = 65\nqueue = 70000";
-    let wrong = bank(&root.path().join("file"), keys).check_folders();
-    let named: Vec<&str> = wrong.iter().map(|(key, _)| *key).collect();
-    assert_eq!(named, ["folders", "most_loaded", "queue", "devices"], "{wrong:?}");
+    let errors = bank(&root.path().join("file"), keys).check_folders();
+    let keys_of_errors: Vec<&str> = errors.iter().map(|(key, _)| *key).collect();
+    assert_eq!(keys_of_errors, ["folders", "most_loaded", "queue", "devices"], "{errors:?}");
     let without_devices = config(root.path(), "devices = []");
     link_demo_model(root.path(), "plates");
     let bank = Bank::new(Vec::new(), OnnxRuntimeConfig::default(), clock()).with_folders(without_devices);

@@ -37,7 +37,7 @@ enum LastStep {
 /// Relation between the pixels of a sample's picture and the pixels of the model's input.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PictureTransform {
-    /// Width and height of the picture, after its orientation was changed; pixels.
+    /// Width and height of the picture in its final orientation, pixels.
     pub(super) picture: (u32, u32),
     /// Width and height of the input, pixels.
     pub(super) input: (u32, u32),
@@ -76,8 +76,8 @@ impl Geometry {
         }
     }
 
-    /// Reads a picture and applies the steps. Afterwards [`picture`](Self::picture) returns it in the size of the
-    /// input.
+    /// Reads a picture and applies the steps. Afterwards, [`picture`](Self::picture) returns the picture in the size of
+    /// the input.
     pub(super) fn apply(&mut self, part: &Part, format: PixelFormat) -> Result<PictureTransform, InputError> {
         self.last_step = LastStep::Decode;
         read_part(part, format, &mut self.decoded)?;

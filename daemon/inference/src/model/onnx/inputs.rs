@@ -178,7 +178,7 @@ impl InputBuffer {
 
     /// Returns whether the input has a row for each sample of a batch.
     fn is_batched(&self) -> bool {
-        // If the largest batch has one sample, this is `false`: the shape in the card fits as it is.
+        // If the largest batch has one sample, the result is `false`: the shape in the card then needs no change.
         self.numbers.len() > self.input.element_count()
     }
 

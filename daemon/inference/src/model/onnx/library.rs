@@ -134,8 +134,8 @@ impl Runtime {
         origin: &'static str,
         clock: &SharedClock,
     ) -> Result<Self, LibraryError> {
-        // Creating the environment sends a telemetry event before `with_telemetry(false)` has an effect. Therefore both
-        // programs also set `ORT_DISABLE_TELEMETRY`.
+        // Creating the environment sends a telemetry event before `with_telemetry(false)` has an effect. Therefore
+        // `peernetd` and `peernet` also set `ORT_DISABLE_TELEMETRY`.
         let log = LibraryLog::new(clock);
         let log = move |level, _: &str, _: &str, place: &str, message: &str| log.log(level, place, message);
         let environment =

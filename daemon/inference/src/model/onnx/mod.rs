@@ -210,7 +210,7 @@ impl Model for Onnx {
     }
 }
 
-/// Returns the number of classes and the first of their names.
+/// Returns the number of classes and the names of the first classes.
 fn describe_classes(labels: &[String]) -> String {
     format!("{}: {}", labels.len(), list_examples(labels.iter().map(String::as_str)))
 }

@@ -150,8 +150,8 @@ impl ModelReader {
         Ok(())
     }
 
-    /// Reads the tag of a field, and its length if it has one. Returns the number of the field and the position of
-    /// its end.
+    /// Reads the tag of a field, and the length if the field has one. Returns the number of the field and the position
+    /// of the field's end.
     fn read_field(&mut self, end: u64) -> Result<(u64, u64), ModelFileError> {
         let tag = self.read_varint()?;
         // No field has the number 0. If a file was received only in part, the rest often consists of zeros.

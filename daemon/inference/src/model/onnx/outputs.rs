@@ -114,7 +114,7 @@ impl<'a, 'run> Outputs<'a, 'run> {
 }
 
 impl<'a> Output<'a> {
-    /// Returns the last `RANK` lengths of the shape. The lengths before them belong to the batch and must be 1.
+    /// Returns the last `RANK` lengths of the shape. The other lengths belong to the batch and must be 1.
     ///
     /// # Errors
     /// If a length of the batch is not 1, or the shape has fewer than `RANK` lengths. The message says that

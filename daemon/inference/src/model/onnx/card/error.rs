@@ -42,7 +42,7 @@ pub(in crate::model::onnx) enum ModelCardError {
     /// A picture has truth values as pixels.
     #[error("input {0:?} is a picture of dtype bool; a picture has numbers")]
     PictureType(String),
-    /// A constant has neither one number nor as many as its shape.
+    /// A constant has neither one number nor as many numbers as its shape has elements.
     #[error(
         "the key `value` of input {input:?} has {count} numbers; its shape needs {expected}, or one for all"
     )]

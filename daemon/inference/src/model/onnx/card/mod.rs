@@ -1,4 +1,5 @@
-//! The card of a model, `model.toml`: the conversion of samples to the model's inputs and of its outputs to an answer.
+//! The card of a model, `model.toml`: the conversion of samples to the model's inputs, and of the model's outputs to
+//! answers.
 
 mod detection;
 mod error;
@@ -29,30 +30,30 @@ use detection::DetectionTable;
 use input::InputTable;
 use preprocessing::Preprocessing;
 
-/// Largest size of a card, bytes. A thousand labels take some ten kilobytes.
+/// Maximum size of a card, bytes. A thousand labels take some ten kilobytes.
 const MAX_CARD_BYTES: u64 = 1 << 20;
 
-/// Card of a model. A new model needs a card and no code.
+/// Card of a model. To add a model, one writes a card and no code.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Card {
     pub(super) name: String,
     pub(super) description: String,
     pub(super) version: String,
-    /// The model's inputs. Those that are no constants get the parts of a sample, in this order.
+    /// The model's inputs. The parts of a sample fill the inputs that are not constants, in this order.
     pub(super) inputs: Vec<Input>,
     pub(super) task: Task,
     /// Origin of the model, for people, in any form.
     pub(super) provenance: toml::Table,
 }
 
-/// Kind of the answers, with the model's outputs and their conversion.
+/// Kind of the answers, with the names of the model's outputs and the settings of their conversion.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Task {
     Classification(Classification),
     Detection(Detection),
     Segmentation(Segmentation),
     Embedding(Embedding),
-    /// Outputs that are passed on as they are, in this order.
+    /// Outputs that the answer contains unchanged, in this order.
     Tensors(Vec<TensorOutput>),
 }
 
@@ -67,25 +68,25 @@ enum TaskName {
     Tensors,
 }
 
-/// The part of a card that determines the form of the rest.
+/// The key of a card that determines which keys `[output]` has.
 #[derive(Deserialize)]
 struct Header {
     task: TaskName,
 }
 
-/// A card as it is written, with the output of its task.
+/// The file of a card. `O` is the form of `[output]`, which depends on the task.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct CardFile<O> {
     name: String,
-    #[expect(dead_code, reason = "read before, as the header")]
+    #[expect(dead_code, reason = "`Header` reads this key")]
     task: TaskName,
     #[serde(default)]
     description: String,
     #[serde(default)]
     version: String,
     input: OneOrMany<InputTable>,
-    /// Preprocessing of the inputs that are pictures and have none of their own.
+    /// Preprocessing of those pictures whose `[input]` has no preprocessing.
     preprocessing: Option<Preprocessing>,
     output: O,
     #[serde(default)]
@@ -110,18 +111,19 @@ fn read_text(file: &Path) -> io::Result<String> {
 impl Card {
     /// Reads and checks a card.
     pub(super) fn read(file: &Path) -> Result<Self, LoadError> {
-        let wrong = |reason: String| LoadError::File { file: file.to_owned(), reason };
+        let file_error = |reason: String| LoadError::File { file: file.to_owned(), reason };
         let text = read_text(file).map_err(|error| match error.kind() {
-            io::ErrorKind::NotFound => wrong(format!(
+            io::ErrorKind::NotFound => file_error(format!(
                 "{error}; write a card for the model (docs/models.md), or correct the path of its folder"
             )),
-            _ => wrong(error.to_string()),
+            _ => file_error(error.to_string()),
         })?;
-        Self::parse(&text).map_err(|error| wrong(error.to_string()))
+        Self::parse(&text).map_err(|error| file_error(error.to_string()))
     }
 
     pub(super) fn parse(text: &str) -> Result<Self, ModelCardError> {
-        // The text is parsed a second time as a whole, so that errors name the lines of the text.
+        // Only the task is read here. `parse_as` parses the whole text again, so that errors name the lines of the
+        // text.
         let Header { task } = toml::from_str(text)?;
         match task {
             TaskName::Classification => Self::parse_as(text, |output: Classification| {
@@ -151,7 +153,7 @@ impl Card {
         let CardFile { name, description, version, input, preprocessing, output, provenance, .. } = file;
         let inputs = Input::from_tables(input.0, preprocessing.as_ref())?;
         let card = Self { name, description, version, inputs, task: task(output)?, provenance };
-        // The boxes or pixels of an answer relate to a picture, so there must be a picture.
+        // The boxes or pixels of an answer relate to a picture, so one input must be a picture.
         if matches!(card.task, Task::Detection(_) | Task::Segmentation(_)) && card.picture().is_none() {
             return Err(ModelCardError::PictureTask(card.task.name()));
         }
@@ -176,7 +178,7 @@ impl Task {
         }
     }
 
-    /// Returns the classes, in the order of their numbers; `None` if the task has none.
+    /// Returns the labels of the classes, in the order of the classes' numbers; `None` if the task has no classes.
     pub(super) fn labels(&self) -> Option<&[String]> {
         match self {
             Self::Classification(Classification { labels, .. })
@@ -189,9 +191,9 @@ impl Task {
 
 impl<'de, T: Deserialize<'de>> Deserialize<'de> for OneOrMany<T> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Tables<T>(PhantomData<T>);
+        struct TablesVisitor<T>(PhantomData<T>);
 
-        impl<'de, T: Deserialize<'de>> Visitor<'de> for Tables<T> {
+        impl<'de, T: Deserialize<'de>> Visitor<'de> for TablesVisitor<T> {
             type Value = OneOrMany<T>;
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -207,7 +209,8 @@ impl<'de, T: Deserialize<'de>> Deserialize<'de> for OneOrMany<T> {
             }
         }
 
-        // The form is taken from the text, so that an error names the key and not all possible forms.
-        deserializer.deserialize_any(Tables(PhantomData))
+        // The visitor decides by the form of the value. An untagged enum would try both forms, and its errors would not
+        // name the key.
+        deserializer.deserialize_any(TablesVisitor(PhantomData))
     }
 }

@@ -64,7 +64,7 @@ pub(in crate::model::onnx) struct Segmentation {
     pub(in crate::model::onnx) labels: Vec<String>,
 }
 
-/// An output that is passed on as it is.
+/// An output that the answer contains unchanged.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(in crate::model::onnx) struct TensorOutput {

@@ -44,8 +44,8 @@ pub(super) fn keep_best(candidates: &mut Vec<Candidate>, iou_threshold: Option<f
     candidates.sort_by(|a, b| b.score.total_cmp(&a.score));
     if let Some(threshold) = iou_threshold {
         let mut kept: Vec<Candidate> = Vec::with_capacity(max_kept.min(candidates.len()));
-        // Each candidate is compared only with the kept candidates. They are at most `max_kept`, so a noisy
-        // output takes bounded time.
+        // Each candidate is compared only with the kept candidates, of which there are at most `max_kept`. Even a noisy
+        // output therefore takes bounded time.
         for candidate in candidates.iter() {
             if kept.len() == max_kept {
                 break;
