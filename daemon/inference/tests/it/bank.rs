@@ -71,9 +71,9 @@ fn shutdown_does_not_wait_for_long_computation() {
     }
     let long = loaded(&bank, "long");
     let recorder = Recorder::new(clock(), HostId::random());
-    let received = recorder.clock().mono();
+    let received_at = recorder.clock().mono();
     let reply = Box::new(|_| ());
-    long.submit(Job::for_whole_answer(bytes(1), recorder, received, reply)).expect("the queue has room");
+    long.submit(Job::for_whole_answer(bytes(1), recorder, received_at, reply)).expect("the queue has room");
     while long.waiting_samples() > 0 {
         std::thread::yield_now();
     }
