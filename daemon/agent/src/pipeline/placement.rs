@@ -333,7 +333,7 @@ async fn compute_locally(
     // The recorder moves to the model's thread. If the thread does not return the recorder, this copy has the nodes
     // that were recorded before. There are only a few nodes, so copying takes a fraction of a microsecond.
     let log_backup = log.clone();
-    let received = log.clock().mono();
+    let received_at = log.clock().mono();
     let reply = Box::new(move |finished: FinishedJob| {
         // After a timeout the receiver no longer exists, so the send fails and the late answer is dropped.
         let _ = reply.send(finished);
@@ -341,7 +341,7 @@ async fn compute_locally(
     let requester = Arc::<LocalRequester>::default();
     let _cancel = CancelOnDrop(Arc::clone(&requester));
     if let Err(refused) =
-        pool.submit(Job { sample: sample.clone(), recorder: log, received, requester, reply })
+        pool.submit(Job { sample: sample.clone(), recorder: log, received_at, requester, reply })
     {
         let result = Err(Outcome::Failed(refused.reason.to_string()));
         return ComputationResult { log: refused.job.recorder, result, transport: None };
