@@ -93,10 +93,9 @@ impl HostClockMonitor {
         }
         self.begin_epochs();
         let old_name = std::mem::replace(&mut self.clocksource_name, name);
-        Some(format!(
-            "this host's clocksource changed from {old_name} to {}; {RAW_CONSEQUENCE}",
-            self.clocksource_name
-        ))
+        let [old_name, new_name] = [&old_name, &self.clocksource_name]
+            .map(|name| if name.is_empty() { "an unknown one" } else { name.as_str() });
+        Some(format!("this host's clocksource changed from {old_name} to {new_name}; {RAW_CONSEQUENCE}"))
     }
 
     /// Begins new epochs after a disruption that the hypervisor reports. No clock of the virtual machine shows such a
@@ -271,7 +270,10 @@ mod tests {
         std::fs::write(&file, "hpet\n").expect("written");
         testbed.check_for(1);
         let reported = testbed.take_reported_texts();
-        assert!(matches!(&reported[..], [text] if text.contains("changed from  to hpet")), "{reported:?}");
+        assert!(
+            matches!(&reported[..], [text] if text.contains("changed from an unknown one to hpet")),
+            "{reported:?}"
+        );
         assert_eq!((testbed.clock.epoch(), testbed.clock.wall_epoch()), (2, 2));
     }
 

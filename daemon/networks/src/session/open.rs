@@ -45,7 +45,7 @@ pub enum OpenError {
     },
     /// The other end identified itself as a cloud and did not answer in time.
     #[error(
-        "the cloud at {address} did not answer the request for a session: {reason}; does its log say why{}",
+        "the cloud at {address} did not answer the request for a session: {reason}; does its log say why?{}",
         Self::LOADING_HINT
     )]
     Unanswered {

@@ -31,15 +31,23 @@ pub(in crate::pipeline) async fn run_to_end(
     config.check_peer().map_err(SourceError::from)?;
     let mut active_run: Option<(Run, Observation<'_>)> = None;
     loop {
-        let Some(mut source) = connect(runner, config, active_run.as_ref().map(|(run, _)| run.id())).await?
-        else {
-            if let Some((mut run, mut observation)) = active_run {
-                let reason = "the agent stopped before the output message came";
-                observation.abandon(reason, &mut run, runner).await;
-                run.end(EndReason::Stopped, &runner.context);
-                observation.close().await;
+        let connected = connect(runner, config, active_run.as_ref().map(|(run, _)| run.id())).await;
+        let mut source = match connected {
+            Ok(Some(source)) => source,
+            Ok(None) => {
+                if let Some(active_run) = active_run {
+                    let lost = "the agent stopped before the output message came";
+                    end_without_source(active_run, lost, EndReason::Stopped, runner).await;
+                }
+                return Ok(());
             }
-            return Ok(());
+            Err(error) => {
+                if let Some(active_run) = active_run {
+                    let lost = "the topics could no longer be observed before the output message came";
+                    end_without_source(active_run, lost, EndReason::Failed(error.to_string()), runner).await;
+                }
+                return Err(error.into());
+            }
         };
         let (run, observation) = match &mut active_run {
             Some(active_run) => active_run,
@@ -80,6 +88,18 @@ pub(in crate::pipeline) async fn run_to_end(
             return Ok(());
         }
     }
+}
+
+/// Ends a run that has no source at present. The open iterations end with the reason `lost`.
+async fn end_without_source(
+    (mut run, mut observation): (Run, Observation<'_>),
+    lost: &str,
+    reason: EndReason,
+    runner: &Runner,
+) {
+    observation.abandon(lost, &mut run, runner).await;
+    run.end(reason, &runner.context);
+    observation.close().await;
 }
 
 async fn start_run(

@@ -24,7 +24,7 @@ use self::reassembly_budgets::ReassemblyBudgets;
 use self::timers::Timers;
 use super::MIN_DATAGRAM_BYTES;
 use super::connection::{Connection, ConnectionLimits, Event};
-use super::handshake::{CookieKey, first_u64};
+use super::handshake::{COOKIE_LIFETIME, CookieKey, first_u64};
 use super::packet::{Packet, ResetReason, Role, Terms, VERSION};
 use super::packet_writer::PacketWriter;
 use super::reassembly::ReassemblyLimits;
@@ -225,7 +225,7 @@ impl Endpoint {
             let to = reply_address(reply_route.to, entry.reply_port);
             let is_token_of = |period: MonoTime| token == first_u64(&self.key.cookie(to, id, period));
             // The token may have been made in the previous period.
-            if is_token_of(now) || is_token_of(now - Span::from_seconds(10)) {
+            if is_token_of(now) || is_token_of(now - COOKIE_LIFETIME) {
                 self.table.relocate(id, reply_route.to, reply_route.from);
                 self.deliveries.push(ListenerEvent::Moved(ConnectionId(id), reply_route.to), None);
             }

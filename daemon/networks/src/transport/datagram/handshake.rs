@@ -19,7 +19,7 @@ use super::packet::{Cookie, Packet, ResetReason, Role, Terms, VERSION};
 pub(crate) const SAFE_DATAGRAM_BYTES: u16 = 1_200;
 
 /// Shortest time for which a cookie is accepted. The longest is twice that.
-const COOKIE_LIFETIME: Span = Span::from_seconds(10);
+pub(super) const COOKIE_LIFETIME: Span = Span::from_seconds(10);
 
 /// Time until the first repetition of a packet without an answer. The interval doubles with each repetition, up to
 /// eight times this value.

@@ -135,6 +135,8 @@ pub(crate) enum Packet<'a> {
 pub(crate) enum InvalidPacket {
     #[error("a packet of an unknown kind")]
     UnknownKind,
+    #[error("a reset with an unknown reason")]
+    UnknownResetReason,
     #[error("a packet of the other direction")]
     WrongDirection,
     #[error("a packet that is too short or too long")]

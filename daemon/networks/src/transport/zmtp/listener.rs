@@ -16,7 +16,7 @@ use tokio_util::task::TaskTracker;
 use super::connection::{Phase, ZmtpConnection};
 use super::driver::{Budgets, ConnectionEnd, Driver};
 use super::limits::{ListenerLimits, MAX_ALL_UNADMITTED_BYTES};
-use super::rejections::{Rejection, RejectionCounts};
+use super::rejections::{LOG_INTERVAL, Rejection, RejectionCounts};
 use super::table::{ConnectionTable, InsertedConnection};
 use crate::statistics::ConnectionAddresses;
 use crate::transport::memory::{MemoryBudget, Reservation};
@@ -224,12 +224,16 @@ async fn accept_connections(
     // Sockets of connections that are being closed count, too; otherwise fast reconnections could exhaust the open
     // files.
     let permits = Arc::new(Semaphore::new(state.limits.max_connections + MAX_CLOSING_SOCKETS));
+    let mut accept_error_logged_at: Option<Instant> = None;
     while let Some(accepted) = state.stop.run_until_cancelled(accept_one(&listener, &permits)).await {
         let (stream, address, permit) = match accepted {
             Ok(accepted) => accepted,
             Err(error) if is_aborted_by_peer(&error) => continue,
             Err(error) => {
-                state.rejections.record(Rejection::TooMany, None, &format!("cannot accept: {error}"));
+                if accept_error_logged_at.is_none_or(|logged_at| logged_at.elapsed() >= LOG_INTERVAL) {
+                    accept_error_logged_at = Some(Instant::now());
+                    tracing::error!(%error, "cannot accept connections; trying again every 100 ms");
+                }
                 // While descriptors are exhausted, accepting fails at once; without a pause the loop would be busy.
                 tokio::time::sleep(ACCEPT_RETRY_INTERVAL).await;
                 continue;

@@ -8,7 +8,7 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 /// Shortest interval between two log lines with the same reason.
-const LOG_INTERVAL: Duration = Duration::from_secs(60);
+pub(super) const LOG_INTERVAL: Duration = Duration::from_secs(60);
 
 /// Reason why the listener refused or closed a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

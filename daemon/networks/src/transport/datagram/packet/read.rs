@@ -129,7 +129,7 @@ fn read_fields<'a>(
                 1 => ResetReason::Unknown,
                 2 => ResetReason::Full,
                 3 => ResetReason::LongLost,
-                _ => return Err(InvalidPacket::UnknownKind),
+                _ => return Err(InvalidPacket::UnknownResetReason),
             };
             Ok(Packet::Reset { id, reason })
         }

@@ -39,6 +39,8 @@ pub(super) struct Ros2SessionSubscriber {
     messages: mpsc::Receiver<Result<TopicMessage, NodeFailure>>,
     publishers: PublisherNames,
     limits: Arc<SubscriberLimits>,
+    /// Failure that [`SessionSubscriber::try_recv`] took from the queue, for the next call of `recv`.
+    failure: Option<NodeFailure>,
     _task: AbortOnDropHandle<()>,
 }
 
@@ -130,7 +132,7 @@ impl Ros2SessionSubscriber {
             remote_nodes: BTreeMap::new(),
         };
         let handle = AbortOnDropHandle::new(tokio::spawn(run(task)));
-        Self { topic, messages, publishers, limits, _task: handle }
+        Self { topic, messages, publishers, limits, failure: None, _task: handle }
     }
 
     /// Returns a message that was taken from the queue, and subtracts its bytes from the queued bytes.
@@ -278,6 +280,9 @@ impl SessionSubscriber for Ros2SessionSubscriber {
 
     fn recv(&mut self) -> BoxFuture<'_, Result<TopicMessage, NodeFailure>> {
         let receive = async {
+            if let Some(failure) = self.failure.take() {
+                return Err(failure);
+            }
             let ended = || Err(NodeFailure(format!("topic {} has ended", self.topic)));
             let message = self.messages.recv().await.unwrap_or_else(ended);
             self.release_memory(message)
@@ -287,7 +292,13 @@ impl SessionSubscriber for Ros2SessionSubscriber {
 
     fn try_recv(&mut self) -> Option<TopicMessage> {
         let message = self.messages.try_recv().ok()?;
-        self.release_memory(message).ok()
+        match self.release_memory(message) {
+            Ok(message) => Some(message),
+            Err(failure) => {
+                self.failure = Some(failure);
+                None
+            }
+        }
     }
 
     fn is_connected(&self, node: &str) -> bool {
