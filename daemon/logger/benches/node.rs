@@ -1,5 +1,5 @@
 //! Benchmark of the logger: one timed node compared with the two clock reads that it needs, the wire form of a typical
-//! tree, and the addition of a sample to a summary. Prints a table of medians over interleaved repeats.
+//! tree, and the addition of a value to a summary. Prints a table of medians over interleaved repeats.
 #![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
 
 use std::hint::black_box;
@@ -9,21 +9,21 @@ use peernet_clock::{ClockIdentity, OneWayDelay, SharedClock, Span, SystemClock};
 use peernet_logger::{HostId, Measure, NodeId, Rate, Recorder, Tree, Unit, stage, wire};
 use peernet_statistics::Summary;
 
-/// Repeats of every measurement. They are interleaved, so that a disturbance affects all of them.
+/// Repeats of every measurement. The measurements take turns, so that a disturbance affects all of them.
 const REPEATS: usize = 301;
 /// Trees recorded in one repeat.
 const TREES: usize = 64;
-/// Timed nodes of each tree: as many as a new tree has capacity for.
+/// Timed nodes of each tree. A new tree has capacity for more nodes, so that recording does not allocate.
 const NODES: usize = 20;
 /// Calls of all other operations in one repeat.
 const CALLS: usize = 500;
 
 fn main() {
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", "system")));
-    let tree = typical(&clock);
+    let tree = typical_tree(&clock);
     let mut bytes = Vec::new();
     wire::encode(&tree, &mut bytes);
-    let packed = rmp_serde::to_vec(&tree).expect("plain data");
+    let packed = rmp_serde::to_vec(&tree).expect("a tree can be serialised");
     let mut summary = Summary::default();
     let durations: Vec<f64> = (0..CALLS).map(|n| 0.002 * (1.0 + (n * 7919 % 997) as f64 / 300.0)).collect();
 
@@ -44,9 +44,9 @@ fn main() {
     let mut out = Vec::with_capacity(1024);
     for _ in 0..REPEATS {
         samples[0].push(time(&clock, TREES * NODES, || two_reads(&clock)));
-        samples[1].push(nodes(&clock, NODES, |log| drop(log.time(stage::INFERENCE))));
-        samples[2].push(nodes(&clock, NODES / 2, nested));
-        samples[3].push(time(&clock, TREES, || whole_tree(&clock)));
+        samples[1].push(nanos_per_node(&clock, NODES, |log| drop(log.time(stage::INFERENCE))));
+        samples[2].push(nanos_per_node(&clock, NODES / 2, record_nested_nodes));
+        samples[3].push(time(&clock, TREES, || create_and_release_tree(&clock)));
         samples[4].push(time(&clock, CALLS, || {
             out.clear();
             wire::encode(black_box(&tree), &mut out);
@@ -83,8 +83,9 @@ fn time(clock: &SharedClock, calls: usize, mut call: impl FnMut()) -> f64 {
     (clock.mono() - started_at).nanos() as f64 / calls as f64
 }
 
-/// Returns the nanoseconds per timed node over new recorders; `calls` of `record` create [`NODES`] of them.
-fn nodes(clock: &SharedClock, calls: usize, record: impl Fn(&mut Recorder)) -> f64 {
+/// Returns the nanoseconds per timed node over [`TREES`] new recorders. For each recorder, `calls` calls of `record`
+/// create [`NODES`] timed nodes.
+fn nanos_per_node(clock: &SharedClock, calls: usize, record: impl Fn(&mut Recorder)) -> f64 {
     let host = HostId::random();
     let mut logs: Vec<Recorder> = (0..TREES).map(|_| Recorder::new(clock.clone(), host)).collect();
     let started_at = clock.mono();
@@ -99,12 +100,12 @@ fn two_reads(clock: &SharedClock) {
     black_box(clock.mono() - started_at);
 }
 
-fn nested(log: &mut Recorder) {
+fn record_nested_nodes(log: &mut Recorder) {
     let mut outer = log.time(stage::SENSING);
     drop(outer.time(stage::CAPTURE));
 }
 
-fn whole_tree(clock: &SharedClock) {
+fn create_and_release_tree(clock: &SharedClock) {
     let mut log = Recorder::new(clock.clone(), HostId::from_bytes([7; 16]));
     for name in stage::ORDER.into_iter().chain([stage::CAPTURE, stage::TOTAL]) {
         drop(log.time(name));
@@ -113,7 +114,7 @@ fn whole_tree(clock: &SharedClock) {
 }
 
 /// Returns the tree of an offloaded iteration as it is stored.
-fn typical(clock: &SharedClock) -> Tree {
+fn typical_tree(clock: &SharedClock) -> Tree {
     let mut log = Recorder::new(clock.clone(), HostId::random());
     {
         let mut sensing = log.time(stage::SENSING);
@@ -121,14 +122,17 @@ fn typical(clock: &SharedClock) -> Tree {
     }
     let sent = clock.stamp();
     let upload = log.start_transit(stage::UPLOAD, sent);
-    let (there, arrival) = (clock.clone(), clock.stamp());
+    let (cloud_clock, arrival) = (clock.clone(), clock.stamp());
     let tree = log.tree().clone();
-    let mut remote = Recorder::resume(there, HostId::random(), tree, upload, arrival).expect("under way");
+    let mut remote =
+        Recorder::resume(cloud_clock, HostId::random(), tree, upload, arrival).expect("the transit is open");
     for name in [stage::QUEUE, stage::PREPROCESSING, stage::INFERENCE, stage::POSTPROCESSING] {
         drop(remote.time(name));
     }
     let download = remote.start_transit(stage::DOWNLOAD, clock.stamp());
-    log.tree_mut().apply_delta(remote.into_tree_delta().expect("resumed")).expect("fits");
+    log.tree_mut()
+        .apply_delta(remote.into_tree_delta().expect("the tree was resumed"))
+        .expect("the delta fits");
     log.end_transit(download, clock.wall());
     for transit in [upload, download] {
         if let Some(Measure::Transit(transit)) = log.tree_mut().measure_mut(transit) {

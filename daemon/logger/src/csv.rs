@@ -6,8 +6,8 @@
 //! are seconds, bytes and bits per second as plain numbers. A cell is empty if the iteration has no such node or if its
 //! value is unknown.
 //!
-//! Later iterations may have nodes that earlier iterations do not have. A first pass over the trees therefore collects the columns,
-//! and a second pass writes the rows, so that memory does not grow with the number of rows.
+//! Later iterations may have nodes that earlier iterations do not have. A first pass over the trees therefore collects
+//! the columns, and a second pass writes the rows, so that memory does not grow with the number of rows.
 
 use std::collections::{HashMap, HashSet};
 use std::io;
@@ -64,7 +64,7 @@ pub struct Columns {
 struct Segment {
     /// Index of the parent's segment; `None` for children of the root.
     parent: Option<usize>,
-    /// Name of the node. The second of several siblings with one name gets the suffix `_2`, and so on.
+    /// Name of the node. Of several siblings with the same name, the second gets the suffix `_2`, the third `_3`.
     label: String,
     has_value: bool,
     has_children: bool,
@@ -114,8 +114,8 @@ impl Columns {
     fn headers(&self) -> Vec<(usize, String)> {
         // Different paths can give the same text when they are joined with `_`, but columns need unique names.
         let mut used_headers = HashSet::from([ITERATION.to_owned()]);
-        let with_value = self.order.iter().copied().filter(|index| self.segments[*index].has_value);
-        with_value
+        let segments_with_value = self.order.iter().copied().filter(|index| self.segments[*index].has_value);
+        segments_with_value
             .map(|index| {
                 let segment = &self.segments[index];
                 let mut labels = vec![segment.label.as_str()];
@@ -127,7 +127,7 @@ impl Columns {
                 labels.reverse();
                 let mut path = labels.join("_");
                 if segment.has_children {
-                    // The program that was published with the paper names such columns so.
+                    // The suffix is that of the program that was published with the paper.
                     path.push_str("_val");
                 }
                 let mut header = path.clone();
@@ -151,7 +151,7 @@ fn parent_segment(tree: &Tree, id: NodeId, segments: &[Option<usize>]) -> Option
     }
 }
 
-/// Counter of the siblings with one name within a tree.
+/// Number of nodes of a tree that were seen so far, by segment of the parent and by name.
 #[derive(Default)]
 struct Siblings<'a>(HashMap<(Option<usize>, &'a Name), usize>);
 

@@ -96,9 +96,9 @@ impl Slug {
 impl TryFrom<String> for Slug {
     type Error = InvalidName;
     fn try_from(name: String) -> Result<Self, InvalidName> {
-        let starts_well = name.bytes().next().is_some_and(|byte| byte.is_ascii_alphanumeric());
-        let is_allowed = name.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"._-".contains(&byte));
-        if starts_well && is_allowed && name.len() <= 64 {
+        let starts_alphanumeric = name.bytes().next().is_some_and(|byte| byte.is_ascii_alphanumeric());
+        let has_valid_bytes = name.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"._-".contains(&byte));
+        if starts_alphanumeric && has_valid_bytes && name.len() <= 64 {
             Ok(Self(name.into()))
         } else {
             Err(InvalidName(name))

@@ -1,4 +1,4 @@
-//! Values of an iteration by the names of its nodes, as statistics and `data.csv` count them.
+//! Values of an iteration for statistics and `data.csv`, by the names of the iteration's nodes.
 
 use crate::{Node, NodeId, Tree};
 
@@ -55,13 +55,13 @@ names_of_iteration! {
 /// Role of a node in the statistics of its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NodeRole {
-    /// Node whose name, such as that of a stage, has one value in each iteration. The node is a part of this value. The
-    /// variant contains the position of the name in the list of such names.
+    /// Node whose name has one value in each iteration, such as the name of a stage. The value of the node is added to
+    /// the value of the name. The variant contains the position of the name in the list of such names.
     OfIteration(u8),
-    /// Node with such a name at another place, for example a stage of a model inside another model. Statistics of the
-    /// name omit this node.
+    /// Node with the name of a stage that is deeper in the tree, for example a stage of a model inside another model.
+    /// Statistics of the name omit this node.
     Nested,
-    /// Node with any other name. Each node is one value.
+    /// Node with a name that may have several values in an iteration. Each node is a separate value.
     Other,
 }
 
@@ -85,7 +85,8 @@ impl IterationValues {
         position(name).is_some()
     }
 
-    /// Adds a node with its value. Nodes are added in the order of their tree, parents before children. Returns the role of the node.
+    /// Adds a node with its value and returns the role of the node. Nodes must be added in the order of their tree,
+    /// parents before children.
     pub fn add(&mut self, id: NodeId, parent: Option<NodeId>, name: &str, value: Option<f64>) -> NodeRole {
         let (Some(position), Some(parent)) = (position(name), parent) else { return NodeRole::Other };
         let is_part_of_sensing = position == Position::Capture as u8 || position == Position::Transform as u8;
@@ -110,17 +111,18 @@ impl IterationValues {
         self.sums[usize::from(position(name)?)].map(|(_, sum)| sum)
     }
 
-    /// Returns the value that statistics count for a node; all nodes must have been added. If the name has one value in
-    /// each iteration, it is the sum for the first node of the name and `None` for its other nodes. For a node with any
-    /// other name, it is the node's `own` value. `None` for nodes that do not count.
-    pub fn counted(&self, id: NodeId, role: NodeRole, own: Option<f64>) -> Option<f64> {
+    /// Returns the value that statistics count for a node. All nodes of the tree must have been added.
+    ///
+    /// If the name has one value in each iteration, the first node of the name stands for the sum, and the result for
+    /// all other nodes of the name is `None`. A node with any other name stands for its own value, `own_value`.
+    pub fn counted(&self, id: NodeId, role: NodeRole, own_value: Option<f64>) -> Option<f64> {
         match role {
             NodeRole::OfIteration(position) => {
                 let (first, sum) = self.sums[usize::from(position)]?;
                 (first == id).then_some(sum)
             }
             NodeRole::Nested => None,
-            NodeRole::Other => own,
+            NodeRole::Other => own_value,
         }
     }
 }
@@ -155,8 +157,8 @@ impl CountedNodes<'_> {
         self.roles.get(id.index()).is_some_and(|role| *role != NodeRole::Nested)
     }
 
-    /// Returns whether the statistics of a node's name contain exactly this node's own value: the node counts, and its
-    /// value is not added to the values of other nodes.
+    /// Returns whether the statistics of a node's name contain the node's own value: the node counts, and no value of
+    /// another node is added to the node's value.
     pub fn is_counted_alone(&self, id: NodeId) -> bool {
         match self.roles.get(id.index()) {
             Some(role @ NodeRole::OfIteration(_)) => {
@@ -167,7 +169,7 @@ impl CountedNodes<'_> {
         }
     }
 
-    /// Returns the nodes, each with the value that counts for it ([`IterationValues::counted`]).
+    /// Returns the nodes, each with the value that statistics count for the node ([`IterationValues::counted`]).
     pub fn iter(&self) -> impl Iterator<Item = (NodeId, &Node, Option<f64>)> {
         let nodes = self.tree.iter().zip(&self.roles).filter(|(_, role)| **role != NodeRole::Nested);
         nodes.map(|((id, node), role)| (id, node, self.values.counted(id, *role, node.measure.value())))
@@ -191,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn nodes_at_place_of_name_are_one_value() {
+    fn nodes_of_stage_are_summed_without_nested_nodes() {
         let tree = tree(&[
             (0, "sensing", 1.0),
             (1, "capture", 2.0),
@@ -221,8 +223,8 @@ mod tests {
             (13, "grasp", 2.0),
         ];
         assert_eq!(counted, expected);
-        let alone = (0..14).map(NodeId).filter(|id| counted_nodes.is_counted_alone(*id));
-        assert_eq!(alone.map(|id| id.0).collect::<Vec<_>>(), [0, 5, 12, 13]);
+        let counted_alone = (0..14).map(NodeId).filter(|id| counted_nodes.is_counted_alone(*id));
+        assert_eq!(counted_alone.map(|id| id.0).collect::<Vec<_>>(), [0, 5, 12, 13]);
         let omitted = (0..14).map(NodeId).filter(|id| !counted_nodes.is_counted(*id));
         assert_eq!(omitted.map(|id| id.0).collect::<Vec<_>>(), [3, 6, 7]);
         let names = ["sensing", "capture", "inference", "preprocessing", "grasp"];
@@ -234,7 +236,7 @@ mod tests {
 
     #[test]
     fn every_stage_has_one_value_per_iteration() {
-        let others = [
+        let other_names = [
             stage::CAPTURE,
             stage::TRANSFORM,
             stage::TOTAL,
@@ -253,7 +255,7 @@ mod tests {
             stage::TOP_5,
             stage::UNKNOWN_LABEL,
         ];
-        let mut expected: Vec<Name> = stage::ORDER.into_iter().chain(others).collect();
+        let mut expected: Vec<Name> = stage::ORDER.into_iter().chain(other_names).collect();
         let mut names: Vec<Name> = NAMES.iter().copied().map(Name::from).collect();
         expected.sort();
         names.sort();

@@ -2,7 +2,8 @@
 //!
 //! The crate does no I/O. Modules, from the lowest layer up:
 //!
-//! - [`Name`], [`Unit`], [`Measure`]: the name of a node, its unit, and what it measured; [`stage`]: the standard names.
+//! - [`Name`], [`Unit`], [`Measure`]: the name of a node, its unit, and what it measured; [`stage`]: the standard
+//!   names.
 //! - [`Tree`]: the nodes of one iteration on all hosts that took part; [`limits`]: the maximum size of a tree.
 //! - [`Recorder`]: builds a tree while an iteration runs. Its guards close the nodes that they opened. Programs can add
 //!   custom instruments ([`Meter`]).

@@ -1,11 +1,11 @@
 //! Limits on the size of trees and of lists in messages.
 //!
-//! A recorder never exceeds these limits: it leaves out further nodes and counts them. A received tree that exceeds the
-//! limits is refused.
+//! A recorder never exceeds these limits: the recorder leaves out nodes that do not fit, and counts the omitted nodes.
+//! A received tree that exceeds the limits is refused.
 
 /// Maximum number of levels of a tree, including the root's.
-// The level of a node is computed from its ancestors, so that this limits the work for each node of a hostile
-// tree.
+// The level of a node is computed by a walk over the ancestors of the node. The limit bounds this walk for each node of
+// a hostile tree.
 pub const MAX_DEPTH: usize = 32;
 
 /// Maximum number of nodes of a tree.

@@ -100,7 +100,7 @@ impl Measure {
     pub(crate) fn without_nan(self) -> Self {
         match self {
             Self::Value(value, unit) if value.is_nan() => {
-                // A `Value` always has a number. A custom kind can be without one.
+                // A `Value` always has a number. A node of a custom kind may have no number.
                 Self::Custom(Name::from_static("value"), unit, None)
             }
             Self::Custom(kind, unit, Some(value)) if value.is_nan() => Self::Custom(kind, unit, None),

@@ -2,13 +2,14 @@
 
 use crate::{Name, Unit};
 
-/// An instrument that measures a quantity between two times, for example energy, a rise of temperature, or cache misses.
+/// An instrument that measures a quantity between two times, for example energy, a rise of temperature, or cache
+/// misses.
 ///
 /// ```
 /// # use std::sync::Arc;
 /// # use peernet_clock::{ClockIdentity, ManualClock, WallTime};
 /// # use peernet_logger::{HostId, Meter, Name, Recorder, Unit, stage};
-/// /// Counts joules; a real one reads a file of the kernel.
+/// /// Counts joules. A real instrument reads a file of the kernel.
 /// struct Energy {
 ///     joules: f64,
 ///     before: f64,
@@ -33,24 +34,24 @@ use crate::{Name, Unit};
 /// # let mut log = Recorder::new(clock, HostId::random());
 /// let mut battery = Energy { joules: 100.0, before: 0.0 };
 /// {
-///     let mut inference = log.measure(Name::from_static("board"), &mut battery);
-///     inference.meter().joules += 1.5;
+///     let mut board = log.measure(Name::from_static("board"), &mut battery);
+///     board.meter().joules += 1.5;
 /// }
 /// let tree = log.finish();
 /// let board = &tree.find(&["board"]).unwrap().1.measure;
 /// assert_eq!((board.kind().as_str(), board.value(), board.unit()), ("energy", Some(1.5), Unit::JOULES));
 /// ```
 pub trait Meter {
-    /// Returns the name of the kind of node.
+    /// Returns the kind of the instrument's nodes ([`Measure::kind`](crate::Measure::kind)), such as `energy`.
     fn kind(&self) -> Name;
 
-    /// Returns the unit of the readings.
+    /// Returns the unit of the measured values.
     fn unit(&self) -> Unit;
 
     /// Starts measuring.
     fn begin(&mut self);
 
-    /// Stops measuring. Returns the reading; NaN if it failed.
+    /// Stops measuring. Returns the measured value; NaN if the instrument could not be read.
     fn end(&mut self) -> f64;
 }
 

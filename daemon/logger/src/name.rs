@@ -13,8 +13,8 @@ use crate::limits::MAX_NAME_BYTES;
 
 /// A short text that is cloned without copying. Standard names are static texts; all other names are shared.
 ///
-/// A name has at most [`MAX_NAME_BYTES`] bytes. A longer text is truncated if the program makes a name of it, and
-/// refused if it comes from a peer.
+/// A name has at most [`MAX_NAME_BYTES`] bytes. A longer text of this program is truncated. A longer text of a peer is
+/// refused.
 #[derive(Clone)]
 pub struct Name(Repr);
 
@@ -30,7 +30,7 @@ impl Name {
     /// # Panics
     /// If the name is longer than [`MAX_NAME_BYTES`]; in a constant, this is a compile error.
     pub const fn from_static(name: &'static str) -> Self {
-        assert!(name.len() <= MAX_NAME_BYTES, "a name is longer than its limit");
+        assert!(name.len() <= MAX_NAME_BYTES, "the name is longer than MAX_NAME_BYTES");
         Self(Repr::Static(name))
     }
 
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn shared_name_equals_static_one() {
+    fn standard_name_is_static_and_custom_name_is_shared() {
         assert_eq!(Name::from("sensing"), stage::SENSING);
         assert!(matches!(Name::from("sensing").0, Repr::Static(_)));
         assert!(matches!(Name::from("gripper").0, Repr::Shared(_)));

@@ -14,8 +14,9 @@ use crate::{
 
 /// Recorder of a tree on one host: opens and closes nodes below the innermost open node.
 ///
-/// The tree never exceeds [`crate::limits`]. Nodes that do not fit are left out ([`NodeId::SKIPPED`]), their children are
-/// added to the innermost existing node, and their number is recorded as `skipped-nodes`.
+/// The tree never exceeds [`crate::limits`]. Nodes that do not fit are left out ([`NodeId::SKIPPED`]). The number of
+/// omitted nodes is recorded as `skipped-nodes`. Children of an omitted node become children of the innermost node that
+/// exists.
 ///
 /// ```
 /// # use std::sync::Arc;
@@ -70,10 +71,11 @@ impl Recorder {
         Self::for_tree(clock, tree, HostIndex::EDGE, at.mono, None)
     }
 
-    /// Continues a tree that arrived from another host. Closes `transit`, the transit of its message, at `arrival`.
+    /// Continues a tree that arrived from another host. `transit` is the transit of the message that carried the tree.
+    /// It is closed at `arrival`.
     ///
     /// # Errors
-    /// If `transit` is not a transit that has yet to arrive, or the tree already spans the largest number of hosts.
+    /// If `transit` is not an open transit, or if the tree already has the maximum number of hosts.
     pub fn resume(
         clock: SharedClock,
         host: HostId,
@@ -146,7 +148,7 @@ impl Recorder {
         self.enter(name, started_at, Measure::Timer(None))
     }
 
-    /// Opens a timer that [`stop`](Self::stop) closes. Needed if a guard cannot live long enough.
+    /// Opens a timer that [`stop`](Self::stop) closes, for code in which a guard cannot live long enough.
     pub fn start(&mut self, name: Name) -> NodeId {
         let now = self.clock.mono();
         self.append_at(name, now, Measure::Timer(None))
@@ -193,7 +195,7 @@ impl Recorder {
         TokenGuard::new(self.enter(name, started_at, Measure::TokenRate(None)), started_at)
     }
 
-    /// Records a number. NaN is recorded as a failed reading.
+    /// Records a number. NaN is recorded as a node without value.
     pub fn record_value(&mut self, name: Name, value: f64, unit: Unit) -> NodeId {
         let now = self.clock.mono();
         self.append_at(name, now, Measure::Value(value, unit).without_nan())
@@ -205,21 +207,21 @@ impl Recorder {
         self.append_at(name, sent.mono, Measure::Transit(Box::new(transit)))
     }
 
-    /// Closes the transit of a message that arrived here.
+    /// Closes the transit of a message that arrived on this host. A transit that is already closed keeps its end.
     pub fn end_transit(&mut self, transit: NodeId, at: WallTime) {
         if let Some(Measure::Transit(measure)) = self.tree.measure_mut(transit) {
             measure.received.get_or_insert(at);
         }
     }
 
-    /// Inserts a tree that was recorded elsewhere below the innermost open node, completely or not at all. Returns the
-    /// position of the inserted root.
+    /// Inserts a whole tree, which another recorder recorded, below the innermost open node. Returns the position of
+    /// the inserted root.
     ///
     /// The nodes keep their hosts. If a host already belongs to this tree, the host's wall clock determines how far the
     /// inserted nodes are from the host's anchor in this tree.
     ///
     /// # Errors
-    /// If this tree would exceed its limits, or the other tree is invalid.
+    /// If this tree would exceed its limits, or if the inserted tree is invalid. This tree is then unchanged.
     pub fn insert(&mut self, tree: &Tree) -> Result<NodeId, TreeError> {
         // As for recorded nodes, the reserved nodes stay free for values that are computed afterwards.
         let fits = self.tree.nodes.len() + tree.nodes().len() <= MAX_NODES - RESERVED_NODES;
@@ -235,13 +237,13 @@ impl Recorder {
         self.tree
     }
 
-    /// Ends the recording of a [resumed](Self::resume) tree. Returns the nodes that this host added, to be sent back;
-    /// `None` for a tree that was created here.
+    /// Ends the recording of a [resumed](Self::resume) tree. Returns the additions of this host, which are sent back;
+    /// `None` for a tree that was created on this host.
     pub fn into_tree_delta(mut self) -> Option<TreeDelta> {
         let ResumeState { base, closed } = self.resume_state?;
         self.record_skipped();
         let nodes = self.tree.nodes.split_off(base as usize);
-        // The first anchor that was added here is the anchor of this host.
+        // The first anchor that was added on this host is the anchor of this host.
         let mut anchors = self.tree.anchors.drain(usize::from(self.host.0)..);
         let anchor = anchors.next()?;
         Some(TreeDelta { base, anchor, others: anchors.collect(), closed, nodes })
@@ -252,7 +254,8 @@ impl Recorder {
     fn enter(&mut self, name: Name, started_at: MonoTime, measure: Measure) -> TimerGuard<'_> {
         let (outer, outer_level) = (self.innermost, self.level);
         let node = self.append_at(name, started_at, measure);
-        // If the node was left out, the previous node stays the innermost open node, so that it gets the children.
+        // If the node was left out, the outer node stays the innermost open node and gets the children of the omitted
+        // node.
         if node != NodeId::SKIPPED {
             self.innermost = node;
             self.level += 1;

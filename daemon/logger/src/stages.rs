@@ -15,8 +15,8 @@ static ORDER: [Name; stage::COUNT] = stage::ORDER;
 /// all stages is therefore exact even if it is unknown how much of it belongs to each direction. The remaining error is
 /// the drift between the clocks while the sample is on the cloud (50 ppm of 100 ms are 5 µs).
 ///
-/// A step of the cloud's wall clock during this time has no effect, because the time on the cloud is measured by its
-/// monotonic clock. A step of the edge's wall clock between sending and receipt looks like a delay.
+/// A step of the cloud's wall clock while the sample is on the cloud has no effect, because the cloud's monotonic clock
+/// measures the time on the cloud. A step of the edge's wall clock between sending and receipt looks like a delay.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stages {
     durations: [Option<Span>; stage::COUNT],
@@ -36,6 +36,7 @@ impl Tree {
 /// Sum of the durations of one stage's nodes.
 #[derive(Clone, Copy, Default)]
 struct Stage {
+    /// `true` if the iteration has a node of the stage.
     is_present: bool,
     /// Sum of the durations that are known.
     sum: Span,
@@ -82,9 +83,9 @@ impl Transport {
             self.downloads += 1;
             self.last_received = transit.received;
         }
-        // The download is sent by the cloud. The cloud's anchor is the receipt of the upload on its wall clock, and the
-        // start of the download is counted from there on the monotonic clock. So a step of the wall clock in between
-        // has no effect.
+        // The cloud sends the download. The cloud's anchor is the time at which the cloud received the upload, on its
+        // wall clock. The start of the download is counted from this anchor on the monotonic clock. A step of the
+        // cloud's wall clock between these two times therefore has no effect.
         let cloud_sent = tree.wall_start(node).filter(|_| node.host != HostIndex::EDGE);
         match transit.received {
             Some(received) => self.sum += received - cloud_sent.unwrap_or(transit.sent),
@@ -93,14 +94,14 @@ impl Transport {
     }
 
     fn sum(&self) -> Option<Span> {
-        // The offset cancels only if there is a reply to each upload.
+        // The offset cancels only if each upload has a download.
         let is_paired = self.uploads > 0 && self.uploads == self.downloads && !self.is_unfinished;
-        // A negative sum means that the edge's wall clock was set back in between.
+        // A negative sum means that the edge's wall clock was set back during the round trip.
         Some(self.sum).filter(|sum| is_paired && !sum.is_negative())
     }
 
     fn round_trip(&self) -> Option<Span> {
-        // Both times are of the edge's clock. A negative difference means that this clock was set back in between.
+        // Both times are of the edge's clock. A negative difference means that this clock was set back between them.
         let span = self.last_received? - self.first_sent?;
         (self.uploads == 1 && self.downloads == 1 && !span.is_negative()).then_some(span)
     }
@@ -203,40 +204,41 @@ mod tests {
         clocks.iter().for_each(|clock| clock.advance(Span::from_nanos(nanos)));
     }
 
-    /// Returns the tree of an offloaded iteration in nanoseconds: 10 sensing, `up`, 20 inference, `down`, 5 actuation,
-    /// 3 unattributed. The cloud's clock is ahead by `offset` and stepped by `step` while the sample is there.
+    /// Returns the tree of an offloaded iteration that lasts, in nanoseconds: 10 for sensing, `up` for the upload, 20
+    /// for inference, `down` for the download, 5 for actuation, 3 unattributed. The cloud's clock is ahead by `offset`,
+    /// and is stepped by `step` while the sample is on the cloud.
     fn tree_of_offloaded_iteration(offset: i64, up: i64, down: i64, step: i64) -> Tree {
         let (edge, cloud) = (clock(1_000_000), clock(1_000_000 + offset));
-        let both = [&edge, &cloud];
+        let clocks = [&edge, &cloud];
         let mut log = Recorder::new(Arc::<ManualClock>::clone(&edge), HostId::random());
         let started_at = log.clock().mono();
         {
             let _sensing = log.time(stage::SENSING);
-            advance(both, 10);
+            advance(clocks, 10);
         }
         let sent = log.clock().stamp();
         let upload = log.start_transit(stage::UPLOAD, sent);
-        advance(both, up);
+        advance(clocks, up);
         let (tree, arrival) = (log.tree().clone(), cloud_stamp(&cloud));
         let cloud_clock = Arc::<ManualClock>::clone(&cloud);
-        let mut remote =
-            Recorder::resume(cloud_clock, HostId::random(), tree, upload, arrival).expect("under way");
+        let mut remote = Recorder::resume(cloud_clock, HostId::random(), tree, upload, arrival)
+            .expect("the transit is open");
         {
             let _inference = remote.time(stage::INFERENCE);
-            advance(both, 20);
+            advance(clocks, 20);
         }
         cloud.step_wall(Span::from_nanos(step));
         let download = remote.start_transit(stage::DOWNLOAD, cloud_stamp(&cloud));
-        let delta = remote.into_tree_delta().expect("resumed");
-        advance(both, down);
+        let delta = remote.into_tree_delta().expect("the tree was resumed");
+        advance(clocks, down);
         log.tree_mut().apply_delta(delta).expect("fits");
         let arrived_at = log.clock().wall();
         log.end_transit(download, arrived_at);
         {
             let _actuation = log.time(stage::ACTUATION);
-            advance(both, 5);
+            advance(clocks, 5);
         }
-        advance(both, 3);
+        advance(clocks, 3);
         let now = log.clock().mono();
         log.record_timer(stage::TOTAL, started_at, now);
         log.finish()
@@ -293,7 +295,7 @@ mod tests {
         let upload = log.start_transit(stage::UPLOAD, sent);
         let mut tree = log.finish();
         assert_eq!(tree.stages().stages_total(), None);
-        // One direction alone counts once its delay is known.
+        // The upload counts without a download as soon as its delay is known.
         if let Some(Measure::Transit(transit)) = tree.measure_mut(upload) {
             transit.delay = Some(OneWayDelay::same_clock(Span::from_nanos(9)));
         }

@@ -1,7 +1,7 @@
 //! Text form of a tree for people.
 //!
-//! It follows the paper's program, with four spaces per level and `name --> Time: 0.1234`, and adds units, bounds and
-//! hosts.
+//! The form is that of the paper's program, with four spaces per level and `name --> Time: 0.1234`. Units, bounds and
+//! hosts are added.
 
 use std::fmt;
 
@@ -41,7 +41,8 @@ impl Tree {
 impl fmt::Display for Text<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let tree = self.0;
-        // The children of each node in the order in which they were opened. One pass is enough, because parents precede their children.
+        // The children of each node in the order in which they were opened. One pass is enough, because parents precede
+        // their children.
         let mut children = vec![Vec::new(); tree.nodes().len()];
         for (id, node) in tree.iter() {
             if let Some(parent) = node.parent {

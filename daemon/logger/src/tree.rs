@@ -2,8 +2,8 @@
 //!
 //! Nodes are stored in one list, with parents before their children, so that adding a node is one push and sending the
 //! tree is one pass. The start of a node is an offset on its host's monotonic clock from the host's [`Anchor`], the
-//! moment at which the host joined the tree. Durations and order within a host therefore contain no wall-clock error,
-//! and the wall-clock time of a node is one addition.
+//! moment at which the host joined the tree. Durations and order within a host therefore contain no wall-clock error.
+//! The start of a node on the wall clock is the sum of anchor and offset.
 
 use peernet_clock::{Span, WallTime};
 use serde::{Deserialize, Serialize};
@@ -40,12 +40,13 @@ impl HostIndex {
     pub const EDGE: Self = Self(0);
 }
 
-/// A host that has nodes in the tree, and the time at which it joined.
+/// A host that has nodes in the tree, and the time at which the host joined the tree.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Anchor {
     /// Host that the anchor belongs to.
     pub host: HostId,
-    /// Time of the host's wall clock when it joined. The starts of the host's nodes are counted from this moment.
+    /// Time of the host's wall clock when the host joined the tree. The starts of the host's nodes are counted from
+    /// this moment.
     pub wall: WallTime,
 }
 
@@ -74,9 +75,10 @@ pub struct Tree {
     pub(crate) nodes: Vec<Node>,
 }
 
-/// Additions of another host to a tree that was sent to it: the transit that it closed and the nodes that it appended.
+/// Additions of a host to a tree that the host received: the end of the transit with which the tree arrived, and the
+/// nodes that the host appended.
 ///
-/// It is serialised like a [`Tree`].
+/// A delta is serialised like a [`Tree`]: as its wire form, or as an object in human-readable formats.
 // Only the delta is sent back, not the whole tree, so that a peer can add to the tree but not rewrite it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TreeDelta {
@@ -84,16 +86,16 @@ pub struct TreeDelta {
     pub base: u32,
     /// Anchor of the host that added the nodes.
     pub anchor: Anchor,
-    /// Anchors of further hosts with nodes in the delta: the hosts whose trees were inserted into it.
+    /// Anchors of further hosts with nodes in the delta: hosts whose trees were inserted into the received tree.
     pub others: Vec<Anchor>,
-    /// Transit that ended at this host, and the wall-clock time of its end.
+    /// Transit that ended at the host of `anchor`, and the wall-clock time of this end.
     pub closed: (NodeId, WallTime),
     /// Appended nodes.
     pub nodes: Vec<Node>,
 }
 
 impl Tree {
-    /// Creates a tree that contains a root container only.
+    /// Creates a tree with one node: the root, which is a container.
     pub fn new(name: Name, anchor: Anchor) -> Self {
         // The capacity suffices for the nodes of a usual iteration, so that recording does not reallocate.
         let mut nodes = Vec::with_capacity(24);
@@ -110,7 +112,7 @@ impl Tree {
     /// Creates a tree of given anchors and nodes.
     ///
     /// # Errors
-    /// If the nodes do not form a tree within the limits or refer to missing hosts.
+    /// If the nodes do not form a tree, exceed a limit, or refer to a host without anchor.
     pub fn from_parts(anchors: Vec<Anchor>, nodes: Vec<Node>) -> Result<Self, TreeError> {
         let tree = Self { anchors, nodes };
         tree.check(0)?;
@@ -165,22 +167,22 @@ impl Tree {
         id
     }
 
-    /// Appends a node of the edge that is computed afterwards. If `parent` does not exist, the node becomes a child of
-    /// the root.
+    /// Appends a node of the edge whose measure is computed after the recording. If `parent` does not exist, the node
+    /// becomes a child of the root.
     pub fn add(&mut self, parent: NodeId, name: Name, start: Span, measure: Measure) -> NodeId {
-        // `parent` may be `NodeId::SKIPPED`, if the recorder left that node out.
+        // `parent` is `NodeId::SKIPPED` if the recorder left the parent out.
         let parent = if parent.index() < self.nodes.len() { parent } else { NodeId::ROOT };
         let measure = measure.without_nan();
         self.push(Node { parent: Some(parent), name, host: HostIndex::EDGE, start, measure })
     }
 
-    /// Returns the measure of a node for modification; `None` if there is no such node. The edge uses it to record
-    /// corrected delays.
+    /// Returns the measure of a node for modification; `None` if there is no such node. The edge thus records corrected
+    /// delays.
     pub fn measure_mut(&mut self, id: NodeId) -> Option<&mut Measure> {
         self.nodes.get_mut(id.index()).map(|node| &mut node.measure)
     }
 
-    /// Adds the nodes of another host, and closes the transit that ended there.
+    /// Adds the nodes of another host, and closes the transit that ended at that host.
     ///
     /// # Errors
     /// If the delta does not fit this tree. The tree is then unchanged.
@@ -242,15 +244,15 @@ impl Tree {
             return (HostIndex(index as u8), anchor.wall - self.anchors[index].wall);
         }
         self.anchors.push(anchor.clone());
-        // The index fits into a `u8`, because two trees within their limits have fewer than 256 hosts. If they exceed
-        // the limit together, `check` refuses the result afterwards.
+        // The index fits into a `u8`, because two trees within the limits have at most 16 hosts together. If these are
+        // too many for one tree, `check` refuses the result afterwards.
         (HostIndex((self.anchors.len() - 1) as u8), Span::ZERO)
     }
 
-    /// Checks the nodes from position `from` on. The nodes before it must have been checked.
+    /// Checks the nodes from position `from` on. The nodes before this position must have been checked.
     ///
     /// # Errors
-    /// The first rule that is violated. The wire form of such a tree is refused.
+    /// If the tree violates a rule. Receivers refuse the wire form of such a tree.
     pub fn check(&self, from: usize) -> Result<(), TreeError> {
         if self.nodes.is_empty() {
             return Err(TreeError::Orphan(0));
@@ -281,8 +283,8 @@ impl Tree {
     }
 
     /// Returns the level of a node, with the root on level 1; `None` if the node is deeper than [`MAX_DEPTH`].
-    // The level is computed from the ancestors and not stored, because trees are shallow: even a hostile tree costs at most 32 steps per
-    // node.
+    // The level is computed from the ancestors and not stored, because trees are shallow: even a hostile tree costs at
+    // most 32 steps per node.
     pub(crate) fn level(&self, id: NodeId) -> Option<usize> {
         let mut parent = self.nodes.get(id.index())?.parent;
         let mut level = 1;

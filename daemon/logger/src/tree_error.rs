@@ -6,7 +6,7 @@ use crate::limits::{MAX_ANCHORS, MAX_DEPTH, MAX_NODES};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TreeError {
     /// The root is missing, the root has a parent, or another node has none.
-    #[error("node {0} has no parent, or the root has one")]
+    #[error("node {0} has no parent, or is the root and has a parent")]
     Orphan(usize),
     /// A node precedes its parent.
     #[error("node {0} precedes its parent")]
@@ -15,15 +15,15 @@ pub enum TreeError {
     #[error("node {0} refers to a host that the tree does not list")]
     UnknownHost(usize),
     /// The delta was made for another tree.
-    #[error("the tree delta was made for a tree of {expected} nodes, but this one has {actual}")]
+    #[error("the tree delta was made for a tree of {expected} nodes, but this tree has {actual} nodes")]
     BaseMismatch {
         /// Number of nodes of the tree that the delta was made for.
         expected: usize,
-        /// Number of nodes of the tree that it was applied to.
+        /// Number of nodes of the tree that the delta was applied to.
         actual: usize,
     },
-    /// A node that should arrive is not a transit, or has arrived already.
-    #[error("node {0} is not a message that has yet to arrive")]
+    /// The node that a receiver wants to close is not a transit, or the transit is already closed.
+    #[error("node {0} is not an open transit")]
     NotInFlight(usize),
     /// A node is deeper than the limit.
     #[error("node {0} is deeper than the limit of {MAX_DEPTH} levels")]

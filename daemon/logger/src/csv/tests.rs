@@ -20,12 +20,13 @@ fn tree(nodes: &[(&str, Option<f64>)]) -> Tree {
 
 fn table(rows: &[Tree]) -> String {
     let mut out = Vec::new();
-    write(&mut out, rows.iter().enumerate().map(|(index, tree)| (index as u64 + 1, tree))).expect("memory");
-    String::from_utf8(out).expect("text")
+    write(&mut out, rows.iter().enumerate().map(|(index, tree)| (index as u64 + 1, tree)))
+        .expect("writing to memory succeeds");
+    String::from_utf8(out).expect("the table is UTF-8")
 }
 
 #[test]
-fn nested_names_are_joined_and_parent_values_marked() {
+fn nested_names_are_joined_and_values_of_parents_get_suffix() {
     let rows = [tree(&[
         ("sensing", Some(0.5)),
         ("inference", Some(2.0)),
@@ -66,7 +67,7 @@ fn column_names_are_unique() {
 }
 
 #[test]
-fn names_cannot_break_the_table() {
+fn special_characters_in_names_are_quoted() {
     let rows = [tree(&[("force, \"left\"", Some(1.0))])];
     assert_eq!(table(&rows), "iteration,\"force, \"\"left\"\"\"\n1,1\n");
 }

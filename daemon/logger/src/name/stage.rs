@@ -1,4 +1,4 @@
-//! The standard names of nodes, spelt alike in code, storage, API and pages.
+//! The standard names of nodes. Code, database, API and pages spell these names the same.
 
 use crate::Name;
 
@@ -23,7 +23,7 @@ macro_rules! standard_names {
 
         /// Returns the number of a standard name on the wire.
         pub(crate) fn code(name: &str) -> Option<u8> {
-            #[expect(non_camel_case_types, clippy::upper_case_acronyms, reason = "counts the constants")]
+            #[expect(non_camel_case_types, clippy::upper_case_acronyms, reason = "variants are named like the constants")]
             enum Position { $($constant),* }
             match name {
                 $($name => Some(Position::$constant as u8),)*
@@ -38,12 +38,13 @@ pub fn all() -> impl Iterator<Item = Name> {
     NAMES.iter().copied().map(Name::from_static)
 }
 
-/// Returns the standard name with a number on the wire.
+/// Returns the standard name whose number on the wire is `code`; `None` if no name has this number.
 pub(crate) fn decode(code: u64) -> Option<Name> {
     NAMES.get(usize::try_from(code).ok()?).copied().map(Name::from_static)
 }
 
-// A standard name on the wire is its position in this list: only append, and raise `wire::VERSION` when doing so.
+// The number of a standard name on the wire is its position in this list. New names are therefore added at the end, and
+// each addition raises `wire::VERSION`: a reader refuses numbers that it does not know.
 standard_names! {
     names {
         /// Root of every tree: the processing of one sample by a pipeline.
@@ -59,8 +60,8 @@ standard_names! {
         /// Edge: from when the sample is ready to send until it is handed to the network, including the wait while too
         /// many iterations are in flight.
         SEND_QUEUE = "send-queue";
-        /// Edge to cloud: from when the message is handed to the network until all of it is received. A transit, with
-        /// bounds.
+        /// Edge to cloud: from when the sample's message is handed to the network until the whole message is received.
+        /// The node is a transit whose delay has bounds.
         UPLOAD = "upload";
         /// Cloud or edge: from when the sample is received until a worker starts.
         QUEUE = "queue";
@@ -70,12 +71,12 @@ standard_names! {
         INFERENCE = "inference";
         /// Cloud or edge: conversion of the model's output to an answer.
         POSTPROCESSING = "postprocessing";
-        /// Cloud to edge: like `upload`.
+        /// Cloud to edge: transit of the answer, defined like `upload`.
         DOWNLOAD = "download";
         /// Edge: from the answer until the actuator is done.
         ACTUATION = "actuation";
-        /// Edge: from the intended start to the end of the iteration. The edge's monotonic clock measures both, so that
-        /// there is no clock error between hosts.
+        /// Edge: from the intended start to the end of the iteration. The edge's monotonic clock measures both times,
+        /// so that `total` contains no error between the clocks of two hosts.
         TOTAL = "total";
         /// Sum of the stages, called Total in the paper.
         STAGES_TOTAL = "stages-total";
@@ -89,9 +90,9 @@ standard_names! {
         DOWNLOAD_BYTES = "download-bytes";
         /// Bytes of metadata that the cloud sent.
         DOWNLOAD_LOGGER_BYTES = "download-logger-bytes";
-        /// Payload and metadata divided by `upload`, bits per second, with the bounds that follow from the bounds of the delay.
+        /// Bits of payload and metadata per second of `upload`. The bounds follow from the bounds of the delay.
         UPLOAD_THROUGHPUT = "upload-throughput";
-        /// Throughput of the download, computed like `upload-throughput`.
+        /// Bits of payload and metadata per second of `download`. The bounds follow from the bounds of the delay.
         DOWNLOAD_THROUGHPUT = "download-throughput";
         /// Time from the request to a language model until its first token. Child of a token rate.
         TIME_TO_FIRST_TOKEN = "time-to-first-token";
@@ -104,10 +105,10 @@ standard_names! {
 }
 
 /// Cloud or edge: from when a worker takes a sample until the computation of its batch starts.
-// The wire form contains this name as text, like the name `ipc`.
+// The wire form contains this name as text, because a number would need a new version of the wire form.
 pub const BATCH_WAIT: Name = Name::from_static("batch-wait");
 /// Cloud or edge: overhead of the communication with the worker process that runs the model's code, in both directions.
-// The wire form contains this name as text, like custom names.
+// The wire form contains this name as text, like the names of custom nodes.
 pub const IPC: Name = Name::from_static("ipc");
 /// Overhead of the communication with a sensor's worker process, below `capture`.
 // The name differs from `ipc`, because statistics are grouped by name.
@@ -115,9 +116,10 @@ pub const CAPTURE_IPC: Name = Name::from_static("capture-ipc");
 /// Overhead of the communication with an actuator's worker process, below `actuation`.
 pub const ACTUATION_IPC: Name = Name::from_static("actuation-ipc");
 
-/// Cloud or edge: wait of a sample for the restart of a model's worker whose process died. It is part of `unattributed`.
-// The wait is not a stage, because the death of the process causes it and not the pipeline. The wire form contains the
-// name as text.
+/// Cloud or edge: wait of a sample for the restart of a model's worker whose process died. It is part of
+/// `unattributed`.
+// The wait is not a stage, because the dead process causes the wait, not the pipeline. The wire form contains the name
+// as text.
 pub const RESTART: Name = Name::from_static("restart");
 /// Wait for a sensor's restarted worker, below `capture` and part of it.
 pub const CAPTURE_RESTART: Name = Name::from_static("capture-restart");
@@ -127,11 +129,12 @@ pub const ACTUATION_RESTART: Name = Name::from_static("actuation-restart");
 /// Edge, in an open loop: from the scheduled to the actual start, a part of `unattributed`.
 // This name and those below are text on the wire, like `ipc`.
 pub const LATENESS: Name = Name::from_static("lateness");
-/// Number of starts of an open loop that were skipped before this iteration, because the pipeline was too far behind; absent if it is zero.
+/// Number of starts of an open loop that were skipped before this iteration, because the pipeline was too far behind.
+/// The node is absent if no start was skipped.
 pub const SKIPPED_STARTS: Name = Name::from_static("skipped-starts");
-/// 1 if the labelled class is the first answer, else 0.
+/// 1 if the sample's label is the best class of the answer, else 0.
 pub const TOP_1: Name = Name::from_static("top-1");
-/// 1 if the labelled class is among the first five answers, else 0.
+/// 1 if the sample's label is among the best five classes of the answer, else 0.
 pub const TOP_5: Name = Name::from_static("top-5");
 /// 1 for a sample whose label is not a class of the model.
 pub const UNKNOWN_LABEL: Name = Name::from_static("unknown-label");
@@ -139,7 +142,7 @@ pub const UNKNOWN_LABEL: Name = Name::from_static("unknown-label");
 /// Number of stages that add up to `stages-total`.
 pub const COUNT: usize = 12;
 
-/// The stages that add up to `stages-total`, in the order of every stack, key and table.
+/// The stages that add up to `stages-total`, in the order in which all stacked bars, legends and tables show them.
 pub const ORDER: [Name; COUNT] = [
     SENSING,
     ENCODE,

@@ -14,6 +14,7 @@ pub struct TimerGuard<'a> {
     pub(crate) node: NodeId,
     /// Innermost open node before this node was opened.
     pub(crate) outer: NodeId,
+    /// Level of `outer`.
     pub(crate) outer_level: usize,
     pub(crate) started_at: MonoTime,
 }
@@ -99,8 +100,8 @@ impl<M: Meter> Drop for MeterGuard<'_, M> {
     }
 }
 
-/// Guard of an open token rate, created by [`Recorder::tokens`]. When it is dropped it adds `tokens` and
-/// `time-to-first-token` as children.
+/// Guard of an open token rate, created by [`Recorder::tokens`]. The drop of the guard adds the children `tokens` and
+/// `time-to-first-token` to the node.
 ///
 /// The rate is the number of tokens divided by the time from the opening of the node to the last token. This time
 /// includes the wait for the first token.
@@ -108,14 +109,14 @@ impl<M: Meter> Drop for MeterGuard<'_, M> {
 pub struct TokenGuard<'a> {
     guard: TimerGuard<'a>,
     started_at: MonoTime,
-    count: u64,
+    token_count: u64,
     first_token: Option<MonoTime>,
     last_token: MonoTime,
 }
 
 impl<'a> TokenGuard<'a> {
     pub(crate) const fn new(guard: TimerGuard<'a>, started_at: MonoTime) -> Self {
-        Self { guard, started_at, count: 0, first_token: None, last_token: started_at }
+        Self { guard, started_at, token_count: 0, first_token: None, last_token: started_at }
     }
 
     /// Returns the open node.
@@ -128,7 +129,7 @@ impl<'a> TokenGuard<'a> {
         if tokens > 0 {
             self.last_token = self.guard.clock().mono();
             self.first_token.get_or_insert(self.last_token);
-            self.count += tokens;
+            self.token_count += tokens;
         }
     }
 }
@@ -151,10 +152,11 @@ impl Drop for TokenGuard<'_> {
         let elapsed = self.last_token - self.started_at;
         let node = self.guard.node;
         if let Some(Measure::TokenRate(rate)) = self.guard.recorder.tree.measure_mut(node) {
-            *rate = (elapsed > Span::ZERO).then(|| self.count as f64 / elapsed.seconds());
+            *rate = (elapsed > Span::ZERO).then(|| self.token_count as f64 / elapsed.seconds());
         }
-        // The inner guard is dropped after this, so that these nodes become children of its node.
-        self.guard.recorder.record_value(stage::TOKENS, self.count as f64, Unit::TOKENS);
+        // The field `guard` is dropped after this function. Its node is therefore still open and becomes the parent of
+        // these nodes.
+        self.guard.recorder.record_value(stage::TOKENS, self.token_count as f64, Unit::TOKENS);
         if let Some(first_token) = self.first_token {
             self.guard.recorder.record_timer(stage::TIME_TO_FIRST_TOKEN, self.started_at, first_token);
         }

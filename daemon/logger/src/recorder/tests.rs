@@ -11,7 +11,7 @@ fn recorder() -> (Arc<ManualClock>, Recorder) {
     (clock, log)
 }
 
-fn paths(tree: &Tree) -> Vec<(Option<u32>, String)> {
+fn parents_and_names(tree: &Tree) -> Vec<(Option<u32>, String)> {
     tree.nodes().iter().map(|node| (node.parent.map(|parent| parent.0), node.name.to_string())).collect()
 }
 
@@ -41,11 +41,11 @@ fn guards_close_their_nodes() {
         (Some(1), "queue"),
         (Some(0), "inference"),
     ];
-    assert_eq!(paths(&tree), expected.map(|(parent, name)| (parent, name.to_owned())));
-    let nanos = |path: &[&str]| tree.find(path).and_then(|(_, node)| node.measure.value());
-    assert_eq!(nanos(&["sensing"]), Some(Span::from_nanos(12).seconds()));
-    assert_eq!(nanos(&["sensing", "model", "capture"]), Some(Span::from_nanos(4).seconds()));
-    assert_eq!(nanos(&["sensing", "queue"]), Some(Span::from_nanos(5).seconds()));
+    assert_eq!(parents_and_names(&tree), expected.map(|(parent, name)| (parent, name.to_owned())));
+    let seconds = |path: &[&str]| tree.find(path).and_then(|(_, node)| node.measure.value());
+    assert_eq!(seconds(&["sensing"]), Some(Span::from_nanos(12).seconds()));
+    assert_eq!(seconds(&["sensing", "model", "capture"]), Some(Span::from_nanos(4).seconds()));
+    assert_eq!(seconds(&["sensing", "queue"]), Some(Span::from_nanos(5).seconds()));
     assert!(tree.get(open).is_some_and(|node| node.measure.is_open()));
     assert_eq!(tree.check(0), Ok(()));
 }
@@ -73,8 +73,8 @@ fn token_count_and_time_to_first_token_are_recorded() {
 
 #[test]
 fn failed_reading_is_recorded_without_value() {
-    struct Broken;
-    impl Meter for Broken {
+    struct BrokenMeter;
+    impl Meter for BrokenMeter {
         fn kind(&self) -> Name {
             "energy".into()
         }
@@ -87,7 +87,7 @@ fn failed_reading_is_recorded_without_value() {
         }
     }
     let (_, mut log) = recorder();
-    drop(log.measure("board".into(), Broken));
+    drop(log.measure("board".into(), BrokenMeter));
     let force = log.record_value("force".into(), f64::NAN, Unit::new("N"));
     let tree = log.finish();
     assert_eq!(tree.check(0), Ok(()));
@@ -98,7 +98,7 @@ fn failed_reading_is_recorded_without_value() {
 }
 
 #[test]
-fn tree_stays_within_limits_and_counts_missing_nodes() {
+fn tree_stays_within_limits_and_counts_skipped_nodes() {
     let (_, mut log) = recorder();
     for _ in 0..MAX_NODES {
         log.start(stage::CAPTURE);
@@ -116,7 +116,7 @@ fn tree_stays_within_limits_and_counts_missing_nodes() {
 }
 
 #[test]
-fn nodes_deeper_than_limit_are_discarded() {
+fn nodes_deeper_than_limit_are_skipped() {
     fn descend(log: &mut Recorder, levels: usize) {
         if levels > 0 {
             let mut deeper = log.time("step".into());
@@ -134,7 +134,7 @@ fn nodes_deeper_than_limit_are_discarded() {
     assert!(tree.nodes()[1..].iter().all(|node| !node.measure.is_open()));
 }
 
-/// Returns a tree of a worker on another host, with nodes of a third host that the worker asked.
+/// Returns a tree of a worker on another host. The worker sent a request to a third host, which added nodes.
 fn tree_of_other_host(third: HostId) -> Tree {
     let (clock, mut log) = recorder();
     clock.advance(Span::from_nanos(50));
@@ -142,9 +142,10 @@ fn tree_of_other_host(third: HostId) -> Tree {
     let sent = log.clock().stamp();
     let upload = log.start_transit(stage::UPLOAD, sent);
     let tree = log.tree().clone();
-    let mut remote = Recorder::resume(log.clock().clone(), third, tree, upload, sent).expect("under way");
+    let mut remote =
+        Recorder::resume(log.clock().clone(), third, tree, upload, sent).expect("the transit is open");
     remote.record_value("grip".into(), 3.0, Unit::new("N"));
-    let delta = remote.into_tree_delta().expect("resumed");
+    let delta = remote.into_tree_delta().expect("the tree was resumed");
     log.tree_mut().apply_delta(delta).expect("fits");
     log.finish()
 }
@@ -177,16 +178,16 @@ fn inserted_tree_keeps_shape_hosts_and_times() {
 }
 
 #[test]
-fn inserted_tree_returns_with_delta() {
+fn delta_contains_inserted_tree_with_its_hosts() {
     let other = tree_of_other_host(HostId::random());
     let (_, mut log) = recorder();
     let sent = log.clock().stamp();
     let upload = log.start_transit(stage::UPLOAD, sent);
     let tree = log.tree().clone();
-    let mut remote =
-        Recorder::resume(log.clock().clone(), HostId::random(), tree, upload, sent).expect("under way");
+    let mut remote = Recorder::resume(log.clock().clone(), HostId::random(), tree, upload, sent)
+        .expect("the transit is open");
     remote.insert(&other).expect("fits");
-    let delta = remote.into_tree_delta().expect("resumed");
+    let delta = remote.into_tree_delta().expect("the tree was resumed");
     assert_eq!(delta.others.len(), 2);
     log.tree_mut().apply_delta(delta).expect("fits");
     let tree = log.finish();
@@ -195,7 +196,7 @@ fn inserted_tree_returns_with_delta() {
 }
 
 #[test]
-fn failed_insertion_changes_nothing() {
+fn failed_insertion_leaves_tree_unchanged() {
     let (_, mut log) = recorder();
     for _ in 0..MAX_NODES - RESERVED_NODES - 3 {
         log.start(stage::CAPTURE);
@@ -215,7 +216,7 @@ fn failed_insertion_changes_nothing() {
 }
 
 #[test]
-fn transit_is_continued_once_by_one_delta() {
+fn open_transit_accepts_one_valid_delta() {
     let (_, mut log) = recorder();
     let sent = log.clock().stamp();
     let upload = log.start_transit(stage::UPLOAD, sent);
@@ -224,7 +225,8 @@ fn transit_is_continued_once_by_one_delta() {
     };
     assert!(matches!(resume(&log, NodeId::ROOT), Err(TreeError::NotInFlight(0))));
     assert!(matches!(resume(&log, NodeId::SKIPPED), Err(TreeError::NotInFlight(_))));
-    let delta = resume(&log, upload).expect("under way").into_tree_delta().expect("resumed");
+    let delta =
+        resume(&log, upload).expect("the transit is open").into_tree_delta().expect("the tree was resumed");
     let mut invalid_delta = delta.clone();
     invalid_delta.nodes.push(Node {
         parent: Some(NodeId(9)),

@@ -9,7 +9,7 @@
 //! | node | `[parent or nil, name, host, start, kind, …]`, further fields by kind as below |
 //! | 0 container | |
 //! | 1 timer | duration or nil |
-//! | 2 transit | sent, received or nil, delay or nil; if they are known, also sent and received by the free-running clocks |
+//! | 2 transit | sent, received or nil, delay or nil; if known, also sent and received on the free-running clocks |
 //! | 3 value | number, unit |
 //! | 4 throughput | number or nil, lower and upper bound or nil and nil |
 //! | 5 token rate | number or nil |
@@ -21,7 +21,7 @@
 //! written with `rmp` directly and not through serde.
 //!
 //! The reader accepts input from untrusted peers: it allocates at most a small multiple of the input's length, enforces
-//! [`crate::limits`], and refuses everything else with the reason.
+//! [`crate::limits`], and refuses invalid input with the reason.
 
 mod reader;
 mod serial;
@@ -42,10 +42,10 @@ pub enum WireError {
     /// The input is longer than the limit.
     #[error("the input has {0} bytes, the limit is {MAX_TREE_BYTES}")]
     TooLong(usize),
-    /// The input was written by another version of this program.
-    #[error("wire form version {0} is not supported, only version {VERSION}")]
+    /// The input has another version of the wire form.
+    #[error("version {0} of the wire form is not supported, this program reads version {VERSION}")]
     Version(u64),
-    /// The input ends early, or contains something else than expected.
+    /// The input ends too early, or contains another item than the expected item.
     #[error("expected {expected} at byte {at}")]
     Malformed {
         /// Position in the input.
@@ -63,8 +63,8 @@ pub enum WireError {
         /// Maximum number of items.
         limit: usize,
     },
-    /// Bytes follow the end.
-    #[error("{0} bytes follow the end of the input")]
+    /// Bytes follow the end of the tree or tree delta.
+    #[error("{0} bytes follow the end of the tree or tree delta")]
     Trailing(usize),
     /// The input is well-formed, but not a valid tree.
     #[error(transparent)]
@@ -82,7 +82,7 @@ pub fn encode(tree: &Tree, out: &mut Vec<u8>) {
 /// Reads the wire form of a tree.
 ///
 /// # Errors
-/// Unless the bytes are exactly one tree within the limits.
+/// If the bytes are not exactly one tree within the limits.
 pub fn decode(bytes: &[u8]) -> Result<Tree, WireError> {
     let mut reader = Reader::new(bytes, 3, "a tree")?;
     let anchors = reader.anchors()?;
@@ -104,10 +104,10 @@ pub fn encode_tree_delta(delta: &TreeDelta, out: &mut Vec<u8>) {
     writer::nodes(out, nodes);
 }
 
-/// Reads the wire form of a tree delta. [`Tree::apply_delta`] checks whether it fits a tree.
+/// Reads the wire form of a tree delta. [`Tree::apply_delta`] checks whether the delta fits a tree.
 ///
 /// # Errors
-/// Unless the bytes are exactly one tree delta within the limits.
+/// If the bytes are not exactly one tree delta within the limits.
 pub fn decode_tree_delta(bytes: &[u8]) -> Result<TreeDelta, WireError> {
     let mut reader = Reader::new(bytes, 7, "a tree delta")?;
     let base = reader.position("the length of the tree")?;

@@ -7,19 +7,20 @@ use super::{VERSION, WireError};
 use crate::limits::{MAX_ANCHORS, MAX_NAME_BYTES, MAX_NODES, MAX_TREE_BYTES};
 use crate::{Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Rate, RawStamps, Transit, Unit, stage};
 
-/// Length of the shortest node, bytes. The length of the remaining input divided by this limits the capacity that is
-/// reserved for nodes.
+/// Length of the shortest node, in bytes. The unread input has space for a certain number of such nodes; no capacity
+/// for more nodes is reserved.
 // One byte each for the array and the node's parent, name, host, start and kind.
 const MIN_NODE_BYTES: usize = 6;
-/// Length of the shortest anchor, bytes. The length of the remaining input divided by this limits the capacity that is
-/// reserved for anchors.
+/// Length of the shortest anchor, in bytes. It limits the capacity that is reserved for anchors, as above.
 // One byte for the array, two for the head of the host's identifier and 16 for the identifier itself, one for the time:
 // 1 + 2 + 16 + 1.
 const MIN_ANCHOR_BYTES: usize = 20;
 
-/// Position in the wire form of a tree or a tree delta.
+/// Reader of the wire form of a tree or a tree delta.
 pub(super) struct Reader<'a> {
+    /// Bytes that have not been read yet.
     rest: &'a [u8],
+    /// Length of the whole input.
     length: usize,
 }
 
@@ -28,7 +29,7 @@ type ReadResult<T> = Result<T, WireError>;
 
 impl<'a> Reader<'a> {
     /// Reads the header that trees and tree deltas share.
-    pub(super) fn new(bytes: &'a [u8], fields: u32, item: &'static str) -> ReadResult<Self> {
+    pub(super) fn new(bytes: &'a [u8], expected_fields: u32, item: &'static str) -> ReadResult<Self> {
         if bytes.len() > MAX_TREE_BYTES {
             return Err(WireError::TooLong(bytes.len()));
         }
@@ -37,7 +38,7 @@ impl<'a> Reader<'a> {
         match reader.uint("a version")? {
             // The version is checked before the number of fields, because another version may have another number of
             // fields.
-            VERSION if field_count == fields => Ok(reader),
+            VERSION if field_count == expected_fields => Ok(reader),
             VERSION => Err(WireError::Malformed { at: 0, expected: item }),
             other => Err(WireError::Version(other)),
         }
@@ -116,7 +117,7 @@ impl<'a> Reader<'a> {
     fn text(&mut self, expected: &'static str) -> ReadResult<&'a str> {
         let error = self.malformed(expected);
         let length = decode::read_str_len(&mut self.rest).map_err(|_| error)? as usize;
-        // A long text is refused and not truncated: two different names could become the same.
+        // A long text is refused and not truncated: two different names could become equal.
         if length > MAX_NAME_BYTES {
             return Err(WireError::Limit { what: "bytes of a name", found: length, limit: MAX_NAME_BYTES });
         }
@@ -185,7 +186,7 @@ impl<'a> Reader<'a> {
         let measure = match (self.uint("a kind")?, length) {
             (0, 5) => Measure::Container,
             (1, 6) => Measure::Timer(self.optional(|reader| reader.span("a duration"))?),
-            // Releases before 0.3 write no raw stamps, and neither does a tree whose message is in flight.
+            // A transit has no raw stamps if a release before 0.3 wrote it, or while its message is in flight.
             (2, 8) => Measure::Transit(Box::new(self.transit()?)),
             (2, 10) => {
                 let transit = self.transit()?;

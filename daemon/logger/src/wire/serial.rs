@@ -9,6 +9,7 @@ use super::{decode, decode_tree_delta, encode, encode_tree_delta};
 use crate::limits::MAX_NODES;
 use crate::{Anchor, Node, NodeId, Tree, TreeDelta, TreeError};
 
+/// Human-readable form of a [`Tree`] as it is read, before the check.
 #[derive(Deserialize)]
 #[serde(rename = "Tree")]
 struct PlainTree {
@@ -16,6 +17,7 @@ struct PlainTree {
     nodes: Vec<Node>,
 }
 
+/// Human-readable form of a [`Tree`] as it is written.
 #[derive(Serialize)]
 #[serde(rename = "Tree")]
 struct TreeView<'a> {
@@ -23,6 +25,7 @@ struct TreeView<'a> {
     nodes: &'a [Node],
 }
 
+/// Human-readable form of a [`TreeDelta`] as it is read.
 #[derive(Deserialize)]
 #[serde(rename = "TreeDelta")]
 struct PlainTreeDelta {
@@ -33,6 +36,7 @@ struct PlainTreeDelta {
     nodes: Vec<Node>,
 }
 
+/// Human-readable form of a [`TreeDelta`] as it is written.
 #[derive(Serialize)]
 #[serde(rename = "TreeDelta")]
 struct TreeDeltaView<'a> {

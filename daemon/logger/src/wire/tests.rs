@@ -23,7 +23,7 @@ fn span() -> impl Strategy<Value = Span> {
     prop_oneof![any::<i64>(), 0_i64..1 << 34].prop_map(Span::from_nanos)
 }
 
-fn pair<T: Clone + PartialOrd + std::fmt::Debug>(
+fn ordered_pair<T: Clone + PartialOrd + std::fmt::Debug>(
     bound: impl Strategy<Value = T> + Clone,
 ) -> impl Strategy<Value = Option<(T, T)>> {
     prop::option::of((bound.clone(), bound).prop_map(|(a, b)| if a <= b { (a, b) } else { (b, a) }))
@@ -32,7 +32,7 @@ fn pair<T: Clone + PartialOrd + std::fmt::Debug>(
 fn delay() -> impl Strategy<Value = OneWayDelay> {
     let source = prop::sample::select(DelaySource::ALL.to_vec());
     let verdict = prop::sample::select(Verdict::ALL.to_vec());
-    let bounds = pair(any::<i64>().prop_map(Span::from_nanos))
+    let bounds = ordered_pair(any::<i64>().prop_map(Span::from_nanos))
         .prop_map(|bounds| bounds.map(|(lo, hi)| Interval { lo, hi }));
     (span(), prop::option::of(span()), bounds, source, verdict)
         .prop_map(|(raw, value, bounds, source, verdict)| OneWayDelay { raw, value, bounds, source, verdict })
@@ -44,7 +44,7 @@ fn measure() -> impl Strategy<Value = Measure> {
     let raw_stamps = prop::option::of((raw(), raw()))
         .prop_map(|stamps| stamps.map(|(sent, received)| RawStamps { sent, received }));
     let transit = (wall(), prop::option::of(wall()), prop::option::of(delay()), raw_stamps);
-    let rate = (prop::option::of(number()), pair(any::<i32>().prop_map(f64::from)));
+    let rate = (prop::option::of(number()), ordered_pair(any::<i32>().prop_map(f64::from)));
     prop_oneof![
         Just(Measure::Container),
         prop::option::of(span()).prop_map(Measure::Timer),
@@ -99,19 +99,19 @@ proptest! {
     #[test]
     fn trees_and_deltas_round_trip_in_every_form(tree in tree(), anchor in anchor()) {
         let bytes = encode_to_bytes(&tree);
-        let decoded = decode(&bytes).expect("our own");
+        let decoded = decode(&bytes).expect("the written form is valid");
         prop_assert_eq!(&decoded, &tree);
         // Equality does not distinguish the signs of zero.
         prop_assert_eq!(encode_to_bytes(&decoded), bytes);
-        let packed = rmp_serde::to_vec(&tree).expect("plain data");
-        prop_assert_eq!(&rmp_serde::from_slice::<Tree>(&packed).expect("our own"), &tree);
+        let packed = rmp_serde::to_vec(&tree).expect("a tree can be serialised");
+        prop_assert_eq!(&rmp_serde::from_slice::<Tree>(&packed).expect("the written form is valid"), &tree);
 
         let delta = delta_of(&tree, anchor);
         let mut bytes = Vec::new();
         encode_tree_delta(&delta, &mut bytes);
         prop_assert_eq!(&decode_tree_delta(&bytes), &Ok(delta.clone()));
-        let packed = rmp_serde::to_vec(&delta).expect("plain data");
-        prop_assert_eq!(&rmp_serde::from_slice::<TreeDelta>(&packed).expect("our own"), &delta);
+        let packed = rmp_serde::to_vec(&delta).expect("a delta can be serialised");
+        prop_assert_eq!(&rmp_serde::from_slice::<TreeDelta>(&packed).expect("the written form is valid"), &delta);
     }
 
     #[test]
@@ -122,7 +122,7 @@ proptest! {
     }
 
     #[test]
-    fn damaged_bytes_are_refused_or_a_valid_tree(
+    fn damaged_bytes_are_refused_or_decode_to_valid_tree(
         tree in tree(), damage in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
     ) {
         let mut bytes = encode_to_bytes(&tree);
@@ -137,24 +137,24 @@ proptest! {
     }
 
     #[test]
-    fn no_bytes_panic(bytes: Vec<u8>) {
+    fn decoding_of_arbitrary_bytes_does_not_panic(bytes: Vec<u8>) {
         let _ = (decode(&bytes), decode_tree_delta(&bytes));
     }
 }
 
 #[test]
-fn human_readable_tree_is_checked_object() {
+fn json_form_of_tree_is_object_and_is_checked() {
     let mut tree = Tree::new(stage::ITERATION, Anchor { host: HostId::random(), wall: WallTime::default() });
     tree.add(NodeId::ROOT, stage::INFERENCE, Span::ZERO, Measure::Timer(Some(Span::from_nanos(5))));
-    let text = serde_json::to_string(&tree).expect("plain data");
+    let text = serde_json::to_string(&tree).expect("a tree can be serialised");
     assert!(text.contains("\"inference\""), "{text}");
-    assert_eq!(serde_json::from_str::<Tree>(&text).expect("our own"), tree);
-    let forward = text.replace("\"parent\":0", "\"parent\":1");
-    let error = serde_json::from_str::<Tree>(&forward).expect_err("a node is its own parent").to_string();
+    assert_eq!(serde_json::from_str::<Tree>(&text).expect("the written form is valid"), tree);
+    let own_parent = text.replace("\"parent\":0", "\"parent\":1");
+    let error = serde_json::from_str::<Tree>(&own_parent).expect_err("a node is its own parent").to_string();
     assert!(error.contains("precedes its parent"), "{error}");
 }
 
-/// Builds a wire form by hand that the writer never produces.
+/// Returns the wire form of a tree from encoded nodes. The result may be invalid, unlike the output of the writer.
 fn encode_by_hand(anchors: usize, nodes: &[&[u8]]) -> Vec<u8> {
     let mut out = vec![0x93, 1];
     writer::array(&mut out, anchors as u32);
@@ -235,7 +235,7 @@ fn wire_form_is_unchanged() {
 }
 
 #[test]
-fn transit_without_raw_stamps_keeps_its_earlier_form() {
+fn transit_without_raw_stamps_keeps_form_of_earlier_releases() {
     let (sent, received) = (WallTime::from_unix_nanos(3), Some(WallTime::from_unix_nanos(4)));
     let transit = |raw_stamps| {
         let mut tree = Tree::new(
@@ -247,16 +247,19 @@ fn transit_without_raw_stamps_keeps_its_earlier_form() {
         tree
     };
     let name = stage::code(&stage::UPLOAD).expect("a standard name");
-    let earlier = [0x98, 0, name, 0, 2, 2, 3, 4, 0xc0];
-    assert_eq!(encode_to_bytes(&transit(None)), encode_by_hand(1, &[ROOT, &earlier]));
-    let json = serde_json::to_string(&transit(None)).expect("plain data");
+    let without_stamps = [0x98, 0, name, 0, 2, 2, 3, 4, 0xc0];
+    assert_eq!(encode_to_bytes(&transit(None)), encode_by_hand(1, &[ROOT, &without_stamps]));
+    let json = serde_json::to_string(&transit(None)).expect("a tree can be serialised");
     assert!(!json.contains("raw_stamps"), "{json}");
 
     let stamps = RawStamps { sent: RawTime::from_nanos(5), received: RawTime::from_nanos(-6) };
-    let later = [0x9a, 0, name, 0, 2, 2, 3, 4, 0xc0, 5, 0xfa];
-    assert_eq!(encode_to_bytes(&transit(Some(stamps))), encode_by_hand(1, &[ROOT, &later]));
-    let json = serde_json::to_string(&transit(Some(stamps))).expect("plain data");
-    assert_eq!(serde_json::from_str::<Tree>(&json).expect("our own"), transit(Some(stamps)));
+    let with_stamps = [0x9a, 0, name, 0, 2, 2, 3, 4, 0xc0, 5, 0xfa];
+    assert_eq!(encode_to_bytes(&transit(Some(stamps))), encode_by_hand(1, &[ROOT, &with_stamps]));
+    let json = serde_json::to_string(&transit(Some(stamps))).expect("a tree can be serialised");
+    assert_eq!(
+        serde_json::from_str::<Tree>(&json).expect("the written form is valid"),
+        transit(Some(stamps))
+    );
     // A node with only one of the two stamps is malformed.
     assert!(decode(&encode_by_hand(1, &[ROOT, &[0x99, 0, name, 0, 2, 2, 3, 4, 0xc0, 5]])).is_err());
 }

@@ -39,7 +39,7 @@ fn optional<T>(out: &mut Vec<u8>, value: Option<T>, write: impl Fn(&mut Vec<u8>,
     }
 }
 
-/// Writes a number. Whole numbers such as sizes and counts take five bytes instead of nine.
+/// Writes a number. A whole number, such as a size or a count, is written as an integer, which is shorter than a float.
 fn number(out: &mut Vec<u8>, number: f64) {
     let whole = number as i64;
     // The bits are compared, because −0.0 equals 0 and would lose its sign as an integer.
@@ -135,7 +135,7 @@ fn delay(out: &mut Vec<u8>, delay: &OneWayDelay) {
     optional(out, delay.value, span);
     optional(out, delay.bounds.map(|bounds| bounds.lo), span);
     optional(out, delay.bounds.map(|bounds| bounds.hi), span);
-    // Positions in `ALL`: variants may be appended to both types, but never moved.
+    // The numbers are positions in `ALL`. Variants may be added at the end of both types, but never moved.
     uint(out, delay.source as u64);
     uint(out, delay.verdict as u64);
 }
